@@ -1,0 +1,57 @@
+"""One tree of exceptions: whatever a user can cause is a `DbbError` and prints as one clear line."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class DbbError(Exception):
+    """Base of all errors that a user can cause and mend; the command line prints it and exits 2."""
+
+
+class UnknownNameError(DbbError):
+    """A name (robot, scenario, controller, pair, …) that does not exist.
+
+    Attributes:
+        kind: What was asked for, as in "robot".
+        name: The name that was given.
+        choices: The names that exist.
+    """
+
+    def __init__(self, kind: str, name: str, choices: Iterable[str]) -> None:
+        self.kind, self.name, self.choices = kind, name, sorted(choices)
+        super().__init__(
+            f"unknown {kind} {name!r}{did_you_mean(name, self.choices)}; "
+            f"choose from: {', '.join(self.choices) or '(none)'}"
+        )
+
+
+class DescriptionError(DbbError):
+    """A robot description that is missing, misspelt or out of range; names file and field."""
+
+
+class AssetError(DbbError):
+    """A mesh or package that a description refers to is not there."""
+
+
+class ConfigError(DbbError):
+    """A parameter out of its range."""
+
+
+class UnreachableError(DbbError):
+    """No configuration of the arm brings the hand to the asked start."""
+
+
+class ServerError(DbbError):
+    """The dashboard cannot listen where it was told to."""
+
+
+class LoopError(DbbError):
+    """The simulation thread ended with an exception, which is its cause."""
+
+
+def did_you_mean(name: str, choices: Iterable[str]) -> str:
+    """` (did you mean 'x'?)` for the closest of the choices, or an empty string."""
+    close = difflib.get_close_matches(name, list(choices), n=1)
+    return f" (did you mean {close[0]!r}?)" if close else ""

@@ -1,0 +1,209 @@
+"""The description of a robot: one TOML file, typed and validated, each number with its source."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, ValidationError, model_validator
+from typing_extensions import Self
+
+from app.errors import DescriptionError
+from app.robot.shapes import Shape
+from app.strict import Finite, NonNegative, Positive, Strict, Vector3, explain
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+
+
+class Sourced(Strict):
+    """A record in which every number that is stated must have a line in `source`."""
+
+    source: dict[str, str] = {}
+    """Where each number comes from: one entry per numeric field, by the field's name."""
+
+    @model_validator(mode="after")
+    def _every_number_has_a_source(self) -> Self:
+        stated = {
+            name
+            for name in self.model_fields_set
+            if name != "source" and _holds_a_number(getattr(self, name))
+        }
+        if missing := stated - self.source.keys():
+            raise ValueError(f"give the source of {', '.join(sorted(missing))} in the table `source`")
+        if unknown := self.source.keys() - type(self).model_fields.keys():
+            raise ValueError(f"`source` names unknown fields: {', '.join(sorted(unknown))}")
+        return self
+
+
+def _holds_a_number(value: object) -> bool:
+    if isinstance(value, tuple | list):
+        return any(_holds_a_number(item) for item in value)
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+class BaseDescription(Sourced):
+    """The differentially driven base: r, b, m, I of the paper, its limits and its drive."""
+
+    kind: Literal["differential"]
+    link: str
+    """URDF link that moves with the base and in whose frame the base is described, x forward."""
+    wheel_radius_m: Positive
+    """[m] r of (6)."""
+    half_track_m: Positive
+    """[m] b of (6), distance between a wheel and the base's centre."""
+    mass_kg: Positive
+    """[kg] m of (17)."""
+    inertia_kgm2: Positive
+    """[kg m²] I of (18)."""
+    max_linear_velocity_mps: Positive
+    """[m/s]"""
+    max_angular_velocity_radps: Positive
+    """[rad/s]"""
+    max_linear_acceleration_mps2: Positive
+    """[m/s²]"""
+    max_angular_acceleration_radps2: Positive
+    """[rad/s²]"""
+    traction_limit_n: Positive
+    """[N] largest force of the wheels on the floor."""
+    drive_time_constant_s: Positive
+    """[s] of the drive's first-order response to a velocity command."""
+    left_wheel_joints: tuple[str, ...]
+    """Wheel joints of the URDF that turn with the left side; drawn only, the drive is at r and b."""
+    right_wheel_joints: tuple[str, ...]
+    """The same for the right side."""
+
+
+class ArmDescription(Sourced):
+    """The manipulator: its joints from the base outwards, its limits and its end-effector."""
+
+    mount_link: str
+    """URDF link at whose origin the arm stands: `p_base` of (9)."""
+    joints: tuple[str, ...] = Field(min_length=1)
+    """Names of the URDF joints, from the base outwards."""
+    end_effector_link: str
+    """URDF link that carries the end-effector."""
+    end_effector_xyz_m: Vector3 = (0.0, 0.0, 0.0)
+    """[m] origin of the end-effector's frame in that link."""
+    end_effector_rpy_rad: Vector3 = (0.0, 0.0, 0.0)
+    """[rad] its fixed-axis roll, pitch and yaw in that link; z points out of the hand."""
+    position_lower: tuple[Finite, ...] | None = None
+    """[rad or m] lower joint limits; from the URDF if not given."""
+    position_upper: tuple[Finite, ...] | None = None
+    """[rad or m] upper joint limits; from the URDF if not given."""
+    max_velocity: tuple[Positive, ...] | None = None
+    """[rad/s or m/s] joint velocity limits; from the URDF if not given."""
+    max_effort: tuple[Positive, ...] | None = None
+    """[N m or N] joint torque limits; from the URDF if not given."""
+    ready_position: tuple[Finite, ...]
+    """[rad or m] a pose well inside the limits and outside every buffer."""
+    joint_damping: tuple[NonNegative, ...]
+    """[N m s/rad or N s/m] D of the arm when it is guided by hand."""
+
+    @model_validator(mode="after")
+    def _one_number_a_joint(self) -> Self:
+        n = len(self.joints)
+        if len(set(self.joints)) != n:
+            raise ValueError("`joints` names a joint twice")
+        for name in (
+            "position_lower", "position_upper", "max_velocity", "max_effort",
+            "ready_position", "joint_damping",
+        ):  # fmt: skip
+            value = getattr(self, name)
+            if value is not None and len(value) != n:
+                raise ValueError(f"{name}: needs {n} numbers, one a joint, has {len(value)}")
+        return self
+
+
+class BodyDescription(Strict):
+    """One link l_• of Figure 2b: a union of convex shapes that stands for some of the URDF's links."""
+
+    source: str
+    """Where the shapes come from."""
+    name: Name
+    """As in the names of pairs, `lm-lEE`."""
+    frame: str
+    """URDF link in whose frame the shapes are given."""
+    shapes: tuple[Shape, ...] = Field(min_length=1)
+    covers: tuple[str, ...] = Field(min_length=1)
+    """URDF links that this body stands for; a distance of the body bounds theirs from below."""
+
+
+class ReachabilityDescription(Sourced):
+    """A, B, C of (9) for one body of the arm."""
+
+    A_per_m2: Positive
+    """[1/m²]"""
+    B_m: Positive
+    """[m]"""
+    C: Positive
+    """[-]"""
+
+
+class RobotDescription(Strict):
+    """All that the method needs to know of a robot.
+
+    `bodies` stand in the order of the kinematic chain, the mobile robot l_m first; neighbours in it
+    are joined to each other and never a pair.
+    """
+
+    name: Name
+    title: str
+    """As shown to people."""
+    urdf: str
+    """The robot's URDF: a file beside the description, or a `package://…` address."""
+    licence: str
+    """Licences of the assets that the URDF refers to."""
+    base: BaseDescription
+    arm: ArmDescription
+    bodies: tuple[BodyDescription, ...] = Field(min_length=2)
+    reachability: dict[str, ReachabilityDescription]
+    """By the name of the body; every body that may come near l_m needs one."""
+
+    @model_validator(mode="after")
+    def _names_agree(self) -> Self:
+        names = [body.name for body in self.bodies]
+        if len(set(names)) != len(names):
+            raise ValueError("bodies: a name stands twice")
+        if unknown := self.reachability.keys() - set(names[1:]):
+            raise ValueError(
+                f"reachability: no arm body is named {', '.join(sorted(unknown))}; "
+                f"bodies of the arm: {', '.join(names[1:])}"
+            )
+        return self
+
+    @property
+    def mobile_body(self) -> BodyDescription:
+        """l_m."""
+        return self.bodies[0]
+
+    def body(self, name: str) -> BodyDescription:
+        """The body of that name."""
+        return next(body for body in self.bodies if body.name == name)
+
+
+def load_description(path: Path) -> RobotDescription:
+    """Read and validate a description file.
+
+    Args:
+        path: The TOML file.
+
+    Raises:
+        DescriptionError: The file is missing, is not TOML, or a field is missing, misspelt or out of
+            its range; the message names file, field and what would be right.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise DescriptionError(f"{path}: no such description") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DescriptionError(f"{path}: not a TOML file: {error}") from None
+    try:
+        return RobotDescription.model_validate(data)
+    except ValidationError as error:
+        raise DescriptionError(f"{path}: {explain(error, RobotDescription)}") from None

@@ -1,0 +1,191 @@
+"""The compiled robot: pinocchio's model on a planar base, reduced to q̇ = (θ̇_r, θ̇_l, q̇_m).
+
+The planar joint of pinocchio has its velocity in the base's own frame, so the map from the reduced
+velocity to pinocchio's is the constant matrix S, and M_r = Sᵀ M S without a term in Ṡ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from app.errors import DescriptionError
+from app.robot.description import RobotDescription
+from app.robot.urdf import resolved_urdf
+
+Array = np.ndarray
+
+
+def mobile_jacobian(r: float, b: float) -> Array:
+    """J_m of the differential base: (v, ω) = J_m (θ̇_r, θ̇_l).
+
+    Paper: Eq. (19), with the signs of the second column mended: the printed matrix has rank 1 and
+    contradicts (6).
+
+    Args:
+        r: [m] radius of the wheels.
+        b: [m] distance between a wheel and the base's centre.
+
+    Returns:
+        (2, 2) in m/rad and 1.
+    """
+    return np.array([[r / 2, r / 2], [r / (2 * b), -r / (2 * b)]])
+
+
+class RobotModel:
+    """What does not change while the robot moves.
+
+    Attributes:
+        description: The description it was compiled from.
+        pin: pinocchio's model: a planar joint, then the arm's; all other joints are locked at zero.
+        geometry: pinocchio's geometry model with the convex shapes of all bodies.
+        n: Degrees of freedom of the reduced velocity, 2 + n_m.
+        n_m: Degrees of freedom of the arm.
+        J_m: (2, 2) the base's Jacobian of (19).
+        S: (3 + n_m, n) from the reduced velocity to pinocchio's.
+        q_lower, q_upper: (n_m,) [rad or m] joint limits of the arm.
+        qd_max, tau_max: (n_m,) joint velocity and torque limits of the arm.
+    """
+
+    def __init__(self, description: RobotDescription) -> None:
+        """Compile a description.
+
+        Raises:
+            AssetError: A mesh is missing.
+            DescriptionError: The description names a joint or link that the URDF does not have, or
+                limits that contradict each other.
+        """
+        self.description = description
+        self.pin = _planar_model(description)
+        self.n_m = len(description.arm.joints)
+        self.n = 2 + self.n_m
+        base = description.base
+        self.J_m = mobile_jacobian(base.wheel_radius_m, base.half_track_m)
+        self.S = np.zeros((3 + self.n_m, self.n))
+        self.S[0, :2], self.S[2, :2] = self.J_m
+        self.S[3:, 2:] = np.eye(self.n_m)
+        self._read_limits()
+        self._add_end_effector()
+        self.mount_frame = self._frame(description.arm.mount_link, "arm.mount_link")
+        self.base_frame = self._frame(description.base.link, "base.link")
+        self.geometry = pin.GeometryModel()
+        self.shape_ids: dict[str, list[int]] = {}
+        for body in description.bodies:
+            self._add_body(body.name)
+
+    @property
+    def body_names(self) -> list[str]:
+        """Names of the bodies, the mobile robot first, then outwards along the arm."""
+        return [body.name for body in self.description.bodies]
+
+    def configuration(self, base_pose: Sequence[float] | Array, q_m: Array) -> Array:
+        """pinocchio's configuration from the base's pose (x, y, φ) in the world and the arm's joints."""
+        x, y, phi = base_pose
+        return np.concatenate(([x, y, np.cos(phi), np.sin(phi)], q_m))
+
+    def p_base(self) -> Array:
+        """(3,) [m] position of the arm's mount in the base's frame: p_base of (9)."""
+        data = self.pin.createData()
+        q = self.configuration((0.0, 0.0, 0.0), np.zeros(self.n_m))
+        pin.framesForwardKinematics(self.pin, data, q)
+        return data.oMf[self.mount_frame].translation.copy()
+
+    def body_joint(self, name: str) -> int:
+        """pinocchio's joint that carries a body."""
+        return self.geometry.geometryObjects[self.shape_ids[name][0]].parentJoint
+
+    def _read_limits(self) -> None:
+        arm = self.description.arm
+        model = self.pin
+        self.q_lower = _chosen(arm.position_lower, model.lowerPositionLimit[4:])
+        self.q_upper = _chosen(arm.position_upper, model.upperPositionLimit[4:])
+        self.qd_max = _chosen(arm.max_velocity, model.velocityLimit[3:])
+        self.tau_max = _chosen(arm.max_effort, model.effortLimit[3:])
+        ready = np.array(arm.ready_position)
+        for name, lower, at, upper in zip(arm.joints, self.q_lower, ready, self.q_upper, strict=True):
+            if not lower < upper:
+                raise self._error(f"arm: {name} has lower limit {lower:g} not below upper {upper:g}")
+            if not lower <= at <= upper:
+                raise self._error(
+                    f"arm.ready_position: {name} at {at:g} is outside of [{lower:g}, {upper:g}]"
+                )
+        for name, speed, effort in zip(arm.joints, self.qd_max, self.tau_max, strict=True):
+            if not (speed > 0 and effort > 0):
+                raise self._error(f"arm: {name} needs a velocity and an effort limit above zero")
+
+    def _add_end_effector(self) -> None:
+        arm = self.description.arm
+        parent = self._frame(arm.end_effector_link, "arm.end_effector_link")
+        frame = self.pin.frames[parent]
+        offset = pin.SE3(
+            pin.rpy.rpyToMatrix(*arm.end_effector_rpy_rad), np.array(arm.end_effector_xyz_m)
+        )
+        self.ee_frame = self.pin.addFrame(
+            pin.Frame(
+                "end_effector", frame.parentJoint, parent, frame.placement * offset,
+                pin.FrameType.OP_FRAME,
+            )
+        )  # fmt: skip
+
+    def _add_body(self, name: str) -> None:
+        body = self.description.body(name)
+        frame_id = self._frame(body.frame, f"bodies.{name}.frame")
+        frame = self.pin.frames[frame_id]
+        for link in body.covers:
+            self._frame(link, f"bodies.{name}.covers")
+        self.shape_ids[name] = [
+            self.geometry.addGeometryObject(
+                pin.GeometryObject(
+                    f"{name}_{i}", frame.parentJoint, frame_id,
+                    frame.placement * shape.placement(), shape.coal_geometry(),
+                )
+            )
+            for i, shape in enumerate(body.shapes)
+        ]  # fmt: skip
+
+    def _frame(self, name: str, field: str) -> int:
+        if not self.pin.existFrame(name):
+            links = [f.name for f in self.pin.frames if f.type == pin.FrameType.BODY]
+            raise self._error(f"{field}: the URDF has no link {name!r}; links: {', '.join(links)}")
+        return self.pin.getFrameId(name)
+
+    def _error(self, message: str) -> DescriptionError:
+        return DescriptionError(f"{self.description.name}/robot.toml: {message}")
+
+
+def _chosen(stated: Sequence[float] | None, from_urdf: Array) -> Array:
+    return np.array(stated if stated is not None else from_urdf, dtype=float)
+
+
+def _planar_model(description: RobotDescription) -> pin.Model:
+    """pinocchio's model on a planar root, with all joints but the arm's locked at zero."""
+    where = f"{description.name}/robot.toml"
+    try:
+        full = pin.buildModelFromXML(resolved_urdf(description), pin.JointModelPlanar())
+    except (ValueError, RuntimeError) as error:
+        raise DescriptionError(f"{where}: urdf: pinocchio cannot read it: {error}") from None
+    names = list(full.names)[2:]  # after "universe" and the root joint
+    wanted = {"arm.joints": description.arm.joints,
+              "base.left_wheel_joints": description.base.left_wheel_joints,
+              "base.right_wheel_joints": description.base.right_wheel_joints}  # fmt: skip
+    for field, joints in wanted.items():
+        for name in joints:
+            if name not in names:
+                raise DescriptionError(
+                    f"{where}: {field}: the URDF has no moving joint {name!r}; "
+                    f"joints: {', '.join(names)}"
+                )
+    locked = [full.getJointId(name) for name in names if name not in description.arm.joints]
+    model = pin.buildReducedModel(full, locked, pin.neutral(full))
+    if tuple(list(model.names)[2:]) != description.arm.joints:
+        raise DescriptionError(
+            f"{where}: arm.joints: must stand in the order of the chain: {', '.join(list(model.names)[2:])}"
+        )
+    if model.nq != 4 + len(description.arm.joints):
+        raise DescriptionError(
+            f"{where}: arm.joints: each must be revolute or prismatic; "
+            "write a continuous joint as revolute with wide limits"
+        )
+    return model

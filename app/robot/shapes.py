@@ -1,0 +1,134 @@
+"""Convex shapes of the simplified collision bodies (Figure 2b), as a description states them.
+
+Each shape gives itself to coal for exact distances with a signed normal, and to trimesh for drawing.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import coal
+import numpy as np
+import pinocchio as pin
+import trimesh
+from pydantic import Field
+
+from app.strict import Positive, Strict, Vector3
+
+
+class _Placed(Strict):
+    """A shape placed in the frame of its body."""
+
+    xyz_m: Vector3 = (0.0, 0.0, 0.0)
+    """[m] centre of the shape in the body's frame."""
+    rpy_rad: Vector3 = (0.0, 0.0, 0.0)
+    """[rad] fixed-axis roll, pitch and yaw of the shape in the body's frame."""
+
+    def placement(self) -> pin.SE3:
+        """T_body_shape."""
+        return pin.SE3(pin.rpy.rpyToMatrix(*self.rpy_rad), np.array(self.xyz_m))
+
+
+class Box(_Placed):
+    """A box with its centre at `xyz_m`."""
+
+    type: Literal["box"]
+    size_m: tuple[Positive, Positive, Positive]
+    """[m] full side lengths along x, y and z."""
+
+    def coal_geometry(self) -> coal.CollisionGeometry:
+        return coal.Box(*self.size_m)
+
+    def mesh(self) -> trimesh.Trimesh:
+        return trimesh.creation.box(extents=self.size_m)
+
+
+class Sphere(_Placed):
+    """A sphere with its centre at `xyz_m`."""
+
+    type: Literal["sphere"]
+    radius_m: Positive
+    """[m]"""
+
+    def coal_geometry(self) -> coal.CollisionGeometry:
+        return coal.Sphere(self.radius_m)
+
+    def mesh(self) -> trimesh.Trimesh:
+        return trimesh.creation.icosphere(subdivisions=3, radius=self.radius_m)
+
+
+class Cylinder(_Placed):
+    """A cylinder along z with its centre at `xyz_m`."""
+
+    type: Literal["cylinder"]
+    radius_m: Positive
+    """[m]"""
+    length_m: Positive
+    """[m] full length along z."""
+
+    def coal_geometry(self) -> coal.CollisionGeometry:
+        return coal.Cylinder(self.radius_m, self.length_m)
+
+    def mesh(self) -> trimesh.Trimesh:
+        return trimesh.creation.cylinder(radius=self.radius_m, height=self.length_m, sections=48)
+
+
+class Capsule(Strict):
+    """All points within `radius_m` of the segment from `start_m` to `end_m`."""
+
+    type: Literal["capsule"]
+    start_m: Vector3
+    """[m] one end of the segment in the body's frame."""
+    end_m: Vector3
+    """[m] the other end of the segment in the body's frame."""
+    radius_m: Positive
+    """[m]"""
+
+    @property
+    def length_m(self) -> float:
+        """[m] length of the segment, without the two half spheres."""
+        return float(np.linalg.norm(np.subtract(self.end_m, self.start_m)))
+
+    def coal_geometry(self) -> coal.CollisionGeometry:
+        return coal.Capsule(self.radius_m, self.length_m)
+
+    def mesh(self) -> trimesh.Trimesh:
+        mesh = trimesh.creation.capsule(height=self.length_m, radius=self.radius_m, count=[24, 24])
+        mesh.apply_translation((0.0, 0.0, -mesh.bounds.mean(axis=0)[2]))
+        return mesh
+
+    def placement(self) -> pin.SE3:
+        """T_body_shape, with z along the segment."""
+        start, end = np.array(self.start_m), np.array(self.end_m)
+        along = end - start
+        if not along.any():
+            return pin.SE3(np.eye(3), start)
+        turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along)
+        return pin.SE3(turn.matrix(), (start + end) / 2)
+
+
+class ConvexMesh(_Placed):
+    """The convex hull of a mesh file."""
+
+    type: Literal["convex_mesh"]
+    file: str
+    """`package://…` address of the mesh."""
+    scale: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
+
+    def mesh(self) -> trimesh.Trimesh:
+        from app.robot.assets import resolve_package_uri
+
+        loaded = trimesh.load(resolve_package_uri(self.file), force="mesh")
+        assert isinstance(loaded, trimesh.Trimesh)
+        return loaded.apply_scale(self.scale).convex_hull
+
+    def coal_geometry(self) -> coal.CollisionGeometry:
+        vertices = coal.StdVec_Vec3s()
+        for vertex in self.mesh().vertices:
+            vertices.append(np.asarray(vertex, dtype=float))
+        return coal.Convex.convexHull(vertices, True, "Qt")
+
+
+Shape = Annotated[
+    Box | Sphere | Cylinder | Capsule | ConvexMesh, Field(discriminator="type")
+]

@@ -1,0 +1,72 @@
+"""One URDF, two libraries: the same text for pinocchio and, with a planar root, for pybullet."""
+
+from __future__ import annotations
+
+import re
+from xml.etree import ElementTree
+
+from app.errors import DescriptionError
+from app.robot.assets import resolve_package_uri, urdf_path
+from app.robot.description import RobotDescription
+
+PLANAR_JOINTS = ("planar_x", "planar_y", "planar_yaw")
+"""Joints of the planar root that `planar_urdf` puts under the robot."""
+
+_PLANAR_ROOT = """
+  <link name="planar_world">{zero}</link>
+  <link name="planar_x_link">{zero}</link>
+  <link name="planar_y_link">{zero}</link>
+  <joint name="planar_x" type="prismatic">
+    <parent link="planar_world"/><child link="planar_x_link"/><axis xyz="1 0 0"/>
+    <limit lower="-1e6" upper="1e6" effort="1e6" velocity="1e3"/>
+  </joint>
+  <joint name="planar_y" type="prismatic">
+    <parent link="planar_x_link"/><child link="planar_y_link"/><axis xyz="0 1 0"/>
+    <limit lower="-1e6" upper="1e6" effort="1e6" velocity="1e3"/>
+  </joint>
+  <joint name="planar_yaw" type="revolute">
+    <parent link="planar_y_link"/><child link="{root}"/><axis xyz="0 0 1"/>
+    <limit lower="-1e6" upper="1e6" effort="1e6" velocity="1e3"/>
+  </joint>
+"""
+_ZERO_INERTIAL = (
+    '<inertial><mass value="0"/>'
+    '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial>'
+)
+
+
+def resolved_urdf(description: RobotDescription) -> str:
+    """The robot's URDF with every mesh by its absolute path.
+
+    Raises:
+        AssetError: The URDF or a mesh that it refers to is not there.
+        DescriptionError: The URDF is not well-formed XML.
+    """
+    path = urdf_path(description)
+    text = path.read_text(encoding="utf-8")
+    try:
+        ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise DescriptionError(f"{path}: not well-formed: {error}") from None
+    return re.sub(
+        r'filename\s*=\s*"(package://[^"]+)"',
+        lambda match: f'filename="{resolve_package_uri(match[1])}"',
+        text,
+    )
+
+
+def planar_urdf(description: RobotDescription) -> str:
+    """The resolved URDF on a root of two prismatic joints and a revolute one: x, y, yaw.
+
+    pybullet knows no planar joint; in pinocchio the same root is `JointModelPlanar`.
+    """
+    text = resolved_urdf(description)
+    planar = _PLANAR_ROOT.format(zero=_ZERO_INERTIAL, root=root_link(text))
+    return text.replace("</robot>", planar + "</robot>")
+
+
+def root_link(urdf: str) -> str:
+    """Name of the link that no joint has as its child."""
+    tree = ElementTree.fromstring(urdf)
+    children = {child.get("link") for child in tree.iterfind("joint/child")}
+    return next(str(link.get("name")) for link in tree.iterfind("link") if link.get("name") not in children)

@@ -1,0 +1,1 @@
+"""Physics, scenarios, the two-rate loop and recording."""

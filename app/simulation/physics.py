@@ -1,0 +1,60 @@
+"""The interface behind which every plant stands, real physics or stand-in."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from app.robot.state import Measurement
+
+Array = np.ndarray
+
+
+class Contacts(NamedTuple):
+    """What touches what in the last step."""
+
+    arm_base: bool
+    """Arm and base."""
+    arm_arm: bool
+    """Two parts of the arm that are not neighbours."""
+    arm_floor: bool
+    """Arm and floor."""
+
+
+class Physics(Protocol):
+    """A plant with a velocity-controlled base and a torque-controlled arm, stepped by `dt`.
+
+    The world's floor is z = 0. Implementations: `pybullet_planar` (default), `pybullet_contact`,
+    `kinematic` (a stand-in for tests).
+    """
+
+    dt: float
+    """[s] one step."""
+
+    def reset(self, base_pose: Array, q_m: Array) -> None:
+        """Put the robot at rest at base pose (x, y, φ) [m, rad] and arm joints `q_m`."""
+        ...
+
+    def measure(self) -> Measurement:
+        """The sensors' readings now."""
+        ...
+
+    def step(self, u_a: Array, base_velocity: Array, hand_force: Array) -> None:
+        """Advance by `dt`.
+
+        Args:
+            u_a: (n_m,) [N m or N] torques of the arm, held for the step.
+            base_velocity: (2,) commanded v [m/s] and ω [rad/s]; the drive follows with the
+                description's time constant and acceleration limits.
+            hand_force: (3,) [N] force of the person on the end-effector's origin, in the world.
+        """
+        ...
+
+    def contacts(self) -> Contacts:
+        """Contacts of the last step."""
+        ...
+
+    def close(self) -> None:
+        """Release what the plant holds."""
+        ...
