@@ -26,9 +26,9 @@ class BorderConfig(Strict):
 class ForceConfig(Strict):
     """§3.1: acting point and force."""
 
-    f_max: float = Field(150.0, ge=0.0, le=600.0)
+    f_max: float = Field(300.0, ge=0.0, le=600.0)
     """[N] force at contact, f_max of (14)."""
-    alpha_gain: float = Field(0.01, ge=0.0, le=1.0)
+    alpha_gain: float = Field(0.001, ge=0.0, le=0.1)
     """[-] factor of (13), in units of α |S| / d."""
     alpha_min: float = Field(0.02, ge=0.0, le=0.10)
     """[m] lower bound of the step α."""

@@ -1,0 +1,59 @@
+"""Activation parameter β of a link pair and the diagonal B of the avoidance task."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+
+def activation(d: float, d_b: float, d_full: float) -> float:
+    """β of a link pair: 0 outside the buffer, 1 at `d_full` and nearer, a cubic between.
+
+    Paper: Figure 10; there d_b = 0.15 m and d_full = 0.05 m.
+
+    Args:
+        d: [m] signed distance of the pair.
+        d_b: [m] buffer distance.
+        d_full: [m] distance at which the task is in full force, below d_b.
+
+    Returns:
+        β in [0, 1], with a continuous derivative in d.
+    """
+    return _cubic((d_b - d) / (d_b - d_full))
+
+
+def share_from_above(n_z: float) -> float:
+    """How much of a pair of L_m the arm itself has to resolve, by the height of the pair's normal.
+
+    0 up to 30 degrees above the horizon, where the base can give way; 1 straight above, where no
+    motion of the base changes the distance; a cubic in |n_z| between. Our extension: the rows it
+    weighs ask for a constant acceleration, far more than a tracking task does, so that a share that
+    only faded out, such as n_z², would hold the hand up at the buffer's border from the side too.
+
+    Args:
+        n_z: [-] vertical component of the pair's unit normal.
+    """
+    return _cubic((abs(n_z) - 0.5) / 0.5)
+
+
+def _cubic(s: float) -> float:
+    """0 below 0, 1 above 1, a cubic with flat ends between."""
+    s = min(max(s, 0.0), 1.0)
+    return s * s * (3.0 - 2.0 * s)
+
+
+def mobile_activation(betas: Sequence[float]) -> float:
+    """β_m, the largest of the activations of the pairs of L_m.
+
+    Paper: Eq. (28).
+    """
+    return max(betas, default=0.0)
+
+
+def activation_matrix(beta_m: float, beta_r: Sequence[float]) -> np.ndarray:
+    """B = diag(β_m, β_m, β_r,1, …, β_r,k), (2 + k, 2 + k).
+
+    Paper: Eq. (27).
+    """
+    return np.diag([beta_m, beta_m, *beta_r])

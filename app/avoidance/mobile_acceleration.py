@@ -1,0 +1,83 @@
+"""GenerateMobAcc: the force on the base and the accelerations that realise it (§3.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+Array = np.ndarray
+
+
+class PairForce(NamedTuple):
+    """The force of one pair of L_m, in the base's frame.
+
+    Attributes:
+        f: (3,) [N] f_m,i.
+        p_act: (3,) [m] where it acts.
+    """
+
+    f: Array
+    p_act: Array
+
+
+def avoidance_force(
+    p_b: Array, p_act: Array, d: float, n: Array, *, f_max: float, d_b: float
+) -> Array:
+    """f_m,i: from the acting point towards the closest point, stronger the nearer they are.
+
+    f = f_max (1 - d/d_b) (1 - n_z²) (p_b - p_act) / ‖p_b - p_act‖. The magnitude is kept in
+    [0, f_max]. The factor 1 - n_z² is our extension: over the base's flat top no horizontal force
+    helps, and there it vanishes; from the side it is 1. At p_b = p_act the direction is that of -n
+    in the plane.
+
+    Paper: Eq. (14).
+
+    Args:
+        p_b: (3,) [m] closest point on the arm, in the base's frame.
+        p_act: (3,) [m] acting point, at the same height.
+        d: [m] signed distance of the pair.
+        n: (3,) unit normal of the pair from the base to the arm, in the base's frame.
+        f_max: [N] force at contact.
+        d_b: [m] buffer distance.
+
+    Returns:
+        (3,) [N], horizontal.
+    """
+    magnitude = f_max * min(max(1.0 - d / d_b, 0.0), 1.0) * max(1.0 - float(n[2]) ** 2, 0.0)
+    direction = p_b - p_act
+    length = float(np.linalg.norm(direction))
+    if length < 1e-6:  # [m]
+        direction = np.array([-n[0], -n[1], 0.0])
+        length = float(np.linalg.norm(direction))
+    return magnitude / length * direction if length > 0.0 else np.zeros(3)
+
+
+def resultant_force(forces: Iterable[PairForce]) -> Array:
+    """f_m, the sum over the pairs of L_m, (3,) [N].
+
+    Paper: Eq. (15).
+    """
+    return sum((force.f for force in forces), np.zeros(3))
+
+
+def generate_mob_acc(forces: Iterable[PairForce], *, m: float, I: float) -> Array:
+    """ẍ_m = (v̇_d, ω̇_d): what the forces do to a base of mass m and inertia I that cannot slip.
+
+    m v̇_d = f_m · e_x and I ω̇_d = Σ (p_act,i × f_m,i) · e_z, with the base's centre as the origin.
+
+    Paper: Eq. (16), (17), (18).
+
+    Args:
+        forces: Force and acting point of each pair of L_m, in the base's frame.
+        m: [kg] mass of the base.
+        I: [kg m²] moment of inertia of the base.
+
+    Returns:
+        (2,) v̇_d [m/s²] and ω̇_d [rad/s²].
+    """
+    forces = tuple(forces)
+    f_m = resultant_force(forces)
+    torque = sum(float(p[0] * f[1] - p[1] * f[0]) for f, p in forces)
+    return np.array([f_m[0] / m, torque / I])

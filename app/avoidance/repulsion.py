@@ -1,0 +1,64 @@
+"""GenerateRepAcc: an acceleration of one degree of freedom that parts the links of a pair (§3.2)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from app.avoidance.distances import ClosestPoints
+from app.config import RepulsionConfig
+from app.robot.state import RobotState
+
+Array = np.ndarray
+
+_NEAR = 0.02  # [m] below this distance the turning of the normal is taken as at this distance
+
+
+class RepulsiveRow(NamedTuple):
+    """One row of the avoidance task.
+
+    Attributes:
+        J_r: (n,) Jacobian of the distance.
+        Jdqd: [m/s²] J̇_r q̇.
+        xdd_r: [m/s²] desired acceleration of the distance.
+    """
+
+    J_r: Array
+    Jdqd: float
+    xdd_r: float
+
+
+def generate_rep_acc(
+    state: RobotState, closest: ClosestPoints, config: RepulsionConfig
+) -> RepulsiveRow:
+    """The repulsive acceleration of one pair and its Jacobian.
+
+    ẍ_r = k_p - k_v uᵀ(ṗ_b - ṗ_a) and J_r = uᵀ(J_b - J_a), with the points fixed to their links for
+    the step. u is the collision library's signed normal: the printed (p_b - p_a)/‖p_b - p_a‖ flips
+    in penetration.
+
+    Paper: Eq. (20), (21).
+
+    Args:
+        state: The robot's state.
+        closest: Closest points of the pair.
+        config: Gains k_p and k_v.
+
+    Returns:
+        The row; J̇_r q̇ includes the turning of u.
+    """
+    u = closest.n
+    joint_a = state.model.body_joint(closest.pair.a)
+    joint_b = state.model.body_joint(closest.pair.b)
+    relative = state.point_jacobian(joint_b, closest.p_b) - state.point_jacobian(joint_a, closest.p_a)
+    velocity = relative @ state.qd
+    approach = float(u @ velocity)
+    across = velocity - approach * u
+    bias = state.point_bias(joint_b, closest.p_b) - state.point_bias(joint_a, closest.p_a)
+    turning = float(across @ across) / max(closest.d, _NEAR)
+    return RepulsiveRow(
+        J_r=u @ relative,
+        Jdqd=float(u @ bias) + turning,
+        xdd_r=config.k_p - config.k_v * approach,
+    )

@@ -1,0 +1,159 @@
+"""Lines 3 to 13 of Algorithm 2: from the robot's state to the rows of the avoidance task."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from app.avoidance.acting_point import ActingPoint, ActingPointFinder
+from app.avoidance.activation import activation, mobile_activation, share_from_above
+from app.avoidance.distances import ClosestPoints, DistanceMonitor
+from app.avoidance.mobile_acceleration import PairForce, avoidance_force, generate_mob_acc
+from app.avoidance.repulsion import generate_rep_acc
+from app.avoidance.task import TaskRows, mobile_rows, repulsive_rows
+from app.border.cloud import Cloud
+from app.border.dbb import construct_dbb
+from app.border.offset import OffsetContours
+from app.border.score import ScoreField
+from app.config import Config
+from app.robot.link_pairs import LinkPairs
+from app.robot.state import RobotState
+
+Array = np.ndarray
+
+
+class PairState(NamedTuple):
+    """Distance and activation of one pair, and for an active pair of L_m where its force acts.
+
+    Attributes:
+        closest: Closest points, in the world.
+        beta: [-] activation parameter.
+        acting: Acting point in the base's frame, or None outside the buffer.
+        f: (3,) [N] force f_m,i in the base's frame.
+    """
+
+    closest: ClosestPoints
+    beta: float
+    acting: ActingPoint | None
+    f: Array
+
+
+class Avoidance(NamedTuple):
+    """The avoidance task of one control step.
+
+    Attributes:
+        pairs: All pairs, those of L_m first.
+        xdd_m: (2,) v̇_d [m/s²] and ω̇_d [rad/s²] of (16), not yet multiplied by β_m.
+        beta_m: [-] activation of the base's rows, (28).
+        rows_m: The base's rows, or None while β_m = 0.
+        rows_r: The arm's rows that are active.
+    """
+
+    pairs: tuple[PairState, ...]
+    xdd_m: Array
+    beta_m: float
+    rows_m: TaskRows | None
+    rows_r: tuple[TaskRows, ...]
+
+
+class SelfCollisionAvoidance:
+    """Builds the avoidance task of every control step; holds the borders for the current d_b and ε."""
+
+    def __init__(
+        self, state: RobotState, pairs: LinkPairs, clouds: Mapping[str, Cloud], config: Config
+    ) -> None:
+        """Prepare distances and borders.
+
+        Args:
+            state: The robot's state, read at each `update`.
+            pairs: L_m and L_m^c.
+            clouds: P_i for each pair of L_m, by the pair's name.
+            config: Parameters; `configure` changes them.
+        """
+        self._state = state
+        self._pairs = pairs
+        self._clouds = clouds
+        self._monitor = DistanceMonitor(state, [*pairs.mobile, *pairs.manipulator])
+        self._config = config
+        self._finders = self._make_finders(config)
+
+    def configure(self, config: Config) -> None:
+        """Use other parameters; another d_b or ε selects other borders from the same clouds."""
+        if config.border != self._config.border:
+            self._finders = self._make_finders(config)
+        self._config = config
+
+    def update(self) -> Avoidance:
+        """The avoidance task at the state's configuration.
+
+        Paper: Algorithm 2, lines 3 to 13.
+        """
+        closest = self._monitor.find_closest_points()
+        n_mobile = len(self._pairs.mobile)
+        mobile = [self._mobile_pair(c) for c in closest[:n_mobile]]
+        others = [PairState(c, self._beta(c.d), None, np.zeros(3)) for c in closest[n_mobile:]]
+        base = self._state.model.description.base
+        forces = [PairForce(p.f, p.acting.p_act) for p in mobile if p.acting is not None]
+        xdd_m = generate_mob_acc(forces, m=base.mass_kg, I=base.inertia_kgm2)
+        beta_m = mobile_activation([p.beta for p in mobile])
+        rows_m = None
+        if beta_m > 0.0:
+            rows_m = mobile_rows(self._state.model.J_m, self._state.model.n, xdd_m, beta_m)
+        rows_r = (*self._rows_from_above(mobile), *self._rows_between_links(others))
+        return Avoidance((*mobile, *others), xdd_m, beta_m, rows_m, rows_r)
+
+    def _beta(self, d: float) -> float:
+        return activation(d, self._config.border.d_b, self._config.activation.d_full)
+
+    def _mobile_pair(self, closest: ClosestPoints) -> PairState:
+        """Lines 4 to 6 for one pair of L_m."""
+        beta = self._beta(closest.d)
+        if beta == 0.0:
+            return PairState(closest, 0.0, None, np.zeros(3))
+        p_b = self._state.to_base(closest.p_b)
+        finder = self._finders[closest.pair.name]
+        acting = finder.find_acting_point(p_b, closest.d, self._config.force)
+        if acting is None:
+            return PairState(closest, beta, None, np.zeros(3))
+        f = avoidance_force(
+            p_b, acting.p_act, closest.d, self._state.R_world_base.T @ closest.n,
+            f_max=self._config.force.f_max, d_b=self._config.border.d_b,
+        )  # fmt: skip
+        return PairState(closest, beta, acting, f)
+
+    def _rows_from_above(self, mobile: list[PairState]) -> list[TaskRows]:
+        """Rows of the kind (20) along the normal of pairs of L_m that meet from above.
+
+        Our extension: a horizontal force cannot help where the arm comes from above, so there the
+        arm itself resists; from the side nothing is added.
+        """
+        rows = []
+        for pair in mobile:
+            beta = pair.beta * share_from_above(float(pair.closest.n[2]))
+            if beta > 0.0:
+                row = generate_rep_acc(self._state, pair.closest, self._config.repulsion)
+                rows.append(repulsive_rows(row, beta))
+        return rows
+
+    def _rows_between_links(self, others: list[PairState]) -> list[TaskRows]:
+        """Lines 8 to 11."""
+        return [
+            repulsive_rows(
+                generate_rep_acc(self._state, p.closest, self._config.repulsion), p.beta
+            )
+            for p in others
+            if p.beta > 0.0
+        ]
+
+    def _make_finders(self, config: Config) -> dict[str, ActingPointFinder]:
+        model = self._state.model
+        offset = OffsetContours(model, config.border.d_b)
+        finders = {}
+        for pair in self._pairs.mobile:
+            border = construct_dbb(self._clouds[pair.name], config.border.d_b, config.border.eps)
+            finders[pair.name] = ActingPointFinder(
+                border, offset, ScoreField.of(model, pair.b)
+            )
+        return finders

@@ -1,0 +1,49 @@
+"""Options and outputs that the subcommands share."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from app.border.cache import BorderData, load_border_data
+from app.robot.assets import load_robot
+from app.robot.model import RobotModel
+
+Json = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="json")]
+"""Print one JSON object on standard output and nothing else there."""
+
+console = Console(stderr=True)
+"""Progress and logs; standard output belongs to the results."""
+
+
+def load_model(robot: str) -> RobotModel:
+    """The compiled model of a robot by its name."""
+    return RobotModel(load_robot(robot))
+
+
+def load_robot_and_border(robot: str) -> tuple[RobotModel, BorderData]:
+    """A robot's model with its pairs and clouds, sampled if they are not in the cache."""
+    model = load_model(robot)
+    return model, load_border_data(model)
+
+
+def print_json(result: object) -> None:
+    """One JSON object on standard output."""
+    json.dump(result, sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+@contextmanager
+def progress_bar(text: str, total: float) -> Iterator[Progress]:
+    """A progress bar on standard error with one task, of id 0."""
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True) as progress:
+        progress.add_task(text, total=total)
+        yield progress

@@ -1,0 +1,35 @@
+"""Entry point: subcommands, and errors as one clear line with a status that is not zero."""
+
+from __future__ import annotations
+
+import logging
+import sys
+
+import tyro
+
+from app.cli.border import border
+from app.cli.pairs import pairs
+from app.cli.robots import robots
+from app.cli.run import run
+from app.cli.serve import serve
+from app.errors import DbbError
+
+_COMMANDS = {"serve": serve, "run": run, "pairs": pairs, "border": border, "robots": robots}
+
+
+def main(args: list[str] | None = None) -> None:
+    """Run the command line; ends the process with status 0 only if it did what was asked."""
+    logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            _COMMANDS,
+            prog="dbb",
+            description="Reactive self-collision avoidance for a mobile manipulator.",
+            args=args,
+        )
+    except DbbError as error:
+        print(f"dbb: error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except KeyboardInterrupt:
+        print("dbb: interrupted", file=sys.stderr)
+        sys.exit(130)

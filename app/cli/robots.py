@@ -1,0 +1,28 @@
+"""`dbb robots`: which robots there are."""
+
+from __future__ import annotations
+
+from app.cli.common import Json, print_json
+from app.robot.assets import load_robot, robot_names
+
+
+def robots(json: Json = False) -> None:
+    """List the robots that have a description.
+
+    Args:
+        json: Print one JSON object on standard output and nothing else there.
+    """
+    found = [load_robot(name) for name in robot_names()]
+    if json:
+        print_json(
+            {
+                "robots": [
+                    {"name": d.name, "title": d.title, "base": d.base.kind,
+                     "arm_joints": len(d.arm.joints), "bodies": [b.name for b in d.bodies]}
+                    for d in found
+                ]
+            }
+        )  # fmt: skip
+        return
+    for d in found:
+        print(f"{d.name:20} {d.title}: {d.base.kind} base, arm of {len(d.arm.joints)} joints")

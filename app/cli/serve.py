@@ -1,0 +1,53 @@
+"""`dbb serve`: the dashboard in the browser."""
+
+from __future__ import annotations
+
+import sys
+
+from app.cli.common import load_robot_and_border
+from app.config import Config
+from app.dashboard.server import check_address, serve_dashboard
+from app.simulation.loop import SimulationLoop
+from app.simulation.scenario import scenario_by_name
+from app.simulation.session import Session
+from app.simulation.start import StartSolver
+
+Point = tuple[float, float, float]
+
+
+def serve(
+    robot: str = "husky_panda",
+    controller: str = "dbb",
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    start: Point | None = None,
+    physics: str = "planar",
+    seed: int = 0,
+) -> None:
+    """Serve the dashboard: drag the hand, and the base gets out of the way.
+
+    Args:
+        robot: Name of the robot; `dbb robots` lists them.
+        controller: dbb, or none for the same stack without avoidance.
+        host: Address to listen at; the default is this machine only.
+        port: Port to listen at; 0 takes a free one.
+        start: [m] where the hand starts, in the world (default: in front of the base).
+        physics: planar, contact or kinematic.
+        seed: Seed of the search for the start.
+    """
+    check_address(host, port)
+    config = Config()
+    model, data = load_robot_and_border(robot)
+    p_start = start or scenario_by_name("guiding-front").start
+    q_start = StartSolver(model, data.pairs, config.border.d_b).solve(p_start, seed=seed)
+    loop = SimulationLoop(
+        lambda: Session(model, data, config, controller=controller, physics=physics, seed=seed),
+        q_start,
+    )
+    loop.start()
+    try:
+        server = serve_dashboard(loop, model, data.clouds, host=host, port=port)
+        print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
+        server.run_forever()
+    finally:
+        loop.stop()

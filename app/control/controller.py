@@ -1,0 +1,189 @@
+"""Algorithm 2: state in, arm torques and base acceleration out. Knows no simulator and no screen."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from app.avoidance.self_collision import Avoidance, SelfCollisionAvoidance
+from app.avoidance.task import TaskRows, mobile_rows
+from app.border.cache import BorderData
+from app.config import Config
+from app.control.hqp import EqualityTask, HierarchicalQP, NoSolutionError
+from app.control.limits import robot_limits
+from app.control.tasks import (
+    Reference,
+    Stack,
+    base_rest_acceleration,
+    end_effector_task,
+    free_arm_torque,
+    guided_arm_objective,
+    posture_objective,
+)
+from app.control.transition import TaskTransition
+from app.errors import UnknownNameError
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
+
+Array = np.ndarray
+
+CONTROLLERS = ("dbb", "none")
+"""Names of the controllers: the paper's method, and the same stack without avoidance."""
+
+
+class ControlOutput(NamedTuple):
+    """What one control step gives.
+
+    Attributes:
+        u_a: (n_m,) [N m or N] torques of the arm.
+        base_acceleration: (2,) v̇ [m/s²] and ω̇ [rad/s²] for the base's admittance law.
+        avoidance: The avoidance task of this step.
+        activation: [-] the largest activation of the rows that were inserted, 0 if none was.
+        solved: False if a QP had no solution and this is the safe command.
+    """
+
+    u_a: Array
+    base_acceleration: Array
+    avoidance: Avoidance
+    activation: float
+    solved: bool
+
+
+class Controller:
+    """Reactive self-collision avoidance over a task stack.
+
+    With a reference the stack is T_ee above posture and damping; without one the arm is guided by
+    hand: gravity compensation, joint damping and what avoidance asks.
+
+    The base obeys velocity commands at a slow rate, so its acceleration is not the one that (29)
+    asks for. The arm's torques are therefore solved with the acceleration that the base really has;
+    the one asked for goes to the admittance law.
+
+    Attributes:
+        state: The robot's state at the last step.
+        failures: QPs without a solution so far.
+        q_posture: (n_m,) the posture of the lowest level, set at the first step after `reset`.
+    """
+
+    def __init__(
+        self, model: RobotModel, data: BorderData, config: Config, *, name: str = "dbb"
+    ) -> None:
+        """Prepare the controller.
+
+        Args:
+            model: The robot.
+            data: Its link pairs and sampled clouds.
+            config: Parameters; `configure` changes them.
+            name: One of `CONTROLLERS`.
+
+        Raises:
+            UnknownNameError: No controller has that name.
+        """
+        if name not in CONTROLLERS:
+            raise UnknownNameError("controller", name, CONTROLLERS)
+        self.name = name
+        self.state = RobotState(model)
+        self._model = model
+        self._config = config
+        self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
+        self._transition = TaskTransition(HierarchicalQP(model.n, 2 * model.n_m + 2))
+        self._J_m_inv = np.linalg.inv(model.J_m)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the posture and the count of failures."""
+        self.q_posture: Array | None = None
+        self.failures = 0
+
+    def configure(self, config: Config) -> None:
+        """Use other parameters from the next step on."""
+        self._config = config
+        self._avoidance.configure(config)
+
+    def step(
+        self,
+        measurement: Measurement,
+        reference: Reference | None = None,
+        *,
+        base_acceleration: Array | None = None,
+    ) -> ControlOutput:
+        """One pass of Algorithm 2.
+
+        Paper: Algorithm 2.
+
+        Args:
+            measurement: The sensors' readings.
+            reference: Where the end-effector shall be, or None while it is guided by hand.
+            base_acceleration: (2,) v̇ [m/s²] and ω̇ [rad/s²] that the base really has now; None means
+                that it does what is asked.
+
+        Returns:
+            Torques of the arm and acceleration of the base; never without an answer.
+        """
+        self.state.update(measurement)
+        if self.q_posture is None:
+            self.q_posture = measurement.q_m.copy()
+        avoidance = self._avoidance.update()
+        rows_m, rows_r = avoidance.rows_m, avoidance.rows_r
+        if self.name == "none":
+            rows_m, rows_r = None, ()
+        rows = (rows_m, *rows_r) if rows_m is not None else rows_r
+        beta = max((row.beta for row in rows), default=0.0)
+        try:
+            asked = self._base_acceleration(rows_m, rows_r, reference)
+            given = asked if base_acceleration is None else base_acceleration
+            u_a = self._torques(given, rows_r, reference)
+            return ControlOutput(u_a, asked, avoidance, beta, True)
+        except NoSolutionError:
+            self.failures += 1
+            return ControlOutput(*self._safe_command(), avoidance, beta, False)
+
+    def _base_acceleration(
+        self, rows_m: TaskRows | None, rows_r: tuple[TaskRows, ...], reference: Reference | None
+    ) -> Array:
+        """The base's part of (29), (2,): its rows fix it once the solution without them is known.
+
+        Paper: Eq. (29), first two rows.
+        """
+        base = self._model.description.base
+        limit = np.array([base.max_linear_acceleration_mps2, base.max_angular_acceleration_radps2])
+        if reference is None:
+            free = base_rest_acceleration(self.state, self._config.task)
+        elif rows_m is not None and rows_m.beta >= 1.0:
+            free = np.zeros(2)  # weighs nothing
+        else:
+            stack = self._tracking_stack(reference)
+            limits = robot_limits(self.state, self._config.limit, np.zeros(2))
+            solution = self._transition.solve(rows_r, *stack, limits, slot="free")
+            free = self._model.J_m @ solution.qdd[:2]
+        if rows_m is None:
+            return np.clip(free, -limit, limit)
+        return np.clip(rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free, -limit, limit)
+
+    def _torques(
+        self, base_acceleration: Array, rows_r: tuple[TaskRows, ...], reference: Reference | None
+    ) -> Array:
+        """The arm's part of (29), (n_m,), with the acceleration that the base really has."""
+        state = self.state
+        given = mobile_rows(self._model.J_m, self._model.n, base_acceleration, 1.0)
+        stack = (
+            Stack((), guided_arm_objective(state))
+            if reference is None
+            else self._tracking_stack(reference)
+        )
+        wheels = self._J_m_inv @ base_acceleration
+        limits = robot_limits(state, self._config.limit, wheels)
+        qdd = self._transition.solve((given, *rows_r), *stack, limits, slot="arm").qdd
+        u_a = state.M[2:] @ qdd + state.h[2:]
+        return np.clip(u_a, -self._model.tau_max, self._model.tau_max)
+
+    def _tracking_stack(self, reference: Reference) -> Stack:
+        assert self.q_posture is not None
+        task: EqualityTask = end_effector_task(self.state, reference, self._config.task)
+        return Stack((task,), posture_objective(self.state, self.q_posture, self._config.task))
+
+    def _safe_command(self) -> tuple[Array, Array]:
+        """Gravity compensation and damping for the arm, braking for the base."""
+        u_a = np.clip(free_arm_torque(self.state), -self._model.tau_max, self._model.tau_max)
+        return u_a, base_rest_acceleration(self.state, self._config.task)

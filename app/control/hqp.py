@@ -1,0 +1,193 @@
+"""A hierarchy of least-squares tasks under limits that hold at every level.
+
+Level p minimises ‖w_p‖² with J_p q̈ + w_p = b_p, where the limits hold and the levels above keep what
+they reached; the last level minimises a strictly convex objective. The dynamics and the slacks are
+substituted, so that q̈ alone is the unknown, and each level moves only in the null space of those
+above: its QP has no equality rows, and standing still is always a feasible answer to it. Where no
+limit is active the level's optimum is known in closed form; else ProxQP finds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from proxsuite import proxqp
+
+Array = np.ndarray
+
+_EPS_ABS = 1e-8  # accuracy of the QPs, in the units of acceleration and torque
+_GOOD_ENOUGH = 1e-5  # violation of limits with which an answer is still taken, as the above
+_RANK_TOLERANCE = 1e-7  # singular values below it are zero
+
+
+class EqualityTask(NamedTuple):
+    """J q̈ + w = b, to be met as closely as the levels above allow.
+
+    Attributes:
+        J: (k, n).
+        b: (k,) desired acceleration less J̇ q̇.
+    """
+
+    J: Array
+    b: Array
+
+
+class Objective(NamedTuple):
+    """min ½ q̈ᵀ H q̈ + cᵀ q̈, strictly convex.
+
+    Attributes:
+        H: (n, n) symmetric positive definite.
+        c: (n,).
+    """
+
+    H: Array
+    c: Array
+
+
+class Limits(NamedTuple):
+    """l ≤ C q̈ ≤ u.
+
+    Attributes:
+        C: (m, n).
+        l: (m,) lower bounds.
+        u: (m,) upper bounds.
+    """
+
+    C: Array
+    l: Array
+    u: Array
+
+
+class Solution(NamedTuple):
+    """Result of a hierarchy.
+
+    Attributes:
+        qdd: (n,) q̈*.
+        slacks: w_p* of each equality level.
+    """
+
+    qdd: Array
+    slacks: tuple[Array, ...]
+
+
+class NoSolutionError(Exception):
+    """A QP has no solution or its solver failed.
+
+    Attributes:
+        level: Index of the level whose QP failed.
+        status: What the solver said.
+    """
+
+    def __init__(self, level: int, status: object) -> None:
+        self.level, self.status = level, status
+        super().__init__(f"QP of level {level}: {status}")
+
+
+class HierarchicalQP:
+    """Solves hierarchies of the same size again and again, each QP warm-started from its last run."""
+
+    def __init__(self, n: int, m: int) -> None:
+        """Prepare for n unknowns and m limits."""
+        self._n, self._m = n, m
+        self._qps: dict[tuple[str, int, int], proxqp.dense.QP] = {}
+
+    def solve(
+        self, levels: Sequence[EqualityTask], objective: Objective, limits: Limits, *, slot: str = ""
+    ) -> Solution:
+        """The lexicographic optimum.
+
+        Args:
+            levels: Equality tasks, highest priority first.
+            objective: What decides where they leave freedom.
+            limits: Hold at every level.
+            slot: Calls with the same slot share their warm starts.
+
+        Raises:
+            NoSolutionError: The limits contradict each other, or the solver failed.
+        """
+        x, Z = np.zeros(self._n), np.eye(self._n)
+        slacks = []
+        for p, (J, b) in enumerate(levels):
+            JZ, residual = J @ Z, b - J @ x
+            y, null = least_squares(JZ, residual)
+            candidate = x + Z @ y
+            if not _holds(limits, candidate):
+                y = self._solve_qp(slot, p, JZ.T @ JZ, -(JZ.T @ residual), x, Z, limits)
+                candidate = x + Z @ y
+            x, Z = candidate, Z @ null
+            slacks.append(b - J @ x)
+        if Z.shape[1]:
+            H, c = Z.T @ objective.H @ Z, Z.T @ (objective.H @ x + objective.c)
+            candidate = x - Z @ np.linalg.solve(H, c)
+            if not _holds(limits, candidate):
+                candidate = x + Z @ self._solve_qp(slot, len(levels), H, c, x, Z, limits)
+            x = candidate
+        if not np.isfinite(x).all():
+            raise NoSolutionError(len(levels), "not a number")
+        return Solution(x, tuple(slacks))
+
+    def _solve_qp(
+        self, slot: str, level: int, H: Array, c: Array, x: Array, Z: Array, limits: Limits
+    ) -> Array:
+        """min ½ yᵀ H y + cᵀ y where x + Z y keeps the limits."""
+        C, reached = limits.C @ Z, limits.C @ x
+        l, u = limits.l - reached, limits.u - reached
+        if level > 0:  # the levels above kept the limits but for the solver's accuracy
+            l, u = np.minimum(l, 0.0), np.maximum(u, 0.0)
+        key = (slot, level, Z.shape[1])
+        for attempt in (0, 1):
+            qp = self._qps.get(key)
+            if qp is None:
+                qp = self._qps[key] = _make_qp(Z.shape[1], self._m)
+                qp.init(H, c, None, None, C, l, u)
+            else:
+                qp.update(H=H, g=c, C=C, l=l, u=u)
+            qp.solve()
+            if _is_answer(qp):
+                return qp.results.x.copy()
+            del self._qps[key]  # a failed run is no start for the next one
+            if attempt == 1 and level > 0:
+                return np.zeros(Z.shape[1])  # what the levels above reached is kept
+        raise NoSolutionError(level, qp.results.info.status)
+
+
+def least_squares(A: Array, b: Array) -> tuple[Array, Array]:
+    """The least-norm minimiser of ‖A y - b‖ and a basis of A's null space.
+
+    Args:
+        A: (k, m), of any rank.
+        b: (k,).
+
+    Returns:
+        y (m,), and (m, m - rank) with orthonormal columns.
+    """
+    U, s, Vt = np.linalg.svd(A)
+    rank = int(np.count_nonzero(s > _RANK_TOLERANCE))
+    y = Vt[:rank].T @ ((U[:, :rank].T @ b) / s[:rank])
+    return y, Vt[rank:].T
+
+
+def _holds(limits: Limits, x: Array) -> bool:
+    reached = limits.C @ x
+    return bool((reached >= limits.l - _EPS_ABS).all() and (reached <= limits.u + _EPS_ABS).all())
+
+
+def _is_answer(qp: proxqp.dense.QP) -> bool:
+    info = qp.results.info
+    ended = info.status in (proxqp.PROXQP_SOLVED, proxqp.PROXQP_MAX_ITER_REACHED)
+    return ended and info.pri_res < _GOOD_ENOUGH and bool(np.isfinite(qp.results.x).all())
+
+
+def _make_qp(n: int, m: int) -> proxqp.dense.QP:
+    qp = proxqp.dense.QP(n, 0, m)
+    settings = qp.settings
+    settings.eps_abs = _EPS_ABS
+    settings.eps_rel = 0.0
+    # The default calls feasible problems infeasible; truly infeasible ones are then ended by the
+    # number of iterations.
+    settings.eps_primal_inf = 1e-12
+    settings.max_iter = 100
+    settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
+    return qp

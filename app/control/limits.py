@@ -1,0 +1,70 @@
+"""Limits of the robot as bounds on its accelerations, always with a point that satisfies them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from app.config import LimitConfig
+from app.control.hqp import Limits
+from app.robot.state import RobotState
+
+Array = np.ndarray
+
+
+def acceleration_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Array]:
+    """Bounds on q̈_m that keep the arm's joints within their position and velocity limits.
+
+    A joint at distance e from its limit may accelerate towards it at most by λ² e - 2 λ q̇, which
+    lets it reach the limit without overshoot; and by κ (q̇_max - q̇).
+
+    Returns:
+        (n_m,) lower and (n_m,) upper bound [rad/s² or m/s²], lower ≤ upper.
+    """
+    model = state.model
+    q, qd = state.measurement.q_m, state.measurement.qd_m
+    rate, k = config.position_rate, config.velocity_rate
+    upper = np.minimum(
+        rate**2 * (model.q_upper - q) - 2 * rate * qd, k * (model.qd_max - qd)
+    )
+    lower = np.maximum(
+        rate**2 * (model.q_lower - q) - 2 * rate * qd, k * (-model.qd_max - qd)
+    )
+    return np.minimum(lower, upper), np.maximum(lower, upper)
+
+
+def robot_limits(state: RobotState, config: LimitConfig, qdd_b: Array) -> Limits:
+    """Torque, joint and base limits as l ≤ C q̈ ≤ u.
+
+    Where the joint bounds ask for more than the torques can do, they are widened to the nearest
+    acceleration that the torques allow, so that the limits never contradict each other.
+
+    Args:
+        state: The robot's state.
+        config: How fast limits may be approached.
+        qdd_b: (2,) [rad/s²] the wheels' acceleration with which that is judged.
+    """
+    model = state.model
+    M_a, h_a = state.M[2:], state.h[2:]
+    lower, upper = acceleration_bounds(state, config)
+    tau_lower, tau_upper = -model.tau_max - h_a, model.tau_max - h_a
+    coupling = M_a[:, :2] @ qdd_b
+    tamest = np.clip(np.zeros(model.n_m), lower, upper)
+    wanted = M_a[:, 2:] @ tamest + coupling
+    possible = np.clip(wanted, tau_lower, tau_upper)
+    if (possible != wanted).any():
+        tamest = np.linalg.solve(M_a[:, 2:], possible - coupling)
+        lower, upper = np.minimum(lower, tamest), np.maximum(upper, tamest)
+    base = model.description.base
+    base_limit = np.array(
+        [base.max_linear_acceleration_mps2, base.max_angular_acceleration_radps2]
+    )
+    n, n_m = model.n, model.n_m
+    C = np.zeros((2 * n_m + 2, n))
+    C[:n_m] = M_a
+    C[n_m : 2 * n_m, 2:] = np.eye(n_m)
+    C[2 * n_m :, :2] = model.J_m
+    return Limits(
+        C,
+        np.concatenate([tau_lower, lower, -base_limit]),
+        np.concatenate([tau_upper, upper, base_limit]),
+    )

@@ -1,0 +1,105 @@
+"""The stack below self-collision avoidance: what the robot does when nothing is near."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from app.config import TaskConfig
+from app.control.hqp import EqualityTask, Objective
+from app.robot.state import RobotState
+
+Array = np.ndarray
+
+
+class Reference(NamedTuple):
+    """Where the end-effector shall be, in the world.
+
+    Attributes:
+        pose: T_world_ee.
+        velocity: (6,) linear [m/s] over angular [rad/s].
+        acceleration: (6,) linear [m/s²] over angular [rad/s²].
+    """
+
+    pose: pin.SE3
+    velocity: Array
+    acceleration: Array
+
+
+class Stack(NamedTuple):
+    """Equality tasks, highest priority first, and the objective below them."""
+
+    levels: tuple[EqualityTask, ...]
+    objective: Objective
+
+
+def end_effector_task(state: RobotState, reference: Reference, config: TaskConfig) -> EqualityTask:
+    """T_ee ∈ ℝ⁶: J_ee q̈ + J̇_ee q̇ + w = ẍ_d + k_v (ẋ_d - ẋ) + k_p (x_d ⊖ x).
+
+    Paper: Eq. (26), its task T_2.
+    """
+    at = state.T_world_ee
+    error = np.concatenate(
+        [
+            reference.pose.translation - at.translation,
+            at.rotation @ pin.log3(at.rotation.T @ reference.pose.rotation),
+        ]
+    )
+    xdd = (
+        reference.acceleration
+        + config.ee_damping * (reference.velocity - state.v_ee)
+        + config.ee_stiffness * error
+    )
+    return EqualityTask(state.J_ee, xdd - state.Jdqd_ee)
+
+
+def base_rest_acceleration(state: RobotState, config: TaskConfig) -> Array:
+    """-k (v, ω): what the base does while nothing moves it, (2,) [m/s², rad/s²]."""
+    return -config.base_damping * state.measurement.base_velocity
+
+
+def posture_objective(state: RobotState, q_posture: Array, config: TaskConfig) -> Objective:
+    """The arm towards a posture, the base to rest, the base's acceleration far costlier.
+
+    Without it (26) leaves the null space of T_2 open: nine accelerations, six rows.
+
+    Args:
+        state: The robot's state.
+        q_posture: (n_m,) the arm's posture.
+        config: Gains and the base's weight.
+    """
+    weight = np.ones(state.model.n)
+    weight[:2] = config.base_weight
+    wanted = np.empty(state.model.n)
+    wanted[:2] = -config.base_damping * state.qd[:2]
+    wanted[2:] = (
+        config.posture_stiffness * (q_posture - state.measurement.q_m)
+        - config.posture_damping * state.measurement.qd_m
+    )
+    return Objective(np.diag(weight), -weight * wanted)
+
+
+def free_arm_torque(state: RobotState) -> Array:
+    """u_0 = g_a - D q̇_a: gravity compensation and joint damping, (n_m,)."""
+    damping = np.array(state.model.description.arm.joint_damping)
+    return state.g[2:] - damping * state.measurement.qd_m
+
+
+def guided_arm_objective(state: RobotState) -> Objective:
+    """min (u_a - u_0)ᵀ M_aa⁻¹ (u_a - u_0): a guided arm gives only what avoidance asks of it.
+
+    In q̈ its Hessian is M_aa; with the base's acceleration given by a level above and no rows it
+    returns u_a = u_0, and with rows u_a = u_0 + J_rᵀ λ. There is no posture: it would be felt.
+    """
+    M_aa, M_ab = state.M[2:, 2:], state.M[2:, :2]
+    H = np.zeros((state.model.n, state.model.n))
+    H[2:, 2:] = M_aa
+    H[2:, :2] = M_ab
+    H[:2, 2:] = M_ab.T
+    # The base's acceleration is fixed above; this block only keeps H positive definite.
+    H[:2, :2] = np.eye(2) + M_ab.T @ np.linalg.solve(M_aa, M_ab)
+    c = np.zeros(state.model.n)
+    c[2:] = state.h[2:] - free_arm_torque(state)
+    return Objective(H, c)

@@ -1,0 +1,82 @@
+"""Continuous task transition: rows that enter and leave a hierarchy one by one without a jump (§3.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from app.avoidance.task import TaskRows
+from app.control.hqp import EqualityTask, HierarchicalQP, Limits, Objective, Solution
+
+Array = np.ndarray
+
+
+class TaskTransition:
+    """Inserts the avoidance task's rows above a stack of tasks, each by its own activation.
+
+    The paper blends all rows with the solution of the stack without any of them. That is continuous
+    only where B = 0 as a whole: a row that enters while another is half active makes the torque
+    jump. Here the inactive reference of row i is J_i q̈ of the solution *without row i*, in which the
+    other rows stand with the activations they have; at β_i = 0 the solution is then the one without
+    row i, whatever the others do.
+    """
+
+    def __init__(self, solver: HierarchicalQP) -> None:
+        self._solver = solver
+
+    def solve(
+        self,
+        rows: Sequence[TaskRows],
+        levels: Sequence[EqualityTask],
+        objective: Objective,
+        limits: Limits,
+        *,
+        slot: str = "",
+    ) -> Solution:
+        """The solution of (29): rows above `levels` above `objective`, under `limits`.
+
+        J_i q̈ + w_i* = β_i (ẍ_i - J̇_i q̇) + (1 - β_i) J_i q̈_{without i}
+
+        Paper: Eq. (29), with the blend on the right-hand side (on the left, as printed, B = 0 does
+        not return the solution of (26)); with no rows it is (26).
+
+        Args:
+            rows: Rows of T_sca; those with β = 0 do nothing.
+            levels: The stack below, highest priority first; T_2 of the paper.
+            objective: The lowest level.
+            limits: Hold at every level.
+            slot: Calls with the same slot share their warm starts.
+
+        Returns:
+            The solution; its first slack is w_sca* if any row is active.
+
+        Raises:
+            NoSolutionError: A QP has no solution.
+        """
+        active = tuple(row for row in rows if row.beta > 0.0)
+        solved: dict[int, Solution] = {}
+
+        def solution_with(members: int) -> Solution:
+            """Solution with the rows whose bit is set in `members`; each subset solved once."""
+            if members not in solved:
+                above = []
+                if members:
+                    chosen = [i for i in range(len(active)) if members >> i & 1]
+                    targets = [blended(i, members) for i in chosen]
+                    J = np.vstack([active[i].J for i in chosen])
+                    above = [EqualityTask(J, np.concatenate(targets))]
+                solved[members] = self._solver.solve(
+                    [*above, *levels], objective, limits, slot=f"{slot}/{members}"
+                )
+            return solved[members]
+
+        def blended(i: int, members: int) -> Array:
+            """Right-hand side of row i within a subset."""
+            row = active[i]
+            if row.beta >= 1.0:
+                return row.b
+            without = solution_with(members & ~(1 << i)).qdd
+            return row.beta * row.b + (1.0 - row.beta) * (row.J @ without)
+
+        return solution_with((1 << len(active)) - 1)

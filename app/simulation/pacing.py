@@ -1,0 +1,70 @@
+"""Keeping to real time, and saying honestly how well."""
+
+from __future__ import annotations
+
+from collections import deque
+from time import perf_counter, sleep
+
+_CATCH_UP = 0.2  # [s] of delay that is made good; more is given up
+_WINDOW = 1.0  # [s] over which figures are taken
+_COARSE = 2e-4  # [s] a shorter sleep is not worth a switch of threads
+
+
+class Pacer:
+    """Lets a loop of fixed period keep to the wall clock.
+
+    A late step is followed at once by the next ones until the delay is made good; a delay of more
+    than 0.2 s is given up and shows in the real-time factor.
+
+    Attributes:
+        overruns: Steps that ended after their period.
+    """
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self.overruns = 0
+        self._marks: deque[tuple[float, int]] = deque()
+        self._works: deque[float] = deque(maxlen=round(_WINDOW / period))
+        self._steps = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a new schedule now, as after a pause."""
+        self._due = perf_counter() + self._period
+        self._marks.clear()
+
+    def worked(self, duration: float) -> None:
+        """Note the real time [s] that the controller took in this step."""
+        self._works.append(duration)
+
+    def wait(self) -> None:
+        """Sleep until the step's period is over."""
+        now = perf_counter()
+        self._steps += 1
+        self._mark(now)
+        late = now - self._due
+        if late > 0.0:
+            self.overruns += 1
+            if late > _CATCH_UP:
+                self._due = now
+        elif late < -_COARSE:
+            sleep(-late)
+        self._due += self._period
+
+    def _mark(self, now: float) -> None:
+        self._marks.append((now, self._steps))
+        while self._marks[-1][0] - self._marks[0][0] > _WINDOW:
+            self._marks.popleft()
+
+    @property
+    def realtime_factor(self) -> float:
+        """[-] simulated over real time in the last second; 1 before there is anything to tell."""
+        if len(self._marks) < 2:
+            return 1.0
+        (begin, first), (end, last) = self._marks[0], self._marks[-1]
+        return (last - first) * self._period / max(end - begin, 1e-9)
+
+    @property
+    def step_time_us(self) -> float:
+        """[µs] mean duration of a control step in the last second."""
+        return 1e6 * sum(self._works) / len(self._works) if self._works else 0.0

@@ -1,0 +1,74 @@
+"""From a control step to the snapshot that the dashboard sees."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from app.avoidance.self_collision import PairState
+from app.robot.state import RobotState
+from app.simulation.pacing import Pacer
+from app.simulation.session import Session, Step
+from app.simulation.snapshot import ActingReading, PairReading, Snapshot
+
+
+def make_snapshot(session: Session, step: Step, pacer: Pacer, *, paused: bool) -> Snapshot:
+    """The whole simulation at a control step; shares no memory with it."""
+    state = session.controller.state
+    output, avoidance = step.output, step.output.avoidance
+    quaternion = pin.Quaternion(state.T_world_ee.rotation).coeffs()  # x, y, z, w
+    return Snapshot(
+        t=step.t,
+        base_pose=step.measurement.base_pose.copy(),
+        base_velocity=step.measurement.base_velocity.copy(),
+        base_velocity_command=step.base_command,
+        base_acceleration=output.base_acceleration.copy(),
+        avoidance_acceleration=avoidance.beta_m * avoidance.xdd_m,
+        wheel_angles=session.wheel_angles.copy(),
+        q_m=step.measurement.q_m.copy(),
+        u_a=output.u_a.copy(),
+        p_ee=state.T_world_ee.translation.copy(),
+        wxyz_ee=np.roll(quaternion, 1),
+        pairs=tuple(_pair_reading(session, pair) for pair in avoidance.pairs),
+        acting=tuple(
+            _acting_reading(state, pair) for pair in avoidance.pairs if pair.acting is not None
+        ),
+        beta_m=avoidance.beta_m,
+        hand_target=None if step.hand_target is None else step.hand_target.copy(),
+        hand_force=step.hand_force.copy(),
+        ee_error=step.ee_error,
+        in_contact=step.contacts.arm_base,
+        arm_in_contact=step.contacts.arm_arm,
+        solver_failures=session.controller.failures,
+        step_time_us=pacer.step_time_us,
+        realtime_factor=pacer.realtime_factor,
+        overruns=pacer.overruns,
+        paused=paused,
+        mode="guiding",
+        controller=session.controller.name,
+        config=session.config,
+    )
+
+
+def _pair_reading(session: Session, pair: PairState) -> PairReading:
+    closest = pair.closest
+    return PairReading(
+        name=closest.pair.name,
+        mobile=closest.pair.a == session.model.body_names[0],
+        d=closest.d,
+        beta=pair.beta,
+        p_a=closest.p_a,
+        p_b=closest.p_b,
+    )
+
+
+def _acting_reading(state: RobotState, pair: PairState) -> ActingReading:
+    acting = pair.acting
+    assert acting is not None
+    return ActingReading(
+        name=pair.closest.pair.name,
+        p_n=state.to_world(acting.p_n),
+        p_t=state.to_world(acting.p_t),
+        p_act=state.to_world(acting.p_act),
+        f=state.R_world_base @ pair.f,
+    )

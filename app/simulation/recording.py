@@ -1,0 +1,124 @@
+"""Figures and log of a run: kept step by step, written as CSV."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from app.robot.model import RobotModel
+from app.simulation.session import Step
+
+Array = np.ndarray
+
+_LOG_EVERY = 10  # control steps per row of the log
+
+
+class Recorder:
+    """Takes every control step of a run; gives its figures and its log."""
+
+    def __init__(self, model: RobotModel) -> None:
+        self._model = model
+        self._rows: list[dict[str, float]] = []
+        self._first: Step | None = None
+        self._last: Step | None = None
+        self._least: dict[str, float] = {}
+        self._mobile: set[str] = set()
+        self._contacts = self._arm_contacts = self._floor_contacts = 0
+        self._ee_error_max = self._activation_max = self._path = 0.0
+        self._base_jump = np.zeros(2)
+        self._torque_jump = 0.0
+        self._hand_force_max = 0.0
+        self._failures = 0
+        self._durations: list[float] = []
+
+    def add(self, step: Step) -> None:
+        """Take one control step."""
+        if self._last is not None:
+            before = self._last.output
+            jump = np.abs(step.output.base_acceleration - before.base_acceleration)
+            self._base_jump = np.maximum(self._base_jump, jump)
+            self._torque_jump = max(
+                self._torque_jump, float(np.abs(step.output.u_a - before.u_a).max())
+            )
+            moved = step.measurement.base_pose[:2] - self._last.measurement.base_pose[:2]
+            self._path += float(np.hypot(*moved))
+        else:
+            self._first = step
+        for pair in step.output.avoidance.pairs:
+            name = pair.closest.pair.name
+            self._least[name] = min(self._least.get(name, np.inf), pair.closest.d)
+            if pair.closest.pair.a == self._model.body_names[0]:
+                self._mobile.add(name)
+        self._contacts += step.contacts.arm_base
+        self._arm_contacts += step.contacts.arm_arm
+        self._floor_contacts += step.contacts.arm_floor
+        self._ee_error_max = max(self._ee_error_max, step.ee_error)
+        self._activation_max = max(self._activation_max, step.output.activation)
+        self._hand_force_max = max(self._hand_force_max, float(np.linalg.norm(step.hand_force)))
+        self._failures += not step.output.solved
+        self._durations.append(step.duration)
+        if (len(self._durations) - 1) % _LOG_EVERY == 0:
+            self._rows.append(_log_row(step))
+        self._last = step
+
+    def figures(self) -> dict[str, object]:
+        """The figures of the run so far; keys end in their unit."""
+        assert self._first is not None and self._last is not None
+        begin, end = self._first.measurement.base_pose, self._last.measurement.base_pose
+        durations = np.array(self._durations) * 1e6
+        mobile = {k: v for k, v in self._least.items() if k in self._mobile}
+        others = {k: v for k, v in self._least.items() if k not in self._mobile}
+        return {
+            "min_distance_m": self._least,
+            "min_clearance_m": min(mobile.values(), default=None),
+            "contacts": self._contacts,
+            "arm_min_clearance_m": min(others.values(), default=None),
+            "arm_contacts": self._arm_contacts,
+            "floor_contacts": self._floor_contacts,
+            "ee_error_max_m": self._ee_error_max,
+            "ee_error_final_m": self._last.ee_error,
+            "base_displacement_m": float(np.hypot(*(end - begin)[:2])),
+            "base_path_m": self._path,
+            "base_yaw_rad": float(end[2] - begin[2]),
+            "activation_max": self._activation_max,
+            "base_acceleration_jump_max": {
+                "linear_mps2": float(self._base_jump[0]),
+                "angular_radps2": float(self._base_jump[1]),
+            },
+            "torque_jump_max_nm": self._torque_jump,
+            "hand_force_max_n": self._hand_force_max,
+            "solver_failures": self._failures,
+            "step_p50_us": float(np.percentile(durations, 50)),
+            "step_p99_us": float(np.percentile(durations, 99)),
+        }
+
+    def write_log(self, path: Path) -> None:
+        """Write the log, one row a hundredth of a second, as CSV; columns end in their unit."""
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.DictWriter(file, fieldnames=list(self._rows[0]))
+            writer.writeheader()
+            writer.writerows(self._rows)
+
+
+def _log_row(step: Step) -> dict[str, float]:
+    m, out = step.measurement, step.output
+    row: dict[str, float] = {"t_s": step.t}
+    row |= dict(zip(("base_x_m", "base_y_m", "base_yaw_rad"), m.base_pose.tolist(), strict=True))
+    row |= {"base_v_mps": float(m.base_velocity[0]), "base_w_radps": float(m.base_velocity[1])}
+    row |= {"command_v_mps": float(step.base_command[0]), "command_w_radps": float(step.base_command[1])}
+    row |= {f"q{i}_rad": float(q) for i, q in enumerate(m.q_m, start=1)}
+    row |= {f"qd{i}_radps": float(q) for i, q in enumerate(m.qd_m, start=1)}
+    row |= {f"u{i}_nm": float(u) for i, u in enumerate(out.u_a, start=1)}
+    for pair in out.avoidance.pairs:
+        row |= {f"d_{pair.closest.pair.name}_m": pair.closest.d, f"beta_{pair.closest.pair.name}": pair.beta}
+    row["beta_m"] = out.avoidance.beta_m
+    asked, avoid = out.base_acceleration, out.avoidance.beta_m * out.avoidance.xdd_m
+    row |= {"base_a_mps2": float(asked[0]), "base_aw_radps2": float(asked[1])}
+    row |= {"avoidance_a_mps2": float(avoid[0]), "avoidance_aw_radps2": float(avoid[1])}
+    force = step.hand_force.tolist()
+    row |= dict(zip(("hand_fx_n", "hand_fy_n", "hand_fz_n"), force, strict=True))
+    row["ee_error_m"] = step.ee_error
+    row |= {"contact": int(step.contacts.arm_base), "arm_contact": int(step.contacts.arm_arm)}
+    return row

@@ -1,0 +1,170 @@
+"""The start solver: an arm configuration with the hand where a run begins."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import coal
+import numpy as np
+import pinocchio as pin
+from scipy.optimize import least_squares
+
+from app.avoidance.distances import DistanceMonitor
+from app.errors import UnreachableError
+from app.robot.link_pairs import LinkPairs
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
+
+Array = np.ndarray
+
+_PITCHES = np.radians([45, 60, 30, 75, 15, 90, 0, -15])  # below horizontal, best first
+_SEEDS = 16  # starting points of the search per pitch
+_POSITION_TOLERANCE = 1e-5  # [m]
+_DIRECTION_TOLERANCE = 0.02  # [-] of a unit vector
+_BUFFER_MARGIN = 0.005  # [m] beyond the buffer
+_FLOOR_MARGIN = 0.01  # [m] between arm and floor
+_JOINT_MARGIN = 0.03  # [-] share of a joint's range kept from its limits
+
+
+class _Judgement(NamedTuple):
+    quality: float
+    """[-] above zero if the configuration may be used; more is better."""
+    flaw: str
+    """Why it may not, or an empty string."""
+
+
+class StartSolver:
+    """Finds an arm configuration for a position of the hand, the base at the origin facing +x.
+
+    The hand points away from the arm's mount and downwards where it can; every pair is outside its
+    buffer, the arm above the floor, each joint away from its limits.
+    """
+
+    def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
+        """Prepare for a robot and a buffer distance [m]."""
+        self._model = model
+        self._d_b = d_b
+        self._state = RobotState(model)
+        self._monitor = DistanceMonitor(self._state, [*pairs.mobile, *pairs.manipulator])
+        self._floor = _FloorDistance(self._state)
+        self._range = model.q_upper - model.q_lower
+        self._middle = (model.q_upper + model.q_lower) / 2
+
+    def solve(self, p_ee: tuple[float, float, float], *, seed: int = 0) -> Array:
+        """(n_m,) arm configuration with the end-effector at `p_ee` [m] in the world.
+
+        Raises:
+            UnreachableError: There is none; says what stands in the way.
+        """
+        target = np.array(p_ee, dtype=float)
+        if not (np.isfinite(target).all() and target[2] > 0.0):
+            raise UnreachableError(f"start {_text(p_ee)}: the floor is z = 0, the hand must be above")
+        rng = np.random.default_rng(seed)
+        ready = np.array(self._model.description.arm.ready_position)
+        flaws: dict[str, int] = {}
+        for pitch in _PITCHES:
+            direction = self._direction(target, pitch)
+            best, best_quality = None, 0.0
+            for k in range(_SEEDS):
+                guess = ready if k == 0 else self._middle + (rng.random(len(ready)) - 0.5) * self._range
+                q = self._search(target, direction, guess)
+                quality, flaw = self._judge(q, target, direction)
+                if quality > best_quality:
+                    best, best_quality = q, quality
+                elif flaw:
+                    flaws[flaw] = flaws.get(flaw, 0) + 1
+            if best is not None:
+                return best
+        raise UnreachableError(
+            f"start {_text(p_ee)}: no configuration of the arm brings the hand there: "
+            f"{self._summary(flaws)}"
+        )
+
+    def _direction(self, target: Array, pitch: float) -> Array:
+        """Unit vector from the mount outwards, tilted `pitch` below the horizon."""
+        outwards = target[:2] - self._model.p_base()[:2]
+        length = np.hypot(*outwards)
+        outwards = outwards / length if length > 1e-6 else np.array([1.0, 0.0])
+        return np.array([*(np.cos(pitch) * outwards), -np.sin(pitch)])
+
+    def _place(self, q: Array) -> None:
+        zero = np.zeros(len(q))
+        self._state.update(Measurement(np.zeros(3), np.zeros(2), q, zero))
+
+    def _search(self, target: Array, direction: Array, guess: Array) -> Array:
+        """Least squares on position and pointing direction, drawn a little to the joints' middle."""
+        state = self._state
+
+        def residual(q: Array) -> Array:
+            self._place(q)
+            at = state.T_world_ee
+            return np.concatenate(
+                [
+                    10.0 * (at.translation - target),
+                    at.rotation[:, 2] - direction,
+                    1e-5 * (q - self._middle) / self._range,
+                ]
+            )
+
+        def jacobian(q: Array) -> Array:
+            self._place(q)
+            J = state.J_ee[:, 2:]
+            pointing = -pin.skew(state.T_world_ee.rotation[:, 2]) @ J[3:]
+            return np.vstack([10.0 * J[:3], pointing, 1e-5 * np.diag(1 / self._range)])
+
+        margin = _JOINT_MARGIN * self._range
+        bounds = (self._model.q_lower + margin, self._model.q_upper - margin)
+        inside = np.clip(guess, bounds[0] + 1e-6, bounds[1] - 1e-6)
+        return least_squares(residual, inside, jacobian, bounds=bounds, max_nfev=60).x
+
+    def _judge(self, q: Array, target: Array, direction: Array) -> _Judgement:
+        self._place(q)
+        at = self._state.T_world_ee
+        if np.linalg.norm(at.translation - target) > _POSITION_TOLERANCE:
+            return _Judgement(0.0, "out of the arm's reach")
+        if np.linalg.norm(at.rotation[:, 2] - direction) > _DIRECTION_TOLERANCE:
+            return _Judgement(0.0, "out of reach with the hand pointing away from the mount")
+        if self._floor.least() < _FLOOR_MARGIN:
+            return _Judgement(0.0, "the arm would touch the floor")
+        clearance = np.inf
+        for closest in self._monitor.find_closest_points():
+            if closest.d < self._d_b + _BUFFER_MARGIN:
+                return _Judgement(0.0, f"{closest.pair.name} would be inside its buffer")
+            clearance = min(clearance, closest.d - self._d_b)
+        joints = float(np.min(np.minimum(q - self._model.q_lower, self._model.q_upper - q) / self._range))
+        J = self._state.J_ee[:, 2:]
+        manipulability = float(np.sqrt(max(np.linalg.det(J @ J.T), 0.0)))
+        return _Judgement(min(joints, 0.15) + min(manipulability, 0.1) + min(clearance, 0.1), "")
+
+    @staticmethod
+    def _summary(flaws: dict[str, int]) -> str:
+        ordered = sorted(flaws, key=lambda flaw: -flaws[flaw])
+        return "; ".join(f"{flaw} ({flaws[flaw]} tries)" for flaw in ordered[:3])
+
+
+class _FloorDistance:
+    """Least signed distance of the arm's bodies to the floor."""
+
+    def __init__(self, state: RobotState) -> None:
+        self._state = state
+        self._geometry = state.model.geometry.copy()
+        slab = coal.Box(20.0, 20.0, 1.0)
+        floor = self._geometry.addGeometryObject(
+            pin.GeometryObject("floor", 0, 0, pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5])), slab)
+        )
+        for name in state.model.body_names[1:]:
+            for shape in state.model.shape_ids[name]:
+                self._geometry.addCollisionPair(pin.CollisionPair(floor, shape))
+        self._data = pin.GeometryData(self._geometry)
+
+    def least(self) -> float:
+        """[m]"""
+        pin.updateGeometryPlacements(
+            self._state.model.pin, self._state.data, self._geometry, self._data
+        )
+        pin.computeDistances(self._geometry, self._data)
+        return min(result.min_distance for result in self._data.distanceResults)
+
+
+def _text(point: tuple[float, float, float]) -> str:
+    return "(" + ", ".join(f"{x:g}" for x in point) + ") m"
