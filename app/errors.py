@@ -43,6 +43,10 @@ class UnreachableError(DbbError):
     """No configuration of the arm brings the hand to the asked start."""
 
 
+class TargetError(DbbError):
+    """The person's hand was told to go where it cannot, such as below the floor."""
+
+
 class ServerError(DbbError):
     """The dashboard cannot listen where it was told to."""
 

@@ -201,6 +201,8 @@ def load_description(path: Path) -> RobotDescription:
         data = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise DescriptionError(f"{path}: no such description") from None
+    except OSError as error:
+        raise DescriptionError(f"{path}: cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise DescriptionError(f"{path}: not a TOML file: {error}") from None
     try:

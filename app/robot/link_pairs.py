@@ -1,0 +1,189 @@
+"""§2.1: which bodies can meet, found by random sampling of the arm's joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from app.robot.model import RobotModel
+
+Array = np.ndarray
+
+
+class Pair(NamedTuple):
+    """A link pair <l_a, l_b> of bodies, l_a nearer to the base."""
+
+    a: str
+    b: str
+
+    @property
+    def name(self) -> str:
+        """As in `lm-lEE`."""
+        return f"{self.a}-{self.b}"
+
+
+class Closest(NamedTuple):
+    """FindClosestPoints: the two closest points of a pair, in the frame of the given kinematics.
+
+    Attributes:
+        d: [m] signed distance, negative in penetration.
+        p_a: (3,) [m] on the link nearer to the base.
+        p_b: (3,) [m] on the link farther out.
+        normal: (3,) unit vector from l_a to l_b; keeps its sense in penetration.
+    """
+
+    d: float
+    p_a: Array
+    p_b: Array
+    normal: Array
+
+
+@dataclass(frozen=True)
+class LinkPairs:
+    """The set L of (1), split as in (2).
+
+    Attributes:
+        mobile: L_m, the pairs with the mobile robot.
+        manipulator: L_m^c, the pairs within the arm.
+        never: Pairs that no sample brought into collision.
+        rates: Part of the samples in collision, by the name of the pair.
+        least_distance_m: [m] least signed distance seen, by the name of the pair.
+        samples: Number of joint positions sampled.
+        seed: Seed of the generator.
+    """
+
+    mobile: tuple[Pair, ...]
+    manipulator: tuple[Pair, ...]
+    never: tuple[Pair, ...]
+    rates: dict[str, float]
+    least_distance_m: dict[str, float]
+    samples: int
+    seed: int
+
+    @property
+    def all(self) -> tuple[Pair, ...]:
+        """L = L_m ∪ L_m^c, in the order of (1)."""
+        return self.mobile + self.manipulator
+
+
+class PairDistances:
+    """Distances and closest points of some pairs, at the least cost from Python.
+
+    Update once for a configuration, then read. A body of several shapes is as near as its nearest.
+
+    Attributes:
+        pairs: The pairs, in the order of their indices.
+        data: pinocchio's data of the last `update`.
+    """
+
+    def __init__(self, model: RobotModel, pairs: Sequence[Pair]) -> None:
+        self.pairs = tuple(pairs)
+        self.data = model.pin.createData()
+        self._pin = model.pin
+        self._geometry = model.geometry.copy()
+        self._geometry.removeAllCollisionPairs()
+        groups: list[range] = []
+        for pair in self.pairs:
+            first = len(self._geometry.collisionPairs)
+            for i in model.shape_ids[pair.a]:
+                for j in model.shape_ids[pair.b]:
+                    self._geometry.addCollisionPair(pin.CollisionPair(i, j))
+            groups.append(range(first, len(self._geometry.collisionPairs)))
+        self._placed = pin.GeometryData(self._geometry)
+        # References into pinocchio's own results: reading them anew would cost more than computing.
+        self._results = [[self._placed.distanceResults[k] for k in group] for group in groups]
+
+    def update(self, q: Array) -> None:
+        """Compute kinematics and all distances at pinocchio's configuration `q`."""
+        pin.updateGeometryPlacements(self._pin, self.data, self._geometry, self._placed, q)
+        pin.computeDistances(self._geometry, self._placed)
+
+    def update_from(self, data: pin.Data) -> None:
+        """Compute all distances from kinematics that are already there."""
+        pin.updateGeometryPlacements(self._pin, data, self._geometry, self._placed)
+        pin.computeDistances(self._geometry, self._placed)
+
+    def distance(self, i: int) -> float:
+        """[m] signed distance of the i-th pair."""
+        return min(result.min_distance for result in self._results[i])
+
+    def closest(self, i: int) -> Closest:
+        """The closest points of the i-th pair; copies, safe to keep."""
+        result = self.nearest_result(i)
+        return Closest(
+            result.min_distance,
+            np.array(result.getNearestPoint1()),
+            np.array(result.getNearestPoint2()),
+            np.array(result.normal),
+        )
+
+    def nearest_result(self, i: int) -> pin.DistanceResult:
+        """The library's own record of the i-th pair; overwritten by the next update."""
+        results = self._results[i]
+        return results[0] if len(results) == 1 else min(results, key=lambda r: r.min_distance)
+
+
+def candidate_pairs(model: RobotModel) -> tuple[Pair, ...]:
+    """All pairs of bodies that are no neighbours in the chain, in the order of (1).
+
+    By the body nearer to the base, and for each of those from the end-effector inwards.
+    """
+    names = model.body_names
+    order = sorted(combinations(range(len(names)), 2), key=lambda ij: (ij[0], -ij[1]))
+    return tuple(Pair(names[i], names[j]) for i, j in order if j - i > 1)
+
+
+def sample_joints(model: RobotModel, count: int, rng: np.random.Generator) -> Array:
+    """(count, n_m) [rad or m] joint positions, uniform within the arm's limits."""
+    return rng.uniform(model.q_lower, model.q_upper, (count, model.n_m))
+
+
+def find_link_pairs(model: RobotModel, *, samples: int = 100_000, seed: int = 0) -> LinkPairs:
+    """Find the pairs that can collide by random sampling of the joint positions.
+
+    Paper: Eq. (1).
+    Paper: Eq. (2).
+
+    Args:
+        model: The robot.
+        samples: Number of joint positions.
+        seed: Seed of the generator.
+
+    Returns:
+        A pair stands in L if any sample has a signed distance of zero or less.
+    """
+    pairs = candidate_pairs(model)
+    distances = _sampled_distances(model, pairs, samples, seed)
+    rates = dict(zip(pairs, (distances <= 0.0).mean(axis=0).tolist(), strict=True))
+    least = dict(zip(pairs, distances.min(axis=0).tolist(), strict=True))
+    lm = model.description.mobile_body.name
+    return LinkPairs(
+        mobile=tuple(pair for pair in pairs if rates[pair] > 0 and pair.a == lm),
+        manipulator=tuple(pair for pair in pairs if rates[pair] > 0 and pair.a != lm),
+        never=tuple(pair for pair in pairs if rates[pair] == 0),
+        rates={pair.name: rate for pair, rate in rates.items()},
+        least_distance_m={pair.name: d for pair, d in least.items()},
+        samples=samples,
+        seed=seed,
+    )
+
+
+def _sampled_distances(
+    model: RobotModel, pairs: tuple[Pair, ...], samples: int, seed: int
+) -> Array:
+    """(samples, pairs) [m] signed distances at random joint positions."""
+    reader = PairDistances(model, pairs)
+    q = model.configuration((0.0, 0.0, 0.0), model.q_lower)
+    distances = np.empty((samples, len(pairs)))
+    for row, q_m in zip(
+        distances, sample_joints(model, samples, np.random.default_rng(seed)), strict=True
+    ):
+        q[4:] = q_m
+        reader.update(q)
+        row[:] = [reader.distance(i) for i in range(len(pairs))]
+    return distances

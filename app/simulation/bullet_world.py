@@ -1,0 +1,147 @@
+"""One pybullet client: a robot over a floor, and nothing touching that is not meant to."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from app.errors import AssetError
+from app.simulation.contact_pairs import ContactPairs
+from app.simulation.physics import Contacts
+from app.simulation.quiet import silence
+
+if TYPE_CHECKING:
+    import pybullet
+else:
+    with silence(1, 2):  # it prints the time of its build
+        import pybullet
+
+GRAVITY = 9.81  # [m/s²]
+
+
+class BulletWorld:
+    """A pybullet client of its own; all indices below are pybullet's.
+
+    Attributes:
+        client: The client; every call of pybullet needs it.
+        robot: The robot's body.
+        floor: The floor's body, the plane z = 0.
+        links: Index of each link by its name; the root's is -1.
+        joints: Index of each joint by its name.
+    """
+
+    def __init__(self, urdf: str, dt: float, *, fixed_root: bool) -> None:
+        """Load a robot.
+
+        Args:
+            urdf: Text of the URDF, meshes by absolute path.
+            dt: [s] one step.
+            fixed_root: Whether the root link is fixed to the world.
+
+        Raises:
+            AssetError: pybullet cannot load the URDF.
+        """
+        with silence(1):  # warnings about the URDF, on standard output
+            self.client = pybullet.connect(pybullet.DIRECT)
+            try:
+                self._load(urdf, fixed_root)
+            except pybullet.error as error:
+                pybullet.disconnect(physicsClientId=self.client)
+                raise AssetError(f"pybullet cannot load the robot: {error}") from None
+        pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=self.client)
+        # The solver's early exit would leave errors of 1e-5 rad/s a step in the arm.
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=dt, solverResidualThreshold=0, physicsClientId=self.client
+        )
+        self._contact_of: dict[tuple[int, int], str] = {}
+        self._at_load: int | None = None
+
+    def allow_contacts(self, pairs: ContactPairs, on_floor: Iterable[str] = ()) -> None:
+        """Let only these links touch; the rest of the robot passes through itself and the floor.
+
+        Args:
+            pairs: Pairs of links that may touch, and are reported when they do.
+            on_floor: Links that may touch the floor without being reported.
+        """
+        for a, b in combinations(self.links.values(), 2):
+            self._filter(self.robot, a, b, False)
+        for a in self.links.values():
+            self._filter(self.floor, a, -1, False)
+        for group, names in (("arm_base", pairs.arm_base), ("arm_arm", pairs.arm_arm)):
+            for pair in names:
+                a, b = (self.links[name] for name in pair)
+                self._filter(self.robot, a, b, True)
+                self._contact_of[a, b] = self._contact_of[b, a] = group
+        for name in (*pairs.arm_floor, *on_floor):
+            self._filter(self.floor, self.links[name], -1, True)
+        self._reach_floor = {self.links[name] for name in pairs.arm_floor}
+
+    def contacts(self) -> Contacts:
+        """Contacts found in the last step."""
+        among_robot = pybullet.getContactPoints(self.robot, self.robot, physicsClientId=self.client)
+        on_floor = pybullet.getContactPoints(self.robot, self.floor, physicsClientId=self.client)
+        groups = {self._contact_of.get((c[3], c[4])) for c in among_robot if _touches(c)}
+        return Contacts(
+            arm_base="arm_base" in groups,
+            arm_arm="arm_arm" in groups,
+            arm_floor=any(c[3] in self._reach_floor for c in on_floor if _touches(c)),
+        )
+
+    def rewind(self) -> None:
+        """Back to the state of the first call, contacts and solver included.
+
+        Without it, what is remembered of old contacts makes two equal runs differ in the last bits.
+        """
+        if self._at_load is None:
+            self._at_load = pybullet.saveState(physicsClientId=self.client)
+        else:
+            pybullet.restoreState(self._at_load, physicsClientId=self.client)
+
+    def step(self) -> None:
+        """Advance by one step."""
+        pybullet.stepSimulation(physicsClientId=self.client)
+
+    def close(self) -> None:
+        """End the client; may be called twice."""
+        if self.client >= 0:
+            pybullet.disconnect(physicsClientId=self.client)
+            self.client = -1
+
+    def _load(self, urdf: str, fixed_root: bool) -> None:
+        flags = (
+            pybullet.URDF_USE_INERTIA_FROM_FILE
+            | pybullet.URDF_USE_SELF_COLLISION
+            | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
+        )
+        client = self.client
+        with tempfile.TemporaryDirectory(prefix="dbb-") as folder:
+            path = Path(folder) / "robot.urdf"
+            path.write_text(urdf, encoding="utf-8")
+            self.robot = pybullet.loadURDF(
+                str(path), useFixedBase=fixed_root, flags=flags, physicsClientId=client
+            )
+        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
+        self.floor = pybullet.createMultiBody(0, plane, physicsClientId=client)
+        root = pybullet.getBodyInfo(self.robot, physicsClientId=client)[0].decode()
+        self.links, self.joints = {root: -1}, {}
+        for i in range(pybullet.getNumJoints(self.robot, physicsClientId=client)):
+            info = pybullet.getJointInfo(self.robot, i, physicsClientId=client)
+            self.joints[info[1].decode()] = self.links[info[12].decode()] = i
+        for i in self.links.values():
+            pybullet.changeDynamics(
+                self.robot, i, linearDamping=0, angularDamping=0, jointDamping=0,
+                physicsClientId=client,
+            )  # fmt: skip
+
+    def _filter(self, other: int, a: int, b: int, collide: bool) -> None:
+        pybullet.setCollisionFilterPair(
+            self.robot, other, a, b, int(collide), physicsClientId=self.client
+        )
+
+
+def _touches(contact: tuple) -> bool:
+    distance, normal_force = contact[8], contact[9]  # [m], [N]
+    return distance <= 0 or normal_force > 0

@@ -1,0 +1,143 @@
+"""A stand-in plant without a physics library: the equation of motion, integrated.
+
+The base moves exactly as its drive says; the arm follows M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f.
+Nothing stops the arm but its joint limits: contacts are overlaps of the convex bodies, reported
+only. For tests, and an independent check of pybullet.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from app.control.drive import Drive
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
+from app.simulation.contact_pairs import body_contact_pairs
+from app.simulation.physics import Contacts
+
+Array = np.ndarray
+
+
+class Kinematic:
+    """`Physics` by pinocchio alone."""
+
+    def __init__(
+        self, model: RobotModel, *, dt: float = 0.001, outer: Sequence[str] | None = None
+    ) -> None:
+        """The robot at rest in its ready position.
+
+        Args:
+            model: The robot.
+            dt: [s] one step.
+            outer: Names of the bodies of L_m on the arm; by default the last two.
+
+        Raises:
+            UnknownNameError: `outer` names a body that the arm does not have.
+        """
+        self.dt = dt
+        self._model = model
+        self._state = RobotState(model)
+        self._overlaps = _Overlaps(model, outer)
+        self._drive = Drive(model.description.base, dt)
+        self._rolling = np.linalg.inv(model.J_m)
+        self.reset(np.zeros(3), np.array(model.description.arm.ready_position))
+
+    @property
+    def wheel_angles(self) -> Array:
+        """(2,) [rad] of the right and the left side."""
+        return self._wheel_angles.copy()
+
+    def reset(self, base_pose: Array, q_m: Array) -> None:
+        """See `Physics.reset`."""
+        self._drive.reset()
+        self._base_pose = np.array(base_pose, dtype=float)
+        self._q, self._qd = np.array(q_m, dtype=float), np.zeros(self._model.n_m)
+        self._wheel_angles = np.zeros(2)
+        self._stepped = False
+
+    def measure(self) -> Measurement:
+        """See `Physics.measure`."""
+        return Measurement(
+            self._base_pose.copy(), self._drive.velocity.copy(), self._q.copy(), self._qd.copy()
+        )
+
+    def step(self, u_a: Array, base_velocity: Array, hand_force: Array) -> None:
+        """See `Physics.step`."""
+        self._state.update(self.measure())
+        before = self._drive.velocity
+        v, w = self._drive.step(base_velocity)
+        qdd_b = self._rolling @ (self._drive.velocity - before) / self.dt
+        self._qd += self._arm_acceleration(u_a, qdd_b, hand_force) * self.dt
+        self._q += self._qd * self.dt
+        phi = self._base_pose[2] + 0.5 * w * self.dt  # the middle of the step, exact on a circle
+        self._base_pose += np.array([v * math.cos(phi), v * math.sin(phi), w]) * self.dt
+        self._wheel_angles += self._rolling @ (v, w) * self.dt
+        self._stepped = True
+
+    def contacts(self) -> Contacts:
+        """See `Physics.contacts`; overlaps of the bodies, which are fatter than the links."""
+        if not self._stepped:
+            return Contacts(False, False, False)
+        return self._overlaps.at(self._model.configuration(self._base_pose, self._q))
+
+    def close(self) -> None:
+        """See `Physics.close`."""
+
+    def _arm_acceleration(self, u_a: Array, qdd_b: Array, hand_force: Array) -> Array:
+        """(n_m,) q̈_a from the arm's rows of the equation of motion, joint limits included."""
+        M, h, J = self._state.M, self._state.h, self._state.J_ee[:3]
+        u = u_a + J[:, 2:].T @ np.asarray(hand_force) - h[2:] - M[2:, :2] @ qdd_b
+        M_aa = M[2:, 2:]
+        qdd = np.linalg.solve(M_aa, u)
+        held = np.zeros(len(qdd), dtype=bool)
+        while (stopped := self._beyond_limits(qdd) & ~held).any():
+            qdd[stopped] = self._stopping_acceleration()[stopped]
+            held |= stopped
+            free = ~held
+            u_free = u[free] - M_aa[np.ix_(free, held)] @ qdd[held]
+            qdd[free] = np.linalg.solve(M_aa[np.ix_(free, free)], u_free)
+        return qdd
+
+    def _beyond_limits(self, qdd: Array) -> Array:
+        """(n_m,) which joints an acceleration would bring beyond their limits in this step."""
+        q = self._q + (self._qd + qdd * self.dt) * self.dt
+        return (q < self._model.q_lower) | (q > self._model.q_upper)
+
+    def _stopping_acceleration(self) -> Array:
+        """(n_m,) that brings each joint exactly to the nearer of its limits in this step."""
+        lower, upper = self._model.q_lower, self._model.q_upper
+        limit = np.where(self._q - lower < upper - self._q, lower, upper)
+        return ((limit - self._q) / self.dt - self._qd) / self.dt
+
+
+class _Overlaps:
+    """Which bodies overlap, in the groups of `Contacts`."""
+
+    def __init__(self, model: RobotModel, outer: Sequence[str] | None) -> None:
+        pairs = body_contact_pairs(model.description, outer)
+        self._pin, self._data = model.pin, model.pin.createData()
+        self._geometry = model.geometry.copy()
+        floor = self._geometry.addGeometryObject(
+            pin.GeometryObject("floor", 0, pin.SE3.Identity(), coal.Halfspace(0.0, 0.0, 1.0, 0.0))
+        )
+        ids = {**model.shape_ids, "floor": [floor]}
+        to_floor = frozenset((name, "floor") for name in pairs.arm_floor)
+        groups = {"arm_base": pairs.arm_base, "arm_arm": pairs.arm_arm, "arm_floor": to_floor}
+        self._group_of: list[str] = []
+        for group, names in groups.items():
+            for shapes in ((i, j) for a, b in sorted(names) for i in ids[a] for j in ids[b]):
+                self._geometry.addCollisionPair(pin.CollisionPair(*shapes))
+                self._group_of.append(group)
+        self._results = pin.GeometryData(self._geometry)
+
+    def at(self, q: Array) -> Contacts:
+        """Overlaps at pinocchio's configuration `q`."""
+        pin.computeDistances(self._pin, self._data, self._geometry, self._results, q)
+        distances = [result.min_distance for result in self._results.distanceResults]
+        found = {g for g, d in zip(self._group_of, distances, strict=True) if d <= 0}
+        return Contacts(**{name: name in found for name in Contacts._fields})

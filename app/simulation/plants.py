@@ -1,0 +1,40 @@
+"""The plants by their names."""
+
+from __future__ import annotations
+
+from app.errors import UnknownNameError
+from app.robot.model import RobotModel
+from app.simulation.physics import Physics
+
+PLANTS = ("planar", "contact", "kinematic")
+"""Names that `make_physics` knows; the first is the default."""
+
+
+def make_physics(kind: str, model: RobotModel, *, dt: float = 0.001, seed: int = 0) -> Physics:
+    """The plant of that name, at rest in the robot's ready position.
+
+    Args:
+        kind: One of `PLANTS`.
+        model: The robot.
+        dt: [s] one step.
+        seed: Of what a plant draws at random; none of these draws anything.
+
+    Raises:
+        UnknownNameError: No such plant.
+        AssetError: pybullet cannot load the robot.
+    """
+    del seed
+    # Imported here: the stand-in has to work where pybullet is not installed.
+    if kind == "planar":
+        from app.simulation.pybullet_planar import PybulletPlanar
+
+        return PybulletPlanar(model, dt=dt)
+    if kind == "contact":
+        from app.simulation.pybullet_contact import PybulletContact
+
+        return PybulletContact(model, dt=dt)
+    if kind == "kinematic":
+        from app.simulation.kinematic import Kinematic
+
+        return Kinematic(model, dt=dt)
+    raise UnknownNameError("physics", kind, PLANTS)

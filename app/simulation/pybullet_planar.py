@@ -1,0 +1,108 @@
+"""The default plant: pybullet with the base on planar joints that follow the drive's velocity.
+
+Velocity motors on x, y and yaw hold the base to the drive with at most the traction of the wheels;
+the wheels themselves are only animated. The base cannot tip.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from app.control.drive import Drive
+from app.robot.model import RobotModel
+from app.robot.state import Measurement
+from app.robot.urdf import PLANAR_JOINTS
+from app.simulation.bullet_world import BulletWorld, pybullet
+from app.simulation.contact_pairs import link_contact_pairs
+from app.simulation.physics import Contacts
+from app.simulation.pybullet_arm import BulletArm
+from app.simulation.pybullet_urdf import planar_plant_urdf
+
+Array = np.ndarray
+
+
+class PybulletPlanar:
+    """`Physics` with an ideal contact of the wheels up to their traction."""
+
+    def __init__(
+        self, model: RobotModel, *, dt: float = 0.001, outer: Sequence[str] | None = None
+    ) -> None:
+        """Load the robot at rest in its ready position.
+
+        Args:
+            model: The robot.
+            dt: [s] one step.
+            outer: Names of the bodies of L_m on the arm; by default the last two.
+
+        Raises:
+            AssetError: A mesh is missing, or pybullet cannot load the robot.
+            UnknownNameError: `outer` names a body that the arm does not have.
+        """
+        description, self.dt = model.description, dt
+        contacts = link_contact_pairs(description, outer)
+        self.world = BulletWorld(planar_plant_urdf(description), dt, fixed_root=True)
+        self.world.allow_contacts(contacts)
+        self.arm = BulletArm(self.world, model)
+        self._planar = [self.world.joints[name] for name in PLANAR_JOINTS]
+        self._joints = [*self._planar, *self.arm.joints]
+        self._drive = Drive(description.base, dt)
+        self._rolling = np.linalg.inv(model.J_m)
+        traction = description.base.traction_limit_n
+        self._limits = [traction, traction, traction * description.base.half_track_m]
+        self.reset(np.zeros(3), np.array(description.arm.ready_position))
+
+    @property
+    def wheel_angles(self) -> Array:
+        """(2,) [rad] of the right and the left side."""
+        return self._wheel_angles.copy()
+
+    def reset(self, base_pose: Array, q_m: Array) -> None:
+        """See `Physics.reset`."""
+        self.world.rewind()
+        for joint, position in zip(self._planar, np.asarray(base_pose).tolist(), strict=True):
+            pybullet.resetJointState(
+                self.world.robot, joint, position, 0.0, physicsClientId=self.world.client
+            )
+        self.arm.reset(q_m)
+        self._drive.reset()
+        self._wheel_angles = np.zeros(2)
+
+    def measure(self) -> Measurement:
+        """See `Physics.measure`."""
+        states = pybullet.getJointStates(
+            self.world.robot, self._joints, physicsClientId=self.world.client
+        )
+        q = np.array([state[0] for state in states])
+        qd = np.array([state[1] for state in states])
+        c, s = math.cos(q[2]), math.sin(q[2])
+        return Measurement(q[:3], np.array([c * qd[0] + s * qd[1], qd[2]]), q[3:], qd[3:])
+
+    def step(self, u_a: Array, base_velocity: Array, hand_force: Array) -> None:
+        """See `Physics.step`."""
+        v, w = self._drive.step(base_velocity).tolist()
+        phi = self._heading() + 0.5 * w * self.dt  # the middle of the step: no drift in a curve
+        pybullet.setJointMotorControlArray(
+            self.world.robot, self._planar, pybullet.VELOCITY_CONTROL,
+            targetVelocities=[v * math.cos(phi), v * math.sin(phi), w], forces=self._limits,
+            physicsClientId=self.world.client,
+        )  # fmt: skip
+        self.arm.drive(u_a)
+        self.arm.push(hand_force)
+        self.world.step()
+        self._wheel_angles += self._rolling @ (v, w) * self.dt
+
+    def contacts(self) -> Contacts:
+        """See `Physics.contacts`."""
+        return self.world.contacts()
+
+    def close(self) -> None:
+        """See `Physics.close`."""
+        self.world.close()
+
+    def _heading(self) -> float:
+        return pybullet.getJointState(
+            self.world.robot, self._planar[2], physicsClientId=self.world.client
+        )[0]

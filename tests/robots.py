@@ -1,0 +1,35 @@
+"""The paper's robot and random states of it, for tests."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from app.robot.assets import load_robot
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
+
+
+@cache
+def husky_panda() -> RobotModel:
+    """The compiled model; treat it as frozen."""
+    return RobotModel(load_robot("husky_panda"))
+
+
+def random_measurement(rng: np.random.Generator) -> Measurement:
+    """A pose anywhere within the limits, moving."""
+    model = husky_panda()
+    return Measurement(
+        rng.uniform(-3, 3, 3),
+        rng.uniform(-1, 1, 2),
+        rng.uniform(model.q_lower, model.q_upper),
+        rng.uniform(-1, 1, model.n_m),
+    )
+
+
+def random_state(rng: np.random.Generator) -> RobotState:
+    """The state at a random measurement."""
+    state = RobotState(husky_panda())
+    state.update(random_measurement(rng))
+    return state

@@ -1,0 +1,132 @@
+"""Laws of Algorithm 3, (12) and (13)."""
+
+import numpy as np
+import pytest
+
+from app.avoidance.acting_point import ActingPointFinder, step_size, tangential_step
+from app.border.dbb import Border
+from app.border.offset import OffsetContours
+from app.border.score import ScoreField
+from app.config import ForceConfig
+from app.robot.model import RobotModel
+
+D_B = 0.15  # [m]
+FORCE = ForceConfig()
+
+
+@pytest.fixture(scope="module")
+def offset(robot: RobotModel) -> OffsetContours:
+    return OffsetContours(robot, D_B)
+
+
+@pytest.fixture(scope="module")
+def field(robot: RobotModel) -> ScoreField:
+    return ScoreField.of(robot, "lEE")
+
+
+def dense_border(offset: OffsetContours, step: float = 0.002) -> Border:
+    """Points every 2 mm along the exact contours every 4 mm of height."""
+    points = []
+    for z in np.arange(0.02, 0.36, 0.004):
+        ring = offset.contour(float(z))
+        assert ring is not None
+        for a, b in zip(ring[:-1], ring[1:], strict=True):
+            n = max(int(np.linalg.norm(b - a) / step), 1)
+            points += [(*(a + (b - a) * k / n), z) for k in range(n)]
+    array = np.array(points)
+    return Border("lm-lEE", D_B, 0.01, array, array[:, 2].copy())
+
+
+@pytest.fixture(scope="module")
+def finder(offset: OffsetContours, field: ScoreField) -> ActingPointFinder:
+    return ActingPointFinder(dense_border(offset), offset, field)
+
+
+def on_side(x: float, side: float, d: float, z: float = 0.2) -> np.ndarray:
+    """A point at distance d from the base's side: the base is 0.69 m wide."""
+    return np.array([x, side * (0.345 + d), z])
+
+
+@pytest.mark.parametrize("x", [-0.3, -0.05, 0.0, 0.05, 0.2])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("d", [0.02, 0.08, 0.12])
+def test_acting_point_lies_on_the_border_at_the_hands_height_towards_a_better_score(
+    finder: ActingPointFinder, x: float, side: float, d: float
+) -> None:
+    p_b = on_side(x, side, d)
+    acting = finder.find_acting_point(p_b, d, FORCE)
+    assert acting is not None
+    for p in (acting.p_n, acting.p_act):
+        assert p[2] == p_b[2]
+        assert abs(p[1]) == pytest.approx(0.345 + D_B, abs=0.003)
+    assert acting.p_n[0] == pytest.approx(x, abs=0.004)
+    assert acting.p_act[0] >= acting.p_n[0]
+    assert FORCE.alpha_min <= acting.alpha <= FORCE.alpha_max
+
+
+@pytest.mark.parametrize("x", [-1e-3, -1e-9, 0.0, 1e-9, 1e-3])
+def test_on_the_wheel_axis_the_step_goes_forward_by_the_upper_bound(
+    finder: ActingPointFinder, x: float
+) -> None:
+    acting = finder.find_acting_point(on_side(x, 1.0, 0.08), 0.08, FORCE)
+    assert acting is not None
+    assert acting.p_act[0] - acting.p_n[0] == pytest.approx(FORCE.alpha_max, abs=0.01)
+
+
+def test_left_and_right_are_mirror_images(finder: ActingPointFinder) -> None:
+    left = finder.find_acting_point(on_side(0.2, 1.0, 0.07), 0.07, FORCE)
+    right = finder.find_acting_point(on_side(0.2, -1.0, 0.07), 0.07, FORCE)
+    assert left is not None
+    assert right is not None
+    np.testing.assert_allclose(left.p_act * [1, -1, 1], right.p_act, atol=0.004)
+
+
+def test_a_height_without_points_falls_back_to_the_exact_offset(
+    offset: OffsetContours, field: ScoreField
+) -> None:
+    empty = Border("lm-lEE", D_B, 0.01, np.zeros((0, 3)), np.zeros(0))
+    finder = ActingPointFinder(empty, offset, field)
+    acting = finder.find_acting_point(on_side(0.1, 1.0, 0.05), 0.05, FORCE)
+    assert acting is not None
+    assert acting.p_n[1] == pytest.approx(0.345 + D_B, abs=1e-4)
+    assert finder.find_acting_point(np.array([0.0, 0.5, 3.0]), 0.05, FORCE) is None
+
+
+@pytest.mark.parametrize("beyond", [0.0, 0.003, -0.003])
+def test_on_the_border_itself_the_tangent_is_that_of_the_slice(
+    finder: ActingPointFinder, beyond: float
+) -> None:
+    d = D_B + beyond
+    acting = finder.find_acting_point(on_side(0.2, 1.0, d), d, FORCE)
+    assert acting is not None
+    assert abs(acting.t[0]) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_tangent_is_a_horizontal_unit_vector_square_to_the_line_to_the_hand(
+    finder: ActingPointFinder,
+) -> None:
+    p_b = np.array([0.54, 0.38, 0.2])  # beside the front left corner
+    acting = finder.find_acting_point(p_b, 0.06, FORCE)
+    assert acting is not None
+    assert np.linalg.norm(acting.t) == pytest.approx(1.0)
+    assert acting.t[2] == 0.0
+    assert acting.t @ (acting.p_n - p_b) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_step_size_is_proportional_to_d_over_score_within_its_bounds() -> None:
+    force = ForceConfig(alpha_gain=0.001)
+    assert step_size(0.1, 0.002, force) == pytest.approx(0.05)
+    assert step_size(0.1, -0.002, force) == pytest.approx(0.05)
+    assert step_size(0.05, 0.002, force) == pytest.approx(0.025)
+    assert step_size(0.1, 0.0, force) == force.alpha_max
+    assert step_size(0.1, 1e9, force) == force.alpha_min
+    assert step_size(-0.1, 0.002, force) == force.alpha_min
+
+
+def test_the_step_is_the_gradients_share_along_the_tangent() -> None:
+    t = np.array([0.0, 1.0, 0.0])
+    gradient = np.array([3.0, -4.0, 0.0])
+    np.testing.assert_allclose(tangential_step(gradient, t, 0.1), [0.0, -0.08, 0.0])
+    np.testing.assert_allclose(tangential_step(gradient, -t, 0.1), [0.0, -0.08, 0.0])
+    forward = tangential_step(np.zeros(3), np.array([1.0, 0.0, 0.0]), 0.1)
+    np.testing.assert_allclose(forward, [0.1, 0.0, 0.0])

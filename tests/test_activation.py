@@ -1,0 +1,46 @@
+"""Laws of β (Figure 10), (27), (28), and of the share from above."""
+
+import numpy as np
+import pytest
+
+from app.avoidance.activation import (
+    activation,
+    activation_matrix,
+    mobile_activation,
+    share_from_above,
+)
+
+PAPER = {"d_b": 0.15, "d_full": 0.05}
+
+
+def test_the_papers_ends_and_middle_of_figure_10() -> None:
+    assert activation(0.15, **PAPER) == 0.0
+    assert activation(0.10, **PAPER) == pytest.approx(0.5)
+    assert activation(0.05, **PAPER) == 1.0
+
+
+def test_beta_is_flat_at_both_ends_and_never_rises_with_the_distance() -> None:
+    d = np.linspace(-0.1, 0.3, 4001)
+    beta = np.array([activation(x, **PAPER) for x in d])
+    assert (np.diff(beta) <= 0).all()
+    assert beta[0] == 1.0
+    assert beta[-1] == 0.0
+    slope = np.gradient(beta, d)
+    assert np.abs(np.diff(slope)).max() < 0.2  # [1/m] a kink would show as 15
+
+
+def test_beta_m_is_the_largest_of_its_pairs() -> None:
+    assert mobile_activation([0.1, 0.7, 0.3]) == 0.7
+    assert mobile_activation([]) == 0.0
+
+
+def test_B_repeats_beta_m_for_the_two_rows_of_the_base() -> None:
+    np.testing.assert_array_equal(activation_matrix(0.3, [0.1, 0.9]), np.diag([0.3, 0.3, 0.1, 0.9]))
+
+
+def test_from_the_side_the_arm_has_no_share_and_from_above_all() -> None:
+    assert share_from_above(0.0) == share_from_above(0.5) == share_from_above(-0.5) == 0.0
+    assert share_from_above(1.0) == share_from_above(-1.0) == 1.0
+    shares = [share_from_above(x) for x in np.linspace(0, 1, 1001)]
+    assert (np.diff(shares) >= 0).all()
+    assert np.abs(np.diff(shares)).max() < 0.005

@@ -1,0 +1,228 @@
+"""Laws of Algorithm 2 as a whole, on the paper's robot."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.control.controller import Controller, ControlOutput
+from app.control.hqp import HierarchicalQP, NoSolutionError
+from app.control.limits import robot_limits
+from app.control.tasks import Reference, free_arm_torque
+from app.control.transition import TaskTransition
+from app.errors import UnknownNameError
+from app.robot.link_pairs import PairDistances, candidate_pairs
+from app.robot.model import RobotModel
+from app.robot.state import Measurement
+
+ZERO = np.zeros(3)
+
+
+@pytest.fixture(scope="module")
+def controller(robot: RobotModel, border_data: BorderData) -> Controller:
+    return Controller(robot, border_data, Config())
+
+
+def measured(robot: RobotModel, q_m: np.ndarray, **more: np.ndarray) -> Measurement:
+    rest = Measurement(np.zeros(3), np.zeros(2), q_m, np.zeros(robot.n_m))
+    return rest._replace(**more)
+
+
+def in_buffer(robot: RobotModel, controller: Controller, seed: int, pair: str) -> Measurement:
+    """A random measurement, moving slowly, with a pair inside its buffer but nothing in contact.
+
+    Only such at which no limit of the robot is active, so that what is left is the law itself.
+    """
+    rng = np.random.default_rng(seed)
+    reader = PairDistances(robot, candidate_pairs(robot))
+    names = [p.name for p in reader.pairs]
+    while True:
+        q_m = rng.uniform(robot.q_lower + 0.3, robot.q_upper - 0.3)
+        reader.update(robot.configuration(ZERO, q_m))
+        d = {name: reader.distance(i) for i, name in enumerate(names)}
+        if not (0.06 < d[pair] < 0.13 and all(v > 0.02 for v in d.values())):
+            continue
+        velocities = rng.normal(scale=0.05, size=robot.n)
+        m = measured(robot, q_m, qd_m=velocities[2:], base_velocity=velocities[:2])
+        if not at_a_limit(controller, controller.step(m)):
+            return m
+
+
+def at_a_limit(controller: Controller, output: ControlOutput) -> bool:
+    """Whether the guided answer meets a limit of torque or joint acceleration."""
+    state = controller.state
+    wheels = np.linalg.solve(state.model.J_m, output.base_acceleration)
+    rhs = output.u_a - state.h[2:] - state.M[2:, :2] @ wheels
+    qdd = np.concatenate([wheels, np.linalg.solve(state.M[2:, 2:], rhs)])
+    C, l, u = robot_limits(state, Config().limit, wheels)
+    return bool(((C @ qdd < l + 1e-3) | (C @ qdd > u - 1e-3))[: 2 * state.model.n_m].any())
+
+
+def reference_here(controller: Controller, acceleration: np.ndarray) -> Reference:
+    T = pin.SE3(controller.state.T_world_ee)
+    return Reference(T, np.zeros(6), acceleration)
+
+
+def test_far_from_everything_a_guided_arm_gives_gravity_compensation_and_damping(
+    robot: RobotModel, controller: Controller
+) -> None:
+    m = measured(robot, np.array(robot.description.arm.ready_position), qd_m=np.full(7, 0.1))
+    output = controller.step(m)
+    np.testing.assert_allclose(output.u_a, free_arm_torque(controller.state), atol=1e-6)
+    np.testing.assert_array_equal(output.base_acceleration, np.zeros(2))
+    assert output.activation == 0.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_guided_with_rows_the_arm_adds_only_forces_along_them(
+    robot: RobotModel, controller: Controller, seed: int
+) -> None:
+    """u_a = u_0 + J_rᵀ λ: no posture, nothing that is not avoidance."""
+    m = in_buffer(robot, controller, seed, "l1-lEE")
+    output = controller.step(m)
+    rows = np.vstack([row.J[:, 2:] for row in output.avoidance.rows_r])
+    added = output.u_a - free_arm_torque(controller.state)
+    residual = added - rows.T @ np.linalg.lstsq(rows.T, added, rcond=None)[0]
+    assert np.abs(added).max() > 0.1
+    np.testing.assert_allclose(residual, 0.0, atol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_guided_the_base_is_asked_for_beta_times_the_desired_acceleration_less_its_rest(
+    robot: RobotModel, controller: Controller, seed: int
+) -> None:
+    m = in_buffer(robot, controller, seed, "lm-lEE")
+    output = controller.step(m)
+    beta, rest = output.avoidance.beta_m, -Config().task.base_damping * m.base_velocity
+    base = robot.description.base
+    limit = [base.max_linear_acceleration_mps2, base.max_angular_acceleration_radps2]
+    expected = np.clip(beta * output.avoidance.xdd_m + (1 - beta) * rest, np.negative(limit), limit)
+    np.testing.assert_allclose(output.base_acceleration, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("pair", ["lm-lEE", "l1-lEE"])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_base_demand_is_that_of_the_whole_bodys_29(
+    robot: RobotModel, controller: Controller, seed: int, pair: str
+) -> None:
+    """The controller solves base and arm apart; (29) with all rows at once gives the same."""
+    m = in_buffer(robot, controller, seed, pair)
+    controller.reset()
+    controller.step(m)
+    reference = reference_here(controller, 0.05 * np.ones(6))
+    output = controller.step(m, reference)
+    rows = [r for r in (output.avoidance.rows_m, *output.avoidance.rows_r) if r is not None]
+    stack = controller._tracking_stack(reference)
+    limits = robot_limits(controller.state, Config().limit, np.zeros(2))
+    transition = TaskTransition(HierarchicalQP(robot.n, 2 * robot.n_m + 2))
+    whole = transition.solve(rows, *stack, limits)
+    np.testing.assert_allclose(
+        robot.J_m @ whole.qdd[:2], output.base_acceleration, atol=1e-4, rtol=1e-4
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_tracking_reaches_the_asked_acceleration_of_the_hand_whatever_the_base_does(
+    robot: RobotModel, controller: Controller, seed: int
+) -> None:
+    """Forward dynamics with the given base acceleration return ẍ_d: the hand is not disturbed."""
+    rng = np.random.default_rng(seed)
+    q_m = np.array([0.3, 0.6, 0.1, -1.6, 0.2, 2.2, 0.5]) + rng.normal(scale=0.1, size=7)
+    m = measured(robot, q_m, qd_m=rng.normal(scale=0.05, size=7), base_velocity=np.array([0.1, 0.1]))
+    controller.reset()
+    controller.step(m)
+    wanted = rng.normal(scale=0.3, size=6)
+    reference = Reference(pin.SE3(controller.state.T_world_ee), controller.state.v_ee, wanted)
+    base = np.array([-0.4, 0.3])
+    output = controller.step(m, reference, base_acceleration=base)
+    state = controller.state
+    qdd = np.empty(robot.n)
+    qdd[:2] = np.linalg.solve(robot.J_m, base)
+    rhs = output.u_a - state.h[2:] - state.M[2:, :2] @ qdd[:2]
+    qdd[2:] = np.linalg.solve(state.M[2:, 2:], rhs)
+    np.testing.assert_allclose(state.J_ee @ qdd + state.Jdqd_ee, wanted, atol=1e-5)
+
+
+def test_the_base_stays_put_while_the_arm_can_do_the_task_alone(
+    robot: RobotModel, controller: Controller
+) -> None:
+    m = measured(robot, np.array(robot.description.arm.ready_position))
+    controller.reset()
+    controller.step(m)
+    output = controller.step(m, reference_here(controller, np.array([0.1, 0.1, 0.1, 0, 0, 0])))
+    assert np.abs(output.base_acceleration).max() < 2e-3
+
+
+def test_torques_keep_their_limits_even_where_the_reference_asks_the_impossible(
+    robot: RobotModel, controller: Controller
+) -> None:
+    m = measured(robot, np.array(robot.description.arm.ready_position))
+    controller.reset()
+    controller.step(m)
+    output = controller.step(m, reference_here(controller, np.full(6, 500.0)))
+    assert output.solved
+    assert (np.abs(output.u_a) <= robot.tau_max + 1e-9).all()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_joints_at_their_limits_are_pushed_back(
+    robot: RobotModel, border_data: BorderData, seed: int
+) -> None:
+    controller = Controller(robot, border_data, Config(), name="none")
+    rng = np.random.default_rng(seed)
+    q_m = np.array(robot.description.arm.ready_position)
+    i = int(rng.integers(7))
+    q_m[i] = robot.q_upper[i] + 0.01
+    m = measured(robot, q_m)
+    output = controller.step(m)
+    state = controller.state
+    qdd = np.linalg.solve(state.M[2:, 2:], output.u_a - state.h[2:])
+    assert qdd[i] < -1.0
+
+
+def test_a_failed_qp_gives_the_safe_command_and_is_counted(
+    robot: RobotModel, border_data: BorderData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    controller = Controller(robot, border_data, Config())
+
+    def fail(*_: object, **__: object) -> None:
+        raise NoSolutionError(0, "test")
+
+    monkeypatch.setattr(TaskTransition, "solve", fail)
+    m = measured(
+        robot,
+        np.array(robot.description.arm.ready_position),
+        qd_m=np.full(7, 0.2),
+        base_velocity=np.array([0.3, -0.2]),
+    )
+    output = controller.step(m)
+    assert not output.solved
+    assert controller.failures == 1
+    np.testing.assert_allclose(output.u_a, free_arm_torque(controller.state))
+    assert (output.base_acceleration * m.base_velocity < 0).all()
+
+
+def test_the_command_does_not_depend_on_where_the_world_frame_stands(
+    robot: RobotModel, controller: Controller
+) -> None:
+    m = in_buffer(robot, controller, 1, "lm-lEE")
+    here = controller.step(m)
+    there = controller.step(m._replace(base_pose=np.array([3.0, -2.0, 1.1])))
+    np.testing.assert_allclose(there.base_acceleration, here.base_acceleration, atol=1e-6)
+    np.testing.assert_allclose(there.u_a, here.u_a, atol=1e-5)
+
+
+def test_none_inserts_no_avoidance(robot: RobotModel, border_data: BorderData) -> None:
+    plain = Controller(robot, border_data, Config(), name="none")
+    m = in_buffer(robot, plain, 0, "lm-lEE")
+    output = plain.step(m)
+    assert output.activation == 0.0
+    np.testing.assert_allclose(output.u_a, free_arm_torque(plain.state), atol=1e-6)
+
+
+def test_an_unknown_controller_lists_those_that_exist(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    with pytest.raises(UnknownNameError, match="dbb, none"):
+        Controller(robot, border_data, Config(), name="dbbb")

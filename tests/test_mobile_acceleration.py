@@ -1,0 +1,78 @@
+"""Laws of the force on the base and of the accelerations that realise it, (14) to (19)."""
+
+import numpy as np
+import pytest
+
+from app.avoidance.mobile_acceleration import (
+    PairForce,
+    avoidance_force,
+    generate_mob_acc,
+    resultant_force,
+)
+from app.border.score import control_point_jacobian
+from app.robot.model import mobile_jacobian
+
+SIDE = np.array([0.0, 1.0, 0.0])
+
+
+def force(p_b, p_act, d, n=SIDE, f_max=300.0, d_b=0.15):
+    return avoidance_force(np.array(p_b), np.array(p_act), d, np.array(n), f_max=f_max, d_b=d_b)
+
+
+@pytest.mark.parametrize(("d", "share"), [(0.15, 0.0), (0.075, 0.5), (0.0, 1.0)])
+def test_the_magnitude_falls_linearly_to_zero_at_the_border(d: float, share: float) -> None:
+    f = force([0.3, 0.4, 0.2], [0.35, 0.5, 0.2], d)
+    assert np.linalg.norm(f) == pytest.approx(300.0 * share)
+
+
+@pytest.mark.parametrize("d", [-0.3, -0.01, 0.2, 5.0])
+def test_the_magnitude_stays_between_zero_and_f_max(d: float) -> None:
+    assert 0.0 <= np.linalg.norm(force([0.3, 0.4, 0.2], [0.35, 0.5, 0.2], d)) <= 300.0 + 1e-9
+
+
+def test_the_force_points_from_the_acting_point_to_the_closest_point() -> None:
+    f = force([0.3, 0.4, 0.2], [0.3, 0.5, 0.2], 0.05)
+    np.testing.assert_allclose(f / np.linalg.norm(f), [0.0, -1.0, 0.0])
+
+
+def test_where_the_points_coincide_the_base_is_pushed_away_from_the_arm() -> None:
+    f = force([0.3, 0.5, 0.2], [0.3, 0.5, 0.2], 0.075)
+    np.testing.assert_allclose(f, [0.0, -150.0, 0.0])
+
+
+def test_straight_from_above_there_is_no_force_not_even_a_direction() -> None:
+    up = [0.0, 0.0, 1.0]
+    np.testing.assert_array_equal(force([0.1, 0.1, 0.4], [0.1, 0.1, 0.4], 0.02, n=up), np.zeros(3))
+    np.testing.assert_array_equal(force([0.1, 0.1, 0.4], [0.6, 0.1, 0.4], 0.02, n=up), np.zeros(3))
+
+
+def test_the_accelerations_do_the_same_work_as_the_forces() -> None:
+    """m v̇ and I ω̇ are the generalised forces of the non-slipping base: equal virtual power."""
+    rng = np.random.default_rng(0)
+    m, inertia, r, b = 60.0, 8.0, 0.165, 0.51
+    forces = [PairForce(np.append(rng.normal(size=2), 0.0), rng.normal(size=3)) for _ in range(3)]
+    v_dot, w_dot = generate_mob_acc(forces, m=m, I=inertia)
+    for wheels in np.eye(2):
+        v, w = mobile_jacobian(r, b) @ wheels
+        power = sum(
+            f[:2] @ control_point_jacobian(p[0], p[1], 0.0, r, b) @ wheels for f, p in forces
+        )
+        assert m * v_dot * v + inertia * w_dot * w == pytest.approx(power)
+
+
+def test_the_resultant_is_the_sum() -> None:
+    forces = [PairForce(np.array([1.0, 2.0, 0.0]), np.zeros(3))] * 3
+    np.testing.assert_allclose(resultant_force(forces), [3.0, 6.0, 0.0])
+    np.testing.assert_array_equal(resultant_force([]), np.zeros(3))
+    np.testing.assert_array_equal(generate_mob_acc([], m=1.0, I=1.0), np.zeros(2))
+
+
+def test_J_m_agrees_with_the_control_points_jacobian_and_has_full_rank() -> None:
+    """(19) with its second column mended is (6): [[cos φ, -y], [sin φ, x]] J_m = J_c."""
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        x, y, phi = rng.normal(size=3)
+        r, b = rng.uniform(0.05, 1.0, size=2)
+        turned = np.array([[np.cos(phi), -y], [np.sin(phi), x]]) @ mobile_jacobian(r, b)
+        np.testing.assert_allclose(turned, control_point_jacobian(x, y, phi, r, b), atol=1e-12)
+    assert np.linalg.matrix_rank(mobile_jacobian(0.165, 0.51)) == 2

@@ -1,0 +1,153 @@
+"""What touches is reported, acts, and nothing else is: the arm against base, itself and floor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.errors import UnknownNameError
+from app.robot.state import RobotState
+from app.simulation.contact_pairs import body_contact_pairs, link_contact_pairs
+from app.simulation.physics import Contacts
+from app.simulation.plants import PLANTS, make_physics
+from tests.hulls import hull_pairs
+from tests.robots import husky_panda
+
+MODEL = husky_panda()
+DESCRIPTION = MODEL.description
+READY = np.array(DESCRIPTION.arm.ready_position)
+DAMPING = np.array(DESCRIPTION.arm.joint_damping)
+IN_BASE = (0.45, 0.0, 0.15)  # [m] inside the base, under the front of its top
+FREE = (0.65, 0.1, 0.5)
+COLUMN = (0.30, 0.0, 0.6)  # inside the arm's own shoulder
+UNDERGROUND = (0.9, 0.2, -0.2)
+
+
+@pytest.fixture(params=PLANTS)
+def plant(request):
+    plant = make_physics(request.param, MODEL)
+    plant.kind = request.param
+    yield plant
+    plant.close()
+
+
+def pull(plant, goal, seconds: float = 3.0, most: float = 40.0):
+    """Pull the compensated, damped arm by its hand; gives contacts seen and measurements."""
+    plant.reset(np.zeros(3), READY)
+    state, seen, trace = RobotState(MODEL), Contacts(False, False, False), []
+    for _ in range(round(seconds / plant.dt)):
+        m = plant.measure()
+        state.update(m)
+        trace.append(m)
+        force = 400.0 * (np.array(goal) - state.T_world_ee.translation)
+        force *= min(1.0, most / np.linalg.norm(force))
+        plant.step(state.g[2:] - DAMPING * m.qd_m, (0.0, 0.0), force)
+        seen = Contacts(*np.logical_or(seen, plant.contacts()))
+    return seen, trace
+
+
+def hand_of(m) -> np.ndarray:
+    """(3,) [m] the end-effector in the world."""
+    state = RobotState(MODEL)
+    state.update(m)
+    return state.T_world_ee.translation.copy()
+
+
+@pytest.mark.parametrize(
+    ("goal", "field"),
+    [(IN_BASE, "arm_base"), (COLUMN, "arm_arm"), (UNDERGROUND, "arm_floor"), (FREE, None)],
+    ids=["base", "column", "floor", "free"],
+)
+def test_a_contact_is_reported_where_the_arm_is_driven_and_not_otherwise(plant, goal, field):
+    seen, _ = pull(plant, goal)
+    if field is None:
+        assert not any(seen)
+    else:
+        assert getattr(seen, field)
+    if field == "arm_floor" and plant.kind != "kinematic":  # whose arm swings through the base
+        assert not seen.arm_base
+
+
+@pytest.mark.parametrize("kind", ["planar", "contact"])
+@pytest.mark.parametrize("goal", [IN_BASE, COLUMN, UNDERGROUND], ids=["base", "column", "floor"])
+def test_the_arm_cannot_pass_through_what_it_touches(kind, goal):
+    """The hulls of the links, measured by another library, never enter each other."""
+    plant, hulls, data = make_physics(kind, MODEL), hull_pairs(MODEL), MODEL.pin.createData()
+    _, trace = pull(plant, goal)
+    at_home = np.zeros(3)
+    depths = [hulls.least_distance(data, MODEL.configuration(at_home, m.q_m)) for m in trace[::10]]
+    assert min(depths) > -0.003  # [m]
+    hands = np.array([hand_of(m) for m in trace])
+    assert hands[:, 2].min() > -0.01
+    assert np.linalg.norm(hands[-1] - goal) > 0.05
+    assert np.ptp(hands[-500:], axis=0).max() < 0.02  # it lies there, it is not thrown off
+    plant.close()
+
+
+@pytest.mark.parametrize("kind", ["planar", "contact"])
+def test_letting_go_ends_the_contact(kind):
+    plant = make_physics(kind, MODEL)
+    pull(plant, IN_BASE)
+    assert plant.contacts().arm_base
+    state = RobotState(MODEL)
+    for _ in range(1000):
+        m = plant.measure()
+        state.update(m)
+        lift = np.array([20.0, 0.0, 40.0])
+        plant.step(state.g[2:] - DAMPING * m.qd_m, (0.0, 0.0), lift)
+    assert not any(plant.contacts())
+    plant.close()
+
+
+@pytest.mark.parametrize("kind", ["planar", "contact"])
+def test_neighbours_in_the_arm_never_push_each_other(kind):
+    """Anywhere within the limits the only forces on a lone arm are gravity and the motors'."""
+    plant, rng = make_physics(kind, MODEL), np.random.default_rng(3)
+    state, tried = RobotState(MODEL), 0
+    while tried < 40:
+        plant.reset(np.zeros(3), rng.uniform(MODEL.q_lower, MODEL.q_upper))
+        state.update(plant.measure())
+        q = state.measurement.q_m
+        plant.step(state.g[2:], (0.0, 0.0), np.zeros(3))
+        if any(plant.contacts()):
+            continue
+        tried += 1
+        limit = 1e-9 if kind == "planar" else 5e-3  # [rad/s]; the contact base gives a little
+        assert np.abs(plant.measure().qd_m).max() < limit, q
+    plant.close()
+
+
+def test_reports_of_the_stand_in_agree_with_the_bodies_distances():
+    """Where a hull touches in pybullet, the fatter bodies overlap in the stand-in."""
+    planar, kinematic = make_physics("planar", MODEL), make_physics("kinematic", MODEL)
+    rng, found = np.random.default_rng(0), np.zeros(3, dtype=int)
+    state, on_floor = RobotState(MODEL), pull(planar, UNDERGROUND)[1][-1].q_m
+    for k in range(1500):
+        q = rng.uniform(MODEL.q_lower, MODEL.q_upper)
+        if k % 10 == 0:  # hardly any random pose reaches the floor
+            q = on_floor + rng.normal(0, 0.05, MODEL.n_m)
+        planar.reset(np.zeros(3), q)
+        state.update(planar.measure())
+        planar.step(state.g[2:], (0.0, 0.0), np.zeros(3))
+        real = np.array(planar.contacts())
+        kinematic.reset(np.zeros(3), q)
+        kinematic.step(state.g[2:], (0.0, 0.0), np.zeros(3))
+        assert not (real & ~np.array(kinematic.contacts())).any(), (q, real)
+        found += real
+    assert found.min() > 5
+    planar.close()
+    kinematic.close()
+
+
+def test_pairs_of_links_are_those_of_their_bodies():
+    bodies, links = body_contact_pairs(DESCRIPTION), link_contact_pairs(DESCRIPTION)
+    assert bodies.arm_base == {("lm", "l3"), ("lm", "lEE")}
+    assert bodies.arm_arm == {("l1", "l3"), ("l1", "lEE"), ("l2", "lEE")}
+    assert bodies.arm_floor == {"l3", "lEE"}
+    assert ("base_link", "panda_hand") in links.arm_base
+    assert ("panda_link0", "panda_link5") in links.arm_arm
+    assert not any("panda_link2" in pair for pair in links.arm_base)
+    assert not links.arm_base & links.arm_arm
+    assert body_contact_pairs(DESCRIPTION, ["lEE"]).arm_base == {("lm", "lEE")}
+    with pytest.raises(UnknownNameError, match="choose from: l1, l2, l3, lEE"):
+        body_contact_pairs(DESCRIPTION, ["hand"])

@@ -1,0 +1,98 @@
+"""pinocchio and pybullet, from one URDF, agree on the dynamics of the planar plant."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pybullet
+import pytest
+
+from app.robot.urdf import PLANAR_JOINTS
+from app.simulation.pybullet_planar import PybulletPlanar
+from tests.robots import husky_panda, random_measurement
+
+SEEDS = range(5)
+TOLERANCE = {"rtol": 1e-9, "atol": 1e-9}
+
+
+@pytest.fixture(scope="module")
+def plant():
+    plant = PybulletPlanar(husky_panda())
+    yield plant
+    plant.close()
+
+
+def random_motion(seed: int):
+    """One motion: pinocchio's q and v, pybullet's q, and the map between the velocities."""
+    rng, model = np.random.default_rng(seed), husky_panda()
+    m = random_measurement(rng)
+    phi = m.base_pose[2]
+    # pinocchio's planar velocity is in the base's frame, pybullet's x and y are the world's.
+    to_world = np.eye(3 + model.n_m)
+    to_world[:2, :2] = [[np.cos(phi), -np.sin(phi)], [np.sin(phi), np.cos(phi)]]
+    v = rng.uniform(-1, 1, 3 + model.n_m)
+    q = model.configuration(m.base_pose, m.q_m)
+    return q, v, np.concatenate([m.base_pose, m.q_m]), to_world
+
+
+def bias_of_turning_axes(v: np.ndarray) -> np.ndarray:
+    """Acceleration that pinocchio's planar coordinates have when the world's have none."""
+    a = np.zeros_like(v)
+    a[:2] = v[2] * v[1], -v[2] * v[0]
+    return a
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_mass_matrices_agree(plant, seed):
+    q, _, q_bullet, to_world = random_motion(seed)
+    model = husky_panda().pin
+    M = pin.crba(model, model.createData(), q)
+    M = np.triu(M) + np.triu(M, 1).T
+    M_bullet = np.array(
+        pybullet.calculateMassMatrix(
+            plant.world.robot, q_bullet.tolist(), physicsClientId=plant.world.client
+        )
+    )
+    np.testing.assert_allclose(M_bullet, to_world @ M @ to_world.T, **TOLERANCE)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("accelerating", [False, True], ids=["bias", "inverse dynamics"])
+def test_inverse_dynamics_agree(plant, seed, accelerating):
+    q, v, q_bullet, to_world = random_motion(seed)
+    a_bullet = np.random.default_rng(seed + 100).normal(size=len(v)) * accelerating
+    model = husky_panda().pin
+    a = to_world.T @ a_bullet + bias_of_turning_axes(v)
+    tau = pin.rnea(model, model.createData(), q, v, a)
+    tau_bullet = pybullet.calculateInverseDynamics(
+        plant.world.robot, q_bullet.tolist(), (to_world @ v).tolist(), a_bullet.tolist(),
+        physicsClientId=plant.world.client,
+    )  # fmt: skip
+    np.testing.assert_allclose(tau_bullet, to_world @ tau, **TOLERANCE)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_one_step_of_forward_dynamics_agrees(plant, seed):
+    """The whole robot, base included, falling and driven by torques on all joints."""
+    q, v, q_bullet, to_world = random_motion(seed)
+    model, world = husky_panda().pin, plant.world
+    tau_bullet = np.random.default_rng(seed + 200).normal(0, 5, len(v))
+    joints = [*(world.joints[name] for name in PLANAR_JOINTS), *plant.arm.joints]
+    plant.reset(np.zeros(3), q_bullet[3:])
+    for joint, at, speed in zip(joints, q_bullet, to_world @ v, strict=True):
+        pybullet.resetJointState(world.robot, joint, at, speed, physicsClientId=world.client)
+    pybullet.setJointMotorControlArray(
+        world.robot, joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(joints),
+        physicsClientId=world.client,
+    )  # fmt: skip
+    pybullet.setJointMotorControlArray(
+        world.robot, joints, pybullet.TORQUE_CONTROL, forces=tau_bullet,
+        physicsClientId=world.client,
+    )  # fmt: skip
+    world.step()
+    states = pybullet.getJointStates(world.robot, joints, physicsClientId=world.client)
+    a = pin.aba(model, model.createData(), q, v, to_world.T @ tau_bullet)
+    speeds = to_world @ (v + (a - bias_of_turning_axes(v)) * plant.dt)
+    assert not any(plant.contacts())
+    np.testing.assert_allclose([s[1] for s in states], speeds, **TOLERANCE)
+    np.testing.assert_allclose([s[0] for s in states], q_bullet + speeds * plant.dt, **TOLERANCE)

@@ -1,0 +1,102 @@
+"""pybullet's chatter stays out of the program's output, and its files out of the way."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from app.errors import AssetError
+from app.simulation.bullet_world import BulletWorld
+from app.simulation.plants import PLANTS, make_physics
+from tests.robots import husky_panda
+
+PROJECT = Path(__file__).resolve().parent.parent
+
+RUN = """
+from app.robot.assets import load_robot
+from app.robot.model import RobotModel
+from app.simulation.plants import make_physics
+import numpy as np
+plant = make_physics({kind!r}, RobotModel(load_robot("husky_panda")))
+for _ in range(10):
+    plant.step(np.zeros(7), (0.1, 0.0), np.ones(3))
+plant.close()
+print("one line")
+"""
+LOUD = """
+from app.simulation.bullet_world import BulletWorld
+urdf = '<robot name="r"><link name="a"/></robot>'  # pybullet warns of the missing inertia
+print("before")
+if {quietly}:
+    BulletWorld(urdf, 0.001, fixed_root=True).close()
+else:
+    import pybullet, tempfile, pathlib
+    pybullet.connect(pybullet.DIRECT)
+    with tempfile.TemporaryDirectory() as folder:
+        path = pathlib.Path(folder) / "r.urdf"
+        path.write_text(urdf)
+        pybullet.loadURDF(str(path))
+print("after")
+"""
+
+
+def output(program: str) -> subprocess.CompletedProcess[str]:
+    """What a program prints into pipes, where C's output is buffered."""
+    return subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=PROJECT, env={**os.environ, "PYTHONPATH": str(PROJECT), "PYTHONUNBUFFERED": ""},
+        capture_output=True, text=True, check=True, timeout=120,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", PLANTS)
+def test_a_plant_prints_nothing(kind):
+    result = output(RUN.format(kind=kind))
+    assert result.stdout == "one line\n"
+    assert result.stderr == ""
+
+
+def test_warnings_of_the_loader_do_not_reach_standard_output():
+    assert len(output(LOUD.format(quietly=False)).stdout) > len("before\nafter\n")
+    assert output(LOUD.format(quietly=True)).stdout == "before\nafter\n"
+
+
+def test_what_c_code_prints_is_silenced_though_it_is_buffered():
+    program = """
+import ctypes
+from app.simulation.quiet import silence
+C = ctypes.CDLL(None)
+C.puts(b"before")
+with silence(1):
+    C.puts(b"meanwhile")
+C.puts(b"after")
+"""
+    assert output(program).stdout == "before\nafter\n"
+
+
+def test_no_temporary_file_is_left(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    for kind in PLANTS:
+        make_physics(kind, husky_panda()).close()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_urdf_that_pybullet_cannot_load_is_a_clear_error():
+    with pytest.raises(AssetError, match="pybullet cannot load the robot"):
+        BulletWorld("this is no URDF", 0.001, fixed_root=True)
+
+
+def test_clients_are_released():
+    """There is a limited number of them in pybullet."""
+    for _ in range(40):
+        plant = BulletWorld('<robot name="r"><link name="a"/></robot>', 0.001, fixed_root=True)
+        plant.close()
+        plant.close()
+    with pytest.raises(AssetError):
+        BulletWorld("", 0.001, fixed_root=True)
+    make_physics("planar", husky_panda()).close()

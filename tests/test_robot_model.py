@@ -1,0 +1,116 @@
+"""The compiled model agrees with its description, its URDF and its meshes."""
+
+from __future__ import annotations
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from tests.hulls import URDF, body_pairs, collision_points, hull_pairs
+from tests.robots import husky_panda
+
+COVER = 0.005  # [m] how far a mesh may stick out of its body
+SHELTERED = {"panda_link3", "panda_link4"}
+"""The elbow sticks out of its two bodies by up to 0.18 m, which no pair notices: these links
+never meet a body that is not their neighbour (tested below)."""
+
+
+@pytest.mark.parametrize(
+    ("stated", "attribute"),
+    [
+        ("position_lower", "lower"),
+        ("position_upper", "upper"),
+        ("max_velocity", "velocity"),
+        ("max_effort", "effort"),
+    ],
+)
+def test_limits_of_the_description_are_those_of_the_urdf(stated, attribute):
+    arm = husky_panda().description.arm
+    for joint, value in zip(arm.joints, getattr(arm, stated), strict=True):
+        limit = URDF.find(f"joint[@name='{joint}']/limit")
+        assert float(limit.get(attribute)) == value, joint
+
+
+def test_wheels_of_the_urdf_stand_on_the_floor_at_the_described_radius():
+    description = husky_panda().description
+    base = description.base
+    height = float(URDF.find("joint[@name='base_joint']/origin").get("xyz").split()[2])
+    for name in (*base.left_wheel_joints, *base.right_wheel_joints):
+        joint = URDF.find(f"joint[@name='{name}']")
+        axle = height + float(joint.find("origin").get("xyz").split()[2])
+        assert axle == pytest.approx(base.wheel_radius_m, abs=0.001), name
+        hull = collision_points(joint.find("child").get("link"))
+        assert np.abs(hull[:, 2]).max() == pytest.approx(base.wheel_radius_m, abs=0.001), name
+
+
+def test_every_link_states_its_inertia():
+    """A library gives a link without one what it likes: pybullet 1 kg, pinocchio 0."""
+    for link in URDF.iterfind("link"):
+        assert link.find("inertial/mass") is not None, link.get("name")
+        assert link.find("inertial/inertia") is not None, link.get("name")
+
+
+def test_mass_of_the_model_is_the_sum_of_the_links_and_near_the_described_one():
+    model = husky_panda()
+    total = sum(float(mass.get("value")) for mass in URDF.iterfind("link/inertial/mass"))
+    assert pin.computeTotalMass(model.pin) == pytest.approx(total, rel=1e-12)
+    assert total == pytest.approx(model.description.base.mass_kg, rel=0.05)
+
+
+def test_mount_stands_where_the_papers_laboratory_put_it():
+    np.testing.assert_allclose(husky_panda().p_base(), [0.30, 0.0, 0.3883], atol=1e-9)
+
+
+def test_every_link_with_a_collision_shape_belongs_to_one_body():
+    owners = [link for body in husky_panda().description.bodies for link in body.covers]
+    assert len(owners) == len(set(owners))
+    colliding = {link.get("name") for link in URDF.iterfind("link") if link.find("collision")}
+    assert colliding <= set(owners)
+
+
+def least_signed_distance(p: np.ndarray, shapes: list, placements: list) -> float:
+    """[m] of a point to a union of shapes; negative inside."""
+    probe, at, request = coal.Sphere(1e-9), coal.Transform3s(np.eye(3), p), coal.DistanceRequest()
+    return min(
+        coal.distance(probe, at, shape, coal.Transform3s(T.rotation, T.translation), request,
+                      coal.DistanceResult())
+        for shape, T in zip(shapes, placements, strict=True)
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", husky_panda().body_names)
+def test_a_body_covers_the_meshes_of_its_links_in_every_pose(name):
+    """Links of one body may turn against each other: the law must hold for all joint positions."""
+    model, rng = husky_panda(), np.random.default_rng(0)
+    body = model.description.body(name)
+    meshes = {link: collision_points(link) for link in body.covers if link not in SHELTERED}
+    assert sum(map(len, meshes.values())) > 50
+    shapes = [shape.coal_geometry() for shape in body.shapes]
+    data, worst = model.pin.createData(), -np.inf
+    for _ in range(12 if name != "lm" else 1):  # l_m is rigid
+        q = model.configuration(np.zeros(3), rng.uniform(model.q_lower, model.q_upper))
+        pin.framesForwardKinematics(model.pin, data, q)
+        frame = data.oMf[model.pin.getFrameId(body.frame)]
+        placements = [frame * shape.placement() for shape in body.shapes]
+        for link, points in meshes.items():
+            T = data.oMf[model.pin.getFrameId(link)]
+            for p in points @ T.rotation.T + T.translation:
+                worst = max(worst, least_signed_distance(p, shapes, placements))
+    assert worst <= COVER
+
+
+def test_where_hulls_of_links_collide_their_bodies_do_and_sheltered_links_never_do():
+    """The justification of the bodies: nothing that the meshes hit is missed."""
+    model, rng = husky_panda(), np.random.default_rng(1)
+    hulls, bodies = hull_pairs(model), body_pairs(model)
+    data, hits = model.pin.createData(), 0
+    for _ in range(4000):
+        q = model.configuration(np.zeros(3), rng.uniform(model.q_lower, model.q_upper))
+        touching = hulls.colliding(data, q)
+        hits += len(touching)
+        overlapping = bodies.colliding(data, q) if touching else set()
+        for a, b in touching:
+            assert (hulls.body_of[a], hulls.body_of[b]) in overlapping, (a, b, q)
+            assert not {a, b} & SHELTERED, (a, b, q)
+    assert hits > 500

@@ -1,0 +1,143 @@
+"""§2.3: score of the border."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.border.score import (
+    ScoreField,
+    control_point_jacobian,
+    reachability,
+    score,
+    singularity_measure,
+)
+from app.errors import DescriptionError
+from app.robot.model import mobile_jacobian
+from tests.finite_differences import jacobian
+from tests.robots import husky_panda
+
+R, B_TRACK = 0.165, 0.51  # [m] paper, §2.3.1
+REACH = {"A": 525.9, "B": 0.575, "C": 100.0}  # paper, §2.3.2
+P_BASE = np.array([0.3, 0.0, 0.3883])  # [m]
+
+
+@pytest.fixture(scope="module")
+def field() -> ScoreField:
+    return ScoreField.of(husky_panda(), "lEE")
+
+
+def points(count: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).uniform([-1, -0.8, 0], [1, 0.8, 1.2], (count, 3))
+
+
+def test_6_is_the_velocity_of_a_point_fixed_to_the_base():
+    """By moving the base a little and looking where the point went."""
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        phi, wheels, local = rng.uniform(-3, 3), rng.uniform(-2, 2, 2), rng.uniform(-1, 1, 2)
+        v, w = mobile_jacobian(R, B_TRACK) @ wheels
+        h = 1e-6  # [s]
+
+        def at(t, phi=phi, v=v, w=w, local=local):
+            turn = phi + w * t
+            rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+            return v * t * np.array([np.cos(phi), np.sin(phi)]) + rotation @ local
+
+        moved = (at(h) - at(-h)) / (2 * h)
+        x, y = at(0.0)
+        J_c = control_point_jacobian(x, y, phi, R, B_TRACK)
+        np.testing.assert_allclose(J_c @ wheels, moved, atol=1e-8)
+
+
+def test_7_is_the_determinant_of_the_jacobian_of_6():
+    p = points(200)
+    expected = [
+        np.linalg.det(J @ J.T)
+        for J in (control_point_jacobian(x, y, 0.0, R, B_TRACK) for x, y, _ in p)
+    ]
+    np.testing.assert_allclose(singularity_measure(p, R, B_TRACK), expected, rtol=1e-8, atol=1e-18)
+
+
+def test_8_the_determinant_vanishes_on_the_wheels_axis_only():
+    p = points(50)
+    p[:, 0] = 0.0
+    assert (singularity_measure(p, R, B_TRACK) == 0).all()
+    p[:, 0] = 1e-3
+    assert (singularity_measure(p, R, B_TRACK) > 0).all()
+
+
+def test_9_is_the_papers_parabola_where_it_is_well_above_zero():
+    for rho in np.linspace(0.155, 0.995, 50):
+        p = P_BASE + rho * np.array([0.6, 0.0, 0.8])
+        printed = -525.9 * (rho - 0.575) ** 2 + 100
+        assert printed > 5.0
+        assert reachability(p, P_BASE, **REACH) == pytest.approx(printed, rel=1e-12)
+
+
+def test_9_is_positive_and_falls_away_from_its_best_distance_everywhere():
+    rho = np.linspace(0.575, 5.0, 2000)
+    values = reachability(P_BASE + rho[:, None] * np.array([1.0, 0, 0]), P_BASE, **REACH)
+    assert (values > 0).all()
+    assert (np.diff(values) < 0).all()
+    inward = np.linspace(0.575, 0.0, 500)
+    values = reachability(P_BASE + inward[:, None] * np.array([1.0, 0, 0]), P_BASE, **REACH)
+    assert (values > 0).all()
+    assert (np.diff(values) < 0).all()
+
+
+def test_9_joins_its_floor_with_the_same_value_and_slope():
+    join = 0.575 + np.sqrt(95 / 525.9)  # [m] where (9) is 5
+    h = 1e-7  # [m]
+    p = P_BASE + np.outer([join - 2 * h, join - h, join + h, join + 2 * h], [1.0, 0.0, 0.0])
+    at = reachability(p, P_BASE, **REACH)
+    assert at[1] == pytest.approx(5.0, abs=1e-3)
+    assert at[3] - at[2] == pytest.approx(at[1] - at[0], rel=1e-3)
+
+
+def test_10_is_mirrored_in_y_and_takes_its_sign_from_x(field):
+    p = points(500)
+    np.testing.assert_allclose(field.score(p), field.score(p * [1, -1, 1]), rtol=1e-12)
+    assert (np.sign(field.score(p)) == np.sign(p[:, 0])).all()
+    expected = np.sign(p[:, 0]) * field.singularity(p) * field.reachability(p)
+    np.testing.assert_allclose(field.score(p), expected, rtol=1e-12)
+
+
+def test_the_gradient_of_10_is_that_of_finite_differences(field):
+    p = np.concatenate([points(500), P_BASE + 1.5 * points(100, seed=1)])
+    numeric = jacobian(lambda step: field.score(p + step), 3)
+    np.testing.assert_allclose(field.gradient(p), numeric, atol=1e-7 * np.abs(numeric).max())
+    np.testing.assert_allclose(field.gradient(p[0]), field.gradient(p)[0], rtol=1e-14)
+
+
+def test_the_gradient_is_finite_at_the_mount_and_zero_on_the_wheels_axis(field):
+    assert np.isfinite(field.gradient(field.p_base)).all()
+    assert (field.gradient(np.array([0.0, 0.5, 0.2])) == 0).all()
+
+
+def test_the_direction_is_e_x_on_the_wheels_axis_as_from_both_sides(field):
+    for x in (-1e-7, 0.0, 1e-7):
+        np.testing.assert_allclose(
+            field.direction(np.array([x, 0.6, 0.3])), [1.0, 0.0, 0.0], atol=1e-5
+        )
+
+
+def test_the_direction_is_the_gradients(field):
+    p = np.array([0.4, 0.5, 0.3])
+    gradient = field.gradient(p)
+    np.testing.assert_allclose(field.direction(p), gradient / np.linalg.norm(gradient))
+
+
+def test_the_field_holds_the_papers_numbers(field):
+    assert (field.r, field.b) == (0.165, 0.51)
+    assert (field.A, field.B, field.C) == (525.9, 0.575, 100.0)
+    p = points(10)
+    np.testing.assert_allclose(
+        field.score(p), score(p, R, B_TRACK, field.p_base, **REACH), rtol=1e-14
+    )
+
+
+def test_a_body_without_coefficients_is_named():
+    model = husky_panda()
+    with pytest.raises(DescriptionError, match=r"reachability\.l1"):
+        ScoreField.of(model, "l1")
