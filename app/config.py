@@ -65,6 +65,8 @@ class TaskConfig(Strict):
     """[1/s] damping of the arm, lowest level."""
     base_damping: float = Field(3.0, ge=0.0, le=20.0)
     """[1/s] k of the base's rest acceleration −k q̇_b."""
+    base_slowness: float = Field(15.0, ge=1.0, le=100.0)
+    """[-] how much slower the base corrects errors than the arm; its commands come at 10 Hz."""
     base_weight: float = Field(1000.0, ge=1.0, le=1e6)
     """[-] how much costlier the base's acceleration is than the arm's, lowest level."""
 
@@ -102,6 +104,20 @@ class HandConfig(Strict):
     """[N s/m]"""
     f_max: float = Field(40.0, ge=1.0, le=150.0)
     """[N] largest force."""
+
+
+def slowed(task: TaskConfig, repulsion: RepulsionConfig) -> tuple[TaskConfig, RepulsionConfig]:
+    """The gains of the same closed loops, `base_slowness` times slower.
+
+    Stretching time by a factor divides stiffnesses by its square and damping by itself.
+    """
+    s = task.base_slowness
+    return (
+        task.model_copy(
+            update={"ee_stiffness": task.ee_stiffness / s**2, "ee_damping": task.ee_damping / s}
+        ),
+        repulsion.model_copy(update={"k_p": repulsion.k_p / s**2, "k_v": repulsion.k_v / s}),
+    )
 
 
 class Config(Strict):

@@ -9,7 +9,12 @@ from app.config import Config
 from app.control.controller import Controller, ControlOutput
 from app.control.hqp import HierarchicalQP, NoSolutionError
 from app.control.limits import robot_limits
-from app.control.tasks import Reference, free_arm_torque
+from app.control.tasks import (
+    Reference,
+    end_effector_task,
+    free_arm_torque,
+    posture_objective,
+)
 from app.control.transition import TaskTransition
 from app.errors import UnknownNameError
 from app.robot.link_pairs import PairDistances, candidate_pairs
@@ -107,16 +112,21 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     robot: RobotModel, controller: Controller, seed: int, pair: str
 ) -> None:
     """The controller solves base and arm apart; (29) with all rows at once gives the same."""
+    config = Config().replace("task.base_slowness", 1.0)
+    controller.configure(config)
     m = in_buffer(robot, controller, seed, pair)
     controller.reset()
     controller.step(m)
     reference = reference_here(controller, 0.05 * np.ones(6))
     output = controller.step(m, reference)
+    controller.configure(Config())
     rows = [r for r in (output.avoidance.rows_m, *output.avoidance.rows_r) if r is not None]
-    stack = controller._tracking_stack(reference)
-    limits = robot_limits(controller.state, Config().limit, np.zeros(2))
+    state = controller.state
+    levels = [end_effector_task(state, reference, config.task)]
+    objective = posture_objective(state, m.q_m, config.task)
+    limits = robot_limits(state, config.limit, np.zeros(2))
     transition = TaskTransition(HierarchicalQP(robot.n, 2 * robot.n_m + 2))
-    whole = transition.solve(rows, *stack, limits)
+    whole = transition.solve(rows, levels, objective, limits)
     np.testing.assert_allclose(
         robot.J_m @ whole.qdd[:2], output.base_acceleration, atol=1e-4, rtol=1e-4
     )

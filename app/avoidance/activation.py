@@ -6,6 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+_ONSET = 0.8  # [-] |n_z| from which on the arm has a share
+
 
 def activation(d: float, d_b: float, d_full: float) -> float:
     """β of a link pair: 0 outside the buffer, 1 at `d_full` and nearer, a cubic between.
@@ -26,7 +28,7 @@ def activation(d: float, d_b: float, d_full: float) -> float:
 def share_from_above(n_z: float) -> float:
     """How much of a pair of L_m the arm itself has to resolve, by the height of the pair's normal.
 
-    0 up to 30 degrees above the horizon, where the base can give way; 1 straight above, where no
+    0 up to 53 degrees above the horizon, where the base can give way; 1 straight above, where no
     motion of the base changes the distance; a cubic in |n_z| between. Our extension: the rows it
     weighs ask for a constant acceleration, far more than a tracking task does, so that a share that
     only faded out, such as n_z², would hold the hand up at the buffer's border from the side too.
@@ -34,7 +36,7 @@ def share_from_above(n_z: float) -> float:
     Args:
         n_z: [-] vertical component of the pair's unit normal.
     """
-    return _cubic((abs(n_z) - 0.5) / 0.5)
+    return _cubic((abs(n_z) - _ONSET) / (1.0 - _ONSET))
 
 
 def _cubic(s: float) -> float:

@@ -9,8 +9,8 @@ import numpy as np
 from app.avoidance.self_collision import Avoidance, SelfCollisionAvoidance
 from app.avoidance.task import TaskRows, mobile_rows
 from app.border.cache import BorderData
-from app.config import Config
-from app.control.hqp import EqualityTask, HierarchicalQP, NoSolutionError
+from app.config import Config, TaskConfig, slowed
+from app.control.hqp import HierarchicalQP, NoSolutionError
 from app.control.limits import robot_limits
 from app.control.tasks import (
     Reference,
@@ -58,7 +58,8 @@ class Controller:
 
     The base obeys velocity commands at a slow rate, so its acceleration is not the one that (29)
     asks for. The arm's torques are therefore solved with the acceleration that the base really has;
-    the one asked for goes to the admittance law.
+    the one asked for goes to the admittance law. What the base is asked to correct besides T_sca's
+    own rows is asked with gains that its rate can follow, else it and the arm would fight.
 
     Attributes:
         state: The robot's state at the last step.
@@ -153,13 +154,21 @@ class Controller:
         elif rows_m is not None and rows_m.beta >= 1.0:
             free = np.zeros(2)  # weighs nothing
         else:
-            stack = self._tracking_stack(reference)
-            limits = robot_limits(self.state, self._config.limit, np.zeros(2))
-            solution = self._transition.solve(rows_r, *stack, limits, slot="free")
-            free = self._model.J_m @ solution.qdd[:2]
+            free = self._model.J_m @ self._slow_solution(rows_r, reference)[:2]
         if rows_m is None:
             return np.clip(free, -limit, limit)
         return np.clip(rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free, -limit, limit)
+
+    def _slow_solution(self, rows_r: tuple[TaskRows, ...], reference: Reference) -> Array:
+        """q̈ of (29) without the base's rows, (n,), its loops as slow as the base is."""
+        task, repulsion = slowed(self._config.task, self._config.repulsion)
+        rows = [
+            row._replace(xdd=repulsion.k_p - repulsion.k_v * (row.J @ self.state.qd))
+            for row in rows_r
+        ]
+        stack = self._tracking_stack(reference, task)
+        limits = robot_limits(self.state, self._config.limit, np.zeros(2))
+        return self._transition.solve(rows, *stack, limits, slot="slow").qdd
 
     def _torques(
         self, base_acceleration: Array, rows_r: tuple[TaskRows, ...], reference: Reference | None
@@ -170,7 +179,7 @@ class Controller:
         stack = (
             Stack((), guided_arm_objective(state))
             if reference is None
-            else self._tracking_stack(reference)
+            else self._tracking_stack(reference, self._config.task)
         )
         wheels = self._J_m_inv @ base_acceleration
         limits = robot_limits(state, self._config.limit, wheels)
@@ -178,10 +187,10 @@ class Controller:
         u_a = state.M[2:] @ qdd + state.h[2:]
         return np.clip(u_a, -self._model.tau_max, self._model.tau_max)
 
-    def _tracking_stack(self, reference: Reference) -> Stack:
+    def _tracking_stack(self, reference: Reference, config: TaskConfig) -> Stack:
         assert self.q_posture is not None
-        task: EqualityTask = end_effector_task(self.state, reference, self._config.task)
-        return Stack((task,), posture_objective(self.state, self.q_posture, self._config.task))
+        task = end_effector_task(self.state, reference, config)
+        return Stack((task,), posture_objective(self.state, self.q_posture, config))
 
     def _safe_command(self) -> tuple[Array, Array]:
         """Gravity compensation and damping for the arm, braking for the base."""

@@ -1,0 +1,1 @@
+"""The distance buffer border: points around the mobile robot, their score, their file."""

@@ -1,0 +1,182 @@
+"""The file of a robot's border: one `.npz` without pickles, checked before it is believed."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+import zlib
+from pathlib import Path
+from typing import Any, NamedTuple
+from zipfile import BadZipFile
+
+import numpy as np
+
+from app.border.cloud import Cloud, make_cloud
+from app.robot.link_pairs import LinkPairs, Pair
+from app.strict import Finite, NonNegative, Strict
+
+Array = np.ndarray
+
+_BLOCK = np.array([80, 80, 50])  # [0.1 mm] points are told by their block and their place in it
+_UNREADABLE = (
+    OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error, NotImplementedError,
+    RuntimeError, MemoryError,
+)  # fmt: skip
+
+
+class DamagedFileError(Exception):
+    """A file that is not what its name says; the reason is its message."""
+
+
+class Content(NamedTuple):
+    """What a file holds."""
+
+    pairs: LinkPairs
+    clouds: dict[str, Cloud]
+
+
+class _Header(Strict):
+    format: int
+    key: str
+    mobile: tuple[tuple[str, str], ...]
+    manipulator: tuple[tuple[str, str], ...]
+    never: tuple[tuple[str, str], ...]
+    rates: dict[str, NonNegative]
+    least_distance_m: dict[str, Finite]
+    samples: int
+    seed: int
+
+
+def write(path: Path, content: Content, *, key: str, layout: int) -> None:
+    """Write a file as a whole or not at all.
+
+    Args:
+        path: The file.
+        content: What to keep.
+        key: The key of `border_key`.
+        layout: Its format number.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
+    arrays: dict[str, Any] = {**_arrays(content, key, layout)}
+    arrays["checksum"] = _checksum(arrays)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".tmp")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez_compressed(file, **arrays)
+            file.flush()
+            os.fsync(file.fileno())
+        os.chmod(name, 0o644)  # a temporary file is private, a cache need not be
+        os.replace(name, path)
+    except BaseException:
+        os.unlink(name)
+        raise
+
+
+def read(path: Path, *, key: str, layout: int) -> Content:
+    """Read a file and check it.
+
+    Raises:
+        FileNotFoundError: There is none.
+        DamagedFileError: It is not a file of this key and format, or not as it was written.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        checksum = arrays.pop("checksum")
+        if not np.array_equal(checksum, _checksum(arrays)):
+            raise DamagedFileError("its checksum does not hold")
+        header = _Header.model_validate_json(arrays["header"].tobytes())
+        if header.format != layout or header.key != key:
+            raise DamagedFileError("it belongs to another robot, sampling or version")
+        return _content(header, arrays)
+    except FileNotFoundError:
+        raise
+    except _UNREADABLE as error:
+        raise DamagedFileError(f"it cannot be read ({type(error).__name__})") from error
+
+
+def _arrays(content: Content, key: str, layout: int) -> dict[str, Array]:
+    pairs = content.pairs
+    header = _Header(
+        format=layout, key=key, mobile=pairs.mobile, manipulator=pairs.manipulator,
+        never=pairs.never, rates=pairs.rates, least_distance_m=pairs.least_distance_m,
+        samples=pairs.samples, seed=pairs.seed,
+    )  # fmt: skip
+    arrays = {"header": np.frombuffer(header.model_dump_json().encode(), dtype=np.uint8)}
+    for i, pair in enumerate(pairs.mobile):
+        for part, array in _pack(content.clouds[pair.name]).items():
+            arrays[f"cloud{i}_{part}"] = array
+    return arrays
+
+
+def _content(header: _Header, arrays: dict[str, Array]) -> Content:
+    mobile, manipulator, never = (
+        tuple(Pair(*names) for names in group)
+        for group in (header.mobile, header.manipulator, header.never)
+    )
+    pairs = LinkPairs(
+        mobile, manipulator, never, header.rates, header.least_distance_m, header.samples,
+        header.seed,
+    )  # fmt: skip
+    clouds = {
+        pair.name: _unpack(pair.name, *(arrays[f"cloud{i}_{part}"] for part in _PARTS))
+        for i, pair in enumerate(mobile)
+    }
+    return Content(pairs, clouds)
+
+
+_PARTS = ("blocks", "places", "distances")
+
+
+def _pack(cloud: Cloud) -> dict[str, Array]:
+    """Bytes that compress well: blocks in a row as differences, places in a block, distances."""
+    blocks = cloud.points // _BLOCK
+    order = np.lexsort((blocks[:, 0], blocks[:, 1], blocks[:, 2]))
+    blocks, points = blocks[order], cloud.points[order]
+    steps = np.diff(blocks, axis=0, prepend=np.zeros((1, 3), dtype=int)).astype(np.int16)
+    places = (points - blocks * _BLOCK).astype(np.uint8)
+    distances = cloud.distances[order]
+    parts = (_bytes(steps), np.ascontiguousarray(places.T), _bytes(distances[:, None]))
+    return dict(zip(_PARTS, parts, strict=True))
+
+
+def _unpack(pair: str, blocks: Array, places: Array, distances: Array) -> Cloud:
+    """The inverse of `_pack`.
+
+    Raises:
+        DamagedFileError: The arrays are not of the right type or shape.
+    """
+    n = places.shape[-1]
+    shapes = [(blocks, (3, 2, n)), (places, (3, n)), (distances, (1, 2, n))]
+    if any(array.dtype != np.uint8 or array.shape != shape for array, shape in shapes):
+        raise DamagedFileError("an array of it has the wrong type or shape")
+    steps = _numbers(blocks, np.dtype("<i2"))
+    points = steps.cumsum(axis=0) * _BLOCK + places.T
+    return make_cloud(
+        pair, points.astype(np.int16), _numbers(distances, np.dtype("<u2"))[:, 0].astype(np.uint16)
+    )
+
+
+def _bytes(array: Array) -> Array:
+    """(k, 2, N) uint8: low and high bytes of each column of (N, k) 16-bit numbers, apart."""
+    little = np.ascontiguousarray(array.T).astype(array.dtype.newbyteorder("<"))
+    return np.ascontiguousarray(little.view(np.uint8).reshape(*little.shape, 2).transpose(0, 2, 1))
+
+
+def _numbers(planes: Array, dtype: np.dtype) -> Array:
+    """(N, k) 16-bit numbers, the inverse of `_bytes`."""
+    return np.ascontiguousarray(planes.transpose(0, 2, 1)).view(dtype)[..., 0].T
+
+
+def _checksum(arrays: dict[str, Array]) -> Array:
+    """(32,) uint8 over names, types, shapes and bytes."""
+    total = hashlib.blake2b(digest_size=32)
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        total.update(f"{name} {array.dtype.str} {array.shape};".encode())
+        total.update(array.data)
+    return np.frombuffer(total.digest(), dtype=np.uint8)

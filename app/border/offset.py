@@ -1,0 +1,175 @@
+"""The exact offset of the mobile robot, {p : distance to l_m = d_b}, as horizontal contours.
+
+It stands in wherever the border's cloud has no point at a height: never an empty slice, never a
+zero force.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from app.border.mobile import ConvexPart, MobileBody
+from app.robot.model import RobotModel
+
+Array = np.ndarray
+
+RAYS = 360
+_STEP = 0.01  # [m] between heights, and along the arc above the top
+_TOLERANCE = 1e-6  # [m] of the distance on a contour
+_MAX_NEWTON = 30
+
+
+class OnContour(NamedTuple):
+    """A point of a contour.
+
+    Attributes:
+        xy: (2,) [m] in the base's frame.
+        tangent: (2,) unit vector along the contour, counter-clockwise from above.
+    """
+
+    xy: Array
+    tangent: Array
+
+
+class OffsetContours:
+    """Closed polygons around l_m, one a height, each vertex at the distance d_b.
+
+    Vertices stand on rays from a centre of l_m. Where l_m is not star-shaped in plan, what the rays
+    do not see is bridged: the contour is then its outer hull along the rays. Between two heights
+    the polygons are blended vertex by vertex.
+
+    Attributes:
+        d_b: [m] buffer distance.
+        heights: (H,) [m] of the polygons, ascending from the floor to l_m's top plus d_b.
+        vertices: (H, RAYS + 1, 2) [m] in the base's frame, counter-clockwise, the first one
+            repeated.
+    """
+
+    def __init__(self, model: RobotModel, d_b: float) -> None:
+        """Trace all contours for a buffer distance d_b [m]."""
+        self.d_b = d_b
+        body = MobileBody(model)
+        angles = np.linspace(0.0, 2 * np.pi, RAYS, endpoint=False)
+        rays = np.column_stack([np.cos(angles), np.sin(angles)])
+        centre = _centre(body)
+        heights, rings = [], []
+        ends = [None] * len(body.parts)
+        for z in _levels(float(body.upper[2]), d_b):
+            ends = [
+                _ray_ends(part, centre, rays, float(z), d_b, start)
+                for part, start in zip(body.parts, ends, strict=True)
+            ]
+            outermost = np.max(ends, axis=0)
+            if not np.isfinite(outermost).all():
+                continue
+            ring = centre + outermost[:, None] * rays
+            heights.append(z)
+            rings.append(np.concatenate([ring, ring[:1]]))
+        self.heights = np.array(heights)
+        self.vertices = np.array(rings)
+        # x + iy: one product gives the dot product of many edges, at a third of the cost of rows.
+        corners = self.vertices[..., 0] + 1j * self.vertices[..., 1]
+        self._starts, self._edges = corners[:, :-1], np.diff(corners, axis=1)
+        self._inverse = 1.0 / self._edges
+        # Beside upright walls polygons repeat and need no blending.
+        self._same = (self.vertices[1:] == self.vertices[:-1]).all(axis=(1, 2))
+
+    def contour(self, z: float) -> Array | None:
+        """(RAYS + 1, 2) [m] closed polygon at a height z [m], or None where there is none."""
+        at = self._between(z)
+        if at is None:
+            return None
+        k, share = at
+        if share == 0.0:
+            return self.vertices[k]
+        return (1.0 - share) * self.vertices[k] + share * self.vertices[k + 1]
+
+    def nearest(self, p_xy: Array, z: float) -> OnContour | None:
+        """The nearest point of the contour at a height, exact on its polygon.
+
+        Args:
+            p_xy: (2,) [m] in the base's frame.
+            z: [m] height above the floor.
+
+        Returns:
+            None where there is no contour at that height.
+        """
+        at = self._between(z)
+        if at is None:
+            return None
+        k, share = at
+        start, edge, inverse = self._starts[k], self._edges[k], self._inverse[k]
+        if share != 0.0:
+            start = start + share * (self._starts[k + 1] - start)
+            edge = edge + share * (self._edges[k + 1] - edge)
+            inverse = 1.0 / edge
+        to_p = complex(p_xy[0], p_xy[1]) - start
+        along = (to_p * inverse).real  # the share of each edge at the foot of p
+        off = to_p - np.minimum(np.maximum(along, 0.0), 1.0) * edge
+        i = int((off.real**2 + off.imag**2).argmin())
+        xy = start[i] + min(max(along[i], 0.0), 1.0) * edge[i]
+        tangent = edge[i] / abs(edge[i])
+        return OnContour(np.array([xy.real, xy.imag]), np.array([tangent.real, tangent.imag]))
+
+    def _between(self, z: float) -> tuple[int, float] | None:
+        """Index of the polygon at or below a height, and the share of the next one."""
+        heights = self.heights
+        if not len(heights) or not heights[0] <= z <= heights[-1]:
+            return None
+        k = int(heights.searchsorted(z, "right")) - 1
+        if heights[k] == z or self._same[k]:
+            return k, 0.0
+        return k, (z - heights[k]) / (heights[k + 1] - heights[k])
+
+
+def _centre(body: MobileBody) -> Array:
+    """(2,) [m] the point in plan from which the rays start: inside of the largest part's box."""
+    part = max(body.parts, key=lambda p: float(np.prod((p.upper - p.lower)[:2])))
+    return (part.lower[:2] + part.upper[:2]) / 2
+
+
+def _levels(top: float, d_b: float) -> Array:
+    """(H,) [m] heights: every 10 mm beside l_m, then every 10 mm of arc over its upper edge."""
+    beside = np.linspace(0.0, top, max(2, int(np.ceil(top / _STEP)) + 1))
+    arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]
+    # At the very end the contour lies on the flat of the offset, where rays graze: stop just short.
+    arc[-1] -= 1e-3
+    return np.concatenate([beside, top + d_b * np.sin(arc)])
+
+
+def _ray_ends(
+    part: ConvexPart, centre: Array, rays: Array, z: float, d_b: float, start: Array | None
+) -> Array:
+    """(RAYS,) [m] how far along each ray the offset of one part ends; −inf where it misses it."""
+    outside = float(np.abs(np.concatenate([part.lower, part.upper])[[0, 1, 3, 4]]).max())
+    beyond = 2 * (outside + d_b + float(np.abs(centre).max()))
+    ends = np.empty(len(rays))
+    origin = (float(centre[0]), float(centre[1]), z)
+    for k, (x, y) in enumerate(rays.tolist()):
+        first = beyond if start is None or not np.isfinite(start[k]) else float(start[k])
+        ends[k] = _newton(part, origin, (x, y), first, d_b)
+    return ends
+
+
+def _newton(
+    part: ConvexPart, origin: tuple[float, float, float], ray: tuple[float, float], s: float,
+    d_b: float,
+) -> float:  # fmt: skip
+    """Outer root [m] of distance(origin + s ray) = d_b, or −inf if the ray misses.
+
+    The distance to a convex part is a convex function of s: from any start on the rising side the
+    first step lands at the outer root or beyond it, and the next ones come down to it.
+    """
+    point = np.array(origin)
+    for _ in range(_MAX_NEWTON):
+        point[0], point[1] = origin[0] + s * ray[0], origin[1] + s * ray[1]
+        d, normal = part.distance_and_normal(point)
+        slope = normal[0] * ray[0] + normal[1] * ray[1]
+        if abs(d - d_b) < _TOLERANCE:
+            return s if slope >= 0.0 else -np.inf
+        if slope <= 1e-9:
+            return -np.inf
+        s -= (d - d_b) / slope
+    return s

@@ -1,0 +1,82 @@
+"""Lines between the closest points of all link pairs, with their distances on demand."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+import viser
+
+from app.dashboard.colours import distance_colour
+from app.dashboard.view import View
+from app.simulation.snapshot import PairReading, Snapshot
+
+Array = np.ndarray
+
+NODE = "/distances"
+_ANCHORS: tuple[Literal["bottom-left", "center-left", "center-right", "top-right"], ...] = (
+    "bottom-left", "center-left", "center-right", "top-right",
+)  # fmt: skip
+"""Sides on which the labels stand in turn, so that those of neighbouring lines do not overlap."""
+
+
+class PairLines:
+    """Thin lines for pairs outside of their buffer, thick ones for those inside."""
+
+    def __init__(self, server: viser.ViserServer, names: list[str]) -> None:
+        """Lines and labels of the pairs of these names, hidden until the first update."""
+        nothing = np.zeros((len(names), 2, 3))
+        self._thin, self._thick = (
+            server.scene.add_line_segments(
+                f"{NODE}/{kind}", nothing, np.zeros((len(names), 2, 3), np.uint8),
+                thickness=pixels, thickness_units="screen", visible=False,
+            )
+            for kind, pixels in (("outside", 1.5), ("inside", 4.0))
+        )  # fmt: skip
+        self._labels = {
+            name: server.scene.add_label(
+                f"{NODE}/label_{name}", name, visible=False, anchor=_ANCHORS[i % len(_ANCHORS)],
+                font_screen_scale=0.85,
+            )
+            for i, name in enumerate(names)
+        }  # fmt: skip
+
+    def update(self, snapshot: Snapshot, view: View, *, texts: bool) -> None:
+        """Move the lines; renew the labels' texts only if `texts`, at the panels' lower rate."""
+        d_b, d_full = snapshot.config.border.d_b, snapshot.config.activation.d_full
+        self._thin.visible = view.distances
+        self._thick.visible = view.distances
+        if view.distances:
+            colours = np.array(
+                [distance_colour(p.d, d_b, d_full) for p in snapshot.pairs], np.uint8
+            )
+            for lines, inside in ((self._thin, False), (self._thick, True)):
+                lines.points = segments(snapshot.pairs, d_b, inside=inside)
+                lines.colors = np.repeat(colours[:, None, :], 2, axis=1)
+        for pair in snapshot.pairs:
+            self._update_label(pair, view, d_b, texts=texts)
+
+    def _update_label(self, pair: PairReading, view: View, d_b: float, *, texts: bool) -> None:
+        label = self._labels[pair.name]
+        label.visible = view.distances and (
+            view.labels == "all" or (view.labels == "active" and pair.d < d_b)
+        )
+        if label.visible:
+            # Between the base and the arm stand the acting points with their own labels.
+            label.position = pair.p_a if pair.mobile else (pair.p_a + pair.p_b) / 2
+            if texts:
+                label.text = f"{pair.name}  {1000 * pair.d:.0f} mm"
+
+
+def segments(pairs: tuple[PairReading, ...], d_b: float, *, inside: bool) -> Array:
+    """(N, 2, 3) [m] one segment a pair; a pair of the other kind shrinks to a point.
+
+    Args:
+        pairs: All pairs.
+        d_b: [m] buffer distance.
+        inside: Whether the pairs inside of their buffer are wanted, or those outside.
+    """
+    ends = np.array([(pair.p_a, pair.p_b) for pair in pairs], dtype=float).reshape(-1, 2, 3)
+    unwanted = np.array([(pair.d < d_b) != inside for pair in pairs], dtype=bool)
+    ends[unwanted, 1] = ends[unwanted, 0]
+    return ends

@@ -1,0 +1,112 @@
+"""Tab "Run": reset and pause, state of the simulation, distances of all pairs."""
+
+from __future__ import annotations
+
+import viser
+
+from app.dashboard.colours import SERIES, css, distance_colour
+from app.dashboard.hand import Sink
+from app.dashboard.notices import Notices
+from app.simulation.snapshot import PairReading, Pause, Reset, Snapshot
+
+BAR_RANGE = 0.5  # [m] distance that fills a bar of the table
+GOOD, BAD = "#2f9e5b", css((222, 49, 40))
+
+
+class RunPanel:
+    """Buttons and readings."""
+
+    def __init__(self, server: viser.ViserServer, sink: Sink, notices: Notices) -> None:
+        """Build the tab in the GUI container that is now open."""
+        self._paused = False
+        self._pause = server.gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+        reset = server.gui.add_button("Reset", icon=viser.Icon.REFRESH, color="gray")
+        self._status = server.gui.add_html("")
+        self._pairs = server.gui.add_html("")
+        self._pause.on_click(notices.guard(lambda _: sink.send(Pause(not self._paused))))  # type: ignore[arg-type]
+        reset.on_click(notices.guard(lambda _: sink.send(Reset())))  # type: ignore[arg-type]
+
+    def update(self, snapshot: Snapshot) -> None:
+        """Renew the readings; what has not changed is not sent."""
+        if snapshot.paused != self._paused:
+            self._paused = snapshot.paused
+            self._pause.label = "Continue" if snapshot.paused else "Pause"
+            icon = viser.Icon.PLAYER_PLAY if snapshot.paused else viser.Icon.PLAYER_PAUSE
+            self._pause.icon = icon
+        for handle, html in (
+            (self._status, status_html(snapshot)),
+            (self._pairs, pairs_html(snapshot)),
+        ):
+            if handle.content != html:
+                handle.content = html
+
+
+def status_html(snapshot: Snapshot) -> str:
+    """The state of the simulation as a table of HTML; what should worry is red."""
+    v, w = snapshot.base_velocity
+    contact = "arm on base" if snapshot.in_contact else ""
+    contact += (" and " if contact else "") + "within arm" if snapshot.arm_in_contact else ""
+    state = "paused" if snapshot.paused else "running"
+    pull = f"{sum(f * f for f in snapshot.hand_force) ** 0.5:.1f} N"
+    rows = [
+        ("time", f"{snapshot.t:.1f} s", None),
+        ("state", f"{state}, {snapshot.mode}", None),
+        ("controller", snapshot.controller, None),
+        ("real-time factor", f"{snapshot.realtime_factor:.2f}",
+         not snapshot.paused and snapshot.realtime_factor < 0.95),
+        ("control step", f"{snapshot.step_time_us:.0f} µs, {snapshot.overruns:,} late", None),
+        ("contact", contact or "none", bool(contact)),
+        ("solver failures", f"{snapshot.solver_failures}", snapshot.solver_failures > 0),
+        ("person pulls", pull if snapshot.hand_target is not None else "no", None),
+        ("hand off target", f"{1000 * snapshot.ee_error:.0f} mm", None),
+        ("base", f"{_signed(v)} m/s, {_signed(w)} rad/s", None),
+    ]  # fmt: skip
+    body = "".join(_status_row(*row) for row in rows)
+    return (
+        f'<table style="width:100%;font-size:.82em;line-height:1.65;padding:0 .7em">{body}</table>'
+    )
+
+
+def _signed(value: float) -> str:
+    return f"{round(value, 2) + 0.0:+.2f}".replace("-", "−")  # + 0.0 turns −0.0 into 0.0
+
+
+def _status_row(label: str, value: str, bad: bool | None) -> str:
+    colour = "" if bad is None else f"color:{BAD if bad else GOOD};font-weight:600"
+    return (
+        f'<tr><td style="opacity:.65">{label}</td><td style="text-align:right;'
+        f'font-variant-numeric:tabular-nums;{colour}">{value}</td></tr>'
+    )
+
+
+def pairs_html(snapshot: Snapshot) -> str:
+    """Distances and activations of all pairs, those of L_m first, as a table of HTML."""
+    head = (
+        '<tr style="opacity:.65"><td></td><td>pair</td><td></td>'
+        '<td style="text-align:right">d [mm]</td><td style="text-align:right">β</td></tr>'
+    )
+    rows = "".join(_pair_row(i, pair, snapshot) for i, pair in enumerate(snapshot.pairs))
+    return (
+        '<table style="width:100%;font-size:.82em;line-height:1.65;padding:.3em .7em;'
+        f'font-variant-numeric:tabular-nums">{head}{rows}</table>'
+    )
+
+
+def _pair_row(i: int, pair: PairReading, snapshot: Snapshot) -> str:
+    config = snapshot.config
+    colour = css(distance_colour(pair.d, config.border.d_b, config.activation.d_full))
+    share = 100.0 * min(max(pair.d, 0.0), BAR_RANGE) / BAR_RANGE
+    mark = 100.0 * min(config.border.d_b, BAR_RANGE) / BAR_RANGE
+    bar = (
+        '<div style="position:relative;height:.55em;background:rgba(128,138,150,.22);'
+        f'border-radius:2px"><div style="width:{share:.0f}%;height:100%;background:{colour};'
+        f'border-radius:2px"></div><div style="position:absolute;left:{mark:.0f}%;top:-.15em;'
+        'width:1px;height:.85em;background:currentColor;opacity:.7"></div></div>'
+    )
+    dot = f'<span style="color:{SERIES[i % len(SERIES)]}">●</span>'
+    millimetres = f"{1000 * pair.d:.0f}".replace("-", "−")
+    return (
+        f'<tr><td>{dot}</td><td style="white-space:nowrap">{pair.name}</td>'
+        f'<td style="width:45%">{bar}</td><td style="text-align:right">{millimetres}</td>'
+        f'<td style="text-align:right">{pair.beta:.2f}</td></tr>'
+    )

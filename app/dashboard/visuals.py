@@ -1,0 +1,113 @@
+"""The robot's visual meshes, read off the URDF and made light enough for a browser."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import coal
+import numpy as np
+import pinocchio as pin
+import trimesh
+
+from app.dashboard.colours import Rgb
+from app.errors import AssetError
+from app.robot.description import RobotDescription
+from app.robot.urdf import resolved_urdf
+
+Array = np.ndarray
+
+MAX_FACES = 2500
+"""Faces a mesh may have on the page; the Panda's links come with 12,000 to 22,000."""
+CREASE = np.deg2rad(35.0)  # [rad] sharper edges are drawn as edges, not shaded over
+GREY: Rgb = (150, 150, 155)
+"""Colour of a visual for which the URDF states none."""
+
+
+class Visual(NamedTuple):
+    """One mesh in the frame of the joint that moves it."""
+
+    name: str
+    joint: int
+    """Index of pinocchio's joint, 0 for what is fixed to the root."""
+    placement: pin.SE3
+    """T_joint_mesh."""
+    mesh: trimesh.Trimesh
+    colour: Rgb
+
+
+def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual]:
+    """All visual meshes of the URDF, decimated, in the URDF's colours.
+
+    Args:
+        description: The robot.
+        model: pinocchio's model of the whole URDF, whose joints the visuals refer to.
+
+    Raises:
+        AssetError: The URDF or a mesh is not there.
+    """
+    geometry = pin.buildGeomFromUrdfString(
+        model, resolved_urdf(description), pin.GeometryType.VISUAL
+    )
+    ready: dict[tuple[str, bytes], trimesh.Trimesh] = {}  # four wheels share one file
+    visuals = []
+    for item in geometry.geometryObjects:
+        key = (item.meshPath, np.asarray(item.meshScale).tobytes())
+        is_file = isinstance(item.geometry, coal.BVHModelBase)
+        if not is_file or key not in ready:
+            mesh = read_mesh(item.meshPath) if is_file else mesh_of(item.geometry)
+            ready[key] = for_display(mesh.apply_scale(item.meshScale) if is_file else mesh)
+        # A copy: the placement inside the item dies with `geometry`.
+        placement = item.placement.copy()
+        visuals.append(Visual(item.name, item.parentJoint, placement, ready[key], _colour(item)))
+    return visuals
+
+
+def read_mesh(path: str) -> trimesh.Trimesh:
+    """The triangles of a mesh file, parts joined, equal vertices merged, textures left behind.
+
+    Raises:
+        AssetError: The file cannot be read, or its format needs a package that is not installed.
+    """
+    try:
+        mesh = trimesh.load(path, force="mesh", skip_materials=True)
+    except (ImportError, NotImplementedError, ValueError, OSError) as error:
+        raise AssetError(f"{path}: trimesh cannot read it: {error}") from None
+    assert isinstance(mesh, trimesh.Trimesh)
+    # A new mesh of positions only: textures would be copied with every part of it.
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
+
+
+def mesh_of(geometry: coal.CollisionGeometry) -> trimesh.Trimesh:
+    """The triangles of a primitive shape.
+
+    Raises:
+        TypeError: A shape that a URDF cannot hold.
+    """
+    if isinstance(geometry, coal.Box):
+        return trimesh.creation.box(extents=2.0 * np.asarray(geometry.halfSide))
+    if isinstance(geometry, coal.Cylinder):
+        return trimesh.creation.cylinder(geometry.radius, 2.0 * geometry.halfLength, sections=48)
+    if isinstance(geometry, coal.Sphere):
+        return trimesh.creation.icosphere(subdivisions=3, radius=geometry.radius)
+    if isinstance(geometry, coal.Capsule):
+        mesh = trimesh.creation.capsule(2.0 * geometry.halfLength, geometry.radius, count=[24, 24])
+        return mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    raise TypeError(f"no mesh for {type(geometry).__name__}")
+
+
+def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A mesh of at most about `MAX_FACES`, with the vertices of sharp edges doubled.
+
+    The browser averages normals over shared vertices, so without the doubling every edge of a box
+    would look like a pillow.
+    """
+    if len(mesh.faces) > MAX_FACES:
+        mesh = mesh.simplify_quadric_decimation(face_count=MAX_FACES)
+    return trimesh.graph.smooth_shade(mesh, angle=CREASE)
+
+
+def _colour(item: pin.GeometryObject) -> Rgb:
+    if not item.overrideMaterial:
+        return GREY
+    r, g, b = (round(255 * channel) for channel in item.meshColor[:3])
+    return r, g, b

@@ -1,0 +1,192 @@
+"""A loop without physics: the arm follows the person kinematically, the base backs off."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+
+import numpy as np
+import pinocchio as pin
+
+from app.border.cloud import Cloud, make_cloud, quantise_distances, quantise_points
+from app.border.mobile import MobileBody
+from app.config import Config
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
+from app.simulation.snapshot import (
+    ActingReading,
+    Command,
+    Configure,
+    PairReading,
+    Pause,
+    Pull,
+    Reset,
+    Snapshot,
+)
+
+Array = np.ndarray
+
+PAIRS = (("lm", "lEE"), ("lm", "l3"), ("l1", "lEE"), ("l1", "l3"), ("l2", "lEE"))
+DT = 0.02  # [s] of one step of the script
+HAND_SPEED = 0.25  # [m/s] at which the hand follows the person
+
+
+class ScriptedLoop:
+    """The interface of the simulation's loop; every command is recorded in `commands`.
+
+    The hand moves towards where it is pulled, the base backs off at a speed in proportion to the
+    activation. Distances, closest points and the end-effector are those of the real model.
+    """
+
+    def __init__(self, model: RobotModel, q_m: Array | None = None) -> None:
+        self.model = model
+        self.commands: list[Command] = []
+        self.error: BaseException | None = None
+        self._state = RobotState(model)
+        self._distances = _PairDistances(model)
+        self._q_start = np.array(model.description.arm.ready_position if q_m is None else q_m)
+        self._config, self._paused, self._lock = Config(), False, threading.Lock()
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._ring: deque[Snapshot] = deque(maxlen=3000)
+        self._reset()
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._stopping.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def send(self, command: Command) -> None:
+        with self._lock:
+            self.commands.append(command)
+            if isinstance(command, Pull):
+                self._target = None if command.target is None else np.array(command.target)
+            elif isinstance(command, Configure):
+                self._config = command.config
+            elif isinstance(command, Pause):
+                self._paused = command.paused
+            elif isinstance(command, Reset):
+                self._reset()
+            self._publish()
+
+    def latest(self) -> Snapshot:
+        return self._latest
+
+    def history(self, after: float) -> list[Snapshot]:
+        with self._lock:
+            return [snapshot for snapshot in self._ring if snapshot.t > after]
+
+    def pulls(self) -> list[tuple[float, float, float] | None]:
+        """Targets of all pulls so far."""
+        with self._lock:
+            return [command.target for command in self.commands if isinstance(command, Pull)]
+
+    def _reset(self) -> None:
+        self._t, self._base = 0.0, np.zeros(3)
+        self._q, self._target, self._v = self._q_start.copy(), None, 0.0
+        self._wheel = 0.0
+        self._ring.clear()
+        self._publish()
+
+    def _run(self) -> None:
+        while not self._stopping.wait(DT):
+            with self._lock:
+                if not self._paused:
+                    self._step()
+                self._publish()
+
+    def _step(self) -> None:
+        self._t += DT
+        snapshot = self._latest
+        self._v = -0.3 * snapshot.beta_m
+        self._base[:2] += DT * self._v * np.array([np.cos(self._base[2]), np.sin(self._base[2])])
+        self._wheel += DT * self._v / self.model.description.base.wheel_radius_m
+        if self._target is None:
+            return
+        stretch = self._target - snapshot.p_ee
+        v = stretch * min(HAND_SPEED / max(np.linalg.norm(stretch), 1e-9), 1.0 / DT)
+        J = self._state.J_ee[:3, 2:]
+        self._q += DT * J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(3), v)
+        self._q = np.clip(self._q, self.model.q_lower, self.model.q_upper)
+
+    def _publish(self) -> None:
+        state, config = self._state, self._config
+        state.update(Measurement(self._base, np.zeros(2), self._q, np.zeros(self.model.n_m)))
+        pairs = self._distances(state, config)
+        p_ee = state.T_world_ee.translation.copy()
+        stretch = np.zeros(3) if self._target is None else self._target - p_ee
+        force = config.hand.stiffness * stretch
+        force *= min(1.0, config.hand.f_max / max(float(np.linalg.norm(force)), 1e-9))
+        beta_m = max(pair.beta for pair in pairs if pair.mobile)
+        quaternion = pin.Quaternion(state.T_world_ee.rotation).coeffs()  # x, y, z, w
+        self._latest = Snapshot(
+            t=self._t, base_pose=self._base.copy(), base_velocity=np.array([self._v, 0.0]),
+            base_velocity_command=np.array([self._v, 0.0]),
+            base_acceleration=np.zeros(2), avoidance_acceleration=beta_m * np.array([-0.8, 0.5]),
+            wheel_angles=np.full(2, self._wheel), q_m=self._q.copy(), u_a=np.zeros(self.model.n_m),
+            p_ee=p_ee, wxyz_ee=quaternion[[3, 0, 1, 2]], pairs=pairs,
+            acting=tuple(_acting(p, config) for p in pairs if p.mobile and p.beta > 0),
+            beta_m=beta_m, hand_target=self._target, hand_force=force,
+            ee_error=float(np.linalg.norm(stretch)), in_contact=any(p.d <= 0 for p in pairs),
+            arm_in_contact=False, solver_failures=0, step_time_us=212.0, realtime_factor=1.0,
+            overruns=3, paused=self._paused, mode="guiding", controller="dbb", config=config,
+        )  # fmt: skip
+        if not self._ring or self._t > self._ring[-1].t:
+            self._ring.append(self._latest)
+
+
+class _PairDistances:
+    """Signed distances and closest points of the paper's pairs."""
+
+    def __init__(self, model: RobotModel) -> None:
+        self._model, self._geometry = model, model.geometry.copy()
+        for a, b in PAIRS:
+            ids = model.shape_ids[a][0], model.shape_ids[b][0]
+            self._geometry.addCollisionPair(pin.CollisionPair(*ids))
+        self._data = pin.GeometryData(self._geometry)
+
+    def __call__(self, state: RobotState, config: Config) -> tuple[PairReading, ...]:
+        pin.updateGeometryPlacements(self._model.pin, state.data, self._geometry, self._data)
+        pin.computeDistances(self._geometry, self._data)
+        readings = []
+        d_b, d_full = config.border.d_b, config.activation.d_full
+        for (a, b), result in zip(PAIRS, self._data.distanceResults, strict=True):
+            d = float(result.min_distance)
+            u = np.clip((d_b - d) / (d_b - d_full), 0.0, 1.0)
+            p_a, p_b = np.array(result.getNearestPoint1()), np.array(result.getNearestPoint2())
+            readings.append(
+                PairReading(f"{a}-{b}", a == "lm", d, float(u * u * (3 - 2 * u)), p_a, p_b)
+            )
+        return tuple(readings)
+
+
+def _acting(pair: PairReading, config: Config) -> ActingReading:
+    """Where a flat border would have them: p_n straight behind p_b, p_t 0.1 m to the side."""
+    out = (pair.p_b - pair.p_a) * [1.0, 1.0, 0.0]
+    out /= max(float(np.linalg.norm(out)), 1e-9)
+    p_n = pair.p_b + (config.border.d_b - pair.d) * out
+    p_t = p_n + 0.1 * np.array([-out[1], out[0], 0.0])
+    p_act = p_t - 0.015 * out
+    f = pair.p_b - p_act
+    f *= config.force.f_max * max(0.0, 1 - pair.d / config.border.d_b) / np.linalg.norm(f)
+    return ActingReading(pair.name, p_n, p_t, p_act, f)
+
+
+def fake_clouds(model: RobotModel, spacing: float = 0.012) -> dict[str, Cloud]:
+    """P_i of the pairs of L_m as a regular grid around l_m, as if every point could be reached."""
+    mobile = MobileBody(model)
+    margin = 0.32  # [m] a little more than the largest buffer distance
+    axes = [np.arange(low, high, spacing) for low, high in
+            zip(mobile.lower - margin, mobile.upper + margin, strict=True)]  # fmt: skip
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = quantise_points(grid[grid[:, 2] > 0.0])
+    d_m = mobile.distance(grid * 1e-4)
+    near = (d_m > 0.03) & (d_m < margin)
+    return {
+        f"{a}-{b}": make_cloud(f"{a}-{b}", grid[near], quantise_distances(d_m[near]))
+        for a, b in PAIRS
+        if a == "lm"
+    }

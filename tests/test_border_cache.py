@@ -1,0 +1,208 @@
+"""The border's file: what is written is what is read, and nothing else is believed."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.border import archive, cache
+from app.border.archive import Content, DamagedFileError
+from app.border.cache import load_border_data
+from app.border.cloud import make_cloud
+from app.border.key import border_key
+from app.border.sampling_config import SamplingConfig
+from app.robot import assets
+from app.robot.link_pairs import LinkPairs, Pair
+from app.robot.model import RobotModel
+from tests.robots import husky_panda
+
+TINY = SamplingConfig(
+    pair_samples=2000, cloud_samples=1000, voxel_plan=0.1, voxel_height=0.1, sectors=2, retries=0
+)
+
+
+def content(count: int = 1000) -> Content:
+    rng = np.random.default_rng(0)
+    mobile = (Pair("lm", "lEE"), Pair("lm", "l3"))
+    clouds = {
+        pair.name: make_cloud(
+            pair.name,
+            rng.integers(-32000, 32000, (count, 3)).astype(np.int16),
+            rng.integers(0, 65535, count).astype(np.uint16),
+        )
+        for pair in mobile
+    }
+    rates = {"lm-lEE": 0.07, "lm-l3": 0.03, "lm-l2": 0.0}
+    pairs = LinkPairs(mobile, (), (Pair("lm", "l2"),), rates, {"lm-l2": 0.237}, 100, 0)
+    return Content(pairs, clouds)
+
+
+def assert_same(a: Content, b: Content) -> None:
+    assert a.pairs == b.pairs
+    assert a.clouds.keys() == b.clouds.keys()
+    for name, cloud in a.clouds.items():
+        np.testing.assert_array_equal(cloud.points, b.clouds[name].points)
+        np.testing.assert_array_equal(cloud.distances, b.clouds[name].distances)
+        assert cloud.points.dtype == b.clouds[name].points.dtype
+        assert cloud.distances.dtype == b.clouds[name].distances.dtype
+
+
+@pytest.mark.parametrize("count", [0, 1, 1000])
+def test_what_is_written_is_what_is_read(tmp_path, count):
+    path = tmp_path / "new" / "x.npz"
+    archive.write(path, content(count), key="k", layout=1)
+    assert_same(archive.read(path, key="k", layout=1), content(count))
+    assert [file.name for file in path.parent.iterdir()] == ["x.npz"]
+
+
+def test_the_same_content_gives_the_same_bytes(tmp_path):
+    for name in ("a.npz", "b.npz"):
+        archive.write(tmp_path / name, content(), key="k", layout=1)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_a_file_of_another_key_or_format_is_not_believed(tmp_path):
+    path = tmp_path / "x.npz"
+    archive.write(path, content(), key="k", layout=1)
+    for key, layout in (("other", 1), ("k", 2)):
+        with pytest.raises(DamagedFileError, match="another"):
+            archive.read(path, key=key, layout=layout)
+
+
+def test_no_flipped_byte_and_no_cut_goes_unseen(tmp_path):
+    """Either the file is refused, or the flip fell on a byte that zip does not read."""
+    path = tmp_path / "x.npz"
+    archive.write(path, content(50), key="k", layout=1)
+    good = path.read_bytes()
+    refused = 0
+    for at in range(0, len(good), max(1, len(good) // 400)):
+        path.write_bytes(good[:at] + bytes([good[at] ^ 0x41]) + good[at + 1 :])
+        try:
+            assert_same(archive.read(path, key="k", layout=1), content(50))
+        except DamagedFileError:
+            refused += 1
+    assert refused > 200
+    for length in range(0, len(good), max(1, len(good) // 40)):
+        path.write_bytes(good[:length])
+        with pytest.raises(DamagedFileError):
+            archive.read(path, key="k", layout=1)
+
+
+def test_changed_arrays_with_an_old_checksum_are_refused(tmp_path):
+    path = tmp_path / "x.npz"
+    archive.write(path, content(), key="k", layout=1)
+    with np.load(path) as file:
+        arrays = {name: file[name].copy() for name in file.files}
+    arrays["cloud0_distances"][0, 0, 5] ^= 1
+    np.savez_compressed(path, **arrays)
+    with pytest.raises(DamagedFileError, match="checksum"):
+        archive.read(path, key="k", layout=1)
+
+
+def test_pickles_are_never_loaded(tmp_path):
+    class Trap:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "sprung"),)
+
+    path = tmp_path / "x.npz"
+    np.savez(path, header=np.array([Trap()], dtype=object), checksum=np.zeros(32, np.uint8))
+    with pytest.raises(DamagedFileError):
+        archive.read(path, key="k", layout=1)
+    assert not (tmp_path / "sprung").exists()
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    monkeypatch.setattr(assets, "cache_folder", lambda: tmp_path / "cache")
+    monkeypatch.setattr(assets, "SHIPPED_CACHE", tmp_path / "shipped")
+    return tmp_path
+
+
+def load(**options):
+    return load_border_data(husky_panda(), sampling=TINY, progress=False, processes=1, **options)
+
+
+def test_the_first_call_samples_and_the_next_ones_read(folder, monkeypatch):
+    first = load()
+    assert first.origin == "sampled"
+    monkeypatch.setattr(cache, "sample_clouds", None)  # a second sampling would fail
+    again = load()
+    assert again.origin == "cache"
+    assert_same(Content(first.pairs, first.clouds), Content(again.pairs, again.clouds))
+    assert all(len(cloud) > 20 for cloud in again.clouds.values())
+    (folder / "cache").rename(folder / "shipped")
+    assert load().origin == "shipped"
+
+
+@pytest.mark.parametrize("damage", [b"", b"not a zip", b"PK\x03\x04" + bytes(200)])
+def test_a_damaged_file_is_sampled_anew_with_one_line_of_warning(folder, damage, caplog):
+    load()
+    (path,) = (folder / "cache").iterdir()
+    path.write_bytes(damage)
+    caplog.clear()
+    with caplog.at_level(logging.WARNING):
+        assert load().origin == "sampled"
+    assert len(caplog.records) == 1
+    assert str(path) in caplog.text
+    assert load().origin == "cache"
+
+
+def test_a_cache_that_cannot_be_written_is_only_a_warning(folder, caplog):
+    (folder / "cache").write_text("a file where the folder should be")
+    assert load().origin == "sampled"
+    assert "cannot be kept" in caplog.text
+    assert (folder / "cache").is_file()
+
+
+def rebuilt(change) -> str:
+    description = husky_panda().description
+    return border_key(change(description), TINY)
+
+
+def test_the_key_changes_with_what_the_border_depends_on_and_with_nothing_else():
+    description = husky_panda().description
+    key = border_key(description, TINY)
+    first, *others = description.bodies
+    box = first.shapes[0]
+    larger = box.model_copy(update={"size_m": (1.0, 0.69, 0.3803)})
+    bodies = (first.model_copy(update={"shapes": (larger,)}), *others)
+    limits = (*description.arm.position_lower[:-1], -2.0)
+    arm = description.arm.model_copy(update={"position_lower": limits})
+    assert rebuilt(lambda d: d.model_copy(update={"bodies": bodies})) != key
+    assert rebuilt(lambda d: d.model_copy(update={"arm": arm})) != key
+    assert border_key(description, TINY.model_copy(update={"seed": 1})) != key
+    other_title = description.model_copy(update={"title": "x", "licence": "y"})
+    assert border_key(other_title, TINY) == key
+    resourced = (first.model_copy(update={"source": "elsewhere"}), *others)
+    assert rebuilt(lambda d: d.model_copy(update={"bodies": resourced})) == key
+
+
+def test_the_key_does_not_depend_on_where_the_project_stands(tmp_path, monkeypatch):
+    key = border_key(husky_panda().description, TINY)
+    moved = tmp_path / "robot_assets" / "husky_panda"
+    moved.mkdir(parents=True)
+    urdf = (assets.ASSETS / "husky_panda" / "robot.urdf").read_text()
+    (moved / "robot.urdf").write_text(urdf.replace("<link", "<!-- a remark -->\n  <link"))
+    monkeypatch.setattr(assets, "ASSETS", tmp_path / "robot_assets")
+    assert border_key(husky_panda().description, TINY) == key
+    (moved / "robot.urdf").write_text(urdf.replace("0.333", "0.334"))
+    assert border_key(husky_panda().description, TINY) != key
+
+
+def test_the_papers_robot_ships_with_its_border_small_and_quick_to_load():
+    model: RobotModel = husky_panda()
+    path = (
+        assets.SHIPPED_CACHE / f"husky_panda-{border_key(model.description, SamplingConfig())}.npz"
+    )
+    assert path.is_file(), "run `dbb border`, then commit the new file of dbb_cache/"
+    assert path.stat().st_size < 10e6
+    start = time.perf_counter()
+    data = load_border_data(model)
+    assert time.perf_counter() - start < 1.0  # [s]
+    assert data.origin in ("cache", "shipped")
+    assert [pair.name for pair in data.pairs.mobile] == list(data.clouds) == ["lm-lEE", "lm-l3"]

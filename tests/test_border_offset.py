@@ -1,0 +1,112 @@
+"""The exact offset of the mobile robot, against a distance to its box written down here."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.border.mobile import MobileBody
+from app.border.offset import OffsetContours
+from app.robot.model import RobotModel
+from app.robot.shapes import Box, Capsule, Cylinder, Shape
+from tests.robots import husky_panda
+
+HALF, CENTRE = np.array([0.495, 0.345, 0.19015]), np.array([0.0, 0.0, 0.1902])  # [m]
+TOP = 0.38035  # [m]
+
+
+def box_distance(p: np.ndarray) -> np.ndarray:
+    return np.linalg.norm(np.maximum(np.abs(p - CENTRE) - HALF, 0), axis=-1)
+
+
+def lifted(xy: np.ndarray, z: float) -> np.ndarray:
+    return np.column_stack([xy, np.full(len(xy), z)])
+
+
+@pytest.fixture(scope="module", params=[0.06, 0.15, 0.30])
+def offset(request) -> OffsetContours:
+    return OffsetContours(husky_panda(), request.param)
+
+
+def test_every_vertex_is_at_the_buffer_distance(offset):
+    for z, ring in zip(offset.heights, offset.vertices, strict=True):
+        np.testing.assert_allclose(box_distance(lifted(ring, z)), offset.d_b, atol=2e-6)
+
+
+def test_edges_and_blended_heights_stay_within_a_millimetre(offset):
+    rng = np.random.default_rng(0)
+    for z in rng.uniform(0.0, TOP + offset.d_b - 1e-3, 200):
+        ring = offset.contour(z)
+        between = (ring[1:] + ring[:-1]) / 2
+        np.testing.assert_allclose(box_distance(lifted(between, z)), offset.d_b, atol=1e-3)
+
+
+def test_contours_are_closed_counter_clockwise_and_symmetric(offset):
+    for ring in offset.vertices:
+        np.testing.assert_array_equal(ring[0], ring[-1])
+        x, y = ring[:-1].T
+        xn, yn = ring[1:].T
+        area = (x * yn - xn * y).sum() / 2
+        assert area > 0
+        np.testing.assert_allclose(ring, (ring * [1, -1])[::-1], atol=5e-6)
+
+
+def test_above_the_top_it_shrinks_to_the_top_itself_and_then_ends(offset):
+    d_b = offset.d_b
+    for h in np.linspace(0.0, 0.95 * d_b, 10):
+        across = np.abs(offset.contour(TOP + h)[:, 1]).max()
+        assert across == pytest.approx(0.345 + np.sqrt(d_b**2 - h**2), abs=1e-3)
+    assert offset.contour(TOP + d_b + 1e-3) is None
+    assert offset.nearest(np.array([1.0, 0.0]), TOP + d_b + 1e-3) is None
+    assert offset.contour(-1e-3) is None
+
+
+def test_the_nearest_point_is_no_farther_than_any_point_of_the_polygon(offset):
+    rng = np.random.default_rng(1)
+    share = np.linspace(0, 1, 200)[:, None, None]
+    for _ in range(100):
+        p, z = rng.uniform(-1.2, 1.2, 2), rng.uniform(0, TOP + offset.d_b - 2e-3)
+        ring = offset.contour(z)
+        dense = (ring[:-1] + share * (ring[1:] - ring[:-1])).reshape(-1, 2)
+        least = np.linalg.norm(dense - p, axis=1).min()
+        xy, tangent = offset.nearest(p, z)
+        assert np.linalg.norm(xy - p) <= least + 1e-12
+        assert np.linalg.norm(xy - p) >= least - 1e-4
+        assert np.linalg.norm(tangent) == pytest.approx(1.0)
+        assert np.cross([*xy, 0.0], [*tangent, 0.0])[2] > 0  # counter-clockwise
+
+
+def test_the_tangent_is_square_to_the_way_to_the_contour_beside_a_flat_side(offset):
+    xy, tangent = offset.nearest(np.array([0.1, 1.0]), 0.2)
+    np.testing.assert_allclose(xy, [0.1, 0.345 + offset.d_b], atol=1e-5)
+    np.testing.assert_allclose(tangent, [-1.0, 0.0], atol=1e-5)
+
+
+def with_mobile_shapes(shapes: tuple[Shape, ...]) -> RobotModel:
+    description = husky_panda().description
+    first, *others = description.bodies
+    bodies = (first.model_copy(update={"shapes": shapes}), *others)
+    return RobotModel(description.model_copy(update={"bodies": bodies}))
+
+
+def test_a_union_of_shapes_is_followed_at_its_outside():
+    """A box with a mast and a tilted bar: each vertex at d_b of the union."""
+    model = with_mobile_shapes(
+        (
+            Box(type="box", size_m=(0.8, 0.5, 0.3), xyz_m=(0.0, 0.0, 0.05)),
+            Cylinder(type="cylinder", radius_m=0.1, length_m=0.8, xyz_m=(-0.2, 0.1, 0.4)),
+            Capsule(type="capsule", start_m=(0.3, 0.2, 0.0), end_m=(0.5, 0.3, 0.2), radius_m=0.05),
+        )
+    )
+    body, offset = MobileBody(model), OffsetContours(model, 0.15)
+    for z, ring in zip(offset.heights, offset.vertices, strict=True):
+        np.testing.assert_allclose(body.distance(lifted(ring[:-1], z)), 0.15, atol=2e-6)
+    assert offset.heights[0] == 0.0
+
+
+def test_the_distance_to_l_m_is_that_of_its_box():
+    p = np.random.default_rng(2).uniform(-1, 1, (2000, 3))
+    outside = box_distance(p) > 0
+    measured = MobileBody(husky_panda()).distance(p)
+    np.testing.assert_allclose(measured[outside], box_distance(p)[outside], atol=1e-12)
+    assert (measured[~outside] <= 0).all()
