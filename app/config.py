@@ -65,7 +65,7 @@ class TaskConfig(Strict):
     """[1/s] damping of the arm, lowest level."""
     base_damping: float = Field(3.0, ge=0.0, le=20.0)
     """[1/s] k of the base's rest acceleration −k q̇_b."""
-    base_slowness: float = Field(15.0, ge=1.0, le=100.0)
+    base_slowness: float = Field(4.0, ge=1.0, le=100.0)
     """[-] how much slower the base corrects errors than the arm; its commands come at 10 Hz."""
     base_weight: float = Field(1000.0, ge=1.0, le=1e6)
     """[-] how much costlier the base's acceleration is than the arm's, lowest level."""
@@ -85,11 +85,11 @@ class AdmittanceConfig(Strict):
 
     mass: float = Field(60.0, ge=5.0, le=300.0)
     """[kg] M_a, linear."""
-    inertia: float = Field(8.0, ge=0.5, le=60.0)
+    inertia: float = Field(16.0, ge=0.5, le=60.0)
     """[kg m²] M_a, angular."""
-    damping: float = Field(60.0, ge=0.0, le=600.0)
+    damping: float = Field(180.0, ge=0.0, le=600.0)
     """[N s/m] D_a, linear."""
-    angular_damping: float = Field(12.0, ge=0.0, le=120.0)
+    angular_damping: float = Field(160.0, ge=0.0, le=600.0)
     """[N m s] D_a, angular."""
     period: float = Field(0.1, ge=0.001, le=0.5)
     """[s] between two velocity commands."""

@@ -47,6 +47,10 @@ class TargetError(DbbError):
     """The person's hand was told to go where it cannot, such as below the floor."""
 
 
+class OutputError(DbbError):
+    """A result cannot be written where it was asked for."""
+
+
 class ServerError(DbbError):
     """The dashboard cannot listen where it was told to."""
 

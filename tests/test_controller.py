@@ -86,7 +86,7 @@ def test_guided_with_rows_the_arm_adds_only_forces_along_them(
     """u_a = u_0 + J_rᵀ λ: no posture, nothing that is not avoidance."""
     m = in_buffer(robot, controller, seed, "l1-lEE")
     output = controller.step(m)
-    rows = np.vstack([row.J[:, 2:] for row in output.avoidance.rows_r])
+    rows = np.vstack([row.J[:, 2:] for row in (*output.avoidance.rows_above, *output.avoidance.rows_links)])
     added = output.u_a - free_arm_torque(controller.state)
     residual = added - rows.T @ np.linalg.lstsq(rows.T, added, rcond=None)[0]
     assert np.abs(added).max() > 0.1
@@ -111,7 +111,7 @@ def test_guided_the_base_is_asked_for_beta_times_the_desired_acceleration_less_i
 def test_the_base_demand_is_that_of_the_whole_bodys_29(
     robot: RobotModel, controller: Controller, seed: int, pair: str
 ) -> None:
-    """The controller solves base and arm apart; (29) with all rows at once gives the same."""
+    """The controller solves base and arm apart; (29) with its rows at once gives the same."""
     config = Config().replace("task.base_slowness", 1.0)
     controller.configure(config)
     m = in_buffer(robot, controller, seed, pair)
@@ -120,7 +120,8 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     reference = reference_here(controller, 0.05 * np.ones(6))
     output = controller.step(m, reference)
     controller.configure(Config())
-    rows = [r for r in (output.avoidance.rows_m, *output.avoidance.rows_r) if r is not None]
+    avoidance = output.avoidance
+    rows = [r for r in (avoidance.rows_m, *avoidance.rows_links) if r is not None]
     state = controller.state
     levels = [end_effector_task(state, reference, config.task)]
     objective = posture_objective(state, m.q_m, config.task)

@@ -48,14 +48,16 @@ class Avoidance(NamedTuple):
         xdd_m: (2,) v̇_d [m/s²] and ω̇_d [rad/s²] of (16), not yet multiplied by β_m.
         beta_m: [-] activation of the base's rows, (28).
         rows_m: The base's rows, or None while β_m = 0.
-        rows_r: The arm's rows that are active.
+        rows_above: The arm's active rows against the base, where it comes from above.
+        rows_links: The arm's active rows between its own links, (22) and (23).
     """
 
     pairs: tuple[PairState, ...]
     xdd_m: Array
     beta_m: float
     rows_m: TaskRows | None
-    rows_r: tuple[TaskRows, ...]
+    rows_above: tuple[TaskRows, ...]
+    rows_links: tuple[TaskRows, ...]
 
 
 class SelfCollisionAvoidance:
@@ -101,8 +103,8 @@ class SelfCollisionAvoidance:
         rows_m = None
         if beta_m > 0.0:
             rows_m = mobile_rows(self._state.model.J_m, self._state.model.n, xdd_m, beta_m)
-        rows_r = (*self._rows_from_above(mobile), *self._rows_between_links(others))
-        return Avoidance((*mobile, *others), xdd_m, beta_m, rows_m, rows_r)
+        above, links = self._rows_from_above(mobile), self._rows_between_links(others)
+        return Avoidance((*mobile, *others), xdd_m, beta_m, rows_m, above, links)
 
     def _beta(self, d: float) -> float:
         return activation(d, self._config.border.d_b, self._config.activation.d_full)
@@ -123,7 +125,7 @@ class SelfCollisionAvoidance:
         )  # fmt: skip
         return PairState(closest, beta, acting, f)
 
-    def _rows_from_above(self, mobile: list[PairState]) -> list[TaskRows]:
+    def _rows_from_above(self, mobile: list[PairState]) -> tuple[TaskRows, ...]:
         """Rows of the kind (20) along the normal of pairs of L_m that meet from above.
 
         Our extension: a horizontal force cannot help where the arm comes from above, so there the
@@ -135,17 +137,17 @@ class SelfCollisionAvoidance:
             if beta > 0.0:
                 row = generate_rep_acc(self._state, pair.closest, self._config.repulsion)
                 rows.append(repulsive_rows(row, beta))
-        return rows
+        return tuple(rows)
 
-    def _rows_between_links(self, others: list[PairState]) -> list[TaskRows]:
+    def _rows_between_links(self, others: list[PairState]) -> tuple[TaskRows, ...]:
         """Lines 8 to 11."""
-        return [
+        return tuple(
             repulsive_rows(
                 generate_rep_acc(self._state, p.closest, self._config.repulsion), p.beta
             )
             for p in others
             if p.beta > 0.0
-        ]
+        )
 
     def _make_finders(self, config: Config) -> dict[str, ActingPointFinder]:
         model = self._state.model

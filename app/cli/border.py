@@ -12,7 +12,8 @@ from app.border.cache import BorderData, load_border_data
 from app.border.dbb import Border, construct_dbb
 from app.border.mobile import MobileBody
 from app.border.sampling_config import SamplingConfig
-from app.cli.common import Json, load_model, print_json
+from app.cli.common import load_model, print_json
+from app.cli.options import Json, check_parameter, check_seed, make_folder
 from app.config import Config
 from app.robot.model import RobotModel
 
@@ -35,6 +36,10 @@ def border(
         seed: Seed of the sampling; another one is another cloud.
         json: Print one JSON object on standard output and nothing else there.
     """
+    check_parameter("--buffer-distance", buffer_distance, "border.d_b")
+    check_parameter("--tolerance", tolerance, "border.eps")
+    check_seed(seed)
+    make_folder(out)
     config = Config().replace("border.d_b", buffer_distance).replace("border.eps", tolerance).border
     begin = perf_counter()
     model = load_model(robot)
@@ -43,10 +48,14 @@ def border(
     borders = [construct_dbb(cloud, config.d_b, config.eps) for cloud in data.clouds.values()]
     selected = perf_counter()
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
         for each in borders:
             np.savetxt(
-                out / f"{each.pair}.csv", each.points, "%.4f", ",", header="x_m,y_m,z_m", comments=""
+                out / f"{each.pair}.csv",
+                each.points,
+                "%.4f",
+                ",",
+                header="x_m,y_m,z_m",
+                comments="",
             )
     result: dict[str, Any] = {
         "robot": robot,

@@ -1,4 +1,4 @@
-"""Options and outputs that the subcommands share."""
+"""What the subcommands load and how they print."""
 
 from __future__ import annotations
 
@@ -6,18 +6,13 @@ import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Annotated
 
-import tyro
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from app.border.cache import BorderData, load_border_data
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
-
-Json = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="json")]
-"""Print one JSON object on standard output and nothing else there."""
 
 console = Console(stderr=True)
 """Progress and logs; standard output belongs to the results."""
@@ -36,14 +31,25 @@ def load_robot_and_border(robot: str) -> tuple[RobotModel, BorderData]:
 
 def print_json(result: object) -> None:
     """One JSON object on standard output."""
-    json.dump(result, sys.stdout, indent=2, allow_nan=False)
-    sys.stdout.write("\n")
+    sys.stdout.write(as_json(result))
+
+
+def as_json(result: object) -> str:
+    """The text of one JSON object, with a line's end."""
+    return json.dumps(result, indent=2, allow_nan=False) + "\n"
 
 
 @contextmanager
 def progress_bar(text: str, total: float) -> Iterator[Progress]:
     """A progress bar on standard error with one task, of id 0."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True) as progress:
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+    )
+    # Without a terminal a bar that vanishes would leave an empty line behind.
+    hidden = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=hidden) as progress:
         progress.add_task(text, total=total)
         yield progress

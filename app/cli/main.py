@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 
 import tyro
@@ -26,10 +27,15 @@ def main(args: list[str] | None = None) -> None:
             prog="dbb",
             description="Reactive self-collision avoidance for a mobile manipulator.",
             args=args,
+            config=(tyro.conf.DisallowNone,),
         )
+        sys.stdout.flush()
     except DbbError as error:
         print(f"dbb: error: {error}", file=sys.stderr)
         sys.exit(2)
+    except BrokenPipeError:  # whoever read the results has gone, as `head` does
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
     except KeyboardInterrupt:
         print("dbb: interrupted", file=sys.stderr)
         sys.exit(130)

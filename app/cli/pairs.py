@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from app.cli.common import Json, console, load_model, print_json
+from app.cli.common import console, load_model, print_json
+from app.cli.options import Json, check_range, check_seed
 from app.robot.link_pairs import LinkPairs, find_link_pairs
+
+_MOST_SAMPLES = 10_000_000  # [-] about a minute and a gigabyte
 
 
 def pairs(
@@ -17,6 +20,8 @@ def pairs(
         seed: Seed of the sampling.
         json: Print one JSON object on standard output and nothing else there.
     """
+    check_range("--samples", samples, 1, _MOST_SAMPLES)
+    check_seed(seed)
     model = load_model(robot)
     with console.status(f"sampling {samples:,} joint positions"):
         found = find_link_pairs(model, samples=samples, seed=seed)

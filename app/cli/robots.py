@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from app.cli.common import Json, print_json
+from app.cli.common import print_json
+from app.cli.options import Json
 from app.robot.assets import load_robot, robot_names
 
 

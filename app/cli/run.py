@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
-import json as json_module
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
-from app.cli.common import Json, load_robot_and_border, print_json, progress_bar
+from app.cli.common import as_json, load_robot_and_border, print_json, progress_bar
+from app.cli.options import (
+    Json,
+    PointOption,
+    check_name,
+    check_parameter,
+    check_point,
+    check_range,
+    check_seed,
+    make_folder,
+)
 from app.config import Config
 from app.control.controller import CONTROLLERS
-from app.errors import ConfigError, UnknownNameError
-from app.simulation.run import run_scenario
+from app.simulation.plants import PLANTS
+from app.simulation.run import RunResult, run_scenario
 from app.simulation.scenario import scenario_by_name
 
-Point = tuple[float, float, float]
+_DURATIONS = 0.01, 3600.0  # [s] shortest and longest run
 
 
 def run(
-    scenario: Annotated[str, tyro.conf.Positional],
+    scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")],
     controller: str = "dbb",
     robot: str = "husky_panda",
-    start: Point | None = None,
-    move: Point | None = None,
+    start: PointOption = None,
+    move: PointOption = None,
     duration: float | None = None,
-    physics: Literal["planar", "contact", "kinematic"] = "planar",
+    physics: str = "planar",
     buffer_distance: float | None = None,
     out: Path | None = None,
     seed: int = 0,
@@ -40,21 +49,27 @@ def run(
         start: [m] where the hand starts, in the world (default: the scenario's).
         move: [m] how far the hand is led, in the world (default: the scenario's).
         duration: [s] of the run (default: the scenario's); the motion scales with it.
-        physics: Planar base on velocity motors, base on wheels in contact, or a kinematic stand-in.
-        buffer_distance: [m] d_b.
+        physics: planar (base on velocity motors), contact (base on wheels in contact) or kinematic
+            (a stand-in without physics).
+        buffer_distance: [m] d_b (default: the configuration's).
         out: Folder for `log.csv` and `metrics.json`.
         seed: Seed of everything random in the run.
         json: Print one JSON object on standard output and nothing else there.
     """
     chosen = scenario_by_name(scenario)
-    if controller not in CONTROLLERS:
-        raise UnknownNameError("controller", controller, CONTROLLERS)
-    if duration is not None and not 0.01 <= duration <= 3600.0:
-        raise ConfigError(f"--duration: {duration:g} s is not within 0.01 to 3600 s")
-    chosen = chosen.changed(start=start, move=move, duration=duration)
+    check_name("controller", controller, CONTROLLERS)
+    check_name("physics", physics, PLANTS)
+    check_point("--start", start)
+    check_point("--move", move)
+    check_seed(seed)
+    if duration is not None:
+        check_range("--duration", duration, *_DURATIONS, "s")
     config = Config()
     if buffer_distance is not None:
+        check_parameter("--buffer-distance", buffer_distance, "border.d_b")
         config = config.replace("border.d_b", buffer_distance)
+    make_folder(out)
+    chosen = chosen.changed(start=start, move=move, duration=duration)
     model, data = load_robot_and_border(robot)
     with progress_bar(f"{scenario}, {controller}", chosen.duration) as progress:
         result = run_scenario(
@@ -62,15 +77,17 @@ def run(
             on_progress=lambda t: progress.update(0, completed=t),
         )  # fmt: skip
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
-        result.recorder.write_log(out / "log.csv")
-        text = json_module.dumps(result.figures, indent=2) + "\n"
-        (out / "metrics.json").write_text(text, encoding="utf-8")
+        _write(out, result)
     if json:
         print_json(result.figures)
         return
     for key, value in result.figures.items():
         print(f"{key:28} {_text(value)}")
+
+
+def _write(out: Path, result: RunResult) -> None:
+    result.recorder.write_log(out / "log.csv")
+    (out / "metrics.json").write_text(as_json(result.figures), encoding="utf-8")
 
 
 def _text(value: object) -> str:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import sys
 
 from app.cli.common import load_robot_and_border
+from app.cli.options import PointOption, check_name, check_point, check_seed
 from app.config import Config
+from app.control.controller import CONTROLLERS
 from app.dashboard.server import check_address, serve_dashboard
 from app.simulation.loop import SimulationLoop
+from app.simulation.plants import PLANTS
 from app.simulation.scenario import scenario_by_name
 from app.simulation.session import Session
 from app.simulation.start import StartSolver
-
-Point = tuple[float, float, float]
 
 
 def serve(
@@ -20,7 +21,7 @@ def serve(
     controller: str = "dbb",
     host: str = "127.0.0.1",
     port: int = 8080,
-    start: Point | None = None,
+    start: PointOption = None,
     physics: str = "planar",
     seed: int = 0,
 ) -> None:
@@ -35,6 +36,10 @@ def serve(
         physics: planar, contact or kinematic.
         seed: Seed of the search for the start.
     """
+    check_name("controller", controller, CONTROLLERS)
+    check_name("physics", physics, PLANTS)
+    check_point("--start", start)
+    check_seed(seed)
     check_address(host, port)
     config = Config()
     model, data = load_robot_and_border(robot)

@@ -126,13 +126,14 @@ class Controller:
         if self.q_posture is None:
             self.q_posture = measurement.q_m.copy()
         avoidance = self._avoidance.update()
-        rows_m, rows_r = avoidance.rows_m, avoidance.rows_r
+        rows_m, rows_links = avoidance.rows_m, avoidance.rows_links
+        rows_r = (*avoidance.rows_above, *rows_links)
         if self.name == "none":
-            rows_m, rows_r = None, ()
+            rows_m, rows_links, rows_r = None, (), ()
         rows = (rows_m, *rows_r) if rows_m is not None else rows_r
         beta = max((row.beta for row in rows), default=0.0)
         try:
-            asked = self._base_acceleration(rows_m, rows_r, reference)
+            asked = self._base_acceleration(rows_m, rows_links, reference)
             given = asked if base_acceleration is None else base_acceleration
             u_a = self._torques(given, rows_r, reference)
             return ControlOutput(u_a, asked, avoidance, beta, True)
@@ -141,7 +142,7 @@ class Controller:
             return ControlOutput(*self._safe_command(), avoidance, beta, False)
 
     def _base_acceleration(
-        self, rows_m: TaskRows | None, rows_r: tuple[TaskRows, ...], reference: Reference | None
+        self, rows_m: TaskRows | None, rows_links: tuple[TaskRows, ...], reference: Reference | None
     ) -> Array:
         """The base's part of (29), (2,): its rows fix it once the solution without them is known.
 
@@ -154,17 +155,20 @@ class Controller:
         elif rows_m is not None and rows_m.beta >= 1.0:
             free = np.zeros(2)  # weighs nothing
         else:
-            free = self._model.J_m @ self._slow_solution(rows_r, reference)[:2]
+            free = self._model.J_m @ self._slow_solution(rows_links, reference)[:2]
         if rows_m is None:
             return np.clip(free, -limit, limit)
         return np.clip(rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free, -limit, limit)
 
-    def _slow_solution(self, rows_r: tuple[TaskRows, ...], reference: Reference) -> Array:
-        """q̈ of (29) without the base's rows, (n,), its loops as slow as the base is."""
+    def _slow_solution(self, rows_links: tuple[TaskRows, ...], reference: Reference) -> Array:
+        """q̈ of (29) without the base's rows, (n,), its loops as slow as the base is.
+
+        Rows from above have no part in it: where the base can help there, its own rows say how.
+        """
         task, repulsion = slowed(self._config.task, self._config.repulsion)
         rows = [
             row._replace(xdd=repulsion.k_p - repulsion.k_v * (row.J @ self.state.qd))
-            for row in rows_r
+            for row in rows_links
         ]
         stack = self._tracking_stack(reference, task)
         limits = robot_limits(self.state, self._config.limit, np.zeros(2))

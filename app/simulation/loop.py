@@ -1,4 +1,4 @@
-"""The loop: a thread that owns the session, keeps to real time, obeys a queue and publishes snapshots.
+"""The loop: a thread owns the session, keeps to real time, obeys commands, publishes snapshots.
 
 Whoever draws sees only `LoopHandle`: commands in, immutable snapshots out, nothing shared. So the
 thread may live in another process without a change on the other side.
@@ -128,7 +128,7 @@ class SimulationLoop:
                     sleep(_IDLE)
                 else:
                     self._advance(session)
-        except BaseException as error:  # noqa: BLE001 - handed to the user by whoever holds the loop
+        except BaseException as error:  # handed to the user by whoever holds the loop
             self.error = error
         finally:
             self._ready.set()
@@ -176,4 +176,3 @@ class SimulationLoop:
         """Publish a change that must be seen although no step follows while paused."""
         assert self._latest is not None
         self._latest = replace(self._latest, config=session.config, paused=self._paused)
-

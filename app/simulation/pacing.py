@@ -53,7 +53,7 @@ class Pacer:
 
     def _mark(self, now: float) -> None:
         self._marks.append((now, self._steps))
-        while self._marks[-1][0] - self._marks[0][0] > _WINDOW:
+        while len(self._marks) > 2 and self._marks[-1][0] - self._marks[0][0] > _WINDOW:
             self._marks.popleft()
 
     @property

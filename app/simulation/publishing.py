@@ -11,31 +11,33 @@ from app.simulation.pacing import Pacer
 from app.simulation.session import Session, Step
 from app.simulation.snapshot import ActingReading, PairReading, Snapshot
 
+Array = np.ndarray
+
 
 def make_snapshot(session: Session, step: Step, pacer: Pacer, *, paused: bool) -> Snapshot:
-    """The whole simulation at a control step; shares no memory with it."""
+    """The whole simulation at a control step; shares no memory with it, and is read-only."""
     state = session.controller.state
     output, avoidance = step.output, step.output.avoidance
     quaternion = pin.Quaternion(state.T_world_ee.rotation).coeffs()  # x, y, z, w
     return Snapshot(
         t=step.t,
-        base_pose=step.measurement.base_pose.copy(),
-        base_velocity=step.measurement.base_velocity.copy(),
-        base_velocity_command=step.base_command,
-        base_acceleration=output.base_acceleration.copy(),
-        avoidance_acceleration=avoidance.beta_m * avoidance.xdd_m,
-        wheel_angles=session.wheel_angles.copy(),
-        q_m=step.measurement.q_m.copy(),
-        u_a=output.u_a.copy(),
-        p_ee=state.T_world_ee.translation.copy(),
-        wxyz_ee=np.roll(quaternion, 1),
+        base_pose=_frozen(step.measurement.base_pose),
+        base_velocity=_frozen(step.measurement.base_velocity),
+        base_velocity_command=_frozen(step.base_command),
+        base_acceleration=_frozen(output.base_acceleration),
+        avoidance_acceleration=_frozen(avoidance.beta_m * avoidance.xdd_m),
+        wheel_angles=_frozen(session.wheel_angles),
+        q_m=_frozen(step.measurement.q_m),
+        u_a=_frozen(output.u_a),
+        p_ee=_frozen(state.T_world_ee.translation),
+        wxyz_ee=_frozen(np.roll(quaternion, 1)),
         pairs=tuple(_pair_reading(session, pair) for pair in avoidance.pairs),
         acting=tuple(
             _acting_reading(state, pair) for pair in avoidance.pairs if pair.acting is not None
         ),
         beta_m=avoidance.beta_m,
-        hand_target=None if step.hand_target is None else step.hand_target.copy(),
-        hand_force=step.hand_force.copy(),
+        hand_target=None if step.hand_target is None else _frozen(step.hand_target),
+        hand_force=_frozen(step.hand_force),
         ee_error=step.ee_error,
         in_contact=step.contacts.arm_base,
         arm_in_contact=step.contacts.arm_arm,
@@ -57,8 +59,8 @@ def _pair_reading(session: Session, pair: PairState) -> PairReading:
         mobile=closest.pair.a == session.model.body_names[0],
         d=closest.d,
         beta=pair.beta,
-        p_a=closest.p_a,
-        p_b=closest.p_b,
+        p_a=_frozen(closest.p_a),
+        p_b=_frozen(closest.p_b),
     )
 
 
@@ -67,8 +69,15 @@ def _acting_reading(state: RobotState, pair: PairState) -> ActingReading:
     assert acting is not None
     return ActingReading(
         name=pair.closest.pair.name,
-        p_n=state.to_world(acting.p_n),
-        p_t=state.to_world(acting.p_t),
-        p_act=state.to_world(acting.p_act),
-        f=state.R_world_base @ pair.f,
+        p_n=_frozen(state.to_world(acting.p_n)),
+        p_t=_frozen(state.to_world(acting.p_t)),
+        p_act=_frozen(state.to_world(acting.p_act)),
+        f=_frozen(state.R_world_base @ pair.f),
     )
+
+
+def _frozen(array: Array) -> Array:
+    """A copy that refuses to be changed."""
+    copy = np.array(array)
+    copy.flags.writeable = False
+    return copy

@@ -65,7 +65,8 @@ class Recorder:
 
     def figures(self) -> dict[str, object]:
         """The figures of the run so far; keys end in their unit."""
-        assert self._first is not None and self._last is not None
+        assert self._first is not None, "no step was recorded"
+        assert self._last is not None
         begin, end = self._first.measurement.base_pose, self._last.measurement.base_pose
         durations = np.array(self._durations) * 1e6
         mobile = {k: v for k, v in self._least.items() if k in self._mobile}
@@ -107,12 +108,14 @@ def _log_row(step: Step) -> dict[str, float]:
     row: dict[str, float] = {"t_s": step.t}
     row |= dict(zip(("base_x_m", "base_y_m", "base_yaw_rad"), m.base_pose.tolist(), strict=True))
     row |= {"base_v_mps": float(m.base_velocity[0]), "base_w_radps": float(m.base_velocity[1])}
-    row |= {"command_v_mps": float(step.base_command[0]), "command_w_radps": float(step.base_command[1])}
+    v, w = step.base_command.tolist()
+    row |= {"command_v_mps": v, "command_w_radps": w}
     row |= {f"q{i}_rad": float(q) for i, q in enumerate(m.q_m, start=1)}
     row |= {f"qd{i}_radps": float(q) for i, q in enumerate(m.qd_m, start=1)}
     row |= {f"u{i}_nm": float(u) for i, u in enumerate(out.u_a, start=1)}
     for pair in out.avoidance.pairs:
-        row |= {f"d_{pair.closest.pair.name}_m": pair.closest.d, f"beta_{pair.closest.pair.name}": pair.beta}
+        name = pair.closest.pair.name
+        row |= {f"d_{name}_m": pair.closest.d, f"beta_{name}": pair.beta}
     row["beta_m"] = out.avoidance.beta_m
     asked, avoid = out.base_acceleration, out.avoidance.beta_m * out.avoidance.xdd_m
     row |= {"base_a_mps2": float(asked[0]), "base_aw_radps2": float(asked[1])}

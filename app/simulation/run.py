@@ -6,9 +6,12 @@ from collections.abc import Callable
 from time import perf_counter
 from typing import NamedTuple
 
+import numpy as np
+
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
+from app.simulation.person import checked_target
 from app.simulation.recording import Recorder
 from app.simulation.scenario import Scenario
 from app.simulation.session import DT, Session
@@ -47,9 +50,11 @@ def run_scenario(
 
     Raises:
         UnreachableError: No start of the arm for this scenario.
+        TargetError: The hand would be led below the floor.
         UnknownNameError: No such controller or plant.
     """
     q_m = StartSolver(model, data.pairs, config.border.d_b).solve(scenario.start, seed=seed)
+    checked_target(np.add(scenario.start, scenario.move))
     session = Session(model, data, config, controller=controller, physics=physics, seed=seed)
     try:
         session.reset(q_m)

@@ -37,7 +37,7 @@ class Scenario:
     """One line for people."""
 
     def position(self, t: float) -> tuple[Array, Array, Array]:
-        """Position [m], velocity [m/s] and acceleration [m/s²] of the leading point at time t [s]."""
+        """Position [m], velocity [m/s], acceleration [m/s²] of the leading point at time t [s]."""
         T = self.duration * self.moving
         s = min(max(t / T, 0.0), 1.0)
         inside = 0.0 <= t <= T
@@ -57,7 +57,11 @@ class Scenario:
         )
 
     def changed(
-        self, *, start: Point | None = None, move: Point | None = None, duration: float | None = None
+        self,
+        *,
+        start: Point | None = None,
+        move: Point | None = None,
+        duration: float | None = None,
     ) -> Scenario:
         """A copy with another hand path or duration; None keeps what is."""
         given = {"start": start, "move": move, "duration": duration}

@@ -1,4 +1,4 @@
-"""What the loop publishes and what it is told: immutable records that may cross a process border."""
+"""What the loop publishes and is told: immutable records that may cross a process border."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Snapshot:
     hand_force: Array
     """(3,) [N] the person's force."""
     ee_error: float
-    """[m] distance of the end-effector from its reference or from where the person pulls, else 0."""
+    """[m] from the end-effector to its reference or to where the person pulls, else 0."""
     in_contact: bool
     """Arm and base touch."""
     arm_in_contact: bool

@@ -58,7 +58,9 @@ class StartSolver:
         """
         target = np.array(p_ee, dtype=float)
         if not (np.isfinite(target).all() and target[2] > 0.0):
-            raise UnreachableError(f"start {_text(p_ee)}: the floor is z = 0, the hand must be above")
+            raise UnreachableError(
+                f"start {_text(p_ee)}: the floor is z = 0, the hand must be above"
+            )
         rng = np.random.default_rng(seed)
         ready = np.array(self._model.description.arm.ready_position)
         flaws: dict[str, int] = {}
@@ -66,7 +68,8 @@ class StartSolver:
             direction = self._direction(target, pitch)
             best, best_quality = None, 0.0
             for k in range(_SEEDS):
-                guess = ready if k == 0 else self._middle + (rng.random(len(ready)) - 0.5) * self._range
+                anywhere = self._middle + (rng.random(len(ready)) - 0.5) * self._range
+                guess = ready if k == 0 else anywhere
                 q = self._search(target, direction, guess)
                 quality, flaw = self._judge(q, target, direction)
                 if quality > best_quality:
@@ -92,7 +95,7 @@ class StartSolver:
         self._state.update(Measurement(np.zeros(3), np.zeros(2), q, zero))
 
     def _search(self, target: Array, direction: Array, guess: Array) -> Array:
-        """Least squares on position and pointing direction, drawn a little to the joints' middle."""
+        """Least squares on position and direction, drawn a little to the joints' middle."""
         state = self._state
 
         def residual(q: Array) -> Array:
@@ -131,7 +134,8 @@ class StartSolver:
             if closest.d < self._d_b + _BUFFER_MARGIN:
                 return _Judgement(0.0, f"{closest.pair.name} would be inside its buffer")
             clearance = min(clearance, closest.d - self._d_b)
-        joints = float(np.min(np.minimum(q - self._model.q_lower, self._model.q_upper - q) / self._range))
+        left = np.minimum(q - self._model.q_lower, self._model.q_upper - q)
+        joints = float(np.min(left / self._range))
         J = self._state.J_ee[:, 2:]
         manipulability = float(np.sqrt(max(np.linalg.det(J @ J.T), 0.0)))
         return _Judgement(min(joints, 0.15) + min(manipulability, 0.1) + min(clearance, 0.1), "")

@@ -1,0 +1,88 @@
+"""Kinds of options that the subcommands share, and checks that name the option."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from app.config import parameter
+from app.errors import ConfigError, OutputError, UnknownNameError
+
+Point = tuple[float, float, float]
+PointOption = Annotated[Point | None, tyro.conf.arg(metavar="X Y Z")]
+Json = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="json")]
+"""Print one JSON object on standard output and nothing else there."""
+
+_FARTHEST = 10.0  # [m] from the origin; a longer way is a slip of the keys
+_MOST_SEEDS = 2**32 - 1  # [-] what every generator takes
+
+
+def check_name(kind: str, name: str, choices: Iterable[str]) -> None:
+    """Refuse a name that does not exist, before anything is loaded.
+
+    Raises:
+        UnknownNameError: Lists those that exist.
+    """
+    if name not in (existing := tuple(choices)):
+        raise UnknownNameError(kind, name, existing)
+
+
+def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:
+    """Refuse a number outside of [low, high], not-a-number included.
+
+    Raises:
+        ConfigError: Names the option and its range.
+    """
+    if not low <= value <= high:
+        given, least, most = (n if isinstance(n, int) else f"{n:g}" for n in (value, low, high))
+        space = f" {unit}" if unit else ""
+        raise ConfigError(f"{option}: {given}{space} is not within {least} to {most}{space}")
+
+
+def check_parameter(option: str, value: float, path: str) -> None:
+    """Refuse a value that the parameter of that path would refuse, in the option's own name.
+
+    Raises:
+        ConfigError: Names the option and its range.
+    """
+    known = parameter(path)
+    check_range(option, value, known.low, known.high, known.unit)
+
+
+def check_point(option: str, point: Point | None) -> None:
+    """Refuse a point that is not three numbers within 10 m; None is fine.
+
+    Raises:
+        ConfigError: Names the option and its range.
+    """
+    for coordinate in point or ():
+        check_range(option, coordinate, -_FARTHEST, _FARTHEST, "m")
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a seed that no generator takes.
+
+    Raises:
+        ConfigError: Says what is possible.
+    """
+    check_range("--seed", seed, 0, _MOST_SEEDS)
+
+
+def make_folder(out: Path | None) -> None:
+    """Make the folder of `--out` and try to write there, before the work and not after it.
+
+    Raises:
+        OutputError: It cannot be made or written to.
+    """
+    if out is None:
+        return
+    probe = out / ".writable"
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise OutputError(f"--out: cannot write to {out}: {error.strerror}") from None

@@ -1,0 +1,98 @@
+"""A viewer of the dashboard in a process of its own: `python -m benchmarks.client KIND ADDRESS SECONDS`.
+
+Prints `ready` when it is connected, works until the time is over, and prints what it has done.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+from app.dashboard.hand import GIZMO, SCALE
+from tests.browser import DashboardTab, chromium
+
+AXIS = 0  # the gizmo's arrow along x, which at the start is the base's way back
+NEAR, FAR = 0.60, 0.95  # [m] from the base's centre to the hand: the base's front is at 0.5 m
+SWEEP = 4.0  # [s] there and back
+SWEEPS = 3  # before the robot is put back to its start
+MOVE = 0.05  # [s] between two moves of the mouse
+
+
+def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
+    """Show the page in headless Chromium, and drag the hand at the base and back all the time."""
+    with chromium() as browser:
+        tab = DashboardTab(browser, address)
+        begin_frame = _frame(tab)
+        print("ready", flush=True)
+        begin = time.monotonic()
+        end, sweeps = begin + seconds, 0
+        while time.monotonic() < end:
+            if drag:
+                sweeps += _sweep(tab, end)
+            else:
+                tab.page.wait_for_timeout(200)  # [ms]
+        frames = _frame(tab) - begin_frame
+        return {
+            "sweeps": sweeps,
+            "page_frames_per_s": frames / (time.monotonic() - begin),
+            "page_errors": tab.errors,
+        }
+
+
+def _sweep(tab: DashboardTab, end: float) -> int:
+    """Take the hand, sweep it `SWEEPS` times, let go and press Reset; how often it was swept."""
+    arrow = tab.page.evaluate("([n, a, s]) => dbbTest.arrow(n, a, s)", [GIZMO, AXIS, SCALE])
+    if arrow is None:
+        raise LookupError(f"the arrow {AXIS} of the gizmo is hidden")
+    hand = tab.position(GIZMO)
+    tab.page.mouse.move(*tab.pixel(GIZMO, arrow))
+    tab.render(1)  # the gizmo has to see the pointer above it first
+    tab.page.mouse.down()
+    begin, sweeps = time.monotonic(), 0.0
+    while sweeps < SWEEPS and time.monotonic() < end:
+        sweeps = (time.monotonic() - begin) / SWEEP
+        share = 0.5 + 0.5 * np.cos(2.0 * np.pi * sweeps)
+        x_base = tab.position("/robot")[0]
+        target = np.array([x_base + NEAR + share * (FAR - NEAR), *hand[1:]])
+        tab.page.mouse.move(*tab.pixel("", tuple((target + arrow).tolist())))
+        tab.page.wait_for_timeout(1000.0 * MOVE)
+    tab.page.mouse.up()
+    tab.click("Reset")
+    tab.page.wait_for_timeout(300)  # [ms] the gizmo has to be back at the hand
+    return int(sweeps)
+
+
+def listen(address: str, seconds: float) -> dict[str, Any]:
+    """Take in all messages as a browser does, and draw nothing."""
+    import viser
+    from websockets.sync.client import connect
+
+    received, size, end = 0, 0, time.monotonic() + seconds
+    protocol: Any = f"viser-v{viser.__version__}"
+    url = address.replace("http://", "ws://")
+    with connect(url, subprotocols=[protocol], max_size=None, compression=None) as socket:
+        print("ready", flush=True)
+        while (left := end - time.monotonic()) > 0.0:
+            try:
+                message = socket.recv(timeout=left)
+            except TimeoutError:
+                break
+            received, size = received + 1, size + len(message)
+    return {"messages_per_s": received / seconds, "megabytes_per_s": size / seconds / 1e6}
+
+
+def _frame(tab: DashboardTab) -> int:
+    return tab.page.evaluate("() => window.__viserTestpoints.rendererInfo.render.frame")
+
+
+if __name__ == "__main__":
+    kind, server, duration = sys.argv[1:4]
+    if kind == "websocket":
+        done = listen(server, float(duration))
+    else:
+        done = browse(server, float(duration), drag=kind == "drag")
+    print(json.dumps(done))

@@ -1,0 +1,150 @@
+"""How well the dashboard keeps to real time: `python -m benchmarks.realtime --client browser --drag`.
+
+The hard case is a headless browser that draws in software on the same cores while its mouse drags
+the hand at the base. Set up as `dbb serve` sets up; only the session notes its times.
+"""
+
+from __future__ import annotations
+
+import json as json_module
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import psutil
+import tyro
+
+from app.cli.common import load_robot_and_border
+from app.config import Config
+from app.dashboard.server import serve_dashboard
+from app.simulation.loop import LoopHandle, SimulationLoop
+from app.simulation.scenario import scenario_by_name
+from app.simulation.session import DT
+from app.simulation.snapshot import Pull, Reset
+from app.simulation.start import StartSolver
+from benchmarks.timed_session import TimedSession
+
+SETTLE = 2.0  # [s] between the client's connection and the measurement
+PULL_EVERY = 0.05  # [s] as often as a browser sends
+
+
+@dataclass(frozen=True)
+class Realtime:
+    """Measure the real-time factor of the dashboard."""
+
+    seconds: float = 30.0
+    """[s] measured."""
+    client: Literal["browser", "websocket", "none"] = "browser"
+    """A headless browser, a client that draws nothing, or nobody."""
+    drag: bool = False
+    """Whether the hand is dragged at the base and back, in the browser by the mouse."""
+    json: bool = False
+    """Print one JSON object on standard output and nothing else there."""
+
+
+def main(args: Realtime) -> None:
+    """Measure and print."""
+    with tempfile.TemporaryDirectory() as folder:
+        result = measure(args, Path(folder) / "times.npy")
+    if args.json:
+        print(json_module.dumps(result, indent=2))
+        return
+    for key, value in result.items():
+        print(f"{key:28} {value:.4g}" if isinstance(value, float) else f"{key:28} {value}")
+
+
+def measure(args: Realtime, record: Path) -> dict[str, Any]:
+    """Serve, let the client work, and sum up the record of the loop's steps."""
+    load = os.getloadavg()[0]
+    model, data = load_robot_and_border("husky_panda")
+    config, scenario = Config(), scenario_by_name("guiding-front")
+    q_start = StartSolver(model, data.pairs, config.border.d_b).solve(scenario.start)
+    loop = SimulationLoop(lambda: TimedSession(record, model, data, config), q_start)
+    loop.start()
+    try:
+        server = serve_dashboard(loop, model, data.clouds, port=0)
+        done, window, cpu = _observe(args, server.address, loop)
+        overruns = loop.latest().overruns
+        server.stop()
+    finally:
+        loop.stop()
+    if loop.error is not None:
+        raise loop.error
+    return {
+        "client": args.client, "dragged": args.drag, "seconds": args.seconds,
+        "cores": os.cpu_count(), "load_before": load, **figures(np.load(record), *window),
+        "overruns_since_reset": overruns, "server_cpu_percent": cpu, **done,
+    }  # fmt: skip
+
+
+def _observe(
+    args: Realtime, address: str, loop: LoopHandle
+) -> tuple[dict[str, Any], tuple[float, float], float]:
+    """What the client has done, the measured span of time, and the server's load in percent."""
+    process, begin_cpu = psutil.Process(), 0.0
+    kind = "drag" if args.client == "browser" and args.drag else args.client
+    client = None
+    if kind != "none":
+        command = [sys.executable, "-m", "benchmarks.client", kind, address]
+        whole = SETTLE + args.seconds
+        client = subprocess.Popen([*command, str(whole)], stdout=subprocess.PIPE, text=True)
+        assert client.stdout is not None
+        if client.stdout.readline() != "ready\n":
+            raise RuntimeError("the client could not connect")
+    time.sleep(SETTLE)
+    begin, begin_cpu = time.perf_counter(), sum(process.cpu_times()[:2])
+    _pass_time(args, begin, loop)
+    end, end_cpu = time.perf_counter(), sum(process.cpu_times()[:2])
+    done = json_module.loads(client.communicate(timeout=60)[0]) if client else {}
+    return done, (begin, end), 100.0 * (end_cpu - begin_cpu) / (end - begin)
+
+
+def _pass_time(args: Realtime, begin: float, loop: LoopHandle) -> None:
+    """Wait; where no mouse does it, pull the hand at the base and back."""
+    scripted = args.drag and args.client != "browser"
+    start, near = loop.latest().p_ee, loop.latest().p_ee - [0.30, 0.0, 0.0]
+    while (t := time.perf_counter() - begin) < args.seconds:
+        if scripted and t % 12.0 < PULL_EVERY:  # [s] the base has to come back some time
+            loop.send(Reset())
+        if scripted:
+            share = 0.5 - 0.5 * np.cos(2.0 * np.pi * t / 4.0)
+            x, y, z = start + share * (near - start)
+            loop.send(Pull((float(x), float(y), float(z))))
+        time.sleep(PULL_EVERY)
+
+
+def figures(record: np.ndarray, begin: float, end: float) -> dict[str, float]:
+    """Key figures of the steps that began in a span of time.
+
+    Args:
+        record: (N, 4) begin [s], duration [s], the controller's part of it [s] and β_m of each step.
+        begin: [s] of the span.
+        end: [s] of the span.
+    """
+    t, whole, control, beta = record[(record[:, 0] >= begin) & (record[:, 0] < end)].T
+    period = 1e3 * np.diff(t)  # [ms]
+    behind = (t - t[0]) - np.arange(len(t)) * DT  # [s]
+    return {
+        "realtime_factor": len(t) * DT / (end - begin),
+        "period_p50_ms": float(np.percentile(period, 50)),
+        "period_p99_ms": float(np.percentile(period, 99)),
+        "period_max_ms": float(period.max()),
+        "delay_max_ms": 1e3 * float(np.max(behind - np.minimum.accumulate(behind))),
+        "step_p50_us": 1e6 * float(np.percentile(whole, 50)),
+        "step_p99_us": 1e6 * float(np.percentile(whole, 99)),
+        "control_mean_us": 1e6 * float(control.mean()),
+        "control_p99_us": 1e6 * float(np.percentile(control, 99)),
+        "steps_longer_than_period_percent": 100.0 * float(np.mean(whole > DT)),
+        "active_steps_percent": 100.0 * float(np.mean(beta > 0.0)),
+        "activation_max": float(beta.max()),
+    }
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Realtime))

@@ -1,0 +1,334 @@
+"""The commands: one JSON object where it was asked for, one clear line where it cannot be done."""
+
+from __future__ import annotations
+
+import csv
+import json
+import logging
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from app.cli.main import main
+from app.robot import assets
+from app.robot.state import Measurement, RobotState
+from app.simulation.scenario import SCENARIOS
+
+PROJECT = Path(__file__).parent.parent
+QUICK = ["run", "guiding-lateral", "--physics", "kinematic", "--duration", "0.05"]
+FIGURES = {
+    "scenario", "controller", "robot", "seed", "duration_s", "min_distance_m", "min_clearance_m",
+    "contacts", "arm_min_clearance_m", "arm_contacts", "ee_error_max_m", "ee_error_final_m",
+    "base_displacement_m", "base_yaw_rad", "activation_max", "base_acceleration_jump_max",
+    "torque_jump_max_nm", "solver_failures", "step_p50_us", "step_p99_us", "realtime_factor",
+}  # fmt: skip
+UNITS = ("_s", "_m", "_rad", "_nm", "_n", "_us", "_mps", "_radps", "_mps2", "_radps2")
+
+
+class Outcome(NamedTuple):
+    status: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def dbb(capfd, monkeypatch):
+    """Runs the command line in this process; also sees what a C library prints."""
+    monkeypatch.setattr(logging, "basicConfig", lambda **_: None)  # pytest owns the logging here
+
+    def run(*args: str) -> Outcome:
+        capfd.readouterr()
+        try:
+            main(list(args))
+            status = 0
+        except SystemExit as end:
+            status = end.code
+        return Outcome(status, *capfd.readouterr())
+
+    return run
+
+
+def refused(outcome: Outcome, *words: str) -> None:
+    """Status 2, nothing on standard output, one line on standard error with these words."""
+    assert outcome.status == 2
+    assert outcome.out == ""
+    lines = outcome.err.splitlines()
+    assert len(lines) == 1, outcome.err
+    assert lines[0].startswith("dbb: error: ")
+    assert not [word for word in words if word not in lines[0]], lines[0]
+
+
+@pytest.mark.parametrize(
+    ("args", "keys"),
+    [
+        (["robots"], {"robots"}),
+        (["pairs", "--samples", "2000"], {"pairs", "L_m", "L_m_c", "never", "seed", "samples"}),
+        (["border"], {"robot", "buffer_distance_m", "tolerance_m", "borders"}),
+        (QUICK, FIGURES),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_json_is_one_object_on_standard_output_and_nothing_else(dbb, args, keys):
+    outcome = dbb(*args, "--json")
+    assert outcome.status == 0, outcome.err
+    assert keys <= set(json.loads(outcome.out))
+
+
+@pytest.mark.parametrize("args", [["robots"], ["pairs", "--samples", "2000"], ["border"], QUICK])
+def test_without_json_the_same_is_told_to_people(dbb, args):
+    outcome = dbb(*args)
+    assert outcome.status == 0
+    assert outcome.out.strip()
+    with pytest.raises(json.JSONDecodeError):
+        json.loads(outcome.out)
+
+
+def test_figures_of_a_run_are_those_of_the_issue_and_further_ones_end_in_their_unit(dbb):
+    figures = json.loads(dbb(*QUICK, "--json").out)
+    assert FIGURES <= set(figures)
+    without_unit = {"physics", "floor_contacts"}
+    assert not [k for k in set(figures) - FIGURES - without_unit if not k.endswith(UNITS)]
+    assert set(figures["base_acceleration_jump_max"]) == {"linear_mps2", "angular_radps2"}
+    assert set(figures["min_distance_m"]) == {"lm-lEE", "lm-l3", "l1-lEE", "l1-l3", "l2-lEE"}
+    assert (figures["scenario"], figures["controller"]) == ("guiding-lateral", "dbb")
+    assert (figures["duration_s"], figures["seed"], figures["robot"]) == (0.05, 0, "husky_panda")
+
+
+def test_none_and_dbb_are_told_apart(dbb):
+    plain = json.loads(dbb(*QUICK, "--controller", "none", "--seed", "3", "--json").out)
+    assert (plain["controller"], plain["seed"], plain["activation_max"]) == ("none", 3, 0.0)
+
+
+def test_start_and_move_are_obeyed(dbb, robot, tmp_path):
+    """The log begins with the hand where --start says, and the person pulls along --move."""
+    path = ["--start", "0.35", "0.75", "0.4", "--move", "0", "-0.2", "0"]
+    args = [*QUICK[:4], "--duration", "0.2", *path, "--out", str(tmp_path)]
+    assert json.loads(dbb(*args, "--json").out)["duration_s"] == 0.2
+    rows = list(csv.DictReader((tmp_path / "log.csv").open(encoding="utf-8")))
+    state = RobotState(robot)
+    q_m = np.array([float(rows[0][f"q{i}_rad"]) for i in range(1, 8)])
+    state.update(Measurement(np.zeros(3), np.zeros(2), q_m, np.zeros(7)))
+    np.testing.assert_allclose(state.T_world_ee.translation, [0.35, 0.75, 0.4], atol=1e-5)
+    force = np.array([[float(row[f"hand_f{axis}_n"]) for axis in "xyz"] for row in rows]).mean(
+        axis=0
+    )
+    assert force[1] < -0.1
+    assert abs(force[1]) > 3 * np.hypot(force[0], force[2])
+
+
+def test_the_buffer_distance_is_obeyed(dbb):
+    """A start outside of a narrow buffer is inside of a wide one."""
+    args = [*QUICK, "--start", "0.3", "0.58", "0.3", "--buffer-distance"]
+    assert dbb(*args, "0.06").status == 0
+    refused(dbb(*args, "0.3"), "inside its buffer")
+
+
+def test_out_writes_the_log_and_the_printed_figures(dbb, tmp_path):
+    out = tmp_path / "made" / "on demand"
+    outcome = dbb(*QUICK, "--out", str(out), "--json")
+    assert (out / "metrics.json").read_text(encoding="utf-8") == outcome.out
+    rows = list(csv.DictReader((out / "log.csv").open(encoding="utf-8")))
+    assert [float(row["t_s"]) for row in rows] == pytest.approx([0.0, 0.01, 0.02, 0.03, 0.04])
+    plain = {"contact", "arm_contact", "beta_m"}
+    names = [n for n in rows[0] if n not in plain and not n.startswith("beta_")]
+    assert not [name for name in names if not name.endswith(UNITS)]
+    least = min(float(row["d_lm-lEE_m"]) for row in rows)
+    assert least >= json.loads(outcome.out)["min_distance_m"]["lm-lEE"]
+    assert sorted(p.name for p in out.iterdir()) == ["log.csv", "metrics.json"]
+
+
+def test_border_out_writes_the_points_that_it_counts(dbb, tmp_path):
+    figures = json.loads(dbb("border", "--out", str(tmp_path), "--json").out)["borders"]
+    for pair, border in figures.items():
+        lines = (tmp_path / f"{pair}.csv").read_text(encoding="utf-8").splitlines()
+        assert lines[0] == "x_m,y_m,z_m"
+        assert len(lines) - 1 == border["points"]
+    assert {path.stem for path in tmp_path.iterdir()} == set(figures)
+
+
+REFUSED = {
+    "scenario": (["run", "nope"], ["scenario", *SCENARIOS]),
+    "controller": ([*QUICK, "--controller", "dbx"], ["did you mean 'dbb'", "dbb, none"]),
+    "robot": ([*QUICK, "--robot", "husky"], ["robot 'husky'", "husky_panda"]),
+    "robot of pairs": (["pairs", "--robot", "r2d2"], ["r2d2", "husky_panda"]),
+    "robot of border": (["border", "--robot", "r2d2"], ["r2d2", "husky_panda"]),
+    "physics": (["run", "tracking", "--physics", "real"], ["contact, kinematic, planar"]),
+    "served controller": (["serve", "--controller", "x"], ["dbb, none"]),
+    "served physics": (["serve", "--physics", "x"], ["contact, kinematic, planar"]),
+    "d_b": ([*QUICK, "--buffer-distance", "0.5"], ["--buffer-distance", "0.06 to 0.3 m"]),
+    "d_b nan": ([*QUICK, "--buffer-distance", "nan"], ["--buffer-distance", "nan"]),
+    "d_b of border": (["border", "--buffer-distance", "0"], ["--buffer-distance", "0.06"]),
+    "eps": (["border", "--tolerance", "-1"], ["--tolerance", "0.002 to 0.02 m"]),
+    "duration": ([*QUICK[:4], "--duration", "-1"], ["--duration", "0.01 to 3600 s"]),
+    "duration inf": ([*QUICK[:4], "--duration", "inf"], ["--duration", "inf"]),
+    "seed": ([*QUICK, "--seed", "-1"], ["--seed", "-1"]),
+    "seed of pairs": (["pairs", "--seed", "-1"], ["--seed"]),
+    "seed of border": (["border", "--seed", "-1"], ["--seed"]),
+    "seed of serve": (["serve", "--seed", "-1"], ["--seed"]),
+    "samples": (["pairs", "--samples", "-5"], ["--samples", "-5"]),
+    "no samples": (["pairs", "--samples", "0"], ["--samples"]),
+    "too far": ([*QUICK, "--start", "3", "0", "0.5"], ["(3, 0, 0.5) m", "out of the arm's reach"]),
+    "served too far": (["serve", "--start", "3", "0", "1", "--port", "0"], ["arm's reach"]),
+    "below the floor": ([*QUICK, "--start", "0.7", "0", "-0.1"], ["floor is z = 0"]),
+    "start nan": ([*QUICK, "--start", "nan", "0", "1"], ["--start", "nan"]),
+    "in the base": ([*QUICK, "--start", "0.3", "0.2", "0.2"], ["no configuration"]),
+    "led below": ([*QUICK, "--move", "0", "0", "-1"], ["below the floor"]),
+    "tracked below": (
+        ["run", "tracking", "--duration", "0.1", "--move", "0", "0", "-1"], ["below the floor"],
+    ),
+    "led away": ([*QUICK, "--move", "1e9", "0", "0"], ["--move", "-10 to 10 m"]),
+    "port": (["serve", "--port", "70000"], ["70000", "between 0 and 65535"]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_done_is_one_line_that_says_what_can(dbb, case):
+    args, words = REFUSED[case]
+    refused(dbb(*args), *words)
+
+
+def test_nothing_is_simulated_when_the_results_could_not_be_kept(dbb, tmp_path):
+    file = tmp_path / "file"
+    file.touch()
+    refused(dbb("run", "tracking", "--out", str(file)), "--out", str(file))
+    refused(dbb("run", "tracking", "--out", str(file / "in")), "--out", "Not a directory")
+    refused(dbb("border", "--out", str(file)), "--out", str(file))
+
+
+@pytest.mark.parametrize("args", [["run", "tracking", "--bogus"], ["run"], ["nope"], []])
+def test_wrong_usage_points_to_the_help(dbb, args):
+    outcome = dbb(*args)
+    assert (outcome.status, outcome.out) == (2, "")
+    assert "--help" in outcome.err or "Required" in outcome.err
+    assert "Traceback" not in outcome.err
+
+
+@pytest.mark.parametrize(
+    ("line", "written", "words"),
+    [
+        ("mass_kg", "", ["base.mass_kg: missing"]),
+        ("wheel_radius_m", "wheel_radus_m = 0.165", ["unknown field", "wheel_radius_m"]),
+        ("half_track_m", "half_track_m = -0.51", ["base.half_track_m", "greater than 0", "-0.51"]),
+    ],
+)
+@pytest.mark.parametrize("command", ["robots", "pairs", "border", QUICK], ids=str)
+def test_a_description_that_does_not_hold_names_file_and_field(
+    dbb, tmp_path, monkeypatch, command, line, written, words
+):
+    folder = tmp_path / "husky_panda"
+    shutil.copytree(assets.ASSETS / "husky_panda", folder)
+    path = folder / "robot.toml"
+    lines = path.read_text(encoding="utf-8").splitlines()
+    changed = [written if each.split("=")[0].strip() == line else each for each in lines]
+    assert changed != lines
+    path.write_text("\n".join(changed), encoding="utf-8")
+    monkeypatch.setattr(assets, "ASSETS", tmp_path)
+    refused(dbb(*([command] if isinstance(command, str) else command)), str(path), *words)
+
+
+def test_a_wrong_joint_and_a_missing_mesh_are_one_line(dbb, tmp_path, monkeypatch):
+    folder = tmp_path / "husky_panda"
+    shutil.copytree(assets.ASSETS / "husky_panda", folder)
+    monkeypatch.setattr(assets, "ASSETS", tmp_path)
+    description, urdf = folder / "robot.toml", folder / "robot.urdf"
+    good, drawn = description.read_text(encoding="utf-8"), urdf.read_text(encoding="utf-8")
+    description.write_text(good.replace('"panda_joint3"', '"panda_joint33"'), encoding="utf-8")
+    refused(dbb("pairs"), "arm.joints", "panda_joint33", "panda_joint3")
+    description.write_text(good, encoding="utf-8")
+    urdf.write_text(drawn.replace("/hand.obj", "/no_hand.obj"), encoding="utf-8")
+    refused(dbb("pairs"), "no_hand.obj")
+
+
+def test_a_port_in_use_is_one_line(dbb):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        refused(dbb("serve", "--port", str(port)), str(port), "in use", "--port")
+
+
+def test_help_names_every_command_and_the_unit_of_every_quantity(dbb):
+    text = dbb("--help").out
+    assert not [c for c in ("serve", "run", "pairs", "border", "robots") if c not in text]
+    text = dbb("run", "--help").out
+    for option, unit in {
+        "--start X Y Z": "[m]", "--move X Y Z": "[m]", "--duration FLOAT": "[s]",
+        "--buffer-distance FLOAT": "[m]",
+    }.items():  # fmt: skip
+        assert unit in text.partition(option)[2][:120]
+    assert not [name for name in SCENARIOS if name not in text]
+
+
+def command(*args: str, **options) -> subprocess.Popen[str]:
+    """The command in a process of its own, in a session of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "app", *args],
+        cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options,
+    )  # fmt: skip
+
+
+def test_python_m_app_is_dbb():
+    script = Path(sys.executable).parent / "dbb"
+    if not script.exists():
+        pytest.skip("the package is not installed in this environment")
+    installed = subprocess.run([script, "robots", "--json"], capture_output=True, text=True)
+    module, errors = command("robots", "--json").communicate(timeout=60)
+    assert module == installed.stdout
+    assert json.loads(module)["robots"][0]["name"] == "husky_panda"
+    assert errors == ""
+
+
+def test_ctrl_c_ends_a_run_cleanly(tmp_path):
+    out = tmp_path / "out"
+    process = command("run", "guiding-lateral", "--duration", "3000", "--out", str(out))
+    deadline = time.monotonic() + 60
+    while not out.exists() and time.monotonic() < deadline:  # made just before the work begins
+        time.sleep(0.05)
+    time.sleep(1.5)
+    process.send_signal(signal.SIGINT)
+    printed, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert printed == ""
+    assert err == "dbb: interrupted\n"
+    assert list(out.iterdir()) == []
+
+
+def test_ctrl_c_ends_the_dashboard_cleanly():
+    process = command("serve", "--port", "0")
+    wait_for(process.stderr, "Dashboard at http://127.0.0.1:")
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode == 0
+    assert out == ""
+    assert "Traceback" not in err
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    read, write = os.pipe()
+    os.close(read)
+    process = subprocess.run(
+        [sys.executable, "-m", "app", "robots"],
+        cwd=PROJECT, stdout=write, stderr=subprocess.PIPE, text=True, timeout=60,
+    )  # fmt: skip
+    os.close(write)
+    assert process.stderr == ""
+    assert process.returncode == 1
+
+
+def wait_for(stream, text: str) -> None:
+    """Read until the text stands there; fails if the stream ends first."""
+    seen = ""
+    while text not in seen:
+        character = stream.read(1)
+        assert character, f"ended before {text!r}: {seen}"
+        seen += character

@@ -1,0 +1,137 @@
+"""Data flows one way: a module imports only from its own room and from rooms before it."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).resolve().parent.parent
+
+ROOMS = (
+    "errors", "strict", "config",
+    "robot", "border", "avoidance", "control", "simulation", "dashboard", "cli", "__main__",
+)  # fmt: skip
+"""In the order of the data's way; the first three and the last are single modules."""
+
+ONLY_IN = {
+    "viser": {"dashboard"},
+    "pybullet": {"simulation"},
+    "pybullet_data": {"simulation"},
+    "tyro": {"cli"},
+}
+"""Libraries that belong to some rooms alone."""
+
+FILES = sorted((PROJECT / "app").rglob("*.py"))
+
+
+def test_every_module_stands_in_a_known_room() -> None:
+    assert len(FILES) > len(ROOMS)
+    assert {room_of(path) for path in FILES} <= {*ROOMS, "__init__"}
+    assert {room_of(path) for path in FILES} >= set(ROOMS)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PROJECT)))
+def test_a_module_imports_only_from_its_own_room_and_those_before(path: Path) -> None:
+    source = path.read_text(encoding="utf-8")
+    assert violations(source, room_of(path), package_of(path)) == []
+
+
+@pytest.mark.parametrize(
+    ("room", "source", "culprit"),
+    [
+        ("robot", "import app.border.dbb", "app.border.dbb"),
+        ("border", "from app.avoidance.task import TaskRows", "app.avoidance.task"),
+        ("avoidance", "from app import control", "app.control"),
+        ("control", "def f():\n    from ..simulation import person", "app.simulation"),
+        ("config", "from . import robot", "app.robot"),
+        ("control", "import importlib\nimportlib.import_module('app.cli.run')", "app.cli.run"),
+        ("simulation", "import viser.transforms", "viser"),
+        ("cli", "import viser", "viser"),
+        ("control", "import pybullet as p", "pybullet"),
+        ("dashboard", "import pybullet_data", "pybullet_data"),
+        ("border", "import app", "app"),
+    ],
+)
+def test_the_rule_sees_every_way_to_break_it(room: str, source: str, culprit: str) -> None:
+    package = "app" if room == "config" else f"app.{room}"
+    assert violations(source, room, package) == [culprit]
+
+
+def test_the_controller_works_without_any_simulator_or_screen() -> None:
+    """An engineer's own loop loads neither: seen by what the interpreter has loaded, not by text."""
+    code = (
+        "import sys, app.control.controller, app.control.admittance, app.border.cache\n"
+        "print(sorted({'viser', 'pybullet', 'tyro'} & set(sys.modules)), 'pinocchio' in sys.modules)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[] True"
+
+
+def room_of(path: Path) -> str:
+    """The first part of a module's name below `app`."""
+    return path.relative_to(PROJECT / "app").parts[0].removesuffix(".py")
+
+
+def package_of(path: Path) -> str:
+    """The package against which a file's relative imports count."""
+    return ".".join(path.relative_to(PROJECT).parent.parts)
+
+
+def violations(source: str, room: str, package: str) -> list[str]:
+    """What a module of a room imports and may not."""
+    return [name for name in imported(ast.parse(source), package) if not allowed(name, room)]
+
+
+def allowed(name: str, room: str) -> bool:
+    """Whether a room may import a module."""
+    top, _, rest = name.partition(".")
+    if top == "app":
+        other = rest.partition(".")[0]
+        if room == "__init__":
+            return False
+        # `import app` alone would reach every room.
+        return other in ROOMS and ROOMS.index(other) <= ROOMS.index(room)
+    return room in ONLY_IN.get(top, {room})
+
+
+def imported(tree: ast.AST, package: str) -> Iterator[str]:
+    """Full names of the modules that a module imports, anywhere in it and by any means."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (top_of_library(alias.name) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = resolved(node, package)
+            if base == "app":  # from app import control
+                yield from (f"app.{alias.name}" for alias in node.names)
+            else:
+                yield top_of_library(base)
+        elif isinstance(node, ast.Call) and called_name(node) in {"import_module", "__import__"}:
+            first = node.args[0] if node.args else None
+            if isinstance(first, ast.Constant) and isinstance(first.value, str):
+                yield top_of_library(first.value)
+
+
+def resolved(node: ast.ImportFrom, package: str) -> str:
+    """The module of a `from … import`, its leading dots resolved."""
+    if not node.level:
+        return node.module or ""
+    parents = package.split(".")
+    base = ".".join(parents[: len(parents) - node.level + 1])
+    return f"{base}.{node.module}" if node.module else base
+
+
+def top_of_library(name: str) -> str:
+    """A library by its first name, the project's own modules in full."""
+    return name if name.split(".")[0] == "app" else name.split(".")[0]
+
+
+def called_name(node: ast.Call) -> str:
+    """The last part of what a call calls."""
+    return getattr(node.func, "attr", getattr(node.func, "id", ""))

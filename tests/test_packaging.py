@@ -1,0 +1,125 @@
+"""The wheel works by itself: outside a checkout, without the network, with the border that ships."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
+
+from app.border.key import border_key
+from app.border.sampling_config import SamplingConfig
+from tests.robots import husky_panda
+
+PROJECT = Path(__file__).resolve().parent.parent
+PIP = (sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check")
+SHIPPED = f"husky_panda-{border_key(husky_panda().description, SamplingConfig())}.npz"
+FOREIGN = ("husky_panda-" + "0" * 32 + ".npz", "other_robot-" + "1" * 32 + ".npz")
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel of a copy of the sources, in whose cache lie borders that must not travel."""
+    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("wheel")
+    for name in ("app", "robot_assets", "dbb_cache"):
+        shutil.copytree(PROJECT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE", ".gitignore"):
+        shutil.copy(PROJECT / name, source)
+    for name in FOREIGN:
+        (source / "dbb_cache" / name).write_bytes(b"not for others")
+    run(*PIP, "wheel", "--no-deps", "--no-build-isolation", "-w", str(out), str(source), cwd=out)
+    (built,) = out.glob("*.whl")
+    return built
+
+
+@pytest.fixture(scope="module")
+def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the wheel installed and nothing else; the libraries are this interpreter's."""
+    folder = tmp_path_factory.mktemp("installed")
+    run(*PIP, "install", "--no-deps", "--no-index", "--target", str(folder), str(wheel), cwd=folder)
+    return folder
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path) -> Path:
+    """A working directory outside the checkout; its `cache` is the user's cache folder."""
+    assert PROJECT not in tmp_path.parents
+    return tmp_path
+
+
+def test_the_wheel_holds_descriptions_and_of_the_borders_the_shipped_one_alone(wheel: Path) -> None:
+    with ZipFile(wheel) as archive:
+        names = archive.namelist()
+    robots = sorted(path.parent.name for path in (PROJECT / "robot_assets").glob("*/robot.toml"))
+    packed = sorted(name.split("/")[2] for name in names if name.endswith("/robot.toml"))
+    assert packed == robots
+    assert [name for name in names if name.endswith(".npz")] == [f"app/dbb_cache/{SHIPPED}"]
+    outside = {name for name in names if not name.startswith(("app/", "dbb_mobile_manipulator-"))}
+    assert outside == set()
+    assert wheel.stat().st_size < 12e6  # [byte]
+
+
+def test_the_installed_command_finds_its_descriptions(installed: Path, elsewhere: Path) -> None:
+    robots = dbb(installed, elsewhere, "robots", "--json")["robots"]
+    assert "husky_panda" in [robot["name"] for robot in robots]
+
+
+def test_the_installed_command_reads_the_border_that_ships(
+    installed: Path, elsewhere: Path
+) -> None:
+    border = dbb(installed, elsewhere, "border", "--json")
+    assert border["origin"] == "shipped"
+    assert {pair: b["points"] >= 50_000 for pair, b in border["borders"].items()} == {
+        "lm-lEE": True,
+        "lm-l3": True,
+    }
+
+
+def test_what_is_sampled_goes_to_the_users_cache_and_is_found_again(
+    installed: Path, elsewhere: Path
+) -> None:
+    code = """
+from pathlib import Path
+import app
+from app.border.cache import load_border_data
+from app.border.sampling_config import SamplingConfig
+from app.robot.assets import load_robot
+from app.robot.model import RobotModel
+tiny = SamplingConfig(pair_samples=2000, cloud_samples=1000, voxel_plan=0.1, voxel_height=0.1,
+                      sectors=2, retries=0)
+model = RobotModel(load_robot("husky_panda"))
+origins = [
+    load_border_data(model, sampling=tiny, progress=False, processes=1).origin for _ in range(2)
+]
+print(Path(app.__file__).parent, *origins)
+"""
+    before = sorted((installed / "app").rglob("*.npz"))
+    printed = run(sys.executable, "-c", code, cwd=elsewhere, env=environment(installed, elsewhere))
+    assert printed.split() == [str(installed / "app"), "sampled", "cache"]
+    assert len(list((elsewhere / "cache" / "dbb").glob("husky_panda-*.npz"))) == 1
+    assert sorted((installed / "app").rglob("*.npz")) == before
+
+
+def dbb(installed: Path, cwd: Path, *arguments: str) -> dict:
+    """What the installed console command prints."""
+    command = str(installed / "bin" / "dbb")
+    return json.loads(run(command, *arguments, cwd=cwd, env=environment(installed, cwd)))
+
+
+def environment(installed: Path, cwd: Path) -> dict[str, str]:
+    """Where Python finds the installed package first, and the user's cache is in `cwd`."""
+    return {**os.environ, "PYTHONPATH": str(installed), "XDG_CACHE_HOME": str(cwd / "cache")}
+
+
+def run(*command: str, cwd: Path, env: dict[str, str] | None = None) -> str:
+    """Standard output of a command that must succeed; its errors are shown if it does not."""
+    done = subprocess.run(command, cwd=cwd, env=env, capture_output=True, text=True, timeout=80)
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stdout
