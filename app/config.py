@@ -91,6 +91,10 @@ class AdmittanceConfig(Strict):
     """[N s/m] D_a, linear."""
     angular_damping: float = Field(160.0, ge=0.0, le=600.0)
     """[N m s] D_a, angular."""
+    v_max: float = Field(0.5, ge=0.05, le=2.0)
+    """[m/s] largest commanded speed, within the base's own limit; one that the arm can follow."""
+    omega_max: float = Field(1.0, ge=0.1, le=4.0)
+    """[rad/s] largest commanded turn, within the base's own limit."""
     period: float = Field(0.1, ge=0.001, le=0.5)
     """[s] between two velocity commands."""
 

@@ -66,7 +66,7 @@ def test_what_is_asked_between_two_commands_is_not_lost(robot: RobotModel) -> No
 def test_commands_keep_the_bases_velocity_and_acceleration_limits(
     robot: RobotModel, asked: list[float]
 ) -> None:
-    base, admittance = robot.description.base, law(robot, damping=0.0, angular_damping=0.0)
+    base, admittance = robot.description.base, law(robot, damping=0.0, angular_damping=0.0, v_max=2.0, omega_max=4.0)
     before = np.zeros(2)
     for _ in range(20):
         command = after(admittance, asked, 0.1).copy()
@@ -76,3 +76,8 @@ def test_commands_keep_the_bases_velocity_and_acceleration_limits(
     np.testing.assert_allclose(
         np.abs(before), [base.max_linear_velocity_mps, base.max_angular_velocity_radps]
     )
+
+
+def test_commands_keep_the_configured_speed_too(robot: RobotModel) -> None:
+    admittance = law(robot, v_max=0.2, omega_max=0.3)
+    np.testing.assert_allclose(after(admittance, [-9.0, 9.0], 3.0), [-0.2, 0.3])

@@ -19,9 +19,9 @@ FLOOR = 0.05
 
 
 def control_point_jacobian(x: float, y: float, phi: float, r: float, b: float) -> Array:
-    """J_c, from the wheels' speeds to the velocity of the control point.
+    """J_c, from the wheels' speeds to the velocity of the control point, ṗ_c = J_c q̇_b.
 
-    Paper: Eq. (6).
+    Paper: Eq. (5), (6).
 
     Args:
         x: [m] from the base's centre to the control point, along the world's x axis.
@@ -41,7 +41,7 @@ def control_point_jacobian(x: float, y: float, phi: float, r: float, b: float) -
 def singularity_measure(p: Array, r: float, b: float) -> Array:
     """det(J_c J_cᵀ) at q_c = (x, y, 0): zero on the wheels' axis.
 
-    Paper: Eq. (7).
+    Paper: Eq. (7), (8).
 
     Args:
         p: (…, 3) [m] points in the base's frame.

@@ -64,4 +64,5 @@ class AdmittanceLaw:
         F = mass * acceleration
         change = gain * (F - damping * self.command) / mass * period
         change = np.clip(change, -self._a_max * period, self._a_max * period)
-        return np.clip(self.command + change, -self._v_max, self._v_max)
+        v_max = np.minimum(self._v_max, [c.v_max, c.omega_max])
+        return np.clip(self.command + change, -v_max, v_max)

@@ -37,6 +37,10 @@ def mobile_jacobian(r: float, b: float) -> Array:
 class RobotModel:
     """What does not change while the robot moves.
 
+    The base cannot move sideways: the row of S for the velocity along the wheels' axis is zero.
+
+    Paper: Eq. (4).
+
     Attributes:
         description: The description it was compiled from.
         pin: pinocchio's model: a planar joint, then the arm's; all other joints are locked at zero.

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import queue
 import threading
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from time import sleep
@@ -17,6 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from app.errors import LoopError
+from app.simulation.history import History
 from app.simulation.pacing import Pacer
 from app.simulation.person import checked_target
 from app.simulation.publishing import make_snapshot
@@ -26,7 +26,6 @@ from app.simulation.snapshot import Command, Configure, Pause, Pull, Reset, Snap
 Array = np.ndarray
 
 _PUBLISH_EVERY = 20  # control steps between two snapshots: 50 Hz
-_HISTORY = 3000  # snapshots kept: 60 s
 _IDLE = 0.01  # [s] between two looks at the queue while paused
 
 
@@ -67,8 +66,7 @@ class SimulationLoop:
         self._make_session = make_session
         self._q_start = np.array(q_start)
         self._commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
-        self._history: deque[Snapshot] = deque(maxlen=_HISTORY)
-        self._latest: Snapshot | None = None
+        self._history = History()
         self._ready = threading.Event()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulation", daemon=True)
@@ -104,17 +102,11 @@ class SimulationLoop:
 
     def latest(self) -> Snapshot:
         """The newest snapshot."""
-        assert self._latest is not None, "start the loop first"
-        return self._latest
+        return self._history.latest
 
     def history(self, after: float) -> list[Snapshot]:
         """Snapshots of the last 60 s with t > `after` [s], oldest first."""
-        found = []
-        for snapshot in reversed(tuple(self._history)):
-            if snapshot.t <= after:
-                break
-            found.append(snapshot)
-        return found[::-1]
+        return self._history.after(after)
 
     def _run(self) -> None:
         session: Session | None = None
@@ -138,7 +130,6 @@ class SimulationLoop:
     def _reset(self, session: Session) -> None:
         session.reset(self._q_start)
         self._pull = None
-        self._history.clear()
         self._pacer = Pacer(DT)
         self._publish(session, session.step())
 
@@ -150,9 +141,7 @@ class SimulationLoop:
         self._pacer.wait()
 
     def _publish(self, session: Session, step: Step) -> None:
-        snapshot = make_snapshot(session, step, self._pacer, paused=self._paused)
-        self._history.append(snapshot)
-        self._latest = snapshot
+        self._history.add(make_snapshot(session, step, self._pacer, paused=self._paused))
 
     def _obey(self, session: Session) -> None:
         while True:
@@ -174,5 +163,5 @@ class SimulationLoop:
 
     def _refresh(self, session: Session) -> None:
         """Publish a change that must be seen although no step follows while paused."""
-        assert self._latest is not None
-        self._latest = replace(self._latest, config=session.config, paused=self._paused)
+        latest = self._history.latest
+        self._history.add(replace(latest, config=session.config, paused=self._paused))

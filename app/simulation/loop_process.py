@@ -1,0 +1,82 @@
+"""What runs in the child process of `ProcessLoop`: the loop's thread, and a thread that posts."""
+
+from __future__ import annotations
+
+import gc
+import os
+import pickle
+import signal
+import sys
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import NamedTuple
+
+import numpy as np
+
+from app.errors import LoopError
+from app.simulation.loop import SimulationLoop
+from app.simulation.session import Session
+
+Array = np.ndarray
+
+_POST_EVERY = 0.01  # [s] between two looks for a new snapshot; there is one every 0.02 s
+_SWITCH = 2e-4  # [s] after which the loop's thread gets its turn from the one that posts
+_NICENESS = -10  # [-] wished for; browsers give their drawing -8 where they may
+
+
+class Failure(NamedTuple):
+    """The loop has ended with an error."""
+
+    error: BaseException
+    traceback: str
+    """As it would have been printed."""
+
+
+def run_loop(
+    make_session: Callable[[], Session], q_start: Array, commands: Connection, snapshots: Connection
+) -> None:
+    """Run a loop until the other end of `commands` is closed, or its process gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent obeys Ctrl-C, and then closes
+    sys.setswitchinterval(_SWITCH)
+    with suppress(OSError):  # only few may
+        os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+    loop = SimulationLoop(make_session, q_start)
+    try:
+        with suppress(LoopError):  # posted below
+            loop.start()
+        gc.collect()
+        gc.freeze()  # what is there stays; looking through it again would take milliseconds
+        with suppress(EOFError, OSError):
+            _post(loop, commands, snapshots)
+    finally:
+        loop.stop()
+
+
+def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:
+    """Hand on commands and snapshots.
+
+    Raises:
+        EOFError: The parent has closed its end.
+        OSError: The parent is gone.
+    """
+    posted = None
+    while loop.error is None:
+        latest = loop.latest()
+        if latest is not posted:
+            snapshots.send(latest)
+            posted = latest
+        if commands.poll(_POST_EVERY):
+            loop.send(commands.recv())
+    snapshots.send(_failure(loop.error))
+
+
+def _failure(error: BaseException) -> Failure:
+    """The error itself if it survives pickling, else its text."""
+    text = "".join(traceback.format_exception(error))
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # whatever the constructor of some error raises
+        error = LoopError(f"{type(error).__name__}: {error}")
+    return Failure(error, text)

@@ -1,0 +1,149 @@
+"""The loop in a process of its own, where no drawing and no browser's traffic holds it up.
+
+Python runs one thread at a time: in the server's process a drawing thread that the system has put
+aside keeps the simulation waiting. Commands go out by a pipe, snapshots come back by another.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection
+
+import numpy as np
+
+from app.errors import LoopError
+from app.simulation.history import History
+from app.simulation.loop_process import Failure, run_loop
+from app.simulation.person import checked_target
+from app.simulation.session import Session
+from app.simulation.snapshot import Command, Pull, Snapshot
+
+Array = np.ndarray
+
+_PATIENCE = 5.0  # [s] for the process to end by itself
+
+
+class RemoteTraceback(Exception):  # noqa: N818 - the text of one, not an error by itself
+    """Cause of an error that comes from another process: its traceback there."""
+
+    def __str__(self) -> str:
+        """The text on lines of its own."""
+        return f"\n{self.args[0]}"
+
+
+class ProcessLoop:
+    """Runs a session in a child process; to others it is what `SimulationLoop` is.
+
+    The child is spawned, so a script that uses it must guard its main part by
+    `if __name__ == "__main__":`. It ends when it is told to, and when its parent is gone.
+
+    Attributes:
+        error: The exception that ended the loop, or None.
+    """
+
+    def __init__(self, make_session: Callable[[], Session], q_start: Array) -> None:
+        """Prepare; `start` begins.
+
+        Args:
+            make_session: Called once in the child; it must be possible to pickle it, as is
+                `functools.partial(Session, model, data, config)`.
+            q_start: (n_m,) arm configuration at the start and after each reset.
+        """
+        self.error: BaseException | None = None
+        self._history = History()
+        self._ready, self._stopping = threading.Event(), threading.Event()
+        self._sending = threading.Lock()
+        spawn = multiprocessing.get_context("spawn")
+        self._snapshots, theirs_out = spawn.Pipe(duplex=False)
+        theirs_in, self._commands = spawn.Pipe(duplex=False)
+        self._theirs = (theirs_in, theirs_out)
+        self._process = spawn.Process(
+            target=run_loop, args=(make_session, np.array(q_start), theirs_in, theirs_out),
+            name="simulation", daemon=True,
+        )  # fmt: skip
+        self._thread = threading.Thread(target=self._receive, name="snapshots", daemon=True)
+
+    def start(self) -> None:
+        """Begin, and wait for the first snapshot.
+
+        Raises:
+            LoopError: The session could not be made.
+        """
+        with _interrupts_ignored():
+            self._process.start()
+        for connection in self._theirs:  # else the end of the child would not close the pipes
+            connection.close()
+        self._thread.start()
+        self._ready.wait()
+        if self.error is not None:
+            raise LoopError(f"the simulation could not start: {self.error}") from self.error
+
+    def stop(self) -> None:
+        """End the child."""
+        self._stopping.set()
+        with self._sending, suppress(OSError):
+            self._commands.close()
+        if self._process.pid is None:
+            return
+        self._process.join(_PATIENCE)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join(_PATIENCE)
+        self._thread.join(_PATIENCE)
+
+    def send(self, command: Command) -> None:
+        """Send a command; it is obeyed before one of the next control steps.
+
+        Raises:
+            TargetError: The person's hand would be below the floor.
+        """
+        if isinstance(command, Pull) and command.target is not None:
+            checked_target(command.target)
+        with self._sending, suppress(OSError):  # the end of the child is told by `error`
+            self._commands.send(command)
+
+    def latest(self) -> Snapshot:
+        """The newest snapshot."""
+        return self._history.latest
+
+    def history(self, after: float) -> list[Snapshot]:
+        """Snapshots of the last 60 s with t > `after` [s], oldest first."""
+        return self._history.after(after)
+
+    def _receive(self) -> None:
+        try:
+            self._take_in(self._snapshots)
+        except (EOFError, OSError):
+            if self.error is None and not self._stopping.is_set():
+                self._process.join(_PATIENCE)
+                code = self._process.exitcode
+                self.error = LoopError(f"the process of the simulation ended with status {code}")
+        finally:
+            self._ready.set()
+
+    def _take_in(self, snapshots: Connection) -> None:
+        while True:
+            received = snapshots.recv()
+            if isinstance(received, Failure):
+                received.error.__cause__ = RemoteTraceback(received.traceback)
+                self.error = received.error
+                return
+            self._history.add(received)
+            self._ready.set()
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Ctrl-C reaches the children too; one that begins to ignore it never prints a traceback."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -1,0 +1,86 @@
+"""Every parameter has a range, a unit and a meaning, and holds to them."""
+
+from __future__ import annotations
+
+import pytest
+from pydantic import ValidationError
+
+from app.config import Config, make_config, parameter, slowed
+from app.errors import ConfigError
+
+PATHS = [
+    f"{section}.{name}"
+    for section in Config.model_fields
+    for name in type(getattr(Config(), section)).model_fields
+]
+UNITS = {"m", "N", "-", "m/s²", "1/s", "1/s²", "kg", "kg m²", "N s/m", "N m s", "s", "N/m"}
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_every_parameter_has_a_range_around_its_default_and_a_known_unit(path):
+    known = parameter(path)
+    assert known.path == path
+    assert known.low < known.high
+    assert known.low <= known.default <= known.high
+    section, name = path.split(".")
+    assert known.default == getattr(getattr(Config(), section), name)
+    assert known.unit in UNITS
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_the_range_is_obeyed_at_both_ends_and_nothing_is_beyond(path):
+    known = parameter(path)
+    section, name = path.split(".")
+    for end in (known.low, known.high):
+        assert getattr(getattr(Config().replace(path, end), section), name) == end
+    step = 0.001 * (known.high - known.low)
+    for beyond in (known.low - step, known.high + step, float("nan"), float("inf"), "much"):
+        with pytest.raises(ConfigError, match=path):
+            Config().replace(path, beyond)
+
+
+def test_a_replacement_changes_one_parameter_of_a_copy():
+    config = Config()
+    changed = config.replace("border.d_b", 0.2)
+    assert config == Config()
+    assert changed.border.d_b == 0.2
+    assert changed.border.eps == config.border.eps
+    assert changed.replace("border.d_b", config.border.d_b) == config
+
+
+@pytest.mark.parametrize("path", ["border.db", "bordr.d_b", "border", "", "border.d_b.x"])
+def test_an_unknown_parameter_is_refused(path):
+    with pytest.raises(ConfigError, match="no parameter"):
+        Config().replace(path, 1.0)
+
+
+def test_all_that_is_wrong_is_told_on_one_line():
+    with pytest.raises(ConfigError) as caught:
+        make_config({"border": {"d_b": 9.0, "epss": 0.01}})
+    text = str(caught.value)
+    assert "border.d_b" in text
+    assert "did you mean 'eps'" in text
+    assert "\n" not in text
+
+
+def test_a_configuration_survives_being_written_and_read():
+    config = Config().replace("repulsion.k_p", 12.5)
+    assert make_config(config.model_dump()) == config
+    assert Config.model_validate_json(config.model_dump_json()) == config
+
+
+def test_records_are_frozen():
+    with pytest.raises(ValidationError):
+        Config().border.d_b = 0.2  # type: ignore[misc]
+
+
+def test_slowed_gains_are_the_same_closed_loop_in_slower_time():
+    """Damping ratios stay, natural frequencies fall by the factor."""
+    config = Config()
+    task, repulsion = slowed(config.task, config.repulsion)
+    s = config.task.base_slowness
+    fast = config.task.ee_damping / (2 * config.task.ee_stiffness**0.5)
+    assert task.ee_damping / (2 * task.ee_stiffness**0.5) == pytest.approx(fast)
+    assert (task.ee_stiffness / config.task.ee_stiffness) ** 0.5 == pytest.approx(1 / s)
+    assert repulsion.k_p * s**2 == pytest.approx(config.repulsion.k_p)
+    assert repulsion.k_v * s == pytest.approx(config.repulsion.k_v)

@@ -1,0 +1,108 @@
+"""Figures and log of a run against the steps themselves, counted again in another way."""
+
+from __future__ import annotations
+
+import csv
+
+import numpy as np
+import pytest
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.control.controller import ControlOutput
+from app.robot.model import RobotModel
+from app.simulation.physics import Contacts
+from app.simulation.recording import Recorder
+from app.simulation.scenario import SCENARIOS
+from app.simulation.session import Session, Step
+from app.simulation.start import StartSolver
+
+
+@pytest.fixture(scope="module")
+def steps(robot: RobotModel, border_data: BorderData) -> list[Step]:
+    """A pull into the buffer, with a few contacts and failures put in by hand."""
+    scenario = SCENARIOS["guiding-lateral"].changed(duration=2.0)
+    q_m = StartSolver(robot, border_data.pairs, Config().border.d_b).solve(scenario.start)
+    session = Session(robot, border_data, Config(), physics="kinematic")
+    session.reset(q_m)
+    steps = [session.step(pull=scenario.position(session.t)[0]) for _ in range(2003)]
+    for k, contacts in ((700, (1, 0, 0)), (701, (1, 1, 0)), (702, (0, 1, 1)), (703, (0, 0, 1))):
+        steps[k] = steps[k]._replace(contacts=Contacts(*map(bool, contacts)))
+    steps[701] = steps[701]._replace(contacts=Contacts(True, True, True))
+    failed: ControlOutput = steps[900].output._replace(solved=False)
+    steps[900] = steps[900]._replace(output=failed)
+    return steps
+
+
+@pytest.fixture(scope="module")
+def recorder(robot: RobotModel, steps: list[Step]) -> Recorder:
+    recorder = Recorder(robot)
+    for step in steps:
+        recorder.add(step)
+    return recorder
+
+
+def test_figures_are_those_of_the_steps(recorder: Recorder, steps: list[Step]):
+    figures = recorder.figures()
+    names = [pair.closest.pair.name for pair in steps[0].output.avoidance.pairs]
+    d = np.array([[pair.closest.d for pair in s.output.avoidance.pairs] for s in steps])
+    least = dict(zip(names, d.min(axis=0).tolist(), strict=True))
+    assert figures["min_distance_m"] == least
+    assert figures["min_clearance_m"] == min(least["lm-lEE"], least["lm-l3"])
+    assert figures["arm_min_clearance_m"] == min(least["l1-lEE"], least["l1-l3"], least["l2-lEE"])
+    assert figures["contacts"] == 2
+    assert figures["arm_contacts"] == 2
+    assert figures["floor_contacts"] == 3
+    assert figures["solver_failures"] == 1
+    errors = [s.ee_error for s in steps]
+    assert (figures["ee_error_max_m"], figures["ee_error_final_m"]) == (max(errors), errors[-1])
+    assert figures["activation_max"] == max(s.output.activation for s in steps) > 0.0
+    assert figures["hand_force_max_n"] == max(float(np.linalg.norm(s.hand_force)) for s in steps)
+
+
+def test_ways_and_jumps_are_those_of_the_steps(recorder: Recorder, steps: list[Step]):
+    figures = recorder.figures()
+    pose = np.array([s.measurement.base_pose for s in steps])
+    way = np.linalg.norm(np.diff(pose[:, :2], axis=0), axis=1).sum()
+    assert figures["base_path_m"] == pytest.approx(way)
+    assert figures["base_displacement_m"] == pytest.approx(np.linalg.norm((pose[-1] - pose[0])[:2]))
+    assert figures["base_yaw_rad"] == pytest.approx(pose[-1, 2] - pose[0, 2])
+    assert figures["base_path_m"] >= figures["base_displacement_m"] > 1e-3
+    asked = np.array([s.output.base_acceleration for s in steps])
+    jump = np.abs(np.diff(asked, axis=0)).max(axis=0)
+    assert list(figures["base_acceleration_jump_max"].values()) == pytest.approx(jump.tolist())
+    torques = np.array([s.output.u_a for s in steps])
+    assert figures["torque_jump_max_nm"] == np.abs(np.diff(torques, axis=0)).max()
+
+
+def test_times_are_percentiles_in_microseconds(recorder: Recorder, steps: list[Step]):
+    figures = recorder.figures()
+    durations = sorted(1e6 * s.duration for s in steps)
+    assert figures["step_p50_us"] == pytest.approx(durations[len(steps) // 2])
+    assert durations[1960] <= figures["step_p99_us"] <= durations[2000]
+
+
+def test_the_log_has_every_tenth_step_as_it_was(recorder: Recorder, steps: list[Step], tmp_path):
+    path = tmp_path / "log.csv"
+    recorder.write_log(path)
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 201
+    for row, step in zip(rows, steps[::10], strict=True):
+        assert float(row["t_s"]) == step.t
+        m, out = step.measurement, step.output
+        for i in range(7):
+            assert float(row[f"q{i + 1}_rad"]) == m.q_m[i]
+            assert float(row[f"qd{i + 1}_radps"]) == m.qd_m[i]
+            assert float(row[f"u{i + 1}_nm"]) == out.u_a[i]
+        assert [float(row[k]) for k in ("base_x_m", "base_y_m", "base_yaw_rad")] == list(
+            m.base_pose
+        )
+        asked = [float(row["base_a_mps2"]), float(row["base_aw_radps2"])]
+        assert asked == list(out.base_acceleration)
+        assert [float(row[f"hand_f{axis}_n"]) for axis in "xyz"] == list(step.hand_force)
+        for pair in out.avoidance.pairs:
+            assert float(row[f"d_{pair.closest.pair.name}_m"]) == pair.closest.d
+            assert float(row[f"beta_{pair.closest.pair.name}"]) == pair.beta
+    assert [int(row["contact"]) for row in rows][70] == 1
+    assert sum(int(row["arm_contact"]) for row in rows) == 0  # no tenth step had one

@@ -1,0 +1,199 @@
+"""A session: the same inputs give the same outputs, and the controller sees only its sensors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.control.admittance import AdmittanceLaw
+from app.control.controller import Controller
+from app.errors import TargetError, UnknownNameError
+from app.robot.model import RobotModel
+from app.simulation.scenario import SCENARIOS
+from app.simulation.session import DT, Session, Step
+from app.simulation.start import StartSolver
+
+LATERAL = SCENARIOS["guiding-lateral"]
+PULL = np.array(LATERAL.start) + [0.0, -0.25, 0.0]  # [m] into the buffer
+
+
+@pytest.fixture(scope="module")
+def q_start(robot: RobotModel, border_data: BorderData) -> np.ndarray:
+    return StartSolver(robot, border_data.pairs, Config().border.d_b).solve(LATERAL.start)
+
+
+@pytest.fixture
+def make(robot: RobotModel, border_data: BorderData, q_start: np.ndarray):
+    """Makes sessions at the start of guiding-lateral; closes them in the end."""
+    made: list[Session] = []
+
+    def make(physics: str = "kinematic", config: Config | None = None, **options) -> Session:
+        session = Session(robot, border_data, config or Config(), physics=physics, **options)
+        session.reset(q_start)
+        made.append(session)
+        return session
+
+    yield make
+    for session in made:
+        session.close()
+
+
+def pulled(session: Session, steps: int, target: np.ndarray | None = PULL) -> list[Step]:
+    """Steps while a person pulls."""
+    return [session.step(pull=target) for _ in range(steps)]
+
+
+def numbers(step: Step) -> np.ndarray:
+    """All that is physical in a step, without the real time that it took."""
+    m, out = step.measurement, step.output
+    return np.concatenate([
+        [step.t, step.ee_error, out.activation, out.avoidance.beta_m, out.solved],
+        *m, out.u_a, out.base_acceleration, step.base_command, step.hand_force, step.contacts,
+        *([pair.closest.d, *pair.closest.p_a, *pair.closest.p_b] for pair in out.avoidance.pairs),
+    ])  # fmt: skip
+
+
+def same(a: list[Step], b: list[Step]) -> None:
+    np.testing.assert_array_equal([numbers(step) for step in a], [numbers(step) for step in b])
+
+
+@pytest.mark.parametrize("physics", ["kinematic", "planar", "contact"])
+def test_the_same_inputs_give_bitwise_the_same_outputs(make, physics):
+    a, b = make(physics), make(physics)
+    steps = [(a.step(pull=PULL), b.step(pull=PULL)) for _ in range(1500)]
+    same([first for first, _ in steps], [second for _, second in steps])
+    assert steps[-1][0].output.activation > 0.0  # avoidance was part of it
+
+
+def test_a_reset_begins_the_same_run_again(make):
+    session = make()
+    first = pulled(session, 1200)
+    angles = session.wheel_angles.copy()
+    session.reset(first[0].measurement.q_m)
+    assert session.t == 0.0
+    np.testing.assert_array_equal(session.wheel_angles, 0.0)
+    second = pulled(session, 1200)
+    # What is warm-started begins elsewhere, so only the solver's tolerance is left.
+    np.testing.assert_allclose(
+        [numbers(step) for step in second], [numbers(step) for step in first], atol=1e-3
+    )
+    np.testing.assert_allclose(session.wheel_angles, angles, atol=1e-3)
+    assert np.abs(angles).max() > 0.01
+
+
+def test_a_reset_forgets_the_persons_hold_and_the_count_of_failures(make, q_start):
+    session = make()
+    pulled(session, 300)
+    session.controller.failures = 3
+    session.reset(q_start)
+    step = session.step(pull=PULL)
+    assert session.controller.failures == 0
+    assert np.linalg.norm(step.hand_force) < 0.1  # he takes hold where the hand is now
+
+
+def test_it_stands_still_while_nobody_pulls(make, q_start):
+    steps = pulled(make(), 500, None)
+    np.testing.assert_allclose(steps[-1].measurement.q_m, q_start, atol=1e-4)
+    np.testing.assert_allclose(steps[-1].measurement.base_pose, 0.0, atol=1e-6)
+    assert all((step.hand_force == 0).all() for step in steps)
+    assert {step.ee_error for step in steps} == {0.0}
+
+
+def test_time_advances_by_the_control_period(make):
+    steps = pulled(make(), 50)
+    np.testing.assert_allclose([step.t for step in steps], np.arange(50) * DT, atol=1e-12)
+
+
+def test_the_controllers_answer_depends_on_its_sensors_alone(
+    make, robot: RobotModel, border_data: BorderData
+):
+    """Another controller, given only what is measured, answers bitwise the same.
+
+    It never meets the person, whose force therefore has no way into the answer.
+    """
+    steps = pulled(make(), 1500)
+    assert max(np.linalg.norm(step.hand_force) for step in steps) > 1.0
+    assert max(step.output.activation for step in steps) > 0.05
+    blind = Controller(robot, border_data, Config())
+    blind.reset()
+    for step, expected in zip(steps, expected_accelerations(robot, steps), strict=True):
+        answer = blind.step(step.measurement, None, base_acceleration=expected)
+        np.testing.assert_array_equal(answer.u_a, step.output.u_a)
+        np.testing.assert_array_equal(answer.base_acceleration, step.output.base_acceleration)
+
+
+def expected_accelerations(robot: RobotModel, steps: list[Step]) -> list[np.ndarray]:
+    """What the base's own drive is known to do, from commands and measured velocities alone."""
+    from app.control.drive import Drive
+
+    drive = Drive(robot.description.base, DT)
+    commands = [np.zeros(2)] + [step.base_command for step in steps[:-1]]
+    return [
+        drive.expected_acceleration(command, step.measurement.base_velocity)
+        for command, step in zip(commands, steps, strict=True)
+    ]
+
+
+def test_the_base_command_is_the_admittance_law_of_the_asked_acceleration(make, robot: RobotModel):
+    steps = pulled(make(), 1500)
+    law = AdmittanceLaw(robot.description.base, Config().admittance)
+    law.reset()
+    for step in steps:
+        command = law.update(step.output.base_acceleration, DT)
+        np.testing.assert_array_equal(step.base_command, command)
+
+
+def test_the_base_command_is_renewed_at_its_own_slow_rate(make):
+    steps = pulled(make(), 2500)
+    changes = [
+        k for k, (a, b) in enumerate(zip(steps, steps[1:], strict=False), start=1)
+        if (a.base_command != b.base_command).any()
+    ]  # fmt: skip
+    assert len(changes) > 3
+    period = round(Config().admittance.period / DT)
+    assert {k % period for k in changes} == {changes[0] % period}
+
+
+def test_another_configuration_holds_from_the_next_step_on(make):
+    session = make()
+    before = pulled(session, 5)[-1]
+    wide = Config().replace("border.d_b", 0.30).replace("hand.stiffness", 900.0)
+    session.configure(wide)
+    after = session.step(pull=PULL)
+    assert before.output.activation == 0.0
+    assert after.output.activation > 0.0
+    assert session.config is wide
+    session.configure(Config().replace("hand.f_max", 1.0))
+    assert max(np.linalg.norm(step.hand_force) for step in pulled(session, 300)) <= 1.0 + 1e-9
+
+
+def test_configuring_is_the_same_as_having_been_made_so(make):
+    config = Config().replace("border.d_b", 0.20).replace("admittance.mass", 30.0)
+    changed = make()
+    changed.configure(config)
+    same(pulled(changed, 800), pulled(make(config=config), 800))
+
+
+def test_the_error_is_towards_the_reference_or_towards_the_person(make):
+    session = make()
+    orientation = session.T_world_ee.rotation.copy()
+    away = SCENARIOS["guiding-lateral"].changed(start=tuple(np.array(LATERAL.start) + [0, 0.1, 0]))
+    assert session.step(reference=away.reference(0.0, orientation)).ee_error == pytest.approx(
+        0.1, abs=1e-3
+    )
+    step = session.step(pull=PULL)
+    at = session.T_world_ee.translation
+    assert step.ee_error == pytest.approx(float(np.linalg.norm(at - PULL)))
+
+
+def test_a_pull_below_the_floor_is_refused(make):
+    with pytest.raises(TargetError, match="below the floor"):
+        make().step(pull=np.array([0.7, 0.0, -0.01]))
+
+
+@pytest.mark.parametrize("option", [{"controller": "x"}, {"physics": "x"}])
+def test_an_unknown_name_lists_those_that_exist(make, option):
+    with pytest.raises(UnknownNameError, match="choose from"):
+        make(**option)

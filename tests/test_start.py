@@ -1,0 +1,128 @@
+"""The start solver: what every start that it gives has in common, and what it refuses."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.errors import UnreachableError
+from app.robot.link_pairs import PairDistances
+from app.robot.model import RobotModel
+from app.simulation.scenario import SCENARIOS
+from app.simulation.start import StartSolver
+
+D_B = Config().border.d_b
+PLACES = {
+    **{name: scenario.start for name, scenario in SCENARIOS.items()},
+    "right side": (0.30, -0.72, 0.30),
+    "behind": (-0.50, 0.30, 0.70),
+    "far in front": (1.0, 0.0, 0.5),
+    "high": (0.6, 0.2, 1.1),
+    "front left": (0.80, 0.40, 0.25),
+}
+
+
+@pytest.fixture(scope="module")
+def solver(robot: RobotModel, border_data: BorderData) -> StartSolver:
+    return StartSolver(robot, border_data.pairs, D_B)
+
+
+@pytest.fixture(scope="module", params=PLACES)
+def solved(request, solver):
+    """A place, and the arm configuration for it."""
+    return np.array(PLACES[request.param]), solver.solve(PLACES[request.param])
+
+
+def end_effector(robot: RobotModel, q_m: np.ndarray) -> pin.SE3:
+    """By pinocchio directly, the base at the origin."""
+    data = robot.pin.createData()
+    pin.framesForwardKinematics(robot.pin, data, robot.configuration((0, 0, 0), q_m))
+    return data.oMf[robot.ee_frame]
+
+
+def test_the_hand_is_where_it_was_asked_for(robot, solved):
+    place, q_m = solved
+    np.testing.assert_allclose(end_effector(robot, q_m).translation, place, atol=1e-5)
+
+
+def test_every_pair_is_outside_of_its_buffer(robot, border_data, solved):
+    distances = PairDistances(robot, border_data.pairs.all)
+    distances.update(robot.configuration((0, 0, 0), solved[1]))
+    assert min(distances.distance(i) for i in range(len(distances.pairs))) > D_B
+
+
+def test_joints_are_away_from_their_limits(robot, solved):
+    left = np.minimum(solved[1] - robot.q_lower, robot.q_upper - solved[1])
+    assert (left >= 0.029 * (robot.q_upper - robot.q_lower)).all()
+
+
+def test_the_arm_is_above_the_floor(robot, solved):
+    """Lowest point of each capsule of the arm: ends of its axis, less its radius."""
+    data = robot.pin.createData()
+    geometry = pin.GeometryData(robot.geometry)
+    q = robot.configuration((0, 0, 0), solved[1])
+    pin.updateGeometryPlacements(robot.pin, data, robot.geometry, geometry, q)
+    for name in robot.body_names[1:]:
+        for i in robot.shape_ids[name]:
+            capsule, at = robot.geometry.geometryObjects[i].geometry, geometry.oMg[i]
+            sag = abs(at.rotation[2, 2]) * capsule.halfLength + capsule.radius
+            assert at.translation[2] - sag > 0.0
+
+
+def test_the_hand_points_away_from_the_mount_and_not_upwards(robot, solved):
+    place, q_m = solved
+    pointing = end_effector(robot, q_m).rotation[:, 2]
+    outwards = (place - robot.p_base())[:2]
+    assert pointing[:2] @ outwards > -1e-6  # straight down is none of both
+    across = pointing[0] * outwards[1] - pointing[1] * outwards[0]
+    assert abs(across) < 0.03 * np.linalg.norm(outwards)
+    assert pointing[2] < 0.03
+
+
+def test_the_hand_points_steeply_down_where_nothing_hinders_it(robot, solver):
+    pointing = end_effector(robot, solver.solve((0.85, 0.30, 0.40))).rotation[:, 2]
+    assert -pointing[2] == pytest.approx(np.sin(np.pi / 4), abs=0.03)
+
+
+def test_the_same_seed_gives_bitwise_the_same_start(robot, border_data, solver):
+    again = StartSolver(robot, border_data.pairs, D_B)
+    for name in ("guiding-lateral", "guiding-fold"):
+        first = solver.solve(PLACES[name], seed=4)
+        np.testing.assert_array_equal(first, solver.solve(PLACES[name], seed=4))
+        np.testing.assert_array_equal(first, again.solve(PLACES[name], seed=4))
+
+
+def test_other_seeds_reach_the_same_places(robot, solver):
+    for place, seed in itertools.product(("guiding-lateral", "tracking"), (1, 2, 3)):
+        at = end_effector(robot, solver.solve(PLACES[place], seed=seed)).translation
+        np.testing.assert_allclose(at, PLACES[place], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("place", "reason"),
+    [
+        ((2.5, 0.0, 0.5), "out of the arm's reach"),
+        ((0.3, 0.0, 3.0), "out of the arm's reach"),
+        ((0.2, 0.42, 0.15), "inside its buffer"),
+        ((0.8, 0.0, 0.02), "touch the floor"),
+        ((0.9, 0.0, -0.1), "the floor is z = 0"),
+        ((0.9, 0.0, 0.0), "the floor is z = 0"),
+        ((float("nan"), 0.0, 0.5), "start"),
+    ],
+)
+def test_a_start_that_cannot_be_is_refused_with_its_reason(solver, place, reason):
+    with pytest.raises(UnreachableError, match=reason) as caught:
+        solver.solve(place)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_wider_buffer_is_kept_too(robot, border_data):
+    wide = StartSolver(robot, border_data.pairs, 0.25)
+    distances = PairDistances(robot, border_data.pairs.all)
+    distances.update(robot.configuration((0, 0, 0), wide.solve((0.95, 0.1, 0.45))))
+    assert min(distances.distance(i) for i in range(len(distances.pairs))) > 0.25
