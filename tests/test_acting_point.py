@@ -89,7 +89,17 @@ def test_a_height_without_points_falls_back_to_the_exact_offset(
     acting = finder.find_acting_point(on_side(0.1, 1.0, 0.05), 0.05, FORCE)
     assert acting is not None
     assert acting.p_n[1] == pytest.approx(0.345 + D_B, abs=1e-4)
-    assert finder.find_acting_point(np.array([0.0, 0.5, 3.0]), 0.05, FORCE) is None
+
+
+@pytest.mark.parametrize("z", [-0.02, -1e-9, 0.0, 0.38, 0.531])
+def test_no_height_inside_the_buffer_is_without_an_acting_point(
+    finder: ActingPointFinder, z: float
+) -> None:
+    """An empty slice would mean no force while β rises: the base would brake and be hit."""
+    acting = finder.find_acting_point(on_side(0.1, 1.0, 0.05, z), 0.05, FORCE)
+    assert acting is not None
+    assert acting.p_act[2] == z
+    assert np.isfinite(acting.p_act).all()
 
 
 @pytest.mark.parametrize("beyond", [0.0, 0.003, -0.003])

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from app.border.dbb import Border
-from app.border.offset import OffsetContours
+from app.border.offset import OffsetContours, OnContour
 from app.border.score import ScoreField
 from app.config import ForceConfig
 
@@ -45,7 +45,9 @@ def step_size(d: float, score: float, force: ForceConfig) -> float:
     """
     if score == 0.0:
         return force.alpha_max
-    return float(np.clip(force.alpha_gain * max(d, 0.0) / abs(score), force.alpha_min, force.alpha_max))
+    return float(
+        np.clip(force.alpha_gain * max(d, 0.0) / abs(score), force.alpha_min, force.alpha_max)
+    )
 
 
 def tangential_step(gradient: Array, t: Array, alpha: float) -> Array:
@@ -81,7 +83,7 @@ class ActingPointFinder:
             force: Step bounds.
 
         Returns:
-            The acting point, or None if l_m has no border at that height at all.
+            The acting point, or None if l_m has no border at all.
         """
         z = float(p_b[2])
         p_n = self._nearest(p_b, z)
@@ -101,10 +103,15 @@ class ActingPointFinder:
             offsets = same_height[:, :2] - p[:2]
             nearest = same_height[np.argmin(np.einsum("ij,ij->i", offsets, offsets))]
             return np.array([nearest[0], nearest[1], z])
-        on_offset = self._offset.nearest(p[:2], z)
-        if on_offset is None:
+        on_offset = self._on_offset(p)
+        return None if on_offset is None else np.array([*on_offset.xy, z])
+
+    def _on_offset(self, p: Array) -> OnContour | None:
+        """The nearest point of the exact offset at p's height, or at the nearest height it has."""
+        heights = self._offset.heights
+        if not len(heights):
             return None
-        return np.array([*on_offset.xy, z])
+        return self._offset.nearest(p[:2], min(max(float(p[2]), heights[0]), heights[-1]))
 
     def _tangent(self, p_b: Array, p_n: Array) -> Array:
         """Horizontal unit vector at right angles to p_n - p_b.
@@ -116,7 +123,11 @@ class ActingPointFinder:
         length = float(np.hypot(*along))
         if length > self._border.eps:
             return np.array([-along[1], along[0], 0.0]) / length
-        on_offset = self._offset.nearest(p_n[:2], float(p_n[2]))
+        on_offset = self._on_offset(p_n)
         if on_offset is not None:
             return np.array([*on_offset.tangent, 0.0])
-        return np.array([0.0, 1.0, 0.0]) if length == 0.0 else np.array([-along[1], along[0], 0.0]) / length
+        return (
+            np.array([0.0, 1.0, 0.0])
+            if length == 0.0
+            else np.array([-along[1], along[0], 0.0]) / length
+        )

@@ -51,7 +51,9 @@ def generate_rep_acc(
     u = closest.n
     joint_a = state.model.body_joint(closest.pair.a)
     joint_b = state.model.body_joint(closest.pair.b)
-    relative = state.point_jacobian(joint_b, closest.p_b) - state.point_jacobian(joint_a, closest.p_a)
+    relative = state.point_jacobian(joint_b, closest.p_b) - state.point_jacobian(
+        joint_a, closest.p_a
+    )
     velocity = relative @ state.qd
     approach = float(u @ velocity)
     across = velocity - approach * u

@@ -142,9 +142,7 @@ class SelfCollisionAvoidance:
     def _rows_between_links(self, others: list[PairState]) -> tuple[TaskRows, ...]:
         """Lines 8 to 11."""
         return tuple(
-            repulsive_rows(
-                generate_rep_acc(self._state, p.closest, self._config.repulsion), p.beta
-            )
+            repulsive_rows(generate_rep_acc(self._state, p.closest, self._config.repulsion), p.beta)
             for p in others
             if p.beta > 0.0
         )
@@ -155,7 +153,5 @@ class SelfCollisionAvoidance:
         finders = {}
         for pair in self._pairs.mobile:
             border = construct_dbb(self._clouds[pair.name], config.border.d_b, config.border.eps)
-            finders[pair.name] = ActingPointFinder(
-                border, offset, ScoreField.of(model, pair.b)
-            )
+            finders[pair.name] = ActingPointFinder(border, offset, ScoreField.of(model, pair.b))
         return finders

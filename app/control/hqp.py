@@ -95,7 +95,12 @@ class HierarchicalQP:
         self._qps: dict[tuple[str, int, int], proxqp.dense.QP] = {}
 
     def solve(
-        self, levels: Sequence[EqualityTask], objective: Objective, limits: Limits, *, slot: str = ""
+        self,
+        levels: Sequence[EqualityTask],
+        objective: Objective,
+        limits: Limits,
+        *,
+        slot: str = "",
     ) -> Solution:
         """The lexicographic optimum.
 
@@ -132,26 +137,36 @@ class HierarchicalQP:
     def _solve_qp(
         self, slot: str, level: int, H: Array, c: Array, x: Array, Z: Array, limits: Limits
     ) -> Array:
-        """min ½ yᵀ H y + cᵀ y where x + Z y keeps the limits."""
+        """Min ½ yᵀ H y + cᵀ y where x + Z y keeps the limits."""
         C, reached = limits.C @ Z, limits.C @ x
         l, u = limits.l - reached, limits.u - reached
         if level > 0:  # the levels above kept the limits but for the solver's accuracy
             l, u = np.minimum(l, 0.0), np.maximum(u, 0.0)
         key = (slot, level, Z.shape[1])
-        for attempt in (0, 1):
-            qp = self._qps.get(key)
-            if qp is None:
-                qp = self._qps[key] = _make_qp(Z.shape[1], self._m)
-                qp.init(H, c, None, None, C, l, u)
-            else:
-                qp.update(H=H, g=c, C=C, l=l, u=u)
-            qp.solve()
-            if _is_answer(qp):
-                return qp.results.x.copy()
-            del self._qps[key]  # a failed run is no start for the next one
-            if attempt == 1 and level > 0:
-                return np.zeros(Z.shape[1])  # what the levels above reached is kept
-        raise NoSolutionError(level, qp.results.info.status)
+        y = self._run(key, H, c, C, l, u)
+        if y is None:  # once more, cold: a warm start can lead astray
+            y = self._run(key, H, c, C, l, u)
+        if y is not None:
+            return y
+        if level > 0:
+            return np.zeros(Z.shape[1])  # what the levels above reached is kept
+        raise NoSolutionError(level, "no accelerations keep all limits, or the solver failed")
+
+    def _run(
+        self, key: tuple[str, int, int], H: Array, c: Array, C: Array, l: Array, u: Array
+    ) -> Array | None:
+        """ProxQP's answer, from where it ended last time under this key; None if it has none."""
+        qp = self._qps.get(key)
+        if qp is None:
+            qp = self._qps[key] = _make_qp(len(c), self._m)
+            qp.init(H, c, None, None, C, l, u)
+        else:
+            qp.update(H=H, g=c, C=C, l=l, u=u)
+        qp.solve()
+        if _is_answer(qp):
+            return qp.results.x.copy()
+        del self._qps[key]  # a failed run is no start for the next one
+        return None
 
 
 def least_squares(A: Array, b: Array) -> tuple[Array, Array]:

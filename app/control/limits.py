@@ -23,12 +23,8 @@ def acceleration_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, 
     model = state.model
     q, qd = state.measurement.q_m, state.measurement.qd_m
     rate, k = config.position_rate, config.velocity_rate
-    upper = np.minimum(
-        rate**2 * (model.q_upper - q) - 2 * rate * qd, k * (model.qd_max - qd)
-    )
-    lower = np.maximum(
-        rate**2 * (model.q_lower - q) - 2 * rate * qd, k * (-model.qd_max - qd)
-    )
+    upper = np.minimum(rate**2 * (model.q_upper - q) - 2 * rate * qd, k * (model.qd_max - qd))
+    lower = np.maximum(rate**2 * (model.q_lower - q) - 2 * rate * qd, k * (-model.qd_max - qd))
     return np.minimum(lower, upper), np.maximum(lower, upper)
 
 
@@ -55,9 +51,7 @@ def robot_limits(state: RobotState, config: LimitConfig, qdd_b: Array) -> Limits
         tamest = np.linalg.solve(M_a[:, 2:], possible - coupling)
         lower, upper = np.minimum(lower, tamest), np.maximum(upper, tamest)
     base = model.description.base
-    base_limit = np.array(
-        [base.max_linear_acceleration_mps2, base.max_angular_acceleration_radps2]
-    )
+    base_limit = np.array([base.max_linear_acceleration_mps2, base.max_angular_acceleration_radps2])
     n, n_m = model.n, model.n_m
     C = np.zeros((2 * n_m + 2, n))
     C[:n_m] = M_a

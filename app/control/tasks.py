@@ -88,7 +88,7 @@ def free_arm_torque(state: RobotState) -> Array:
 
 
 def guided_arm_objective(state: RobotState) -> Objective:
-    """min (u_a - u_0)ᵀ M_aa⁻¹ (u_a - u_0): a guided arm gives only what avoidance asks of it.
+    """Min (u_a - u_0)ᵀ M_aa⁻¹ (u_a - u_0): a guided arm gives only what avoidance asks of it.
 
     In q̈ its Hessian is M_aa; with the base's acceleration given by a level above and no rows it
     returns u_a = u_0, and with rows u_a = u_0 + J_rᵀ λ. There is no posture: it would be felt.

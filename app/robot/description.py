@@ -35,7 +35,9 @@ class Sourced(Strict):
             if name != "source" and _holds_a_number(getattr(self, name))
         }
         if missing := stated - self.source.keys():
-            raise ValueError(f"give the source of {', '.join(sorted(missing))} in the table `source`")
+            raise ValueError(
+                f"give the source of {', '.join(sorted(missing))} in the table `source`"
+            )
         if unknown := self.source.keys() - type(self).model_fields.keys():
             raise ValueError(f"`source` names unknown fields: {', '.join(sorted(unknown))}")
         return self
@@ -131,7 +133,8 @@ class BodyDescription(Strict):
     """URDF link in whose frame the shapes are given."""
     shapes: tuple[Shape, ...] = Field(min_length=1)
     covers: tuple[str, ...] = Field(min_length=1)
-    """URDF links that this body stands for; a distance of the body bounds theirs from below."""
+    """URDF links that this body stands for: its distances and contacts count as theirs. A part of a
+    link that can meet no other body may stick out of it."""
 
 
 class ReachabilityDescription(Sourced):
