@@ -11,10 +11,11 @@ run: $(VENV)/.installed
 test: $(VENV)/.installed-dev browser
 	DBB_REQUIRE_BROWSER=1 $(BIN)/python -m pytest $(ARGS)
 
+# pyright asks the interpreter for its search path: pinocchio extends it at run time.
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .

@@ -17,96 +17,96 @@ from app.strict import Strict, explain
 class BorderConfig(Strict):
     """§2.2: the distance buffer border."""
 
-    d_b: float = Field(0.15, ge=0.06, le=0.30)
+    d_b: float = Field(default=0.15, ge=0.06, le=0.30)
     """[m] buffer distance."""
-    eps: float = Field(0.01, ge=0.002, le=0.02)
+    eps: float = Field(default=0.01, ge=0.002, le=0.02)
     """[m] tolerance ε of (3)."""
 
 
 class ForceConfig(Strict):
     """§3.1: acting point and force."""
 
-    f_max: float = Field(300.0, ge=0.0, le=600.0)
+    f_max: float = Field(default=300.0, ge=0.0, le=600.0)
     """[N] force at contact, f_max of (14)."""
-    alpha_gain: float = Field(0.001, ge=0.0, le=0.1)
+    alpha_gain: float = Field(default=0.001, ge=0.0, le=0.1)
     """[-] factor of (13), in units of α |S| / d."""
-    alpha_min: float = Field(0.02, ge=0.0, le=0.10)
+    alpha_min: float = Field(default=0.02, ge=0.0, le=0.10)
     """[m] lower bound of the step α."""
-    alpha_max: float = Field(0.15, ge=0.10, le=0.40)
+    alpha_max: float = Field(default=0.15, ge=0.10, le=0.40)
     """[m] upper bound of the step α."""
 
 
 class ActivationConfig(Strict):
     """§3.4: β rises from 0 at the buffer distance to 1 by the cubic of Figure 10."""
 
-    d_full: float = Field(0.05, ge=0.0, le=0.05)
+    d_full: float = Field(default=0.05, ge=0.0, le=0.05)
     """[m] distance at which the avoidance task is in full force."""
 
 
 class RepulsionConfig(Strict):
-    """§3.2: acceleration that parts two links; the same along the vertical part of an L_m normal."""
+    """§3.2: acceleration that parts two links; also along the vertical part of an L_m normal."""
 
-    k_p: float = Field(60.0, ge=0.0, le=200.0)
+    k_p: float = Field(default=60.0, ge=0.0, le=200.0)
     """[m/s²] constant part of (20); about the person's force over the hand's effective mass."""
-    k_v: float = Field(30.0, ge=0.0, le=200.0)
+    k_v: float = Field(default=30.0, ge=0.0, le=200.0)
     """[1/s] damping of (20)."""
 
 
 class TaskConfig(Strict):
     """The tasks below self-collision avoidance."""
 
-    ee_stiffness: float = Field(900.0, ge=0.0, le=4000.0)
+    ee_stiffness: float = Field(default=900.0, ge=0.0, le=4000.0)
     """[1/s²] position gain of the end-effector's task."""
-    ee_damping: float = Field(60.0, ge=0.0, le=200.0)
+    ee_damping: float = Field(default=60.0, ge=0.0, le=200.0)
     """[1/s] velocity gain of the end-effector's task."""
-    posture_stiffness: float = Field(4.0, ge=0.0, le=100.0)
+    posture_stiffness: float = Field(default=4.0, ge=0.0, le=100.0)
     """[1/s²] pull of the arm towards its starting pose, lowest level."""
-    posture_damping: float = Field(4.0, ge=0.0, le=100.0)
+    posture_damping: float = Field(default=4.0, ge=0.0, le=100.0)
     """[1/s] damping of the arm, lowest level."""
-    base_damping: float = Field(3.0, ge=0.0, le=20.0)
+    base_damping: float = Field(default=3.0, ge=0.0, le=20.0)
     """[1/s] k of the base's rest acceleration −k q̇_b."""
-    base_slowness: float = Field(4.0, ge=1.0, le=100.0)
+    base_slowness: float = Field(default=4.0, ge=1.0, le=100.0)
     """[-] how much slower the base corrects errors than the arm; its commands come at 10 Hz."""
-    base_weight: float = Field(1000.0, ge=1.0, le=1e6)
+    base_weight: float = Field(default=1000.0, ge=1.0, le=1e6)
     """[-] how much costlier the base's acceleration is than the arm's, lowest level."""
 
 
 class LimitConfig(Strict):
     """Limits of the arm as constraints of the QP."""
 
-    position_rate: float = Field(30.0, ge=1.0, le=100.0)
+    position_rate: float = Field(default=30.0, ge=1.0, le=100.0)
     """[1/s] how fast a joint may close in on its position limit, per distance left."""
-    velocity_rate: float = Field(30.0, ge=1.0, le=200.0)
+    velocity_rate: float = Field(default=30.0, ge=1.0, le=200.0)
     """[1/s] how fast a joint may close in on its velocity limit, per velocity left."""
 
 
 class AdmittanceConfig(Strict):
     """§4.1: velocity command of the base, M_a v̇ + D_a v = F."""
 
-    mass: float = Field(60.0, ge=5.0, le=300.0)
+    mass: float = Field(default=60.0, ge=5.0, le=300.0)
     """[kg] M_a, linear."""
-    inertia: float = Field(16.0, ge=0.5, le=60.0)
+    inertia: float = Field(default=16.0, ge=0.5, le=60.0)
     """[kg m²] M_a, angular."""
-    damping: float = Field(180.0, ge=0.0, le=600.0)
+    damping: float = Field(default=180.0, ge=0.0, le=600.0)
     """[N s/m] D_a, linear."""
-    angular_damping: float = Field(160.0, ge=0.0, le=600.0)
+    angular_damping: float = Field(default=160.0, ge=0.0, le=600.0)
     """[N m s] D_a, angular."""
-    v_max: float = Field(0.5, ge=0.05, le=2.0)
+    v_max: float = Field(default=0.5, ge=0.05, le=2.0)
     """[m/s] largest commanded speed, within the base's own limit; one that the arm can follow."""
-    omega_max: float = Field(1.0, ge=0.1, le=4.0)
+    omega_max: float = Field(default=1.0, ge=0.1, le=4.0)
     """[rad/s] largest commanded turn, within the base's own limit."""
-    period: float = Field(0.1, ge=0.001, le=0.5)
+    period: float = Field(default=0.1, ge=0.001, le=0.5)
     """[s] between two velocity commands."""
 
 
 class HandConfig(Strict):
-    """The hand of the person who guides the end-effector: a spring and damper with a force limit."""
+    """The hand of a person who guides the end-effector: a spring and damper with a force limit."""
 
-    stiffness: float = Field(300.0, ge=10.0, le=2000.0)
+    stiffness: float = Field(default=300.0, ge=10.0, le=2000.0)
     """[N/m]"""
-    damping: float = Field(25.0, ge=0.0, le=200.0)
+    damping: float = Field(default=25.0, ge=0.0, le=200.0)
     """[N s/m]"""
-    f_max: float = Field(40.0, ge=1.0, le=150.0)
+    f_max: float = Field(default=40.0, ge=1.0, le=150.0)
     """[N] largest force."""
 
 
@@ -147,9 +147,10 @@ class Config(Strict):
             ConfigError: No such parameter, or a value out of its range.
         """
         section, _, name = path.partition(".")
-        if section not in type(self).model_fields or name not in type(
-            getattr(self, section)
-        ).model_fields:
+        if (
+            section not in type(self).model_fields
+            or name not in type(getattr(self, section)).model_fields
+        ):
             raise ConfigError(f"no parameter {path!r}")
         data = self.model_dump()
         data[section][name] = value

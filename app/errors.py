@@ -1,4 +1,4 @@
-"""One tree of exceptions: whatever a user can cause is a `DbbError` and prints as one clear line."""
+"""One tree of exceptions: whatever a user can cause is a `DbbError` and prints as one line."""
 
 from __future__ import annotations
 

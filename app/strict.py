@@ -55,7 +55,9 @@ def _siblings(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
     """Field names of the record in which the last part of `loc` stands."""
     candidates: list[type[BaseModel]] = [model]
     for part in loc[:-1]:
-        annotations = [c.model_fields[part].annotation for c in candidates if part in c.model_fields]
+        annotations = [
+            c.model_fields[part].annotation for c in candidates if part in c.model_fields
+        ]
         if annotations:
             candidates = [r for a in annotations for r in _records_in(a)]
         elif isinstance(part, str):  # the tag of a union: keep the record that carries it

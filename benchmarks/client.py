@@ -1,4 +1,4 @@
-"""A viewer of the dashboard in a process of its own: `python -m benchmarks.client KIND ADDRESS SECONDS`.
+"""A viewer of the dashboard in its own process: `python -m benchmarks.client KIND ADDRESS SECONDS`.
 
 Prints `ready` when it is connected, works until the time is over, and prints what it has done.
 """
@@ -16,7 +16,7 @@ from app.dashboard.hand import GIZMO, SCALE
 from tests.browser import DashboardTab, chromium
 
 AXIS = 0  # the gizmo's arrow along x, which at the start is the base's way back
-NEAR, FAR = 0.60, 0.95  # [m] from the base's centre to the hand: the base's front is at 0.5 m
+NEAR, FAR = 0.55, 0.90  # [m] from the base's centre to the hand: the base's front is at 0.5 m
 SWEEP = 4.0  # [s] there and back
 SWEEPS = 3  # before the robot is put back to its start
 MOVE = 0.05  # [s] between two moves of the mouse

@@ -1,4 +1,4 @@
-"""How well the dashboard keeps to real time: `python -m benchmarks.realtime --client browser --drag`.
+"""How well the dashboard keeps real time: `python -m benchmarks.realtime --client browser --drag`.
 
 The hard case is a headless browser that draws in software on the same cores while its mouse drags
 the hand at the base. Set up as `dbb serve` sets up; only the session notes its times.
@@ -13,6 +13,7 @@ import sys
 import tempfile
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,13 +22,15 @@ import psutil
 import tyro
 
 from app.cli.common import load_robot_and_border
+from app.cli.serve import LOOPS
 from app.config import Config
 from app.dashboard.server import serve_dashboard
-from app.simulation.loop import LoopHandle, SimulationLoop
+from app.simulation.loop import LoopHandle
 from app.simulation.scenario import scenario_by_name
 from app.simulation.session import DT
 from app.simulation.snapshot import Pull, Reset
 from app.simulation.start import StartSolver
+from benchmarks.client import FAR, NEAR, SWEEP, SWEEPS
 from benchmarks.timed_session import TimedSession
 
 SETTLE = 2.0  # [s] between the client's connection and the measurement
@@ -44,6 +47,8 @@ class Realtime:
     """A headless browser, a client that draws nothing, or nobody."""
     drag: bool = False
     """Whether the hand is dragged at the base and back, in the browser by the mouse."""
+    loop: Literal["process", "thread"] = "process"
+    """Where the simulation runs."""
     json: bool = False
     """Print one JSON object on standard output and nothing else there."""
 
@@ -65,7 +70,7 @@ def measure(args: Realtime, record: Path) -> dict[str, Any]:
     model, data = load_robot_and_border("husky_panda")
     config, scenario = Config(), scenario_by_name("guiding-front")
     q_start = StartSolver(model, data.pairs, config.border.d_b).solve(scenario.start)
-    loop = SimulationLoop(lambda: TimedSession(record, model, data, config), q_start)
+    loop = LOOPS[args.loop](partial(TimedSession, record, model, data, config), q_start)
     loop.start()
     try:
         server = serve_dashboard(loop, model, data.clouds, port=0)
@@ -77,7 +82,7 @@ def measure(args: Realtime, record: Path) -> dict[str, Any]:
     if loop.error is not None:
         raise loop.error
     return {
-        "client": args.client, "dragged": args.drag, "seconds": args.seconds,
+        "loop": args.loop, "client": args.client, "dragged": args.drag, "seconds": args.seconds,
         "cores": os.cpu_count(), "load_before": load, **figures(np.load(record), *window),
         "overruns_since_reset": overruns, "server_cpu_percent": cpu, **done,
     }  # fmt: skip
@@ -87,7 +92,7 @@ def _observe(
     args: Realtime, address: str, loop: LoopHandle
 ) -> tuple[dict[str, Any], tuple[float, float], float]:
     """What the client has done, the measured span of time, and the server's load in percent."""
-    process, begin_cpu = psutil.Process(), 0.0
+    servers = _servers()
     kind = "drag" if args.client == "browser" and args.drag else args.client
     client = None
     if kind != "none":
@@ -98,24 +103,37 @@ def _observe(
         if client.stdout.readline() != "ready\n":
             raise RuntimeError("the client could not connect")
     time.sleep(SETTLE)
-    begin, begin_cpu = time.perf_counter(), sum(process.cpu_times()[:2])
+    begin, begin_cpu = time.perf_counter(), _cpu(servers)
     _pass_time(args, begin, loop)
-    end, end_cpu = time.perf_counter(), sum(process.cpu_times()[:2])
+    end, end_cpu = time.perf_counter(), _cpu(servers)
     done = json_module.loads(client.communicate(timeout=60)[0]) if client else {}
     return done, (begin, end), 100.0 * (end_cpu - begin_cpu) / (end - begin)
+
+
+def _servers() -> list[psutil.Process]:
+    """This process and, if the loop has one of its own, that too."""
+    own = psutil.Process()
+    return [own, *own.children()]
+
+
+def _cpu(processes: list[psutil.Process]) -> float:
+    """[s] of work that the processes have done."""
+    return sum(sum(process.cpu_times()[:2]) for process in processes)
 
 
 def _pass_time(args: Realtime, begin: float, loop: LoopHandle) -> None:
     """Wait; where no mouse does it, pull the hand at the base and back."""
     scripted = args.drag and args.client != "browser"
-    start, near = loop.latest().p_ee, loop.latest().p_ee - [0.30, 0.0, 0.0]
+    y, z = (float(value) for value in loop.latest().p_ee[1:])
     while (t := time.perf_counter() - begin) < args.seconds:
-        if scripted and t % 12.0 < PULL_EVERY:  # [s] the base has to come back some time
+        if (
+            scripted and t % (SWEEPS * SWEEP) < PULL_EVERY
+        ):  # [s] the base has to come back some time
             loop.send(Reset())
         if scripted:
-            share = 0.5 - 0.5 * np.cos(2.0 * np.pi * t / 4.0)
-            x, y, z = start + share * (near - start)
-            loop.send(Pull((float(x), float(y), float(z))))
+            share = 0.5 + 0.5 * np.cos(2.0 * np.pi * t / SWEEP)
+            x = loop.latest().base_pose[0] + NEAR + share * (FAR - NEAR)
+            loop.send(Pull((float(x), y, z)))
         time.sleep(PULL_EVERY)
 
 
@@ -123,7 +141,7 @@ def figures(record: np.ndarray, begin: float, end: float) -> dict[str, float]:
     """Key figures of the steps that began in a span of time.
 
     Args:
-        record: (N, 4) begin [s], duration [s], the controller's part of it [s] and β_m of each step.
+        record: (N, 4) begin [s], duration [s], the controller's part [s] and β_m of each step.
         begin: [s] of the span.
         end: [s] of the span.
     """

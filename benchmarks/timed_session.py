@@ -25,7 +25,9 @@ class TimedSession(Session):
         """Advance by one control step."""
         begin = perf_counter()
         step = super().step(*args, **options)
-        self._times.extend((begin, perf_counter() - begin, step.duration, step.output.avoidance.beta_m))
+        self._times.extend(
+            (begin, perf_counter() - begin, step.duration, step.output.avoidance.beta_m)
+        )
         return step
 
     def close(self) -> None:

@@ -1,10 +1,17 @@
-"""Fixtures that many tests share: the paper's robot, compiled once, and its border from the cache."""
+"""What many tests share: the paper's robot, compiled once, and its border from the cache."""
+
+import signal
 
 import pytest
-from robots import husky_panda
 
 from app.border.cache import BorderData, load_border_data
 from app.robot.model import RobotModel
+from tests.robots import husky_panda
+
+# A shell starts what it runs in the background with Ctrl-C ignored, and the programs that tests
+# start would inherit that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

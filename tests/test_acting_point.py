@@ -1,5 +1,7 @@
 """Laws of Algorithm 3, (12) and (13)."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -30,7 +32,7 @@ def dense_border(offset: OffsetContours, step: float = 0.002) -> Border:
     for z in np.arange(0.02, 0.36, 0.004):
         ring = offset.contour(float(z))
         assert ring is not None
-        for a, b in zip(ring[:-1], ring[1:], strict=True):
+        for a, b in pairwise(ring):
             n = max(int(np.linalg.norm(b - a) / step), 1)
             points += [(*(a + (b - a) * k / n), z) for k in range(n)]
     array = np.array(points)

@@ -1,11 +1,10 @@
-"""Laws of β (Figure 10), (27), (28), and of the share from above."""
+"""Laws of β (Figure 10), (28), and of the share from above."""
 
 import numpy as np
 import pytest
 
 from app.avoidance.activation import (
     activation,
-    activation_matrix,
     mobile_activation,
     share_from_above,
 )
@@ -32,10 +31,6 @@ def test_beta_is_flat_at_both_ends_and_never_rises_with_the_distance() -> None:
 def test_beta_m_is_the_largest_of_its_pairs() -> None:
     assert mobile_activation([0.1, 0.7, 0.3]) == 0.7
     assert mobile_activation([]) == 0.0
-
-
-def test_B_repeats_beta_m_for_the_two_rows_of_the_base() -> None:
-    np.testing.assert_array_equal(activation_matrix(0.3, [0.1, 0.9]), np.diag([0.3, 0.3, 0.1, 0.9]))
 
 
 def test_from_the_side_the_arm_has_no_share_and_from_above_all() -> None:

@@ -66,7 +66,10 @@ def test_what_is_asked_between_two_commands_is_not_lost(robot: RobotModel) -> No
 def test_commands_keep_the_bases_velocity_and_acceleration_limits(
     robot: RobotModel, asked: list[float]
 ) -> None:
-    base, admittance = robot.description.base, law(robot, damping=0.0, angular_damping=0.0, v_max=2.0, omega_max=4.0)
+    base, admittance = (
+        robot.description.base,
+        law(robot, damping=0.0, angular_damping=0.0, v_max=2.0, omega_max=4.0),
+    )
     before = np.zeros(2)
     for _ in range(20):
         command = after(admittance, asked, 0.1).copy()

@@ -164,7 +164,7 @@ def test_when_worker_processes_die_the_work_is_done_without_them(caplog):
 
 
 CTRL_C = """
-import signal, time
+import time
 from functools import partial
 from app.border.pool import Workers
 def context(): return None
@@ -172,8 +172,6 @@ def work(_, job):
     print("started", flush=True)
     time.sleep(60)
 if __name__ == "__main__":
-    # A shell starts what it runs in the background with Ctrl-C ignored.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
     with Workers(context, processes=2) as workers:
         list(workers.map(work, range(8)))
 """

@@ -86,7 +86,9 @@ def test_guided_with_rows_the_arm_adds_only_forces_along_them(
     """u_a = u_0 + J_rᵀ λ: no posture, nothing that is not avoidance."""
     m = in_buffer(robot, controller, seed, "l1-lEE")
     output = controller.step(m)
-    rows = np.vstack([row.J[:, 2:] for row in (*output.avoidance.rows_above, *output.avoidance.rows_links)])
+    rows = np.vstack(
+        [row.J[:, 2:] for row in (*output.avoidance.rows_above, *output.avoidance.rows_links)]
+    )
     added = output.u_a - free_arm_torque(controller.state)
     residual = added - rows.T @ np.linalg.lstsq(rows.T, added, rcond=None)[0]
     assert np.abs(added).max() > 0.1
@@ -140,7 +142,9 @@ def test_tracking_reaches_the_asked_acceleration_of_the_hand_whatever_the_base_d
     """Forward dynamics with the given base acceleration return ẍ_d: the hand is not disturbed."""
     rng = np.random.default_rng(seed)
     q_m = np.array([0.3, 0.6, 0.1, -1.6, 0.2, 2.2, 0.5]) + rng.normal(scale=0.1, size=7)
-    m = measured(robot, q_m, qd_m=rng.normal(scale=0.05, size=7), base_velocity=np.array([0.1, 0.1]))
+    m = measured(
+        robot, q_m, qd_m=rng.normal(scale=0.05, size=7), base_velocity=np.array([0.1, 0.1])
+    )
     controller.reset()
     controller.step(m)
     wanted = rng.normal(scale=0.3, size=6)

@@ -47,7 +47,7 @@ def test_straight_from_above_there_is_no_force_not_even_a_direction() -> None:
 
 
 def test_the_accelerations_do_the_same_work_as_the_forces() -> None:
-    """m v̇ and I ω̇ are the generalised forces of the non-slipping base: equal virtual power."""
+    """M v̇ and I ω̇ are the generalised forces of the non-slipping base: equal virtual power."""
     rng = np.random.default_rng(0)
     m, inertia, r, b = 60.0, 8.0, 0.165, 0.51
     forces = [PairForce(np.append(rng.normal(size=2), 0.0), rng.normal(size=3)) for _ in range(3)]

@@ -1,4 +1,4 @@
-"""The wheel works by itself: outside a checkout, without the network, with the border that ships."""
+"""The wheel works by itself: outside a checkout, without the network, its border with it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The README says what is so: its index of equations, its loop, its commands, its links."""
+"""The README says what is so: its index of equations, its files, its fields."""
 
 from __future__ import annotations
 
@@ -7,18 +7,12 @@ import importlib
 import inspect
 import pkgutil
 import re
-import subprocess
-import sys
 from collections.abc import Iterator
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
 import pytest
 
 import app
-from app.border.cache import BorderData
-from app.config import Config
 from app.robot.description import (
     ArmDescription,
     BaseDescription,
@@ -26,13 +20,9 @@ from app.robot.description import (
     ReachabilityDescription,
     RobotDescription,
 )
-from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, ConvexMesh, Cylinder, Sphere
-from app.robot.state import RobotState
-from app.simulation.start import StartSolver
+from tests.readme import PROJECT, README, section
 
-PROJECT = Path(__file__).resolve().parent.parent
-README = (PROJECT / "README.md").read_text(encoding="utf-8")
 EQUATIONS = range(1, 30)
 MARK = re.compile(r"^\s*Paper: Eq\. ((?:\(\d+\)(?:, )?)+)", re.MULTILINE)
 
@@ -43,13 +33,6 @@ class Line(NamedTuple):
     equations: frozenset[int]
     function: str
     test: str
-
-
-def section(title: str) -> str:
-    """The text below a heading of any depth, up to the next heading."""
-    found = re.search(rf"^#+ {re.escape(title)}$(.*?)(?=^#+ |\Z)", README, re.M | re.S)
-    assert found, f"the README has no section {title!r}"
-    return found[1]
 
 
 def numbers(text: str) -> frozenset[int]:
@@ -85,7 +68,7 @@ def marked(thing: object) -> frozenset[int]:
 
 
 def public_functions() -> Iterator[tuple[str, object]]:
-    """All public functions, classes and methods of `app` below the screen, by their dotted paths."""
+    """All public functions, classes and methods of `app` below the screen, by dotted path."""
     for info in pkgutil.walk_packages(app.__path__, "app."):
         if info.name.split(".")[1] in {"dashboard", "cli", "__main__"}:
             continue
@@ -130,67 +113,6 @@ def test_every_public_function_that_is_an_equation_stands_in_the_index() -> None
 
 def test_the_method_prints_every_equation_once_and_in_order() -> None:
     assert [int(n) for n in re.findall(r"\\tag\{(\d+)\}", section("The method"))] == list(EQUATIONS)
-
-
-def run_loop(**changes: tuple[str, str]) -> dict[str, Any]:
-    """The names that the README's loop leaves behind; each change is (old text, new text)."""
-    (code,) = re.findall(r"^```python\n(.*?)^```", README, re.M | re.S)
-    for old, new in changes.values():
-        assert code.count(old) == 1
-        code = code.replace(old, new)
-    names: dict[str, Any] = {}
-    exec(compile(code, "README.md", "exec"), names)
-    return names
-
-
-def test_the_loop_of_the_readme_runs_and_holds_the_arm() -> None:
-    """Gravity compensation without a person: nothing moves, and no QP fails."""
-    names = run_loop()
-    measured = names["robot"].measure()
-    ready = np.array(names["model"].description.arm.ready_position)
-    np.testing.assert_allclose(measured.q_m, ready, atol=1e-6)
-    np.testing.assert_allclose(measured.base_pose, 0.0, atol=1e-9)
-    state = RobotState(names["model"])
-    state.update(measured)
-    assert np.abs(state.g[2:]).max() > 1.0  # [N m] there is something to hold
-    np.testing.assert_allclose(names["output"].u_a, state.g[2:], atol=1e-4)
-    assert names["controller"].failures == 0
-
-
-@pytest.mark.parametrize(("controller", "moves"), [("dbb", True), ("none", False)])
-def test_in_the_loop_of_the_readme_the_base_gives_way_to_a_pulled_hand(
-    robot: RobotModel, border_data: BorderData, controller: str, moves: bool
-) -> None:
-    """The same lines with a person who pulls the hand from the front towards the base."""
-    q_start = StartSolver(robot, border_data.pairs, Config().border.d_b).solve((0.92, 0.10, 0.30))
-    names = run_loop(
-        start=("for _ in", f"robot.reset([0.0, 0.0, 0.0], {q_start.tolist()})\nfor _ in"),
-        pull=("hand_force=[0.0, 0.0, 0.0]", "hand_force=[-15.0, 0.0, 0.0]"),
-        name=("border_data(model), config)", f"border_data(model), config, name={controller!r})"),
-    )
-    assert (names["robot"].measure().base_pose[0] < -0.02) == moves  # [m]
-
-
-def examples() -> list[str]:
-    """The examples of the section on commands."""
-    return re.findall(r"^\| `dbb .*\| `(dbb .*?)` \|$", section("Commands"), re.M)
-
-
-@pytest.mark.parametrize("example", examples())
-def test_every_option_of_an_example_is_one_of_its_command(example: str) -> None:
-    _, command, *rest = example.split()
-    done = subprocess.run(
-        [sys.executable, "-m", "app", command, "--help"],
-        cwd=PROJECT, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    for option in (word for word in rest if word.startswith("--")):
-        assert re.search(rf"{option}\b", done.stdout), option
-
-
-def test_there_is_an_example_of_every_command() -> None:
-    assert {example.split()[1] for example in examples()} == {
-        "serve", "run", "pairs", "border", "robots",
-    }  # fmt: skip
 
 
 def test_every_file_that_the_readme_names_exists() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.control.admittance import AdmittanceLaw
 from app.control.controller import Controller
+from app.control.drive import Drive
 from app.errors import TargetError, UnknownNameError
 from app.robot.model import RobotModel
 from app.simulation.scenario import SCENARIOS
@@ -16,7 +19,7 @@ from app.simulation.session import DT, Session, Step
 from app.simulation.start import StartSolver
 
 LATERAL = SCENARIOS["guiding-lateral"]
-PULL = np.array(LATERAL.start) + [0.0, -0.25, 0.0]  # [m] into the buffer
+PULL = np.add(LATERAL.start, LATERAL.move)  # [m] into the buffer
 
 
 @pytest.fixture(scope="module")
@@ -75,11 +78,11 @@ def test_a_reset_begins_the_same_run_again(make):
     assert session.t == 0.0
     np.testing.assert_array_equal(session.wheel_angles, 0.0)
     second = pulled(session, 1200)
-    # What is warm-started begins elsewhere, so only the solver's tolerance is left.
+    # Not bitwise: the solvers are warm-started from where the first run has ended.
     np.testing.assert_allclose(
-        [numbers(step) for step in second], [numbers(step) for step in first], atol=1e-3
+        [numbers(step) for step in second], [numbers(step) for step in first], atol=1e-9
     )
-    np.testing.assert_allclose(session.wheel_angles, angles, atol=1e-3)
+    np.testing.assert_allclose(session.wheel_angles, angles, atol=1e-9)
     assert np.abs(angles).max() > 0.01
 
 
@@ -126,8 +129,6 @@ def test_the_controllers_answer_depends_on_its_sensors_alone(
 
 def expected_accelerations(robot: RobotModel, steps: list[Step]) -> list[np.ndarray]:
     """What the base's own drive is known to do, from commands and measured velocities alone."""
-    from app.control.drive import Drive
-
     drive = Drive(robot.description.base, DT)
     commands = [np.zeros(2)] + [step.base_command for step in steps[:-1]]
     return [
@@ -148,7 +149,7 @@ def test_the_base_command_is_the_admittance_law_of_the_asked_acceleration(make, 
 def test_the_base_command_is_renewed_at_its_own_slow_rate(make):
     steps = pulled(make(), 2500)
     changes = [
-        k for k, (a, b) in enumerate(zip(steps, steps[1:], strict=False), start=1)
+        k for k, (a, b) in enumerate(pairwise(steps), start=1)
         if (a.base_command != b.base_command).any()
     ]  # fmt: skip
     assert len(changes) > 3
@@ -179,7 +180,7 @@ def test_configuring_is_the_same_as_having_been_made_so(make):
 def test_the_error_is_towards_the_reference_or_towards_the_person(make):
     session = make()
     orientation = session.T_world_ee.rotation.copy()
-    away = SCENARIOS["guiding-lateral"].changed(start=tuple(np.array(LATERAL.start) + [0, 0.1, 0]))
+    away = LATERAL.changed(start=tuple(np.add(LATERAL.start, (0.0, 0.1, 0.0)).tolist()))
     assert session.step(reference=away.reference(0.0, orientation)).ee_error == pytest.approx(
         0.1, abs=1e-3
     )

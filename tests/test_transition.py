@@ -27,7 +27,10 @@ class Problem:
         self.transition = TaskTransition(HierarchicalQP(N, M))
 
     def rows(self, betas: list[float]) -> list[TaskRows]:
-        return [TaskRows(J, Jdqd, xdd, beta) for (J, Jdqd, xdd), beta in zip(self.groups, betas, strict=True)]
+        return [
+            TaskRows(J, Jdqd, xdd, beta)
+            for (J, Jdqd, xdd), beta in zip(self.groups, betas, strict=True)
+        ]
 
     def solve(self, betas: list[float]) -> np.ndarray:
         rows = self.rows(betas)
@@ -65,7 +68,11 @@ def test_each_row_is_blended_with_the_solution_without_it(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(10))
 def test_rows_enter_and_leave_one_after_the_other_without_a_jump(seed: int) -> None:
     problem = Problem(seed)
-    for betas, i in (([0.5, 0.0, 0.0, 0.0], 1), ([0.5, 0.3, 0.0, 0.0], 2), ([0.0, 0.3, 0.6, 1.0], 0)):
+    for betas, i in (
+        ([0.5, 0.0, 0.0, 0.0], 1),
+        ([0.5, 0.3, 0.0, 0.0], 2),
+        ([0.0, 0.3, 0.6, 1.0], 0),
+    ):
         entering = [1e-7 if j == i else beta for j, beta in enumerate(betas)]
         jump = problem.solve(entering) - problem.solve(betas)
         assert np.abs(jump).max() < 1e-4
@@ -107,3 +114,11 @@ def test_limits_hold_whatever_the_rows_ask(seed: int) -> None:
     problem = Problem(seed, limits=limits)
     qdd = problem.solve([0.5, 1.0, 0.2, 1.0])
     assert np.abs(qdd[:M]).max() <= 0.1 + 1e-6
+
+
+def test_B_repeats_beta_m_for_the_two_rows_of_the_base() -> None:
+    """The diagonal of (27): β_m, β_m, β_r,1, …, β_r,k."""
+    b, J, B = generate_avoidance_task(Problem(0).rows([0.3, 0.1, 0.9, 0.0]))
+    np.testing.assert_array_equal(B, [0.3, 0.3, 0.1, 0.9, 0.0])
+    assert J.shape == (5, N)
+    assert b.shape == (5,)

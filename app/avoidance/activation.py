@@ -1,10 +1,8 @@
-"""Activation parameter β of a link pair and the diagonal B of the avoidance task."""
+"""Activation parameter β of the link pairs."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-
-import numpy as np
 
 _ONSET = 0.8  # [-] |n_z| from which on the arm has a share
 
@@ -51,11 +49,3 @@ def mobile_activation(betas: Sequence[float]) -> float:
     Paper: Eq. (28).
     """
     return max(betas, default=0.0)
-
-
-def activation_matrix(beta_m: float, beta_r: Sequence[float]) -> np.ndarray:
-    """B = diag(β_m, β_m, β_r,1, …, β_r,k), (2 + k, 2 + k).
-
-    Paper: Eq. (27).
-    """
-    return np.diag([beta_m, beta_m, *beta_r])

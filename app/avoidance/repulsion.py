@@ -1,4 +1,4 @@
-"""GenerateRepAcc: an acceleration of one degree of freedom that parts the links of a pair (§3.2)."""
+"""GenerateRepAcc: an acceleration in one dimension that parts the links of a pair (§3.2)."""
 
 from __future__ import annotations
 

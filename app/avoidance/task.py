@@ -53,10 +53,11 @@ def repulsive_rows(row: RepulsiveRow, beta: float) -> TaskRows:
 def generate_avoidance_task(rows: Sequence[TaskRows]) -> tuple[Array, Array, Array]:
     """Stack the rows of T_sca.
 
-    Paper: Eq. (22), (23), (24), (25), and the diagonal of (27).
+    Paper: Eq. (22), (23), (24), (25), (27).
 
     Returns:
-        ẍ_sca - J̇_sca q̇ (2 + k,), J_sca (2 + k, n), and the diagonal of B (2 + k,).
+        ẍ_sca - J̇_sca q̇ (2 + k,), J_sca (2 + k, n), and the diagonal of B (2 + k,),
+        in which the two rows of the base share β_m.
     """
     return (
         np.concatenate([r.b for r in rows]),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
@@ -40,8 +40,8 @@ def as_json(result: object) -> str:
 
 
 @contextmanager
-def progress_bar(text: str, total: float) -> Iterator[Progress]:
-    """A progress bar on standard error with one task, of id 0."""
+def progress_bar(text: str, total: float) -> Iterator[Callable[[float], None]]:
+    """A progress bar on standard error; gives the function that says how far it is."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -51,5 +51,5 @@ def progress_bar(text: str, total: float) -> Iterator[Progress]:
     # Without a terminal a bar that vanishes would leave an empty line behind.
     hidden = not console.is_terminal
     with Progress(*columns, console=console, transient=True, disable=hidden) as progress:
-        progress.add_task(text, total=total)
-        yield progress
+        task = progress.add_task(text, total=total)
+        yield lambda done: progress.update(task, completed=done)

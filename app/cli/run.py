@@ -71,10 +71,10 @@ def run(
     make_folder(out)
     chosen = chosen.changed(start=start, move=move, duration=duration)
     model, data = load_robot_and_border(robot)
-    with progress_bar(f"{scenario}, {controller}", chosen.duration) as progress:
+    with progress_bar(f"{scenario}, {controller}", chosen.duration) as on_progress:
         result = run_scenario(
             model, data, chosen, config, controller=controller, physics=physics, seed=seed,
-            on_progress=lambda t: progress.update(0, completed=t),
+            on_progress=on_progress,
         )  # fmt: skip
     if out is not None:
         _write(out, result)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from functools import partial
 
 from app.cli.common import load_robot_and_border
 from app.cli.options import PointOption, check_name, check_point, check_seed
@@ -11,9 +12,13 @@ from app.control.controller import CONTROLLERS
 from app.dashboard.server import check_address, serve_dashboard
 from app.simulation.loop import SimulationLoop
 from app.simulation.plants import PLANTS
+from app.simulation.process_loop import ProcessLoop
 from app.simulation.scenario import scenario_by_name
 from app.simulation.session import Session
 from app.simulation.start import StartSolver
+
+LOOPS = {"process": ProcessLoop, "thread": SimulationLoop}
+"""Where the simulation may run."""
 
 
 def serve(
@@ -24,6 +29,7 @@ def serve(
     start: PointOption = None,
     physics: str = "planar",
     seed: int = 0,
+    loop: str = "process",
 ) -> None:
     """Serve the dashboard: drag the hand, and the base gets out of the way.
 
@@ -35,9 +41,12 @@ def serve(
         start: [m] where the hand starts, in the world (default: in front of the base).
         physics: planar, contact or kinematic.
         seed: Seed of the search for the start.
+        loop: process, or thread for the simulation inside the server's process, where drawing
+            disturbs its real time.
     """
     check_name("controller", controller, CONTROLLERS)
     check_name("physics", physics, PLANTS)
+    check_name("loop", loop, LOOPS)
     check_point("--start", start)
     check_seed(seed)
     check_address(host, port)
@@ -45,14 +54,14 @@ def serve(
     model, data = load_robot_and_border(robot)
     p_start = start or scenario_by_name("guiding-front").start
     q_start = StartSolver(model, data.pairs, config.border.d_b).solve(p_start, seed=seed)
-    loop = SimulationLoop(
-        lambda: Session(model, data, config, controller=controller, physics=physics, seed=seed),
-        q_start,
+    make_session = partial(
+        Session, model, data, config, controller=controller, physics=physics, seed=seed
     )
-    loop.start()
+    simulation = LOOPS[loop](make_session, q_start)
+    simulation.start()
     try:
-        server = serve_dashboard(loop, model, data.clouds, host=host, port=port)
+        server = serve_dashboard(simulation, model, data.clouds, host=host, port=port)
         print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
         server.run_forever()
     finally:
-        loop.stop()
+        simulation.stop()

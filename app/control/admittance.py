@@ -14,8 +14,8 @@ class AdmittanceLaw:
     """M_a v̇ + D_a v = F, solved from one command to the next; F = M_a q̈_b.
 
     The input is the desired acceleration times the virtual mass, not the base's part of u, which is
-    not zero at q̈_b = 0 and would let the base drift. It is averaged over a command's period, so that
-    nothing that the 1 kHz controller asks is lost between two commands.
+    not zero at q̈_b = 0 and would let the base drift. It is averaged over a command's period, so
+    that nothing that the 1 kHz controller asks is lost between two commands.
 
     Attributes:
         command: (2,) v [m/s] and ω [rad/s], as last sent.

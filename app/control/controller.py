@@ -1,4 +1,4 @@
-"""Algorithm 2: state in, arm torques and base acceleration out. Knows no simulator and no screen."""
+"""Algorithm 2: state in, arm torques and base acceleration out. Knows no simulator, no screen."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""Continuous task transition: rows that enter and leave a hierarchy one by one without a jump (§3.4)."""
+"""Continuous task transition: rows enter and leave a hierarchy one by one without a jump (§3.4)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from app.avoidance.task import TaskRows
+from app.avoidance.task import TaskRows, generate_avoidance_task
 from app.control.hqp import EqualityTask, HierarchicalQP, Limits, Objective, Solution
 
 Array = np.ndarray
@@ -17,8 +17,8 @@ class TaskTransition:
 
     The paper blends all rows with the solution of the stack without any of them. That is continuous
     only where B = 0 as a whole: a row that enters while another is half active makes the torque
-    jump. Here the inactive reference of row i is J_i q̈ of the solution *without row i*, in which the
-    other rows stand with the activations they have; at β_i = 0 the solution is then the one without
+    jump. Here the inactive reference of row i is J_i q̈ of the solution *without row i*, in which
+    the other rows stand with the activations they have; at β_i = 0 the solution is then the one without
     row i, whatever the others do.
     """
 
@@ -60,23 +60,27 @@ class TaskTransition:
         def solution_with(members: int) -> Solution:
             """Solution with the rows whose bit is set in `members`; each subset solved once."""
             if members not in solved:
-                above = []
-                if members:
-                    chosen = [i for i in range(len(active)) if members >> i & 1]
-                    targets = [blended(i, members) for i in chosen]
-                    J = np.vstack([active[i].J for i in chosen])
-                    above = [EqualityTask(J, np.concatenate(targets))]
+                chosen = [i for i in range(len(active)) if members >> i & 1]
+                above = [self._blended(active, chosen, members, solution_with)] if chosen else []
                 solved[members] = self._solver.solve(
                     [*above, *levels], objective, limits, slot=f"{slot}/{members}"
                 )
             return solved[members]
 
-        def blended(i: int, members: int) -> Array:
-            """Right-hand side of row i within a subset."""
-            row = active[i]
-            if row.beta >= 1.0:
-                return row.b
-            without = solution_with(members & ~(1 << i)).qdd
-            return row.beta * row.b + (1.0 - row.beta) * (row.J @ without)
-
         return solution_with((1 << len(active)) - 1)
+
+    @staticmethod
+    def _blended(
+        rows: Sequence[TaskRows],
+        chosen: Sequence[int],
+        members: int,
+        solution_with: Callable[[int], Solution],
+    ) -> EqualityTask:
+        """B (ẍ_sca - J̇_sca q̇) + (I - B) J_i q̈_{without i} for the chosen rows, stacked."""
+        b, J, B = generate_avoidance_task([rows[i] for i in chosen])
+        inactive = [
+            # A row in full force has no need of the solution without it.
+            row.b if row.beta >= 1.0 else row.J @ solution_with(members & ~(1 << i)).qdd
+            for i, row in ((i, rows[i]) for i in chosen)
+        ]
+        return EqualityTask(J, B * b + (1.0 - B) * np.concatenate(inactive))

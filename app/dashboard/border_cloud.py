@@ -17,7 +17,7 @@ Array = np.ndarray
 
 MAX_POINTS = 20_000
 """Points drawn; more of them only hide what lies behind and slow the browser down."""
-POINT_SIZE = 0.005  # [m]
+POINT_SIZE = 0.0035  # [m] small enough to see the acting points behind it
 
 BorderOf = Callable[[str, BorderConfig], Array]
 """(N, 3) [m] points of a pair's border in the base's frame."""

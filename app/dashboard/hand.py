@@ -15,7 +15,7 @@ Array = np.ndarray
 
 GIZMO = "/hand"
 """Scene node of the gizmo."""
-SCALE = 0.24  # [m] length of the gizmo's arrows
+SCALE = 0.28  # [m] length of the gizmo's arrows
 LEAST_STRETCH = 0.002  # [m] shorter rubber bands are not drawn
 
 
@@ -67,7 +67,7 @@ class Hand:
         """Put the gizmo into the scene and listen to it."""
         self.grip = Grip(sink, notices)
         self._gizmo = server.scene.add_transform_controls(
-            GIZMO, scale=SCALE, disable_rotations=True, depth_test=False, opacity=0.85
+            GIZMO, scale=SCALE, disable_rotations=True, depth_test=False, opacity=0.7
         )
         self._band = server.scene.add_line_segments(
             "/pull/band", np.zeros((1, 2, 3)), PERSON, thickness=3.0, thickness_units="screen",

@@ -14,6 +14,7 @@ from app.simulation.snapshot import PairReading, Snapshot
 Array = np.ndarray
 
 NODE = "/distances"
+LIFT = np.array([0.0, 0.0, 0.07])  # [m] of a label over its point, clear of the acting points
 _ANCHORS: tuple[Literal["bottom-left", "center-left", "center-right", "top-right"], ...] = (
     "bottom-left", "center-left", "center-right", "top-right",
 )  # fmt: skip
@@ -63,7 +64,7 @@ class PairLines:
         )
         if label.visible:
             # Between the base and the arm stand the acting points with their own labels.
-            label.position = pair.p_a if pair.mobile else (pair.p_a + pair.p_b) / 2
+            label.position = pair.p_a + LIFT if pair.mobile else (pair.p_a + pair.p_b) / 2
             if texts:
                 label.text = f"{pair.name}  {1000 * pair.d:.0f} mm"
 

@@ -112,6 +112,7 @@ def serve_dashboard(
         AssetError: A mesh of the robot is not there.
     """
     check_address(host, port)
+    logging.getLogger("websockets").setLevel(logging.WARNING)  # every viewer's coming and going
     with _silence():
         server = viser.ViserServer(host=host, port=port, verbose=False)
     try:

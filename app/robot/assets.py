@@ -70,7 +70,9 @@ def resolve_package_uri(uri: str) -> Path:
         raise AssetError(f"{uri!r} is not of the form package://PACKAGE/PATH")
     spec = importlib.util.find_spec(package) if package.isidentifier() else None
     if spec is None or not spec.submodule_search_locations:
-        raise AssetError(f"{uri}: the package {package!r} is not installed; try: pip install {package}")
+        raise AssetError(
+            f"{uri}: the package {package!r} is not installed; try: pip install {package}"
+        )
     for root in map(Path, spec.submodule_search_locations):
         path = (root / inner).resolve()
         if path.is_file() and path.is_relative_to(root.resolve()):

@@ -24,7 +24,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 class Sourced(Strict):
     """A record in which every number that is stated must have a line in `source`."""
 
-    source: dict[str, str] = {}
+    source: dict[str, str] = Field(default_factory=dict)
     """Where each number comes from: one entry per numeric field, by the field's name."""
 
     @model_validator(mode="after")
@@ -76,7 +76,7 @@ class BaseDescription(Sourced):
     drive_time_constant_s: Positive
     """[s] of the drive's first-order response to a velocity command."""
     left_wheel_joints: tuple[str, ...]
-    """Wheel joints of the URDF that turn with the left side; drawn only, the drive is at r and b."""
+    """Wheel joints of the URDF turning with the left side; drawn only, the drive is at r and b."""
     right_wheel_joints: tuple[str, ...]
     """The same for the right side."""
 
@@ -123,7 +123,7 @@ class ArmDescription(Sourced):
 
 
 class BodyDescription(Strict):
-    """One link l_• of Figure 2b: a union of convex shapes that stands for some of the URDF's links."""
+    """One link l_• of Figure 2b: a union of convex shapes that stands for some URDF links."""
 
     source: str
     """Where the shapes come from."""
@@ -197,8 +197,8 @@ def load_description(path: Path) -> RobotDescription:
         path: The TOML file.
 
     Raises:
-        DescriptionError: The file is missing, is not TOML, or a field is missing, misspelt or out of
-            its range; the message names file, field and what would be right.
+        DescriptionError: The file is missing, is not TOML, or a field is missing, misspelt or out
+            of its range; the message names file, field and what would be right.
     """
     try:
         data = tomllib.loads(path.read_text(encoding="utf-8"))

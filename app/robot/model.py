@@ -85,7 +85,7 @@ class RobotModel:
         return [body.name for body in self.description.bodies]
 
     def configuration(self, base_pose: Sequence[float] | Array, q_m: Array) -> Array:
-        """pinocchio's configuration from the base's pose (x, y, φ) in the world and the arm's joints."""
+        """Pinocchio's configuration from the base's pose (x, y, φ) and the arm's joints."""
         x, y, phi = base_pose
         return np.concatenate(([x, y, np.cos(phi), np.sin(phi)], q_m))
 
@@ -97,7 +97,7 @@ class RobotModel:
         return data.oMf[self.mount_frame].translation.copy()
 
     def body_joint(self, name: str) -> int:
-        """pinocchio's joint that carries a body."""
+        """Pinocchio's joint that carries a body."""
         return self.geometry.geometryObjects[self.shape_ids[name][0]].parentJoint
 
     def _read_limits(self) -> None:
@@ -108,9 +108,13 @@ class RobotModel:
         self.qd_max = _chosen(arm.max_velocity, model.velocityLimit[3:])
         self.tau_max = _chosen(arm.max_effort, model.effortLimit[3:])
         ready = np.array(arm.ready_position)
-        for name, lower, at, upper in zip(arm.joints, self.q_lower, ready, self.q_upper, strict=True):
+        for name, lower, at, upper in zip(
+            arm.joints, self.q_lower, ready, self.q_upper, strict=True
+        ):
             if not lower < upper:
-                raise self._error(f"arm: {name} has lower limit {lower:g} not below upper {upper:g}")
+                raise self._error(
+                    f"arm: {name} has lower limit {lower:g} not below upper {upper:g}"
+                )
             if not lower <= at <= upper:
                 raise self._error(
                     f"arm.ready_position: {name} at {at:g} is outside of [{lower:g}, {upper:g}]"
@@ -164,7 +168,7 @@ def _chosen(stated: Sequence[float] | None, from_urdf: Array) -> Array:
 
 
 def _planar_model(description: RobotDescription) -> pin.Model:
-    """pinocchio's model on a planar root, with all joints but the arm's locked at zero."""
+    """Pinocchio's model on a planar root, with all joints but the arm's locked at zero."""
     where = f"{description.name}/robot.toml"
     try:
         full = pin.buildModelFromXML(resolved_urdf(description), pin.JointModelPlanar())
@@ -185,7 +189,8 @@ def _planar_model(description: RobotDescription) -> pin.Model:
     model = pin.buildReducedModel(full, locked, pin.neutral(full))
     if tuple(list(model.names)[2:]) != description.arm.joints:
         raise DescriptionError(
-            f"{where}: arm.joints: must stand in the order of the chain: {', '.join(list(model.names)[2:])}"
+            f"{where}: arm.joints: must stand in the order of the chain: "
+            f"{', '.join(list(model.names)[2:])}"
         )
     if model.nq != 4 + len(description.arm.joints):
         raise DescriptionError(

@@ -1,6 +1,6 @@
 """Convex shapes of the simplified collision bodies (Figure 2b), as a description states them.
 
-Each shape gives itself to coal for exact distances with a signed normal, and to trimesh for drawing.
+Each shape gives itself to coal for exact distances with a signed normal, to trimesh for drawing.
 """
 
 from __future__ import annotations
@@ -129,6 +129,4 @@ class ConvexMesh(_Placed):
         return coal.Convex.convexHull(vertices, True, "Qt")
 
 
-Shape = Annotated[
-    Box | Sphere | Cylinder | Capsule | ConvexMesh, Field(discriminator="type")
-]
+Shape = Annotated[Box | Sphere | Cylinder | Capsule | ConvexMesh, Field(discriminator="type")]

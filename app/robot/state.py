@@ -81,7 +81,9 @@ class RobotState:
         axes = pin.LOCAL_WORLD_ALIGNED
         self.J_ee = pin.getFrameJacobian(model, data, self.model.ee_frame, axes) @ S
         self.v_ee = self.J_ee @ self.qd
-        self.Jdqd_ee = pin.getFrameClassicalAcceleration(model, data, self.model.ee_frame, axes).vector
+        self.Jdqd_ee = pin.getFrameClassicalAcceleration(
+            model, data, self.model.ee_frame, axes
+        ).vector
         root = data.oMi[1]
         self.R_world_base = root.rotation
         self.p_o = root.translation
@@ -97,7 +99,10 @@ class RobotState:
     def point_jacobian(self, joint: int, p_world: Array) -> Array:
         """(3, n) Jacobian of the point of a joint's body that is now at `p_world`."""
         data = self.data
-        J = pin.getJointJacobian(self.model.pin, data, joint, pin.LOCAL_WORLD_ALIGNED) @ self.model.S
+        J = (
+            pin.getJointJacobian(self.model.pin, data, joint, pin.LOCAL_WORLD_ALIGNED)
+            @ self.model.S
+        )
         return J[:3] - pin.skew(p_world - data.oMi[joint].translation) @ J[3:]
 
     def point_bias(self, joint: int, p_world: Array) -> Array:

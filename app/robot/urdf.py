@@ -69,4 +69,6 @@ def root_link(urdf: str) -> str:
     """Name of the link that no joint has as its child."""
     tree = ElementTree.fromstring(urdf)
     children = {child.get("link") for child in tree.iterfind("joint/child")}
-    return next(str(link.get("name")) for link in tree.iterfind("link") if link.get("name") not in children)
+    return next(
+        str(link.get("name")) for link in tree.iterfind("link") if link.get("name") not in children
+    )

@@ -27,8 +27,9 @@ class History:
         newest = self._latest
         if newest is not None and snapshot.t < newest.t:
             self._kept.clear()
-        if newest is None or snapshot.t != newest.t:
-            self._kept.append(snapshot)
+        elif newest is not None and snapshot.t == newest.t:
+            self._kept.pop()
+        self._kept.append(snapshot)
         self._latest = snapshot
 
     def after(self, t: float) -> list[Snapshot]:

@@ -17,7 +17,8 @@ class Pacer:
     than 0.2 s is given up and shows in the real-time factor.
 
     Attributes:
-        overruns: Steps that ended after their period.
+        overruns: Steps that missed their period: their own work took longer, or they began after
+            it was over.
     """
 
     def __init__(self, period: float) -> None:
@@ -30,7 +31,8 @@ class Pacer:
 
     def restart(self) -> None:
         """Begin a new schedule now, as after a pause."""
-        self._due = perf_counter() + self._period
+        self._begun = perf_counter()
+        self._due = self._begun + self._period
         self._marks.clear()
 
     def worked(self, duration: float) -> None:
@@ -42,14 +44,15 @@ class Pacer:
         now = perf_counter()
         self._steps += 1
         self._mark(now)
-        late = now - self._due
-        if late > 0.0:
+        if now - self._begun > self._period or self._begun > self._due:
             self.overruns += 1
-            if late > _CATCH_UP:
-                self._due = now
+        late = now - self._due
+        if late > _CATCH_UP:
+            self._due = now
         elif late < -_COARSE:
             sleep(-late)
         self._due += self._period
+        self._begun = perf_counter()
 
     def _mark(self, now: float) -> None:
         self._marks.append((now, self._steps))

@@ -93,7 +93,8 @@ class Snapshot:
     realtime_factor: float
     """[-] simulated over real time in the last second."""
     overruns: int
-    """Control steps since the last reset that ended after their period."""
+    """Control steps since the last reset that missed their period of 1 ms: their own work took
+    longer, or they began after it was over."""
     paused: bool
     mode: str
     """"guiding", or "tracking" while the arm follows a reference."""

@@ -118,7 +118,13 @@ class StartSolver:
         margin = _JOINT_MARGIN * self._range
         bounds = (self._model.q_lower + margin, self._model.q_upper - margin)
         inside = np.clip(guess, bounds[0] + 1e-6, bounds[1] - 1e-6)
-        return least_squares(residual, inside, jacobian, bounds=bounds, max_nfev=60).x
+        return least_squares(
+            residual,
+            inside,
+            jacobian,  # pyright: ignore[reportArgumentType] - read off a default, it may be a function
+            bounds=bounds,
+            max_nfev=60,
+        ).x
 
     def _judge(self, q: Array, target: Array, direction: Array) -> _Judgement:
         self._place(q)

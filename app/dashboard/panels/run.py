@@ -10,6 +10,7 @@ from app.dashboard.notices import Notices
 from app.simulation.snapshot import PairReading, Pause, Reset, Snapshot
 
 BAR_RANGE = 0.5  # [m] distance that fills a bar of the table
+STEP = 0.001  # [s] of one control step
 GOOD, BAD = "#2f9e5b", css((222, 49, 40))
 
 
@@ -54,7 +55,8 @@ def status_html(snapshot: Snapshot) -> str:
         ("controller", snapshot.controller, None),
         ("real-time factor", f"{snapshot.realtime_factor:.2f}",
          not snapshot.paused and snapshot.realtime_factor < 0.95),
-        ("control step", f"{snapshot.step_time_us:.0f} µs, {snapshot.overruns:,} late", None),
+        ("control step", f"{snapshot.step_time_us:.0f} µs", None),
+        ("steps late", late_text(snapshot), None),
         ("contact", contact or "none", bool(contact)),
         ("solver failures", f"{snapshot.solver_failures}", snapshot.solver_failures > 0),
         ("person pulls", pull if snapshot.hand_target is not None else "no", None),
@@ -65,6 +67,12 @@ def status_html(snapshot: Snapshot) -> str:
     return (
         f'<table style="width:100%;font-size:.82em;line-height:1.65;padding:0 .7em">{body}</table>'
     )
+
+
+def late_text(snapshot: Snapshot) -> str:
+    """Share of the steps since the last reset that missed their period."""
+    steps = max(round(snapshot.t / STEP), 1)
+    return f"{100.0 * min(snapshot.overruns / steps, 1.0):.1f} %"
 
 
 def _signed(value: float) -> str:

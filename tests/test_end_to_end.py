@@ -1,0 +1,166 @@
+"""The real thing: `dbb serve`, a browser, and a mouse that drags the hand at the base.
+
+All that is asserted is read off the page, as a person would.
+"""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from app.dashboard.hand import GIZMO, SCALE
+from tests.browser import DashboardTab, chromium
+
+pytestmark = pytest.mark.browser
+
+PROJECT = Path(__file__).resolve().parent.parent
+TOWARDS_BASE = -0.30  # [m] along x, the base's front
+PATIENCE = 20.0  # [s] for what takes the robot a second or two on a quiet machine
+
+
+class Served:
+    """`dbb serve` in a process of its own.
+
+    Attributes:
+        process: The process.
+        address: What it has printed.
+    """
+
+    def __init__(self, *options: str) -> None:
+        command = [sys.executable, "-m", "app", "serve", "--port", "0", *options]
+        self.process = subprocess.Popen(
+            command, cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        self.address = self._printed_address()
+
+    def _printed_address(self) -> str:
+        assert self.process.stderr is not None
+        seen = ""
+        for line in self.process.stderr:
+            seen += line
+            if found := re.search(r"http://\S+", line):
+                return found.group()
+        raise AssertionError(f"it ended before it served: {seen}")
+
+    def interrupt(self) -> tuple[int, str]:
+        """Press Ctrl-C; the status and what it has still printed."""
+        self.process.send_signal(signal.SIGINT)
+        _, errors = self.process.communicate(timeout=PATIENCE)
+        return self.process.returncode, errors
+
+
+def simulation_of(served: Served) -> psutil.Process:
+    """The process in which the simulation runs."""
+    children = psutil.Process(served.process.pid).children()
+    [simulation] = [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+    return simulation
+
+
+@pytest.fixture
+def served():
+    served = Served()
+    yield served
+    served.process.kill()
+    served.process.wait()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as browser:
+        yield browser
+
+
+def reading(tab: DashboardTab, label: str) -> str:
+    """What the table of the tab "Run" says beside a label."""
+    text = re.compile(rf"^{re.escape(label)}$")
+    row = tab.page.locator("tr").filter(has=tab.page.locator("td").filter(has_text=text))
+    return row.locator("td").last.inner_text()
+
+
+def greatest_activation(tab: DashboardTab) -> float:
+    """The highest β_m on the plot of activation, the only one with a single line."""
+    return tab.page.evaluate(
+        """() => Math.max(...Object.values(__viserTestpoints.uplots)
+            .map(plot => plot.chart.data).filter(data => data.length === 2)
+            .flatMap(data => Array.from(data[1])))"""
+    )
+
+
+def wait_for(condition, what: str) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, f"in {PATIENCE:g} s: {what}"
+        time.sleep(0.1)
+
+
+def pull_towards_base(tab: DashboardTab) -> None:
+    """Drag the hand at the base, hold it there until the base has gone, and let go."""
+    before = tab.position("/robot")
+    tab.drag_gizmo(GIZMO, axis=0, metres=TOWARDS_BASE, scale=SCALE, steps=12, drop=False)
+    assert reading(tab, "person pulls").endswith(" N")
+
+    def base_has_moved() -> bool:
+        return float(np.linalg.norm(tab.position("/robot") - before)) > 0.05
+
+    wait_for(base_has_moved, "the base has moved by 0.05 m")
+    tab.page.mouse.up()
+
+
+def test_the_base_gets_out_of_the_way_of_a_hand_that_is_dragged_at_it(browser, served):
+    tab = DashboardTab(browser, served.address)
+    assert reading(tab, "person pulls") == "no"
+    assert greatest_activation(tab) == 0.0
+    start = tab.position(GIZMO)
+    np.testing.assert_allclose(tab.position("/robot"), 0.0, atol=2e-3)
+
+    pull_towards_base(tab)
+
+    assert greatest_activation(tab) > 0.2
+    assert tab.position("/robot")[0] < -0.05, "it backs off, away from the hand"
+    wait_for(lambda: reading(tab, "person pulls") == "no", "nobody pulls any more")
+    wait_for(
+        lambda: tab.position(GIZMO)[0] < start[0] - 0.1, "the hand is nearer than where it was"
+    )
+    assert reading(tab, "contact") == "none"
+    assert reading(tab, "solver failures") == "0"
+    assert tab.errors == []
+    status, printed = served.interrupt()
+    tab.close()
+    assert (status, printed) == (0, "")
+
+
+def test_two_dashboards_cannot_listen_at_one_port(served):
+    port = served.address.rpartition(":")[2]
+    second = subprocess.run(
+        [sys.executable, "-m", "app", "serve", "--port", port],
+        cwd=PROJECT, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert second.returncode == 2
+    [line] = second.stderr.splitlines()
+    assert port in line
+    assert "in use" in line
+
+
+def test_the_page_says_why_when_the_process_of_the_simulation_has_died(browser, served):
+    tab = DashboardTab(browser, served.address)
+    simulation_of(served).kill()
+    tab.page.get_by_text("ended with status").wait_for(timeout=1000 * PATIENCE)
+    status, printed = served.interrupt()
+    tab.close()
+    assert status == 2
+    assert "ended with status -9" in printed.splitlines()[-1]
+
+
+def test_the_process_of_the_simulation_ends_with_its_parent(served):
+    simulation = simulation_of(served)
+    served.process.kill()
+    served.process.wait()
+    simulation.wait(timeout=PATIENCE)

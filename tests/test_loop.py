@@ -1,0 +1,276 @@
+"""The loop: commands are obeyed, what it publishes holds together, its errors reach the user."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.errors import AssetError, LoopError, TargetError
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
+from app.simulation.loop import SimulationLoop
+from app.simulation.scenario import SCENARIOS
+from app.simulation.session import DT, Session
+from app.simulation.snapshot import Configure, Pause, Pull, Reset, Snapshot
+from app.simulation.start import StartSolver
+
+START = SCENARIOS["guiding-lateral"].start
+PULL = Pull((START[0], START[1] - 0.25, START[2]))
+PATIENCE = 60.0  # [s] of real time until a wait has failed; the machine may be busy
+
+
+@pytest.fixture(scope="module")
+def q_start(robot: RobotModel, border_data: BorderData) -> np.ndarray:
+    return StartSolver(robot, border_data.pairs, Config().border.d_b).solve(START)
+
+
+@pytest.fixture
+def make_session(robot: RobotModel, border_data: BorderData) -> Callable[[], Session]:
+    return lambda: Session(robot, border_data, Config(), physics="kinematic")
+
+
+@pytest.fixture
+def loop(make_session, q_start):
+    loop = SimulationLoop(make_session, q_start)
+    loop.start()
+    yield loop
+    loop.stop()
+
+
+def until(loop: SimulationLoop, holds: Callable[[Snapshot], bool]) -> Snapshot:
+    """The first snapshot seen for which something holds."""
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:
+        if loop.error is not None:
+            raise loop.error
+        if holds(snapshot := loop.latest()):
+            return snapshot
+        time.sleep(0.002)
+    raise AssertionError(f"not seen within {PATIENCE} s; last: {loop.latest()}")
+
+
+def arrays(snapshot: Snapshot) -> list[np.ndarray]:
+    """All arrays in a snapshot, those in its readings included."""
+    records = [vars(snapshot).values(), *snapshot.pairs, *snapshot.acting]
+    return [value for record in records for value in record if isinstance(value, np.ndarray)]
+
+
+def test_it_begins_at_the_start_with_nobody_pulling(loop, q_start):
+    first = loop.history(-1.0)[0]
+    assert first.t == 0.0
+    np.testing.assert_array_equal(first.q_m, q_start)
+    np.testing.assert_allclose(first.p_ee, START, atol=1e-5)
+    assert first.hand_target is None
+    assert (first.mode, first.controller, first.paused) == ("guiding", "dbb", False)
+
+
+def test_a_pull_moves_the_hand_into_the_buffer_and_letting_go_ends_the_force(loop):
+    loop.send(PULL)
+    pulled = until(loop, lambda s: s.beta_m > 0.05)
+    np.testing.assert_array_equal(pulled.hand_target, PULL.target)
+    assert np.linalg.norm(pulled.hand_force) > 0.1
+    assert pulled.p_ee[1] < START[1] - 0.02
+    assert [reading.name for reading in pulled.acting]
+    loop.send(Pull(None))
+    free = until(loop, lambda s: s.hand_target is None)
+    np.testing.assert_array_equal(free.hand_force, 0.0)
+    assert free.ee_error == 0.0
+
+
+def test_a_snapshot_holds_together(loop, robot):
+    """Hand, orientation, distances and force are those of its own joints and base pose."""
+    loop.send(PULL)
+    s = until(loop, lambda s: s.beta_m > 0.05)
+    state = RobotState(robot)
+    state.update(Measurement(s.base_pose, s.base_velocity, s.q_m, np.zeros(7)))
+    np.testing.assert_allclose(state.T_world_ee.translation, s.p_ee, atol=1e-9)
+    w, x, y, z = s.wxyz_ee
+    R = pin.Quaternion(w, x, y, z).toRotationMatrix()
+    np.testing.assert_allclose(R, state.T_world_ee.rotation, atol=1e-9)
+    for pair in s.pairs:
+        assert np.linalg.norm(pair.p_b - pair.p_a) == pytest.approx(abs(pair.d), abs=1e-6)
+    assert [pair.mobile for pair in s.pairs] == [True, True, False, False, False]
+    active = {pair.name: pair for pair in s.pairs if pair.mobile and pair.beta > 0}
+    assert {reading.name for reading in s.acting} == set(active)
+    for reading in s.acting:  # (14): from the acting point to the closest point on the link
+        direction = (active[reading.name].p_b - reading.p_act)[:2]
+        cosine = (
+            direction @ reading.f[:2] / np.linalg.norm(direction) / np.linalg.norm(reading.f[:2])
+        )
+        assert cosine == pytest.approx(1.0, abs=1e-6)
+    assert s.ee_error == pytest.approx(np.linalg.norm(s.hand_target - s.p_ee))
+
+
+def test_a_snapshot_never_changes_once_it_is_out(loop):
+    loop.send(PULL)
+    early = until(loop, lambda s: s.beta_m > 0.0)
+    before = [array.copy() for array in arrays(early)]
+    until(loop, lambda s: s.t > early.t + 0.1)
+    for then, now in zip(before, arrays(early), strict=True):
+        np.testing.assert_array_equal(then, now)
+
+
+def test_a_snapshot_can_be_changed_by_nobody(loop):
+    loop.send(PULL)
+    snapshot = until(loop, lambda s: bool(s.acting))
+    assert len(arrays(snapshot)) > 20
+    for array in arrays(snapshot):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1.0
+    with pytest.raises(AttributeError):
+        snapshot.t = 0.0
+
+
+def test_a_pause_stops_time_and_going_on_goes_on(loop):
+    until(loop, lambda s: s.t > 0.05)
+    loop.send(Pause(True))
+    paused = until(loop, lambda s: s.paused)
+    time.sleep(0.2)
+    assert loop.latest().t == paused.t
+    loop.send(Pause(False))
+    on = until(loop, lambda s: not s.paused and s.t > paused.t)
+    assert on.t - paused.t < 0.1 + 20 * DT  # the pause is not made good
+    assert loop.error is None
+
+
+def test_a_configuration_shows_while_paused_and_holds_afterwards(loop):
+    loop.send(Pause(True))
+    until(loop, lambda s: s.paused)
+    wide = Config().replace("border.d_b", 0.30)
+    loop.send(Configure(wide))
+    assert until(loop, lambda s: s.config == wide).paused
+    loop.send(Pause(False))
+    on = until(loop, lambda s: not s.paused and s.beta_m > 0.0)  # the start is inside this buffer
+    assert on.config == wide
+
+
+def test_a_reset_begins_anew_also_while_paused(loop, q_start):
+    loop.send(PULL)
+    until(loop, lambda s: s.beta_m > 0.02)
+    loop.send(Pause(True))
+    until(loop, lambda s: s.paused)
+    loop.send(Reset())
+    anew = until(loop, lambda s: s.t == 0.0)
+    assert anew.paused
+    np.testing.assert_array_equal(anew.q_m, q_start)
+    np.testing.assert_array_equal(anew.base_pose, 0.0)
+    assert anew.hand_target is None
+    assert [s.t for s in loop.history(-1.0)] == [0.0]
+    loop.send(Pause(False))
+    assert until(loop, lambda s: s.t > 0.1).hand_target is None  # the person has let go
+
+
+def test_a_reset_keeps_the_configuration(loop):
+    config = Config().replace("force.f_max", 123.0)
+    loop.send(Configure(config))
+    loop.send(Reset())
+    assert until(loop, lambda s: s.config == config and s.t > 0.05).config.force.f_max == 123.0
+
+
+def test_the_history_is_in_order_at_fifty_a_second_and_after_the_asked_time(loop):
+    until(loop, lambda s: s.t > 0.5)
+    history = loop.history(-1.0)
+    t = np.array([s.t for s in history])
+    np.testing.assert_allclose(np.diff(t), 0.02, atol=1e-9)
+    cut = history[5].t
+    later = loop.history(cut)
+    assert later[0].t == history[6].t
+    assert loop.history(1e9) == []
+
+
+def test_commands_are_obeyed_in_their_order(loop):
+    loop.send(Pause(True))
+    for d_b in (0.1, 0.2, 0.3, 0.25):
+        loop.send(Configure(Config().replace("border.d_b", d_b)))
+    loop.send(Pause(False))
+    loop.send(Pause(True))
+    loop.send(Configure(Config().replace("border.d_b", 0.12)))
+    last = until(loop, lambda s: s.config.border.d_b == 0.12)
+    assert last.paused
+
+
+def test_a_pull_below_the_floor_is_the_senders_error_and_the_loop_goes_on(loop):
+    for target in ((0.7, 0.0, -0.01), (0.7, float("nan"), 0.2)):
+        with pytest.raises(TargetError):
+            loop.send(Pull(target))
+    t = loop.latest().t
+    assert until(loop, lambda s: s.t > t + 0.05).hand_target is None
+    assert loop.error is None
+
+
+class Stumbling(Session):
+    """A session whose plant fails after some steps; counts how often it is closed."""
+
+    closed = 0
+
+    def step(self, reference=None, pull=None):
+        if self.t > 0.05:
+            raise FloatingPointError("the plant exploded")
+        return super().step(reference, pull)
+
+    def close(self):
+        type(self).closed += 1
+        super().close()
+
+
+def test_an_error_in_the_session_reaches_whoever_holds_the_loop(
+    robot: RobotModel, border_data: BorderData, q_start
+):
+    Stumbling.closed = 0
+    loop = SimulationLoop(
+        lambda: Stumbling(robot, border_data, Config(), physics="kinematic"), q_start
+    )
+    loop.start()
+    deadline = time.monotonic() + PATIENCE
+    while loop.error is None and time.monotonic() < deadline:
+        time.sleep(0.005)
+    assert isinstance(loop.error, FloatingPointError)
+    loop.stop()
+    assert Stumbling.closed == 1
+    assert loop.latest().t <= 0.06  # the last picture stays to be looked at
+    loop.send(Reset())  # and nobody who still sends is hurt
+
+
+def test_a_session_that_cannot_be_made_is_reported_by_start(q_start):
+    def fail() -> Session:
+        raise AssetError("no such mesh")
+
+    loop = SimulationLoop(fail, q_start)
+    with pytest.raises(LoopError, match="no such mesh") as caught:
+        loop.start()
+    assert isinstance(caught.value.__cause__, AssetError)
+    loop.stop()
+
+
+def test_the_session_lives_in_the_loops_own_thread(make_session, q_start):
+    made_in: list[int] = []
+
+    def make() -> Session:
+        made_in.append(threading.get_ident())
+        return make_session()
+
+    loop = SimulationLoop(make, q_start)
+    loop.start()
+    loop.stop()
+    assert len(made_in) == 1
+    assert made_in[0] != threading.get_ident()
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_stop_ends_the_thread(make_session, q_start, paused):
+    before = set(threading.enumerate())
+    loop = SimulationLoop(make_session, q_start)
+    loop.start()
+    loop.send(Pause(paused))
+    assert set(threading.enumerate()) - before
+    loop.stop()
+    assert not set(threading.enumerate()) - before
+    loop.stop()  # again, and also before a start, it does no harm
+    SimulationLoop(make_session, q_start).stop()
