@@ -13,7 +13,22 @@ PATHS = [
     for section in Config.model_fields
     for name in type(getattr(Config(), section)).model_fields
 ]
-UNITS = {"m", "N", "-", "m/s²", "1/s", "1/s²", "kg", "kg m²", "N s/m", "N m s", "s", "N/m"}
+UNITS = {
+    "m",
+    "m/s",
+    "rad/s",
+    "N",
+    "-",
+    "m/s²",
+    "1/s",
+    "1/s²",
+    "kg",
+    "kg m²",
+    "N s/m",
+    "N m s",
+    "s",
+    "N/m",
+}
 
 
 @pytest.mark.parametrize("path", PATHS)

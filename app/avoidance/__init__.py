@@ -1,1 +1,1 @@
-"""Distances, acting point, accelerations, activation, the avoidance task (Algorithm 3, §3.1-3.3)."""
+"""Distances, acting point, accelerations, activation, avoidance task (Algorithm 3, §3.1-3.3)."""

@@ -61,7 +61,7 @@ class Avoidance(NamedTuple):
 
 
 class SelfCollisionAvoidance:
-    """Builds the avoidance task of each control step; holds the borders for the present d_b and ε."""
+    """Builds the avoidance task of each control step; holds the borders for d_b and ε."""
 
     def __init__(
         self, state: RobotState, pairs: LinkPairs, clouds: Mapping[str, Cloud], config: Config

@@ -1,10 +1,10 @@
 """A hierarchy of least-squares tasks under limits that hold at every level.
 
 Level p minimises ‖w_p‖² with J_p q̈ + w_p = b_p, where the limits hold and the levels above keep
-what they reached; the last level minimises a strictly convex objective. The dynamics and the slacks are
-substituted, so that q̈ alone is the unknown, and each level moves only in the null space of those
-above: its QP has no equality rows, and standing still is always a feasible answer to it. Where no
-limit is active the level's optimum is known in closed form; else ProxQP finds it.
+what they reached; the last level minimises a strictly convex objective. The dynamics and the slacks
+are substituted, so that q̈ alone is the unknown, and each level moves only in the null space of
+those above: its QP has no equality rows, and standing still is always a feasible answer to it.
+Where no limit is active the level's optimum is known in closed form; else ProxQP finds it.
 """
 
 from __future__ import annotations

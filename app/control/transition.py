@@ -18,8 +18,8 @@ class TaskTransition:
     The paper blends all rows with the solution of the stack without any of them. That is continuous
     only where B = 0 as a whole: a row that enters while another is half active makes the torque
     jump. Here the inactive reference of row i is J_i q̈ of the solution *without row i*, in which
-    the other rows stand with the activations they have; at β_i = 0 the solution is then the one without
-    row i, whatever the others do.
+    the other rows stand with the activations they have; at β_i = 0 the solution is then the one
+    without row i, whatever the others do.
     """
 
     def __init__(self, solver: HierarchicalQP) -> None:

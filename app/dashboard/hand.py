@@ -15,7 +15,7 @@ Array = np.ndarray
 
 GIZMO = "/hand"
 """Scene node of the gizmo."""
-SCALE = 0.28  # [m] length of the gizmo's arrows
+SCALE = 0.26  # [m] length of the gizmo's arrows
 LEAST_STRETCH = 0.002  # [m] shorter rubber bands are not drawn
 
 

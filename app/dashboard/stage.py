@@ -7,8 +7,8 @@ import viser
 
 Array = np.ndarray
 
-CAMERA = np.array([1.55, 1.78, 1.30])  # [m] in the base's frame: from the front left, above
-LOOK_AT = np.array([0.22, 0.0, 0.40])  # [m]
+CAMERA = np.array([1.85, 1.85, 1.40])  # [m] in the base's frame: from the front left, above
+LOOK_AT = np.array([0.32, 0.0, 0.40])  # [m] between the base and the hand before it
 FIELD_OF_VIEW = np.deg2rad(42.0)  # [rad] vertical; longer than viser's 75°, so less distortion
 BRAND = (38, 132, 214)
 
