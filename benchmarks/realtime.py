@@ -81,10 +81,13 @@ def measure(args: Realtime, record: Path) -> dict[str, Any]:
         loop.stop()
     if loop.error is not None:
         raise loop.error
+    found = figures(np.load(record), *window)
+    if args.drag and found["activation_max"] == 0.0:
+        raise RuntimeError("the drag has not brought the hand into the buffer: no hard case")
     return {
         "loop": args.loop, "client": args.client, "dragged": args.drag, "seconds": args.seconds,
-        "cores": os.cpu_count(), "load_before": load, **figures(np.load(record), *window),
-        "overruns_since_reset": overruns, "server_cpu_percent": cpu, **done,
+        "cores": os.cpu_count(), "load_before": load, **found,
+        "overruns_since_reset": overruns, "servers_cpu_percent": cpu, **done,
     }  # fmt: skip
 
 
@@ -126,9 +129,7 @@ def _pass_time(args: Realtime, begin: float, loop: LoopHandle) -> None:
     scripted = args.drag and args.client != "browser"
     y, z = (float(value) for value in loop.latest().p_ee[1:])
     while (t := time.perf_counter() - begin) < args.seconds:
-        if (
-            scripted and t % (SWEEPS * SWEEP) < PULL_EVERY
-        ):  # [s] the base has to come back some time
+        if scripted and t % (SWEEPS * SWEEP) < PULL_EVERY:  # the base has to come back
             loop.send(Reset())
         if scripted:
             share = 0.5 + 0.5 * np.cos(2.0 * np.pi * t / SWEEP)

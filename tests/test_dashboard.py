@@ -469,5 +469,6 @@ def test_readings_show_every_pair_and_mark_what_should_worry(loop):
         assert pair.name in html
         assert f"{1000 * pair.d:.0f}" in html
     worried, calm = status_html(snapshot), status_html(loop.latest())
+    assert "25.0 %" in status_html(replace(snapshot, t=2.0, overruns=500))
     assert worried.count("rgb(222,49,40)") == calm.count("rgb(222,49,40)") + 2
     assert "arm on base" in worried

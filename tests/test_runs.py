@@ -107,11 +107,8 @@ def test_no_floor_is_touched(name: str):
 
 
 @pytest.mark.parametrize("name", GUIDED)
-def test_torques_have_no_steps(name: str, request: pytest.FixtureRequest):
+def test_torques_have_no_steps(name: str):
     """From one control step to the next, although rows enter and leave."""
-    if name == "guiding-above":
-        reason = "10 N m at t = 2.92 s, where rows of three pairs of l_EE meet in their buffers"
-        request.applymarker(pytest.mark.xfail(reason=reason, strict=True))
     assert figures(name)["torque_jump_max_nm"] < 3.0
 
 

@@ -19,7 +19,6 @@ Array = np.ndarray
 
 _EPS_ABS = 1e-8  # accuracy of the QPs, in the units of acceleration and torque
 _GOOD_ENOUGH = 1e-5  # violation of limits with which an answer is still taken, as the above
-_DAMPED = 0.03  # singular values of a task's Jacobian below it are damped
 _RANK_TOLERANCE = 1e-7  # singular values below it are zero
 
 
@@ -170,7 +169,7 @@ class HierarchicalQP:
 
 
 def least_squares(A: Array, b: Array) -> tuple[Array, Array]:
-    """The least-norm minimiser of ‖A y - b‖, damped near singularities, and A's null space.
+    """The least-norm minimiser of ‖A y - b‖ and a basis of A's null space.
 
     Args:
         A: (k, m), of any rank.
@@ -181,14 +180,8 @@ def least_squares(A: Array, b: Array) -> tuple[Array, Array]:
     """
     U, s, Vt = np.linalg.svd(A)
     rank = int(np.count_nonzero(s > _RANK_TOLERANCE))
-    y = Vt[:rank].T @ (damped_inverse(s[:rank]) * (U[:, :rank].T @ b))
+    y = Vt[:rank].T @ ((U[:, :rank].T @ b) / s[:rank])
     return y, Vt[rank:].T
-
-
-def damped_inverse(s: Array) -> Array:
-    """1/s, bent below `_DAMPED` so that near a singularity a task gives way instead of jerking."""
-    share = np.maximum(1.0 - (s / _DAMPED) ** 2, 0.0)
-    return s / (s**2 + share * _DAMPED**2)
 
 
 def _holds(limits: Limits, x: Array) -> bool:

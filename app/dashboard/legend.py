@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.dashboard.colours import viridis_css
+from app.dashboard.acting_points import METRES_PER_NEWTON
+from app.dashboard.colours import ACTING, css, viridis_css
 
 Array = np.ndarray
 
@@ -91,7 +92,16 @@ def legend_html(legend: Legend | None) -> str:
         '<div style="display:flex;justify-content:space-between;'
         f'font-variant-numeric:tabular-nums">{ticks}</div>'
         f'<div style="opacity:.65">d<sub>b</sub> = {legend.d_b:.3f} m, '
-        f"{share} {legend.total:,} points{part}</div></div>"
+        f"{share} {legend.total:,} points{part}</div>{_force_scale()}</div>"
+    )
+
+
+def _force_scale() -> str:
+    """How long the arrow of a force is."""
+    arrow = f'<b style="color:{css(ACTING)}">→</b>'
+    return (
+        f'<div><span style="opacity:.65">acting point and force</span> {arrow} '
+        f'<span style="opacity:.65">0.1 m = {0.1 / METRES_PER_NEWTON:.0f} N</span></div>'
     )
 
 

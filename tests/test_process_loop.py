@@ -1,0 +1,129 @@
+"""The loop in a process of its own is, from outside, the loop in a thread."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+from app.config import Config
+from app.errors import LoopError, TargetError
+from app.simulation.history import History
+from app.simulation.process_loop import ProcessLoop
+from app.simulation.session import Session
+from app.simulation.snapshot import Configure, Pause, Pull, Reset
+from tests.fakes import ScriptedLoop
+
+PATIENCE = 20.0  # [s]
+
+
+def wait_for(condition) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not condition():
+        assert time.monotonic() < deadline, "did not come true in time"
+        time.sleep(0.01)
+
+
+class Fragile(Session):
+    """A session that breaks on the step after it is pulled."""
+
+    def step(self, reference=None, pull=None):
+        if pull is not None:
+            raise ZeroDivisionError("the plant is gone")
+        return super().step(reference, pull)
+
+
+class StubbornError(Exception):
+    """An exception that cannot be pickled."""
+
+    def __init__(self, first: str, second: str) -> None:
+        super().__init__(f"{first} and {second}")
+
+
+def fail_to_make() -> Session:
+    raise StubbornError("this", "that")
+
+
+@pytest.fixture
+def make_loop(robot, border_data):
+    loops = []
+
+    def make(kind: type[Session] = Session) -> ProcessLoop:
+        make_session = partial(kind, robot, border_data, Config(), physics="kinematic")
+        loops.append(ProcessLoop(make_session, np.array(robot.description.arm.ready_position)))
+        loops[-1].start()
+        return loops[-1]
+
+    yield make
+    for loop in loops:
+        loop.stop()
+
+
+def test_commands_go_out_and_snapshots_come_back(make_loop):
+    loop = make_loop()
+    wait_for(lambda: loop.latest().t > 0.1)
+    times = [snapshot.t for snapshot in loop.history(0.05)]
+    assert times == sorted(times)
+    assert times[0] > 0.05
+    x, y, z = loop.latest().p_ee
+    with pytest.raises(TargetError):
+        loop.send(Pull((x, y, -0.1)))
+    loop.send(Pull((x, y, z + 0.05)))
+    wait_for(lambda: np.linalg.norm(loop.latest().hand_force) > 1.0)
+    loop.send(Pull(None))
+    wait_for(lambda: not loop.latest().hand_force.any())
+    loop.send(Configure(Config().replace("border.d_b", 0.2)))
+    wait_for(lambda: loop.latest().config.border.d_b == 0.2)
+    loop.send(Pause(True))
+    wait_for(lambda: loop.latest().paused)
+    stopped = loop.latest().t
+    loop.send(Reset())
+    wait_for(lambda: loop.latest().t < stopped)
+
+
+def test_stop_ends_the_child_and_later_commands_are_harmless(make_loop):
+    loop = make_loop()
+    loop.stop()
+    assert loop._process.exitcode == 0
+    assert loop.error is None
+    loop.send(Pause(True))
+
+
+def test_an_error_in_the_child_arrives_with_its_traceback(make_loop):
+    loop = make_loop(Fragile)
+    loop.send(Pull(tuple(loop.latest().p_ee)))
+    wait_for(lambda: loop.error is not None)
+    assert isinstance(loop.error, ZeroDivisionError)
+    assert "the plant is gone" in str(loop.error)
+    assert "in step" in str(loop.error.__cause__)
+
+
+def test_an_error_that_cannot_be_pickled_arrives_as_its_text(robot):
+    loop = ProcessLoop(fail_to_make, np.array(robot.description.arm.ready_position))
+    with pytest.raises(LoopError, match="StubbornError: this and that"):
+        loop.start()
+    loop.stop()
+
+
+def test_a_killed_child_is_an_error_that_says_so(make_loop):
+    loop = make_loop()
+    loop._process.kill()
+    wait_for(lambda: loop.error is not None)
+    assert "status -9" in str(loop.error)
+
+
+def test_history_is_in_order_and_begins_anew_when_time_goes_back(robot):
+    snapshot = ScriptedLoop(robot).latest()
+    history = History()
+    for t in (0.0, 0.02, 0.04, 0.04, 0.06):
+        history.add(replace(snapshot, t=t))
+    changed = replace(snapshot, t=0.06, paused=True)
+    history.add(changed)
+    assert [s.t for s in history.after(0.01)] == [0.02, 0.04, 0.06]
+    assert history.after(0.05) == [changed]
+    history.add(replace(snapshot, t=0.0))
+    assert [s.t for s in history.after(-1.0)] == [0.0]
+    assert history.latest.t == 0.0
