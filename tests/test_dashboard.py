@@ -24,7 +24,7 @@ from app.dashboard.legend import legend_html, make_legend, normalised, tick_text
 from app.dashboard.notices import Notices
 from app.dashboard.pair_lines import segments
 from app.dashboard.panels.run import pairs_html, status_html
-from app.dashboard.panels.tuning import BORDER_AND_FORCE, GAINS, Tuning, apply, slider_step
+from app.dashboard.panels.tuning import BORDER_AND_FORCE, GAINS, MAIN, Tuning, apply, slider_step
 from app.dashboard.robot import LinkPoses
 from app.dashboard.server import check_address, serve_dashboard
 from app.dashboard.view import View
@@ -36,7 +36,9 @@ from app.simulation.snapshot import Configure, PairReading, Pull
 from tests.fakes import ScriptedLoop, fake_clouds
 from tests.robots import husky_panda, random_state
 
-TUNED = [path for tab in (BORDER_AND_FORCE, GAINS) for paths in tab.values() for path in paths]
+TUNED = [
+    path for tab in (MAIN, BORDER_AND_FORCE, GAINS) for paths in tab.values() for path in paths
+]
 
 
 class Recorder:
@@ -86,7 +88,8 @@ def wait_for(condition, seconds=5.0):
 
 
 def test_sliders_have_range_unit_and_help_of_the_configuration(dashboard):
-    sliders = dashboard.page.border_panel.sliders | dashboard.page.gains_panel.sliders
+    page = dashboard.page
+    sliders = page.main_panel.sliders | page.border_panel.sliders | page.gains_panel.sliders
     assert set(sliders) == set(TUNED)
     for path, slider in sliders.items():
         about = parameter(path)
@@ -127,7 +130,7 @@ def test_a_value_in_range_is_sent_once_and_changes_nothing_else():
 
 
 def test_defaults_button_restores_every_slider_of_its_tab(dashboard, loop):
-    panel = dashboard.page.border_panel
+    panel = dashboard.page.main_panel
     for path in ("border.d_b", "force.f_max"):
         dashboard.page.tuning.set(path, parameter(path).high)
     panel.reset()

@@ -77,6 +77,9 @@ def test_first_picture_shows_robot_border_panel_and_plots(tab, served):
     page = tab.page
     for text in (
         "real-time factor",
+        "d_b [m]",
+        "f_max [N]",
+        "hand stiffness [N/m]",
         "solver failures",
         "distance [m]",
         "activation β_m",
@@ -106,7 +109,7 @@ def test_the_robot_is_framed_by_the_scene(tab):
 
 def test_d_b_slider_shows_the_new_border_at_once(tab, served):
     _, loop = served
-    tab.open_tab("Border & force")
+    tab.open_tab("Run")
     before = tab.picture()
     tab.set_slider("d_b [m]", 0.25)
     wait_for(lambda: any(isinstance(c, Configure) for c in loop.commands))
@@ -141,8 +144,8 @@ def test_closing_the_page_in_mid_drag_releases_the_hand(browser, served):
 
 def test_a_forged_value_is_refused_with_a_notice_and_set_back(tab, served):
     server, loop = served
-    slider = server.page.border_panel.sliders["border.d_b"]
-    tab.open_tab("Border & force")
+    slider = server.page.main_panel.sliders["border.d_b"]
+    tab.open_tab("Run")
     forged = _messages.GuiUpdateMessage(slider._impl.uuid, {"value": 99999.0})
     [client] = server.viser.get_clients()
     future = asyncio.run_coroutine_threadsafe(

@@ -20,7 +20,7 @@ from app.dashboard.notices import Notices
 from app.dashboard.pair_lines import PairLines
 from app.dashboard.panels.border import add_border_choice
 from app.dashboard.panels.run import RunPanel
-from app.dashboard.panels.tuning import BORDER_AND_FORCE, GAINS, Tuning, TuningPanel
+from app.dashboard.panels.tuning import BORDER_AND_FORCE, GAINS, MAIN, Tuning, TuningPanel
 from app.dashboard.panels.view import ViewPanel
 from app.dashboard.plots import Plots
 from app.dashboard.robot import RobotScene
@@ -101,6 +101,7 @@ class Page:
         tabs = gui.add_tab_group()
         with tabs.add_tab("Run"):
             self._run = RunPanel(self._server, self._loop, notices)
+            self.main_panel = TuningPanel(self._server, self.tuning, notices, MAIN)
         with tabs.add_tab("Border & force"):
             add_border_choice(self._server, self.view, notices, mobile)
             self.border_panel = TuningPanel(self._server, self.tuning, notices, BORDER_AND_FORCE)

@@ -52,6 +52,7 @@ def run_loop(
             _post(loop, commands, snapshots)
     finally:
         loop.stop()
+        gc.unfreeze()  # else solvers held in cycles would be reported as leaks at the end
 
 
 def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:

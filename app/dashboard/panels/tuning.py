@@ -13,21 +13,26 @@ from app.dashboard.notices import Notices
 from app.errors import ConfigError
 from app.simulation.snapshot import Configure
 
-BORDER_AND_FORCE = {
-    "Border": ("border.d_b", "border.eps"),
-    "Activation": ("activation.d_full",),
-    "Force": (
-        "force.f_max", "force.alpha_min", "force.alpha_max", "force.alpha_gain",
+MAIN = {
+    "Main parameters": (
+        "border.d_b", "force.f_max", "repulsion.k_p", "admittance.mass", "admittance.damping",
+        "hand.stiffness",
     ),
 }  # fmt: skip
+"""Folder of the tab "Run": what a first visitor may want to move, in sight at once."""
+BORDER_AND_FORCE = {
+    "Border": ("border.eps",),
+    "Activation": ("activation.d_full",),
+    "Force": ("force.alpha_min", "force.alpha_max", "force.alpha_gain"),
+}
 """Folders of the tab "Border & force"."""
 GAINS = {
-    "Repulsion within the arm": ("repulsion.k_p", "repulsion.k_v"),
+    "Repulsion of the arm": ("repulsion.k_v",),
     "Admittance of the base": (
-        "admittance.mass", "admittance.inertia", "admittance.damping",
-        "admittance.angular_damping", "admittance.period",
+        "admittance.inertia", "admittance.angular_damping", "admittance.v_max",
+        "admittance.omega_max", "admittance.period",
     ),
-    "Person's hand": ("hand.stiffness", "hand.damping", "hand.f_max"),
+    "Person's hand": ("hand.damping", "hand.f_max"),
     "End-effector task": ("task.ee_stiffness", "task.ee_damping"),
     "Arm and base at rest": (
         "task.posture_stiffness", "task.posture_damping", "task.base_damping",
@@ -113,7 +118,10 @@ def apply(tuning: Tuning, path: str, slider: viser.GuiSliderHandle[float]) -> No
 
 def label(path: str) -> str:
     """Name and unit of a parameter, with Greek letters, as in `α_min [m]`."""
-    name = path.partition(".")[2].replace("alpha", "α").replace("eps", "ε")
+    section, _, name = path.partition(".")
+    if section in {"admittance", "hand"}:  # else a mass or a stiffness could be anybody's
+        name = f"{section}_{name}"
+    name = name.replace("alpha", "α").replace("eps", "ε").replace("omega", "ω")
     symbol = (
         name
         if name in {"d_b", "ε", "f_max", "k_p", "k_v", "d_full"} or "α" in name
