@@ -155,10 +155,8 @@ def _unpack(pair: str, blocks: Array, places: Array, distances: Array) -> Cloud:
     if any(array.dtype != np.uint8 or array.shape != shape for array, shape in shapes):
         raise DamagedFileError("an array of it has the wrong type or shape")
     steps = _numbers(blocks, np.dtype("<i2"))
-    points = steps.cumsum(axis=0) * _BLOCK + places.T
-    return make_cloud(
-        pair, points.astype(np.int16), _numbers(distances, np.dtype("<u2"))[:, 0].astype(np.uint16)
-    )
+    points = np.cumsum(steps.T, axis=1, dtype=np.int16) * _BLOCK.astype(np.int16)[:, None] + places
+    return make_cloud(pair, points.T, _numbers(distances, np.dtype("<u2"))[:, 0].astype(np.uint16))
 
 
 def _bytes(array: Array) -> Array:

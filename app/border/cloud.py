@@ -56,7 +56,9 @@ def make_cloud(pair: str, points: Array, distances: Array) -> Cloud:
         points: (N, 3) int16 as in `Cloud`.
         distances: (N,) uint16 as in `Cloud`.
     """
-    order = np.lexsort((points[:, 0], points[:, 1], points[:, 2]))
+    x, y, z = points.astype(np.int64).T
+    # One key of height, then y, then x: sorting it is several times faster than by three keys.
+    order = np.argsort((z << 32) + (y << 16) + x)
     return Cloud(pair, _frozen(points[order]), _frozen(distances[order]))
 
 

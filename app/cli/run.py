@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
@@ -21,8 +21,10 @@ from app.cli.options import (
 from app.config import Config
 from app.control.controller import CONTROLLERS
 from app.simulation.plants import PLANTS
-from app.simulation.run import RunResult, run_scenario
 from app.simulation.scenario import scenario_by_name
+
+if TYPE_CHECKING:
+    from app.simulation.run import RunResult
 
 _DURATIONS = 0.01, 3600.0  # [s] shortest and longest run
 
@@ -56,6 +58,9 @@ def run(
         seed: Seed of everything random in the run.
         json: Print one JSON object on standard output and nothing else there.
     """
+    # Imported here: scipy would make every other command start later.
+    from app.simulation.run import run_scenario
+
     chosen = scenario_by_name(scenario)
     check_name("controller", controller, CONTROLLERS)
     check_name("physics", physics, PLANTS)

@@ -9,15 +9,10 @@ from app.cli.common import load_robot_and_border
 from app.cli.options import PointOption, check_name, check_point, check_seed
 from app.config import Config
 from app.control.controller import CONTROLLERS
-from app.dashboard.server import check_address, serve_dashboard
-from app.simulation.loop import SimulationLoop
 from app.simulation.plants import PLANTS
-from app.simulation.process_loop import ProcessLoop
 from app.simulation.scenario import scenario_by_name
-from app.simulation.session import Session
-from app.simulation.start import StartSolver
 
-LOOPS = {"process": ProcessLoop, "thread": SimulationLoop}
+LOOPS = ("process", "thread")
 """Where the simulation may run."""
 
 
@@ -44,6 +39,13 @@ def serve(
         loop: process, or thread for the simulation inside the server's process, where drawing
             disturbs its real time.
     """
+    # Imported here: viser and scipy would make every other command start later.
+    from app.dashboard.server import check_address, serve_dashboard
+    from app.simulation.loop import SimulationLoop
+    from app.simulation.process_loop import ProcessLoop
+    from app.simulation.session import Session
+    from app.simulation.start import StartSolver
+
     check_name("controller", controller, CONTROLLERS)
     check_name("physics", physics, PLANTS)
     check_name("loop", loop, LOOPS)
@@ -57,7 +59,8 @@ def serve(
     make_session = partial(
         Session, model, data, config, controller=controller, physics=physics, seed=seed
     )
-    simulation = LOOPS[loop](make_session, q_start)
+    make_loop = ProcessLoop if loop == "process" else SimulationLoop
+    simulation = make_loop(make_session, q_start)
     simulation.start()
     try:
         server = serve_dashboard(simulation, model, data.clouds, host=host, port=port)

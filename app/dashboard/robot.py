@@ -8,6 +8,7 @@ import viser
 
 from app.dashboard.colours import Rgb
 from app.dashboard.visuals import Visual, load_visuals
+from app.robot.meshes import shape_mesh
 from app.robot.model import RobotModel
 from app.robot.urdf import resolved_urdf
 from app.simulation.snapshot import Snapshot
@@ -110,7 +111,7 @@ def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
         for i, shape in enumerate(body.shapes):
             placement = frame.placement * shape.placement()
             name = f"body_{body.name}_{i}"
-            bodies.append(Visual(name, frame.parentJoint, placement, shape.mesh(), BODY))
+            bodies.append(Visual(name, frame.parentJoint, placement, shape_mesh(shape), BODY))
     return bodies
 
 

@@ -1,6 +1,6 @@
 """Convex shapes of the simplified collision bodies (Figure 2b), as a description states them.
 
-Each shape gives itself to coal for exact distances with a signed normal, to trimesh for drawing.
+Each shape gives itself to coal for exact distances with a signed normal; `meshes.py` draws it.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from typing import Annotated, Literal
 import coal
 import numpy as np
 import pinocchio as pin
-import trimesh
 from pydantic import Field
 
 from app.strict import Positive, Strict, Vector3
@@ -39,9 +38,6 @@ class Box(_Placed):
     def coal_geometry(self) -> coal.CollisionGeometry:
         return coal.Box(*self.size_m)
 
-    def mesh(self) -> trimesh.Trimesh:
-        return trimesh.creation.box(extents=self.size_m)
-
 
 class Sphere(_Placed):
     """A sphere with its centre at `xyz_m`."""
@@ -52,9 +48,6 @@ class Sphere(_Placed):
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return coal.Sphere(self.radius_m)
-
-    def mesh(self) -> trimesh.Trimesh:
-        return trimesh.creation.icosphere(subdivisions=3, radius=self.radius_m)
 
 
 class Cylinder(_Placed):
@@ -68,9 +61,6 @@ class Cylinder(_Placed):
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return coal.Cylinder(self.radius_m, self.length_m)
-
-    def mesh(self) -> trimesh.Trimesh:
-        return trimesh.creation.cylinder(radius=self.radius_m, height=self.length_m, sections=48)
 
 
 class Capsule(Strict):
@@ -92,11 +82,6 @@ class Capsule(Strict):
     def coal_geometry(self) -> coal.CollisionGeometry:
         return coal.Capsule(self.radius_m, self.length_m)
 
-    def mesh(self) -> trimesh.Trimesh:
-        mesh = trimesh.creation.capsule(height=self.length_m, radius=self.radius_m, count=[24, 24])
-        mesh.apply_translation((0.0, 0.0, -mesh.bounds.mean(axis=0)[2]))
-        return mesh
-
     def placement(self) -> pin.SE3:
         """T_body_shape, with z along the segment."""
         start, end = np.array(self.start_m), np.array(self.end_m)
@@ -115,16 +100,14 @@ class ConvexMesh(_Placed):
     """`package://…` address of the mesh."""
     scale: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
 
-    def mesh(self) -> trimesh.Trimesh:
-        from app.robot.assets import resolve_package_uri
-
-        loaded = trimesh.load(resolve_package_uri(self.file), force="mesh")
-        assert isinstance(loaded, trimesh.Trimesh)
-        return loaded.apply_scale(self.scale).convex_hull
-
     def coal_geometry(self) -> coal.CollisionGeometry:
+
+        # Imported here: only this shape needs trimesh, which takes longer to import than all else.
+        from app.robot.meshes import shape_mesh
+
         vertices = coal.StdVec_Vec3s()
-        for vertex in self.mesh().vertices:
+
+        for vertex in shape_mesh(self).vertices:
             vertices.append(np.asarray(vertex, dtype=float))
         return coal.Convex.convexHull(vertices, True, "Qt")
 

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.robot.description import RobotDescription
+from app.robot.meshes import shape_mesh
 from app.robot.model import RobotModel
 from app.robot.urdf import PLANAR_JOINTS, planar_urdf, resolved_urdf, root_link
 
@@ -82,7 +83,7 @@ def _footprint(model: RobotModel) -> tuple[Array, Array]:
     shapes = [model.geometry.geometryObjects[i] for i in model.shape_ids[body.name]]
     corners = np.vstack(
         [
-            shape.mesh().apply_transform(placed.placement.homogeneous).bounds
+            shape_mesh(shape).apply_transform(placed.placement.homogeneous).bounds
             for shape, placed in zip(body.shapes, shapes, strict=True)
         ]
     )
