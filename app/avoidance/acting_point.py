@@ -12,11 +12,10 @@ import numpy as np
 
 from app.border.dbb import Border
 from app.border.offset import OffsetContours, OnContour
-from app.border.score import ScoreField
+from app.border.score import ScoreField, uphill
 from app.config import ForceConfig
 
 Array = np.ndarray
-_E_X = np.array([1.0, 0.0, 0.0])
 
 
 class ActingPoint(NamedTuple):
@@ -56,9 +55,7 @@ def tangential_step(gradient: Array, t: Array, alpha: float) -> Array:
     Paper: Eq. (12). On the wheel axis ∇S = 0 and the quotient is 0/0; its limit from both sides is
     the direction +e_x.
     """
-    norm = float(np.linalg.norm(gradient))
-    direction = gradient / norm if norm > 0.0 else _E_X
-    return alpha * float(direction @ t) * t
+    return alpha * float(uphill(gradient) @ t) * t
 
 
 class ActingPointFinder:

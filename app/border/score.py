@@ -118,6 +118,12 @@ def score_gradient(
     return gradient
 
 
+def uphill(gradient: Array) -> Array:
+    """(3,) ∇S/‖∇S‖ from ∇S (3,); where ∇S = 0, on the wheels' axis, its limit e_x."""
+    norm = float(np.linalg.norm(gradient))
+    return gradient / norm if norm > 0.0 else np.array([1.0, 0.0, 0.0])
+
+
 @dataclass(frozen=True)
 class ScoreField:
     """The score for one robot and one of its bodies.
@@ -171,9 +177,7 @@ class ScoreField:
 
     def direction(self, p: Array) -> Array:
         """(3,) ∇S/‖∇S‖ at a point (3,); on the wheels' axis its limit from both sides, e_x."""
-        gradient = self.gradient(p)
-        norm = float(np.linalg.norm(gradient))
-        return gradient / norm if norm > 0.0 else np.array([1.0, 0.0, 0.0])
+        return uphill(self.gradient(p))
 
 
 def _sign(x: Array) -> Array:

@@ -22,10 +22,8 @@ class AdmittanceLaw:
     """
 
     def __init__(self, base: BaseDescription, config: AdmittanceConfig) -> None:
-        self._v_max = np.array([base.max_linear_velocity_mps, base.max_angular_velocity_radps])
-        self._a_max = np.array(
-            [base.max_linear_acceleration_mps2, base.max_angular_acceleration_radps2]
-        )
+        self._v_max = np.array(base.max_velocity)
+        self._a_max = np.array(base.max_acceleration)
         self.config = config
         self.reset()
 

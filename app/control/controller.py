@@ -148,8 +148,7 @@ class Controller:
 
         Paper: Eq. (29), first two rows.
         """
-        base = self._model.description.base
-        limit = np.array([base.max_linear_acceleration_mps2, base.max_angular_acceleration_radps2])
+        limit = np.array(self._model.description.base.max_acceleration)
         if reference is None:
             free = base_rest_acceleration(self.state, self._config.task)
         elif rows_m is not None and rows_m.beta >= 1.0:

@@ -30,11 +30,8 @@ class Drive:
             base: Time constant and limits.
             dt: [s] between two steps.
         """
-        self._max_velocity = (base.max_linear_velocity_mps, base.max_angular_velocity_radps)
-        self._max_acceleration = (
-            base.max_linear_acceleration_mps2,
-            base.max_angular_acceleration_radps2,
-        )
+        self._max_velocity = base.max_velocity
+        self._max_acceleration = base.max_acceleration
         self._tau = base.drive_time_constant_s
         self._dt = dt
         # Exact for a command held over the step, so that any dt is stable.

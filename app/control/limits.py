@@ -50,8 +50,7 @@ def robot_limits(state: RobotState, config: LimitConfig, qdd_b: Array) -> Limits
     if (possible != wanted).any():
         tamest = np.linalg.solve(M_a[:, 2:], possible - coupling)
         lower, upper = np.minimum(lower, tamest), np.maximum(upper, tamest)
-    base = model.description.base
-    base_limit = np.array([base.max_linear_acceleration_mps2, base.max_angular_acceleration_radps2])
+    base_limit = np.array(model.description.base.max_acceleration)
     n, n_m = model.n, model.n_m
     C = np.zeros((2 * n_m + 2, n))
     C[:n_m] = M_a

@@ -80,6 +80,16 @@ class BaseDescription(Sourced):
     right_wheel_joints: tuple[str, ...]
     """The same for the right side."""
 
+    @property
+    def max_velocity(self) -> tuple[float, float]:
+        """Largest v [m/s] and ω [rad/s]."""
+        return self.max_linear_velocity_mps, self.max_angular_velocity_radps
+
+    @property
+    def max_acceleration(self) -> tuple[float, float]:
+        """Largest v̇ [m/s²] and ω̇ [rad/s²]."""
+        return self.max_linear_acceleration_mps2, self.max_angular_acceleration_radps2
+
 
 class ArmDescription(Sourced):
     """The manipulator: its joints from the base outwards, its limits and its end-effector."""
