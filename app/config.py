@@ -52,6 +52,15 @@ class RepulsionConfig(Strict):
     """[1/s] damping of (20)."""
 
 
+class BarrierConfig(Strict):
+    """The compared method `barrier`: each distance a hard inequality of control-barrier type."""
+
+    d_min: float = Field(default=0.05, ge=0.0, le=0.30)
+    """[m] distance that is never undercut."""
+    rate: float = Field(default=20.0, ge=1.0, le=100.0)
+    """[1/s] how fast a pair may close in on that distance, per distance left."""
+
+
 class TaskConfig(Strict):
     """The tasks below self-collision avoidance."""
 
@@ -69,6 +78,8 @@ class TaskConfig(Strict):
     """[-] how much slower the base corrects errors than the arm; its commands come at 10 Hz."""
     base_weight: float = Field(default=1000.0, ge=1.0, le=1e6)
     """[-] how much costlier the base's acceleration is than the arm's, lowest level."""
+    soft_weight: float = Field(default=1e3, ge=1.0, le=1e6)
+    """[-] of the end-effector's task against the posture, where a method has them on one level."""
 
 
 class LimitConfig(Strict):
@@ -131,6 +142,7 @@ class Config(Strict):
     force: ForceConfig = ForceConfig()
     activation: ActivationConfig = ActivationConfig()
     repulsion: RepulsionConfig = RepulsionConfig()
+    barrier: BarrierConfig = BarrierConfig()
     task: TaskConfig = TaskConfig()
     limit: LimitConfig = LimitConfig()
     admittance: AdmittanceConfig = AdmittanceConfig()

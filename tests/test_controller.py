@@ -128,7 +128,7 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     levels = [end_effector_task(state, reference, config.task)]
     objective = posture_objective(state, m.q_m, config.task)
     limits = robot_limits(state, config.limit, np.zeros(2))
-    transition = TaskTransition(HierarchicalQP(robot.n, 2 * robot.n_m + 2))
+    transition = TaskTransition(HierarchicalQP(robot.n))
     whole = transition.solve(rows, levels, objective, limits)
     np.testing.assert_allclose(
         robot.J_m @ whole.qdd[:2], output.base_acceleration, atol=1e-4, rtol=1e-4

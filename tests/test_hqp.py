@@ -28,7 +28,7 @@ def random_objective(rng: np.random.Generator) -> Objective:
 def test_without_active_limits_the_solution_satisfies_the_kkt_conditions(seed: int) -> None:
     rng = np.random.default_rng(seed)
     task, objective = random_task(rng, 4), random_objective(rng)
-    qdd = HierarchicalQP(N, M).solve([task], objective, WIDE).qdd
+    qdd = HierarchicalQP(N).solve([task], objective, WIDE).qdd
     kkt = np.block([[objective.H, task.J.T], [task.J, np.zeros((4, 4))]])
     expected = np.linalg.solve(kkt, np.concatenate([-objective.c, task.b]))[:N]
     np.testing.assert_allclose(qdd, expected, atol=1e-7)
@@ -39,8 +39,8 @@ def test_a_lower_level_never_costs_a_higher_one(seed: int) -> None:
     rng = np.random.default_rng(seed)
     first, second = random_task(rng, 6), random_task(rng, 6)
     tight = Limits(np.eye(N)[:M], np.full(M, -0.2), np.full(M, 0.2))
-    alone = HierarchicalQP(N, M).solve([first], random_objective(rng), tight)
-    both = HierarchicalQP(N, M).solve([first, second], random_objective(rng), tight)
+    alone = HierarchicalQP(N).solve([first], random_objective(rng), tight)
+    both = HierarchicalQP(N).solve([first, second], random_objective(rng), tight)
     assert np.linalg.norm(both.slacks[0]) <= np.linalg.norm(alone.slacks[0]) + 1e-6
 
 
@@ -49,7 +49,7 @@ def test_limits_hold_at_every_level(seed: int) -> None:
     rng = np.random.default_rng(seed)
     limits = Limits(rng.normal(size=(M, N)), np.full(M, -0.3), np.full(M, 0.3))
     levels = [random_task(rng, 3), random_task(rng, 6)]
-    qdd = HierarchicalQP(N, M).solve(levels, random_objective(rng), limits).qdd
+    qdd = HierarchicalQP(N).solve(levels, random_objective(rng), limits).qdd
     reached = limits.C @ qdd
     assert (reached >= limits.l - 1e-6).all()
     assert (reached <= limits.u + 1e-6).all()
@@ -58,7 +58,7 @@ def test_limits_hold_at_every_level(seed: int) -> None:
 def test_a_task_that_limits_forbid_is_met_as_closely_as_they_allow() -> None:
     task = EqualityTask(np.eye(N)[:1], np.array([5.0]))
     limits = Limits(np.eye(N)[:M], np.full(M, -1.0), np.full(M, 1.0))
-    solution = HierarchicalQP(N, M).solve([task], Objective(np.eye(N), np.zeros(N)), limits)
+    solution = HierarchicalQP(N).solve([task], Objective(np.eye(N), np.zeros(N)), limits)
     assert solution.qdd[0] == pytest.approx(1.0, abs=1e-7)
     assert solution.slacks[0][0] == pytest.approx(4.0, abs=1e-7)
 
@@ -66,14 +66,14 @@ def test_a_task_that_limits_forbid_is_met_as_closely_as_they_allow() -> None:
 def test_dependent_rows_are_no_obstacle() -> None:
     J = np.vstack([np.eye(N)[0], np.eye(N)[0], 2 * np.eye(N)[0]])
     levels = [EqualityTask(J, np.array([1.0, 1.0, 2.0])), EqualityTask(J[:1], np.array([3.0]))]
-    solution = HierarchicalQP(N, M).solve(levels, Objective(np.eye(N), np.zeros(N)), WIDE)
+    solution = HierarchicalQP(N).solve(levels, Objective(np.eye(N), np.zeros(N)), WIDE)
     assert solution.qdd[0] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_contradicting_limits_are_an_error_that_names_the_level() -> None:
     C = np.vstack([np.eye(N)[0], np.eye(N)[0], *np.eye(N)[1:5]])
     limits = Limits(C, np.array([1.0, -2.0, *[-1.0] * 4]), np.array([2.0, -1.0, *[1.0] * 4]))
-    solver = HierarchicalQP(N, M)
+    solver = HierarchicalQP(N)
     with pytest.raises(NoSolutionError, match="level 0"):
         solver.solve([], Objective(np.eye(N), np.zeros(N)), limits)
     assert solver.solve([], Objective(np.eye(N), np.ones(N)), WIDE).qdd[0] == pytest.approx(-1.0)
@@ -82,7 +82,7 @@ def test_contradicting_limits_are_an_error_that_names_the_level() -> None:
 def test_feasible_second_levels_are_never_called_infeasible() -> None:
     """The solver's default tolerance of infeasibility refused one in six of these."""
     rng = np.random.default_rng(0)
-    solver = HierarchicalQP(N, M)
+    solver = HierarchicalQP(N)
     for _ in range(500):
         first, second = random_task(rng, 2), random_task(rng, 6)
         limits = Limits(rng.normal(size=(M, N)), np.full(M, -1.0), np.full(M, 1.0))

@@ -24,7 +24,7 @@ class Problem:
             for k in (2, *[1] * singles)
         ]
         self.limits = limits
-        self.transition = TaskTransition(HierarchicalQP(N, M))
+        self.transition = TaskTransition(HierarchicalQP(N))
 
     def rows(self, betas: list[float]) -> list[TaskRows]:
         return [
@@ -101,7 +101,7 @@ def test_blending_all_rows_with_the_solution_of_26_would_jump(seed: int) -> None
         rows = [r for r in problem.rows(betas) if r.beta > 0]
         b, J, B = generate_avoidance_task(rows)
         target = B * b + (1 - B) * (J @ without)
-        solver = HierarchicalQP(N, M)
+        solver = HierarchicalQP(N)
         return solver.solve([EqualityTask(J, target), *problem.levels], problem.objective, WIDE).qdd
 
     jump = printed([0.5, 1e-9, 0.0, 0.0]) - printed([0.5, 0.0, 0.0, 0.0])

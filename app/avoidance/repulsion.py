@@ -15,6 +15,42 @@ Array = np.ndarray
 _NEAR = 0.02  # [m] below this distance the turning of the normal is taken as at this distance
 
 
+class DistanceJacobian(NamedTuple):
+    """How a pair's distance moves: ḋ = J q̇ and d̈ = J q̈ + J̇ q̇.
+
+    Attributes:
+        J: (n,) Jacobian of the distance.
+        Jdqd: [m/s²] J̇ q̇, the turning of the normal included.
+        speed: [m/s] ḋ.
+    """
+
+    J: Array
+    Jdqd: float
+    speed: float
+
+
+def distance_jacobian(state: RobotState, closest: ClosestPoints) -> DistanceJacobian:
+    """J = uᵀ(J_b - J_a), with the closest points fixed to their links for the step.
+
+    u is the collision library's signed normal: the printed (p_b - p_a)/‖p_b - p_a‖ flips in
+    penetration.
+
+    Paper: Eq. (21).
+    """
+    u = closest.n
+    joint_a = state.model.body_joint(closest.pair.a)
+    joint_b = state.model.body_joint(closest.pair.b)
+    relative = state.point_jacobian(joint_b, closest.p_b) - state.point_jacobian(
+        joint_a, closest.p_a
+    )
+    velocity = relative @ state.qd
+    speed = float(u @ velocity)
+    across = velocity - speed * u
+    bias = state.point_bias(joint_b, closest.p_b) - state.point_bias(joint_a, closest.p_a)
+    turning = float(across @ across) / max(closest.d, _NEAR)
+    return DistanceJacobian(u @ relative, float(u @ bias) + turning, speed)
+
+
 class RepulsiveRow(NamedTuple):
     """One row of the avoidance task.
 
@@ -32,35 +68,14 @@ class RepulsiveRow(NamedTuple):
 def generate_rep_acc(
     state: RobotState, closest: ClosestPoints, config: RepulsionConfig
 ) -> RepulsiveRow:
-    """The repulsive acceleration of one pair and its Jacobian.
+    """The repulsive acceleration of one pair and its Jacobian, ẍ_r = k_p - k_v uᵀ(ṗ_b - ṗ_a).
 
-    ẍ_r = k_p - k_v uᵀ(ṗ_b - ṗ_a) and J_r = uᵀ(J_b - J_a), with the points fixed to their links for
-    the step. u is the collision library's signed normal: the printed (p_b - p_a)/‖p_b - p_a‖ flips
-    in penetration.
-
-    Paper: Eq. (20), (21).
+    Paper: Eq. (20).
 
     Args:
         state: The robot's state.
         closest: Closest points of the pair.
         config: Gains k_p and k_v.
-
-    Returns:
-        The row; J̇_r q̇ includes the turning of u.
     """
-    u = closest.n
-    joint_a = state.model.body_joint(closest.pair.a)
-    joint_b = state.model.body_joint(closest.pair.b)
-    relative = state.point_jacobian(joint_b, closest.p_b) - state.point_jacobian(
-        joint_a, closest.p_a
-    )
-    velocity = relative @ state.qd
-    approach = float(u @ velocity)
-    across = velocity - approach * u
-    bias = state.point_bias(joint_b, closest.p_b) - state.point_bias(joint_a, closest.p_a)
-    turning = float(across @ across) / max(closest.d, _NEAR)
-    return RepulsiveRow(
-        J_r=u @ relative,
-        Jdqd=float(u @ bias) + turning,
-        xdd_r=config.k_p - config.k_v * approach,
-    )
+    row = distance_jacobian(state, closest)
+    return RepulsiveRow(row.J, row.Jdqd, config.k_p - config.k_v * row.speed)

@@ -45,6 +45,7 @@ class Avoidance(NamedTuple):
 
     Attributes:
         pairs: All pairs, those of L_m first.
+        n_mobile: How many of them are of L_m.
         xdd_m: (2,) v̇_d [m/s²] and ω̇_d [rad/s²] of (16), not yet multiplied by β_m.
         beta_m: [-] activation of the base's rows, (28).
         rows_m: The base's rows, or None while β_m = 0.
@@ -53,11 +54,17 @@ class Avoidance(NamedTuple):
     """
 
     pairs: tuple[PairState, ...]
+    n_mobile: int
     xdd_m: Array
     beta_m: float
     rows_m: TaskRows | None
     rows_above: tuple[TaskRows, ...]
     rows_links: tuple[TaskRows, ...]
+
+    @property
+    def mobile(self) -> tuple[PairState, ...]:
+        """The pairs of L_m."""
+        return self.pairs[: self.n_mobile]
 
 
 class SelfCollisionAvoidance:
@@ -104,7 +111,7 @@ class SelfCollisionAvoidance:
         if beta_m > 0.0:
             rows_m = mobile_rows(self._state.model.J_m, self._state.model.n, xdd_m, beta_m)
         above, links = self._rows_from_above(mobile), self._rows_between_links(others)
-        return Avoidance((*mobile, *others), xdd_m, beta_m, rows_m, above, links)
+        return Avoidance((*mobile, *others), n_mobile, xdd_m, beta_m, rows_m, above, links)
 
     def _beta(self, d: float) -> float:
         return activation(d, self._config.border.d_b, self._config.activation.d_full)

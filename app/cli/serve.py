@@ -30,7 +30,8 @@ def serve(
 
     Args:
         robot: Name of the robot; `dbb robots` lists them.
-        controller: dbb, or none for the same stack without avoidance.
+        controller: dbb, one it is compared with (repulsive, barrier), or none for the same stack
+            without avoidance.
         host: Address to listen at; the default is this machine only.
         port: Port to listen at; 0 takes a free one.
         start: [m] where the hand starts, in the world (default: in front of the base).

@@ -7,19 +7,22 @@ from typing import NamedTuple
 import numpy as np
 
 from app.avoidance.self_collision import Avoidance, SelfCollisionAvoidance
-from app.avoidance.task import TaskRows, mobile_rows
+from app.avoidance.task import mobile_rows
 from app.border.cache import BorderData
 from app.config import Config, TaskConfig, slowed
 from app.control.hqp import HierarchicalQP, NoSolutionError
-from app.control.limits import robot_limits
+from app.control.limits import robot_limits, with_barriers
+from app.control.methods import METHODS, Inserted
 from app.control.tasks import (
     Reference,
     Stack,
     base_rest_acceleration,
+    base_rest_objective,
     end_effector_task,
     free_arm_torque,
     guided_arm_objective,
     posture_objective,
+    softened,
 )
 from app.control.transition import TaskTransition
 from app.errors import UnknownNameError
@@ -28,8 +31,8 @@ from app.robot.state import Measurement, RobotState
 
 Array = np.ndarray
 
-CONTROLLERS = ("dbb", "none")
-"""Names of the controllers: the paper's method, and the same stack without avoidance."""
+CONTROLLERS = tuple(METHODS)
+"""Names of the controllers: the paper's method, those it is compared with, and none."""
 
 
 class ControlOutput(NamedTuple):
@@ -38,16 +41,21 @@ class ControlOutput(NamedTuple):
     Attributes:
         u_a: (n_m,) [N m or N] torques of the arm.
         base_acceleration: (2,) v̇ [m/s²] and ω̇ [rad/s²] for the base's admittance law.
-        avoidance: The avoidance task of this step.
-        activation: [-] the largest activation of the rows that were inserted, 0 if none was.
+        avoidance: The avoidance task of this step, whether or not the method inserts it.
+        inserted: What the method put above the stack or among its limits.
         solved: False if a QP had no solution and this is the safe command.
     """
 
     u_a: Array
     base_acceleration: Array
     avoidance: Avoidance
-    activation: float
+    inserted: Inserted
     solved: bool
+
+    @property
+    def activation(self) -> float:
+        """[-] the largest activation of the rows that were inserted, 0 if none was."""
+        return self.inserted.activation
 
 
 class Controller:
@@ -81,14 +89,15 @@ class Controller:
         Raises:
             UnknownNameError: No controller has that name.
         """
-        if name not in CONTROLLERS:
+        if name not in METHODS:
             raise UnknownNameError("controller", name, CONTROLLERS)
         self.name = name
+        self._method = METHODS[name]
         self.state = RobotState(model)
         self._model = model
         self._config = config
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
-        self._transition = TaskTransition(HierarchicalQP(model.n, 2 * model.n_m + 2))
+        self._transition = TaskTransition(HierarchicalQP(model.n))
         self._J_m_inv = np.linalg.inv(model.J_m)
         self.reset()
 
@@ -126,55 +135,55 @@ class Controller:
         if self.q_posture is None:
             self.q_posture = measurement.q_m.copy()
         avoidance = self._avoidance.update()
-        rows_m, rows_links = avoidance.rows_m, avoidance.rows_links
-        rows_r = (*avoidance.rows_above, *rows_links)
-        if self.name == "none":
-            rows_m, rows_links, rows_r = None, (), ()
-        rows = (rows_m, *rows_r) if rows_m is not None else rows_r
-        beta = max((row.beta for row in rows), default=0.0)
+        inserted = self._method.insert(self.state, avoidance, self._config)
         try:
-            asked = self._base_acceleration(rows_m, rows_links, reference)
+            asked = self._base_acceleration(inserted, reference)
             given = asked if base_acceleration is None else base_acceleration
-            u_a = self._torques(given, rows_r, reference)
-            return ControlOutput(u_a, asked, avoidance, beta, True)
+            u_a = self._torques(given, inserted, reference)
+            return ControlOutput(u_a, asked, avoidance, inserted, True)
         except NoSolutionError:
             self.failures += 1
-            return ControlOutput(*self._safe_command(), avoidance, beta, False)
+            return ControlOutput(*self._safe_command(), avoidance, inserted, False)
 
-    def _base_acceleration(
-        self, rows_m: TaskRows | None, rows_links: tuple[TaskRows, ...], reference: Reference | None
-    ) -> Array:
+    def _base_acceleration(self, inserted: Inserted, reference: Reference | None) -> Array:
         """The base's part of (29), (2,): its rows fix it once the solution without them is known.
 
         Paper: Eq. (29), first two rows.
         """
         limit = np.array(self._model.description.base.max_acceleration)
-        if reference is None:
-            free = base_rest_acceleration(self.state, self._config.task)
-        elif rows_m is not None and rows_m.beta >= 1.0:
+        rows_m = inserted.rows_m
+        if rows_m is not None and rows_m.beta >= 1.0:
             free = np.zeros(2)  # weighs nothing
+        elif reference is None and not inserted.barriers:
+            free = base_rest_acceleration(self.state, self._config.task)
         else:
-            free = self._model.J_m @ self._slow_solution(rows_links, reference)[:2]
+            free = self._model.J_m @ self._slow_solution(inserted, reference)[:2]
         if rows_m is None:
             return np.clip(free, -limit, limit)
         return np.clip(rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free, -limit, limit)
 
-    def _slow_solution(self, rows_links: tuple[TaskRows, ...], reference: Reference) -> Array:
+    def _slow_solution(self, inserted: Inserted, reference: Reference | None) -> Array:
         """q̈ of (29) without the base's rows, (n,), its loops as slow as the base is.
 
         Rows from above have no part in it: where the base can help there, its own rows say how.
         """
+        state = self.state
         task, repulsion = slowed(self._config.task, self._config.repulsion)
         rows = [
-            row._replace(xdd=repulsion.k_p - repulsion.k_v * (row.J @ self.state.qd))
-            for row in rows_links
+            row._replace(xdd=repulsion.k_p - repulsion.k_v * (row.J @ state.qd))
+            for row in inserted.rows_links
         ]
-        stack = self._tracking_stack(reference, task)
-        limits = robot_limits(self.state, self._config.limit, np.zeros(2))
+        if reference is None:
+            base = base_rest_objective(state, self._config.task)
+            stack = Stack((), guided_arm_objective(state, base))
+        else:
+            stack = self._tracking_stack(reference, task)
+        limits = robot_limits(state, self._config.limit, np.zeros(2))
+        limits = with_barriers(limits, inserted.barriers)
         return self._transition.solve(rows, *stack, limits, slot="slow").qdd
 
     def _torques(
-        self, base_acceleration: Array, rows_r: tuple[TaskRows, ...], reference: Reference | None
+        self, base_acceleration: Array, inserted: Inserted, reference: Reference | None
     ) -> Array:
         """The arm's part of (29), (n_m,), with the acceleration that the base really has."""
         state = self.state
@@ -185,15 +194,17 @@ class Controller:
             else self._tracking_stack(reference, self._config.task)
         )
         wheels = self._J_m_inv @ base_acceleration
-        limits = robot_limits(state, self._config.limit, wheels)
-        qdd = self._transition.solve((given, *rows_r), *stack, limits, slot="arm").qdd
+        limits = with_barriers(robot_limits(state, self._config.limit, wheels), inserted.barriers)
+        rows = (given, *inserted.rows_arm, *inserted.rows_links)
+        qdd = self._transition.solve(rows, *stack, limits, slot="arm").qdd
         u_a = state.M[2:] @ qdd + state.h[2:]
         return np.clip(u_a, -self._model.tau_max, self._model.tau_max)
 
     def _tracking_stack(self, reference: Reference, config: TaskConfig) -> Stack:
         assert self.q_posture is not None
         task = end_effector_task(self.state, reference, config)
-        return Stack((task,), posture_objective(self.state, self.q_posture, config))
+        stack = Stack((task,), posture_objective(self.state, self.q_posture, config))
+        return softened(stack, config.soft_weight) if self._method.soft else stack
 
     def _safe_command(self) -> tuple[Array, Array]:
         """Gravity compensation and damping for the arm, braking for the base."""

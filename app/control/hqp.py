@@ -86,12 +86,12 @@ class NoSolutionError(Exception):
 
 
 class HierarchicalQP:
-    """Solves hierarchies of the same size again and again, each QP warm-started from its last."""
+    """Solves hierarchies of n unknowns, each QP warm-started from the last of its size."""
 
-    def __init__(self, n: int, m: int) -> None:
-        """Prepare for n unknowns and m limits."""
-        self._n, self._m = n, m
-        self._qps: dict[tuple[str, int, int], proxqp.dense.QP] = {}
+    def __init__(self, n: int) -> None:
+        """Prepare for n unknowns."""
+        self._n = n
+        self._qps: dict[tuple[str, int, int, int], proxqp.dense.QP] = {}
 
     def solve(
         self,
@@ -141,7 +141,7 @@ class HierarchicalQP:
         l, u = limits.l - reached, limits.u - reached
         if level > 0:  # the levels above kept the limits but for the solver's accuracy
             l, u = np.minimum(l, 0.0), np.maximum(u, 0.0)
-        key = (slot, level, Z.shape[1])
+        key = (slot, level, *C.shape)
         y = self._run(key, H, c, C, l, u)
         if y is None:  # once more, cold: a warm start can lead astray
             y = self._run(key, H, c, C, l, u)
@@ -152,12 +152,12 @@ class HierarchicalQP:
         raise NoSolutionError(level, "no accelerations keep all limits, or the solver failed")
 
     def _run(
-        self, key: tuple[str, int, int], H: Array, c: Array, C: Array, l: Array, u: Array
+        self, key: tuple[str, int, int, int], H: Array, c: Array, C: Array, l: Array, u: Array
     ) -> Array | None:
         """ProxQP's answer, from where it ended last time under this key; None if it has none."""
         qp = self._qps.get(key)
         if qp is None:
-            qp = self._qps[key] = _make_qp(len(c), self._m)
+            qp = self._qps[key] = _make_qp(len(c), len(l))
             qp.init(H, c, None, None, C, l, u)
         else:
             qp.update(H=H, g=c, C=C, l=l, u=u)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from app.avoidance.barrier import BarrierRow
 from app.config import LimitConfig
 from app.control.hqp import Limits
 from app.robot.state import RobotState
@@ -26,6 +29,17 @@ def acceleration_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, 
     upper = np.minimum(rate**2 * (model.q_upper - q) - 2 * rate * qd, k * (model.qd_max - qd))
     lower = np.maximum(rate**2 * (model.q_lower - q) - 2 * rate * qd, k * (-model.qd_max - qd))
     return np.minimum(lower, upper), np.maximum(lower, upper)
+
+
+def with_barriers(limits: Limits, barriers: Sequence[BarrierRow]) -> Limits:
+    """The same limits and J q̈ ≥ l for each barrier."""
+    if not barriers:
+        return limits
+    return Limits(
+        np.vstack([limits.C, *(row.J for row in barriers)]),
+        np.concatenate([limits.l, [row.l for row in barriers]]),
+        np.concatenate([limits.u, np.full(len(barriers), np.inf)]),
+    )
 
 
 def robot_limits(state: RobotState, config: LimitConfig, qdd_b: Array) -> Limits:

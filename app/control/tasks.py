@@ -55,6 +55,22 @@ def end_effector_task(state: RobotState, reference: Reference, config: TaskConfi
     return EqualityTask(state.J_ee, xdd - state.Jdqd_ee)
 
 
+def softened(stack: Stack, weight: float) -> Stack:
+    """The stack with its levels as weighted terms of the objective, ½ weight ‖J q̈ - b‖² each.
+
+    A strict level below a task in its way asks for unbounded accelerations where the two become
+    dependent; a weighted one gives in there.
+
+    Args:
+        stack: Levels and objective.
+        weight: [-] of the levels' accelerations against the objective.
+    """
+    H, c = stack.objective
+    for J, b in stack.levels:
+        H, c = H + weight * (J.T @ J), c - weight * (J.T @ b)
+    return Stack((), Objective(H, c))
+
+
 def base_rest_acceleration(state: RobotState, config: TaskConfig) -> Array:
     """-k (v, ω): what the base does while nothing moves it, (2,) [m/s², rad/s²]."""
     return -config.base_damping * state.measurement.base_velocity
@@ -87,19 +103,29 @@ def free_arm_torque(state: RobotState) -> Array:
     return state.g[2:] - damping * state.measurement.qd_m
 
 
-def guided_arm_objective(state: RobotState) -> Objective:
+def guided_arm_objective(state: RobotState, base: Objective | None = None) -> Objective:
     """Min (u_a - u_0)ᵀ M_aa⁻¹ (u_a - u_0): a guided arm gives only what avoidance asks of it.
 
     In q̈ its Hessian is M_aa; with the base's acceleration given by a level above and no rows it
     returns u_a = u_0, and with rows u_a = u_0 + J_rᵀ λ. There is no posture: it would be felt.
+
+    Args:
+        state: The robot's state.
+        base: (2, 2) and (2,), what the base's acceleration costs; None where it is given anyway.
     """
+    H_b, c_b = base or Objective(np.eye(2), np.zeros(2))
     M_aa, M_ab = state.M[2:, 2:], state.M[2:, :2]
-    H = np.zeros((state.model.n, state.model.n))
+    c_a = state.h[2:] - free_arm_torque(state)
+    share = np.linalg.solve(M_aa, np.column_stack([M_ab, c_a]))  # M_aa⁻¹ (M_ab, c_a)
+    H = np.empty((state.model.n, state.model.n))
     H[2:, 2:] = M_aa
     H[2:, :2] = M_ab
     H[:2, 2:] = M_ab.T
-    # The base's acceleration is fixed above; this block only keeps H positive definite.
-    H[:2, :2] = np.eye(2) + M_ab.T @ np.linalg.solve(M_aa, M_ab)
-    c = np.zeros(state.model.n)
-    c[2:] = state.h[2:] - free_arm_torque(state)
-    return Objective(H, c)
+    H[:2, :2] = H_b + M_ab.T @ share[:, :2]
+    return Objective(H, np.concatenate([c_b + M_ab.T @ share[:, 2], c_a]))
+
+
+def base_rest_objective(state: RobotState, config: TaskConfig) -> Objective:
+    """What it costs the base not to come to rest, in the wheels' accelerations, (2, 2) and (2,)."""
+    wanted = -config.base_damping * state.qd[:2]
+    return Objective(config.base_weight * np.eye(2), -config.base_weight * wanted)

@@ -1,0 +1,196 @@
+"""Laws of the compared methods: what each puts above the stack, and what it leaves alone."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from app.avoidance.barrier import barrier_row
+from app.avoidance.distances import DistanceMonitor
+from app.border.cache import BorderData
+from app.config import BarrierConfig, Config
+from app.control.controller import CONTROLLERS, Controller, ControlOutput
+from app.control.tasks import Reference, base_rest_acceleration
+from app.robot.link_pairs import PairDistances, candidate_pairs
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
+from app.simulation.scenario import scenario_by_name
+from app.simulation.session import Session
+from app.simulation.start import StartSolver
+
+ZERO = np.zeros(3)
+
+
+@pytest.fixture(scope="module", params=CONTROLLERS)
+def controller(
+    request: pytest.FixtureRequest, robot: RobotModel, border_data: BorderData
+) -> Controller:
+    return Controller(robot, border_data, Config(), name=request.param)
+
+
+def near(robot: RobotModel, seed: int, low: float, high: float, speed: float = 0.05) -> Measurement:
+    """A random slow state with the hand between two distances [m] from the base, all else far."""
+    rng = np.random.default_rng(seed)
+    reader = PairDistances(robot, candidate_pairs(robot))
+    names = [pair.name for pair in reader.pairs]
+    while True:
+        q_m = rng.uniform(robot.q_lower + 0.3, robot.q_upper - 0.3)
+        reader.update(robot.configuration(ZERO, q_m))
+        d = {name: reader.distance(i) for i, name in enumerate(names)}
+        others = [v for name, v in d.items() if name not in ("lm-lEE", "l1-l2")]
+        if low < d["lm-lEE"] < high and min(others) > 0.16:
+            v = rng.normal(scale=speed, size=robot.n)
+            return Measurement(ZERO, v[:2], q_m, v[2:])
+
+
+def here(controller: Controller, acceleration: np.ndarray) -> Reference:
+    return Reference(pin.SE3(controller.state.T_world_ee), np.zeros(6), acceleration)
+
+
+def realised(controller: Controller, output: ControlOutput) -> np.ndarray:
+    """(n,) q̈ that torques and base acceleration of an answer give."""
+    state = controller.state
+    wheels = np.linalg.solve(state.model.J_m, output.base_acceleration)
+    rhs = output.u_a - state.h[2:] - state.M[2:, :2] @ wheels
+    return np.concatenate([wheels, np.linalg.solve(state.M[2:, 2:], rhs)])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_repulsive_never_moves_the_base_by_itself(
+    robot: RobotModel, border_data: BorderData, seed: int
+) -> None:
+    """Its base does what the same stack without avoidance asks: guided, it comes to rest."""
+    controller = Controller(robot, border_data, Config(), name="repulsive")
+    m = near(robot, seed, 0.02, 0.12)
+    output = controller.step(m)
+    assert output.activation > 0.0
+    rest = base_rest_acceleration(controller.state, Config().task)
+    np.testing.assert_allclose(output.base_acceleration, rest, atol=1e-12)
+    reference = here(controller, np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.0]))
+    tracked = controller.step(m, reference).base_acceleration
+    far = Config().replace("border.d_b", 0.06).replace("activation.d_full", 0.0)
+    controller.configure(far)
+    alone = controller.step(m, reference)
+    if alone.activation == 0.0:
+        np.testing.assert_allclose(tracked, alone.base_acceleration, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_repulsive_in_full_force_gives_the_closest_point_its_acceleration(
+    robot: RobotModel, border_data: BorderData, seed: int
+) -> None:
+    """J_rep q̈ + J̇ q̇ = k_p n - k_v ṗ, with the base's columns zero, where no limit is in the way."""
+    config = Config().replace("repulsion.k_p", 3.0)
+    controller = Controller(robot, border_data, config, name="repulsive")
+    m = near(robot, seed, 0.01, 0.05, speed=0.01)
+    output = controller.step(m)
+    (row,) = output.inserted.rows_arm
+    assert row.beta == 1.0
+    assert row.J.shape == (3, robot.n)
+    assert not row.J[:, :2].any()
+    np.testing.assert_allclose(row.J @ realised(controller, output), row.b, atol=1e-4)
+    n = output.avoidance.mobile[0].closest.n
+    np.testing.assert_allclose(row.xdd + 30.0 * (row.J @ controller.state.qd), 3.0 * n, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_the_barriers_rows_hold_for_what_the_robot_does(
+    robot: RobotModel, border_data: BorderData, seed: int
+) -> None:
+    """Whatever acceleration the hand is asked for, and by base and arm together."""
+    controller = Controller(robot, border_data, Config(), name="barrier")
+    m = near(robot, seed, 0.051, 0.08, speed=0.02)
+    controller.step(m)
+    towards = np.concatenate(
+        [-20.0 * controller.step(m).avoidance.mobile[0].closest.n, np.zeros(3)]
+    )
+    output = controller.step(m, here(controller, towards))
+    assert output.solved
+    qdd = realised(controller, output)
+    for row in output.inserted.barriers:
+        assert row.J @ qdd >= row.l - 1e-3 * max(1.0, abs(row.l))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_barrier_is_the_second_order_form_of_its_distance(robot: RobotModel, seed: int) -> None:
+    """Its bound is the d̈ with which d̈ + 2 λ ḋ + λ² (d - d_min) = 0, by finite differences of d."""
+    state, config = RobotState(robot), BarrierConfig()
+    m = near(robot, seed, 0.03, 0.12, speed=0.2)
+    rng = np.random.default_rng(seed)
+    qdd = rng.normal(size=robot.n)
+    state.update(m)
+    pairs = PairDistances(robot, candidate_pairs(robot))
+    index = [p.name for p in pairs.pairs].index("lm-lEE")
+    (closest,) = DistanceMonitor(state, [pairs.pairs[index]]).find_closest_points()
+    row = barrier_row(state, closest, config)
+
+    def distance(t: float) -> float:
+        v = robot.S @ (state.qd * t + 0.5 * qdd * t * t)
+        q = pin.integrate(robot.pin, robot.configuration(m.base_pose, m.q_m), v)
+        pairs.update(q)
+        return pairs.distance(index)
+
+    h = 1e-3
+    ddot = (distance(h) - distance(-h)) / (2 * h)
+    asked = -2 * config.rate * ddot - config.rate**2 * (distance(0.0) - config.d_min)
+    np.testing.assert_allclose(row.J @ state.qd, ddot, atol=1e-4)
+    J_dot_qd = (
+        -row.l - 2 * config.rate * (row.J @ state.qd) - config.rate**2 * (closest.d - config.d_min)
+    )
+    np.testing.assert_allclose(row.l, asked - J_dot_qd, atol=1e-2)
+
+
+def test_every_method_answers_far_away_as_none_does(
+    robot: RobotModel, border_data: BorderData, controller: Controller
+) -> None:
+    plain = Controller(robot, border_data, Config(), name="none")
+    m = Measurement(
+        ZERO, np.array([0.1, -0.1]), np.array(robot.description.arm.ready_position), np.full(7, 0.1)
+    )
+    expected, output = plain.step(m), controller.step(m)
+    np.testing.assert_allclose(output.u_a, expected.u_a, atol=1e-5)
+    np.testing.assert_allclose(output.base_acceleration, expected.base_acceleration, atol=1e-5)
+
+
+def run_a_line(
+    robot: RobotModel, data: BorderData, name: str, config: Config, start: tuple[float, ...]
+) -> tuple[float, float, float]:
+    """(clearance, final error, base's path) of the tracking line in 6 s on the kinematic plant."""
+    scenario = scenario_by_name("tracking").changed(start=start, duration=6.0)  # type: ignore[arg-type]
+    q_m = StartSolver(robot, data.pairs, config.border.d_b).solve(scenario.start, seed=0)
+    session = Session(robot, data, config, controller=name, physics="kinematic")
+    session.reset(q_m)
+    orientation = session.T_world_ee.rotation.copy()
+    clearance, path = np.inf, 0.0
+    for _ in range(6000):
+        step = session.step(reference=scenario.reference(session.t, orientation))
+        clearance = min(clearance, *(p.closest.d for p in step.output.avoidance.mobile))
+        path += float(np.abs(step.measurement.base_velocity).sum()) * 0.001
+    session.close()
+    return clearance, step.ee_error, path
+
+
+def test_repulsive_keeps_clear_but_does_not_arrive(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    clearance, error, path = run_a_line(
+        robot, border_data, "repulsive", Config(), (0.30, 0.68, 0.30)
+    )
+    assert clearance > 0.03
+    assert error > 0.02
+    assert path < 0.02
+
+
+def test_a_barrier_with_a_reluctant_base_stands_still_on_the_wheel_axis(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    """As the libraries do; the paper's method arrives there."""
+    start = (0.0, 0.68, 0.30)
+    reluctant = Config().replace("task.base_weight", 300.0)
+    clearance, error, path = run_a_line(robot, border_data, "barrier", reluctant, start)
+    assert clearance > 0.04
+    assert error > 0.02
+    assert path < 0.02
+    clearance, error, path = run_a_line(robot, border_data, "dbb", Config(), start)
+    assert clearance > 0.03
+    assert error < 0.005
+    assert path > 0.1
