@@ -12,13 +12,13 @@ import pytest
 
 from app.border.cache import BorderData
 from app.config import Config
-from app.errors import AssetError, LoopError, TargetError
+from app.errors import AssetError, LoopError, TargetError, UnknownNameError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.loop import SimulationLoop
 from app.simulation.scenario import SCENARIOS
 from app.simulation.session import DT, Session
-from app.simulation.snapshot import Configure, Pause, Pull, Reset, Snapshot
+from app.simulation.snapshot import Choose, Configure, Pause, Pull, Reset, Snapshot
 from app.simulation.start import StartSolver
 
 START = SCENARIOS["guiding-lateral"].start
@@ -274,3 +274,22 @@ def test_stop_ends_the_thread(make_session, q_start, paused):
     assert not set(threading.enumerate()) - before
     loop.stop()  # again, and also before a start, it does no harm
     SimulationLoop(make_session, q_start).stop()
+
+
+def test_another_controller_is_used_at_once_also_while_paused(loop: SimulationLoop) -> None:
+    loop.send(PULL)
+    until(loop, lambda s: bool(s.acting) and s.avoidance_acceleration.any())
+    loop.send(Choose("repulsive"))
+    chosen = until(loop, lambda s: s.controller == "repulsive" and s.t > 0)
+    later = until(loop, lambda s: s.controller == "repulsive" and s.t > chosen.t + 0.05)
+    assert not later.acting
+    assert not later.avoidance_acceleration.any()
+    loop.send(Pause(True))
+    loop.send(Choose("none"))
+    until(loop, lambda s: s.paused and s.controller == "none")
+
+
+def test_an_unknown_controller_is_refused_and_changes_nothing(loop: SimulationLoop) -> None:
+    with pytest.raises(UnknownNameError, match="barrier, dbb, none, repulsive"):
+        loop.send(Choose("dbbb"))
+    assert until(loop, lambda s: s.t > 0.1).controller == "dbb"

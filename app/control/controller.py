@@ -89,10 +89,7 @@ class Controller:
         Raises:
             UnknownNameError: No controller has that name.
         """
-        if name not in METHODS:
-            raise UnknownNameError("controller", name, CONTROLLERS)
-        self.name = name
-        self._method = METHODS[name]
+        self.use(name)
         self.state = RobotState(model)
         self._model = model
         self._config = config
@@ -100,6 +97,17 @@ class Controller:
         self._transition = TaskTransition(HierarchicalQP(model.n))
         self._J_m_inv = np.linalg.inv(model.J_m)
         self.reset()
+
+    def use(self, name: str) -> None:
+        """Use another of the compared methods from the next step on.
+
+        Raises:
+            UnknownNameError: No controller has that name.
+        """
+        if name not in METHODS:
+            raise UnknownNameError("controller", name, CONTROLLERS)
+        self.name = name
+        self._method = METHODS[name]
 
     def reset(self) -> None:
         """Forget the posture and the count of failures."""

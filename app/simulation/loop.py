@@ -15,18 +15,33 @@ from typing import Protocol
 
 import numpy as np
 
-from app.errors import LoopError
+from app.control.controller import CONTROLLERS
+from app.errors import LoopError, UnknownNameError
 from app.simulation.history import History
 from app.simulation.pacing import Pacer
 from app.simulation.person import checked_target
 from app.simulation.publishing import make_snapshot
 from app.simulation.session import DT, Session, Step
-from app.simulation.snapshot import Command, Configure, Pause, Pull, Reset, Snapshot
+from app.simulation.snapshot import Choose, Command, Configure, Pause, Pull, Reset, Snapshot
 
 Array = np.ndarray
 
 _PUBLISH_EVERY = 20  # control steps between two snapshots: 50 Hz
 _IDLE = 0.01  # [s] between two looks at the queue while paused
+
+
+def checked(command: Command) -> Command:
+    """The command, if it can be obeyed.
+
+    Raises:
+        TargetError: The person's hand would be below the floor.
+        UnknownNameError: No controller has that name.
+    """
+    if isinstance(command, Pull) and command.target is not None:
+        checked_target(command.target)
+    if isinstance(command, Choose) and command.controller not in CONTROLLERS:
+        raise UnknownNameError("controller", command.controller, CONTROLLERS)
+    return command
 
 
 class LoopHandle(Protocol):
@@ -95,10 +110,9 @@ class SimulationLoop:
 
         Raises:
             TargetError: The person's hand would be below the floor.
+            UnknownNameError: No controller has that name.
         """
-        if isinstance(command, Pull) and command.target is not None:
-            checked_target(command.target)
-        self._commands.put(command)
+        self._commands.put(checked(command))
 
     def latest(self) -> Snapshot:
         """The newest snapshot."""
@@ -154,6 +168,9 @@ class SimulationLoop:
             elif isinstance(command, Configure):
                 session.configure(command.config)
                 self._refresh(session)
+            elif isinstance(command, Choose):
+                session.controller.use(command.controller)
+                self._refresh(session)
             elif isinstance(command, Pause):
                 self._paused = command.paused
                 self._pacer.restart()
@@ -164,4 +181,9 @@ class SimulationLoop:
     def _refresh(self, session: Session) -> None:
         """Publish a change that must be seen although no step follows while paused."""
         latest = self._history.latest
-        self._history.add(replace(latest, config=session.config, paused=self._paused))
+        self._history.add(
+            replace(
+                latest, config=session.config, controller=session.controller.name,
+                paused=self._paused,
+            )
+        )  # fmt: skip

@@ -17,10 +17,10 @@ import numpy as np
 
 from app.errors import LoopError
 from app.simulation.history import History
+from app.simulation.loop import checked
 from app.simulation.loop_process import Failure, run_loop
-from app.simulation.person import checked_target
 from app.simulation.session import Session
-from app.simulation.snapshot import Command, Pull, Snapshot
+from app.simulation.snapshot import Command, Snapshot
 
 Array = np.ndarray
 
@@ -100,9 +100,9 @@ class ProcessLoop:
 
         Raises:
             TargetError: The person's hand would be below the floor.
+            UnknownNameError: No controller has that name.
         """
-        if isinstance(command, Pull) and command.target is not None:
-            checked_target(command.target)
+        checked(command)
         with self._sending, suppress(OSError):  # the end of the child is told by `error`
             self._commands.send(command)
 

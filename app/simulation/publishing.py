@@ -18,6 +18,8 @@ def make_snapshot(session: Session, step: Step, pacer: Pacer, *, paused: bool) -
     """The whole simulation at a control step; shares no memory with it, and is read-only."""
     state = session.controller.state
     output, avoidance = step.output, step.output.avoidance
+    acting = () if output.inserted.rows_m is None else avoidance.mobile
+    inserted = np.zeros(2) if output.inserted.rows_m is None else avoidance.beta_m * avoidance.xdd_m
     quaternion = pin.Quaternion(state.T_world_ee.rotation).coeffs()  # x, y, z, w
     return Snapshot(
         t=step.t,
@@ -25,16 +27,14 @@ def make_snapshot(session: Session, step: Step, pacer: Pacer, *, paused: bool) -
         base_velocity=_frozen(step.measurement.base_velocity),
         base_velocity_command=_frozen(step.base_command),
         base_acceleration=_frozen(output.base_acceleration),
-        avoidance_acceleration=_frozen(avoidance.beta_m * avoidance.xdd_m),
+        avoidance_acceleration=_frozen(inserted),
         wheel_angles=_frozen(session.wheel_angles),
         q_m=_frozen(step.measurement.q_m),
         u_a=_frozen(output.u_a),
         p_ee=_frozen(state.T_world_ee.translation),
         wxyz_ee=_frozen(np.roll(quaternion, 1)),
         pairs=tuple(_pair_reading(session, pair) for pair in avoidance.pairs),
-        acting=tuple(
-            _acting_reading(state, pair) for pair in avoidance.pairs if pair.acting is not None
-        ),
+        acting=tuple(_acting_reading(state, pair) for pair in acting if pair.acting is not None),
         beta_m=avoidance.beta_m,
         hand_target=None if step.hand_target is None else _frozen(step.hand_target),
         hand_force=_frozen(step.hand_force),

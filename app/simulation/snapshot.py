@@ -59,7 +59,8 @@ class Snapshot:
     base_acceleration: Array
     """(2,) v̇ [m/s²], ω̇ [rad/s²] that the HQP asks of the base."""
     avoidance_acceleration: Array
-    """(2,) β times the desired accelerations of (16), as in Figure 15."""
+    """(2,) β times the desired accelerations of (16), as in Figure 15; 0 if the controller does not
+    insert them."""
     wheel_angles: Array
     """(2,) [rad] of the right and the left side, for drawing."""
     q_m: Array
@@ -73,7 +74,7 @@ class Snapshot:
     pairs: tuple[PairReading, ...]
     """All link pairs, those of L_m first."""
     acting: tuple[ActingReading, ...]
-    """Acting points of the pairs of L_m inside their buffer."""
+    """Acting points of the pairs of L_m inside their buffer, if the controller uses them."""
     beta_m: float
     """[-] of (28)."""
     hand_target: Array | None
@@ -117,6 +118,13 @@ class Configure:
 
 
 @dataclass(frozen=True)
+class Choose:
+    """Use the controller of that name from now on."""
+
+    controller: str
+
+
+@dataclass(frozen=True)
 class Pause:
     """Stop (True) or go on (False)."""
 
@@ -128,4 +136,4 @@ class Reset:
     """Begin anew at the starting pose."""
 
 
-Command = Pull | Configure | Pause | Reset
+Command = Pull | Configure | Choose | Pause | Reset

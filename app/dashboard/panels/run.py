@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import viser
 
+from app.control.controller import CONTROLLERS
 from app.dashboard.colours import SERIES, css, distance_colour
 from app.dashboard.hand import Sink
 from app.dashboard.notices import Notices
-from app.simulation.snapshot import PairReading, Pause, Reset, Snapshot
+from app.simulation.snapshot import Choose, PairReading, Pause, Reset, Snapshot
 
 BAR_RANGE = 0.5  # [m] distance that fills a bar of the table
 STEP = 0.001  # [s] of one control step
@@ -20,11 +21,20 @@ class RunPanel:
     def __init__(self, server: viser.ViserServer, sink: Sink, notices: Notices) -> None:
         """Build the tab in the GUI container that is now open."""
         self._paused = False
+        self._name = ""
         self._pause = server.gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         reset = server.gui.add_button("Reset", icon=viser.Icon.REFRESH, color="gray")
+        self._controller = server.gui.add_dropdown(
+            "Controller", CONTROLLERS,
+            hint="dbb: the base gives way, as in the paper. repulsive: a force on the arm alone. "
+            "barrier: each distance a hard inequality. none: no avoidance.",
+        )  # fmt: skip
         self._status = server.gui.add_html("")
         self._pairs = server.gui.add_html("")
         self._pause.on_click(notices.guard(lambda _: sink.send(Pause(not self._paused))))  # type: ignore[arg-type]
+        self._controller.on_update(
+            notices.guard(lambda event: sink.send(Choose(event.target.value)))  # type: ignore[arg-type]
+        )
         reset.on_click(notices.guard(lambda _: sink.send(Reset())))  # type: ignore[arg-type]
 
     def update(self, snapshot: Snapshot) -> None:
@@ -34,6 +44,10 @@ class RunPanel:
             self._pause.label = "Continue" if snapshot.paused else "Pause"
             icon = viser.Icon.PLAYER_PLAY if snapshot.paused else viser.Icon.PLAYER_PAUSE
             self._pause.icon = icon
+        if snapshot.controller != self._name:  # not while a choice is on its way
+            self._name = snapshot.controller
+            if self._controller.value != self._name:
+                self._controller.value = self._name
         for handle, html in (
             (self._status, status_html(snapshot)),
             (self._pairs, pairs_html(snapshot)),
