@@ -6,7 +6,7 @@ in brackets at the start of a field's docstring.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field, ValidationError
 
@@ -21,6 +21,8 @@ class BorderConfig(Strict):
     """[m] buffer distance."""
     eps: float = Field(default=0.01, ge=0.002, le=0.02)
     """[m] tolerance ε of (3)."""
+    kind: Literal["surface", "points"] = "surface"
+    """[-] the border as a continuous surface, or as the paper's points."""
 
 
 class ForceConfig(Strict):

@@ -69,7 +69,7 @@ def test_the_nearest_point_is_no_farther_than_any_point_of_the_polygon(offset):
         ring = offset.contour(z)
         dense = (ring[:-1] + share * (ring[1:] - ring[:-1])).reshape(-1, 2)
         least = np.linalg.norm(dense - p, axis=1).min()
-        xy, tangent = offset.nearest(p, z)
+        xy, tangent, _ = offset.nearest(p, z)
         assert np.linalg.norm(xy - p) <= least + 1e-12
         assert np.linalg.norm(xy - p) >= least - 1e-4
         assert np.linalg.norm(tangent) == pytest.approx(1.0)
@@ -77,7 +77,7 @@ def test_the_nearest_point_is_no_farther_than_any_point_of_the_polygon(offset):
 
 
 def test_the_tangent_is_square_to_the_way_to_the_contour_beside_a_flat_side(offset):
-    xy, tangent = offset.nearest(np.array([0.1, 1.0]), 0.2)
+    xy, tangent, _ = offset.nearest(np.array([0.1, 1.0]), 0.2)
     np.testing.assert_allclose(xy, [0.1, 0.345 + offset.d_b], atol=1e-5)
     np.testing.assert_allclose(tangent, [-1.0, 0.0], atol=1e-5)
 

@@ -12,6 +12,7 @@ PATHS = [
     f"{section}.{name}"
     for section in Config.model_fields
     for name in type(getattr(Config(), section)).model_fields
+    if (section, name) != ("border", "kind")
 ]
 UNITS = {
     "m",
@@ -99,3 +100,9 @@ def test_slowed_gains_are_the_same_closed_loop_in_slower_time():
     assert (task.ee_stiffness / config.task.ee_stiffness) ** 0.5 == pytest.approx(1 / s)
     assert repulsion.k_p * s**2 == pytest.approx(config.repulsion.k_p)
     assert repulsion.k_v * s == pytest.approx(config.repulsion.k_v)
+
+
+def test_the_kind_of_border_is_one_of_two() -> None:
+    assert Config().replace("border.kind", "points").border.kind == "points"
+    with pytest.raises(ConfigError, match="border.kind"):
+        Config().replace("border.kind", "cloud")

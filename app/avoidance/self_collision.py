@@ -16,12 +16,18 @@ from app.avoidance.task import TaskRows, mobile_rows, repulsive_rows
 from app.border.cloud import Cloud
 from app.border.dbb import construct_dbb
 from app.border.offset import OffsetContours
+from app.border.points import BorderPoints
 from app.border.score import ScoreField
+from app.border.surface import BorderSurface
 from app.config import Config
 from app.robot.link_pairs import LinkPairs
 from app.robot.state import RobotState
 
 Array = np.ndarray
+
+
+BORDERS = {"surface": BorderSurface, "points": BorderPoints}
+"""Kinds of border, by the name in the configuration."""
 
 
 class PairState(NamedTuple):
@@ -157,8 +163,10 @@ class SelfCollisionAvoidance:
     def _make_finders(self, config: Config) -> dict[str, ActingPointFinder]:
         model = self._state.model
         offset = OffsetContours(model, config.border.d_b)
+        as_shape = BORDERS[config.border.kind]
         finders = {}
         for pair in self._pairs.mobile:
             border = construct_dbb(self._clouds[pair.name], config.border.d_b, config.border.eps)
-            finders[pair.name] = ActingPointFinder(border, offset, ScoreField.of(model, pair.b))
+            shape = as_shape(border, offset)
+            finders[pair.name] = ActingPointFinder(shape, ScoreField.of(model, pair.b))
         return finders

@@ -26,11 +26,14 @@ class OnContour(NamedTuple):
 
     Attributes:
         xy: (2,) [m] in the base's frame.
-        tangent: (2,) unit vector along the contour, counter-clockwise from above.
+        tangent: (2,) unit vector along the contour, counter-clockwise from above; turns
+            continuously along it.
+        ray: [-] where along the contour, in rays, from 0 to `RAYS`.
     """
 
     xy: Array
     tangent: Array
+    ray: float
 
 
 class OffsetContours:
@@ -53,7 +56,7 @@ class OffsetContours:
         body = MobileBody(model)
         angles = np.linspace(0.0, 2 * np.pi, RAYS, endpoint=False)
         rays = np.column_stack([np.cos(angles), np.sin(angles)])
-        centre = _centre(body)
+        centre = self._centre = _centre(body)
         heights, rings = [], []
         ends = [None] * len(body.parts)
         for z in _levels(float(body.upper[2]), d_b):
@@ -73,6 +76,7 @@ class OffsetContours:
         corners = self.vertices[..., 0] + 1j * self.vertices[..., 1]
         self._starts, self._edges = corners[:, :-1], np.diff(corners, axis=1)
         self._inverse = 1.0 / self._edges
+        self._tangents = _vertex_tangents(self._edges)
         # Beside upright walls polygons repeat and need no blending.
         self._same = (self.vertices[1:] == self.vertices[:-1]).all(axis=(1, 2))
 
@@ -99,19 +103,52 @@ class OffsetContours:
         at = self._between(z)
         if at is None:
             return None
-        k, share = at
-        start, edge, inverse = self._starts[k], self._edges[k], self._inverse[k]
-        if share != 0.0:
-            start = start + share * (self._starts[k + 1] - start)
-            edge = edge + share * (self._edges[k + 1] - edge)
-            inverse = 1.0 / edge
+        start, edge = self._blended(self._starts, *at), self._blended(self._edges, *at)
+        inverse = self._inverse[at[0]] if at[1] == 0.0 else 1.0 / edge
         to_p = complex(p_xy[0], p_xy[1]) - start
         along = (to_p * inverse).real  # the share of each edge at the foot of p
         off = to_p - np.minimum(np.maximum(along, 0.0), 1.0) * edge
         i = int((off.real**2 + off.imag**2).argmin())
-        xy = start[i] + min(max(along[i], 0.0), 1.0) * edge[i]
-        tangent = edge[i] / abs(edge[i])
-        return OnContour(np.array([xy.real, xy.imag]), np.array([tangent.real, tangent.imag]))
+        return self._point(start, edge, at, i, min(max(float(along[i]), 0.0), 1.0))
+
+    def at(self, ray: float, z: float) -> OnContour | None:
+        """The contour's point at a place along it.
+
+        Args:
+            ray: [-] in rays; whole turns do not matter.
+            z: [m] height above the floor.
+
+        Returns:
+            None where there is no contour at that height.
+        """
+        at = self._between(z)
+        if at is None:
+            return None
+        i = int(np.floor(ray % RAYS)) % RAYS
+        start, edge = self._blended(self._starts, *at), self._blended(self._edges, *at)
+        return self._point(start, edge, at, i, float(ray % RAYS) % 1.0)
+
+    def ray_of(self, points_xy: Array) -> Array:
+        """(N,) on which ray points (N, 2) [m] lie, from 0 to `RAYS`."""
+        out = points_xy - self._centre
+        return np.arctan2(out[:, 1], out[:, 0]) % (2 * np.pi) * (RAYS / (2 * np.pi))
+
+    def _point(
+        self, start: Array, edge: Array, at: tuple[int, float], i: int, along: float
+    ) -> OnContour:
+        """The point of edge i at a share of its length."""
+        xy = start[i] + along * edge[i]
+        tangents = self._blended(self._tangents, *at)
+        t = tangents[i] + along * (tangents[(i + 1) % RAYS] - tangents[i])
+        t /= abs(t)
+        return OnContour(np.array([xy.real, xy.imag]), np.array([t.real, t.imag]), i + along)
+
+    @staticmethod
+    def _blended(of_heights: Array, k: int, share: float) -> Array:
+        """One row of a table by heights, or a blend of two."""
+        if share == 0.0:
+            return of_heights[k]
+        return of_heights[k] + share * (of_heights[k + 1] - of_heights[k])
 
     def _between(self, z: float) -> tuple[int, float] | None:
         """Index of the polygon at or below a height, and the share of the next one."""
@@ -122,6 +159,13 @@ class OffsetContours:
         if heights[k] == z or self._same[k]:
             return k, 0.0
         return k, (z - heights[k]) / (heights[k + 1] - heights[k])
+
+
+def _vertex_tangents(edges: Array) -> Array:
+    """(H, RAYS) unit tangents at the vertices, as x + iy: between those of the two edges there."""
+    directions = edges / np.abs(edges)
+    tangents = directions + np.roll(directions, 1, axis=1)
+    return tangents / np.abs(tangents)
 
 
 def _centre(body: MobileBody) -> Array:

@@ -1,0 +1,136 @@
+"""The border as a continuous surface: one closed contour a height, open where the arm never is.
+
+Its contours are those of the exact offset, which the cloud samples. The cloud says which part of
+each contour the arm can reach: where it leaves a wide gap, the contour is open there. A point and
+its nearest point on the surface move together, at a cost that does not depend on the cloud.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from app.border.dbb import Border
+from app.border.offset import RAYS, OffsetContours, OnContour
+
+Array = np.ndarray
+
+_NEAR_HEIGHT = 0.015  # [m] points that far above and below tell where a contour is reached
+_NEAR_CONTOUR = 0.05  # [m] from a contour; over the top, points of other heights lie inside of it
+_LEAST_POINTS = 20  # [-] fewer tell nothing
+_LEAST_GAP = 40.0  # [rays] narrower gaps are chance
+_MARGIN = 10.0  # [rays] by which a gap is kept narrower on either side: samples are not everywhere
+
+
+class Foot(NamedTuple):
+    """The point of a border nearest to a point at the same height, in the base's frame.
+
+    Attributes:
+        p: (3,) [m] the point of the border.
+        t: (3,) horizontal unit tangent there.
+    """
+
+    p: Array
+    t: Array
+
+
+class NearestBorder(Protocol):
+    """What the search for the acting point asks of a border."""
+
+    def nearest(self, p: Array) -> Foot | None:
+        """The point nearest to p, (3,) [m], at its height; None only if there is no border."""
+        ...
+
+
+class Gap(NamedTuple):
+    """The part of each contour that the arm never reaches, in rays.
+
+    Attributes:
+        centre: (H,) middle of the gap, continuous from height to height.
+        half: (H,) half of its width, 0 where the whole contour is reached.
+    """
+
+    centre: Array
+    half: Array
+
+
+class BorderSurface:
+    """DBB_i as a surface, for nearest points at a height."""
+
+    def __init__(self, border: Border, offset: OffsetContours) -> None:
+        """Open the offset's contours where the border has no points.
+
+        Args:
+            border: The sampled border of one pair.
+            offset: The exact offset of l_m for the same d_b.
+        """
+        self._offset = offset
+        self.gap = find_gap(border, offset)
+
+    def nearest(self, p: Array) -> Foot | None:
+        """The surface's point at p's height that is nearest to p.
+
+        Heights beyond the surface are taken as its lowest or its highest. In a gap it is the end of
+        the contour that is nearer along it.
+
+        Args:
+            p: (3,) [m] in the base's frame.
+
+        Returns:
+            None only if l_m has no offset at all.
+        """
+        found = on_surface(self._offset, p)
+        if found is None:
+            return None
+        z = within(self._offset, float(p[2]))
+        centre = float(np.interp(z, self._offset.heights, self.gap.centre))
+        half = float(np.interp(z, self._offset.heights, self.gap.half))
+        inside = _wrapped(found.ray - centre)
+        if abs(inside) < half:
+            found = self._offset.at(centre + (half if inside >= 0.0 else -half), z)
+            assert found is not None
+        return Foot(np.array([*found.xy, p[2]]), np.array([*found.tangent, 0.0]))
+
+
+def within(offset: OffsetContours, z: float) -> float:
+    """[m] the height nearest to z that the offset has."""
+    return min(max(z, float(offset.heights[0])), float(offset.heights[-1]))
+
+
+def on_surface(offset: OffsetContours, p: Array) -> OnContour | None:
+    """The nearest point of the exact offset at p's height, or at the nearest height it has."""
+    return offset.nearest(p[:2], within(offset, float(p[2]))) if len(offset.heights) else None
+
+
+def find_gap(border: Border, offset: OffsetContours) -> Gap:
+    """The widest part of each contour near which the border has no points."""
+    heights = offset.heights
+    centre, half = np.full(len(heights), np.nan), np.zeros(len(heights))
+    for k, z in enumerate(heights):
+        points = border.same_height(float(z), _NEAR_HEIGHT)
+        rays = np.sort(_rays_on_contour(offset, k, points[:, :2]))
+        if len(rays) < _LEAST_POINTS:
+            continue
+        widths = np.diff(rays, append=rays[0] + RAYS)
+        i = int(widths.argmax())
+        if widths[i] >= _LEAST_GAP:
+            centre[k], half[k] = rays[i] + widths[i] / 2, widths[i] / 2 - _MARGIN
+    known = np.flatnonzero(np.isfinite(centre))
+    if not len(known):
+        return Gap(np.zeros(len(heights)), half)
+    turns = np.unwrap(centre[known], period=RAYS)
+    return Gap(np.interp(np.arange(len(heights)), known, turns), half)
+
+
+def _rays_on_contour(offset: OffsetContours, k: int, points_xy: Array) -> Array:
+    """Rays of those points (N, 2) [m] that lie near the k-th contour."""
+    rays = offset.ray_of(points_xy)
+    on_contour = offset.vertices[k][np.rint(rays).astype(int) % RAYS]
+    near = np.linalg.norm(points_xy - on_contour, axis=1) < _NEAR_CONTOUR
+    return rays[near]
+
+
+def _wrapped(rays: float) -> float:
+    """Into [-RAYS/2, RAYS/2)."""
+    return (rays + RAYS / 2) % RAYS - RAYS / 2
