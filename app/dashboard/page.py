@@ -103,7 +103,7 @@ class Page:
             self._run = RunPanel(self._server, self._loop, notices)
             self.main_panel = TuningPanel(self._server, self.tuning, notices, MAIN)
         with tabs.add_tab("Border & force"):
-            add_border_choice(self._server, self.view, notices, mobile)
+            add_border_choice(self._server, self.view, self.tuning, notices, mobile)
             self.border_panel = TuningPanel(self._server, self.tuning, notices, BORDER_AND_FORCE)
         with tabs.add_tab("Gains"):
             self.gains_panel = TuningPanel(self._server, self.tuning, notices, GAINS)

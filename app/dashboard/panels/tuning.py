@@ -48,11 +48,12 @@ class Tuning:
         self._sink = sink
         self.config = config
 
-    def set(self, path: str, value: float) -> None:
+    def set(self, path: str, value: float | str) -> None:
         """Change one parameter and tell the simulation.
 
         Raises:
-            ConfigError: The value is out of the parameter's range, which viser does not check.
+            ConfigError: The value is out of the parameter's range or not one of its choices, which
+                viser does not check.
         """
         if self.value(path) == value:
             return
