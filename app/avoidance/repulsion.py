@@ -70,7 +70,7 @@ def generate_rep_acc(
 ) -> RepulsiveRow:
     """The repulsive acceleration of one pair and its Jacobian, ẍ_r = k_p - k_v uᵀ(ṗ_b - ṗ_a).
 
-    Paper: Eq. (20), (21).
+    Paper: Eq. (20).
 
     Args:
         state: The robot's state.
