@@ -1,0 +1,144 @@
+"""The joints that move one body of the arm, closed to a chain that has to meet six numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from app.errors import ConfigError
+from app.robot.model import RobotModel
+
+Array = np.ndarray
+
+_LEAST_JOINTS = 3  # fewer do not fill a volume
+
+
+def reach_bodies(model: RobotModel) -> list[str]:
+    """Names of the bodies that at least three joints of the arm move, the outermost first."""
+    names = model.body_names[:0:-1]
+    return [name for name in names if len(_moving_joints(model, name)) >= _LEAST_JOINTS]
+
+
+class Chain:
+    """A body's joints, the base at the origin, then unlimited ones for what its pose leaves open.
+
+    The body that carries the end-effector has the end-effector's pose; any other has the position
+    of the middle of its first shape and the direction of that shape's z axis, which is a capsule's
+    own. With k joints the pose has six numbers (k ≥ 6), five, the direction without the turn about
+    it (k = 5), or three, the position (k = 3, 4). What is not asked for is given to one or three
+    unlimited joints at the body's point, so that the chain always has to meet a full pose.
+
+    Attributes:
+        body: Name of the body.
+        pin: pinocchio's model of the chain: the arm's joints, then the unlimited ones.
+        joints: Indices within the arm of the joints that move the body.
+        asked: Numbers of the pose: 6, 5 or 3.
+        free: How many joints have to be given before the others are determined.
+        lower, upper: (n,) [rad or m] limits; infinite for the unlimited joints.
+        turns: (n,) whether a joint is revolute.
+    """
+
+    def __init__(self, model: RobotModel, body: str) -> None:
+        """Cut the chain of a body out of the robot.
+
+        Raises:
+            ConfigError: Fewer than three joints move the body; lists those that can be asked for.
+        """
+        joints = _moving_joints(model, body)
+        if len(joints) < _LEAST_JOINTS:
+            raise ConfigError(
+                f"{body}: only {len(joints)} of the arm's joints move it, a reachability needs "
+                f"{_LEAST_JOINTS}; choose from: {', '.join(reach_bodies(model)) or '(none)'}"
+            )
+        self.body = body
+        self.joints = [joint - 2 for joint in joints]
+        still = [j for j in range(1, model.pin.njoints) if j not in joints]
+        self.pin = pin.buildReducedModel(model.pin, still, pin.neutral(model.pin))
+        self.asked = 6 if len(joints) >= 6 else 5 if len(joints) == 5 else 3
+        self.free = len(joints) - self.asked
+        self._end, self._placement = len(joints), _carrier(model, body)[1]
+        self._add_unlimited()
+        open_ends = np.full(6 - self.asked, np.inf)
+        self.lower = np.concatenate([model.q_lower[self.joints], -open_ends])
+        self.upper = np.concatenate([model.q_upper[self.joints], open_ends])
+        self.turns = np.array([_is_revolute(joint) for joint in self.pin.joints][1:])
+        self._data = self.pin.createData()
+
+    @property
+    def size(self) -> int:
+        """Joints of the chain, the unlimited ones included."""
+        return len(self.lower)
+
+    def pose(self, q: Array) -> pin.SE3:
+        """T_base_point at joint positions (n,)."""
+        pin.forwardKinematics(self.pin, self._data, q)
+        return self._data.oMi[self._end] * self._placement
+
+    def pose_and_jacobian(self, q: Array) -> tuple[pin.SE3, Array]:
+        """The same and the (6, n) Jacobian, linear over angular, in the point's own axes."""
+        J = pin.computeJointJacobians(self.pin, self._data, q)
+        at = self._data.oMi[self._end] * self._placement
+        return at, at.inverse().action @ J
+
+    def axes(self) -> tuple[Array, Array]:
+        """The joints' directions (n, 3) and points (n, 3) [m] on them at q = 0, in the base frame.
+
+        Every joint must be revolute.
+        """
+        q = np.zeros(self.size)
+        J = pin.computeJointJacobians(self.pin, self._data, q)
+        points = np.array([at.translation for at in self._data.oMi[1:]])
+        return J[3:].T.copy(), points
+
+    def longest(self, p_base: Array) -> float:
+        """[m] bound of the distance between the mount and the body's point."""
+        pin.forwardKinematics(self.pin, self._data, np.zeros(self.size))
+        first = float(np.linalg.norm(self._data.oMi[1].translation - p_base))
+        links = [np.linalg.norm(at.translation) for at in self.pin.jointPlacements[2:]]
+        slides = np.maximum(np.abs(self.lower), np.abs(self.upper))[~self.turns]
+        return first + float(
+            sum(links) + slides.sum() + np.linalg.norm(self._placement.translation)
+        )
+
+    def random(self, rng: np.random.Generator) -> Array:
+        """(n,) joint positions within the limits; a joint of more than one turn within one turn."""
+        low = np.where(np.isfinite(self.lower), self.lower, -np.pi)
+        high = np.where(np.isfinite(self.upper), self.upper, np.pi)
+        return rng.uniform(low, np.where(self.turns, np.minimum(high, low + 2 * np.pi), high))
+
+    def within(self, q: Array) -> Array:
+        """(K, n) those rows of q (K, n) that are within the limits, whole turns apart."""
+        limited = np.isfinite(self.lower)
+        q = q.copy()
+        wraps = limited & self.turns
+        q[:, wraps] = self.lower[wraps] + (q[:, wraps] - self.lower[wraps]) % (2 * np.pi)
+        q[:, ~limited] = 0.0
+        slack = 1e-9  # [rad or m] of rounding
+        inside = (q >= self.lower - slack) & (q <= self.upper + slack)
+        return q[inside.all(axis=1)]
+
+    def _add_unlimited(self) -> None:
+        """One joint about the body's axis, or three about its point."""
+        kinds = {6: (), 5: (pin.JointModelRZ,), 3: (pin.JointModelRZ, pin.JointModelRY,
+                                                    pin.JointModelRX)}[self.asked]  # fmt: skip
+        for i, kind in enumerate(kinds):
+            self._end = self.pin.addJoint(self._end, kind(), self._placement, f"unlimited_{i}")
+            self._placement = pin.SE3.Identity()
+
+
+def _moving_joints(model: RobotModel, body: str) -> list[int]:
+    """Pinocchio's joints of the arm between the base and a body's point."""
+    return [joint for joint in model.pin.supports[_carrier(model, body)[0]] if joint > 1]
+
+
+def _carrier(model: RobotModel, body: str) -> tuple[int, pin.SE3]:
+    """Pinocchio's joint that carries a body's point, and where the point's frame stands on it."""
+    if model.description.arm.end_effector_link in model.description.body(body).covers:
+        frame = model.pin.frames[model.ee_frame]
+        return frame.parentJoint, frame.placement
+    shape = model.geometry.geometryObjects[model.shape_ids[body][0]]
+    return shape.parentJoint, shape.placement
+
+
+def _is_revolute(joint: pin.JointModel) -> bool:
+    return joint.shortname().startswith("JointModelR")

@@ -1,0 +1,38 @@
+"""The key of a reachability map: a hash of all that its counts depend on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+from app.border.key import border_key
+from app.border.reach_config import ReachConfig
+from app.border.sampling_config import SamplingConfig
+from app.robot.description import RobotDescription
+
+FORMAT = 1
+"""Number of the file's layout and of the way of counting; a new one outdates all files."""
+
+
+def reach_key(description: RobotDescription, body: str, config: ReachConfig) -> str:
+    """32 hexadecimal digits that change whenever the map could.
+
+    It covers what the border's key does (shapes, joints, limits, URDF), the end-effector's frame,
+    the body, and the sampling.
+
+    Raises:
+        AssetError: The URDF or a mesh is not there.
+    """
+    arm = description.arm
+    content = {
+        "format": FORMAT,
+        "robot": border_key(description, SamplingConfig()),
+        "end_effector": [
+            arm.end_effector_link, arm.end_effector_xyz_m, arm.end_effector_rpy_rad,
+            arm.end_effector_link in description.body(body).covers,
+        ],
+        "body": body,
+        "sampling": config.model_dump(),
+    }  # fmt: skip
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
