@@ -104,5 +104,5 @@ def test_slowed_gains_are_the_same_closed_loop_in_slower_time():
 
 def test_the_kind_of_border_is_one_of_two() -> None:
     assert Config().replace("border.kind", "points").border.kind == "points"
-    with pytest.raises(ConfigError, match="border.kind"):
+    with pytest.raises(ConfigError, match=r"border\.kind"):
         Config().replace("border.kind", "cloud")

@@ -7,28 +7,30 @@ import pytest
 
 from app.border.cache import BorderData
 from app.config import Config
-from app.errors import TargetError, UnknownNameError
+from app.errors import ConfigError, TargetError, UnknownNameError
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
-from app.simulation.scenario import SCENARIOS, Scenario, scenario_by_name
+from app.simulation.line import LineScenario
+from app.simulation.scenario import LINES, SCENARIOS, scenario_by_name
 
 
-@pytest.fixture(params=SCENARIOS)
-def scenario(request) -> Scenario:
-    return SCENARIOS[request.param]
+@pytest.fixture(params=LINES)
+def scenario(request) -> LineScenario:
+    return LINES[request.param]
 
 
 def test_the_names_are_those_of_the_issue():
     assert set(SCENARIOS) == {
         "guiding-lateral", "guiding-front", "guiding-above", "guiding-fold", "tracking",
+        "refrigerator",
     }  # fmt: skip
     assert all(name == each.name for name, each in SCENARIOS.items())
-    assert {n for n, each in SCENARIOS.items() if each.mode == "tracking"} == {"tracking"}
+    assert {n for n, each in LINES.items() if each.mode == "tracking"} == {"tracking"}
 
 
 def test_tracking_is_the_papers_line(scenario):
     """0.2 m along -y in 30 s."""
-    tracking = SCENARIOS["tracking"]
+    tracking = LINES["tracking"]
     assert tracking.move == (0.0, -0.2, 0.0)
     assert tracking.duration * tracking.moving == 30.0
 
@@ -65,12 +67,19 @@ def test_the_reference_holds_the_orientation_and_has_the_points_motion(scenario)
 
 def test_a_change_keeps_the_rest(scenario):
     changed = scenario.changed(move=(0.1, 0.0, 0.0), duration=2.0)
-    assert changed == Scenario(
-        scenario.name, scenario.mode, scenario.start, (0.1, 0.0, 0.0), 2.0,
-        scenario.moving, scenario.about,
+    assert changed == LineScenario(
+        scenario.name, 2.0, scenario.about, scenario.mode, scenario.start, (0.1, 0.0, 0.0),
+        scenario.moving,
     )  # fmt: skip
     assert scenario.changed() == scenario
     assert scenario.changed(start=(1.0, 0.0, 0.5)).start == (1.0, 0.0, 0.5)
+
+
+def test_a_change_of_what_a_scenario_does_not_have_lists_what_it_has(scenario):
+    with pytest.raises(ConfigError, match=r"--door-width: .*duration, .*move"):
+        scenario.changed(door_width=0.5)
+    with pytest.raises(ConfigError, match=r"--move: .*door-width"):
+        SCENARIOS["refrigerator"].changed(move=(0.1, 0.0, 0.0))
 
 
 def test_an_unknown_name_lists_those_that_exist():

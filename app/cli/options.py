@@ -13,6 +13,8 @@ from app.errors import ConfigError, OutputError, UnknownNameError
 
 Point = tuple[float, float, float]
 PointOption = Annotated[Point | None, tyro.conf.arg(metavar="X Y Z")]
+PlaceOption = Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")]
+PoseOption = Annotated[Point | None, tyro.conf.arg(metavar="X Y YAW")]
 Json = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="json")]
 """Print one JSON object on standard output and nothing else there."""
 
@@ -52,8 +54,8 @@ def check_parameter(option: str, value: float, path: str) -> None:
     check_range(option, value, known.low, known.high, known.unit)
 
 
-def check_point(option: str, point: Point | None) -> None:
-    """Refuse a point that is not three numbers within 10 m; None is fine.
+def check_point(option: str, point: tuple[float, ...] | None) -> None:
+    """Refuse a point whose coordinates are not numbers within 10 m; None is fine.
 
     Raises:
         ConfigError: Names the option and its range.

@@ -5,12 +5,13 @@ from __future__ import annotations
 import sys
 from functools import partial
 
+from app.avoidance.self_collision import BORDERS
 from app.cli.common import load_robot_and_border
 from app.cli.options import PointOption, check_name, check_point, check_seed
 from app.config import Config
 from app.control.controller import CONTROLLERS
 from app.simulation.plants import PLANTS
-from app.simulation.scenario import scenario_by_name
+from app.simulation.scenario import LINES
 
 LOOPS = ("process", "thread")
 """Where the simulation may run."""
@@ -25,6 +26,7 @@ def serve(
     physics: str = "planar",
     seed: int = 0,
     loop: str = "process",
+    border: str = "surface",
 ) -> None:
     """Serve the dashboard: drag the hand, and the base gets out of the way.
 
@@ -39,6 +41,7 @@ def serve(
         seed: Seed of the search for the start.
         loop: process, or thread for the simulation inside the server's process, where drawing
             disturbs its real time.
+        border: surface, or points for the paper's way, where the acting point jumps.
     """
     # Imported here: viser and scipy would make every other command start later.
     from app.dashboard.server import check_address, serve_dashboard
@@ -50,12 +53,13 @@ def serve(
     check_name("controller", controller, CONTROLLERS)
     check_name("physics", physics, PLANTS)
     check_name("loop", loop, LOOPS)
+    check_name("border", border, BORDERS)
     check_point("--start", start)
     check_seed(seed)
     check_address(host, port)
-    config = Config()
+    config = Config().replace("border.kind", border)
     model, data = load_robot_and_border(robot)
-    p_start = start or scenario_by_name("guiding-front").start
+    p_start = start or LINES["guiding-front"].start
     q_start = StartSolver(model, data.pairs, config.border.d_b).solve(p_start, seed=seed)
     make_session = partial(
         Session, model, data, config, controller=controller, physics=physics, seed=seed

@@ -28,20 +28,26 @@ class DoorOpeningGains:
     """[m/s] v_d, of the hand along the estimated tangent."""
     ramp: float = 1.5
     """[s] in which the speed rises from zero."""
+    turn: float = math.radians(88)
+    """[rad] of the hand's own turning at which the door is open enough."""
+    braking: float = math.radians(4)
+    """[rad] before that from which on the hand moves slower."""
     radial_force: float = 0.0
     """[N] f_d, wanted along the estimated radius, towards the hinge."""
-    compliance: float = 0.001
+    compliance: float = 0.002
     """[m/(s N)] α_f, speed by which the hand yields to a force."""
-    integral_time: float = 2.0
+    integral_time: float = 4.0
     """[s] of the force's PI regulator."""
     angular_compliance: float = 0.05
     """[rad/(s N m)] α_τ, turning by which the hand yields to a torque."""
     learning_rate: float = 1.5
     """[1/s] of both estimates at the full speed."""
-    slow_from: float = 20.0
+    slow_from: float = 15.0
     """[N] of force from which on the hand moves slower."""
-    slow_until: float = 40.0
+    slow_until: float = 30.0
     """[N] of force at which it does not move on."""
+    smoothing: float = 0.02
+    """[s] time constant of the filter on what is felt; without it force and motion would ring."""
     leash: float = 0.03
     """[m] how far the reference may lead the hand."""
 
@@ -127,42 +133,55 @@ class DoorOpening:
         if tangent(self.radial(T_world_ee), 1.0) @ out_of_door < 0.0:
             self._sense = -1.0
         self.curvature = self.speed = self._integral = self._t = 0.0
+        self._felt = np.zeros(6)
 
     def radial(self, T_world_ee: pin.SE3) -> Array:
         """(3,) r̂, the estimated direction towards the hinge, for the hand at a pose."""
-        turned = T_world_ee.rotation @ self._R_start.T
-        angle = self._angle + math.atan2(turned[1, 0] - turned[0, 1], turned[0, 0] + turned[1, 1])
+        angle = self._angle + self._turned(T_world_ee)
         return np.array([math.cos(angle), math.sin(angle), 0.0])
 
     def step(self, hand: HandReading) -> Reference:
         """The reference of one control step; the estimates learn from the reading."""
         gains, dt = self._gains, self._dt
+        force, torque = self._smoothed(hand)
         radial = self.radial(hand.T_world_ee)
         along = tangent(radial, self._sense)
-        error = float(hand.force @ radial) - gains.radial_force
+        error = float(force @ radial) - gains.radial_force
         self._integral += error * dt / gains.integral_time
         regulated = error + self._integral
-        self.speed = self._asked_speed(hand.force)
+        self.speed = self._asked_speed(force, abs(self._turned(hand.T_world_ee)))
         velocity = self.speed * along - gains.compliance * (
-            regulated * radial + hand.force * [0.0, 0.0, 1.0]
+            regulated * radial + force * [0.0, 0.0, 1.0]
         )
         turning = np.array([0.0, 0.0, self.curvature * self.speed])
-        turning -= gains.angular_compliance * hand.torque
-        progress = min(max(float(hand.velocity @ along) / gains.speed, 0.0), 1.0)
+        turning -= gains.angular_compliance * torque
+        progress = _share(float(hand.velocity @ along) / gains.speed)
         self._angle += radial_update(regulated, progress, self._sense, gains) * dt
-        self.curvature += curvature_update(float(hand.torque[2]), progress, gains) * dt
+        self.curvature += curvature_update(float(torque[2]), progress, gains) * dt
         self._lead(hand.T_world_ee, velocity, turning)
         self._t += dt
         return Reference(self._pose.copy(), np.concatenate([velocity, turning]), np.zeros(6))
 
-    def _asked_speed(self, force: Array) -> float:
-        """[m/s] v_d after a smooth start, less where the door resists."""
+    def _smoothed(self, hand: HandReading) -> tuple[Array, Array]:
+        """(3,) [N] and (3,) [N m] what is felt, through a filter of first order."""
+        share = -math.expm1(-self._dt / self._gains.smoothing)
+        self._felt += share * (np.concatenate([hand.force, hand.torque]) - self._felt)
+        return self._felt[:3], self._felt[3:]
+
+    def _turned(self, T_world_ee: pin.SE3) -> float:
+        """[rad] how far the hand has turned about the vertical since the start."""
+        R = T_world_ee.rotation @ self._R_start.T
+        return math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
+
+    def _asked_speed(self, force: Array, turned: float) -> float:
+        """[m/s] v_d after a smooth start, less where the door resists or is open enough."""
         gains = self._gains
+        left = (gains.turn - turned) / gains.braking
         begun = min(self._t / gains.ramp, 1.0)
         slack = (gains.slow_until - float(np.linalg.norm(force))) / (
             gains.slow_until - gains.slow_from
         )
-        return gains.speed * begun**2 * (3 - 2 * begun) * min(max(slack, 0.0), 1.0)
+        return gains.speed * begun**2 * (3 - 2 * begun) * _share(slack) * _share(left)
 
     def _lead(self, T_world_ee: pin.SE3, velocity: Array, turning: Array) -> None:
         """Move the reference on, no farther from the hand than the leash."""
@@ -170,3 +189,7 @@ class DoorOpening:
         longest = max(float(np.linalg.norm(lead)) / self._gains.leash, 1.0)
         self._pose.translation = T_world_ee.translation + lead / longest
         self._pose.rotation = pin.exp3(turning * self._dt) @ self._pose.rotation
+
+
+def _share(value: float) -> float:
+    return min(max(value, 0.0), 1.0)

@@ -7,7 +7,7 @@ from functools import singledispatch
 import trimesh
 
 from app.robot.assets import resolve_package_uri
-from app.robot.shapes import Box, Capsule, ConvexMesh, Cylinder, Sphere
+from app.robot.shapes import Box, Capsule, ConvexMesh, Cylinder, Sphere, Superquadric
 
 
 @singledispatch
@@ -47,3 +47,8 @@ def _(shape: ConvexMesh) -> trimesh.Trimesh:
     loaded = trimesh.load(resolve_package_uri(shape.file), force="mesh")
     assert isinstance(loaded, trimesh.Trimesh)
     return loaded.apply_scale(shape.scale).convex_hull
+
+
+@shape_mesh.register
+def _(shape: Superquadric) -> trimesh.Trimesh:
+    return trimesh.convex.convex_hull(shape.vertices())

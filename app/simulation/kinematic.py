@@ -26,6 +26,8 @@ Array = np.ndarray
 class Kinematic:
     """`Physics` by pinocchio alone."""
 
+    door = None
+
     def __init__(
         self, model: RobotModel, *, dt: float = 0.001, outer: Sequence[str] | None = None
     ) -> None:

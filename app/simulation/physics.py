@@ -20,6 +20,27 @@ class Contacts(NamedTuple):
     """Two parts of the arm that are not neighbours."""
     arm_floor: bool
     """Arm and floor."""
+    door_base: bool = False
+    """A door that the hand holds, and the base."""
+
+
+class Wrench(NamedTuple):
+    """Force (3,) [N] and torque (3,) [N m] about the end-effector's origin, in the world."""
+
+    force: Array
+    torque: Array
+
+
+class HeldDoor(Protocol):
+    """A door that the hand holds since the plant's reset."""
+
+    def angle(self) -> float:
+        """[rad] how far it is open."""
+        ...
+
+    def wrench(self) -> Wrench:
+        """What the hand exerted on it in the last step, as a force-torque sensor gives it."""
+        ...
 
 
 class Physics(Protocol):
@@ -31,6 +52,11 @@ class Physics(Protocol):
 
     dt: float
     """[s] one step."""
+
+    @property
+    def door(self) -> HeldDoor | None:
+        """The door that the hand holds; None in a plant without one."""
+        ...
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
         """Put the robot at rest at base pose (x, y, φ) [m, rad] and arm joints `q_m`."""

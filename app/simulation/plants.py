@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from app.errors import UnknownNameError
+from app.errors import ConfigError, UnknownNameError
 from app.robot.model import RobotModel
+from app.simulation.door import OpenDoor
 from app.simulation.physics import Physics
 
 PLANTS = ("planar", "contact", "kinematic")
 """Names that `make_physics` knows; the first is the default."""
 
 
-def make_physics(kind: str, model: RobotModel, *, dt: float = 0.001, seed: int = 0) -> Physics:
+def make_physics(
+    kind: str, model: RobotModel, *, dt: float = 0.001, seed: int = 0, door: OpenDoor | None = None
+) -> Physics:
     """The plant of that name, at rest in the robot's ready position.
 
     Args:
@@ -18,9 +21,11 @@ def make_physics(kind: str, model: RobotModel, *, dt: float = 0.001, seed: int =
         model: The robot.
         dt: [s] one step.
         seed: Of what a plant draws at random; none of these draws anything.
+        door: A door that the hand holds from each reset on, or None.
 
     Raises:
         UnknownNameError: No such plant.
+        ConfigError: That plant has no doors.
         AssetError: pybullet cannot load the robot.
     """
     del seed
@@ -28,12 +33,14 @@ def make_physics(kind: str, model: RobotModel, *, dt: float = 0.001, seed: int =
     if kind == "planar":
         from app.simulation.pybullet_planar import PybulletPlanar
 
-        return PybulletPlanar(model, dt=dt)
+        return PybulletPlanar(model, dt=dt, door=door)
     if kind == "contact":
         from app.simulation.pybullet_contact import PybulletContact
 
-        return PybulletContact(model, dt=dt)
+        return PybulletContact(model, dt=dt, door=door)
     if kind == "kinematic":
+        if door is not None:
+            raise ConfigError("the plant kinematic has no door; choose planar or contact")
         from app.simulation.kinematic import Kinematic
 
         return Kinematic(model, dt=dt)

@@ -19,8 +19,10 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.bullet_world import GRAVITY, BulletWorld, pybullet
 from app.simulation.contact_pairs import link_contact_pairs
+from app.simulation.door import OpenDoor
 from app.simulation.physics import Contacts
 from app.simulation.pybullet_arm import BulletArm
+from app.simulation.pybullet_door import BulletDoor
 from app.simulation.pybullet_urdf import CASTERS, DRIVE_SPHERES, contact_plant_urdf
 
 Array = np.ndarray
@@ -39,14 +41,16 @@ class PybulletContact:
     """`Physics` with wheels that push on the floor."""
 
     def __init__(
-        self, model: RobotModel, *, dt: float = 0.001, outer: Sequence[str] | None = None
-    ) -> None:
+        self, model: RobotModel, *, dt: float = 0.001, outer: Sequence[str] | None = None,
+        door: OpenDoor | None = None,
+    ) -> None:  # fmt: skip
         """Load the robot at rest in its ready position.
 
         Args:
             model: The robot.
             dt: [s] one step.
             outer: Names of the bodies of L_m on the arm; by default the last two.
+            door: A door that the hand holds from each reset on, or None.
 
         Raises:
             AssetError: A mesh is missing, or pybullet cannot load the robot.
@@ -59,6 +63,7 @@ class PybulletContact:
         hull = set(description.mobile_body.covers) - self._children(wheels)
         self.world.allow_contacts(contacts, on_floor=(*DRIVE_SPHERES, *CASTERS, *hull))
         self.arm = BulletArm(self.world, model)
+        self.door = None if door is None else BulletDoor(self.world, model, door)
         self._spheres = [self.world.joints[name] for name in DRIVE_SPHERES]
         self._joints = [*self._spheres, *self.arm.joints]
         self._drive = Drive(description.base, dt)
@@ -79,6 +84,8 @@ class PybulletContact:
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
         """See `Physics.reset`; the base stands on its spheres as the arm's weight tilts it."""
+        if self.door is not None:
+            self.door.release()
         self.world.rewind()
         self._drive.reset()
         self.arm.reset(q_m)
@@ -90,6 +97,8 @@ class PybulletContact:
         self._place(pin.SE3(turn @ settled.rotation, np.array([x, y, settled.translation[2]])))
         self.arm.reset(q_m)
         self._angles_at_reset = self._sphere_angles()
+        if self.door is not None:
+            self.door.reset()
 
     def measure(self) -> Measurement:
         """See `Physics.measure`; the pose of the root link, seen from above."""
@@ -126,7 +135,10 @@ class PybulletContact:
 
     def contacts(self) -> Contacts:
         """See `Physics.contacts`."""
-        return self.world.contacts()
+        contacts = self.world.contacts()
+        if self.door is None:
+            return contacts
+        return contacts._replace(door_base=self.door.touches_base())
 
     def close(self) -> None:
         """See `Physics.close`."""

@@ -17,8 +17,10 @@ from app.robot.state import Measurement
 from app.robot.urdf import PLANAR_JOINTS
 from app.simulation.bullet_world import BulletWorld, pybullet
 from app.simulation.contact_pairs import link_contact_pairs
+from app.simulation.door import OpenDoor
 from app.simulation.physics import Contacts
 from app.simulation.pybullet_arm import BulletArm
+from app.simulation.pybullet_door import BulletDoor
 from app.simulation.pybullet_urdf import planar_plant_urdf
 
 Array = np.ndarray
@@ -28,14 +30,16 @@ class PybulletPlanar:
     """`Physics` with an ideal contact of the wheels up to their traction."""
 
     def __init__(
-        self, model: RobotModel, *, dt: float = 0.001, outer: Sequence[str] | None = None
-    ) -> None:
+        self, model: RobotModel, *, dt: float = 0.001, outer: Sequence[str] | None = None,
+        door: OpenDoor | None = None,
+    ) -> None:  # fmt: skip
         """Load the robot at rest in its ready position.
 
         Args:
             model: The robot.
             dt: [s] one step.
             outer: Names of the bodies of L_m on the arm; by default the last two.
+            door: A door that the hand holds from each reset on, or None.
 
         Raises:
             AssetError: A mesh is missing, or pybullet cannot load the robot.
@@ -46,6 +50,7 @@ class PybulletPlanar:
         self.world = BulletWorld(planar_plant_urdf(description), dt, fixed_root=True)
         self.world.allow_contacts(contacts)
         self.arm = BulletArm(self.world, model)
+        self.door = None if door is None else BulletDoor(self.world, model, door)
         self._planar = [self.world.joints[name] for name in PLANAR_JOINTS]
         self._joints = [*self._planar, *self.arm.joints]
         self._drive = Drive(description.base, dt)
@@ -61,6 +66,8 @@ class PybulletPlanar:
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
         """See `Physics.reset`."""
+        if self.door is not None:
+            self.door.release()
         self.world.rewind()
         for joint, position in zip(self._planar, np.asarray(base_pose).tolist(), strict=True):
             pybullet.resetJointState(
@@ -69,6 +76,8 @@ class PybulletPlanar:
         self.arm.reset(q_m)
         self._drive.reset()
         self._wheel_angles = np.zeros(2)
+        if self.door is not None:
+            self.door.reset()
 
     def measure(self) -> Measurement:
         """See `Physics.measure`."""
@@ -96,7 +105,10 @@ class PybulletPlanar:
 
     def contacts(self) -> Contacts:
         """See `Physics.contacts`."""
-        return self.world.contacts()
+        contacts = self.world.contacts()
+        if self.door is None:
+            return contacts
+        return contacts._replace(door_base=self.door.touches_base())
 
     def close(self) -> None:
         """See `Physics.close`."""

@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 
 from app.robot.model import RobotModel
+from app.simulation.door_record import DoorRecord, door_columns
 from app.simulation.session import Step
 
 Array = np.ndarray
 
 _LOG_EVERY = 10  # control steps per row of the log
+_DEAD_BAND = np.array([0.01, 0.01])  # [m/s², rad/s²] within which an acceleration has no sign
 
 
 class Recorder:
@@ -29,6 +31,8 @@ class Recorder:
         self._ee_error_max = self._activation_max = self._path = 0.0
         self._base_jump = np.zeros(2)
         self._torque_jump = 0.0
+        self._inserted = _InsertedAcceleration()
+        self._door: DoorRecord | None = None
         self._hand_force_max = 0.0
         self._failures = 0
         self._durations: list[float] = []
@@ -58,10 +62,19 @@ class Recorder:
         self._activation_max = max(self._activation_max, step.output.activation)
         self._hand_force_max = max(self._hand_force_max, float(np.linalg.norm(step.hand_force)))
         self._failures += not step.output.solved
+        self._inserted.add(_inserted(step))
+        if step.door is not None:
+            self._door = self._door or DoorRecord()
+            self._door.add(step)
         self._durations.append(step.duration)
         if (len(self._durations) - 1) % _LOG_EVERY == 0:
             self._rows.append(_log_row(step))
         self._last = step
+
+    @property
+    def rows(self) -> list[dict[str, float]]:
+        """The log, one row a hundredth of a second; read it only."""
+        return self._rows
 
     def figures(self) -> dict[str, object]:
         """The figures of the run so far; keys end in their unit."""
@@ -88,8 +101,10 @@ class Recorder:
                 "linear_mps2": float(self._base_jump[0]),
                 "angular_radps2": float(self._base_jump[1]),
             },
+            **self._inserted.figures(),
             "torque_jump_max_nm": self._torque_jump,
             "hand_force_max_n": self._hand_force_max,
+            **(self._door.figures() if self._door is not None else {}),
             "solver_failures": self._failures,
             "step_p50_us": float(np.percentile(durations, 50)),
             "step_p99_us": float(np.percentile(durations, 99)),
@@ -117,11 +132,52 @@ def _log_row(step: Step) -> dict[str, float]:
         name = pair.closest.pair.name
         row |= {f"d_{name}_m": pair.closest.d, f"beta_{name}": pair.beta}
     row["beta_m"] = out.avoidance.beta_m
-    asked, avoid = out.base_acceleration, out.avoidance.beta_m * out.avoidance.xdd_m
+    asked, avoid = out.base_acceleration, _inserted(step)
     row |= {"base_a_mps2": float(asked[0]), "base_aw_radps2": float(asked[1])}
     row |= {"avoidance_a_mps2": float(avoid[0]), "avoidance_aw_radps2": float(avoid[1])}
     force = step.hand_force.tolist()
     row |= dict(zip(("hand_fx_n", "hand_fy_n", "hand_fz_n"), force, strict=True))
     row["ee_error_m"] = step.ee_error
     row |= {"contact": int(step.contacts.arm_base), "arm_contact": int(step.contacts.arm_arm)}
+    if step.door is not None:
+        row |= door_columns(step)
     return row
+
+
+def _inserted(step: Step) -> Array:
+    """(2,) [m/s², rad/s²] β_m ẍ_m, what avoidance inserts into the base's acceleration."""
+    return step.output.avoidance.beta_m * step.output.avoidance.xdd_m
+
+
+class _InsertedAcceleration:
+    """Largest change a step and number of sign changes of the inserted acceleration.
+
+    A sign counts once the acceleration has left the dead band of ±0.01 m/s² and ±0.01 rad/s².
+    """
+
+    def __init__(self) -> None:
+        self._last: Array | None = None
+        self._sign = np.zeros(2)
+        self._jump = np.zeros(2)
+        self._changes = np.zeros(2, dtype=int)
+
+    def add(self, now: Array) -> None:
+        """Take one control step's acceleration (2,)."""
+        if self._last is not None:
+            self._jump = np.maximum(self._jump, np.abs(now - self._last))
+        sign = np.where(np.abs(now) > _DEAD_BAND, np.sign(now), self._sign)
+        self._changes += sign * self._sign < 0
+        self._sign, self._last = sign, now
+
+    def figures(self) -> dict[str, object]:
+        """Both, by linear and angular part."""
+        return {
+            "avoidance_acceleration_jump_max": {
+                "linear_mps2": float(self._jump[0]),
+                "angular_radps2": float(self._jump[1]),
+            },
+            "avoidance_acceleration_sign_changes": {
+                "linear": int(self._changes[0]),
+                "angular": int(self._changes[1]),
+            },
+        }

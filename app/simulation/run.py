@@ -6,16 +6,12 @@ from collections.abc import Callable
 from time import perf_counter
 from typing import NamedTuple
 
-import numpy as np
-
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.person import checked_target
+from app.simulation.leading import Scenario
 from app.simulation.recording import Recorder
-from app.simulation.scenario import Scenario
 from app.simulation.session import DT, Session
-from app.simulation.start import StartSolver
 
 
 class RunResult(NamedTuple):
@@ -51,21 +47,21 @@ def run_scenario(
     Raises:
         UnreachableError: No start of the arm for this scenario.
         TargetError: The hand would be led below the floor.
+        ConfigError: The plant has no doors, and the scenario has one.
         UnknownNameError: No such controller or plant.
     """
-    q_m = StartSolver(model, data.pairs, config.border.d_b).solve(scenario.start, seed=seed)
-    checked_target(np.add(scenario.start, scenario.move))
-    session = Session(model, data, config, controller=controller, physics=physics, seed=seed)
+    setting = scenario.setting(model, data, config, seed)
+    session = Session(
+        setting.model, setting.data, setting.config, controller=controller, physics=physics,
+        seed=seed, plant=model, door=setting.door,
+    )  # fmt: skip
     try:
-        session.reset(q_m)
-        orientation = session.T_world_ee.rotation.copy()
-        recorder = Recorder(model)
+        session.reset(setting.q_m, setting.base_pose)
+        leader = scenario.leader(session)
+        recorder = Recorder(setting.model)
         begin = perf_counter()
         for k in range(round(scenario.duration / DT)):
-            if scenario.mode == "tracking":
-                step = session.step(reference=scenario.reference(session.t, orientation))
-            else:
-                step = session.step(pull=scenario.position(session.t)[0])
+            step = session.step(*leader(session))
             recorder.add(step)
             if k % 100 == 0:
                 on_progress(session.t)

@@ -16,6 +16,8 @@ from app.control.drive import Drive
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
+from app.simulation.door import OpenDoor
+from app.simulation.leading import DoorReading
 from app.simulation.person import PersonHand
 from app.simulation.physics import Contacts, Physics
 from app.simulation.plants import make_physics
@@ -34,11 +36,13 @@ class Step(NamedTuple):
         output: The controller's answer.
         base_command: (2,) v [m/s] and ω [rad/s] in force.
         hand_target: (3,) [m] where the person pulls, or None.
-        hand_force: (3,) [N] the person's force in the world.
+        hand_force: (3,) [N] force on the end-effector in the world: the person's, or what the hand
+            exerts on a door that it holds.
         ee_error: [m] distance of the end-effector from its reference, or from where the person
             pulls; 0 if there is neither.
         contacts: What touched in the step.
         duration: [s] real time that the controller took.
+        door: How the opening of a door goes, or None if there is none.
     """
 
     t: float
@@ -50,6 +54,7 @@ class Step(NamedTuple):
     ee_error: float
     contacts: Contacts
     duration: float
+    door: DoorReading | None = None
 
 
 class Session:
@@ -71,25 +76,43 @@ class Session:
         controller: str = "dbb",
         physics: str = "planar",
         seed: int = 0,
+        plant: RobotModel | None = None,
+        door: OpenDoor | None = None,
     ) -> None:
         """Set up; call `reset` before the first step.
 
+        Args:
+            model: The robot as the controller knows it.
+            data: Its pairs and clouds.
+            config: Parameters.
+            controller: One of `app.control.controller.CONTROLLERS`.
+            physics: Kind of plant.
+            seed: Of what the plant draws at random.
+            plant: The robot as it is, where the controller's has what it holds as one more body.
+            door: A door that the hand holds, or None.
+
         Raises:
             UnknownNameError: No controller or plant has that name.
+            ConfigError: The plant has no doors.
         """
         self.model = model
         self.config = config
         self.controller = Controller(model, data, config, name=controller)
-        self.physics: Physics = make_physics(physics, model, dt=DT, seed=seed)
+        self.physics: Physics = make_physics(physics, plant or model, dt=DT, seed=seed, door=door)
         base = model.description.base
         self._drive = Drive(base, DT)
         self._admittance = AdmittanceLaw(base, config.admittance)
         self.reset(np.array(model.description.arm.ready_position))
 
-    def reset(self, q_m: Array) -> None:
-        """Put the robot at rest at the origin with the arm at `q_m`; nobody pulls."""
+    def reset(self, q_m: Array, base_pose: Array | None = None) -> None:
+        """Put the robot at rest with the arm at `q_m`; nobody pulls.
+
+        Args:
+            q_m: (n_m,) [rad or m] the arm's joints.
+            base_pose: (3,) x, y [m] and heading [rad] of the base; the origin if not given.
+        """
         self.t = 0.0
-        self.physics.reset(np.zeros(3), q_m)
+        self.physics.reset(np.zeros(3) if base_pose is None else base_pose, q_m)
         self.controller.reset()
         self._admittance.reset()
         self._person = PersonHand(self.config.hand, DT)
@@ -108,12 +131,18 @@ class Session:
         """Pose of the end-effector at the last step."""
         return self.controller.state.T_world_ee
 
-    def step(self, reference: Reference | None = None, pull: Array | None = None) -> Step:
+    def step(
+        self,
+        reference: Reference | None = None,
+        pull: Array | None = None,
+        door: DoorReading | None = None,
+    ) -> Step:
         """Advance by one control step.
 
         Args:
             reference: What the arm tracks, or None while it is guided.
             pull: (3,) [m] where a person pulls the end-effector, or None.
+            door: How the opening of a door goes, for the record only.
         """
         measurement = self.physics.measure()
         expected = self._drive.expected_acceleration(
@@ -130,9 +159,10 @@ class Session:
         error = float(np.linalg.norm(p_ee - aim))
         self.physics.step(output.u_a, command, force)
         self.wheel_angles = self.wheel_angles + state.qd[:2] * DT
+        felt = force if door is None else door.force
         step = Step(
-            self.t, measurement, output, command.copy(), pull, force, error,
-            self.physics.contacts(), duration,
+            self.t, measurement, output, command.copy(), pull, felt, error,
+            self.physics.contacts(), duration, door,
         )  # fmt: skip
         self.t += DT
         return step

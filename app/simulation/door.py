@@ -1,0 +1,162 @@
+"""A refrigerator's door: its geometry, and the door as one more body of the arm (§4.2.3)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from app.border.cache import BorderData
+from app.border.cloud import make_cloud
+from app.robot.description import BodyDescription
+from app.robot.link_pairs import LinkPairs, Pair
+from app.robot.model import RobotModel
+from app.robot.shapes import Superquadric
+from app.robot.superquadric import around_box
+
+Array = np.ndarray
+
+BODY = "door"
+"""Name of the body."""
+
+_E1 = 0.2  # [-] upright edges that bend a little, so that the closest point has one place
+_E2 = 0.2  # [-] in plan
+
+
+@dataclass(frozen=True)
+class Door:
+    """An upright board on a hinge.
+
+    The door's frame has its origin on the floor under the hinge's axis, z up, x into the closed
+    refrigerator and y to the left of a person who stands before it; it turns with the door.
+    """
+
+    hinge: Literal["left", "right"]
+    """Side of the hinge for a person who stands before the closed door."""
+    hinge_position: tuple[float, float]
+    """[m] x and y of the hinge's axis in the world."""
+    yaw: float
+    """[rad] of the closed door's x axis in the world."""
+    width: float
+    """[m] from the hinge's axis to the free edge."""
+    friction: float
+    """[N m] of the hinge."""
+    height: float = 1.70
+    """[m]"""
+    thickness: float = 0.06
+    """[m]"""
+    bottom: float = 0.05
+    """[m] above the floor."""
+    mass: float = 8.0
+    """[kg]"""
+    handle_inset: float = 0.06
+    """[m] from the handle to the free edge."""
+    handle_reach: float = 0.05
+    """[m] from the door's face to the handle."""
+    handle_height: float = 1.10
+    """[m] above the floor."""
+
+    @property
+    def side(self) -> float:
+        """+1 for a hinge on the left, -1 on the right."""
+        return 1.0 if self.hinge == "left" else -1.0
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """[m] thickness, width and height."""
+        return self.thickness, self.width, self.height
+
+    @property
+    def handle_radius(self) -> float:
+        """[m] from the hinge's axis to the handle."""
+        return math.hypot(self.width - self.handle_inset, self.thickness / 2 + self.handle_reach)
+
+    @property
+    def centre(self) -> Array:
+        """(3,) [m] of the board in the door's frame."""
+        return np.array([0.0, -self.side * self.width / 2, self.bottom + self.height / 2])
+
+    def pose(self, angle: float) -> pin.SE3:
+        """T_world_door at an opening angle [rad]."""
+        turn = pin.rpy.rpyToMatrix(0.0, 0.0, self.yaw - self.side * angle)
+        return pin.SE3(turn, np.array([*self.hinge_position, 0.0]))
+
+    def handle(self, angle: float) -> pin.SE3:
+        """Pose of a hand at the handle: z into the door, x up."""
+        place = np.array([
+            -self.thickness / 2 - self.handle_reach,
+            -self.side * (self.width - self.handle_inset),
+            self.handle_height,
+        ])  # fmt: skip
+        axes = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
+        return self.pose(angle) * pin.SE3(axes, place)
+
+    def radial(self, p_hand: Array) -> Array:
+        """(2,) unit vector in plan from a hand at `p_hand` (3,) [m] to the hinge's axis."""
+        to_hinge = np.subtract(self.hinge_position, p_hand[:2])
+        return to_hinge / np.linalg.norm(to_hinge)
+
+    def superquadric(self, T: pin.SE3) -> Superquadric:
+        """The hyper-ellipsoid through the corners of the board.
+
+        Args:
+            T: The pose of the door's frame in the frame in which it is wanted.
+        """
+        at = T * pin.SE3(np.eye(3), self.centre)
+        x, y, z = at.translation.tolist()
+        roll, pitch, yaw = pin.rpy.matrixToRpy(at.rotation).tolist()
+        return Superquadric(
+            type="superquadric", xyz_m=(x, y, z), rpy_rad=(roll, pitch, yaw),
+            semi_axes_m=around_box(self.size, _E1, _E2), e1=_E1, e2=_E2,
+        )  # fmt: skip
+
+
+class OpenDoor(NamedTuple):
+    """A door and how far it is open at the start, `angle` [rad]."""
+
+    door: Door
+    angle: float
+
+
+def with_door(
+    model: RobotModel, data: BorderData, door: Door, T_ee_door: pin.SE3
+) -> tuple[RobotModel, BorderData]:
+    """The robot that holds a door: the arm's last body is the door, and ⟨l_m, door⟩ is in L_m.
+
+    The door is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link: the grasp lets
+    it not move there. Its reachability is the hand's. It has no sampled border, so that the acting
+    point is found on the exact offset of l_m.
+
+    Args:
+        model: The robot.
+        data: Its pairs and clouds, which stay those of the other pairs.
+        door: The door.
+        T_ee_door: Pose of the door's frame in the end-effector's.
+    """
+    description = model.description
+    link = description.arm.end_effector_link
+    T_link_ee = pin.SE3(
+        pin.rpy.rpyToMatrix(*description.arm.end_effector_rpy_rad),
+        np.array(description.arm.end_effector_xyz_m),
+    )
+    body = BodyDescription(
+        source="a hyper-ellipsoid through the corners of the door (Figure 16b)", name=BODY,
+        frame=link, shapes=(door.superquadric(T_link_ee * T_ee_door),), covers=(link,),
+    )  # fmt: skip
+    hand = next(b.name for b in reversed(description.bodies) if b.name in description.reachability)
+    reachability = {**description.reachability, BODY: description.reachability[hand]}
+    pair = Pair(description.mobile_body.name, BODY)
+    holding = description.model_copy(
+        update={"bodies": (*description.bodies, body), "reachability": reachability}
+    )
+    nothing = make_cloud(pair.name, np.empty((0, 3), np.int16), np.empty(0, np.uint16))
+    return RobotModel(holding), BorderData(
+        _with_mobile_pair(data.pairs, pair), {**data.clouds, pair.name: nothing}, data.origin
+    )
+
+
+def _with_mobile_pair(pairs: LinkPairs, pair: Pair) -> LinkPairs:
+    return replace(pairs, mobile=(*pairs.mobile, pair))

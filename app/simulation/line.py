@@ -1,0 +1,84 @@
+"""Scenarios on a straight line: a person pulls the hand along it, or the arm tracks it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+import pinocchio as pin
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.control.tasks import Reference
+from app.robot.model import RobotModel
+from app.simulation.leading import Lead, Leader, Scenario, Setting
+from app.simulation.person import checked_target
+
+if TYPE_CHECKING:
+    from app.simulation.session import Session
+
+Array = np.ndarray
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class LineScenario(Scenario):
+    """The hand is led on a straight line in the world, along a cubic in time, and then held.
+
+    The base starts at the origin facing +x.
+    """
+
+    mode: Literal["guiding", "tracking"]
+    """Whether a person pulls the hand or the arm tracks the line."""
+    start: Point
+    """[m] where the hand starts, in the world."""
+    move: Point
+    """[m] how far it is led, in the world."""
+    moving: float
+    """[-] share of the duration in which the hand is led; then it is held."""
+
+    def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
+        """See `Scenario.setting`.
+
+        Raises:
+            UnreachableError: No start of the arm for this scenario.
+            TargetError: The hand would be led below the floor.
+        """
+        # Imported here: scipy would make every command start later.
+        from app.simulation.start import StartSolver
+
+        q_m = StartSolver(model, data.pairs, config.border.d_b).solve(self.start, seed=seed)
+        checked_target(np.add(self.start, self.move))
+        return Setting(model, data, np.zeros(3), q_m, config)
+
+    def leader(self, session: Session) -> Leader:
+        """See `Scenario.leader`."""
+        orientation = session.T_world_ee.rotation.copy()
+        leaders: dict[str, Callable[[float], Lead]] = {
+            "tracking": lambda t: Lead(reference=self.reference(t, orientation)),
+            "guiding": lambda t: Lead(pull=self.position(t)[0]),
+        }
+        at = leaders[self.mode]
+        return lambda session: at(session.t)
+
+    def position(self, t: float) -> tuple[Array, Array, Array]:
+        """Position [m], velocity [m/s], acceleration [m/s²] of the leading point at time t [s]."""
+        T = self.duration * self.moving
+        s = min(max(t / T, 0.0), 1.0)
+        inside = 0.0 <= t <= T
+        move = np.array(self.move)
+        return (
+            np.array(self.start) + s * s * (3 - 2 * s) * move,
+            (6 * s * (1 - s) / T if inside else 0.0) * move,
+            (6 * (1 - 2 * s) / T**2 if inside else 0.0) * move,
+        )
+
+    def reference(self, t: float, orientation: Array) -> Reference:
+        """The end-effector's reference with a constant orientation, (3, 3)."""
+        p, v, a = self.position(t)
+        zero = np.zeros(3)
+        return Reference(
+            pin.SE3(orientation, p), np.concatenate([v, zero]), np.concatenate([a, zero])
+        )
