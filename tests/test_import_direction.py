@@ -14,7 +14,8 @@ PROJECT = Path(__file__).resolve().parent.parent
 
 ROOMS = (
     "errors", "strict", "config",
-    "robot", "border", "avoidance", "control", "simulation", "dashboard", "cli", "__main__",
+    "robot", "border", "avoidance", "control", "simulation", "reproduce", "dashboard", "cli",
+    "__main__",
 )  # fmt: skip
 """In the order of the data's way; the first three and the last are single modules."""
 
@@ -23,6 +24,8 @@ ONLY_IN = {
     "pybullet": {"simulation"},
     "pybullet_data": {"simulation"},
     "tyro": {"cli"},
+    "matplotlib": {"reproduce"},
+    "mpl_toolkits": {"reproduce"},
 }
 """Libraries that belong to some rooms alone."""
 

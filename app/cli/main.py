@@ -10,12 +10,22 @@ import tyro
 
 from app.cli.border import border
 from app.cli.pairs import pairs
+from app.cli.reach import reach
+from app.cli.reproduce import reproduce
 from app.cli.robots import robots
 from app.cli.run import run
 from app.cli.serve import serve
 from app.errors import DbbError
 
-_COMMANDS = {"serve": serve, "run": run, "pairs": pairs, "border": border, "robots": robots}
+_COMMANDS = {
+    "serve": serve,
+    "run": run,
+    "pairs": pairs,
+    "border": border,
+    "reach": reach,
+    "reproduce": reproduce,
+    "robots": robots,
+}
 
 
 def main(args: list[str] | None = None) -> None:

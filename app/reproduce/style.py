@@ -1,0 +1,138 @@
+"""The one visual language of all figures: colours, line widths, sizes, and how a PNG is made."""
+
+from __future__ import annotations
+
+import io
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import matplotlib
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+METHOD_COLOURS = {
+    "dbb": "#0072B2",
+    "points": "#56B4E9",
+    "repulsive": "#D55E00",
+    "barrier": "#CC79A7",
+    "none": "#7A7F87",
+}
+"""One colour a controller; these and those below are Okabe and Ito's, told apart by all eyes."""
+METHOD_NAMES = {
+    "dbb": "proposed (DBB)",
+    "points": "proposed, border of points",
+    "repulsive": "repulsive force",
+    "barrier": "barrier rows",
+    "none": "no avoidance",
+}
+PAIR_COLOURS = {"lm-lEE": "#009E73", "lm-l3": "#E69F00", "lm-door": "#882E72"}
+"""One colour a pair of L_m."""
+PAIR_NAMES = {
+    "lm-lEE": r"$\mathcal{L}_m(1)$: base, hand",
+    "lm-l3": r"$\mathcal{L}_m(2)$: base, forearm",
+    "lm-door": "base, door",
+}
+INK = "#1F2933"
+SOFT = "#9AA5B1"
+ACTING = "#C2185B"
+"""The acting point and its force."""
+TARGET = "#D7263D"
+"""Where the hand shall go."""
+PATH = "#0072B2"
+"""Where the base has been."""
+HAND = "#009E73"
+"""Where the hand has been."""
+SCORE_MAP = "viridis"
+"""Low blue, high yellow, as in the paper."""
+
+WIDTH = 11.0  # [in] of every figure; with DPI, pixels of a slide
+DPI = 150
+
+_RULES: dict[Any, Any] = {
+    "figure.dpi": DPI,
+    "savefig.dpi": DPI,
+    "figure.facecolor": "white",
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 11,
+    "axes.titlesize": 12,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.labelcolor": INK,
+    "axes.edgecolor": SOFT,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#E4E7EB",
+    "grid.linewidth": 0.8,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "lines.linewidth": 2.0,
+    "lines.solid_capstyle": "round",
+    "legend.frameon": False,
+    "legend.fontsize": 10,
+    "mathtext.fontset": "dejavusans",
+}
+
+
+# At the level of information it tells of each letter that it takes from another font.
+logging.getLogger("matplotlib").setLevel(logging.WARNING)
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """The rules of all figures, for the time of a `with`."""
+    with matplotlib.rc_context(_RULES):
+        yield
+
+
+def new_figure(height: float, width: float = WIDTH) -> Figure:
+    """An empty figure of a height and a width [in], laid out so that nothing overlaps.
+
+    It belongs to no window and no global list, so that it needs no display and is freed after use.
+    """
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def png_of(figure: Figure) -> bytes:
+    """The figure as a PNG."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def panel_title(axes: Axes, letter: str, text: str) -> None:
+    """The panel's letter in the paper and what it shows, above its upper left corner."""
+    title = f"({letter}) {text}" if letter else text
+    # A title over three-dimensional axes stands inside of them: the layout does not see it.
+    axes.set_title(title, y=0.97 if axes.name == "3d" else None)
+
+
+def time_axis(axes: Axes, duration: float) -> None:
+    """Time from 0 to the run's end [s]."""
+    axes.set_xlim(0.0, duration)
+    axes.set_xlabel("time [s]")
+
+
+def level(axes: Axes, value: float, text: str) -> None:
+    """A dashed horizontal line with its name above its right end."""
+    axes.axhline(value, color=SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
+    axes.annotate(
+        text, (1.0, value), xycoords=axes.get_yaxis_transform(), xytext=(-2, 3),
+        textcoords="offset points", ha="right", va="bottom", fontsize=9, color="#616E7C",
+        path_effects=[patheffects.withStroke(linewidth=3, foreground="white")],
+    )  # fmt: skip
+
+
+def marker_style(colour: str, marker: str = "o", size: float = 9.0) -> dict[str, Any]:
+    """Keywords of `plot` for one point that stands out on any ground."""
+    return {
+        "color": colour, "marker": marker, "markersize": size, "markeredgecolor": "white",
+        "markeredgewidth": 1.2, "linestyle": "none", "zorder": 6,
+    }  # fmt: skip

@@ -1,0 +1,117 @@
+"""`dbb reproduce`: what it writes, what it refuses, and that it agrees with `dbb run`."""
+
+from __future__ import annotations
+
+import csv
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from app.reproduce.names import FIGURES
+
+PROJECT = Path(__file__).parent.parent
+TIMES = {"step_p50_us", "step_p99_us", "realtime_factor"}
+
+
+def dbb(*args: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "app", *args], cwd=PROJECT, capture_output=True, text=True
+    )
+
+
+def refused(done: subprocess.CompletedProcess[str], *words: str) -> None:
+    """Status 2, nothing on standard output, one line on standard error with these words."""
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert all(word in line for word in words), line
+
+
+def test_a_figure_without_runs_is_written_with_its_data_and_page(tmp_path):
+    out = tmp_path / "made" / "on demand"
+    done = dbb("reproduce", "fig10", "--out", str(out), "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    result = json.loads(done.stdout)
+    assert json.loads((out / "metrics.json").read_text(encoding="utf-8")) == result
+    assert list(result["figures"]) == ["fig10"]
+    assert (result["claims"], result["runs"]) == ([], {})
+    assert sorted(p.name for p in out.iterdir()) == [
+        "fig10.csv", "fig10.png", "index.html", "metrics.json",
+    ]  # fmt: skip
+    assert (out / "fig10.png").read_bytes().startswith(b"\x89PNG")
+    with (out / "fig10.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert (float(rows[0]["beta"]), float(rows[-1]["beta"])) == (1.0, 0.0)
+
+
+def test_an_unknown_figure_is_refused_with_those_that_exist(tmp_path):
+    refused(dbb("reproduce", "fig9", "--out", str(tmp_path)), "fig9", *FIGURES)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bad_options_are_refused_before_any_work(tmp_path):
+    out = ["--out", str(tmp_path)]
+    refused(dbb("reproduce", "fig12", "--seed", "-1", *out), "--seed", "-1")
+    refused(dbb("reproduce", "fig12", "--processes", "0", *out), "--processes", "0")
+    file = tmp_path / "file"
+    file.touch()
+    refused(dbb("reproduce", "fig12", "--out", str(file)), "--out", str(file))
+
+
+def test_other_commands_start_without_matplotlib():
+    code = "import sys, app.cli.main; print('matplotlib' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True)
+    assert done.stdout.strip() == "False"
+
+
+@pytest.mark.slow
+def test_a_figure_agrees_with_the_run_of_its_scenario(tmp_path):
+    done = dbb("reproduce", "fig14", "--out", str(tmp_path), "--seed", "1", "--json")
+    assert done.returncode == 0, done.stderr
+    result = json.loads(done.stdout)
+    log = tmp_path / "run"
+    run = dbb("run", "guiding-lateral", "--seed", "1", "--out", str(log), "--json")
+    figures = json.loads(run.stdout)
+    mine = result["runs"]["guiding-lateral, dbb"]
+    assert {k: v for k, v in mine.items() if k not in TIMES} == {
+        k: v for k, v in figures.items() if k not in TIMES
+    }
+    for key, value in result["figures"]["fig14"]["measured"]["lateral"].items():
+        assert value == figures[key]
+    with (tmp_path / "fig14.csv").open(encoding="utf-8") as file:
+        drawn = [row for row in csv.DictReader(file) if row["direction"] == "lateral"]
+    with (log / "log.csv").open(encoding="utf-8") as file:
+        logged = list(csv.DictReader(file))
+    for column in ("t_s", "d_lm-lEE_m", "beta_lm-l3"):
+        assert [row[column] for row in drawn] == [row[column] for row in logged]
+    (claim,) = result["claims"]
+    assert claim["holds"] is True
+    assert claim["limits"]
+    assert "data:image/png" in (tmp_path / "index.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_it_and_its_workers(tmp_path):
+    psutil = pytest.importorskip("psutil")
+    with subprocess.Popen(
+        [sys.executable, "-m", "app", "reproduce", "fig12", "--out", str(tmp_path)],
+        cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+    ) as process:  # fmt: skip
+        parent = psutil.Process(process.pid)
+        until = time.monotonic() + 30.0
+        while len(parent.children()) < 2 and time.monotonic() < until:
+            time.sleep(0.1)
+        time.sleep(3.0)
+        children = parent.children(recursive=True)
+        assert len(children) >= 2
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert err.splitlines()[-1] == "dbb: interrupted"
+    assert "Traceback" not in err
+    assert psutil.wait_procs(children, timeout=10)[1] == []

@@ -1,0 +1,93 @@
+"""Tables, styles and the files of a figure."""
+
+from __future__ import annotations
+
+import csv
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from app.control.controller import CONTROLLERS
+from app.reproduce import style
+from app.reproduce.drawing import Drawing, Table, stacked
+
+
+def luminance(colour: str) -> float:
+    r, g, b = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b
+
+
+def seen_without_red_cones(colour: str) -> np.ndarray:
+    """Deuteranopia by Viénot, Brettel and Mollon 1999: what is left of linear red and green."""
+    r, g, b = ((int(colour[i : i + 2], 16) / 255) ** 2.2 for i in (1, 3, 5))
+    return np.array([0.29275 * r + 0.70725 * g, 0.29275 * r + 0.70725 * g, b])
+
+
+def read(path) -> list[dict[str, str]]:
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_table_comes_back_from_its_csv_to_the_last_digit(tmp_path):
+    rng = np.random.default_rng(1)
+    table = Table({"t_s": rng.normal(size=50), "n": np.arange(50), "name": np.array(["a"] * 50)})
+    table.write(tmp_path / "t.csv")
+    rows = read(tmp_path / "t.csv")
+    assert [float(row["t_s"]) for row in rows] == table["t_s"].tolist()
+    assert [int(row["n"]) for row in rows] == table["n"].tolist()
+    assert {row["name"] for row in rows} == {"a"}
+
+
+def test_what_is_not_a_number_is_an_empty_cell(tmp_path):
+    Table({"d_m": np.array([1.0, np.nan])}).write(tmp_path / "t.csv")
+    assert [row["d_m"] for row in read(tmp_path / "t.csv")] == ["1.0", ""]
+
+
+def test_columns_of_unequal_length_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="shorter"):
+        Table({"a": np.arange(3), "b": np.arange(2)}).write(tmp_path / "t.csv")
+
+
+def test_stacking_keeps_every_value_under_its_name():
+    table = stacked({"x": {"v": np.array([1.0, 2.0])}, "y": {"v": np.array([3.0])}}, "case")
+    assert table["case"].tolist() == ["x", "x", "y"]
+    assert table["v"].tolist() == [1.0, 2.0, 3.0]
+    assert len(table) == 3
+
+
+def test_a_figure_becomes_a_picture_for_a_slide_and_its_tables(tmp_path):
+    with style.styled():
+        figure = style.new_figure(4.0)
+        figure.subplots().plot([0, 1], [0, 1])
+    table = Table({"a_m": np.arange(2.0)})
+    paths = Drawing("t", "p", figure, {"": table, "more": table}).write(tmp_path, "fig0")
+    assert [path.name for path in paths] == ["fig0.png", "fig0.csv", "fig0_more.csv"]
+    picture = Image.open(io.BytesIO(paths[0].read_bytes()))
+    assert picture.size == (round(style.WIDTH * style.DPI), round(4.0 * style.DPI))
+    assert picture.width >= 1600
+
+
+def test_every_controller_and_every_pair_has_a_colour_of_its_own():
+    assert set(CONTROLLERS) <= set(style.METHOD_COLOURS) == set(style.METHOD_NAMES)
+    assert set(style.PAIR_COLOURS) == set(style.PAIR_NAMES)
+    colours = [*style.METHOD_COLOURS.values(), *style.PAIR_COLOURS.values()]
+    assert len(set(colours)) == len(colours)
+
+
+@pytest.mark.parametrize("colours", [style.METHOD_COLOURS, style.PAIR_COLOURS])
+def test_colours_are_told_apart_by_colour_blind_eyes(colours):
+    seen = [seen_without_red_cones(colour) for colour in colours.values()]
+    gaps = [np.abs(a - b).max() for i, a in enumerate(seen) for b in seen[:i]]
+    assert min(gaps) > 0.05
+    assert all(luminance(colour) < 0.8 for colour in colours.values())  # on white
+
+
+def test_the_style_ends_with_its_block():
+    import matplotlib
+
+    before = dict(matplotlib.rcParams)
+    with style.styled():
+        assert matplotlib.rcParams["axes.grid"] is True
+    assert dict(matplotlib.rcParams) == before

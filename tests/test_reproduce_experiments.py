@@ -1,0 +1,92 @@
+"""Runs are done once, agree with `run_scenario`, and come back whatever the processes."""
+
+from __future__ import annotations
+
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.reproduce import experiments, report
+from app.reproduce.experiments import Experiment, run_experiments
+from app.reproduce.names import FIGURES, chosen
+from app.robot.model import RobotModel
+from app.simulation import scenario as scenarios
+from app.simulation.run import run_scenario
+
+TIMES = {"step_p50_us", "step_p99_us", "realtime_factor"}
+LATERAL = Experiment("guiding-lateral", "dbb")
+
+
+@pytest.fixture
+def short(monkeypatch) -> None:
+    """Scenarios of a twentieth of a second; only in this process."""
+    cut = {k: replace(s, duration=0.05) for k, s in scenarios.SCENARIOS.items()}
+    monkeypatch.setattr(scenarios, "SCENARIOS", cut)
+
+
+@pytest.mark.usefixtures("short")
+def test_a_run_is_the_run_of_dbb_run(robot: RobotModel, border_data: BorderData):
+    run = run_experiments([LATERAL], seed=3)[LATERAL]
+    result = run_scenario(robot, border_data, LATERAL.full(), Config(), seed=3)
+    assert {k: v for k, v in run.figures.items() if k not in TIMES} == {
+        k: v for k, v in result.figures.items() if k not in TIMES
+    }
+    for key in result.recorder.rows[0]:
+        assert run.log[key].tolist() == [row[key] for row in result.recorder.rows]
+    assert run.q_m.shape == (5, 7)
+    assert run.base_poses.shape == (5, 3)
+
+
+@pytest.mark.usefixtures("short")
+def test_repeated_experiments_are_run_once_and_the_clock_reaches_their_sum():
+    seen: list[float] = []
+    others = [LATERAL, Experiment("guiding-front", "none"), LATERAL]
+    runs = run_experiments(others, on_progress=seen.append)
+    assert set(runs) == set(others)
+    assert seen == sorted(seen)
+    assert seen[-1] == pytest.approx(experiments.duration(others)) == pytest.approx(0.1)
+
+
+@pytest.mark.usefixtures("short")
+def test_nothing_to_run_is_no_run():
+    assert run_experiments([]) == {}
+
+
+def test_a_run_comes_through_a_pickle_as_it_was():
+    run = experiments.Run({"a": 1.0}, {"t_s": np.arange(3.0)})
+    again = pickle.loads(pickle.dumps(run))
+    assert again.figures == run.figures
+    np.testing.assert_array_equal(again.log["t_s"], run.log["t_s"])
+
+
+def test_the_kind_of_border_and_the_start_are_the_experiments():
+    plain = Experiment("tracking", "dbb")
+    other = plain._replace(start=(0.0, 0.68, 0.3), points=True)
+    assert plain.config() == Config()
+    assert other.config().border.kind == "points"
+    np.testing.assert_allclose(other.aim(), [(0.0, 0.68, 0.3), (0.0, 0.48, 0.3)])
+    assert len({plain.name, other.name}) == 2
+
+
+def test_each_figure_brings_what_it_and_its_claims_need_and_no_more():
+    assert report.experiments_for(["fig10"]) == []
+    twelve = report.experiments_for(["fig12"])
+    assert {e.controller for e in twelve} == {"dbb", "repulsive", "none"}
+    assert {e.scenario for e in twelve} == {"tracking"}
+    everything = report.experiments_for(list(FIGURES))
+    assert len(everything) == len(set(everything))
+    assert {e for name in FIGURES for e in report.experiments_for([name])} == set(everything)
+
+
+def test_all_runs_together_are_short_enough():
+    """At the speed of one core, half of real time, two of them need less than the quarter hour."""
+    assert experiments.duration(report.experiments_for(list(FIGURES))) < 500.0
+
+
+def test_figures_come_in_the_papers_order_each_once():
+    assert chosen(["fig12", "fig3", "fig12"]) == ["fig3", "fig12"]
+    assert chosen([]) == list(FIGURES)

@@ -1,0 +1,242 @@
+"""Each figure draws what its CSV holds, from runs and from the project's own functions."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+
+from app.avoidance.activation import activation
+from app.border.cache import BorderData
+from app.border.dbb import construct_dbb
+from app.border.mobile import MobileBody
+from app.reproduce import acting, density, guiding, motion, offline, refrigerator, tracking
+from app.reproduce.drawing import Drawing
+from app.reproduce.experiments import Sources
+from app.reproduce.names import FIGURES
+from app.reproduce.style import METHOD_COLOURS, styled
+from app.robot.model import RobotModel
+from app.robot.state import RobotState
+from tests.reproduction import every, short_run, sources_of
+
+
+@pytest.fixture(scope="module")
+def sources(robot: RobotModel, border_data: BorderData) -> Sources:
+    """A second of guiding into the buffer, for every experiment on a line."""
+    run = short_run(robot, border_data, guiding.LATERAL, 2.0)
+    return sources_of(
+        robot, border_data,
+        every([*tracking.METHODS, tracking.NONE, *guiding.NEEDS_COMPARED], run),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def drawn(sources: Sources) -> dict[str, Drawing]:
+    names = ("fig3", "fig5", "fig6", "fig7", "fig8", "fig10", "fig12", "fig14", "fig15")
+    with styled():
+        return {name: FIGURES[name].draw(sources) for name in names}
+
+
+def lines(drawing: Drawing) -> list[tuple[Axes, np.ndarray, np.ndarray]]:
+    """All lines of more than two points in a figure."""
+    found = [(ax, *line.get_data()) for ax in drawing.figure.axes for line in ax.get_lines()]
+    return [(ax, np.asarray(x), np.asarray(y)) for ax, x, y in found if len(x) > 2]
+
+
+def contains(table: Any, values: np.ndarray) -> bool:
+    """Whether the values stand in one of the table's columns, one after the other."""
+    columns = [c for c in table.columns.values() if c.dtype.kind == "f"]
+    n = len(values)
+    return any(
+        any(np.array_equal(column[k : k + n], values, equal_nan=True)
+            for k in range(0, len(column) - n + 1, max(1, n)))
+        for column in columns
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["fig10", "fig12", "fig14", "fig15"])
+def test_every_line_is_in_the_csv(drawn, name):
+    drawing = drawn[name]
+    assert lines(drawing)
+    for ax, x, y in lines(drawing):
+        assert contains(drawing.tables[""], x)
+        if ax.get_yscale() == "linear":
+            assert contains(drawing.tables[""], y)
+
+
+def test_figures_have_a_number_labelled_axes_and_units(drawn):
+    for name, drawing in drawn.items():
+        number = name.removeprefix("fig")
+        assert drawing.title.startswith(f"Figure {number}:")
+        assert len(drawing.paper) > 40
+        # Panels that share an axis are labelled once.
+        for labels in (
+            [ax.get_xlabel() for ax in drawing.figure.axes],
+            [ax.get_ylabel() for ax in drawing.figure.axes],
+        ):
+            assert any(labels), name
+            assert all("[" in text for text in labels if text), (name, labels)
+
+
+def test_columns_of_quantities_end_in_their_unit(drawn):
+    plain = ("set", "direction", "controller", "point", "step", "beta", "reachability", "fit",
+             "paper")  # fmt: skip
+    units = ("_m", "_s", "_rad", "_mps2", "_radps2", "_m4prad4", "_us")
+    for drawing in drawn.values():
+        for table in drawing.tables.values():
+            odd = [c for c in table.columns if not c.startswith(plain) and not c.endswith(units)]
+            assert odd == []
+
+
+def test_one_method_has_one_colour_in_all_figures(drawn):
+    for name in ("fig12", "fig15"):
+        colours = {line.get_color() for ax in drawn[name].figure.axes for line in ax.get_lines()}
+        assert colours - {"#9AA5B1"} <= set(METHOD_COLOURS.values())
+
+
+def test_the_drawn_border_lies_at_the_buffer_distance(drawn, sources: Sources):
+    table, body = drawn["fig3"].tables[""], MobileBody(sources.model)
+    chosen = np.char.startswith(table["set"].astype(str), "DBB")
+    points = np.column_stack([table[f"{axis}_m"][chosen] for axis in "xyz"])[::97]
+    d = body.distance(points)
+    assert len(d) > 50
+    np.testing.assert_allclose(d, 0.15, atol=0.01 + 1e-6)
+
+
+def test_the_determinant_is_symmetric_about_x_and_the_score_changes_sign(drawn):
+    table = drawn["fig5"].tables[""]
+    x, determinant, score = table["x_m"], table["determinant_m4prad4"], table["score_m4prad4"]
+    np.testing.assert_allclose(determinant / x**2, determinant[0] / x[0] ** 2, rtol=1e-9)
+    assert ((score > 0) == (x > 0))[np.abs(x) > 1e-6].all()
+    np.testing.assert_allclose(np.abs(score), determinant * table["reachability"], rtol=1e-12)
+
+
+def test_the_fit_of_reachability_is_drawn_with_its_own_numbers(drawn):
+    drawing = drawn["fig6"]
+    table, m = drawing.tables[""], drawing.measured
+    fit = m["C"] - m["A_per_m2"] * (table["rho_m"] - m["B_m"]) ** 2
+    np.testing.assert_allclose(table["fit"], fit)
+    paper = 100 - 525.9 * (table["rho_m"] - 0.575) ** 2
+    np.testing.assert_allclose(table["paper"], paper)
+
+
+def test_the_components_of_the_force_are_orthogonal_and_add_up(drawn):
+    rng = np.random.default_rng(3)
+    for p_b, p_n, f in rng.normal(size=(20, 3, 3)):
+        along, across = acting.components(p_b, p_n, f)
+        np.testing.assert_allclose(along + across, f, atol=1e-12)
+        assert along @ across == pytest.approx(0.0, abs=1e-9)
+        assert np.linalg.norm(np.cross(along, p_b - p_n)) == pytest.approx(0.0, abs=1e-9)
+    measured = drawn["fig7"].measured
+    parts = np.hypot(measured["force_along_line_n"], measured["force_tangential_n"])
+    assert parts == pytest.approx(measured["force_n"])
+
+
+def test_too_large_a_step_loses_the_component_along_the_line(drawn):
+    chosen, large = (drawn["fig8"].measured[k] for k in ("chosen", "too large"))
+    assert large["alpha_m"] > chosen["alpha_m"]
+    assert large["share_along_line"] < 0.5 * chosen["share_along_line"]
+
+
+def test_the_moment_is_where_the_hand_is_nearest(sources: Sources):
+    now = acting.moment(sources)
+    d = sources.runs[guiding.LATERAL].log["d_lm-lEE_m"]
+    assert now.closest.d == pytest.approx(d.min(), abs=1e-9)
+    assert np.abs(now.slice[:, 2] - now.closest.p_b[2]).max() <= 0.005 + 1e-9
+
+
+def test_the_activation_is_the_controllers(drawn):
+    table = drawn["fig10"].tables[""]
+    assert table["beta"].tolist() == [activation(d, 0.15, 0.05) for d in table["d_m"]]
+
+
+def test_the_repulsive_line_is_what_is_asked_of_the_base(sources: Sources):
+    run = sources.runs[guiding.LATERAL]
+    np.testing.assert_array_equal(guiding._asked(run, "repulsive")["linear_mps2"],
+                                  run.log["base_a_mps2"])  # fmt: skip
+    np.testing.assert_array_equal(guiding._asked(run, "dbb")["linear_mps2"],
+                                  run.log["avoidance_a_mps2"])  # fmt: skip
+
+
+def test_the_hands_path_is_the_robots_kinematics(sources: Sources):
+    run = sources.runs[guiding.LATERAL]
+    path, state = motion.hand_path(sources.model, run), RobotState(sources.model)
+    for k in (0, 77, 199):
+        m = state.measurement._replace(base_pose=run.base_poses[k], q_m=run.q_m[k])
+        state.update(m)
+        np.testing.assert_allclose(path[k], state.T_world_ee.translation, atol=1e-12)
+
+
+def test_closest_points_do_not_depend_on_where_the_base_is(sources: Sources):
+    run, pair = sources.runs[guiding.LATERAL], sources.data.pairs.mobile[0]
+    found = motion.closest_points(sources.model, pair, run.q_m[::50])
+    np.testing.assert_allclose([c.d for c in found], run.log["d_lm-lEE_m"][::50], atol=1e-9)
+
+
+def test_a_thinned_border_is_a_part_of_it_still_sorted(sources: Sources):
+    border = construct_dbb(sources.data.clouds["lm-lEE"], 0.15, 0.01)
+    thin = density.thinned(border, 500)
+    assert len(thin) == 500
+    assert (np.diff(thin.heights) >= 0).all()
+    assert set(map(tuple, thin.points)) <= set(map(tuple, border.points))
+
+
+def test_a_cloud_thinned_to_a_share_has_a_border_of_that_share(sources: Sources):
+    cloud = sources.data.clouds["lm-lEE"]
+    whole = len(construct_dbb(cloud, 0.15, 0.01))
+    thin = len(construct_dbb(density.thinned_cloud(cloud, 0.4), 0.15, 0.01))
+    assert thin == pytest.approx(0.4 * whole, rel=0.03)
+
+
+def test_a_picture_shows_at_most_so_many_points_and_each_once():
+    rng = np.random.default_rng(0)
+    assert offline._some(10, rng).tolist() == list(range(10))
+    many = offline._some(10**5, rng)
+    assert len(set(many.tolist())) == len(many) == offline._SHOWN
+
+
+def test_snapshots_are_drawn_with_the_paths_of_the_csv(sources: Sources, monkeypatch):
+    """Both rows of Figure 13; the target stands where the scenario ends."""
+    monkeypatch.setattr(guiding, "_SHARES", (0.0, 0.05, 0.1, 0.2))
+    with styled():
+        drawing = guiding.figure_13(sources)
+    pictures = [ax for ax in drawing.figure.axes if ax.images]
+    assert len(pictures) == 8
+    images = [np.asarray(ax.images[0].get_array()) for ax in pictures]
+    assert all(image.std() > 15 for image in images)
+    table = drawing.tables[""]
+    half = len(table) // 2
+    hand = motion.hand_path(sources.model, sources.runs[guiding.LATERAL])[::10]
+    np.testing.assert_array_equal(table["hand_y_m"][:half], hand[:, 1])
+
+
+def test_the_refrigerators_figures_show_door_and_robot(robot: RobotModel, border_data: BorderData):
+    """Of the run's first moments: the door is where its angle says, and its shape is magenta."""
+    run = short_run(robot, border_data, refrigerator.DBB, 0.2, physics="planar")
+    sources = sources_of(robot, border_data, every(refrigerator.NEEDS, run))
+    with styled():
+        drawings = [
+            draw(sources)
+            for draw in (refrigerator.figure_16, refrigerator.figure_17, refrigerator.figure_18)
+        ]
+    _, shapes = (np.asarray(ax.images[0].get_array()) for ax in drawings[0].figure.axes)
+    r, g, b = np.moveaxis(shapes.astype(int), -1, 0)
+    assert np.mean((r - g > 60) & (b - g > 30)) > 0.01
+    assert sum(bool(ax.images) for ax in drawings[1].figure.axes) == 8
+    for _, x, y in lines(drawings[2]):
+        assert contains(drawings[2].tables[""], x)
+        assert contains(drawings[2].tables[""], y)
+
+
+def test_the_drawn_door_turns_about_its_hinge_by_its_angle():
+    door = refrigerator._door(refrigerator.DBB)
+    hinge = np.array([*door.hinge_position, 0.0])
+    for angle in (0.0, 0.7, 1.4):
+        body, board, _ = refrigerator.refrigerator(door, angle)
+        to_middle = (board.mesh.centroid - hinge) * [1.0, 1.0, 0.0]
+        assert np.linalg.norm(to_middle) == pytest.approx(door.width / 2)
+        along = door.pose(angle).rotation @ [0.0, -door.side, 0.0]
+        np.testing.assert_allclose(to_middle / np.linalg.norm(to_middle), along, atol=1e-9)
+        assert body.mesh.bounds[0][0] > door.hinge_position[0]

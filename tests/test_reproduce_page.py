@@ -1,0 +1,107 @@
+"""`index.html` stands alone and says what it was told, whatever that is."""
+
+from __future__ import annotations
+
+import re
+from base64 import b64decode
+from html.parser import HTMLParser
+
+import pytest
+
+from app.reproduce.page import Section, label, page_html
+
+PNG = bytes(range(256))
+LIMIT = {"value": 0.05, "unit": "m", "source": "Figure 10"}
+
+
+def section(**changes) -> Section:
+    start = Section("fig1", "Figure 1: a & b", PNG, "says <this>", {"d_min_m": 0.125}, ["so"],
+                    ["fig1.png"])  # fmt: skip
+    return start._replace(**changes)
+
+
+def claim(holds: bool) -> dict[str, object]:
+    return {"section": "4.2", "paper": "it <works>", "measured": "0.1 m", "holds": holds,
+            "limits": [LIMIT]}  # fmt: skip
+
+
+class Reader(HTMLParser):
+    """Collects addresses, and checks that every tag is closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+        self.open: list[str] = []
+        self.text = ""
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.addresses += [value or "" for key, value in attrs if key in ("src", "href")]
+        if tag not in ("meta", "img", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_nothing_outside_of_the_page_is_referred_to():
+    text = page_html([section(), section(name="fig2")], [claim(True)], "seed 0")
+    reader = Reader(text)
+    assert len(reader.addresses) == 4
+    assert all(a.startswith(("data:image/png;base64,", "#")) for a in reader.addresses)
+    assert not re.search(r"https?:|//|@import|url\(|<script|<link", text.replace("/9", ""))
+
+
+def test_the_picture_is_embedded_bit_by_bit():
+    (address,) = re.findall(r"base64,([^\"]+)", page_html([section()], [], ""))
+    assert b64decode(address) == PNG
+
+
+def test_what_the_paper_says_stands_beside_what_was_measured():
+    text = Reader(page_html([section()], [], "")).text
+    assert text.index("says <this>") < text.index("d min [m]") < text.index("0.125")
+
+
+def test_words_are_no_markup():
+    text = page_html([section()], [claim(True)], "a < b")
+    assert "<this>" not in text
+    assert "<works>" not in text
+    assert "a &lt; b" in text
+
+
+def test_claims_are_counted_and_those_that_fail_are_shown_as_such():
+    text = Reader(page_html([section()], [claim(True), claim(False), claim(True)], "")).text
+    assert "2 of 3 claims hold" in text
+    assert text.count("✓ holds") == 2
+    assert text.count("✗ does not") == 1
+    assert text.count("Figure 10") == 3
+
+
+def test_cases_stand_side_by_side_and_what_one_lacks_is_said():
+    measured = {"dbb": {"d_m": 0.1, "jump": {"linear_mps2": 0.25}}, "none": {"d_m": None}}
+    text = Reader(page_html([section(measured=measured)], [], "")).text
+    assert "dbb" in text
+    assert "jump, linear [m/s²]" in text
+    assert text.count("never") == 2
+
+
+@pytest.mark.parametrize(
+    ("key", "text"),
+    [
+        ("min_clearance_m", "min clearance [m]"),
+        ("base_yaw_rad", "base yaw [rad]"),
+        ("linear_mps2", "linear [m/s²]"),
+        ("angular_radps2", "angular [rad/s²]"),
+        ("score_max_m4prad4", "score max [m⁴/rad⁴]"),
+        ("A_per_m2", "A [1/m²]"),
+        ("torque_jump_max_nm", "torque jump max [N m]"),
+        ("find_p50_us", "find p50 [µs]"),
+        ("contacts", "contacts"),
+    ],
+)
+def test_a_keys_ending_becomes_its_unit(key, text):
+    assert label(key) == text
