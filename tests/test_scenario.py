@@ -9,8 +9,8 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.errors import ConfigError, TargetError, UnknownNameError
 from app.robot.model import RobotModel
-from app.simulation.run import run_scenario
 from app.simulation.line import LineScenario
+from app.simulation.run import run_scenario
 from app.simulation.scenario import LINES, SCENARIOS, scenario_by_name
 
 

@@ -18,7 +18,7 @@ INTERVALS = 24
 
 
 def implicit(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Array:
-    """The function f at points (…, 3) [m] in the superquadric's frame, (…): 1 on its surface, less inside.
+    """The function f at points (…, 3) [m] in the superquadric's frame, (…); 1 on its surface.
 
     Args:
         p: (…, 3) [m] points.
