@@ -16,12 +16,12 @@ from app.errors import AssetError, LoopError, TargetError, UnknownNameError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.loop import SimulationLoop
-from app.simulation.scenario import SCENARIOS
+from app.simulation.scenario import LINES
 from app.simulation.session import DT, Session
 from app.simulation.snapshot import Choose, Configure, Pause, Pull, Reset, Snapshot
 from app.simulation.start import StartSolver
 
-START = SCENARIOS["guiding-lateral"].start
+START = LINES["guiding-lateral"].start
 PULL = Pull((START[0], START[1] - 0.25, START[2]))
 PATIENCE = 60.0  # [s] of real time until a wait has failed; the machine may be busy
 

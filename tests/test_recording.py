@@ -13,7 +13,7 @@ from app.control.controller import ControlOutput
 from app.robot.model import RobotModel
 from app.simulation.physics import Contacts
 from app.simulation.recording import Recorder
-from app.simulation.scenario import SCENARIOS
+from app.simulation.scenario import LINES
 from app.simulation.session import Session, Step
 from app.simulation.start import StartSolver
 
@@ -21,7 +21,7 @@ from app.simulation.start import StartSolver
 @pytest.fixture(scope="module")
 def steps(robot: RobotModel, border_data: BorderData) -> list[Step]:
     """A pull into the buffer, with a few contacts and failures put in by hand."""
-    scenario = SCENARIOS["guiding-lateral"].changed(duration=2.0)
+    scenario = LINES["guiding-lateral"].changed(duration=2.0)
     q_m = StartSolver(robot, border_data.pairs, Config().border.d_b).solve(scenario.start)
     session = Session(robot, border_data, Config(), physics="kinematic")
     session.reset(q_m)

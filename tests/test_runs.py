@@ -14,7 +14,7 @@ from app.control.controller import CONTROLLERS
 from app.robot.model import RobotModel
 from app.simulation.recording import Recorder
 from app.simulation.run import run_scenario
-from app.simulation.scenario import SCENARIOS
+from app.simulation.scenario import LINES
 from app.simulation.session import DT, Session
 from app.simulation.start import StartSolver
 from tests.robots import husky_panda
@@ -35,7 +35,7 @@ def figures(
     """Figures of a run, made once however many tests look at them."""
     model = husky_panda()
     data = load_border_data(model, progress=False)
-    scenario = SCENARIOS[name].changed(duration=duration)
+    scenario = LINES[name].changed(duration=duration)
     return run_scenario(
         model, data, scenario, Config(), controller=controller, physics=physics, seed=seed
     ).figures
@@ -146,7 +146,7 @@ def test_left_and_right_are_alike(robot: RobotModel, border_data: BorderData):
     guided arm has no posture, so the elbow drifts differently and with it how far the base goes.
     """
     solver = StartSolver(robot, border_data.pairs, Config().border.d_b)
-    q_left = solver.solve(SCENARIOS["guiding-lateral"].start)
+    q_left = solver.solve(LINES["guiding-lateral"].start)
     mirror = np.array([-1, 1, -1, 1, -1, 1, -1])  # joints whose axes lie in the plane turn back
     left, hand_left = lateral_run(robot, border_data, q_left, side=1.0)
     right, hand_right = lateral_run(robot, border_data, mirror * q_left, side=-1.0)
@@ -162,7 +162,7 @@ def lateral_run(
     robot: RobotModel, data: BorderData, q_start: np.ndarray, side: float
 ) -> tuple[dict[str, Any], np.ndarray]:
     """guiding-lateral from the left (1) or the right (-1): figures, and where the hand began."""
-    scenario = SCENARIOS["guiding-lateral"]
+    scenario = LINES["guiding-lateral"]
     session = Session(robot, data, Config())
     recorder = Recorder(robot)
     try:

@@ -14,11 +14,11 @@ from app.control.controller import Controller
 from app.control.drive import Drive
 from app.errors import TargetError, UnknownNameError
 from app.robot.model import RobotModel
-from app.simulation.scenario import SCENARIOS
+from app.simulation.scenario import LINES
 from app.simulation.session import DT, Session, Step
 from app.simulation.start import StartSolver
 
-LATERAL = SCENARIOS["guiding-lateral"]
+LATERAL = LINES["guiding-lateral"]
 PULL = np.add(LATERAL.start, LATERAL.move)  # [m] into the buffer
 
 

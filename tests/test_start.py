@@ -13,12 +13,12 @@ from app.config import Config
 from app.errors import UnreachableError
 from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
-from app.simulation.scenario import SCENARIOS
+from app.simulation.scenario import LINES
 from app.simulation.start import StartSolver
 
 D_B = Config().border.d_b
 PLACES = {
-    **{name: scenario.start for name, scenario in SCENARIOS.items()},
+    **{name: scenario.start for name, scenario in LINES.items()},
     "right side": (0.30, -0.72, 0.30),
     "behind": (-0.50, 0.30, 0.70),
     "far in front": (1.0, 0.0, 0.5),
