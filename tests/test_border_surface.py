@@ -132,6 +132,16 @@ def test_near_points_outside_the_base_have_near_feet(
     assert np.linalg.norm(after.t - before.t) < 200 * np.linalg.norm(step) + 1e-9
 
 
+@pytest.mark.parametrize("depth", [0.03, 0.07, 0.12])
+def test_the_foot_walks_around_an_edge_without_a_jump(surface: BorderSurface, depth: float) -> None:
+    """Around the vertical edge the border is an arc of radius d_b; the foot is that much faster."""
+    turn = np.linspace(-0.05, np.pi / 2 + 0.05, 20001)
+    round_edge = (D_B - depth) * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
+    feet = np.array([surface.nearest(np.array([0.495, 0.345, 0.2]) + p).p for p in round_edge])
+    ratio = largest_step(feet) / largest_step(round_edge)
+    assert ratio < 1.3 * D_B / (D_B - depth)
+
+
 def test_left_and_right_are_mirror_images_where_the_contour_is_closed(
     offset: OffsetContours,
 ) -> None:

@@ -120,7 +120,7 @@ def test_neighbours_in_the_arm_never_push_each_other(kind):
 def test_reports_of_the_stand_in_agree_with_the_bodies_distances():
     """Where a hull touches in pybullet, the fatter bodies overlap in the stand-in."""
     planar, kinematic = make_physics("planar", MODEL), make_physics("kinematic", MODEL)
-    rng, found = np.random.default_rng(0), np.zeros(3, dtype=int)
+    rng, found = np.random.default_rng(0), np.zeros(len(Contacts._fields), dtype=int)
     state, on_floor = RobotState(MODEL), pull(planar, UNDERGROUND)[1][-1].q_m
     for k in range(1500):
         q = rng.uniform(MODEL.q_lower, MODEL.q_upper)
@@ -134,7 +134,7 @@ def test_reports_of_the_stand_in_agree_with_the_bodies_distances():
         kinematic.step(state.g[2:], (0.0, 0.0), np.zeros(3))
         assert not (real & ~np.array(kinematic.contacts())).any(), (q, real)
         found += real
-    assert found.min() > 5
+    assert min(Contacts(*found)[:3]) > 5  # there is no door
     planar.close()
     kinematic.close()
 

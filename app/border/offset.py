@@ -75,7 +75,6 @@ class OffsetContours:
         # x + iy: one product gives the dot product of many edges, at a third of the cost of rows.
         corners = self.vertices[..., 0] + 1j * self.vertices[..., 1]
         self._starts, self._edges = corners[:, :-1], np.diff(corners, axis=1)
-        self._inverse = 1.0 / self._edges
         self._tangents = _vertex_tangents(self._edges)
         # Beside upright walls polygons repeat and need no blending.
         self._same = (self.vertices[1:] == self.vertices[:-1]).all(axis=(1, 2))
@@ -91,7 +90,9 @@ class OffsetContours:
         return (1.0 - share) * self.vertices[k] + share * self.vertices[k + 1]
 
     def nearest(self, p_xy: Array, z: float) -> OnContour | None:
-        """The nearest point of the contour at a height, exact on its polygon.
+        """The point of the contour at a height that is nearest to p.
+
+        It moves continuously with p, but where p has two nearest points (the medial axis).
 
         Args:
             p_xy: (2,) [m] in the base's frame.
@@ -104,12 +105,32 @@ class OffsetContours:
         if at is None:
             return None
         start, edge = self._blended(self._starts, *at), self._blended(self._edges, *at)
-        inverse = self._inverse[at[0]] if at[1] == 0.0 else 1.0 / edge
+        tangent = self._blended(self._tangents, *at)
         to_p = complex(p_xy[0], p_xy[1]) - start
-        along = (to_p * inverse).real  # the share of each edge at the foot of p
-        off = to_p - np.minimum(np.maximum(along, 0.0), 1.0) * edge
-        i = int((off.real**2 + off.imag**2).argmin())
-        return self._point(start, edge, at, i, min(max(float(along[i]), 0.0), 1.0))
+        ahead = (to_p * tangent.conj()).real  # p lies ahead of a vertex, seen along the contour
+        beyond = np.roll(ahead, -1)
+        passed = np.flatnonzero((ahead >= 0.0) & (beyond < 0.0))
+        if not len(passed):  # p is as far from all of the contour
+            passed = np.abs(to_p).argmin(keepdims=True)
+        feet = [self._foot(to_p[i], edge[i], tangent[i], tangent[(i + 1) % RAYS]) for i in passed]
+        away = [abs(to_p[i] - along * edge[i]) for i, along in zip(passed, feet, strict=True)]
+        k = int(np.argmin(away))
+        return self._point(start, edge, at, int(passed[k]), feet[k])
+
+    @staticmethod
+    def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
+        """The share of an edge from which p lies at a right angle to the contour's tangent.
+
+        The tangent is blended along the edge. The foot of p on the bare polygon would jump over
+        its corners: seen from inside, a corner is never nearest.
+        """
+        turn = (t_next - t).conjugate()
+        # (to_p - s edge) · (t + s (t_next - t)) = a s² + b s + c
+        a = -(edge * turn).real
+        b = (to_p * turn - edge * t.conjugate()).real
+        c = (to_p * t.conjugate()).real
+        root = -2.0 * c / (b - np.sqrt(max(b * b - 4.0 * a * c, 0.0))) if c > 0.0 else 0.0
+        return float(min(max(root, 0.0), 1.0))
 
     def at(self, ray: float, z: float) -> OnContour | None:
         """The contour's point at a place along it.

@@ -182,7 +182,7 @@ class GraspSolver:
         J = self._state.J_ee[:, 2:]
         manipulability = float(np.sqrt(max(np.linalg.det(J @ J.T), 0.0)))
         joints = float(np.min(left / self._range))
-        return min(joints, 0.15) + 2 * min(manipulability, 0.05) + min(beyond - clearance, 0.1)
+        return min(joints, 0.15) + 2 * min(manipulability, 0.05) + 5 * min(beyond - clearance, 0.1)
 
 
 def _rolled(pose: pin.SE3, roll: float) -> pin.SE3:
