@@ -111,8 +111,9 @@ class OffsetContours:
         beyond = np.roll(ahead, -1)
         passed = np.flatnonzero((ahead >= 0.0) & (beyond < 0.0))
         if not len(passed):  # p is as far from all of the contour
-            passed = np.abs(to_p).argmin(keepdims=True)
-        feet = [self._foot(to_p[i], edge[i], tangent[i], tangent[(i + 1) % RAYS]) for i in passed]
+            passed = np.array([np.abs(to_p).argmin()])
+        following = np.roll(tangent, -1)
+        feet = [self._foot(to_p[i], edge[i], tangent[i], following[i]) for i in passed]
         away = [abs(to_p[i] - along * edge[i]) for i, along in zip(passed, feet, strict=True)]
         k = int(np.argmin(away))
         return self._point(start, edge, at, int(passed[k]), feet[k])

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
+import numpy as np
+
 from app.avoidance.barrier import BarrierRow, barrier_row
 from app.avoidance.repulsive_force import generate_rep_force_acc
 from app.avoidance.self_collision import Avoidance
 from app.avoidance.task import TaskRows
 from app.config import Config
 from app.robot.state import RobotState
+
+Array = np.ndarray
 
 
 class Inserted(NamedTuple):
@@ -33,6 +37,11 @@ class Inserted(NamedTuple):
         """All rows with an activation, the base's first."""
         base = () if self.rows_m is None else (self.rows_m,)
         return (*base, *self.rows_arm, *self.rows_links)
+
+    @property
+    def base_acceleration(self) -> Array:
+        """(2,) v̇ [m/s²] and ω̇ [rad/s²] that avoidance inserts, times its activation."""
+        return np.zeros(2) if self.rows_m is None else self.rows_m.beta * self.rows_m.xdd
 
     @property
     def activation(self) -> float:

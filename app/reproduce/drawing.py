@@ -62,6 +62,7 @@ class Drawing:
     def write(self, folder: Path, name: str) -> list[Path]:
         """Write PNG and CSVs into a folder; returns their paths, the PNG first."""
         picture = folder / f"{name}.png"
+        self.figure.suptitle(self.title, x=0.01, ha="left", fontsize=13)
         picture.write_bytes(png_of(self.figure))
         paths = [picture]
         for suffix, table in self.tables.items():

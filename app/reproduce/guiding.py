@@ -147,7 +147,9 @@ def smoothness(run: Run, method: str) -> dict[str, object]:
     The repulsive method inserts nothing for the base: of it only what the base is asked counts.
     """
     inserted = ("avoidance_acceleration_jump_max", "avoidance_acceleration_sign_changes")
-    asked = ("base_acceleration_jump_max", "torque_jump_max_nm")
+    asked = (
+        "base_acceleration_jump_max", "base_acceleration_sign_changes", "torque_jump_max_nm"
+    )  # fmt: skip
     keys = asked if method == "repulsive" else (*inserted, *asked)
     return {key: run.figures[key] for key in keys}
 

@@ -19,7 +19,6 @@ def make_snapshot(session: Session, step: Step, pacer: Pacer, *, paused: bool) -
     state = session.controller.state
     output, avoidance = step.output, step.output.avoidance
     acting = () if output.inserted.rows_m is None else avoidance.mobile
-    inserted = np.zeros(2) if output.inserted.rows_m is None else avoidance.beta_m * avoidance.xdd_m
     quaternion = pin.Quaternion(state.T_world_ee.rotation).coeffs()  # x, y, z, w
     return Snapshot(
         t=step.t,
@@ -27,7 +26,7 @@ def make_snapshot(session: Session, step: Step, pacer: Pacer, *, paused: bool) -
         base_velocity=_frozen(step.measurement.base_velocity),
         base_velocity_command=_frozen(step.base_command),
         base_acceleration=_frozen(output.base_acceleration),
-        avoidance_acceleration=_frozen(inserted),
+        avoidance_acceleration=_frozen(output.inserted.base_acceleration),
         wheel_angles=_frozen(session.wheel_angles),
         q_m=_frozen(step.measurement.q_m),
         u_a=_frozen(output.u_a),

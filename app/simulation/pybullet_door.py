@@ -21,6 +21,7 @@ _BODY_MASS = 60.0  # [kg]
 _BODY_DEPTH = 0.60  # [m]
 _GAP = 0.005  # [m] between the body and the closed door
 _SINKING = 1e-5  # [m] of the body into the floor, where pybullet lets it rest
+_AWAY = (100.0, 0.0)  # [m] where it is loaded, so that no robot that settles at the origin hits it
 _SEAL_STIFFNESS = 2e4  # [N/m] of the door's edge
 _SEAL_DAMPING = 500.0  # [N s/m]
 _GRASP_FORCE = 1000.0  # [N] that the grasp can hold
@@ -107,8 +108,9 @@ class BulletDoor:
             path = Path(folder) / "refrigerator.urdf"
             path.write_text(_refrigerator_urdf(self.door, self._T_body), encoding="utf-8")
             body = pybullet.loadURDF(
-                str(path), flags=pybullet.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client
-            )
+                str(path), basePosition=(*_AWAY, self._T_body.translation[2]),
+                flags=pybullet.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client,
+            )  # fmt: skip
         pybullet.changeDynamics(
             body, _DOOR, contactStiffness=_SEAL_STIFFNESS, contactDamping=_SEAL_DAMPING,
             physicsClientId=client,

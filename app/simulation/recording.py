@@ -14,7 +14,7 @@ from app.simulation.session import Step
 Array = np.ndarray
 
 _LOG_EVERY = 10  # control steps per row of the log
-_DEAD_BAND = np.array([0.01, 0.01])  # [m/s², rad/s²] within which an acceleration has no sign
+_DEAD_BAND = 0.01  # [m/s², rad/s²] within which an acceleration has no sign
 
 
 class Recorder:
@@ -29,9 +29,8 @@ class Recorder:
         self._mobile: set[str] = set()
         self._contacts = self._arm_contacts = self._floor_contacts = 0
         self._ee_error_max = self._activation_max = self._path = 0.0
-        self._base_jump = np.zeros(2)
         self._torque_jump = 0.0
-        self._inserted = _InsertedAcceleration()
+        self._asked, self._inserted = _Smoothness(), _Smoothness()
         self._door: DoorRecord | None = None
         self._hand_force_max = 0.0
         self._failures = 0
@@ -40,12 +39,8 @@ class Recorder:
     def add(self, step: Step) -> None:
         """Take one control step."""
         if self._last is not None:
-            before = self._last.output
-            jump = np.abs(step.output.base_acceleration - before.base_acceleration)
-            self._base_jump = np.maximum(self._base_jump, jump)
-            self._torque_jump = max(
-                self._torque_jump, float(np.abs(step.output.u_a - before.u_a).max())
-            )
+            jump = np.abs(step.output.u_a - self._last.output.u_a)
+            self._torque_jump = max(self._torque_jump, float(jump.max()))
             moved = step.measurement.base_pose[:2] - self._last.measurement.base_pose[:2]
             self._path += float(np.hypot(*moved))
         else:
@@ -62,7 +57,8 @@ class Recorder:
         self._activation_max = max(self._activation_max, step.output.activation)
         self._hand_force_max = max(self._hand_force_max, float(np.linalg.norm(step.hand_force)))
         self._failures += not step.output.solved
-        self._inserted.add(_inserted(step))
+        self._asked.add(step.output.base_acceleration)
+        self._inserted.add(step.output.inserted.base_acceleration)
         if step.door is not None:
             self._door = self._door or DoorRecord()
             self._door.add(step)
@@ -97,11 +93,8 @@ class Recorder:
             "base_path_m": self._path,
             "base_yaw_rad": float(end[2] - begin[2]),
             "activation_max": self._activation_max,
-            "base_acceleration_jump_max": {
-                "linear_mps2": float(self._base_jump[0]),
-                "angular_radps2": float(self._base_jump[1]),
-            },
-            **self._inserted.figures(),
+            **self._asked.figures("base_acceleration"),
+            **self._inserted.figures("avoidance_acceleration"),
             "torque_jump_max_nm": self._torque_jump,
             "hand_force_max_n": self._hand_force_max,
             **(self._door.figures() if self._door is not None else {}),
@@ -132,7 +125,7 @@ def _log_row(step: Step) -> dict[str, float]:
         name = pair.closest.pair.name
         row |= {f"d_{name}_m": pair.closest.d, f"beta_{name}": pair.beta}
     row["beta_m"] = out.avoidance.beta_m
-    asked, avoid = out.base_acceleration, _inserted(step)
+    asked, avoid = out.base_acceleration, out.inserted.base_acceleration
     row |= {"base_a_mps2": float(asked[0]), "base_aw_radps2": float(asked[1])}
     row |= {"avoidance_a_mps2": float(avoid[0]), "avoidance_aw_radps2": float(avoid[1])}
     force = step.hand_force.tolist()
@@ -144,13 +137,8 @@ def _log_row(step: Step) -> dict[str, float]:
     return row
 
 
-def _inserted(step: Step) -> Array:
-    """(2,) [m/s², rad/s²] β_m ẍ_m, what avoidance inserts into the base's acceleration."""
-    return step.output.avoidance.beta_m * step.output.avoidance.xdd_m
-
-
-class _InsertedAcceleration:
-    """Largest change a step and number of sign changes of the inserted acceleration.
+class _Smoothness:
+    """Largest change a step and number of sign changes of an acceleration of the base.
 
     A sign counts once the acceleration has left the dead band of ±0.01 m/s² and ±0.01 rad/s².
     """
@@ -169,14 +157,14 @@ class _InsertedAcceleration:
         self._changes += sign * self._sign < 0
         self._sign, self._last = sign, now
 
-    def figures(self) -> dict[str, object]:
+    def figures(self, name: str) -> dict[str, object]:
         """Both, by linear and angular part."""
         return {
-            "avoidance_acceleration_jump_max": {
+            f"{name}_jump_max": {
                 "linear_mps2": float(self._jump[0]),
                 "angular_radps2": float(self._jump[1]),
             },
-            "avoidance_acceleration_sign_changes": {
+            f"{name}_sign_changes": {
                 "linear": int(self._changes[0]),
                 "angular": int(self._changes[1]),
             },

@@ -1,0 +1,332 @@
+"""The adaptive controller at a door of a few lines: it finds the hinge, and does not force it.
+
+The door is quasi-static: springs join hand and handle, and the door turns as soon as their moment
+about the hinge is more than the friction's. The hand follows the reference with a lag, and yields.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from app.control.door_opening import (
+    DoorOpening,
+    DoorOpeningGains,
+    HandReading,
+    curvature_update,
+    radial_update,
+    tangent,
+)
+from app.control.tasks import Reference
+
+Array = np.ndarray
+
+DT = 0.001  # [s]
+UP = np.array([0.0, 0.0, 1.0])
+SEEDS = range(12)
+
+
+def turned(angle: float) -> Array:
+    """(3, 3) about the vertical."""
+    return pin.rpy.rpyToMatrix(0.0, 0.0, angle)
+
+
+@dataclass
+class Hinged:
+    """A door and the hand that holds it.
+
+    `side` is +1 where the hinge is on the left of who stands before the door and looks along `yaw`.
+    """
+
+    side: float = 1.0
+    radius: float = 0.54  # [m] from the hinge to the handle
+    yaw: float = 0.0  # [rad]
+    inset: float = 0.1  # [rad] by how much the hinge is behind the handle
+    friction: float = 1.0  # [N m]
+    stiffness: float = 4000.0  # [N/m] of the grasp
+    twist: float = 100.0  # [N m/rad] of the grasp
+    lag: float = 0.02  # [s] of the hand behind its reference
+
+    def __post_init__(self) -> None:
+        into, left = turned(self.yaw)[:, 0], turned(self.yaw)[:, 1]
+        self.hand = pin.SE3(np.column_stack([UP, -left, into]), np.array([0.7, -0.2, 1.1]))
+        to_hinge = math.cos(self.inset) * self.side * left + math.sin(self.inset) * into
+        self.hinge = self.hand.translation + self.radius * to_hinge
+        self.closed, self.angle, self.velocity = self.hand.copy(), 0.0, np.zeros(3)
+
+    @property
+    def radial(self) -> Array:
+        """(3,) the true direction from the hand to the hinge."""
+        away = (self.hinge - self.hand.translation) * [1, 1, 0]
+        return away / np.linalg.norm(away)
+
+    def handle(self, angle: float) -> pin.SE3:
+        """Where the handle is when the door is open by an angle."""
+        R = turned(-self.side * angle)
+        arm = self.closed.translation - self.hinge
+        return pin.SE3(R @ self.closed.rotation, self.hinge + R @ arm)
+
+    def wrench(self, angle: float) -> tuple[Array, Array]:
+        """(3,) [N] and (3,) [N m] that the hand exerts on the handle, about its own origin."""
+        handle = self.handle(angle)
+        force = self.stiffness * (self.hand.translation - handle.translation)
+        torque = self.twist * pin.log3(self.hand.rotation @ handle.rotation.T)
+        return force, torque
+
+    def opening_moment(self, angle: float) -> float:
+        """[N m] about the hinge, positive opens."""
+        force, torque = self.wrench(angle)
+        arm = self.hand.translation - self.hinge
+        return -self.side * float(arm[0] * force[1] - arm[1] * force[0] + torque[2])
+
+    def read(self) -> HandReading:
+        return HandReading(self.hand.copy(), self.velocity, *self.wrench(self.angle))
+
+    def follow(self, reference: Reference) -> None:
+        """Move the hand towards the reference, and the door as its friction lets it."""
+        share = -math.expm1(-DT / self.lag)
+        step = share * (reference.pose.translation - self.hand.translation)
+        self.velocity = step / DT
+        spin = pin.log3(reference.pose.rotation @ self.hand.rotation.T)
+        self.hand = pin.SE3(
+            pin.exp3(share * spin) @ self.hand.rotation, self.hand.translation + step
+        )
+        moment = self.opening_moment(self.angle)
+        if abs(moment) > self.friction:
+            rest = math.copysign(self.friction, moment)
+            for _ in range(2):  # Newton's method
+                h = 1e-6  # [rad]
+                slope = (self.opening_moment(self.angle + h) - moment) / h
+                self.angle -= (moment - rest) / slope
+                moment = self.opening_moment(self.angle)
+
+    def move_hinge(self, radial: Array, radius: float) -> None:
+        """Another door at the same place in the same hand."""
+        self.hinge = self.hand.translation + radius * radial
+        self.closed, self.angle, self.radius = self.hand.copy(), 0.0, radius
+
+
+def random_door(seed: int) -> tuple[Hinged, float]:
+    """A door, and by how much [rad] the first guess is wrong."""
+    rng = np.random.default_rng(seed)
+    door = Hinged(
+        side=(-1.0) ** seed, radius=rng.uniform(0.35, 0.75), yaw=rng.uniform(-3, 3),
+        inset=rng.uniform(-0.2, 0.2), friction=rng.uniform(0.0, 3.0),
+        stiffness=rng.uniform(1500, 8000), twist=rng.uniform(40, 200),
+    )  # fmt: skip
+    return door, math.radians(30.0) * (1, -1, rng.uniform(-1, 1))[seed // 2 % 3]
+
+
+class Sample(NamedTuple):
+    """One control step."""
+
+    t: float
+    error: float  # [rad]
+    force: float  # [N]
+    angle: float  # [rad]
+    speed: float  # [m/s] asked
+    along: float  # [m/s] the reference's velocity along the estimated tangent
+    hand: HandReading
+    reference: Reference
+
+
+def opening_of(door: Hinged, wrong: float, gains: DoorOpeningGains | None = None) -> DoorOpening:
+    guess = turned(wrong) @ door.radial
+    return DoorOpening(door.hand.copy(), guess[:2], gains or DoorOpeningGains(), DT)
+
+
+def run(door: Hinged, opening: DoorOpening, seconds: float) -> list[Sample]:
+    trace = []
+    for k in range(round(seconds / DT)):
+        hand = door.read()
+        estimate = opening.radial(hand.T_world_ee)
+        along = tangent(estimate, door.side)
+        error = math.atan2(estimate @ tangent(door.radial, 1.0), estimate @ door.radial)
+        reference = opening.step(hand)
+        trace.append(Sample(
+            k * DT, error, float(np.linalg.norm(hand.force)), door.angle, opening.speed,
+            float(reference.velocity[:3] @ along), hand, reference,
+        ))  # fmt: skip
+        door.follow(reference)
+    return trace
+
+
+@pytest.fixture(scope="module", params=SEEDS)
+def opened(request) -> tuple[Hinged, float, DoorOpening, list[Sample]]:
+    """The first 8 s of a random door."""
+    door, wrong = random_door(request.param)
+    opening = opening_of(door, wrong)
+    return door, wrong, opening, run(door, opening, 8.0)
+
+
+def test_the_estimate_of_the_radial_direction_converges_for_random_hinges(opened):
+    """From up to 30° to either side to within 5° after 5 s, of either sense of opening."""
+    _, wrong, _, trace = opened
+    assert trace[0].error == pytest.approx(wrong)
+    assert max(abs(s.error) for s in trace[5000:]) < math.radians(5)
+    assert abs(trace[-1].error) < math.radians(1)
+
+
+def test_the_hands_force_stays_moderate(opened):
+    """Under the issue's 50 N always, and near to what the hinge's friction takes in the end."""
+    door, _, _, trace = opened
+    assert max(s.force for s in trace) < 50.0
+    assert max(s.force for s in trace[6000:]) < 3.0 + door.friction / door.radius
+
+
+def test_the_radial_force_is_regulated_to_what_is_wanted():
+    for wanted in (5.0, -5.0):
+        door = Hinged(friction=0.5)
+        trace = run(door, opening_of(door, 0.2, DoorOpeningGains(radial_force=wanted)), 12.0)
+        assert trace[-1].hand.force @ door.radial == pytest.approx(wanted, abs=0.5)
+
+
+def test_the_path_is_learnt_too(opened):
+    """The curvature is that of a circle of the handle's radius, its sign that of the sense."""
+    door, _, opening, _ = opened
+    assert opening.curvature == pytest.approx(-door.side / door.radius, rel=0.05)
+
+
+def test_the_reference_moves_along_the_estimated_tangent_with_the_asked_speed(opened):
+    door, _, _, trace = opened
+    gains = DoorOpeningGains()
+    for s in trace[::97]:
+        assert s.along == pytest.approx(s.speed, abs=1e-9)
+        assert s.speed <= gains.speed
+    end = trace[-1]
+    assert end.speed == pytest.approx(gains.speed)
+    assert np.linalg.norm(end.reference.velocity[:3]) == pytest.approx(gains.speed, rel=0.02)
+    # And so does the hand: the door turns by v/r.
+    assert (end.angle - trace[-1001].angle) == pytest.approx(gains.speed / door.radius, rel=0.02)
+
+
+def test_the_references_pose_moves_by_its_velocity(opened):
+    *_, trace = opened
+    for before, after in zip(trace[3000::500], trace[3001::500], strict=True):
+        moved = after.reference.pose.translation - before.reference.pose.translation
+        np.testing.assert_allclose(moved / DT, after.reference.velocity[:3], atol=1e-9)
+        spin = pin.log3(after.reference.pose.rotation @ before.reference.pose.rotation.T)
+        np.testing.assert_allclose(spin / DT, after.reference.velocity[3:], atol=1e-9)
+
+
+def test_it_starts_at_rest_where_the_hand_is_and_without_a_jerk(opened):
+    door, *_, trace = opened
+    first, gains = trace[0], DoorOpeningGains()
+    np.testing.assert_allclose(first.reference.velocity, np.zeros(6), atol=1e-12)
+    assert first.reference.pose.isApprox(door.closed, 1e-12)
+    speeds = np.array([s.speed for s in trace[:2000]])
+    assert speeds[0] == 0.0
+    # What 3u² - 2u³ has at most: 1.5 as its slope, 6 as its bend.
+    assert np.diff(speeds).max() / DT < 1.6 * gains.speed / gains.ramp
+    assert np.diff(speeds, 2)[:20].max() / DT**2 < 6.6 * gains.speed / gains.ramp**2
+    moved = np.array([s.reference.pose.translation for s in trace])
+    assert np.linalg.norm(np.diff(moved, axis=0), axis=1).max() < 0.2 * DT  # [m/s]
+
+
+def test_it_knows_of_the_door_only_what_the_hand_feels():
+    """The door is exchanged for one with another hinge and radius, unseen: it finds that too."""
+    door = Hinged(radius=0.45)
+    opening = opening_of(door, 0.4)
+    run(door, opening, 6.0)
+    door.move_hinge(turned(math.radians(-25)) @ door.radial, 0.70)
+    trace = run(door, opening, 8.0)
+    assert abs(trace[0].error) > math.radians(20)
+    assert abs(trace[5000].error) < math.radians(5)
+    assert opening.curvature == pytest.approx(-1 / 0.70, rel=0.1)
+    assert max(s.force for s in trace) < 50.0
+
+
+def test_the_same_readings_give_the_same_references():
+    """Nothing but the first guess and what is felt enters: a replay without a door agrees."""
+    door = Hinged(side=-1.0, radius=0.4)
+    first = opening_of(door, -0.5)
+    again = opening_of(Hinged(side=-1.0, radius=0.7, friction=3.0), -0.5)
+    for s in run(door, first, 3.0):
+        reference = again.step(s.hand)
+        np.testing.assert_array_equal(reference.pose.homogeneous, s.reference.pose.homogeneous)
+        np.testing.assert_array_equal(reference.velocity, s.reference.velocity)
+
+
+def test_the_worlds_axes_are_of_no_matter():
+    here, there = Hinged(yaw=0.0), Hinged(yaw=2.1)
+    ends = [run(door, opening_of(door, 0.5), 4.0) for door in (here, there)]
+    for a, b in zip(*(trace[::200] for trace in ends), strict=True):
+        assert b.error == pytest.approx(a.error, abs=1e-6)
+        v, w = a.reference.velocity[:3], a.reference.velocity[3:]
+        np.testing.assert_allclose(b.reference.velocity[:3], turned(2.1) @ v, atol=1e-7)
+        np.testing.assert_allclose(b.reference.velocity[3:], w, atol=1e-7)
+
+
+def test_a_mirrored_door_is_opened_in_the_mirror():
+    left, right = Hinged(side=1.0), Hinged(side=-1.0)
+    ends = [run(d, opening_of(d, d.side * 0.5), 4.0) for d in (left, right)]
+    for a, b in zip(*(trace[::200] for trace in ends), strict=True):
+        assert b.error == pytest.approx(-a.error, abs=1e-6)
+        mirrored = a.reference.velocity * [1, -1, 1, -1, 1, -1]
+        np.testing.assert_allclose(b.reference.velocity, mirrored, atol=1e-7)
+
+
+def test_it_opens_the_door_and_stops_there():
+    """The hand turns by what is asked, and does not go on; a fast run."""
+    gains = DoorOpeningGains(speed=0.06)
+    door = Hinged(radius=0.4)
+    trace = run(door, opening_of(door, 0.3, gains), 20.0)
+    assert math.radians(84) < trace[-1].angle < gains.turn + math.radians(1)
+    assert trace[-1].speed < 0.05 * gains.speed
+    assert max(s.force for s in trace) < 50.0
+
+
+def test_a_door_that_does_not_move_is_not_forced():
+    """The speed falls to zero at the force from which on the hand does not move on."""
+    gains = DoorOpeningGains()
+    door = Hinged(friction=1e3)
+    trace = run(door, opening_of(door, 0.1), 20.0)
+    assert trace[-1].angle == 0.0
+    assert max(s.force for s in trace) < 1.1 * gains.slow_until
+    assert trace[-1].speed < 0.1 * gains.speed
+    # Where nothing moves, nothing is learnt.
+    assert abs(trace[-1].error - trace[0].error) < math.radians(3)
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_the_tangent_is_level_and_across_the_radius(sense: float):
+    for angle in np.linspace(-3, 3, 13):
+        radial = np.array([math.cos(angle), math.sin(angle), 0.0])
+        t = tangent(radial, sense)
+        assert t @ radial == pytest.approx(0.0)
+        np.testing.assert_allclose(np.cross(radial, t), sense * UP * (t @ t), atol=1e-12)
+        assert np.linalg.norm(t) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("wrong", [-1.0, -0.5, 0.0, 0.5, 1.0])  # [rad]
+def test_it_opens_towards_where_the_hand_comes_from(side: float, wrong: float):
+    door = Hinged(side=side)
+    reference = run(door, opening_of(door, wrong), 0.5)[-1].reference
+    assert reference.velocity[:3] @ -door.closed.rotation[:, 2] > 0
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_the_update_is_the_gradient_step_of_its_docstring(sense: float):
+    """At α_f f = -s v_d sin e and full speed, ė = -λ sin e; nothing without progress."""
+    gains = DoorOpeningGains()
+    for e in np.linspace(-1, 1, 9):
+        force = -sense * gains.speed * math.sin(e) / gains.compliance
+        rate = radial_update(force, 1.0, sense, gains)
+        assert rate == pytest.approx(-gains.learning_rate * math.sin(e))
+        assert radial_update(force, 0.5, sense, gains) == pytest.approx(rate / 2)
+        assert radial_update(force, 0.0, sense, gains) == 0.0
+
+
+def test_the_curvature_goes_to_where_the_torque_vanishes():
+    """At α_τ τ = (κ̂ - κ) v_d and full speed, κ̂ nears κ with the rate λ."""
+    gains = DoorOpeningGains()
+    for off in (-2.0, 0.0, 3.0):  # [1/m]
+        torque = off * gains.speed / gains.angular_compliance
+        assert curvature_update(torque, 1.0, gains) == pytest.approx(-gains.learning_rate * off)
+        assert curvature_update(torque, 0.0, gains) == 0.0
