@@ -95,7 +95,8 @@ def test_without_json_the_same_is_told_to_people(dbb, args):
 def test_figures_of_a_run_are_those_of_the_issue_and_further_ones_end_in_their_unit(dbb):
     figures = json.loads(dbb(*QUICK, "--json").out)
     assert set(figures) >= FIGURES
-    by_axis = {"avoidance_acceleration_jump_max", "avoidance_acceleration_sign_changes"}
+    accelerations = ("base_acceleration", "avoidance_acceleration")
+    by_axis = {f"{name}_{what}" for name in accelerations for what in ("jump_max", "sign_changes")}
     without_unit = {"physics", "floor_contacts", *by_axis}
     assert not [k for k in set(figures) - FIGURES - without_unit if not k.endswith(UNITS)]
     axes = {"linear_mps2", "angular_radps2"}
@@ -165,6 +166,7 @@ REFUSED = {
     "robot of pairs": (["pairs", "--robot", "r2d2"], ["r2d2", "husky_panda"]),
     "robot of border": (["border", "--robot", "r2d2"], ["r2d2", "husky_panda"]),
     "physics": (["run", "tracking", "--physics", "real"], ["contact, kinematic, planar"]),
+    "border of run": ([*QUICK, "--border", "cloud"], ["'cloud'", "points, surface"]),
     "served controller": (["serve", "--controller", "x"], ["dbb, none"]),
     "served physics": (["serve", "--physics", "x"], ["contact, kinematic, planar"]),
     "d_b": ([*QUICK, "--buffer-distance", "0.5"], ["--buffer-distance", "0.06 to 0.3 m"]),

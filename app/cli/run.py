@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from app.avoidance.self_collision import BORDERS
 from app.cli.common import as_json, load_robot_and_border, print_json, progress_bar
 from app.cli.options import (
     Json,
@@ -41,6 +42,7 @@ def run(
     duration: float | None = None,
     physics: str = "planar",
     buffer_distance: float | None = None,
+    border: str = "surface",
     out: Path | None = None,
     seed: int = 0,
     json: Json = False,
@@ -69,6 +71,7 @@ def run(
         physics: planar (base on velocity motors), contact (base on wheels in contact) or kinematic
             (a stand-in without physics).
         buffer_distance: [m] d_b (default: the configuration's).
+        border: surface, or points for the paper's way, where the acting point jumps.
         out: Folder for `log.csv` and `metrics.json`.
         seed: Seed of everything random in the run.
         json: Print one JSON object on standard output and nothing else there.
@@ -90,6 +93,7 @@ def run(
     chosen = scenario_by_name(scenario)
     check_name("controller", controller, CONTROLLERS)
     check_name("physics", physics, PLANTS)
+    check_name("border", border, BORDERS)
     check_point("--start", start)
     check_point("--move", move)
     check_point("--hinge-position", hinge_position)
@@ -105,7 +109,7 @@ def run(
     )  # fmt: skip
     if duration is not None:
         check_range("--duration", duration, *_DURATIONS, "s")
-    config = Config()
+    config = Config().replace("border.kind", border)
     if buffer_distance is not None:
         check_parameter("--buffer-distance", buffer_distance, "border.d_b")
         config = config.replace("border.d_b", buffer_distance)
