@@ -115,7 +115,7 @@ class Superquadric(_Placed):
 
     Its distances are those of a convex polytope of 3,458 vertices on its surface, and so at most
     what the polytope lies inside of the surface too large: less than 0.5 % of the longest semi-axis
-    for exponents from 0.1 to 1, 3 % up to 2.
+    for exponents from 0.1 to 1, 1 % up to 2.
     """
 
     type: Literal["superquadric"]

@@ -58,7 +58,7 @@ def polytope_vertices(
     """Points of the surface whose convex hull stands for the superquadric, read-only.
 
     They are the points of a cube's grid, denser towards its edges, where a small exponent bends the
-    surface most. The hull lies inside of the surface; how far is `polytope_deviation`.
+    surface most. The hull lies inside of the surface.
 
     Returns:
         (6 intervals² + 2, 3) [m] in the superquadric's frame.
