@@ -43,6 +43,10 @@ class ActivationConfig(Strict):
 
     d_full: float = Field(default=0.05, ge=0.0, le=0.05)
     """[m] distance at which the avoidance task is in full force."""
+    d_above: float = Field(default=0.10, ge=0.02, le=0.30)
+    """[m] distance from the base at which the arm itself begins to resist, from above."""
+    d_last: float = Field(default=0.03, ge=0.01, le=0.30)
+    """[m] the same from the side, where the base gives way first."""
 
 
 class RepulsionConfig(Strict):
@@ -91,6 +95,8 @@ class LimitConfig(Strict):
     """[1/s] how fast a joint may close in on its position limit, per distance left."""
     velocity_rate: float = Field(default=30.0, ge=1.0, le=200.0)
     """[1/s] how fast a joint may close in on its velocity limit, per velocity left."""
+    torque_rate: float = Field(default=1000.0, ge=50.0, le=1e5)
+    """[N m/s] how fast a torque of the arm may change; a Panda takes 1000."""
 
 
 class AdmittanceConfig(Strict):
@@ -123,6 +129,19 @@ class HandConfig(Strict):
     """[N] largest force."""
 
 
+class DisturbanceConfig(Strict):
+    """What stands between the controller and the robot; nothing by default."""
+
+    encoder_noise: float = Field(default=0.0, ge=0.0, le=0.005)
+    """[rad] standard deviation of the noise of each joint's measured position."""
+    base_delay: float = Field(default=0.0, ge=0.0, le=0.5)
+    """[s] from a velocity command to the base's drive, on top of the commands' own period."""
+    mass_error: float = Field(default=0.0, ge=-0.3, le=0.3)
+    """[-] by how much the arm's masses and inertias, as the controller has them, are too large."""
+    slip: float = Field(default=0.0, ge=0.0, le=0.5)
+    """[-] share of the base's commanded motion that is lost at the ground."""
+
+
 def slowed(task: TaskConfig, repulsion: RepulsionConfig) -> tuple[TaskConfig, RepulsionConfig]:
     """The gains of the same closed loops, `base_slowness` times slower.
 
@@ -149,6 +168,7 @@ class Config(Strict):
     limit: LimitConfig = LimitConfig()
     admittance: AdmittanceConfig = AdmittanceConfig()
     hand: HandConfig = HandConfig()
+    disturbance: DisturbanceConfig = DisturbanceConfig()
 
     def replace(self, path: str, value: Any) -> Config:
         """A copy with one parameter changed.

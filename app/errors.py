@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 
 class DbbError(Exception):
@@ -40,7 +40,15 @@ class ConfigError(DbbError):
 
 
 class UnreachableError(DbbError):
-    """No configuration of the arm brings the hand to the asked start."""
+    """No configuration of the arm brings the hand to the asked start.
+
+    Attributes:
+        flaws: How many tries failed by each reason.
+    """
+
+    def __init__(self, message: str, flaws: Mapping[str, int] | None = None) -> None:
+        super().__init__(message)
+        self.flaws = dict(flaws or {})
 
 
 class TargetError(DbbError):
@@ -49,6 +57,14 @@ class TargetError(DbbError):
 
 class OutputError(DbbError):
     """A result cannot be written where it was asked for."""
+
+
+class CaseError(DbbError):
+    """A case of a study that cannot be read, or is of another robot."""
+
+
+class StudyError(DbbError):
+    """A study cannot be done or gone on with where it was asked for."""
 
 
 class ServerError(DbbError):

@@ -11,6 +11,7 @@ import pinocchio as pin
 from app.border.cloud import Cloud, make_cloud, quantise_distances, quantise_points
 from app.border.mobile import MobileBody
 from app.config import Config
+from app.control.buffer_watch import BufferReading
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.snapshot import (
@@ -133,6 +134,7 @@ class ScriptedLoop:
             ee_error=float(np.linalg.norm(stretch)), in_contact=any(p.d <= 0 for p in pairs),
             arm_in_contact=False, solver_failures=0, step_time_us=212.0, realtime_factor=1.0,
             overruns=3, paused=self._paused, mode="guiding", controller="dbb", config=config,
+            buffer=BufferReading(0.0, 0.0, 0.0, 0.0, too_small=False, too_small_ever=False),
         )  # fmt: skip
         if not self._ring or self._t > self._ring[-1].t:
             self._ring.append(self._latest)

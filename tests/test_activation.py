@@ -5,9 +5,11 @@ import pytest
 
 from app.avoidance.activation import (
     activation,
+    arm_activation,
     mobile_activation,
     share_from_above,
 )
+from app.config import ActivationConfig
 
 PAPER = {"d_b": 0.15, "d_full": 0.05}
 
@@ -39,3 +41,26 @@ def test_from_the_side_the_arm_has_no_share_and_from_above_all() -> None:
     shares = [share_from_above(x) for x in np.linspace(0, 1, 1001)]
     assert (np.diff(shares) >= 0).all()
     assert np.abs(np.diff(shares)).max() < 0.01
+
+
+def arm_share(d: float, n_z: float) -> float:
+    return arm_activation(d, n_z, ActivationConfig())
+
+
+def test_from_the_side_the_arm_resists_only_as_the_last_resort() -> None:
+    config = ActivationConfig()
+    assert arm_share(config.d_last, 0.0) == arm_share(config.d_full, 0.5) == 0.0
+    assert arm_share(0.5 * config.d_last, 0.0) == arm_share(-0.05, 0.0) == 1.0
+
+
+def test_from_above_the_arm_resists_earlier() -> None:
+    config = ActivationConfig()
+    assert arm_share(config.d_above, 1.0) == 0.0
+    assert arm_share(0.5 * config.d_above, 1.0) == arm_share(0.5 * config.d_above, -1.0) == 1.0
+
+
+def test_over_the_edge_the_arms_buffer_turns_without_a_jump() -> None:
+    for d in (-0.02, 0.01, 0.02, 0.04, 0.06, 0.09):
+        shares = [arm_share(d, n_z) for n_z in np.linspace(0, 1, 1001)]
+        assert (np.diff(shares) >= 0).all()
+        assert np.abs(np.diff(shares)).max() < 0.03

@@ -16,6 +16,7 @@ PATHS = [
 ]
 UNITS = {
     "m",
+    "rad",
     "m/s",
     "rad/s",
     "N",
@@ -27,6 +28,7 @@ UNITS = {
     "kg m²",
     "N s/m",
     "N m s",
+    "N m/s",
     "s",
     "N/m",
 }

@@ -22,11 +22,13 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement
 
 ZERO = np.zeros(3)
+AT_ONCE = Config().replace("limit.torque_rate", 1e5)
 
 
 @pytest.fixture(scope="module")
 def controller(robot: RobotModel, border_data: BorderData) -> Controller:
-    return Controller(robot, border_data, Config())
+    """With torques that may change at once, so that each step shows what the stack asks for."""
+    return Controller(robot, border_data, AT_ONCE)
 
 
 def measured(robot: RobotModel, q_m: np.ndarray, **more: np.ndarray) -> Measurement:
@@ -87,7 +89,7 @@ def test_guided_with_rows_the_arm_adds_only_forces_along_them(
     m = in_buffer(robot, controller, seed, "l1-lEE")
     output = controller.step(m)
     rows = np.vstack(
-        [row.J[:, 2:] for row in (*output.avoidance.rows_above, *output.avoidance.rows_links)]
+        [row.J[:, 2:] for row in (*output.avoidance.rows_arm, *output.avoidance.rows_links)]
     )
     added = output.u_a - free_arm_torque(controller.state)
     residual = added - rows.T @ np.linalg.lstsq(rows.T, added, rcond=None)[0]
@@ -114,14 +116,14 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     robot: RobotModel, controller: Controller, seed: int, pair: str
 ) -> None:
     """The controller solves base and arm apart; (29) with its rows at once gives the same."""
-    config = Config().replace("task.base_slowness", 1.0)
+    config = AT_ONCE.replace("task.base_slowness", 1.0)
     controller.configure(config)
     m = in_buffer(robot, controller, seed, pair)
     controller.reset()
     controller.step(m)
     reference = reference_here(controller, 0.05 * np.ones(6))
     output = controller.step(m, reference)
-    controller.configure(Config())
+    controller.configure(AT_ONCE)
     avoidance = output.avoidance
     rows = [r for r in (avoidance.rows_m, *avoidance.rows_links) if r is not None]
     state = controller.state
@@ -184,7 +186,7 @@ def test_torques_keep_their_limits_even_where_the_reference_asks_the_impossible(
 def test_joints_at_their_limits_are_pushed_back(
     robot: RobotModel, border_data: BorderData, seed: int
 ) -> None:
-    controller = Controller(robot, border_data, Config(), name="none")
+    controller = Controller(robot, border_data, AT_ONCE, name="none")
     rng = np.random.default_rng(seed)
     q_m = np.array(robot.description.arm.ready_position)
     i = int(rng.integers(7))
@@ -228,8 +230,22 @@ def test_the_command_does_not_depend_on_where_the_world_frame_stands(
     np.testing.assert_allclose(there.u_a, here.u_a, atol=1e-5)
 
 
+def test_no_torque_changes_faster_than_its_limit(
+    robot: RobotModel, controller: Controller, border_data: BorderData
+) -> None:
+    """From one pose to a far one in a step the torques go there at the limit's rate, and arrive."""
+    slow = Controller(robot, border_data, Config())
+    ready = measured(robot, np.array(robot.description.arm.ready_position))
+    other = measured(robot, np.array([0.5, 0.5, 0.3, -1.5, 0.2, 2.0, 0.1]))
+    torques = [slow.step(ready).u_a]
+    torques += [slow.step(other).u_a for _ in range(100)]
+    changes = np.abs(np.diff(torques, axis=0))
+    assert changes.max() == pytest.approx(Config().limit.torque_rate * 0.001)
+    np.testing.assert_allclose(torques[-1], controller.step(other).u_a, atol=1e-6)
+
+
 def test_none_inserts_no_avoidance(robot: RobotModel, border_data: BorderData) -> None:
-    plain = Controller(robot, border_data, Config(), name="none")
+    plain = Controller(robot, border_data, AT_ONCE, name="none")
     m = in_buffer(robot, plain, 0, "lm-lEE")
     output = plain.step(m)
     assert output.activation == 0.0

@@ -18,6 +18,8 @@ from app.simulation.session import Session
 from app.simulation.start import StartSolver
 
 ZERO = np.zeros(3)
+AT_ONCE = Config().replace("limit.torque_rate", 1e5)
+"""Torques may change at once, so that one step shows what the stack asks for."""
 
 
 @pytest.fixture(scope="module", params=CONTROLLERS)
@@ -79,7 +81,7 @@ def test_repulsive_in_full_force_gives_the_closest_point_its_acceleration(
     robot: RobotModel, border_data: BorderData, seed: int
 ) -> None:
     """J_rep q̈ + J̇ q̇ = k_p n - k_v ṗ, with the base's columns zero, where no limit is in the way."""
-    config = Config().replace("repulsion.k_p", 3.0)
+    config = AT_ONCE.replace("repulsion.k_p", 3.0)
     controller = Controller(robot, border_data, config, name="repulsive")
     m = near(robot, seed, 0.01, 0.05, speed=0.01)
     output = controller.step(m)
@@ -97,7 +99,7 @@ def test_the_barriers_rows_hold_for_what_the_robot_does(
     robot: RobotModel, border_data: BorderData, seed: int
 ) -> None:
     """Whatever acceleration the hand is asked for, and by base and arm together."""
-    controller = Controller(robot, border_data, Config(), name="barrier")
+    controller = Controller(robot, border_data, AT_ONCE, name="barrier")
     m = near(robot, seed, 0.051, 0.08, speed=0.02)
     controller.step(m)
     towards = np.concatenate(

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from app.avoidance.acting_point import ActingPoint, ActingPointFinder
-from app.avoidance.activation import activation, mobile_activation, share_from_above
+from app.avoidance.activation import activation, arm_activation, mobile_activation
 from app.avoidance.distances import ClosestPoints, DistanceMonitor
 from app.avoidance.mobile_acceleration import PairForce, avoidance_force, generate_mob_acc
 from app.avoidance.repulsion import generate_rep_acc
@@ -55,7 +55,7 @@ class Avoidance(NamedTuple):
         xdd_m: (2,) v̇_d [m/s²] and ω̇_d [rad/s²] of (16), not yet multiplied by β_m.
         beta_m: [-] activation of the base's rows, (28).
         rows_m: The base's rows, or None while β_m = 0.
-        rows_above: The arm's active rows against the base, where it comes from above.
+        rows_arm: The arm's active rows against the base, from above or as the last resort.
         rows_links: The arm's active rows between its own links, (22) and (23).
     """
 
@@ -64,7 +64,7 @@ class Avoidance(NamedTuple):
     xdd_m: Array
     beta_m: float
     rows_m: TaskRows | None
-    rows_above: tuple[TaskRows, ...]
+    rows_arm: tuple[TaskRows, ...]
     rows_links: tuple[TaskRows, ...]
 
     @property
@@ -116,8 +116,8 @@ class SelfCollisionAvoidance:
         rows_m = None
         if beta_m > 0.0:
             rows_m = mobile_rows(self._state.model.J_m, self._state.model.n, xdd_m, beta_m)
-        above, links = self._rows_from_above(mobile), self._rows_between_links(others)
-        return Avoidance((*mobile, *others), n_mobile, xdd_m, beta_m, rows_m, above, links)
+        own, links = self._rows_against_base(mobile), self._rows_between_links(others)
+        return Avoidance((*mobile, *others), n_mobile, xdd_m, beta_m, rows_m, own, links)
 
     def _beta(self, d: float) -> float:
         return activation(d, self._config.border.d_b, self._config.activation.d_full)
@@ -138,15 +138,12 @@ class SelfCollisionAvoidance:
         )  # fmt: skip
         return PairState(closest, beta, acting, f)
 
-    def _rows_from_above(self, mobile: list[PairState]) -> tuple[TaskRows, ...]:
-        """Rows of the kind (20) along the normal of pairs of L_m that meet from above.
-
-        Our extension: a horizontal force cannot help where the arm comes from above, so there the
-        arm itself resists; from the side nothing is added.
-        """
+    def _rows_against_base(self, mobile: list[PairState]) -> tuple[TaskRows, ...]:
+        """Rows of the kind (20) along the normal of pairs of L_m, each with the arm's own β."""
         rows = []
         for pair in mobile:
-            beta = pair.beta * share_from_above(float(pair.closest.n[2]))
+            n_z = float(pair.closest.n[2])
+            beta = arm_activation(pair.closest.d, n_z, self._config.activation)
             if beta > 0.0:
                 row = generate_rep_acc(self._state, pair.closest, self._config.repulsion)
                 rows.append(repulsive_rows(row, beta))

@@ -76,8 +76,9 @@ class Controller:
     """
 
     def __init__(
-        self, model: RobotModel, data: BorderData, config: Config, *, name: str = "dbb"
-    ) -> None:
+        self, model: RobotModel, data: BorderData, config: Config, *, name: str = "dbb",
+        dt: float = 0.001,
+    ) -> None:  # fmt: skip
         """Prepare the controller.
 
         Args:
@@ -85,6 +86,7 @@ class Controller:
             data: Its link pairs and sampled clouds.
             config: Parameters; `configure` changes them.
             name: One of `CONTROLLERS`.
+            dt: [s] between two steps.
 
         Raises:
             UnknownNameError: No controller has that name.
@@ -96,6 +98,7 @@ class Controller:
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
         self._transition = TaskTransition(HierarchicalQP(model.n))
         self._J_m_inv = np.linalg.inv(model.J_m)
+        self._dt = dt
         self.reset()
 
     def use(self, name: str) -> None:
@@ -110,7 +113,8 @@ class Controller:
         self._method = METHODS[name]
 
     def reset(self) -> None:
-        """Forget the posture and the count of failures."""
+        """Forget the posture, the last torques and the count of failures."""
+        self._u_a: Array | None = None
         self.q_posture: Array | None = None
         self.failures = 0
 
@@ -142,16 +146,19 @@ class Controller:
         self.state.update(measurement)
         if self.q_posture is None:
             self.q_posture = measurement.q_m.copy()
+        if self._u_a is None:
+            self._u_a = free_arm_torque(self.state)
         avoidance = self._avoidance.update()
         inserted = self._method.insert(self.state, avoidance, self._config)
         try:
             asked = self._base_acceleration(inserted, reference)
             given = asked if base_acceleration is None else base_acceleration
-            u_a = self._torques(given, inserted, reference)
-            return ControlOutput(u_a, asked, avoidance, inserted, True)
+            u_a, solved = self._torques(given, inserted, reference), True
         except NoSolutionError:
             self.failures += 1
-            return ControlOutput(*self._safe_command(), avoidance, inserted, False)
+            (u_a, asked), solved = self._safe_command(), False
+        self._u_a = self._u_a + np.clip(u_a - self._u_a, -self._slew, self._slew)
+        return ControlOutput(self._u_a.copy(), asked, avoidance, inserted, solved)
 
     def _base_acceleration(self, inserted: Inserted, reference: Reference | None) -> Array:
         """The base's part of (29), (2,): its rows fix it once the solution without them is known.
@@ -213,6 +220,11 @@ class Controller:
         task = end_effector_task(self.state, reference, config)
         stack = Stack((task,), posture_objective(self.state, self.q_posture, config))
         return softened(stack, config.soft_weight) if self._method.soft else stack
+
+    @property
+    def _slew(self) -> float:
+        """[N m] or [N] largest change of a torque in one step."""
+        return self._config.limit.torque_rate * self._dt
 
     def _safe_command(self) -> tuple[Array, Array]:
         """Gravity compensation and damping for the arm, braking for the base."""

@@ -67,7 +67,7 @@ def dbb(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
     Paper: Algorithm 2, line 14 (UpdateSoT).
     """
     del state, config
-    return Inserted(avoidance.rows_m, avoidance.rows_links, avoidance.rows_above)
+    return Inserted(avoidance.rows_m, avoidance.rows_links, avoidance.rows_arm)
 
 
 def repulsive(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:

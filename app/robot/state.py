@@ -48,6 +48,7 @@ class RobotState:
     def __init__(self, model: RobotModel) -> None:
         self.model = model
         self.data = model.pin.createData()
+        self._pin = model.pin
         self.geometry_data = pin.GeometryData(model.geometry)
         self._J_m_inv = np.linalg.inv(model.J_m)
         self._S_T = np.ascontiguousarray(model.S.T)
@@ -61,9 +62,26 @@ class RobotState:
         )  # fmt: skip
         self.update(at_rest)
 
+    def scale_arm_inertias(self, factor: float) -> None:
+        """Compute with other masses and inertias of the arm from the next update on.
+
+        What is fixed to the base, the arm's first link too, keeps its own. The model that others
+        share is not changed.
+
+        Args:
+            factor: [-] of each mass and inertia about the same centre of mass; 1 is the model's.
+        """
+        if factor == 1.0:
+            self._pin = self.model.pin
+            return
+        self._pin = self.model.pin.copy()
+        for joint in range(2, self._pin.njoints):  # 1 is the planar joint of the base
+            Y = self.model.pin.inertias[joint]
+            self._pin.inertias[joint] = pin.Inertia(factor * Y.mass, Y.lever, factor * Y.inertia)
+
     def update(self, measurement: Measurement) -> None:
         """Recompute everything; Algorithm 2, line 2 (UpdateKinematics)."""
-        model, data = self.model.pin, self.data
+        model, data = self._pin, self.data
         self.measurement = measurement
         self.qd[:2] = self._J_m_inv @ measurement.base_velocity
         self.qd[2:] = measurement.qd_m

@@ -44,7 +44,7 @@ class DoorRecord:
             self._met = step.t
         if self._opened is None and self._angle >= _OPENED:
             self._opened = step.t
-        moved = step.measurement.base_pose - self._first.measurement.base_pose
+        moved = step.truth.base_pose - self._first.truth.base_pose
         if self._backed_off is None and np.hypot(*moved[:2]) >= _BACKED_OFF:
             self._backed_off = step.t
         if self._radial_error is None and step.t >= _ESTIMATE_AT:
@@ -65,8 +65,9 @@ class DoorRecord:
 
 
 def door_distance(step: Step) -> float:
-    """[m] signed distance between the mobile robot and the door."""
-    return next(p.closest.d for p in step.output.avoidance.pairs if p.closest.pair.b == BODY)
+    """[m] true signed distance between the mobile robot and the door."""
+    pairs = zip(step.output.avoidance.pairs, step.distances, strict=True)
+    return next(d for pair, d in pairs if pair.closest.pair.b == BODY)
 
 
 def door_columns(step: Step) -> dict[str, float]:

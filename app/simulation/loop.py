@@ -18,11 +18,12 @@ import numpy as np
 from app.control.controller import CONTROLLERS
 from app.errors import LoopError, UnknownNameError
 from app.simulation.history import History
+from app.simulation.leading import Leader, Scenario
 from app.simulation.pacing import Pacer
 from app.simulation.person import checked_target
 from app.simulation.publishing import make_snapshot
 from app.simulation.session import DT, Session, Step
-from app.simulation.snapshot import Choose, Command, Configure, Pause, Pull, Reset, Snapshot
+from app.simulation.snapshot import Choose, Command, Configure, Pause, Play, Pull, Reset, Snapshot
 
 Array = np.ndarray
 
@@ -86,6 +87,8 @@ class SimulationLoop:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulation", daemon=True)
         self._pull: Array | None = None
+        self._leader: Leader | None = None
+        self._led_until = 0.0  # [s]
         self._paused = False
 
     def start(self) -> None:
@@ -141,14 +144,24 @@ class SimulationLoop:
             if session is not None:
                 session.close()
 
-    def _reset(self, session: Session) -> None:
+    def _reset(self, session: Session, scenario: Scenario | None = None) -> None:
         session.reset(self._q_start)
-        self._pull = None
+        self._pull = self._leader = None
+        if scenario is not None:
+            self._leader, self._led_until = scenario.leader(session), scenario.duration
         self._pacer = Pacer(DT)
-        self._publish(session, session.step())
+        self._publish(session, self._step(session))
+
+    def _step(self, session: Session) -> Step:
+        """One control step, led by a scenario while one is played, else by the person."""
+        if self._leader is not None and session.t > self._led_until - 0.5 * DT:
+            self._leader = None
+        if self._leader is not None:
+            return session.step(*self._leader(session))
+        return session.step(pull=self._pull)
 
     def _advance(self, session: Session) -> None:
-        step = session.step(pull=self._pull)
+        step = self._step(session)
         self._pacer.worked(step.duration)
         if round(step.t / DT) % _PUBLISH_EVERY == 0:
             self._publish(session, step)
@@ -165,6 +178,7 @@ class SimulationLoop:
                 return
             if isinstance(command, Pull):
                 self._pull = None if command.target is None else np.array(command.target)
+                self._leader = None
             elif isinstance(command, Configure):
                 session.configure(command.config)
                 self._refresh(session)
@@ -177,6 +191,8 @@ class SimulationLoop:
                 self._refresh(session)
             elif isinstance(command, Reset):
                 self._reset(session)
+            elif isinstance(command, Play):
+                self._reset(session, command.scenario)
 
     def _refresh(self, session: Session) -> None:
         """Publish a change that must be seen although no step follows while paused."""

@@ -16,23 +16,26 @@ Array = np.ndarray
 
 def make_snapshot(session: Session, step: Step, pacer: Pacer, *, paused: bool) -> Snapshot:
     """The whole simulation at a control step; shares no memory with it, and is read-only."""
-    state = session.controller.state
+    state = session.state
     output, avoidance = step.output, step.output.avoidance
     acting = () if output.inserted.rows_m is None else avoidance.mobile
     quaternion = pin.Quaternion(state.T_world_ee.rotation).coeffs()  # x, y, z, w
     return Snapshot(
         t=step.t,
-        base_pose=_frozen(step.measurement.base_pose),
-        base_velocity=_frozen(step.measurement.base_velocity),
+        base_pose=_frozen(step.truth.base_pose),
+        base_velocity=_frozen(step.truth.base_velocity),
         base_velocity_command=_frozen(step.base_command),
         base_acceleration=_frozen(output.base_acceleration),
         avoidance_acceleration=_frozen(output.inserted.base_acceleration),
         wheel_angles=_frozen(session.wheel_angles),
-        q_m=_frozen(step.measurement.q_m),
+        q_m=_frozen(step.truth.q_m),
         u_a=_frozen(output.u_a),
         p_ee=_frozen(state.T_world_ee.translation),
         wxyz_ee=_frozen(np.roll(quaternion, 1)),
-        pairs=tuple(_pair_reading(session, pair) for pair in avoidance.pairs),
+        pairs=tuple(
+            _pair_reading(session, pair, d)
+            for pair, d in zip(avoidance.pairs, step.distances, strict=True)
+        ),
         acting=tuple(_acting_reading(state, pair) for pair in acting if pair.acting is not None),
         beta_m=avoidance.beta_m,
         hand_target=None if step.hand_target is None else _frozen(step.hand_target),
@@ -48,15 +51,16 @@ def make_snapshot(session: Session, step: Step, pacer: Pacer, *, paused: bool) -
         mode="guiding",
         controller=session.controller.name,
         config=session.config,
+        buffer=step.buffer,
     )
 
 
-def _pair_reading(session: Session, pair: PairState) -> PairReading:
+def _pair_reading(session: Session, pair: PairState, d: float) -> PairReading:
     closest = pair.closest
     return PairReading(
         name=closest.pair.name,
         mobile=closest.pair.a == session.model.body_names[0],
-        d=closest.d,
+        d=d,
         beta=pair.beta,
         p_a=_frozen(closest.p_a),
         p_b=_frozen(closest.p_b),

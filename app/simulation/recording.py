@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import csv
+import math
 from pathlib import Path
 
 import numpy as np
 
+from app.control.buffer_watch import BufferReading
 from app.robot.model import RobotModel
 from app.simulation.door_record import DoorRecord, door_columns
 from app.simulation.session import Step
@@ -18,7 +20,7 @@ _DEAD_BAND = 0.01  # [m/s², rad/s²] within which an acceleration has no sign
 
 
 class Recorder:
-    """Takes every control step of a run; gives its figures and its log."""
+    """Takes every control step of a run; gives its figures and its log, both about the truth."""
 
     def __init__(self, model: RobotModel) -> None:
         self._model = model
@@ -34,6 +36,7 @@ class Recorder:
         self._door: DoorRecord | None = None
         self._hand_force_max = 0.0
         self._failures = 0
+        self._near_until: float | None = None
         self._durations: list[float] = []
 
     def add(self, step: Step) -> None:
@@ -41,18 +44,20 @@ class Recorder:
         if self._last is not None:
             jump = np.abs(step.output.u_a - self._last.output.u_a)
             self._torque_jump = max(self._torque_jump, float(jump.max()))
-            moved = step.measurement.base_pose[:2] - self._last.measurement.base_pose[:2]
+            moved = step.truth.base_pose[:2] - self._last.truth.base_pose[:2]
             self._path += float(np.hypot(*moved))
         else:
             self._first = step
-        for pair in step.output.avoidance.pairs:
+        for pair, d in zip(step.output.avoidance.pairs, step.distances, strict=True):
             name = pair.closest.pair.name
-            self._least[name] = min(self._least.get(name, np.inf), pair.closest.d)
+            self._least[name] = min(self._least.get(name, np.inf), d)
             if pair.closest.pair.a == self._model.body_names[0]:
                 self._mobile.add(name)
         self._contacts += step.contacts.arm_base
         self._arm_contacts += step.contacts.arm_arm
         self._floor_contacts += step.contacts.arm_floor
+        if any(pair.beta >= 1.0 for pair in step.output.avoidance.pairs):
+            self._near_until = step.t
         self._ee_error_max = max(self._ee_error_max, step.ee_error)
         self._activation_max = max(self._activation_max, step.output.activation)
         self._hand_force_max = max(self._hand_force_max, float(np.linalg.norm(step.hand_force)))
@@ -72,12 +77,23 @@ class Recorder:
         """The log, one row a hundredth of a second; read it only."""
         return self._rows
 
+    @property
+    def buffer(self) -> BufferReading:
+        """Whether d_b was enough."""
+        assert self._last is not None, "no step was recorded"
+        return self._last.buffer
+
     def figures(self) -> dict[str, object]:
-        """The figures of the run so far; keys end in their unit."""
+        """The figures of the run so far; keys end in their unit.
+
+        `buffer_needed_m` is None where no d_b suffices; `clear_since_s`, since when no pair has
+        been within the distance of full activation, is None if one still is.
+        """
         assert self._first is not None, "no step was recorded"
         assert self._last is not None
-        begin, end = self._first.measurement.base_pose, self._last.measurement.base_pose
+        begin, end = self._first.truth.base_pose, self._last.truth.base_pose
         durations = np.array(self._durations) * 1e6
+        needed = self.buffer.needed_max
         mobile = {k: v for k, v in self._least.items() if k in self._mobile}
         others = {k: v for k, v in self._least.items() if k not in self._mobile}
         return {
@@ -97,11 +113,20 @@ class Recorder:
             **self._inserted.figures("avoidance_acceleration"),
             "torque_jump_max_nm": self._torque_jump,
             "hand_force_max_n": self._hand_force_max,
+            "clear_since_s": self._clear_since(),
+            "approach_speed_max_mps": self.buffer.approach_speed_max,
+            "buffer_needed_m": needed if math.isfinite(needed) else None,
             **(self._door.figures() if self._door is not None else {}),
             "solver_failures": self._failures,
             "step_p50_us": float(np.percentile(durations, 50)),
             "step_p99_us": float(np.percentile(durations, 99)),
         }
+
+    def _clear_since(self) -> float | None:
+        assert self._last is not None
+        if self._near_until is None:
+            return 0.0
+        return None if self._near_until == self._last.t else self._near_until
 
     def write_log(self, path: Path) -> None:
         """Write the log, one row a hundredth of a second, as CSV; columns end in their unit."""
@@ -112,7 +137,7 @@ class Recorder:
 
 
 def _log_row(step: Step) -> dict[str, float]:
-    m, out = step.measurement, step.output
+    m, out = step.truth, step.output
     row: dict[str, float] = {"t_s": step.t}
     row |= dict(zip(("base_x_m", "base_y_m", "base_yaw_rad"), m.base_pose.tolist(), strict=True))
     row |= {"base_v_mps": float(m.base_velocity[0]), "base_w_radps": float(m.base_velocity[1])}
@@ -121,9 +146,9 @@ def _log_row(step: Step) -> dict[str, float]:
     row |= {f"q{i}_rad": float(q) for i, q in enumerate(m.q_m, start=1)}
     row |= {f"qd{i}_radps": float(q) for i, q in enumerate(m.qd_m, start=1)}
     row |= {f"u{i}_nm": float(u) for i, u in enumerate(out.u_a, start=1)}
-    for pair in out.avoidance.pairs:
+    for pair, d in zip(out.avoidance.pairs, step.distances, strict=True):
         name = pair.closest.pair.name
-        row |= {f"d_{name}_m": pair.closest.d, f"beta_{name}": pair.beta}
+        row |= {f"d_{name}_m": d, f"beta_{name}": pair.beta}
     row["beta_m"] = out.avoidance.beta_m
     asked, avoid = out.base_acceleration, out.inserted.base_acceleration
     row |= {"base_a_mps2": float(asked[0]), "base_aw_radps2": float(asked[1])}

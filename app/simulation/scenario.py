@@ -6,6 +6,7 @@ from app.errors import UnknownNameError
 from app.simulation.leading import Scenario
 from app.simulation.line import LineScenario
 from app.simulation.refrigerator import RefrigeratorScenario
+from app.simulation.way_out import WayOutScenario
 
 LINES = {
     scenario.name: scenario
@@ -35,7 +36,9 @@ LINES = {
 }  # fmt: skip
 """Scenarios in which the hand is led on a straight line."""
 
-SCENARIOS: dict[str, Scenario] = {**LINES, "refrigerator": RefrigeratorScenario()}
+SCENARIOS: dict[str, Scenario] = {
+    **LINES, **{s.name: s for s in (RefrigeratorScenario(), WayOutScenario())}
+}  # fmt: skip
 
 
 def scenario_by_name(name: str) -> Scenario:

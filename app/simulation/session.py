@@ -9,18 +9,21 @@ import numpy as np
 import pinocchio as pin
 
 from app.border.cache import BorderData
-from app.config import Config
+from app.config import Config, DisturbanceConfig
 from app.control.admittance import AdmittanceLaw
+from app.control.buffer_watch import BufferReading, BufferWatch
 from app.control.controller import Controller, ControlOutput
 from app.control.drive import Drive
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
-from app.robot.state import Measurement
+from app.robot.state import Measurement, RobotState
+from app.simulation.disturbance import Disturbances
 from app.simulation.door import OpenDoor
 from app.simulation.leading import DoorReading
 from app.simulation.person import PersonHand
 from app.simulation.physics import Contacts, Physics
 from app.simulation.plants import make_physics
+from app.simulation.truth import Truth
 
 Array = np.ndarray
 
@@ -34,14 +37,17 @@ class Step(NamedTuple):
         t: [s] simulated time at the step's begin.
         measurement: The sensors' readings.
         output: The controller's answer.
-        base_command: (2,) v [m/s] and ω [rad/s] in force.
+        base_command: (2,) v [m/s] and ω [rad/s] in force; what arrives at the drive may be late.
         hand_target: (3,) [m] where the person pulls, or None.
         hand_force: (3,) [N] force on the end-effector in the world: the person's, or what the hand
             exerts on a door that it holds.
-        ee_error: [m] distance of the end-effector from its reference, or from where the person
-            pulls; 0 if there is neither.
+        ee_error: [m] true distance of the end-effector from its reference, or from where the
+            person pulls; 0 if there is neither.
         contacts: What touched in the step.
         duration: [s] real time that the controller took.
+        truth: The robot as it is; the same as `measurement` without noise.
+        distances: [m] true signed distances, in the order of the output's pairs.
+        buffer: Whether d_b is enough for how fast the arm comes.
         door: How the opening of a door goes, or None if there is none.
     """
 
@@ -54,6 +60,9 @@ class Step(NamedTuple):
     ee_error: float
     contacts: Contacts
     duration: float
+    truth: Measurement
+    distances: tuple[float, ...]
+    buffer: BufferReading
     door: DoorReading | None = None
 
 
@@ -87,7 +96,7 @@ class Session:
             config: Parameters.
             controller: One of `app.control.controller.CONTROLLERS`.
             physics: Kind of plant.
-            seed: Of what the plant draws at random.
+            seed: Of what the plant draws at random, and of the sensors' noise.
             plant: The robot as it is, where the controller's has what it holds as one more body.
             door: A door that the hand holds, or None.
 
@@ -102,6 +111,10 @@ class Session:
         base = model.description.base
         self._drive = Drive(base, DT)
         self._admittance = AdmittanceLaw(base, config.admittance)
+        self._disturbances = Disturbances(config.disturbance, DT, seed)
+        self._truth = Truth(model, data, self.controller)
+        self._watch = BufferWatch(config)
+        self._disturb(config.disturbance)
         self.reset(np.array(model.description.arm.ready_position))
 
     def reset(self, q_m: Array, base_pose: Array | None = None) -> None:
@@ -115,9 +128,12 @@ class Session:
         self.physics.reset(np.zeros(3) if base_pose is None else base_pose, q_m)
         self.controller.reset()
         self._admittance.reset()
+        self._disturbances.reset()
         self._person = PersonHand(self.config.hand, DT)
         self.wheel_angles = np.zeros(2)
         self.controller.state.update(self.physics.measure())
+        self._truth.reset()
+        self._watch.reset()
 
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on."""
@@ -125,11 +141,18 @@ class Session:
         self.controller.configure(config)
         self._admittance.config = config.admittance
         self._person.config = config.hand
+        self._watch.config = config
+        self._disturb(config.disturbance)
 
     @property
     def T_world_ee(self) -> pin.SE3:
-        """Pose of the end-effector at the last step."""
+        """Pose of the end-effector at the last step, as the sensors have it."""
         return self.controller.state.T_world_ee
+
+    @property
+    def state(self) -> RobotState:
+        """The robot as it was at the last step."""
+        return self._truth.state
 
     def step(
         self,
@@ -144,7 +167,8 @@ class Session:
             pull: (3,) [m] where a person pulls the end-effector, or None.
             door: How the opening of a door goes, for the record only.
         """
-        measurement = self.physics.measure()
+        truth = self.physics.measure()
+        measurement = self._disturbances.sensed(truth)
         expected = self._drive.expected_acceleration(
             self._admittance.command, measurement.base_velocity
         )
@@ -152,20 +176,30 @@ class Session:
         output = self.controller.step(measurement, reference, base_acceleration=expected)
         duration = perf_counter() - begin
         command = self._admittance.update(output.base_acceleration, DT)
-        state = self.controller.state
+        self._truth.update(truth, measurement, output.avoidance.pairs)
+        state = self.state
         p_ee = state.T_world_ee.translation
         force = self._person.force(p_ee, state.v_ee[:3], pull)
         aim = pull if pull is not None else reference.pose.translation if reference else p_ee
         error = float(np.linalg.norm(p_ee - aim))
-        self.physics.step(output.u_a, command, force)
+        self.physics.step(output.u_a, self._disturbances.arriving(command), force)
         self.wheel_angles = self.wheel_angles + state.qd[:2] * DT
         felt = force if door is None else door.force
         step = Step(
             self.t, measurement, output, command.copy(), pull, felt, error,
-            self.physics.contacts(), duration, door,
+            self.physics.contacts(), duration, truth, self._truth.distances, self._look(output),
+            door,
         )  # fmt: skip
         self.t += DT
         return step
+
+    def _look(self, output: ControlOutput) -> BufferReading:
+        closest = [pair.closest for pair in output.avoidance.mobile]
+        return self._watch.update(self.state, closest, DT, gives_way=self.controller.name == "dbb")
+
+    def _disturb(self, config: DisturbanceConfig) -> None:
+        self._disturbances.config = config
+        self.controller.state.scale_arm_inertias(1.0 + config.mass_error)
 
     def close(self) -> None:
         """Release the plant."""

@@ -8,6 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from app.config import Config
+from app.control.buffer_watch import BufferReading
+from app.simulation.leading import Scenario
 
 Array = np.ndarray
 
@@ -101,6 +103,8 @@ class Snapshot:
     """"guiding", or "tracking" while the arm follows a reference."""
     controller: str
     config: Config
+    buffer: BufferReading
+    """Whether d_b is enough for how fast the arm comes."""
 
 
 @dataclass(frozen=True)
@@ -136,4 +140,11 @@ class Reset:
     """Begin anew at the starting pose."""
 
 
-Command = Pull | Configure | Choose | Pause | Reset
+@dataclass(frozen=True)
+class Play:
+    """Begin anew, and let a scenario that starts there lead the hand until its end or a pull."""
+
+    scenario: Scenario
+
+
+Command = Pull | Configure | Choose | Pause | Reset | Play

@@ -25,6 +25,9 @@ _BUFFER_MARGIN = 0.005  # [m] beyond the buffer
 _FLOOR_MARGIN = 0.01  # [m] between arm and floor
 _JOINT_MARGIN = 0.03  # [-] share of a joint's range kept from its limits
 
+OUT_OF_REACH = "out of the arm's reach"
+"""The flaw of a try that did not even bring the hand to the place."""
+
 
 class _Judgement(NamedTuple):
     quality: float
@@ -46,12 +49,21 @@ class StartSolver:
         self._d_b = d_b
         self._state = RobotState(model)
         self._monitor = DistanceMonitor(self._state, [*pairs.mobile, *pairs.manipulator])
-        self._floor = _FloorDistance(self._state)
+        self._floor = FloorDistance(self._state)
         self._range = model.q_upper - model.q_lower
         self._middle = (model.q_upper + model.q_lower) / 2
 
-    def solve(self, p_ee: tuple[float, float, float], *, seed: int = 0) -> Array:
+    def solve(
+        self, p_ee: tuple[float, float, float], *, seed: int = 0, turn: float = 0.0,
+        tries: int = _SEEDS,
+    ) -> Array:  # fmt: skip
         """(n_m,) arm configuration with the end-effector at `p_ee` [m] in the world.
+
+        Args:
+            p_ee: Where the hand shall be.
+            seed: Of the starting points of the search.
+            turn: [rad] by how much the hand points to the left of straight away from the mount.
+            tries: Starting points of the search per pitch of the hand.
 
         Raises:
             UnreachableError: There is none; says what stands in the way.
@@ -65,9 +77,9 @@ class StartSolver:
         ready = np.array(self._model.description.arm.ready_position)
         flaws: dict[str, int] = {}
         for pitch in _PITCHES:
-            direction = self._direction(target, pitch)
+            direction = pin.utils.rotate("z", turn) @ self._direction(target, pitch)
             best, best_quality = None, 0.0
-            for k in range(_SEEDS):
+            for k in range(tries):
                 anywhere = self._middle + (rng.random(len(ready)) - 0.5) * self._range
                 guess = ready if k == 0 else anywhere
                 q = self._search(target, direction, guess)
@@ -80,8 +92,28 @@ class StartSolver:
                 return best
         raise UnreachableError(
             f"start {_text(p_ee)}: no configuration of the arm brings the hand there: "
-            f"{self._summary(flaws)}"
+            f"{self._summary(flaws)}",
+            flaws,
         )
+
+    def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
+        """(n_m,) the posture near another, the hand pointing as there, its origin at `p_ee` [m].
+
+        Args:
+            p_ee: (3,) in the world.
+            q_m: (n_m,) a posture from which the place can be reached without a change of branch.
+
+        Raises:
+            UnreachableError: That posture cannot be used; says why.
+        """
+        target = np.array(p_ee, dtype=float)
+        self._place(q_m)
+        direction = self._state.T_world_ee.rotation[:, 2].copy()
+        q = self._search(target, direction, q_m)
+        _, flaw = self._judge(q, target, direction)
+        if flaw:
+            raise UnreachableError(f"start {_text(p_ee)}: {flaw}", {flaw: 1})
+        return q
 
     def _direction(self, target: Array, pitch: float) -> Array:
         """Unit vector from the mount outwards, tilted `pitch` below the horizon."""
@@ -94,9 +126,22 @@ class StartSolver:
         zero = np.zeros(len(q))
         self._state.update(Measurement(np.zeros(3), np.zeros(2), q, zero))
 
-    def _search(self, target: Array, direction: Array, guess: Array) -> Array:
+    def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
+        """Whether the hand comes to `p_ee` [m] within the joints' limits, however it points."""
+        rng = np.random.default_rng(seed)
+        target = np.array(p_ee, dtype=float)
+        for _ in range(tries):
+            guess = self._middle + (rng.random(len(self._range)) - 0.5) * self._range
+            self._place(self._search(target, None, guess))
+            if np.linalg.norm(self._state.T_world_ee.translation - target) < _POSITION_TOLERANCE:
+                return True
+        return False
+
+    def _search(self, target: Array, direction: Array | None, guess: Array) -> Array:
         """Least squares on position and direction, drawn a little to the joints' middle."""
         state = self._state
+        pointed = 0.0 if direction is None else 1.0
+        wanted = np.zeros(3) if direction is None else direction
 
         def residual(q: Array) -> Array:
             self._place(q)
@@ -104,7 +149,7 @@ class StartSolver:
             return np.concatenate(
                 [
                     10.0 * (at.translation - target),
-                    at.rotation[:, 2] - direction,
+                    pointed * (at.rotation[:, 2] - wanted),
                     1e-5 * (q - self._middle) / self._range,
                 ]
             )
@@ -112,7 +157,7 @@ class StartSolver:
         def jacobian(q: Array) -> Array:
             self._place(q)
             J = state.J_ee[:, 2:]
-            pointing = -pin.skew(state.T_world_ee.rotation[:, 2]) @ J[3:]
+            pointing = -pointed * pin.skew(state.T_world_ee.rotation[:, 2]) @ J[3:]
             return np.vstack([10.0 * J[:3], pointing, 1e-5 * np.diag(1 / self._range)])
 
         margin = _JOINT_MARGIN * self._range
@@ -130,7 +175,7 @@ class StartSolver:
         self._place(q)
         at = self._state.T_world_ee
         if np.linalg.norm(at.translation - target) > _POSITION_TOLERANCE:
-            return _Judgement(0.0, "out of the arm's reach")
+            return _Judgement(0.0, OUT_OF_REACH)
         if np.linalg.norm(at.rotation[:, 2] - direction) > _DIRECTION_TOLERANCE:
             return _Judgement(0.0, "out of reach with the hand pointing away from the mount")
         if self._floor.least() < _FLOOR_MARGIN:
@@ -152,7 +197,7 @@ class StartSolver:
         return "; ".join(f"{flaw} ({flaws[flaw]} tries)" for flaw in ordered[:3])
 
 
-class _FloorDistance:
+class FloorDistance:
     """Least signed distance of the arm's bodies to the floor."""
 
     def __init__(self, state: RobotState) -> None:

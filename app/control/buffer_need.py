@@ -1,0 +1,164 @@
+"""How large d_b must be, so that the base is out of the way before an approaching hand is there.
+
+A hand comes towards the base along -n at a constant speed v, whatever the base does. How near does
+it get? Three things hold the base back:
+
+- Dead time t_0 = period + delay + τ. What the controller asks is averaged over a command's period
+  and reaches the drive later by the delay; the drive's lag of first order delays by another τ.
+- The law asks the more the deeper the hand is. At the distance d it accelerates the base along -n,
+  in each of its channels k (v and ω), by
+  a_k = β(d) f_max (1 - d/d_b) (1 - n_z²) J_k (J · u)_k / m_k, with J = (n_x, n_y x - n_x y) at the
+  hand's place (x, y) and m_k = m, I. The force comes from the acting point, which stands aside by
+  α_min while the hand is d_b - d inside the border: u lies between the normal and the tangent with
+  tan = α_min / (d_b - d), on the worse side.
+- The admittance law makes a speed of it: w_k(t) = a_k T_k (1 - e^(-t/T_k)), T_k = M_a/D_a, with a_k
+  within the base's acceleration limit and w_k within its largest speed.
+
+Once the hand is at some d_*, the law asks for at least a_k(d_*) as long as the hand is nearer. So
+after t_0 each channel reaches its share v_k of v in t_k = -T_k ln(1 - v_k/(a_k T_k)), and until
+then the hand has gained on the base no more than
+
+    x(d_*) = v t_0 + Σ_k [ v_k T_k - (a_k T_k - v_k) t_k ],   Σ_k v_k = v
+
+(without damping v_k²/(2 a_k)). The least distance is therefore no smaller than the largest
+d_* - x(d_*). That grows with d_b, and the need is the smallest d_b at which it is the reserve.
+Where the speeds a_k T_k together stay below v at every d_*, no d_b suffices.
+
+Two things are taken as simpler than they are. The place does not move along the base, and the lever
+of ω at the flank is never below 0.25 m: near the wheel axis the tangential part of the force first
+drives the base along its own flank, until there is a lever.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from app.config import Config
+from app.robot.description import BaseDescription
+
+Array = np.ndarray
+
+RESERVE = 0.02  # [m] that shall be left between arm and base
+_LEVER = 0.25  # [m] that ω has at least at the flank
+_LONGEST = 100.0  # [s] time constant that stands for no damping
+_DEPTHS = np.linspace(0.04, 1.0, 25)  # [-] where d_* is tried, as a share of d_b from the border on
+_SIZES = np.geomspace(0.05, 2.0, 25)  # [m] d_b tried
+
+
+class Approach(NamedTuple):
+    """How the arm comes towards the base.
+
+    Attributes:
+        v: [m/s] speed of the arm's closest point over the ground, along -n.
+        n: (3,) unit normal of the pair from the base to the arm, in the base's frame.
+        p_b: (3,) [m] closest point on the arm, in the base's frame.
+    """
+
+    v: float
+    n: Array
+    p_b: Array
+
+
+def buffer_need(approach: Approach, base: BaseDescription, config: Config) -> float:
+    """[m] the smallest d_b for which the arm stays away from the base by the reserve.
+
+    See the module for what is assumed. The delay and the slip are those of the configuration.
+
+    Args:
+        approach: Speed, direction and place.
+        base: Mass, inertia, limits and time constant of the base.
+        config: Law, admittance and disturbances; its own d_b has no part in it.
+
+    Returns:
+        At least d_full, from which on β has room to rise; infinite if the base cannot retreat as
+        fast, or not with a d_b of less than 2 m.
+    """
+    least = max(RESERVE, config.activation.d_full)
+    if approach.v <= 0.0:
+        return least
+    sizes = np.maximum(_SIZES, least + 1e-6)
+    low = int(np.searchsorted(least_distance(sizes, approach, base, config) >= RESERVE, True))
+    if low == len(sizes):
+        return float("inf")
+    if low > 0:
+        sizes = np.linspace(sizes[low - 1], sizes[low], 20)
+        low = int(np.searchsorted(least_distance(sizes, approach, base, config) >= RESERVE, True))
+    return float(sizes[min(low, len(sizes) - 1)])
+
+
+def least_distance(d_b: Array, approach: Approach, base: BaseDescription, config: Config) -> Array:
+    """How near the arm comes at most, by the bound of the module.
+
+    Args:
+        d_b: (k,) [m] buffer distances, above d_full.
+        approach: Speed, direction and place.
+        base: See `buffer_need`.
+        config: See `buffer_need`.
+
+    Returns:
+        (k,) [m], minus infinity where the base does not reach the speed at all.
+    """
+    d_b = np.asarray(d_b, dtype=float)[:, None]
+    d = d_b * (1.0 - _DEPTHS)  # (k, depths)
+    a, w = _retreat(d, d_b, approach, base, config)
+    T = _time_constants(config)
+    v = approach.v - w.clip(max=0.0).sum(axis=0)  # a channel that goes the wrong way adds to it
+    share, total = w.clip(min=0.0), w.clip(min=0.0).sum(axis=0)
+    fast = total > v
+    v_k = share * np.where(fast, v / np.where(fast, total, 1.0), 0.0)
+    gained = approach.v * dead_time(base, config) + _gain(v_k, a, T).sum(axis=0)
+    return np.where(fast, d - gained, -np.inf).max(axis=1)
+
+
+def dead_time(base: BaseDescription, config: Config) -> float:
+    """[s] from a demand of the controller to the base's motion."""
+    return config.admittance.period + config.disturbance.base_delay + base.drive_time_constant_s
+
+
+def _retreat(
+    d: Array, d_b: Array, approach: Approach, base: BaseDescription, config: Config
+) -> tuple[Array, Array]:
+    """(2, k, depths) acceleration [m/s²] and final speed [m/s] along n, of the channels v and ω."""
+    admittance, kept = config.admittance, 1.0 - config.disturbance.slip
+    n, p = approach.n, approach.p_b
+    flat = float(np.hypot(n[0], n[1]))
+    if flat < 1e-6:
+        return np.zeros((2, *d.shape)), np.zeros((2, *d.shape))
+    lever = n[1] * p[0] - n[0] * p[1]
+    lever = np.copysign(max(abs(lever), _LEVER * abs(n[1])), lever)
+    J = np.array([n[0], lever])[:, None, None]
+    J_t = np.array([-n[1], n[0] * p[0] + n[1] * p[1]])[:, None, None]
+    below = d_b - d
+    aside = np.hypot(below, config.force.alpha_min)
+    c, s = below / aside, config.force.alpha_min / aside
+    rise = (below / (d_b - config.activation.d_full)).clip(0.0, 1.0)
+    beta = rise * rise * (3.0 - 2.0 * rise)
+    f = beta * config.force.f_max * (1.0 - d / d_b) * flat
+    mass = np.array([base.mass_kg, base.inertia_kgm2])[:, None, None]
+    a_max = np.array(base.max_acceleration)[:, None, None] * np.abs(J)
+    top = np.minimum(base.max_velocity, [admittance.v_max, admittance.omega_max])
+    w_max = top[:, None, None] * np.abs(J)
+    T = _time_constants(config)
+    found = []
+    for side in (1.0, -1.0):
+        a = kept * (f * J / mass * (c * J + side * s * J_t)).clip(-a_max, a_max)
+        found.append((a, (a * T).clip(-kept * w_max, kept * w_max)))
+    worse = found[0][1].sum(axis=0) < found[1][1].sum(axis=0)
+    (a1, w1), (a2, w2) = found
+    return np.where(worse, a1, a2), np.where(worse, w1, w2)
+
+
+def _time_constants(config: Config) -> Array:
+    """(2, 1, 1) [s] M_a / D_a of the admittance law."""
+    c = config.admittance
+    mass, damping = np.array([c.mass, c.inertia]), np.array([c.damping, c.angular_damping])
+    return np.minimum(mass / np.maximum(damping, 1e-9), _LONGEST)[:, None, None]
+
+
+def _gain(v: Array, a: Array, T: Array) -> Array:
+    """[m] by how much a point of speed v gets ahead of one that starts with a and reaches a T."""
+    final = np.maximum(a * T, 1e-12)
+    ratio = np.minimum(v / final, 1.0 - 1e-9)
+    return v * T + (final - v).clip(min=0.0) * T * np.log1p(-ratio)

@@ -1,0 +1,151 @@
+"""Watches how fast the arm comes towards the base, and whether d_b is enough for that."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from app.avoidance.activation import share_from_above
+from app.avoidance.distances import ClosestPoints
+from app.config import Config, parameter
+from app.control.buffer_need import Approach, buffer_need
+from app.robot.description import BaseDescription
+from app.robot.state import RobotState
+
+_SAMPLE = 10  # control steps between two readings of the speed
+_EVERY = 50  # control steps between two looks, each at the mean of the readings since
+_REMEMBERED = 3.0  # [s] for which an approach counts as recent
+_SLOW = 0.005  # [m/s] below which nothing approaches
+_FARTHEST = parameter("border.d_b").high  # [m] nothing beyond the largest d_b is an approach yet
+
+
+class BufferReading(NamedTuple):
+    """Whether d_b is enough.
+
+    Attributes:
+        approach_speed: [m/s] the largest speed towards the base in the last 3 s.
+        needed: [m] the largest d_b that any approach in the last 3 s would have needed; infinite if
+            there was one faster than the base retreats, 0 without any.
+        approach_speed_max: [m/s] the largest since the reset.
+        needed_max: [m] the largest since the reset.
+        too_small: Whether `needed` is more than d_b is now, for a controller whose base gives way.
+        too_small_ever: Whether `needed_max` is, for such a controller.
+    """
+
+    approach_speed: float
+    needed: float
+    approach_speed_max: float
+    needed_max: float
+    too_small: bool
+    too_small_ever: bool
+
+
+class BufferWatch:
+    """Takes the pairs of L_m step by step; says how large d_b should have been.
+
+    The speed is that of the arm's closest point over the ground along -n. While the base is at rest
+    that is the arm's own; while it retreats it still is how fast the hand is led. An approach
+    counts while the distance shrinks, once it is as near as the border that it needs, or inside of
+    the present one: a hand that is still farther away may yet slow down. From above it is the arm
+    that resists, and no d_b helps the base: there nothing counts.
+
+    Attributes:
+        config: Parameters; may be replaced at any time.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self.config = config
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all approaches."""
+        self._steps = 0
+        self._recent: deque[tuple[int, float, float]] = deque()
+        self._speeds: dict[str, deque[tuple[float, float]]] = {}
+        self._speed_max = self._needed_max = 0.0
+
+    def update(
+        self, state: RobotState, pairs: Sequence[ClosestPoints], dt: float, *, gives_way: bool
+    ) -> BufferReading:
+        """Take one control step.
+
+        Args:
+            state: The robot's state.
+            pairs: The pairs of L_m at it.
+            dt: [s] control step.
+            gives_way: Whether the controller lets the base give way.
+        """
+        if self._steps % _SAMPLE == 0:
+            look = self._steps % _EVERY == 0
+            for pair in pairs:
+                self._sample(state, pair, look=look)
+            while self._recent and (self._steps - self._recent[0][0]) * dt > _REMEMBERED:
+                self._recent.popleft()
+        self._steps += 1
+        speed = max((v for _, v, _ in self._recent), default=0.0)
+        needed = max((need for _, _, need in self._recent), default=0.0)
+        d_b = self.config.border.d_b
+        return BufferReading(
+            speed, needed, self._speed_max, self._needed_max,
+            too_small=gives_way and needed > d_b,
+            too_small_ever=gives_way and self._needed_max > d_b,
+        )  # fmt: skip
+
+    def _sample(self, state: RobotState, pair: ClosestPoints, *, look: bool) -> None:
+        """Read the speed of a pair; when a look is due, judge the mean: a tremor is no approach."""
+        speeds = self._speeds.setdefault(pair.pair.name, deque(maxlen=_EVERY // _SAMPLE))
+        if pair.d > _FARTHEST or share_from_above(float(pair.n[2])) > 0.0:
+            speeds.clear()
+            return
+        approach, closing = approach_of(state, pair)
+        speeds.append((approach.v, closing))
+        if look:
+            v, closing = (sum(column) / len(speeds) for column in zip(*speeds, strict=True))
+            self._judge(approach._replace(v=v), closing, pair.d, state.model.description.base)
+
+    def _judge(self, approach: Approach, closing: float, d: float, base: BaseDescription) -> None:
+        if min(approach.v, closing) < _SLOW:  # at rest, or no nearer
+            return
+        needed = buffer_need(approach, base, self.config)
+        if d > self.config.border.d_b and not d <= needed < float("inf"):
+            return
+        self._recent.append((self._steps, approach.v, needed))
+        self._speed_max = max(self._speed_max, approach.v)
+        self._needed_max = max(self._needed_max, needed)
+
+
+def approach_of(state: RobotState, pair: ClosestPoints) -> tuple[Approach, float]:
+    """How the arm's closest point of a pair of L_m comes towards the base.
+
+    Returns:
+        The approach over the ground, and [m/s] how fast the distance shrinks, which is the arm's
+        motion alone.
+    """
+    J = state.point_jacobian(state.model.body_joint(pair.pair.b), pair.p_b)
+    along = -(pair.n @ J)  # (n,)
+    v, closing = float(along @ state.qd), float(along[2:] @ state.qd[2:])
+    return Approach(v, state.R_world_base.T @ pair.n, state.to_base(pair.p_b)), closing
+
+
+def needed_text(needed: float) -> str:
+    """A need for people, rounded up to whole centimetres."""
+    if math.isinf(needed):
+        return "no d_b suffices"
+    return f"d_b of {math.ceil(needed * 100 - 1e-9) / 100:.2f} m needed"
+
+
+def buffer_warning(reading: BufferReading, config: Config) -> str | None:
+    """What to say after a run in which d_b was too small, or None."""
+    if not reading.too_small_ever:
+        return None
+    text = (
+        f"d_b = {config.border.d_b:.2f} m is too small: the arm came at up to "
+        f"{reading.approach_speed_max:.2f} m/s, the base's command up to "
+        f"{config.admittance.period + config.disturbance.base_delay:.2f} s late: "
+    )
+    if math.isinf(reading.needed_max):
+        return text + "no d_b suffices, the base does not retreat as fast"
+    beyond = f", {_FARTHEST:.2f} m can be set" if reading.needed_max > _FARTHEST else ""
+    return text + needed_text(reading.needed_max) + beyond

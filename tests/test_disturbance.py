@@ -1,0 +1,214 @@
+"""Noise, delay, model error, slip: zero is no change, and each does what its number says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.border.cache import BorderData
+from app.config import Config, DisturbanceConfig, parameter
+from app.control.controller import Controller
+from app.robot.link_pairs import PairDistances
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
+from app.simulation.disturbance import Disturbances, VelocityTracking
+from app.simulation.scenario import LINES
+from app.simulation.session import DT, Session, Step
+from app.simulation.start import StartSolver
+
+LATERAL = LINES["guiding-lateral"]
+PULL = np.add(LATERAL.start, LATERAL.move)  # [m] into the buffer
+SIGMA = 0.001  # [rad]
+
+
+@pytest.fixture(scope="module")
+def q_start(robot: RobotModel, border_data: BorderData) -> np.ndarray:
+    return StartSolver(robot, border_data.pairs, Config().border.d_b).solve(LATERAL.start)
+
+
+class Spy:
+    """A plant that notes what it is told."""
+
+    def __init__(self, physics) -> None:
+        self._physics, self.commands = physics, []
+
+    def __getattr__(self, name: str):
+        return getattr(self._physics, name)
+
+    def step(self, u_a, base_velocity, hand_force) -> None:
+        self.commands.append(np.array(base_velocity))
+        self._physics.step(u_a, base_velocity, hand_force)
+
+
+@pytest.fixture
+def make(robot: RobotModel, border_data: BorderData, q_start: np.ndarray):
+    """Makes sessions at the start of guiding-lateral, disturbed as asked, with a spy."""
+
+    def make(seed: int = 0, **disturbance: float) -> Session:
+        config = Config(disturbance=DisturbanceConfig(**disturbance))
+        session = Session(robot, border_data, config, physics="kinematic", seed=seed)
+        session.physics = Spy(session.physics)
+        session.reset(q_start)
+        return session
+
+    return make
+
+
+def pulled(session: Session, steps: int) -> list[Step]:
+    return [session.step(pull=PULL) for _ in range(steps)]
+
+
+def path(steps: list[Step]) -> np.ndarray:
+    return np.array([np.concatenate([*s.truth, s.output.u_a, s.base_command]) for s in steps])
+
+
+def test_without_disturbance_the_sensors_say_the_truth_and_the_commands_arrive(make):
+    session = make()
+    steps = pulled(session, 1500)
+    assert all(step.measurement is step.truth for step in steps)
+    np.testing.assert_array_equal(session.physics.commands, [s.base_command for s in steps])
+    assert np.abs(session.physics.commands).max() > 0.0
+    d = [[pair.closest.d for pair in s.output.avoidance.pairs] for s in steps]
+    np.testing.assert_array_equal([s.distances for s in steps], d)
+
+
+def test_setting_everything_back_to_zero_is_as_if_nothing_had_been(make):
+    plain, changed = make(), make(encoder_noise=0.005, base_delay=0.3, mass_error=0.2, slip=0.4)
+    changed.configure(Config())
+    np.testing.assert_array_equal(path(pulled(plain, 800)), path(pulled(changed, 800)))
+
+
+def test_a_seed_gives_one_run_and_another_seed_another(make):
+    all_of_it = {"encoder_noise": SIGMA, "base_delay": 0.1, "mass_error": -0.1, "slip": 0.2}
+    a, b, c = make(**all_of_it), make(**all_of_it), make(seed=1, **all_of_it)
+    first = path(pulled(a, 600))
+    np.testing.assert_array_equal(first, path(pulled(b, 600)))
+    assert np.abs(first - path(pulled(c, 600))).max() > 1e-6
+
+
+def test_a_reset_begins_the_same_noise_again(make, q_start):
+    session = make(encoder_noise=SIGMA)
+    first = [step.measurement.q_m - step.truth.q_m for step in pulled(session, 50)]
+    session.reset(q_start)
+    second = [step.measurement.q_m - step.truth.q_m for step in pulled(session, 50)]
+    np.testing.assert_allclose(second, first, atol=1e-12)
+
+
+def test_positions_have_the_asked_deviation_and_nothing_else_is_touched():
+    disturbances = Disturbances(DisturbanceConfig(encoder_noise=SIGMA), DT, 3)
+    truth = Measurement(np.arange(3.0), np.array([0.2, -0.1]), np.linspace(-1, 1, 7), np.zeros(7))
+    sensed = [disturbances.sensed(truth) for _ in range(5000)]
+    noise = np.array([m.q_m for m in sensed]) - truth.q_m
+    np.testing.assert_allclose(noise.std(axis=0), SIGMA, rtol=0.05)
+    np.testing.assert_allclose(noise.mean(axis=0), 0.0, atol=5 * SIGMA / 5000**0.5)
+    neighbours = np.corrcoef(noise[1:, 0], noise[:-1, 0])[0, 1]
+    assert abs(neighbours) < 5 / 5000**0.5  # white
+    assert all(m.base_pose is truth.base_pose for m in sensed)
+    assert all(m.base_velocity is truth.base_velocity for m in sensed)
+
+
+def test_velocities_of_noisy_positions_have_the_deviation_that_the_loop_says():
+    rng = np.random.default_rng(0)
+    tracking = VelocityTracking(np.zeros(1), np.zeros(1), DT)
+    v = [tracking.update(SIGMA * rng.standard_normal(1))[0] for _ in range(50_000)]
+    assert np.std(v) == pytest.approx(SIGMA * (250.0**3 * DT) ** 0.5 / 2, rel=0.1)
+    assert abs(np.mean(v)) < 0.01 * np.std(v)
+
+
+def test_velocities_are_exact_where_they_are_constant_and_late_by_8_ms_where_they_rise():
+    t = np.arange(0.0, 0.5, DT)
+    steady = VelocityTracking(np.array([0.3]), np.array([0.7]), DT)
+    np.testing.assert_allclose([steady.update(np.array([0.3 + 0.7 * s])) for s in t], 0.7)
+    rising = VelocityTracking(np.zeros(1), np.zeros(1), DT)
+    v = [rising.update(np.array([0.5 * s * s]))[0] for s in t]
+    assert v[-1] == pytest.approx(t[-1] - 0.008, abs=0.0006)
+
+
+def test_distances_and_error_of_a_step_are_true_under_noise(make, robot: RobotModel):
+    session = make(encoder_noise=0.005)
+    reader = PairDistances(
+        robot, [p.closest.pair for p in pulled(session, 1)[0].output.avoidance.pairs]
+    )
+    state = RobotState(robot)
+    seen = []
+    for step in pulled(session, 40):
+        reader.update(robot.configuration(step.truth.base_pose, step.truth.q_m))
+        true = [reader.distance(i) for i in range(len(step.distances))]
+        np.testing.assert_allclose(step.distances, true, atol=1e-9)
+        seen.append(np.subtract(true, [p.closest.d for p in step.output.avoidance.pairs]))
+        state.update(step.truth)
+        error = np.linalg.norm(state.T_world_ee.translation - PULL)
+        assert step.ee_error == pytest.approx(error, abs=1e-12)
+    assert np.abs(seen).max() > 1e-3  # [m] the controller has seen something else
+
+
+@pytest.mark.parametrize("delay", [0.001, 0.05, 0.2])
+def test_delay_shifts_the_base_command_by_exactly_that(make, delay):
+    session = make(base_delay=delay)
+    steps, n = pulled(session, 1600), round(delay / DT)
+    sent = np.array([step.base_command for step in steps])
+    np.testing.assert_array_equal(session.physics.commands[n:], sent[: len(sent) - n])
+    np.testing.assert_array_equal(session.physics.commands[:n], 0.0)
+    assert np.abs(session.physics.commands).max() > 0.0
+
+
+def test_the_longest_delay_is_kept_in_full():
+    longest = parameter("disturbance.base_delay").high
+    disturbances = Disturbances(DisturbanceConfig(base_delay=longest), DT, 0)
+    arrived = [disturbances.arriving(np.array([k, -k]))[0] for k in range(1, 700)]
+    assert arrived.index(1.0) == round(longest / DT)
+    assert arrived[-1] == 699 - round(longest / DT)
+
+
+@pytest.mark.parametrize("slip", [0.2, 0.5])
+def test_slip_leaves_the_rest_of_the_motion(make, slip):
+    session = make(slip=slip)
+    steps = pulled(session, 1500)
+    sent = np.array([step.base_command for step in steps])
+    np.testing.assert_allclose(session.physics.commands, (1 - slip) * sent, atol=1e-15)
+    assert steps[-1].measurement is steps[-1].truth  # what the odometry sees is how it moves
+
+
+@pytest.mark.parametrize("error", [-0.3, 0.2])
+def test_a_mass_error_scales_gravity_and_inertia_of_the_arm_and_nothing_of_the_base(
+    robot: RobotModel, error
+):
+    rng = np.random.default_rng(1)
+    right, wrong, mirrored = RobotState(robot), RobotState(robot), RobotState(robot)
+    wrong.scale_arm_inertias(1 + error)
+    mirrored.scale_arm_inertias(1 - error)
+    for _ in range(5):
+        m = Measurement(
+            rng.normal(size=3), rng.normal(size=2),
+            rng.uniform(robot.q_lower, robot.q_upper), rng.normal(size=7),
+        )  # fmt: skip
+        for state in (right, wrong, mirrored):
+            state.update(m)
+        np.testing.assert_allclose(wrong.g[2:], (1 + error) * right.g[2:], atol=1e-9)
+        np.testing.assert_allclose(wrong.M[2:], (1 + error) * right.M[2:], atol=1e-9)
+        np.testing.assert_allclose(wrong.h[2:], (1 + error) * right.h[2:], atol=1e-9)
+        # The base's own part does not change: what is added is as much as is taken.
+        np.testing.assert_allclose(wrong.M - right.M, right.M - mirrored.M, atol=1e-9)
+        assert 0 < abs(wrong.M[0, 0] / right.M[0, 0] - 1) < abs(error)
+        np.testing.assert_array_equal(wrong.J_ee, right.J_ee)
+    wrong.scale_arm_inertias(1.0)
+    wrong.update(m)
+    np.testing.assert_array_equal(wrong.M, right.M)
+
+
+def test_a_mass_error_changes_the_torques_live(make):
+    session = make()
+    before = pulled(session, 20)[-1].output.u_a
+    session.configure(Config().replace("disturbance.mass_error", 0.2))
+    after = pulled(session, 15)[-1].output.u_a  # torques have a largest rate
+    np.testing.assert_allclose(after, 1.2 * before, atol=0.3)  # [N m] gravity is nearly all of it
+    assert np.abs(after - before).max() > 2.0
+
+
+def test_another_controller_on_the_same_model_has_the_right_masses(
+    make, robot: RobotModel, border_data: BorderData
+):
+    session = make(mass_error=0.3)
+    step = session.step(pull=PULL)
+    answer = Controller(robot, border_data, Config()).step(step.measurement)
+    assert np.abs(answer.u_a * 1.3 - step.output.u_a).max() < 0.05

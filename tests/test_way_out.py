@@ -1,0 +1,94 @@
+"""Starts in trouble: they are what they say, and the robot leaves them gently."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.avoidance.distances import ClosestPoints, DistanceMonitor
+from app.border.cache import BorderData
+from app.config import Config
+from app.errors import ConfigError
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
+from app.simulation.run import run_scenario
+from app.simulation.session import DT, Session
+from app.simulation.way_out import BEGINS, DEEPEST, TroubledStarts, WayOutScenario
+
+D_B = Config().border.d_b
+
+
+@pytest.fixture(scope="module")
+def starts(robot: RobotModel, border_data: BorderData) -> TroubledStarts:
+    return TroubledStarts(robot, border_data.pairs, D_B)
+
+
+def closest_at(robot: RobotModel, data: BorderData, q_m: np.ndarray) -> list[ClosestPoints]:
+    state = RobotState(robot)
+    state.update(Measurement(np.zeros(3), np.zeros(2), q_m, np.zeros(robot.n_m)))
+    return DistanceMonitor(
+        state, [*data.pairs.mobile, *data.pairs.manipulator]
+    ).find_closest_points()
+
+
+@pytest.mark.parametrize("begin", BEGINS)
+def test_starts_are_of_the_kind_that_they_say(
+    robot: RobotModel, border_data: BorderData, starts: TroubledStarts, begin
+) -> None:
+    ranges = {"penetration": (-DEEPEST, 0.0), "buffer": (0.0, D_B), "arm": (0.0, D_B)}
+    low, high = ranges[begin]
+    for seed in range(12):
+        worst = min(closest_at(robot, border_data, starts.draw(begin, seed)), key=lambda c: c.d)
+        assert low <= worst.d <= high
+        if begin != "penetration":
+            assert (worst.pair.a == "lm") == (begin == "buffer")
+
+
+def test_every_pair_is_drawn_from_above_and_from_the_side(
+    robot: RobotModel, border_data: BorderData, starts: TroubledStarts
+) -> None:
+    drawn, from_side = set(), 0
+    for seed in range(40):
+        q_m = starts.draw("penetration", seed)
+        worst = min(closest_at(robot, border_data, q_m), key=lambda c: c.d)
+        drawn.add(worst.pair.name)
+        from_side += worst.pair.a == "lm" and abs(worst.n[2]) < 0.5
+    assert drawn >= {"lm-lEE", "lm-l3", "l1-lEE", "l1-l3"}
+    assert from_side >= 3
+
+
+def test_the_same_seed_draws_the_same_start(starts: TroubledStarts) -> None:
+    for begin in BEGINS:
+        np.testing.assert_array_equal(starts.draw(begin, 5), starts.draw(begin, 5))
+    assert (starts.draw("buffer", 5) != starts.draw("buffer", 6)).all()
+
+
+def test_an_unknown_kind_of_start_is_refused() -> None:
+    with pytest.raises(ConfigError, match="--begin: 'outside' is none of penetration, buffer, arm"):
+        WayOutScenario(begin="outside")  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("begin", BEGINS)
+@pytest.mark.parametrize("seed", range(100, 104))
+def test_the_robot_leaves_the_inner_buffer_within_three_seconds_and_stays_out(
+    robot: RobotModel, border_data: BorderData, begin, seed: int
+) -> None:
+    """And no torque changes faster than its limit, no acceleration of the base beyond its own."""
+    figures = run_scenario(
+        robot, border_data, WayOutScenario(begin=begin), Config(), physics="kinematic", seed=seed
+    ).figures
+    assert figures["clear_since_s"] is not None
+    assert figures["solver_failures"] == 0
+    assert figures["torque_jump_max_nm"] <= Config().limit.torque_rate * DT * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_first_torques_are_near_those_that_hold_the_arm(
+    robot: RobotModel, border_data: BorderData, starts: TroubledStarts, seed: int
+) -> None:
+    """Nothing kicks at the start, however deep it is."""
+    session = Session(robot, border_data, Config(), physics="kinematic")
+    session.reset(starts.draw("penetration", seed))
+    step = session.step()
+    g = session.controller.state.g[2:]
+    assert np.abs(step.output.u_a - g).max() <= Config().limit.torque_rate * DT + 1e-6
