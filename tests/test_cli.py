@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import logging
+import math
 import os
 import shutil
 import signal
@@ -134,6 +135,55 @@ def test_the_buffer_distance_is_obeyed(dbb):
     args = [*QUICK, "--start", "0.3", "0.58", "0.3", "--buffer-distance"]
     assert dbb(*args, "0.06").status == 0
     refused(dbb(*args, "0.3"), "inside its buffer")
+
+
+@pytest.mark.parametrize(
+    ("option", "beyond"),
+    [
+        ("--encoder-noise", "0.006"),
+        ("--base-delay", "0.51"),
+        ("--mass-error", "-0.31"),
+        ("--slip", "0.6"),
+        ("--slip", "nan"),
+    ],
+)
+@pytest.mark.parametrize("command", [["run", "guiding-front"], ["serve"]], ids=["run", "serve"])
+def test_a_disturbance_out_of_its_range_is_refused_by_name(dbb, command, option, beyond):
+    refused(dbb(*command, option, beyond), option, "is not within")
+
+
+def test_disturbances_are_obeyed_and_zero_is_none(dbb, tmp_path):
+    args = ["run", "guiding-front", "--physics", "kinematic", "--duration", "0.3", "--json"]
+
+    def log(*more: str) -> np.ndarray:
+        assert dbb(*args, *more, "--out", str(tmp_path)).status == 0
+        return np.genfromtxt(tmp_path / "log.csv", delimiter=",", names=True)
+
+    def torques(table: np.ndarray) -> np.ndarray:
+        return np.array([table[f"u{i}_nm"] for i in range(1, 8)]).T
+
+    plain = torques(log())
+    nothing = torques(log("--encoder-noise", "0", "--base-delay", "0", "--slip", "0"))
+    np.testing.assert_allclose(nothing, plain, atol=1e-9)
+    np.testing.assert_allclose(torques(log("--mass-error", "0.2"))[0], 1.2 * plain[0], atol=1e-6)
+    noisy = torques(log("--encoder-noise", "0.002"))
+    assert np.abs(noisy - plain).max() > 1e-3
+    np.testing.assert_allclose(torques(log("--encoder-noise", "0.002")), noisy, atol=1e-9)
+    assert np.abs(torques(log("--encoder-noise", "0.002", "--seed", "1")) - noisy).max() > 1e-3
+
+
+def test_a_buffer_that_is_too_small_is_one_warning_that_says_how_much_it_takes(dbb):
+    args = ["run", "guiding-front", "--physics", "kinematic", "--start", "0.80", "0.10", "0.30"]
+    args += ["--move", "-0.2", "0", "0", "--duration", "2", "--buffer-distance", "0.06"]
+    outcome = dbb(*args, "--base-delay", "0.2", "--json")
+    assert outcome.status == 0
+    needed = json.loads(outcome.out)["buffer_needed_m"]
+    assert 0.06 < needed < 0.5
+    (line,) = outcome.err.splitlines()
+    assert line.startswith("warning: d_b = 0.06 m is too small")
+    assert f"{math.ceil(needed * 100) / 100:.2f} m needed" in line
+    silent = dbb(*QUICK)
+    assert (silent.status, silent.err) == (0, "")
 
 
 def test_out_writes_the_log_and_the_printed_figures(dbb, tmp_path):

@@ -23,7 +23,7 @@ from app.dashboard.hand import Grip
 from app.dashboard.legend import legend_html, make_legend, normalised, tick_texts
 from app.dashboard.notices import Notices
 from app.dashboard.pair_lines import segments
-from app.dashboard.panels.run import pairs_html, status_html
+from app.dashboard.panels.run import buffer_text, pairs_html, status_html
 from app.dashboard.panels.tuning import BORDER_AND_FORCE, GAINS, MAIN, Tuning, apply, slider_step
 from app.dashboard.robot import LinkPoses
 from app.dashboard.server import check_address, serve_dashboard
@@ -475,3 +475,16 @@ def test_readings_show_every_pair_and_mark_what_should_worry(loop):
     assert "25.0 %" in status_html(replace(snapshot, t=2.0, overruns=500))
     assert worried.count("rgb(222,49,40)") == calm.count("rgb(222,49,40)") + 2
     assert "arm on base" in worried
+
+
+def test_a_buffer_that_is_too_small_is_marked_and_says_what_it_takes(loop):
+    from dataclasses import replace
+
+    calm = loop.latest()
+    assert buffer_text(calm.buffer) == "enough"
+    small = calm.buffer._replace(needed=0.2311, needed_max=0.5, too_small=True)
+    hopeless = small._replace(needed=float("inf"))
+    worried = status_html(replace(calm, buffer=small))
+    assert "d_b of 0.24 m needed" in worried
+    assert worried.count("rgb(222,49,40)") == status_html(calm).count("rgb(222,49,40)") + 1
+    assert "no d_b suffices" in status_html(replace(calm, buffer=hopeless))

@@ -14,7 +14,8 @@ PROJECT = Path(__file__).resolve().parent.parent
 
 ROOMS = (
     "errors", "strict", "config",
-    "robot", "border", "avoidance", "control", "simulation", "reproduce", "dashboard", "cli",
+    "robot", "border", "avoidance", "control", "simulation", "reproduce", "study", "dashboard",
+    "cli",
     "__main__",
 )  # fmt: skip
 """In the order of the data's way; the first three and the last are single modules."""
@@ -24,8 +25,10 @@ ONLY_IN = {
     "pybullet": {"simulation"},
     "pybullet_data": {"simulation"},
     "tyro": {"cli"},
-    "matplotlib": {"reproduce"},
-    "mpl_toolkits": {"reproduce"},
+    "distributed": {"study"},
+    "pyarrow": {"study"},
+    "matplotlib": {"reproduce", "study"},
+    "mpl_toolkits": {"reproduce", "study"},
 }
 """Libraries that belong to some rooms alone."""
 

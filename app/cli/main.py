@@ -15,6 +15,8 @@ from app.cli.reproduce import reproduce
 from app.cli.robots import robots
 from app.cli.run import run
 from app.cli.serve import serve
+from app.cli.study import study
+from app.cli.sweep import sweep
 from app.errors import DbbError
 
 _COMMANDS = {
@@ -24,6 +26,8 @@ _COMMANDS = {
     "border": border,
     "reach": reach,
     "reproduce": reproduce,
+    "study": study,
+    "sweep": sweep,
     "robots": robots,
 }
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from app.config import parameter
+from app.config import Config, parameter
 from app.errors import ConfigError, OutputError, UnknownNameError
 
 Point = tuple[float, float, float]
@@ -52,6 +52,20 @@ def check_parameter(option: str, value: float, path: str) -> None:
     """
     known = parameter(path)
     check_range(option, value, known.low, known.high, known.unit)
+
+
+def disturbed(config: Config, **given: float | None) -> Config:
+    """The configuration with the disturbances of the options of the same names; None keeps what is.
+
+    Raises:
+        ConfigError: Names the option that is out of its range, and the range.
+    """
+    for name, value in given.items():
+        if value is not None:
+            path = f"disturbance.{name}"
+            check_parameter(f"--{name.replace('_', '-')}", value, path)
+            config = config.replace(path, value)
+    return config
 
 
 def check_point(option: str, point: tuple[float, ...] | None) -> None:

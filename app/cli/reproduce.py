@@ -24,7 +24,8 @@ def reproduce(
     """Run the experiments of §4.2, draw the paper's figures with their data, judge its claims.
 
     Args:
-        figures: fig3, fig5 to fig8, fig10 to fig18, or density for §4.3; all if none is named.
+        figures: fig3, fig5 to fig8, fig10 to fig18, or density and continuity for §4.3; all if none
+            is named.
         out: Folder for a PNG and CSVs a figure, `metrics.json` and `index.html`.
         seed: Seed of everything random in the runs.
         processes: How many runs to do side by side (default: 2, or as many as there are cores).

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -20,10 +21,12 @@ from app.cli.options import (
     check_point,
     check_range,
     check_seed,
+    disturbed,
     make_folder,
 )
 from app.config import Config
 from app.control.controller import CONTROLLERS
+from app.errors import ConfigError
 from app.simulation.plants import PLANTS
 from app.simulation.scenario import scenario_by_name
 
@@ -34,18 +37,22 @@ _DURATIONS = 0.01, 3600.0  # [s] shortest and longest run
 
 
 def run(
-    scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")],
-    controller: str = "dbb",
+    scenario: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")] = None,
+    controller: str | None = None,
     robot: str = "husky_panda",
     start: PointOption = None,
     move: PointOption = None,
     duration: float | None = None,
-    physics: str = "planar",
+    physics: str | None = None,
     buffer_distance: float | None = None,
     border: str = "surface",
     out: Path | None = None,
     seed: int = 0,
     json: Json = False,
+    encoder_noise: float | None = None,
+    base_delay: float | None = None,
+    mass_error: float | None = None,
+    slip: float | None = None,
     door_width: float | None = None,
     hinge: Literal["left", "right"] | None = None,
     hinge_position: PlaceOption = None,
@@ -55,26 +62,35 @@ def run(
     radial_guess: float | None = None,
     opening_rate: float | None = None,
     base: PoseOption = None,
+    begin: Literal["penetration", "buffer", "arm"] | None = None,
+    replay_case: Path | None = None,
 ) -> None:
-    """Run a scenario and print its figures.
+    """Run a scenario, or a case of a study again, and print its figures.
 
     Args:
-        scenario: guiding-lateral, guiding-front, guiding-above, guiding-fold, tracking or
+        scenario: guiding-lateral, guiding-front, guiding-above, guiding-fold, tracking, way-out or
             refrigerator. The options from --door-width on are the refrigerator's, --start and
             --move those of the others.
         controller: dbb, one it is compared with (repulsive, barrier), or none for the same stack
-            without avoidance.
+            without avoidance (default: dbb, or the replayed case's).
         robot: Name of the robot; `dbb robots` lists them.
         start: [m] where the hand starts, in the world (default: the scenario's).
         move: [m] how far the hand is led, in the world (default: the scenario's).
         duration: [s] of the run (default: the scenario's); a motion along a line scales with it.
         physics: planar (base on velocity motors), contact (base on wheels in contact) or kinematic
-            (a stand-in without physics).
+            (a stand-in without physics) (default: planar, or the replayed case's).
         buffer_distance: [m] d_b (default: the configuration's).
         border: surface, or points for the paper's way, where the acting point jumps.
         out: Folder for `log.csv` and `metrics.json`.
         seed: Seed of everything random in the run.
         json: Print one JSON object on standard output and nothing else there.
+        encoder_noise: [rad] standard deviation of the noise of each joint's measured position; its
+            velocity is then made from that (default: 0).
+        base_delay: [s] from a velocity command to the base's drive, on top of the 10 Hz at which
+            commands are renewed (default: 0).
+        mass_error: [-] by how much the controller's masses and inertias of the arm are too large;
+            negative where they are too small (default: 0).
+        slip: [-] share of the base's commanded motion that is lost at the ground (default: 0).
         door_width: [m] from the hinge to the free edge (default: 0.6).
         hinge: Side of the hinge for the robot that stands before the door (default: left).
         hinge_position: [m] of the hinge in the world (default: 1 m ahead and 0.1 m to its side).
@@ -86,11 +102,33 @@ def run(
         opening_rate: [deg/s] how fast the door is opened (default: 2.15).
         base: [m] [m] [deg] where the base starts (default: before the door, farther away from a
             wider one).
+        begin: What is wrong at the start of way-out: some pair in penetration, a pair with the base
+            inside its buffer, or one within the arm (default: penetration).
+        replay_case: File of a case, such as those in `failures` of a study: its start, pull,
+            robot, disturbances and seed are the case's, and so are its figures.
     """
     # Imported here: scipy would make every other command start later.
+    from app.control.buffer_watch import buffer_warning
     from app.simulation.run import run_scenario
+    from app.study.case import check_no_others, read_case
 
-    chosen = scenario_by_name(scenario)
+    case = None
+    if replay_case is not None:
+        case = read_case(replay_case)
+        check_no_others(
+            scenario=scenario, start=start, move=move, duration=duration, door_width=door_width,
+            hinge=hinge, hinge_position=hinge_position, door_friction=door_friction,
+            door_angle=door_angle, door_yaw=door_yaw, radial_guess=radial_guess,
+            opening_rate=opening_rate, base=base, begin=begin, encoder_noise=encoder_noise,
+            base_delay=base_delay, mass_error=mass_error, slip=slip,
+        )  # fmt: skip
+        chosen, robot, seed = case.scenario(), case.robot, case.seed
+    elif scenario is not None:
+        chosen = scenario_by_name(scenario)
+    else:
+        raise ConfigError("Required: a SCENARIO, or --replay-case FILE; see dbb run --help")
+    controller = controller or (case.controller if case else "dbb")
+    physics = physics or (case.physics if case else PLANTS[0])
     check_name("controller", controller, CONTROLLERS)
     check_name("physics", physics, PLANTS)
     check_name("border", border, BORDERS)
@@ -105,23 +143,28 @@ def run(
         start=start, move=move, duration=duration, door_width=door_width, hinge=hinge,
         hinge_position=hinge_position, door_friction=door_friction, door_angle=door_angle,
         door_yaw=door_yaw, radial_guess=radial_guess, opening_rate=opening_rate,
-        base=None if base is None else (base[0], base[1], math.radians(base[2])),
+        base=None if base is None else (base[0], base[1], math.radians(base[2])), begin=begin,
     )  # fmt: skip
     if duration is not None:
         check_range("--duration", duration, *_DURATIONS, "s")
-    config = Config().replace("border.kind", border)
+    config = (case.config() if case else Config()).replace("border.kind", border)
     if buffer_distance is not None:
         check_parameter("--buffer-distance", buffer_distance, "border.d_b")
         config = config.replace("border.d_b", buffer_distance)
+    config = disturbed(
+        config, encoder_noise=encoder_noise, base_delay=base_delay, mass_error=mass_error, slip=slip
+    )
     make_folder(out)
     model, data = load_robot_and_border(robot)
-    with progress_bar(f"{scenario}, {controller}", chosen.duration) as on_progress:
+    with progress_bar(f"{chosen.name}, {controller}", chosen.duration) as on_progress:
         result = run_scenario(
             model, data, chosen, config, controller=controller, physics=physics, seed=seed,
             on_progress=on_progress,
         )  # fmt: skip
     if out is not None:
         _write(out, result)
+    if warning := buffer_warning(result.recorder.buffer, config):
+        print(f"warning: {warning}", file=sys.stderr)
     if json:
         print_json(result.figures)
         return

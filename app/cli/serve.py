@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 from functools import partial
+from pathlib import Path
 
 from app.avoidance.self_collision import BORDERS
 from app.cli.common import load_robot_and_border
-from app.cli.options import PointOption, check_name, check_point, check_seed
+from app.cli.options import PointOption, check_name, check_point, check_seed, disturbed
 from app.config import Config
 from app.control.controller import CONTROLLERS
 from app.simulation.plants import PLANTS
@@ -19,29 +20,45 @@ LOOPS = ("process", "thread")
 
 def serve(
     robot: str = "husky_panda",
-    controller: str = "dbb",
+    controller: str | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
     start: PointOption = None,
-    physics: str = "planar",
+    physics: str | None = None,
     seed: int = 0,
     loop: str = "process",
     border: str = "surface",
+    encoder_noise: float | None = None,
+    base_delay: float | None = None,
+    mass_error: float | None = None,
+    slip: float | None = None,
+    replay_case: Path | None = None,
+    sweep: Path = Path("out/sweep"),
 ) -> None:
     """Serve the dashboard: drag the hand, and the base gets out of the way.
 
     Args:
         robot: Name of the robot; `dbb robots` lists them.
         controller: dbb, one it is compared with (repulsive, barrier), or none for the same stack
-            without avoidance.
+            without avoidance (default: dbb, or the replayed case's).
         host: Address to listen at; the default is this machine only.
         port: Port to listen at; 0 takes a free one.
         start: [m] where the hand starts, in the world (default: in front of the base).
-        physics: planar, contact or kinematic.
-        seed: Seed of the search for the start.
+        physics: planar, contact or kinematic (default: planar, or the replayed case's).
+        seed: Seed of the search for the start and of the noise.
         loop: process, or thread for the simulation inside the server's process, where drawing
             disturbs its real time.
         border: surface, or points for the paper's way, where the acting point jumps.
+        encoder_noise: [rad] standard deviation of the noise of each joint's measured position
+            (default: 0). This and the next three are sliders too.
+        base_delay: [s] from a velocity command to the base's drive, on top of the 10 Hz at which
+            commands are renewed (default: 0).
+        mass_error: [-] by how much the controller's masses and inertias of the arm are too large
+            (default: 0).
+        slip: [-] share of the base's commanded motion that is lost at the ground (default: 0).
+        replay_case: File of a case, such as those in `failures` of a study: the robot, its start
+            and its disturbances are the case's, and a button plays the pull.
+        sweep: Folder of `dbb sweep` whose newest map is shown, and where a button writes new ones.
     """
     # Imported here: viser and scipy would make every other command start later.
     from app.dashboard.server import check_address, serve_dashboard
@@ -49,7 +66,18 @@ def serve(
     from app.simulation.process_loop import ProcessLoop
     from app.simulation.session import Session
     from app.simulation.start import StartSolver
+    from app.study.case import check_no_others, read_case
 
+    case = None
+    if replay_case is not None:
+        case = read_case(replay_case)
+        check_no_others(
+            start=start, encoder_noise=encoder_noise, base_delay=base_delay,
+            mass_error=mass_error, slip=slip,
+        )  # fmt: skip
+        robot, seed = case.robot, case.seed
+    controller = controller or (case.controller if case else "dbb")
+    physics = physics or (case.physics if case else PLANTS[0])
     check_name("controller", controller, CONTROLLERS)
     check_name("physics", physics, PLANTS)
     check_name("loop", loop, LOOPS)
@@ -57,10 +85,16 @@ def serve(
     check_point("--start", start)
     check_seed(seed)
     check_address(host, port)
-    config = Config().replace("border.kind", border)
+    config = disturbed(
+        (case.config() if case else Config()).replace("border.kind", border),
+        encoder_noise=encoder_noise, base_delay=base_delay, mass_error=mass_error, slip=slip,
+    )  # fmt: skip
     model, data = load_robot_and_border(robot)
     p_start = start or LINES["guiding-front"].start
-    q_start = StartSolver(model, data.pairs, config.border.d_b).solve(p_start, seed=seed)
+    if case is None:
+        q_start = StartSolver(model, data.pairs, config.border.d_b).solve(p_start, seed=seed)
+    else:
+        q_start = case.scenario().setting(model, data, config, seed).q_m
     make_session = partial(
         Session, model, data, config, controller=controller, physics=physics, seed=seed
     )
@@ -68,7 +102,10 @@ def serve(
     simulation = make_loop(make_session, q_start)
     simulation.start()
     try:
-        server = serve_dashboard(simulation, model, data.clouds, host=host, port=port)
+        played = case.scenario() if case else None
+        server = serve_dashboard(
+            simulation, model, data.clouds, host=host, port=port, case=played, sweeps=sweep
+        )
         print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
         server.run_forever()
     finally:

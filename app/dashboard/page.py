@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 import viser
@@ -19,7 +20,9 @@ from app.dashboard.legend import legend_html
 from app.dashboard.notices import Notices
 from app.dashboard.pair_lines import PairLines
 from app.dashboard.panels.border import add_border_choice
+from app.dashboard.panels.case import add_case_button
 from app.dashboard.panels.run import RunPanel
+from app.dashboard.panels.sweep import DEFAULT_FOLDER, SweepPanel
 from app.dashboard.panels.tuning import BORDER_AND_FORCE, GAINS, MAIN, Tuning, TuningPanel
 from app.dashboard.panels.view import ViewPanel
 from app.dashboard.plots import Plots
@@ -27,6 +30,7 @@ from app.dashboard.robot import RobotScene
 from app.dashboard.stage import Stage
 from app.dashboard.view import View
 from app.robot.model import RobotModel
+from app.simulation.leading import Scenario
 from app.simulation.loop import LoopHandle
 
 Array = np.ndarray
@@ -43,8 +47,10 @@ class Page:
         loop: LoopHandle,
         model: RobotModel,
         clouds: Mapping[str, Cloud],
+        case: Scenario | None = None,
+        sweeps: Path = DEFAULT_FOLDER,
     ) -> None:
-        self._server, self._loop = server, loop
+        self._server, self._loop, self._case = server, loop, case
         first = loop.latest()
         names = [pair.name for pair in first.pairs]
         mobile = [pair.name for pair in first.pairs if pair.mobile]
@@ -60,7 +66,7 @@ class Page:
         self._lines = PairLines(server, names)
         self._acting = ActingPoints(server, mobile)
         self.hand = Hand(server, loop, self.notices)
-        self._build_panels(names, mobile)
+        self._build_panels(names, mobile, model.description.name, sweeps)
         server.on_client_connect(self._welcome)
 
     def draw(self, *, texts: bool) -> None:
@@ -84,6 +90,12 @@ class Page:
             if texts:
                 self._run.update(snapshot)
                 self._plots.update(new, snapshot)
+        if texts:
+            self.sweep_panel.update()
+
+    def close(self) -> None:
+        """End what the page has started besides drawing."""
+        self.sweep_panel.close()
 
     def fail(self, title: str, error: BaseException) -> None:
         """Show, for good and to later viewers too, that the simulation or the drawing has ended."""
@@ -93,7 +105,7 @@ class Page:
         )
         self._banner.visible = True
 
-    def _build_panels(self, names: list[str], mobile: list[str]) -> None:
+    def _build_panels(self, names: list[str], mobile: list[str], robot: str, sweeps: Path) -> None:
         gui, notices = self._server.gui, self.notices
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_WIDTH)
@@ -101,7 +113,12 @@ class Page:
         tabs = gui.add_tab_group()
         with tabs.add_tab("Run"):
             self._run = RunPanel(self._server, self._loop, notices)
+            if self._case is not None:
+                add_case_button(self._server, self._loop, notices, self._case)
             self.main_panel = TuningPanel(self._server, self.tuning, notices, MAIN)
+            self.sweep_panel = SweepPanel(
+                self._server, self._loop, self.tuning, notices, robot, sweeps
+            )
         with tabs.add_tab("Border & force"):
             add_border_choice(self._server, self.view, self.tuning, notices, mobile)
             self.border_panel = TuningPanel(self._server, self.tuning, notices, BORDER_AND_FORCE)

@@ -9,14 +9,17 @@ import socket
 import threading
 import time
 from collections.abc import Mapping
+from pathlib import Path
 
 import viser
 from viser import _messages
 
 from app.border.cloud import Cloud
 from app.dashboard.page import Page
+from app.dashboard.panels.sweep import DEFAULT_FOLDER
 from app.errors import LoopError, ServerError
 from app.robot.model import RobotModel
+from app.simulation.leading import Scenario
 from app.simulation.loop import LoopHandle
 
 logger = logging.getLogger(__name__)
@@ -63,6 +66,7 @@ class DashboardServer:
         self._stopping.set()
         if self._thread is not threading.current_thread():
             self._thread.join(timeout=5.0)
+        self.page.close()
         with _silence():
             self.viser.stop()
 
@@ -96,6 +100,8 @@ def serve_dashboard(
     *,
     host: str = "127.0.0.1",
     port: int = 8080,
+    case: Scenario | None = None,
+    sweeps: Path = DEFAULT_FOLDER,
 ) -> DashboardServer:
     """Open the page; it is drawn from the moment this returns.
 
@@ -106,6 +112,8 @@ def serve_dashboard(
         host: Address to listen at. viser has neither password nor encryption: only on a trusted
             network should it be more than this machine.
         port: Port to listen at; 0 takes a free one.
+        case: A scenario that begins where the loop does, for a button that plays it.
+        sweeps: Folder of the maps of sweeps, where new ones are written too.
 
     Raises:
         ServerError: The address cannot be bound.
@@ -119,7 +127,7 @@ def serve_dashboard(
         if port not in (0, server.get_port()):
             raise ServerError(f"port {port} was taken while the server started; try --port 0")
         _forbid_sharing(server)
-        return DashboardServer(server, Page(server, loop, model, clouds), loop)
+        return DashboardServer(server, Page(server, loop, model, clouds, case, sweeps), loop)
     except BaseException:
         with _silence():
             server.stop()

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 from app.errors import UnknownNameError
-from app.reproduce import acting, density, guiding, offline, refrigerator, tracking
+from app.reproduce import acting, continuity, density, guiding, offline, refrigerator, tracking
 from app.reproduce.drawing import Drawing
 from app.reproduce.experiments import Experiment, Sources
 
@@ -39,6 +39,7 @@ FIGURES = {
     "fig17": FigureMaker(refrigerator.figure_17, refrigerator.NEEDS),
     "fig18": FigureMaker(refrigerator.figure_18, refrigerator.NEEDS),
     "density": FigureMaker(density.figure_density, density.NEEDS),
+    "continuity": FigureMaker(continuity.figure_continuity, continuity.NEEDS),
 }
 """In the order of the paper."""
 

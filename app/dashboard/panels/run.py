@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import viser
 
+from app.control.buffer_watch import BufferReading, needed_text
 from app.control.controller import CONTROLLERS
 from app.dashboard.colours import SERIES, css, distance_colour
 from app.dashboard.hand import Sink
@@ -72,6 +73,7 @@ def status_html(snapshot: Snapshot) -> str:
         ("control step", f"{snapshot.step_time_us:.0f} µs", None),
         ("steps late", late_text(snapshot), None),
         ("contact", contact or "none", bool(contact)),
+        ("buffer distance", buffer_text(snapshot.buffer), snapshot.buffer.too_small),
         ("solver failures", f"{snapshot.solver_failures}", snapshot.solver_failures > 0),
         ("person pulls", pull if snapshot.hand_target is not None else "no", None),
         ("hand off target", f"{1000 * snapshot.ee_error:.0f} mm", None),
@@ -81,6 +83,11 @@ def status_html(snapshot: Snapshot) -> str:
     return (
         f'<table style="width:100%;font-size:.82em;line-height:1.65;padding:0 .7em">{body}</table>'
     )
+
+
+def buffer_text(reading: BufferReading) -> str:
+    """Whether d_b is enough for the approaches of the last seconds, and what would be."""
+    return needed_text(reading.needed) if reading.too_small else "enough"
 
 
 def late_text(snapshot: Snapshot) -> str:

@@ -37,6 +37,10 @@ GAINS = {
     "Arm and base at rest": (
         "task.posture_stiffness", "task.posture_damping", "task.base_damping",
     ),
+    "Disturbances": (
+        "disturbance.encoder_noise", "disturbance.base_delay", "disturbance.mass_error",
+        "disturbance.slip",
+    ),
 }  # fmt: skip
 """Folders of the tab "Gains"."""
 

@@ -1,0 +1,28 @@
+"""A button in the tab "Run" that plays a case of a study again."""
+
+from __future__ import annotations
+
+import viser
+
+from app.dashboard.hand import Sink
+from app.dashboard.notices import Notices
+from app.simulation.leading import Scenario
+from app.simulation.snapshot import Play
+
+
+def add_case_button(
+    server: viser.ViserServer, sink: Sink, notices: Notices, scenario: Scenario
+) -> None:
+    """Build it in the GUI container that is now open.
+
+    Args:
+        server: Of the page.
+        sink: Where commands go.
+        notices: Tells the user what went wrong.
+        scenario: That begins where the loop begins after a reset.
+    """
+    button = server.gui.add_button(
+        "Play the case", icon=viser.Icon.PLAYER_TRACK_NEXT,
+        hint=f"{scenario.about}: begins anew; whoever takes the hand ends it",
+    )  # fmt: skip
+    button.on_click(notices.guard(lambda _: sink.send(Play(scenario))))  # type: ignore[arg-type]

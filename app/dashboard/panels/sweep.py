@@ -1,0 +1,131 @@
+"""Folder "Sweep": the newest map of a folder, and a button that makes one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import viser
+
+from app.dashboard.notices import Notices
+from app.dashboard.panels.tuning import Tuning
+from app.errors import OutputError
+from app.simulation.loop import LoopHandle
+from app.study.sweep_job import SweepJob
+from app.study.sweep_maps import newest_map, read_map
+from app.study.sweep_plan import SweepPlan
+
+STEP = 15.0
+"""[deg] between two directions of a map that is made here."""
+DEFAULT_FOLDER = Path("out/sweep")
+"""Where `dbb sweep` writes if it is told nothing else."""
+_SHRINK = 2  # pixels of the map to one of the narrow panel
+_LOOK_EVERY = 20  # updates between two looks into the folder
+
+
+class SweepPanel:
+    """A map, a line of text, and the button that starts and stops a sweep."""
+
+    def __init__(
+        self, server: viser.ViserServer, loop: LoopHandle, tuning: Tuning, notices: Notices,
+        robot: str, folder: Path,
+    ) -> None:  # fmt: skip
+        """Build the folder, closed, in the GUI container that is now open.
+
+        Args:
+            server: The page.
+            loop: Tells which controller is in use.
+            tuning: The parameters in use.
+            notices: For what goes wrong.
+            robot: Name of the robot.
+            folder: Where the maps are.
+        """
+        self._server, self._loop, self._tuning, self._notices = server, loop, tuning, notices
+        self._robot, self._folder = robot, folder
+        self._job, self._waiting = SweepJob(), False
+        self._map: tuple[Path, int] | None = None
+        self._updates = 0
+        self._box = server.gui.add_folder("Sweep", expand_by_default=False)
+        with self._box:
+            self._text = server.gui.add_markdown("")
+            self._button = server.gui.add_button(
+                "Make a map", icon=viser.Icon.RADAR,
+                hint=f"Hand paths towards the base every {STEP:g}°, with the controller and the "
+                "parameters of now, in a process of low priority; takes some minutes.",
+            )  # fmt: skip
+            self._enlarge = server.gui.add_button(
+                "Enlarge", icon=viser.Icon.ARROWS_MAXIMIZE, color="gray", visible=False
+            )
+        self._image: viser.GuiImageHandle | None = None
+        self._button.on_click(notices.guard(lambda _: self._start_or_stop()))  # type: ignore[arg-type]
+        self._enlarge.on_click(notices.guard(self._show_large))  # type: ignore[arg-type]
+        self.update()
+
+    def update(self) -> None:
+        """Renew text and map; called by the drawing thread."""
+        if self._waiting and not self._job.running:
+            self._waiting = False
+            self._updates = 0
+            self._button.label = "Make a map"
+            problem = self._job.problem()
+            if problem is not None:
+                self._notices.warn(None, f"The sweep gave nothing: {problem}")
+        if self._updates % _LOOK_EVERY == 0:
+            self._look()
+        self._updates += 1
+        text = self._status()
+        if self._text.content != text:
+            self._text.content = text
+
+    def close(self) -> None:
+        """End what is under way."""
+        self._job.stop()
+
+    def _start_or_stop(self) -> None:
+        if self._job.running:
+            self._job.stop()
+            self._waiting = False
+            self._button.label = "Make a map"
+            return
+        plan = SweepPlan(
+            self._robot, (self._loop.latest().controller,), step=STEP, config=self._tuning.config
+        )
+        self._job.start(plan, self._folder)
+        self._waiting = True
+        self._button.label = "Stop"
+
+    def _status(self) -> str:
+        if self._waiting:
+            return f"Sweep under way: {100 * self._job.done:.0f} %"
+        if self._map is None:
+            return f"No map in `{self._folder}` yet."
+        return f"`{self._map[0].name}`"
+
+    def _look(self) -> None:
+        """Show the folder's newest map, if it is another one than is shown."""
+        path = newest_map(self._folder)
+        if path is None:
+            return
+        found = path, path.stat().st_mtime_ns
+        if found == self._map:
+            return
+        picture = read_map(path)[::_SHRINK, ::_SHRINK]
+        if self._image is None:
+            with self._box:
+                self._image = self._server.gui.add_image(picture, format="png")
+            self._enlarge.visible = True
+        else:
+            self._image.image = picture
+        self._map = found
+
+    def _show_large(self, event: viser.GuiEvent) -> None:
+        """The whole map, over the page of who asked."""
+        if event.client is None or self._map is None:
+            return
+        try:
+            picture = read_map(self._map[0])
+        except OSError as error:
+            raise OutputError(f"cannot read {self._map[0]}: {error.strerror}") from None
+        with event.client.gui.add_modal("Sweep") as modal:
+            event.client.gui.add_image(picture, format="png")
+            close = event.client.gui.add_button("Close")
+            close.on_click(lambda _: modal.close())

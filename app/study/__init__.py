@@ -1,0 +1,1 @@
+"""Studies of many runs: maps over directions, and random pulls by the thousand."""

@@ -1,0 +1,63 @@
+"""The figure on continuity: a motion shrinks with the step, a jump does not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.border.cache import BorderData
+from app.reproduce import continuity
+from app.reproduce.drawing import Drawing
+from app.reproduce.experiments import Sources
+from app.reproduce.style import styled
+from app.robot.model import RobotModel
+from tests.reproduction import short_run, sources_of
+
+
+@pytest.fixture(scope="module")
+def sources(robot: RobotModel, border_data: BorderData) -> Sources:
+    """Two seconds of the lateral guiding, at the end of them in the buffer."""
+    run = short_run(robot, border_data, continuity.LATERAL, 3.0)
+    return sources_of(robot, border_data, {continuity.LATERAL: run})
+
+
+@pytest.fixture(scope="module")
+def drawn(sources: Sources) -> Drawing:
+    with styled():
+        return continuity.figure_continuity(sources)
+
+
+def test_on_a_path_ten_times_finer_the_surfaces_steps_are_ten_times_smaller(drawn) -> None:
+    measured: dict[str, Any] = drawn.measured
+    assert measured["surface"]["finer_ratio"] > 8.0
+    assert measured["points"]["finer_ratio"] < 4.0
+    assert min(measured["points_over_surface"].values()) > 20.0
+
+
+def test_the_csv_holds_what_is_drawn_and_its_own_steps(drawn) -> None:
+    table = drawn.tables[""]
+    for kind in ("points", "surface"):
+        mine = table["border"] == kind
+        p_act = np.column_stack([table[f"p_act_{axis}_m"][mine] for axis in "xyz"])
+        steps = np.linalg.norm(np.diff(p_act, axis=0), axis=1)
+        np.testing.assert_allclose(table["p_act_step_m"][mine][1:], steps)
+        assert steps.max() == pytest.approx(drawn.measured[kind]["step_max_m"])
+    plan, change = drawn.figure.axes
+    assert (plan.get_aspect(), change.get_yscale()) == (1.0, "log")
+
+
+def test_the_path_is_the_logged_one_inside_the_buffer(sources: Sources) -> None:
+    t, path = continuity.hand_path_in_buffer(sources, 0.001)
+    run = sources.runs[continuity.LATERAL]
+    logged = np.interp(t, run.log["t_s"], run.log["d_lm-lEE_m"])
+    np.testing.assert_allclose([closest.d for closest in path], logged, atol=1e-4)
+    assert logged.max() <= sources.config.border.d_b + 1e-3
+    np.testing.assert_allclose([np.linalg.norm(c.normal) for c in path], 1.0)
+
+
+def test_the_longest_stretch_is_taken() -> None:
+    t = np.arange(10.0)
+    inside = np.array([1, 1, 0, 1, 1, 1, 1, 0, 1, 1], dtype=bool)
+    assert continuity._stretch(t, inside) == (3.0, 6.0)

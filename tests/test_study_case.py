@@ -1,0 +1,175 @@
+"""A case follows from its study and its number alone, and can be run again exactly."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.avoidance.distances import DistanceMonitor
+from app.config import Config
+from app.errors import CaseError, ConfigError, StudyError
+from app.robot.state import Measurement, RobotState
+from app.study import study_range
+from app.study.case import Case, read_case
+from app.study.draw import draw_case
+from app.study.envelope import Envelope
+from app.study.parameters import StudyParameters
+from app.study.place import SIDES, place
+from app.study.play import TIMES, case_of, flat, inputs_of, play_case, run_case
+from app.study.sources import load_sources
+from app.study.study_range import StudyRange
+
+PARAMETERS = StudyParameters(seed=5, physics="kinematic", ranges=StudyRange(duration=0.2))
+NUMBERS = range(8)
+
+
+@pytest.fixture(scope="module")
+def sources():
+    return load_sources("husky_panda")
+
+
+@pytest.fixture(scope="module")
+def cases(sources) -> list[Case]:
+    return [draw_case(PARAMETERS, number, sources) for number in NUMBERS]
+
+
+def test_a_case_does_not_depend_on_what_was_drawn_or_played_before(sources, cases):
+    play_case(cases[0], sources.model, sources.data)
+    for number in (7, 2):
+        assert draw_case(PARAMETERS, number, sources) == cases[number]
+
+
+def test_another_number_and_another_seed_are_another_case(sources, cases):
+    other = draw_case(PARAMETERS.model_copy(update={"seed": 6}), 0, sources)
+    drawn = [(case.start, case.move, case.speed, case.seed) for case in [*cases, other]]
+    assert len(set(drawn)) == len(drawn)
+
+
+def test_a_case_begins_where_it_says_with_every_pair_outside_its_buffer(sources, cases):
+    state = RobotState(sources.model)
+    pairs = sources.data.pairs
+    monitor = DistanceMonitor(state, [*pairs.mobile, *pairs.manipulator])
+    for case in cases:
+        q_m = np.array(case.q_m)
+        state.update(Measurement(np.zeros(3), np.zeros(2), q_m, np.zeros(len(q_m))))
+        np.testing.assert_allclose(state.T_world_ee.translation, case.start, atol=1e-4)
+        assert min(c.d for c in monitor.find_closest_points()) > Config().border.d_b
+
+
+def test_the_hand_is_pulled_no_faster_than_the_case_says_and_as_fast(cases):
+    for case in cases:
+        line = case.scenario()
+        times = np.linspace(0.0, line.duration, 2001)
+        speeds = [np.linalg.norm(line.position(t)[1]) for t in times]
+        assert max(speeds) == pytest.approx(case.speed, rel=1e-3)
+        assert line.duration <= PARAMETERS.ranges.duration + 1e-9
+        assert line.position(line.duration)[0] == pytest.approx(np.add(case.start, case.move))
+
+
+def test_what_is_drawn_lies_in_its_interval_and_reaches_the_configuration(cases):
+    ranges = PARAMETERS.ranges
+    for case in cases:
+        for name in ("speed", *study_range.PARAMETERS):
+            low, high = getattr(ranges, name)
+            assert low <= getattr(case, name) <= high
+        config = case.config()
+        assert config.disturbance.base_delay == case.delay
+        assert config.disturbance.encoder_noise == case.noise
+        assert config.disturbance.mass_error == case.mass_error
+        assert config.disturbance.slip == case.slip
+        assert config.admittance.v_max == case.base_speed
+        assert config.hand.f_max == case.strength
+
+
+def test_places_lie_on_their_side_as_often_left_as_right(sources):
+    rng, outline = np.random.default_rng(0), sources.outline
+    for side in SIDES:
+        p = np.array([place(side, (0.2, 0.6), outline, rng).p for _ in range(400)])
+        outside = np.abs(p[:, :2] - outline.middle) > outline.half
+        assert 140 < (p[:, 1] > 0).sum() < 260
+        if side == "above":
+            assert not outside.any()
+            assert (p[:, 2] > outline.top).all()
+        elif side != "back corner":
+            assert outside.any(axis=1).all()
+            assert ((p[:, 2] >= 0.2) & (p[:, 2] <= 0.6)).all()
+
+
+def test_a_case_survives_json_without_a_change(cases):
+    for case in cases:
+        assert Case.model_validate_json(case.model_dump_json()) == case
+
+
+def test_a_row_of_the_table_holds_its_whole_case(cases):
+    for case in cases:
+        assert case_of(json.loads(json.dumps(inputs_of(case))), PARAMETERS) == case
+
+
+def test_a_case_from_a_file_gives_the_same_figures(sources, cases, tmp_path):
+    """Played from memory and from the file of a failure, after another case in between."""
+    row = play_case(cases[3], sources.model, sources.data)
+    file = tmp_path / "case.json"
+    file.write_text(json.dumps({"case": cases[3].model_dump(mode="json"), "figures": row}))
+    play_case(cases[4], sources.model, sources.data)
+    figures = run_case(read_case(file), sources.model, sources.data).figures
+    again = flat({key: value for key, value in figures.items() if key not in TIMES})
+    assert {key: row[key] for key in again} == again
+    assert row["min_clearance_m"] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, ["cannot read", "No such file"]),
+        ("{", ["not JSON"]),
+        ("[1]", ["is no case"]),
+        ('{"speed": 1}', ["missing"]),
+    ],
+)
+def test_a_file_that_is_no_case_is_refused_by_name(tmp_path, content, words):
+    path = tmp_path / "case.json"
+    if content is not None:
+        path.write_text(content)
+    with pytest.raises(CaseError) as caught:
+        read_case(path)
+    assert all(word in str(caught.value) for word in [str(path), *words])
+
+
+def test_a_misspelt_field_of_a_case_is_refused_by_name(cases, tmp_path: Path):
+    path = tmp_path / "case.json"
+    path.write_text(json.dumps({**cases[0].model_dump(mode="json"), "sped": 1.0}))
+    with pytest.raises(CaseError, match=r"sped.*did you mean 'speed'"):
+        read_case(path)
+
+
+def test_a_case_of_another_arm_or_with_an_impossible_value_is_refused(sources, cases):
+    short = cases[0].model_copy(update={"q_m": cases[0].q_m[:-1]})
+    with pytest.raises(CaseError, match=r"6 joints.*has 7"):
+        run_case(short, sources.model, sources.data)
+    with pytest.raises(ConfigError, match="base_delay"):
+        cases[0].model_copy(update={"delay": 9.0}).config()
+
+
+def test_a_run_that_breaks_off_is_a_row_that_says_why(sources, cases):
+    below = cases[0].model_copy(update={"move": (0.0, 0.0, -5.0)})
+    row = play_case(below, sources.model, sources.data)
+    assert "below the floor" in row["error"]
+    assert "min_clearance_m" not in row
+
+
+def test_inside_of_an_envelope_every_case_lies_in_it(sources):
+    envelope = Envelope(
+        delay=(0.0, 0.1, 0.3), base_speed=(0.3, 0.6, 0.9), speed=((0.3, 0.4), (0.1, 0.2)),
+        noise=(0.0, 0.002), mass_error=(-0.1, 0.2), slip=(0.0, 0.1), strength=(20.0, 40.0),
+    )  # fmt: skip
+    study = PARAMETERS.model_copy(update={"inside": True})
+    for number in range(2):
+        case = draw_case(study, number, sources, envelope)
+        assert envelope.holds(case.model_dump())
+        assert draw_case(PARAMETERS, number, sources) != case
+    empty = envelope.model_copy(update={"speed": ((0.0, 0.0), (0.0, 0.0))})
+    with pytest.raises(StudyError, match="lies in the stated envelope"):
+        draw_case(study, 0, sources, empty)

@@ -1,0 +1,90 @@
+"""The journal of a study: nothing lost, nothing twice, nothing mixed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from app.errors import StudyError
+from app.study.journal import Journal
+
+IDENTITY = {"seed": 1, "ranges": {"speed": [0.1, 0.5]}, "code": "abc"}
+
+
+def rows(count: int) -> list[dict]:
+    return [{"case": k, "value_m": 0.1 * k} for k in range(count)]
+
+
+def fill(folder: Path, count: int) -> bytes:
+    with Journal(folder, IDENTITY) as journal:
+        for row in rows(count):
+            journal.add(row)
+    return (folder / "cases.jsonl").read_bytes()
+
+
+def test_what_was_added_is_there_when_it_is_opened_again(tmp_path):
+    fill(tmp_path, 3)
+    with Journal(tmp_path, IDENTITY) as journal:
+        assert journal.rows == {row["case"]: row for row in rows(3)}
+
+
+def test_a_row_is_on_the_disk_before_add_returns(tmp_path):
+    with Journal(tmp_path, IDENTITY) as journal:
+        for k, row in enumerate(rows(3), start=1):
+            journal.add(row)
+            lines = (tmp_path / "cases.jsonl").read_text(encoding="utf-8").splitlines()
+            assert len(lines) == k
+            assert json.loads(lines[-1]) == row
+
+
+@pytest.mark.parametrize("left", range(1, 24))
+def test_a_line_that_was_cut_off_anywhere_is_dropped_and_done_again(tmp_path, left):
+    whole = fill(tmp_path, 2)
+    last = whole.splitlines(keepends=True)[-1]
+    (tmp_path / "cases.jsonl").write_bytes(whole[: len(whole) - len(last) + left])
+    assert left < len(last)
+    with Journal(tmp_path, IDENTITY) as journal:
+        assert set(journal.rows) == {0}
+        journal.add(rows(2)[1])
+    assert (tmp_path / "cases.jsonl").read_bytes() == whole
+
+
+def test_a_case_is_counted_once(tmp_path):
+    whole = fill(tmp_path, 2)
+    with Journal(tmp_path, IDENTITY) as journal:
+        journal.add({"case": 1, "value_m": 9.0})
+        assert journal.rows[1] == rows(2)[1]
+    assert (tmp_path / "cases.jsonl").read_bytes() == whole
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"seed": 2}, ["another study", "seed: 1, not 2"]),
+        ({"ranges": {"speed": [0.1, 0.9]}}, ["speed: [0.1, 0.5], not [0.1, 0.9]"]),
+        ({"code": "def"}, ["code of another version"]),
+        ({"envelope": 1}, ["envelope: None, not 1"]),
+    ],
+)
+def test_a_folder_of_another_study_is_refused_and_left_alone(tmp_path, change, words):
+    whole = fill(tmp_path, 2)
+    with pytest.raises(StudyError) as caught:
+        Journal(tmp_path, {**IDENTITY, **change})
+    assert all(word in str(caught.value) for word in [str(tmp_path), *words]), caught.value
+    assert (tmp_path / "cases.jsonl").read_bytes() == whole
+
+
+def test_two_cannot_work_in_one_folder(tmp_path):
+    busy = pytest.raises(StudyError, match="another dbb study works in")
+    with Journal(tmp_path, IDENTITY), busy:
+        Journal(tmp_path, IDENTITY)
+    fill(tmp_path, 1)
+
+
+def test_a_damaged_line_in_the_middle_is_named(tmp_path):
+    whole = fill(tmp_path, 3)
+    (tmp_path / "cases.jsonl").write_bytes(whole.replace(b'"case": 1', b'"case" 1'))
+    with pytest.raises(StudyError, match="line 2 of"):
+        Journal(tmp_path, IDENTITY)

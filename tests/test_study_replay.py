@@ -1,0 +1,185 @@
+"""A case played again, by the command line and behind the dashboard, is the same run."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import pickle
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from app.cli.main import main
+from app.dashboard.notices import Notices
+from app.dashboard.panels.case import add_case_button
+from app.dashboard.server import serve_dashboard
+from app.simulation.loop import SimulationLoop
+from app.simulation.session import Session
+from app.simulation.snapshot import Play, Pull, Reset
+from app.study.case import Case
+from app.study.draw import draw_case
+from app.study.parameters import StudyParameters
+from app.study.play import play_case, run_case
+from app.study.sources import load_sources
+from app.study.study_range import StudyRange
+from tests.fakes import ScriptedLoop
+from tests.robots import husky_panda
+
+FAST = StudyParameters(
+    seed=1, controller="none", physics="kinematic",
+    ranges=StudyRange(duration=0.4, speed=(0.9, 1.0), height=(0.2, 0.4), noise=(0.001, 0.002)),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def sources():
+    return load_sources("husky_panda")
+
+
+@pytest.fixture(scope="module")
+def case(sources) -> Case:
+    return draw_case(FAST, 0, sources)
+
+
+@pytest.fixture
+def file(case, tmp_path):
+    path = tmp_path / "case.json"
+    path.write_text(json.dumps({"case": case.model_dump(mode="json"), "figures": {}}))
+    return path
+
+
+def test_the_command_gives_the_figures_of_the_study(sources, case, file, capfd):
+    row = play_case(case, sources.model, sources.data)
+    main(["run", "--replay-case", str(file), "--json"])
+    played = json.loads(capfd.readouterr().out)
+    assert (played["scenario"], played["controller"]) == (case.name, "none")
+    assert (played["physics"], played["seed"]) == ("kinematic", case.seed)
+    for name in ("min_clearance_m", "contacts", "ee_error_final_m", "torque_jump_max_nm"):
+        assert played[name] == row[name], name
+    for pair, distance in played["min_distance_m"].items():
+        assert distance == row[f"min_distance_{pair}_m"]
+
+
+def test_a_case_can_be_played_with_another_controller(case, file, capfd):
+    main(["run", "--replay-case", str(file), "--controller", "dbb", "--json"])
+    assert json.loads(capfd.readouterr().out)["controller"] == "dbb"
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["guiding-front"], ["SCENARIO", "--replay-case"]),
+        (["--move", "0", "0", "0.1"], ["--move", "--replay-case"]),
+        (["--base-delay", "0.1"], ["--base-delay", "--replay-case"]),
+        (["--controller", "dbx"], ["did you mean 'dbb'"]),
+    ],
+)
+def test_what_the_case_says_already_is_refused(file, capfd, args, words):
+    with pytest.raises(SystemExit) as end:
+        main(["run", *args, "--replay-case", str(file)])
+    assert end.value.code == 2
+    (line,) = capfd.readouterr().err.splitlines()
+    assert all(word in line for word in words), line
+
+
+def test_the_dashboard_refuses_a_file_that_is_no_case(tmp_path, capfd):
+    path = tmp_path / "case.json"
+    path.write_text("{}")
+    with pytest.raises(SystemExit):
+        main(["serve", "--replay-case", str(path), "--port", "0"])
+    assert str(path) in capfd.readouterr().err
+
+
+@pytest.fixture
+def loop(sources, case):
+    def make_session() -> Session:
+        return Session(
+            sources.model, sources.data, case.config(), controller=case.controller,
+            physics=case.physics, seed=case.seed,
+        )  # fmt: skip
+
+    loop = SimulationLoop(make_session, np.array(case.q_m))
+    loop.start()
+    yield loop
+    loop.stop()
+
+
+def begun(loop: SimulationLoop) -> None:
+    """Wait until the hand is pulled."""
+    end = time.monotonic() + 60
+    while loop.latest().hand_target is None:
+        assert time.monotonic() < end
+        time.sleep(0.002)
+
+
+def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, case, loop):
+    """Each snapshot is a row of the run's log, to the last digit, noise included."""
+    log = {round(r["t_s"], 3): r for r in run_case(case, sources.model, sources.data).recorder.rows}
+    loop.send(Play(case.scenario()))
+    begun(loop)
+    end, seen = time.monotonic() + 60, {}
+    while time.monotonic() < end and loop.latest().t < case.duration + 0.1:
+        seen |= {s.t: s for s in loop.history(-1.0) if s.hand_target is not None}
+        time.sleep(0.01)
+    assert loop.error is None
+    same = [s for t, s in seen.items() if round(t, 3) in log]
+    assert len(same) > 10
+    for s in same:
+        row = log[round(s.t, 3)]
+        assert [row[f"q{i}_rad"] for i in range(1, 8)] == s.q_m.tolist()
+        assert row["ee_error_m"] == s.ee_error
+    assert max(s.t for s in seen.values()) < case.duration
+    assert loop.latest().hand_target is None
+
+
+@pytest.mark.parametrize("command", [Pull(None), Pull((0.9, 0.0, 0.5)), Reset()])
+def test_whoever_takes_the_hand_or_begins_anew_ends_the_play(case, loop, command):
+    loop.send(Play(case.scenario()))
+    begun(loop)
+    loop.send(command)
+    time.sleep(0.3)
+    target = loop.latest().hand_target
+    wanted = getattr(command, "target", None)
+    assert (target is None) if wanted is None else tuple(target) == wanted
+
+
+class FakeGui:
+    """Takes one button and presses it."""
+
+    def __init__(self):
+        self.gui, self.labels = self, []
+
+    def add_button(self, label, **_):
+        self.labels.append(label)
+        return self
+
+    def on_click(self, callback):
+        self.press = callback
+
+
+def test_the_button_plays_the_case_of_the_page(case):
+    gui, sent = FakeGui(), []
+    sink = SimpleNamespace(send=sent.append)
+    add_case_button(gui, sink, Notices(gui), case.scenario())
+    assert gui.labels == ["Play the case"]
+    asyncio.run(gui.press(SimpleNamespace(client=None)))
+    assert sent == [Play(case.scenario())]
+    assert pickle.loads(pickle.dumps(sent)) == sent  # it goes to the process of the loop
+
+
+def test_only_the_page_of_a_case_has_its_button(case, border_data):
+    scenarios = (None, case.scenario())
+    for scenario in scenarios:
+        loop = ScriptedLoop(husky_panda())
+        loop.start()
+        server = serve_dashboard(loop, husky_panda(), border_data.clouds, port=0, case=scenario)
+        try:
+            handles = server.viser.gui._gui_input_handle_from_uuid.values()
+            labels = [handle.label for handle in handles]
+        finally:
+            server.stop()
+            loop.stop()
+        assert ("Play the case" in labels) == (scenario is not None)
+        assert "Reset" in labels

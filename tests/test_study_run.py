@@ -1,0 +1,234 @@
+"""`dbb study`: the same table by whatever way, and what it writes and refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pyarrow.parquet as pq
+import pytest
+from distributed import LocalCluster
+
+from app.study import cluster
+from app.study.parameters import StudyParameters
+from app.study.play import TIMES
+from app.study.study import study
+from app.study.study_range import StudyRange
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+PROJECT = Path(__file__).parent.parent
+CASES = 6
+OPTIONS = ("--physics", "kinematic", "--duration", "0.2", "--seed", "7")
+PARAMETERS = StudyParameters(seed=7, physics="kinematic", ranges=StudyRange(duration=0.2))
+FAST = (
+    "--controller",
+    "none",
+    "--speed",
+    "0.99",
+    "1",
+    "--height",
+    "0.2",
+    "0.4",
+    "--duration",
+    "0.9",
+)
+
+
+def start(*args: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "app", *args],
+        cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+
+
+def dbb(*args: str) -> tuple[int, str, str]:
+    process = start(*args)
+    out, err = process.communicate(timeout=240)
+    return process.returncode, out, err
+
+
+def refused(outcome: tuple[int, str, str], *words: str) -> None:
+    """Status 2, nothing on standard output, one line on standard error with these words."""
+    status, out, err = outcome
+    assert (status, out) == (2, ""), err
+    (line,) = err.splitlines()
+    assert all(word in line for word in words), line
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory) -> Path:
+    """The folder of a study that one process did without a break."""
+    out = tmp_path_factory.mktemp("undisturbed")
+    status, printed, err = dbb(
+        "study", "--cases", str(CASES), *OPTIONS, "--processes", "1", "--out", str(out), "--json"
+    )
+    assert (status, err) == (0, "")
+    assert json.loads(printed) == json.loads((out / "study.json").read_text(encoding="utf-8"))
+    return out
+
+
+def test_one_row_a_case_with_its_inputs_and_figures_and_none_of_the_machine(undisturbed):
+    table = pq.read_table(undisturbed / "results.parquet")
+    assert table["case"].to_pylist() == list(range(CASES))
+    names = set(table.column_names)
+    assert {
+        "kind", "start_x_m", "move_z_m", "speed_mps", "delay_s", "noise_rad", "mass_error", "slip",
+        "base_speed_mps", "q7_rad", "seed", "min_distance_lm-lEE_m", "min_clearance_m", "contacts",
+        "arm_contacts", "ee_error_final_m", "solver_failures", "nan", "error",
+    } <= names  # fmt: skip
+    assert not names & set(TIMES)
+    assert set(table["nan"].to_pylist()) == {False}
+    assert all(0.0 < d < 2.0 for d in table["min_clearance_m"].to_pylist())
+
+
+def test_the_report_stands_alone_and_holds_its_figures(undisturbed):
+    page = (undisturbed / "report.html").read_text(encoding="utf-8")
+    assert page.count('src="data:image/png;base64,') == 4
+    assert "http" not in page
+    for name in ("envelope", "clearance", "errors", "places"):
+        assert f'id="{name}"' in page
+        assert (undisturbed / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    fitted = tomllib.loads((undisturbed / "envelope.toml").read_text(encoding="utf-8"))
+    assert fitted["source"]["cases"] == CASES
+    summary = json.loads((undisturbed / "study.json").read_text(encoding="utf-8"))
+    assert fitted["envelope"].items() <= summary["envelope"].items()
+    assert f"of {CASES} runs had a contact" in page
+
+
+@pytest.mark.slow
+def test_killed_half_way_and_called_again_it_gives_the_same_table(undisturbed, tmp_path):
+    """By SIGKILL, with two processes instead of one, and no process is left behind."""
+    args = ("study", "--cases", str(CASES), *OPTIONS, "--processes", "2", "--out", str(tmp_path))
+    journal = tmp_path / "cases.jsonl"
+    process = start(*args)
+    until = time.monotonic() + 120
+    while time.monotonic() < until and not (journal.exists() and journal.read_bytes().count(b"\n")):
+        time.sleep(0.02)
+    workers = psutil.Process(process.pid).children(recursive=True)
+    os.kill(process.pid, signal.SIGKILL)
+    process.communicate()
+    done = journal.read_bytes().count(b"\n")
+    assert 1 <= done < CASES
+    assert not (tmp_path / "results.parquet").exists()
+    assert psutil.wait_procs(workers, timeout=30)[1] == []
+    kept = journal.read_bytes()
+    assert dbb(*args)[0] == 0
+    assert journal.read_bytes().startswith(kept[: kept.rfind(b"\n") + 1])
+    assert journal.read_bytes().count(b"\n") == CASES
+    for name in ("results.parquet", "study.json", "report.html"):
+        assert (tmp_path / name).read_bytes() == (undisturbed / name).read_bytes(), name
+
+
+@pytest.mark.slow
+def test_a_running_scheduler_gives_the_same_table_and_more_cases_are_added(undisturbed, tmp_path):
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0"
+    ) as local:
+        for cases in (3, CASES):
+            study(PARAMETERS, cases, tmp_path, scheduler=local.scheduler_address)
+        assert local.scheduler_info["workers"]  # it is not ours to end
+    table = (tmp_path / "results.parquet").read_bytes()
+    assert table == (undisturbed / "results.parquet").read_bytes()
+
+
+def test_a_finished_study_is_not_done_again(undisturbed):
+    """No scheduler is asked for, so nothing answers at that address and nothing has to."""
+    before = (undisturbed / "cases.jsonl").read_bytes()
+    args = ("study", "--cases", str(CASES), *OPTIONS, "--scheduler", "tcp://127.0.0.1:9")
+    assert dbb(*args, "--out", str(undisturbed))[0] == 0
+    assert (undisturbed / "cases.jsonl").read_bytes() == before
+
+
+def test_another_studys_folder_is_refused_and_left_alone(undisturbed):
+    before = {path: path.read_bytes() for path in undisturbed.glob("*.*")}
+    args = ("study", "--cases", str(CASES), *OPTIONS, "--out", str(undisturbed))
+    refused(dbb(*args, "--seed", "8"), "another study", "seed: 7, not 8")
+    refused(dbb(*args, "--speed", "0.1", "0.2"), "another study", "speed")
+    assert {path: path.read_bytes() for path in undisturbed.glob("*.*")} == before
+
+
+def test_a_scheduler_that_nobody_answers_for_is_one_line(tmp_path, capfd, monkeypatch):
+    from app.cli.main import main
+
+    monkeypatch.setattr(cluster, "_PATIENCE", 1.0)
+    for address in ("tcp://127.0.0.1:9", "no address"):
+        with pytest.raises(SystemExit) as end:
+            main(
+                ["study", "--cases", "2", *OPTIONS, "--out", str(tmp_path), "--scheduler", address]
+            )
+        outcome = (int(str(end.value.code)), *capfd.readouterr())
+        refused(outcome, "--scheduler", address, "dask scheduler")
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["--cases", "0"], ["--cases", "0"]),
+        (["--processes", "0"], ["--processes"]),
+        (["--speed", "0.5", "0.1"], ["--speed", "LOW 0.5 is above HIGH 0.1"]),
+        (["--speed", "nan", "0.1"], ["--speed", "nan"]),
+        (["--delay", "0", "0.6"], ["--delay", "0 to 0.5 s"]),
+        (["--mass-error", "-0.5", "0"], ["--mass-error", "-0.3 to 0.3"]),
+        (["--controller", "dbx"], ["did you mean 'dbb'"]),
+        (["--robot", "r2d2"], ["r2d2", "husky_panda"]),
+        (["--seed", "-1"], ["--seed"]),
+    ],
+)
+def test_what_cannot_be_studied_is_one_line_that_says_what_can(tmp_path, capfd, args, words):
+    from app.cli.main import main
+
+    with pytest.raises(SystemExit) as end:
+        main(["study", "--out", str(tmp_path), *args])
+    refused((int(str(end.value.code)), *capfd.readouterr()), *words)
+    assert not (tmp_path / "cases.jsonl").exists()
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_it_cleanly_and_keeps_what_is_done(tmp_path):
+    args = ("study", "--cases", "500", *OPTIONS, "--processes", "2", "--out", str(tmp_path))
+    process = start(*args)
+    journal = tmp_path / "cases.jsonl"
+    until = time.monotonic() + 120
+    while time.monotonic() < until and not (journal.exists() and journal.read_bytes().count(b"\n")):
+        time.sleep(0.02)
+    workers = psutil.Process(process.pid).children(recursive=True)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, out) == (130, "")
+    assert err.splitlines()[-1] == "dbb: interrupted"
+    assert "Traceback" not in err
+    assert psutil.wait_procs(workers, timeout=30)[1] == []
+    lines = journal.read_bytes().splitlines()
+    assert [json.loads(line)["error"] for line in lines] == [None] * len(lines)
+
+
+@pytest.mark.slow
+def test_a_failure_is_kept_and_played_again_with_the_same_figures(tmp_path):
+    """Without avoidance, fast and low: some hand meets the base."""
+    args = ("study", "--cases", "2", "--physics", "kinematic", "--seed", "3", *FAST)
+    status, _, err = dbb(*args, "--out", str(tmp_path))
+    assert status == 0, err
+    result = json.loads((tmp_path / "study.json").read_text(encoding="utf-8"))
+    assert result["contact"] >= 1 <= result["bodies_overlap"]
+    files = sorted((tmp_path / "failures").iterdir())
+    assert [path.name for path in files] == [f"case-{n:05d}.json" for n in result["failures"]]
+    kept = json.loads(files[0].read_text(encoding="utf-8"))["figures"]
+    status, printed, err = dbb("run", "--replay-case", str(files[0]), "--json")
+    assert status == 0, err
+    played = json.loads(printed)
+    assert played["contacts"] == kept["contacts"]
+    for name in ("min_clearance_m", "ee_error_final_m", "base_path_m", "torque_jump_max_nm"):
+        assert played[name] == kept[name], name
+    for pair, distance in played["min_distance_m"].items():
+        assert distance == kept[f"min_distance_{pair}_m"]

@@ -1,0 +1,146 @@
+"""Laws of a sweep: nothing is lost, starts are shared, the number of processes does not matter."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.robot.model import RobotModel
+from app.simulation.run import run_scenario
+from app.study.paths import Approach
+from app.study.paths_start import Start, StartFinder
+from app.study.sweep import sweep
+from app.study.sweep_plan import SweepPlan, Trial
+from app.study.sweep_result import arrival, passes
+
+QUICK = SweepPlan(
+    controllers=("dbb", "none"), speeds=(0.4,), step=90.0, wheel_axis=False, length=0.04,
+    hold=0.1, physics="kinematic",
+)  # fmt: skip
+GOOD: dict[str, Any] = {
+    "ee_error_final_m": 1e-4, "min_clearance_m": 0.1, "contacts": 0, "arm_contacts": 0,
+    "solver_failures": 0,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def told() -> list[float]:
+    """How much was done, as `quick` told it."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def quick(told: list[float]) -> dict[str, Any]:
+    return sweep(QUICK, on_progress=told.append)
+
+
+def test_every_direction_is_run_by_each_controller_and_speed_or_unreachable(quick) -> None:
+    closed = {row["direction_deg"] for row in quick["unreachable"]}
+    assert closed >= {180.0}
+    runs = [(r["controller"], r["speed_mps"], r["direction_deg"]) for r in quick["paths"]]
+    open_ = {0.0, 90.0, 180.0, 270.0} - closed
+    assert sorted(runs) == sorted(
+        (c, v, d) for c in QUICK.controllers for v in QUICK.speeds for d in open_
+    )
+    for kinds in quick["summary"].values():
+        assert kinds["paths"]["unreachable"] == len(closed)
+        assert kinds["paths"]["unreachable_share"] == len(closed) / 4
+        assert kinds["paths"]["runs"] == len(open_)
+
+
+def test_the_result_is_the_same_on_one_and_on_two_processes(quick) -> None:
+    again = sweep(QUICK, processes=2)
+    assert {**again, "elapsed_s": 0} == {**quick, "elapsed_s": 0}
+
+
+def test_all_runs_of_a_direction_begin_at_the_same_posture(quick) -> None:
+    for direction in (0.0, 90.0, 270.0):
+        rows = [r for r in quick["paths"] if r["direction_deg"] == direction]
+        assert len({(r["start_x_m"], r["start_y_m"], r["start_z_m"]) for r in rows}) == 1
+
+
+def test_the_summary_is_the_worst_of_its_rows(quick) -> None:
+    rows = [r for r in quick["paths"] if r["controller"] == "dbb"]
+    found = quick["summary"]["dbb"]["paths"]
+    assert found["ee_error_final_max_m"] == max(r["ee_error_final_m"] for r in rows)
+    assert found["min_clearance_m"] == min(r["min_clearance_m"] for r in rows)
+    assert found["passed"] == sum(r["passed"] for r in rows)
+
+
+def test_keys_of_quantities_end_in_their_unit_and_all_is_json(quick) -> None:
+    plain = {"controller", "contacts", "arm_contacts", "floor_contacts", "activation_max",
+             "solver_failures", "passed"}  # fmt: skip
+    for row in quick["paths"]:
+        assert all(k.endswith(("_m", "_mps", "_deg", "_s", "_rad")) for k in row.keys() - plain)
+    assert json.loads(json.dumps(quick, allow_nan=False)) == quick
+
+
+def test_progress_rises_to_one(quick, told: list[float]) -> None:
+    assert told == sorted(told)
+    assert (told[0] > 0.0, told[-1]) == (True, 1.0)
+
+
+@pytest.mark.parametrize(("weight", "moves"), [(300.0, False), (1.0, True)])
+def test_on_the_wheel_axis_a_barrier_moves_a_cheap_base_only(
+    robot: RobotModel, border_data: BorderData, weight: float, moves: bool
+) -> None:
+    config = Config().replace("task.base_weight", weight)
+    plan = replace(QUICK, length=0.16, hold=0.2, config=config)
+    start = StartFinder(robot, border_data, config.border.d_b).find(
+        Approach("wheel_axis", 0.3, 90.0), plan.distance
+    )
+    scenario = plan.scenario(Trial(start, "barrier", 0.16))
+    found = run_scenario(
+        robot, border_data, scenario, config, controller="barrier", physics="kinematic"
+    )
+    displacement = found.figures["base_displacement_m"]
+    assert isinstance(displacement, float)
+    assert (displacement > 0.02) == moves
+
+
+def test_each_start_is_run_by_each_controller_at_each_speed_once() -> None:
+    plan = replace(QUICK, speeds=(0.2, 0.4))
+    starts = [Start(Approach("side", 0.3, d), reason="far" * (d == 180.0)) for d in (0.0, 180.0)]
+    trials = list(plan.trials(starts))
+    assert len(set(trials)) == len(trials) == 4
+    assert {trial.start.approach.direction_deg for trial in trials} == {0.0}
+
+
+def test_guided_hands_are_pulled_and_tracking_ones_are_not() -> None:
+    start = Start(Approach("side", 0.3, 90.0), (0.0,) * 7, (0.0, 0.6, 0.3))
+    for mode in ("tracking", "guiding"):
+        scenario = replace(QUICK, mode=mode).scenario(Trial(start, "dbb", 0.2))
+        assert scenario.mode == mode
+        np.testing.assert_allclose(scenario.move, (0.0, -0.04, 0.0), atol=1e-12)
+        assert scenario.duration * scenario.moving == pytest.approx(0.2)
+        assert scenario.duration == pytest.approx(0.3)
+
+
+def test_the_start_is_a_little_outside_whatever_the_buffer() -> None:
+    config = Config().replace("border.d_b", 0.1)
+    assert replace(QUICK, config=config).distance == pytest.approx(0.12)
+    assert replace(QUICK, start_distance=0.2).distance == 0.2
+
+
+def test_the_hand_has_arrived_when_it_stays_within_a_millimetre() -> None:
+    t = np.array([0.0, 1.0, 2.0, 3.0])
+    assert arrival(t, np.array([0.1, 5e-4, 0.002, 5e-4])) == 3.0
+    assert arrival(t, np.array([0.1, 5e-4, 5e-4, 1e-3])) == 1.0
+    assert arrival(t, np.array([0.1, 0.0, 0.0, 0.0011])) is None
+    assert arrival(t, np.zeros(4)) == 0.0
+
+
+@pytest.mark.parametrize(
+    "flaw",
+    [{"ee_error_final_m": 0.0011}, {"min_clearance_m": 0.029}, {"contacts": 1},
+     {"arm_contacts": 1}, {"solver_failures": 1}],
+)  # fmt: skip
+def test_any_one_flaw_fails_a_path(flaw: dict[str, Any]) -> None:
+    assert passes(GOOD)
+    assert not passes(GOOD | flaw)

@@ -1,0 +1,155 @@
+"""The maps of a sweep show what its numbers say."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.patches import Rectangle, Wedge
+
+from app.reproduce.style import styled
+from app.robot.model import RobotModel
+from app.study.paths import AXIS_OFFSETS
+from app.study.polar import Plan, polar_map
+from app.study.polar_above import above_map
+from app.study.polar_quantities import quantities
+from app.study.sweep_files import write_sweep
+from app.study.sweep_maps import newest_map, read_map
+
+ROW: dict[str, Any] = {
+    "speed_mps": 0.025, "start_clearance_m": 0.17, "ee_error_final_m": 1e-6,
+    "min_clearance_m": 0.1, "contacts": 0, "arm_contacts": 0, "time_s": 8.0, "passed": True,
+}  # fmt: skip
+ERROR, CLEARANCE, TIME = quantities([ROW])
+
+
+def result(controllers: tuple[str, ...] = ("dbb", "barrier")) -> dict[str, Any]:
+    """Numbers of a sweep every 30°, where `barrier` fails on the wheel axis."""
+    paths, axis, above = [], [], []
+    for name in controllers:
+        bad = {"ee_error_final_m": 0.06, "time_s": None, "contacts": 2, "min_clearance_m": -0.01}
+        for k in range(12):
+            fails = name == "barrier" and k in (3, 9)
+            row = {**ROW, **(bad if fails else {}), "controller": name}
+            if k != 6:
+                paths.append({**row, "height_m": 0.3, "direction_deg": 30.0 * k})
+        for offset in AXIS_OFFSETS[:-1]:
+            row = {**ROW, "controller": name, "height_m": 0.3, "direction_deg": 90.0}
+            axis.append({**row, "offset_m": offset})
+        for x in (-0.495, 0.0, 0.495):
+            above.append({**ROW, "controller": name, "place_x_m": x, "place_y_m": 0.345})
+    unreachable = [
+        {"kind": "side", "height_m": 0.3, "direction_deg": 180.0, "reason": "too far"},
+        {"kind": "wheel_axis", "height_m": 0.3, "direction_deg": 90.0, "offset_m": -0.05,
+         "reason": "too far"},
+        {"kind": "above", "place_x_m": 0.495, "place_y_m": -0.345, "reason": "too far"},
+    ]  # fmt: skip
+    return {
+        "robot": "husky_panda", "mode": "tracking", "controllers": list(controllers),
+        "heights_m": [0.3], "speeds_mps": [0.025], "step_deg": 30.0, "length_m": 0.2,
+        "paths": paths, "wheel_axis": axis, "above": above, "unreachable": unreachable,
+    }  # fmt: skip
+
+
+def wedges(ax: Any) -> list[Wedge]:
+    return [patch for patch in ax.patches if isinstance(patch, Wedge)]
+
+
+@given(st.floats(0.0, 0.5))
+def test_an_error_is_red_beyond_a_millimetre_and_blue_within(error: float) -> None:
+    r, _, b, _ = ERROR.colour(error)
+    assert (r > b) == (error > 0.001)
+
+
+@given(st.floats(-0.2, 0.5))
+def test_a_clearance_is_red_below_the_limit_and_blue_above(clearance: float) -> None:
+    r, _, b, _ = CLEARANCE.colour(clearance)
+    assert (r > b) == (clearance < 0.03)
+
+
+@given(st.floats(0.0, 0.6), st.floats(0.0, 0.6))
+def test_scales_rise_with_the_value_and_stay_within_their_ends(a: float, b: float) -> None:
+    for quantity in (ERROR, CLEARANCE, TIME):
+        low, high = sorted((a, b))
+        assert 0.0 <= quantity.share(low) <= quantity.share(high) <= 1.0
+
+
+def test_each_direction_has_its_bar_and_each_closed_one_its_hatch(robot: RobotModel) -> None:
+    shown = result()
+    with styled():
+        figure = polar_map(shown, 0.3, 0.025, Plan.of(robot))
+    assert len(figure.axes) == 6
+    for k, ax in enumerate(figure.axes):
+        bars = wedges(ax)
+        middles = sorted((w.theta1 + w.theta2) / 2 for w in bars)
+        np.testing.assert_allclose(middles, np.arange(0.0, 360.0, 30.0), atol=1e-9)
+        hatched = {round((w.theta1 + w.theta2) / 2) for w in bars if w.get_hatch()}
+        assert hatched == ({90, 180, 270} if k == 5 else {180})
+
+
+def test_the_lobes_in_which_a_controller_fails_are_red_and_long(robot: RobotModel) -> None:
+    with styled():
+        figure = polar_map(result(), 0.3, 0.025, Plan.of(robot))
+    dbb, barrier = (wedges(ax) for ax in figure.axes[:2])
+    longest = max(w.r for w in dbb if not w.get_hatch())
+    failing = [w for w in barrier if w.r > longest and not w.get_hatch()]
+    assert {round((w.theta1 + w.theta2) / 2) for w in failing} == {90, 270}
+    assert all(w.get_facecolor()[0] > w.get_facecolor()[2] for w in failing)
+
+
+def test_the_base_is_drawn_to_scale_with_its_wheel_axis(robot: RobotModel) -> None:
+    with styled():
+        figure = polar_map(result(("dbb",)), 0.3, 0.025, Plan.of(robot))
+    assert len(figure.axes) == 3
+    for ax in figure.axes:
+        (base,) = (p for p in ax.patches if type(p) is Rectangle)
+        assert (base.get_width(), base.get_height()) == pytest.approx((0.99, 0.69))
+        assert any(np.array_equal(line.get_xdata(), [0, 0]) for line in ax.get_lines())
+
+
+def test_seen_from_above_every_place_has_a_square(robot: RobotModel) -> None:
+    with styled():
+        figure = above_map(result(("dbb",)), 0.025, Plan.of(robot))
+    for ax in figure.axes:
+        squares = [p for p in ax.patches if type(p) is Rectangle and p.get_fill()]
+        middles = [np.add(p.get_xy(), (p.get_width() / 2, p.get_height() / 2)) for p in squares]
+        centres = {(round(float(x), 3), round(float(y), 3)) for x, y in middles}
+        assert centres == {(-0.495, 0.345), (0.0, 0.345), (0.495, 0.345), (0.495, -0.345)}
+        assert sum(bool(p.get_hatch()) for p in squares) == 1
+
+
+def test_files_hold_every_path_and_every_start_that_failed(tmp_path: Path) -> None:
+    shown = result()
+    names = write_sweep(shown, tmp_path)
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(names)
+    with (tmp_path / "sweep.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    count = len(shown["paths"]) + len(shown["wheel_axis"]) + len(shown["above"])
+    assert len(rows) == count + 3
+    assert sum(row["reason"] == "too far" for row in rows) == 3
+    assert json.loads((tmp_path / "sweep.json").read_text(encoding="utf-8")) == {
+        **shown, "files": names,
+    }  # fmt: skip
+
+
+def test_the_newest_map_of_a_folder_is_found_and_read(tmp_path: Path) -> None:
+    assert newest_map(tmp_path / "nowhere") is None
+    assert newest_map(tmp_path) is None
+    write_sweep(result(("dbb",)), tmp_path)
+    first = tmp_path / "sweep_h0.3_v0.025.png"
+    assert newest_map(tmp_path) == first
+    second = tmp_path / "sweep_h0.2_v0.01.png"
+    second.write_bytes(first.read_bytes())
+    later = first.stat().st_mtime_ns + 10**9
+    os.utime(second, ns=(later, later))
+    assert newest_map(tmp_path) == second
+    pixels = read_map(second)
+    assert (pixels.ndim, pixels.shape[2], pixels.dtype) == (3, 3, np.uint8)
+    assert pixels.std() > 10

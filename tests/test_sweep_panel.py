@@ -1,0 +1,119 @@
+"""The dashboard's folder "Sweep": the newest map, and a sweep that ends with the server."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from app.dashboard.panels.sweep import STEP
+from app.dashboard.server import DashboardServer, serve_dashboard
+from app.errors import OutputError
+from app.study.sweep_job import SweepJob
+from app.study.sweep_plan import SweepPlan
+from tests.fakes import ScriptedLoop, fake_clouds
+from tests.robots import husky_panda
+from tests.test_sweep_maps import result
+
+SHORT = SweepPlan(
+    heights=(1.9,), step=90.0, wheel_axis=False, length=0.02, speeds=(0.4,), physics="kinematic"
+)
+
+
+@pytest.fixture
+def dashboard(tmp_path: Path) -> Iterator[DashboardServer]:
+    loop = ScriptedLoop(husky_panda())
+    loop.start()
+    clouds = fake_clouds(husky_panda(), spacing=0.03)
+    server = serve_dashboard(loop, husky_panda(), clouds, port=0, sweeps=tmp_path / "sweeps")
+    yield server
+    server.stop()
+    loop.stop()
+
+
+def wait_for(condition: Callable[[], object], seconds: float = 400.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "did not come true in time"
+        time.sleep(0.05)
+
+
+def test_without_a_map_there_is_a_line_and_a_new_map_appears_by_itself(
+    dashboard: DashboardServer, tmp_path: Path
+) -> None:
+    from app.study.sweep_files import write_sweep
+
+    panel = dashboard.page.sweep_panel
+    assert "No map" in panel._text.content
+    assert panel._image is None
+    (tmp_path / "sweeps").mkdir()
+    write_sweep(result(("dbb",)), tmp_path / "sweeps")
+    wait_for(lambda: panel._image is not None and "sweep_h0.3" in panel._text.content, 20.0)
+    assert panel._image is not None
+    assert panel._enlarge.visible
+    assert np.asarray(panel._image.image).std() > 10
+
+
+def test_the_button_starts_a_sweep_with_what_is_chosen_and_stopping_the_server_ends_it(
+    dashboard: DashboardServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    panel = dashboard.page.sweep_panel
+    dashboard.page.tuning.set("force.f_max", 200.0)
+    plans: list[SweepPlan] = []
+    start = SweepJob.start
+    monkeypatch.setattr(
+        SweepJob, "start",
+        lambda self, plan, folder: (plans.append(plan), start(self, plan, folder))[1],
+    )  # fmt: skip
+    panel._start_or_stop()
+    wait_for(lambda: "under way" in panel._text.content, 20.0)
+    (plan,) = plans
+    assert (plan.controllers, plan.step, plan.config.force.f_max) == (("dbb",), STEP, 200.0)
+    process = psutil.Process(panel._job._process.pid)
+    wait_for(lambda: process.nice() > psutil.Process(os.getpid()).nice(), 20.0)
+    dashboard.stop()
+    assert not process.is_running()
+
+
+def test_a_second_press_stops_the_sweep(dashboard: DashboardServer) -> None:
+    panel = dashboard.page.sweep_panel
+    panel._start_or_stop()
+    process = psutil.Process(panel._job._process.pid)
+    panel._start_or_stop()
+    assert not process.is_running()
+    wait_for(lambda: "No map" in panel._text.content, 20.0)
+    assert panel._button.label == "Make a map"
+
+
+def test_a_job_tells_how_far_it_is_and_leaves_its_files(tmp_path: Path) -> None:
+    job = SweepJob()
+    job.start(SHORT, tmp_path / "made")
+    wait_for(lambda: not job.running)
+    assert job.problem() is None
+    assert job.done == 1.0
+    assert sorted(p.name for p in (tmp_path / "made").iterdir()) == [
+        "sweep.csv", "sweep.json", "sweep_h1.9_v0.4.png",
+    ]  # fmt: skip
+
+
+def test_what_goes_wrong_in_the_other_process_is_told(tmp_path: Path) -> None:
+    job = SweepJob()
+    job.start(replace(SHORT, robot="nobody"), tmp_path)
+    wait_for(lambda: not job.running)
+    assert "nobody" in str(job.problem())
+    job.start(SHORT, tmp_path)
+    job._process.kill()
+    wait_for(lambda: not job.running)
+    assert "status" in str(job.problem())
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="file"):
+        SweepJob().start(SHORT, tmp_path / "file" / "below")
