@@ -45,7 +45,7 @@ class ActivationConfig(Strict):
     """[m] distance at which the avoidance task is in full force."""
     d_above: float = Field(default=0.10, ge=0.02, le=0.30)
     """[m] distance from the base at which the arm itself begins to resist, from above."""
-    d_last: float = Field(default=0.03, ge=0.01, le=0.30)
+    d_last: float = Field(default=0.05, ge=0.01, le=0.30)
     """[m] the same from the side, where the base gives way first."""
 
 
@@ -95,7 +95,7 @@ class LimitConfig(Strict):
     """[1/s] how fast a joint may close in on its position limit, per distance left."""
     velocity_rate: float = Field(default=30.0, ge=1.0, le=200.0)
     """[1/s] how fast a joint may close in on its velocity limit, per velocity left."""
-    torque_rate: float = Field(default=1000.0, ge=50.0, le=1e5)
+    torque_rate: float = Field(default=1000.0, ge=50.0, le=1e6)
     """[N m/s] how fast a torque of the arm may change; a Panda takes 1000."""
 
 

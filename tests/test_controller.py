@@ -22,7 +22,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement
 
 ZERO = np.zeros(3)
-AT_ONCE = Config().replace("limit.torque_rate", 1e5)
+AT_ONCE = Config().replace("limit.torque_rate", 1e6)
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from app.simulation.session import Session
 from app.simulation.start import StartSolver
 
 ZERO = np.zeros(3)
-AT_ONCE = Config().replace("limit.torque_rate", 1e5)
+AT_ONCE = Config().replace("limit.torque_rate", 1e6)
 """Torques may change at once, so that one step shows what the stack asks for."""
 
 

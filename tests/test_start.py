@@ -126,3 +126,30 @@ def test_a_wider_buffer_is_kept_too(robot, border_data):
     distances = PairDistances(robot, border_data.pairs.all)
     distances.update(robot.configuration((0, 0, 0), wide.solve((0.95, 0.1, 0.45))))
     assert min(distances.distance(i) for i in range(len(distances.pairs))) > 0.25
+
+
+def test_a_hand_that_slides_keeps_its_direction(robot, solver):
+    begin, end = (0.30, 0.72, 0.30), (0.33, 0.75, 0.30)
+    q_m = solver.solve(begin)
+    slid = solver.slide(end, q_m)
+    before, after = end_effector(robot, q_m), end_effector(robot, slid)
+    np.testing.assert_allclose(after.translation, end, atol=1e-5)
+    np.testing.assert_allclose(after.rotation[:, 2], before.rotation[:, 2], atol=0.02)
+    with pytest.raises(UnreachableError, match="reach"):
+        solver.slide((0.30, 2.0, 0.30), q_m)
+
+
+@pytest.mark.parametrize("turn", [-0.7, 0.7])
+def test_a_turned_hand_points_that_much_to_the_left(robot, solver, turn):
+    place = (0.80, 0.10, 0.40)
+    straight, turned = (end_effector(robot, solver.solve(place, turn=t)) for t in (0.0, turn))
+    x, y, _ = straight.rotation[:, 2]
+    u, v, _ = turned.rotation[:, 2]
+    between = np.arctan2(x * v - y * u, x * u + y * v)
+    assert between == pytest.approx(turn, abs=0.08)  # pitches differ, directions are kept to 0.02
+
+
+def test_what_is_solved_is_reached_and_what_is_far_is_not(solver):
+    assert all(solver.reaches(place) for place in PLACES.values())
+    assert not solver.reaches((0.30, 1.6, 0.30))
+    assert not solver.reaches((-0.9, 0.0, 0.30))
