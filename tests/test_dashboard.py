@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 import pytest
+import viser
 from viser import _messages
 
 from app.border.dbb import construct_dbb
@@ -316,7 +317,9 @@ def test_an_unreadable_mesh_is_named(tmp_path):
 
 
 @pytest.fixture
-def border(dashboard, clouds):
+def border(clouds):
+    """In a scene of its own: the dashboard's drawing thread draws borders too."""
+    scene = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     top = float(MobileBody(husky_panda()).upper[2])
     calls = []
 
@@ -327,7 +330,8 @@ def border(dashboard, clouds):
     def values_of(quantity, pair, points):
         return points[:, 0]
 
-    return BorderCloud(dashboard.viser, top, border_of, values_of), top, calls
+    yield BorderCloud(scene, top, border_of, values_of), top, calls
+    scene.stop()
 
 
 def test_the_border_is_selected_anew_only_when_it_has_changed(border):

@@ -22,7 +22,7 @@ def scenario(request) -> LineScenario:
 def test_the_names_are_those_of_the_issue():
     assert set(SCENARIOS) == {
         "guiding-lateral", "guiding-front", "guiding-above", "guiding-fold", "tracking",
-        "refrigerator",
+        "refrigerator", "way-out",
     }  # fmt: skip
     assert all(name == each.name for name, each in SCENARIOS.items())
     assert {n for n, each in LINES.items() if each.mode == "tracking"} == {"tracking"}

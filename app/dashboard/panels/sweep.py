@@ -8,7 +8,6 @@ import viser
 
 from app.dashboard.notices import Notices
 from app.dashboard.panels.tuning import Tuning
-from app.errors import OutputError
 from app.simulation.loop import LoopHandle
 from app.study.sweep_job import SweepJob
 from app.study.sweep_maps import newest_map, read_map
@@ -18,7 +17,6 @@ STEP = 15.0
 """[deg] between two directions of a map that is made here."""
 DEFAULT_FOLDER = Path("out/sweep")
 """Where `dbb sweep` writes if it is told nothing else."""
-_SHRINK = 2  # pixels of the map to one of the narrow panel
 _LOOK_EVERY = 20  # updates between two looks into the folder
 
 
@@ -52,12 +50,8 @@ class SweepPanel:
                 hint=f"Hand paths towards the base every {STEP:g}°, with the controller and the "
                 "parameters of now, in a process of low priority; takes some minutes.",
             )  # fmt: skip
-            self._enlarge = server.gui.add_button(
-                "Enlarge", icon=viser.Icon.ARROWS_MAXIMIZE, color="gray", visible=False
-            )
         self._image: viser.GuiImageHandle | None = None
         self._button.on_click(notices.guard(lambda _: self._start_or_stop()))  # type: ignore[arg-type]
-        self._enlarge.on_click(notices.guard(self._show_large))  # type: ignore[arg-type]
         self.update()
 
     def update(self) -> None:
@@ -108,24 +102,10 @@ class SweepPanel:
         found = path, path.stat().st_mtime_ns
         if found == self._map:
             return
-        picture = read_map(path)[::_SHRINK, ::_SHRINK]
+        picture = read_map(path)  # whole: a press on it enlarges it
         if self._image is None:
             with self._box:
                 self._image = self._server.gui.add_image(picture, format="png")
-            self._enlarge.visible = True
         else:
             self._image.image = picture
         self._map = found
-
-    def _show_large(self, event: viser.GuiEvent) -> None:
-        """The whole map, over the page of who asked."""
-        if event.client is None or self._map is None:
-            return
-        try:
-            picture = read_map(self._map[0])
-        except OSError as error:
-            raise OutputError(f"cannot read {self._map[0]}: {error.strerror}") from None
-        with event.client.gui.add_modal("Sweep") as modal:
-            event.client.gui.add_image(picture, format="png")
-            close = event.client.gui.add_button("Close")
-            close.on_click(lambda _: modal.close())
