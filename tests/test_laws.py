@@ -51,7 +51,7 @@ def base_demand(q_m: Array, base_pose: Array | None = None) -> Array:
     return avoidance.beta_m * avoidance.xdd_m
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(q_m=postures, towards=postures)
 def test_a_path_a_hundred_times_finer_has_steps_as_much_smaller(q_m: Array, towards: Array) -> None:
     """What is asked of the base is continuous in the posture, wherever the arm is.
@@ -69,7 +69,7 @@ def test_a_path_a_hundred_times_finer_has_steps_as_much_smaller(q_m: Array, towa
     assert fine < 0.05 * coarse + 2e-3
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(q_m=postures)
 def test_left_and_right_are_mirror_images(q_m: Array) -> None:
     """The mirrored hand gets the mirrored force at the mirrored point (the forearm is lopsided)."""
@@ -88,7 +88,7 @@ def test_left_and_right_are_mirror_images(q_m: Array) -> None:
         np.testing.assert_allclose(right.acting.p_act, p_act, atol=2e-3)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     q_m=postures, x=st.floats(-5, 5), y=st.floats(-5, 5), yaw=st.floats(-np.pi, np.pi)
 )  # fmt: skip

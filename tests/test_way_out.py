@@ -69,7 +69,7 @@ def test_an_unknown_kind_of_start_is_refused() -> None:
 
 
 @pytest.mark.parametrize("begin", BEGINS)
-@pytest.mark.parametrize("seed", range(100, 104))
+@pytest.mark.parametrize("seed", [100, 105])
 def test_the_robot_leaves_the_inner_buffer_within_three_seconds_and_stays_out(
     robot: RobotModel, border_data: BorderData, begin, seed: int
 ) -> None:
