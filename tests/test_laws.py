@@ -142,4 +142,6 @@ def test_a_run_is_the_same_for_the_same_seed(
         run_scenario(robot, border_data, scenario, config, physics="kinematic", seed=seed)
         for _ in range(2)
     )
-    assert first.recorder.rows == again.recorder.rows
+    for row, same in zip(first.recorder.rows, again.recorder.rows, strict=True):
+        # The QP solver's last digits depend on where its memory lies.
+        np.testing.assert_allclose(list(row.values()), list(same.values()), atol=1e-7)
