@@ -12,6 +12,7 @@ from app.robot.model import RobotModel
 from app.simulation.run import RunResult, run_scenario
 from app.study.case import Case
 from app.study.parameters import StudyParameters
+from app.study.rounding import rounded
 
 Row = dict[str, Any]
 """Numbers, texts, truths and None, by columns that end in their unit; no NaN."""
@@ -51,7 +52,7 @@ def play_case(case: Case, model: RobotModel, data: BorderData) -> Row:
     figures = flat(result.figures)
     nan = not all(map(_finite, figures.values()))
     nan = nan or not all(math.isfinite(x) for row in result.recorder.rows for x in row.values())
-    kept = {key: value if _finite(value) else None for key, value in figures.items()}
+    kept = {key: rounded(value) if _finite(value) else None for key, value in figures.items()}
     return {**inputs_of(case), **kept, "nan": nan, "error": None}
 
 

@@ -12,6 +12,7 @@ from app.reproduce.motion import hand_path
 from app.robot.model import RobotModel
 from app.study.paths import KINDS, Kind
 from app.study.paths_start import Start
+from app.study.rounding import rounded
 from app.study.sweep_plan import SweepPlan, Trial
 
 Array = np.ndarray
@@ -23,7 +24,6 @@ CLEARANCE_LIMIT = 0.03
 """[m] distance between arm and base from which a path counts as safe."""
 LISTS: dict[Kind, str] = {"side": "paths", "wheel_axis": "wheel_axis", "above": "above"}
 """Under which key of the JSON the paths of a kind stand."""
-_DIGITS = 9  # [-] after the point, of metres, radians and seconds
 _KEPT = (
     "ee_error_final_m", "ee_error_max_m", "min_clearance_m", "arm_min_clearance_m", "contacts",
     "arm_contacts", "floor_contacts", "base_displacement_m", "base_yaw_rad", "activation_max",
@@ -34,8 +34,7 @@ _KEPT = (
 def row_of(trial: Trial, model: RobotModel, run: Run, target: Array) -> Row:
     """Figures of one path; keys end in their unit.
 
-    They are rounded to nanometres: the QP solver's answers differ in their last digit with where
-    its memory lies, and the result is to be the same on any number of processes.
+    They are rounded to nanometres and the like (`rounded`).
 
     Args:
         trial: What was run.
@@ -51,7 +50,7 @@ def row_of(trial: Trial, model: RobotModel, run: Run, target: Array) -> Row:
     found |= {key: run.figures[key] for key in _KEPT}
     found["time_s"] = arrival(run.log["t_s"], off)
     found["passed"] = passes(found)
-    return {key: _rounded(value) for key, value in found.items()}
+    return {key: rounded(value) for key, value in found.items()}
 
 
 def arrival(t: Array, off: Array) -> float | None:
@@ -77,10 +76,6 @@ def passes(row: Row) -> bool:
         and not row["arm_contacts"]
         and not row["solver_failures"]
     )
-
-
-def _rounded(value: object) -> object:
-    return round(value, _DIGITS) if isinstance(value, float) else value
 
 
 def unreachable_of(start: Start) -> Row:
