@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-import tempfile
-import zlib
 from pathlib import Path
-from typing import Any, NamedTuple
-from zipfile import BadZipFile
+from typing import NamedTuple
 
 import numpy as np
 
+from app.border.checked_file import DamagedFileError, damage_told, read_arrays, write_arrays
 from app.border.cloud import Cloud, make_cloud
 from app.robot.link_pairs import LinkPairs, Pair
 from app.strict import Finite, NonNegative, Strict
@@ -19,14 +15,6 @@ from app.strict import Finite, NonNegative, Strict
 Array = np.ndarray
 
 _BLOCK = np.array([80, 80, 50])  # [0.1 mm] points are told by their block and their place in it
-_UNREADABLE = (
-    OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error, NotImplementedError,
-    RuntimeError, MemoryError,
-)  # fmt: skip
-
-
-class DamagedFileError(Exception):
-    """A file that is not what its name says; the reason is its message."""
 
 
 class Content(NamedTuple):
@@ -60,20 +48,7 @@ def write(path: Path, content: Content, *, key: str, layout: int) -> None:
     Raises:
         OSError: The folder cannot be written.
     """
-    arrays: dict[str, Any] = {**_arrays(content, key, layout)}
-    arrays["checksum"] = _checksum(arrays)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez_compressed(file, **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o644)  # a temporary file is private, a cache need not be
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise
+    write_arrays(path, _arrays(content, key, layout))
 
 
 def read(path: Path, *, key: str, layout: int) -> Content:
@@ -83,20 +58,12 @@ def read(path: Path, *, key: str, layout: int) -> Content:
         FileNotFoundError: There is none.
         DamagedFileError: It is not a file of this key and format, or not as it was written.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        checksum = arrays.pop("checksum")
-        if not np.array_equal(checksum, _checksum(arrays)):
-            raise DamagedFileError("its checksum does not hold")
+    with damage_told():
+        arrays = read_arrays(path)
         header = _Header.model_validate_json(arrays["header"].tobytes())
         if header.format != layout or header.key != key:
             raise DamagedFileError("it belongs to another robot, sampling or version")
         return _content(header, arrays)
-    except FileNotFoundError:
-        raise
-    except _UNREADABLE as error:
-        raise DamagedFileError(f"it cannot be read ({type(error).__name__})") from error
 
 
 def _arrays(content: Content, key: str, layout: int) -> dict[str, Array]:
@@ -168,13 +135,3 @@ def _bytes(array: Array) -> Array:
 def _numbers(planes: Array, dtype: np.dtype) -> Array:
     """(N, k) 16-bit numbers, the inverse of `_bytes`."""
     return np.ascontiguousarray(planes.transpose(0, 2, 1)).view(dtype)[..., 0].T
-
-
-def _checksum(arrays: dict[str, Array]) -> Array:
-    """(32,) uint8 over names, types, shapes and bytes."""
-    total = hashlib.blake2b(digest_size=32)
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        total.update(f"{name} {array.dtype.str} {array.shape};".encode())
-        total.update(array.data)
-    return np.frombuffer(total.digest(), dtype=np.uint8)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from app.border import archive
+from app.border.checked_file import DamagedFileError
 from app.border.cloud import Cloud
 from app.border.key import FORMAT, border_key
 from app.border.sampling import sample_clouds
@@ -72,7 +73,7 @@ def _read(path: Path, key: str) -> archive.Content | None:
         return archive.read(path, key=key, layout=FORMAT)
     except FileNotFoundError:
         return None
-    except archive.DamagedFileError as error:
+    except DamagedFileError as error:
         _log.warning("%s is not used: %s", path, error)
         return None
 

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-import tempfile
-import zlib
 from pathlib import Path
 from typing import NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 from pydantic import Field
 
-from app.border.archive import DamagedFileError
+from app.border.checked_file import DamagedFileError, damage_told, read_arrays, write_arrays
 from app.strict import Positive, Strict, Vector3
 
 Array = np.ndarray
-
-_UNREADABLE = (
-    OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error, NotImplementedError,
-    RuntimeError, MemoryError,
-)  # fmt: skip
 
 
 class Header(Strict):
@@ -55,18 +45,7 @@ def write(path: Path, content: Counts) -> None:
     """
     header = np.frombuffer(content.header.model_dump_json().encode(), dtype=np.uint8)
     arrays = {"header": header, "steps": content.steps.T, "found": content.found}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=path.stem, suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez_compressed(file, checksum=_checksum(arrays), **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(name, 0o644)  # a temporary file is private, a cache need not be
-        os.replace(name, path)
-    except BaseException:
-        os.unlink(name)
-        raise
+    write_arrays(path, arrays)
 
 
 def read(path: Path, key: str) -> Counts:
@@ -76,26 +55,9 @@ def read(path: Path, key: str) -> Counts:
         FileNotFoundError: There is none.
         DamagedFileError: It is not a file of this key, or not as it was written.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in ("header", "steps", "found")}
-            if not np.array_equal(file["checksum"], _checksum(arrays)):
-                raise DamagedFileError("its checksum does not hold")
+    with damage_told():
+        arrays = read_arrays(path)
         header = Header.model_validate_json(arrays["header"].tobytes())
         if header.key != key:
             raise DamagedFileError("it belongs to another robot, sampling or version")
         return Counts(header, arrays["steps"].T, arrays["found"])
-    except FileNotFoundError:
-        raise
-    except _UNREADABLE as error:
-        raise DamagedFileError(f"it cannot be read ({type(error).__name__})") from error
-
-
-def _checksum(arrays: dict[str, Array]) -> Array:
-    """(32,) uint8 over names, types, shapes and bytes."""
-    total = hashlib.blake2b(digest_size=32)
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        total.update(f"{name} {array.dtype.str} {array.shape};".encode())
-        total.update(array.tobytes())
-    return np.frombuffer(total.digest(), dtype=np.uint8)

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from app.border import reach_archive
-from app.border.archive import DamagedFileError
+from app.border.checked_file import DamagedFileError
 from app.border.pool import Workers
 from app.border.reach_chain import reach_bodies
 from app.border.reach_config import ReachConfig

@@ -180,7 +180,8 @@ class Controller:
     def _slow_solution(self, inserted: Inserted, reference: Reference | None) -> Array:
         """q̈ of (29) without the base's rows, (n,), its loops as slow as the base is.
 
-        Rows from above have no part in it: where the base can help there, its own rows say how.
+        The arm's own rows against the base have no part in it: there the base's rows say how it
+        helps.
         """
         state = self.state
         task, repulsion = slowed(self._config.task, self._config.repulsion)

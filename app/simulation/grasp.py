@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import least_squares
 
 from app.avoidance.distances import DistanceMonitor
 from app.border.mobile import MobileBody
@@ -15,6 +14,7 @@ from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.door import Door
+from app.simulation.posture import best_posture, manipulability
 
 Array = np.ndarray
 
@@ -150,14 +150,7 @@ class GraspSolver:
             J = self._linearised(base_pose, target, q)[1]
             return np.vstack([10.0 * J, np.diag(_TO_MIDDLE / self._range)])
 
-        inside = np.clip(guess, bounds[0] + 1e-6, bounds[1] - 1e-6)
-        return least_squares(
-            residual,
-            inside,
-            jacobian,  # pyright: ignore[reportArgumentType] - read off a default, it may be a function
-            bounds=bounds,
-            max_nfev=60,
-        ).x
+        return best_posture(residual, jacobian, guess, bounds)
 
     def _room(
         self, base_pose: Array, target: pin.SE3, q_m: Array, tolerance: float, clearance: float
@@ -180,9 +173,10 @@ class GraspSolver:
         if (left < _JOINT_MARGIN * self._range).any():
             return 0.0
         J = self._state.J_ee[:, 2:]
-        manipulability = float(np.sqrt(max(np.linalg.det(J @ J.T), 0.0)))
         joints = float(np.min(left / self._range))
-        return min(joints, 0.15) + 2 * min(manipulability, 0.05) + 5 * min(beyond - clearance, 0.1)
+        return (
+            min(joints, 0.15) + 2 * min(manipulability(J), 0.05) + 5 * min(beyond - clearance, 0.1)
+        )
 
 
 def _rolled(pose: pin.SE3, roll: float) -> pin.SE3:

@@ -7,14 +7,14 @@ aside keeps the simulation waiting. Commands go out by a pipe, snapshots come ba
 from __future__ import annotations
 
 import multiprocessing
-import signal
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.connection import Connection
 
 import numpy as np
 
+from app.border.interrupts import interrupts_ignored
 from app.errors import LoopError
 from app.simulation.history import History
 from app.simulation.loop import checked
@@ -73,7 +73,7 @@ class ProcessLoop:
         Raises:
             LoopError: The session could not be made.
         """
-        with _interrupts_ignored():
+        with interrupts_ignored():
             self._process.start()
         for connection in self._theirs:  # else the end of the child would not close the pipes
             connection.close()
@@ -134,16 +134,3 @@ class ProcessLoop:
                 return
             self._history.add(received)
             self._ready.set()
-
-
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Ctrl-C reaches the children too; one that begins to ignore it never prints a traceback."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import coal
 import numpy as np
 import pinocchio as pin
-from scipy.optimize import least_squares
 
 from app.avoidance.distances import DistanceMonitor
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
+from app.simulation.posture import best_posture, manipulability
 
 Array = np.ndarray
 
@@ -162,14 +162,7 @@ class StartSolver:
 
         margin = _JOINT_MARGIN * self._range
         bounds = (self._model.q_lower + margin, self._model.q_upper - margin)
-        inside = np.clip(guess, bounds[0] + 1e-6, bounds[1] - 1e-6)
-        return least_squares(
-            residual,
-            inside,
-            jacobian,  # pyright: ignore[reportArgumentType] - read off a default, it may be a function
-            bounds=bounds,
-            max_nfev=60,
-        ).x
+        return best_posture(residual, jacobian, guess, bounds)
 
     def _judge(self, q: Array, target: Array, direction: Array) -> _Judgement:
         self._place(q)
@@ -188,8 +181,7 @@ class StartSolver:
         left = np.minimum(q - self._model.q_lower, self._model.q_upper - q)
         joints = float(np.min(left / self._range))
         J = self._state.J_ee[:, 2:]
-        manipulability = float(np.sqrt(max(np.linalg.det(J @ J.T), 0.0)))
-        return _Judgement(min(joints, 0.15) + min(manipulability, 0.1) + min(clearance, 0.1), "")
+        return _Judgement(min(joints, 0.15) + min(manipulability(J), 0.1) + min(clearance, 0.1), "")
 
     @staticmethod
     def _summary(flaws: dict[str, int]) -> str:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import cast
@@ -13,6 +11,7 @@ from typing import cast
 from dask import config as dask_config
 from distributed import Client, LocalCluster
 
+from app.border.interrupts import interrupts_ignored
 from app.errors import StudyError
 from app.study.parameters import code_digest
 
@@ -62,7 +61,7 @@ def cluster(scheduler: str | None, processes: int) -> Iterator[Client]:
 
 @contextmanager
 def _local(processes: int) -> Iterator[LocalCluster]:
-    with _interrupts_ignored():
+    with interrupts_ignored():
         local = LocalCluster(
             n_workers=processes, threads_per_worker=1, processes=True, host=_HOST,
             dashboard_address=f"{_HOST}:0", worker_dashboard_address=f"{_HOST}:0",
@@ -106,19 +105,6 @@ def _check_workers(client: Client, scheduler: str) -> None:
         raise StudyError(
             f"--scheduler: {', '.join(strange)} of {scheduler} runs another version of the code"
         )
-
-
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Ctrl-C reaches the whole group; the workers leave it to their parent, which ends them."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager
