@@ -15,10 +15,11 @@ from app.config import Config
 from app.errors import AssetError, LoopError, TargetError, UnknownNameError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
+from app.simulation.commands import Choose, Configure, Pause, PlayScenario, Pull, Reset
 from app.simulation.loop import SimulationLoop
 from app.simulation.scenario import LINES
 from app.simulation.session import DT, Session
-from app.simulation.snapshot import Choose, Configure, Pause, Pull, Reset, Snapshot
+from app.simulation.snapshot import Snapshot
 from app.simulation.start import StartSolver
 
 START = LINES["guiding-lateral"].start
@@ -210,10 +211,10 @@ class Stumbling(Session):
 
     closed = 0
 
-    def step(self, reference=None, pull=None):
+    def step(self, *lead, **options):
         if self.t > 0.05:
             raise FloatingPointError("the plant exploded")
-        return super().step(reference, pull)
+        return super().step(*lead, **options)
 
     def close(self):
         type(self).closed += 1
@@ -293,3 +294,28 @@ def test_an_unknown_controller_is_refused_and_changes_nothing(loop: SimulationLo
     with pytest.raises(UnknownNameError, match="barrier, dbb, none, repulsive"):
         loop.send(Choose("dbbb"))
     assert until(loop, lambda s: s.t > 0.1).controller == "dbb"
+
+
+def test_any_scenario_is_played_by_its_name_and_a_reset_ends_it(loop: SimulationLoop) -> None:
+    loop.send(PlayScenario("tracking", {"duration": 2.0}))
+    led = until(loop, lambda s: s.mode == "tracking" and s.t > 0.1)
+    assert (led.scenario, led.scenario_ends, led.busy) == ("tracking", 2.0, "")
+    np.testing.assert_allclose(loop.history(-1.0)[0].p_ee, LINES["tracking"].start, atol=1e-5)
+    loop.send(Reset())
+    free = until(loop, lambda s: s.scenario == "")
+    assert (free.scenario_ends, free.mode) == (None, "guiding")
+    np.testing.assert_allclose(free.p_ee, START, atol=1e-3)
+
+
+def test_a_scenario_that_cannot_begin_is_refused_in_the_snapshot_and_changes_nothing(
+    loop: SimulationLoop,
+) -> None:
+    before = until(loop, lambda s: s.t > 0.05)
+    loop.send(PlayScenario("tracking", {"start": (5.0, 0.0, 0.5)}))
+    refused = until(loop, lambda s: s.refusal is not None)
+    assert refused.refusal.number == 1
+    assert "out of the arm's reach" in refused.refusal.message
+    on = until(loop, lambda s: s.t > refused.t)
+    assert (on.scenario, on.busy, on.t > before.t) == ("", "", True)
+    with pytest.raises(UnknownNameError, match="did you mean 'tracking'"):
+        loop.send(PlayScenario("trackin"))

@@ -30,10 +30,11 @@ def wait_for(condition) -> None:
 class Fragile(Session):
     """A session that breaks on the step after it is pulled."""
 
-    def step(self, reference=None, pull=None):
-        if pull is not None:
+    def step(self, *lead, **options):
+        step = super().step(*lead, **options)
+        if step.hand_target is not None:
             raise ZeroDivisionError("the plant is gone")
-        return super().step(reference, pull)
+        return step
 
 
 class StubbornError(Exception):

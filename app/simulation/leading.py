@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 
+LONGEST = 3600.0
+"""[s] duration of the longest scenario."""
+
 
 class DoorReading(NamedTuple):
     """How the opening of a door goes.
@@ -87,6 +90,10 @@ class Scenario(ABC):
     about: str
     """One line for people."""
 
+    def __post_init__(self) -> None:
+        if not 0.0 < self.duration <= LONGEST:
+            raise ConfigError(f"--duration: {self.duration:g} s is not within 0 to {LONGEST:g} s")
+
     @abstractmethod
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
         """Where the run begins.
@@ -94,6 +101,10 @@ class Scenario(ABC):
         Raises:
             DbbError: It cannot begin there.
         """
+
+    def adapted(self, config: Config) -> Config:
+        """The parameters for this scenario; a configuration that changes in it passes here too."""
+        return config
 
     @abstractmethod
     def leader(self, session: Session) -> Leader:

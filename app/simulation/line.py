@@ -12,6 +12,7 @@ import pinocchio as pin
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.tasks import Reference
+from app.errors import ConfigError
 from app.robot.model import RobotModel
 from app.simulation.leading import Lead, Leader, Scenario, Setting
 from app.simulation.person import checked_target
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 Point = tuple[float, float, float]
+MODES = ("guiding", "tracking")
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,17 @@ class LineScenario(Scenario):
     """[m] how far it is led, in the world."""
     moving: float
     """[-] share of the duration in which the hand is led; then it is held."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.mode not in MODES:
+            raise ConfigError(f"--mode: {self.mode!r} is none of {', '.join(MODES)}")
+        if not 0.0 < self.moving <= 1.0:
+            raise ConfigError(f"--moving: {self.moving:g} is not within 0 to 1")
+        for name in ("start", "move"):
+            point = np.array(getattr(self, name), dtype=float)
+            if point.shape != (3,) or not np.isfinite(point).all():
+                raise ConfigError(f"--{name}: {getattr(self, name)!r} is not three finite numbers")
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
         """See `Scenario.setting`.

@@ -11,38 +11,24 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from time import sleep
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from app.control.controller import CONTROLLERS
-from app.errors import LoopError, UnknownNameError
+from app.errors import DbbError, LoopError
+from app.simulation.command_check import checked
+from app.simulation.commands import Choose, Command, Configure, Pause, Play, Pull, Restart
+from app.simulation.ensemble import Ensemble
 from app.simulation.history import History
-from app.simulation.leading import Leader, Scenario
 from app.simulation.pacing import Pacer
-from app.simulation.person import checked_target
 from app.simulation.publishing import make_snapshot
 from app.simulation.session import DT, Session, Step
-from app.simulation.snapshot import Choose, Command, Configure, Pause, Play, Pull, Reset, Snapshot
+from app.simulation.snapshot import Refusal, Snapshot
 
 Array = np.ndarray
 
 _PUBLISH_EVERY = 20  # control steps between two snapshots: 50 Hz
 _IDLE = 0.01  # [s] between two looks at the queue while paused
-
-
-def checked(command: Command) -> Command:
-    """The command, if it can be obeyed.
-
-    Raises:
-        TargetError: The person's hand would be below the floor.
-        UnknownNameError: No controller has that name.
-    """
-    if isinstance(command, Pull) and command.target is not None:
-        checked_target(command.target)
-    if isinstance(command, Choose) and command.controller not in CONTROLLERS:
-        raise UnknownNameError("controller", command.controller, CONTROLLERS)
-    return command
 
 
 class LoopHandle(Protocol):
@@ -86,10 +72,8 @@ class SimulationLoop:
         self._ready = threading.Event()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulation", daemon=True)
-        self._pull: Array | None = None
-        self._leader: Leader | None = None
-        self._led_until = 0.0  # [s]
         self._paused = False
+        self._refusal: Refusal | None = None
 
     def start(self) -> None:
         """Begin, and wait for the first snapshot.
@@ -112,8 +96,7 @@ class SimulationLoop:
         """Put a command in the queue; it is obeyed before the next control step.
 
         Raises:
-            TargetError: The person's hand would be below the floor.
-            UnknownNameError: No controller has that name.
+            DbbError: It can never be obeyed; see `command_check.checked`.
         """
         self._commands.put(checked(command))
 
@@ -126,80 +109,94 @@ class SimulationLoop:
         return self._history.after(after)
 
     def _run(self) -> None:
-        session: Session | None = None
+        owner: Session | Ensemble | None = None
         try:
-            session = self._make_session()
-            self._reset(session)
+            owner = session = self._make_session()
+            owner = ensemble = Ensemble(session, self._q_start)
+            self._begun(ensemble)
             self._ready.set()
             while not self._stop.is_set():
-                self._obey(session)
+                self._obey(ensemble)
                 if self._paused:
                     sleep(_IDLE)
                 else:
-                    self._advance(session)
+                    self._advance(ensemble)
         except BaseException as error:  # handed to the user by whoever holds the loop
             self.error = error
         finally:
             self._ready.set()
-            if session is not None:
-                session.close()
+            if owner is not None:
+                owner.close()
 
-    def _reset(self, session: Session, scenario: Scenario | None = None) -> None:
-        session.reset(self._q_start)
-        self._pull = self._leader = None
-        if scenario is not None:
-            self._leader, self._led_until = scenario.leader(session), scenario.duration
+    def _begun(self, ensemble: Ensemble) -> None:
+        """Publish the first step after a beginning."""
         self._pacer = Pacer(DT)
-        self._publish(session, self._step(session))
+        self._publish(ensemble, ensemble.step())
 
-    def _step(self, session: Session) -> Step:
-        """One control step, led by a scenario while one is played, else by the person."""
-        if self._leader is not None and session.t > self._led_until - 0.5 * DT:
-            self._leader = None
-        if self._leader is not None:
-            return session.step(*self._leader(session))
-        return session.step(pull=self._pull)
-
-    def _advance(self, session: Session) -> None:
-        step = self._step(session)
+    def _advance(self, ensemble: Ensemble) -> None:
+        step = ensemble.step()
         self._pacer.worked(step.duration)
         if round(step.t / DT) % _PUBLISH_EVERY == 0:
-            self._publish(session, step)
+            self._publish(ensemble, step)
         self._pacer.wait()
 
-    def _publish(self, session: Session, step: Step) -> None:
-        self._history.add(make_snapshot(session, step, self._pacer, paused=self._paused))
+    def _publish(self, ensemble: Ensemble, step: Step) -> None:
+        snapshot = make_snapshot(ensemble.main, step, self._pacer, paused=self._paused)
+        self._history.add(replace(snapshot, **self._course(ensemble)))
 
-    def _obey(self, session: Session) -> None:
+    def _course(self, ensemble: Ensemble) -> dict[str, Any]:
+        """What a snapshot says beyond the session."""
+        return {
+            "scenario": ensemble.leading,
+            "scenario_ends": ensemble.ends,
+            "refusal": self._refusal,
+        }
+
+    def _obey(self, ensemble: Ensemble) -> None:
         while True:
             try:
                 command = self._commands.get_nowait()
             except queue.Empty:
                 return
-            if isinstance(command, Pull):
-                self._pull = None if command.target is None else np.array(command.target)
-                self._leader = None
-            elif isinstance(command, Configure):
-                session.configure(command.config)
-                self._refresh(session)
-            elif isinstance(command, Choose):
-                session.controller.use(command.controller)
-                self._refresh(session)
-            elif isinstance(command, Pause):
-                self._paused = command.paused
-                self._pacer.restart()
-                self._refresh(session)
-            elif isinstance(command, Reset):
-                self._reset(session)
-            elif isinstance(command, Play):
-                self._reset(session, command.scenario)
+            try:
+                self._carry_out(command, ensemble)
+            except DbbError as error:
+                number = 1 if self._refusal is None else self._refusal.number + 1
+                self._refusal = Refusal(number, str(error))
+            self._refresh(ensemble)
 
-    def _refresh(self, session: Session) -> None:
+    def _carry_out(self, command: Command, ensemble: Ensemble) -> None:
+        if isinstance(command, Pull):
+            ensemble.pull(None if command.target is None else np.array(command.target))
+        elif isinstance(command, Configure):
+            ensemble.configure(command.config)
+        elif isinstance(command, Choose):
+            ensemble.choose(command.controller)
+        elif isinstance(command, Pause):
+            self._paused = command.paused
+            self._pacer.restart()
+        else:
+            self._begin_anew(command, ensemble)
+
+    def _begin_anew(self, command: Command, ensemble: Ensemble) -> None:
+        if isinstance(command, Play):
+            self._say_busy(f"preparing {command.scenario.name}")
+            ensemble.play(command.scenario)
+        elif isinstance(command, Restart):
+            ensemble.restart()
+        else:
+            ensemble.reset()
+        self._begun(ensemble)
+
+    def _say_busy(self, with_what: str) -> None:
+        self._history.add(replace(self._history.latest, busy=with_what))
+
+    def _refresh(self, ensemble: Ensemble) -> None:
         """Publish a change that must be seen although no step follows while paused."""
-        latest = self._history.latest
+        main = ensemble.main
         self._history.add(
             replace(
-                latest, config=session.config, controller=session.controller.name,
-                paused=self._paused,
+                self._history.latest, config=main.config, controller=main.controller.name,
+                paused=self._paused, busy="", **self._course(ensemble),
             )
         )  # fmt: skip

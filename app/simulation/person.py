@@ -14,21 +14,28 @@ Array = np.ndarray
 
 _QUICKNESS = 20.0  # [rad/s] of the hand's motion towards a new target
 _TOP_SPEED = 1.5  # [m/s] of the hand
+_FARTHEST = 1e4  # [m] from the world's origin
 
 
 def checked_target(target: Sequence[float] | Array) -> Array:
     """(3,) [m] a place in the world to which a person may pull.
 
     Raises:
-        TargetError: It lies below the floor, or is not three finite numbers.
+        TargetError: It lies below the floor or farther away than 10 km, or is not three finite
+            numbers.
     """
-    place = np.array(target, dtype=float)
+    try:
+        place = np.array(target, dtype=float)
+    except (TypeError, ValueError):
+        place = np.empty(0)
     if place.shape != (3,) or not np.isfinite(place).all():
         raise TargetError(f"the hand's target must be three finite numbers, was {target!r}")
     if place[2] < 0:
         raise TargetError(
             f"the hand's target is at z = {place[2]:.3f} m, below the floor, which is z = 0"
         )
+    if np.abs(place).max() > _FARTHEST:
+        raise TargetError(f"the hand's target is farther away than {_FARTHEST:g} m: {target!r}")
     return place
 
 

@@ -16,11 +16,12 @@ import numpy as np
 
 from app.border.interrupts import interrupts_ignored
 from app.errors import LoopError
+from app.simulation.command_check import checked
+from app.simulation.commands import Command
 from app.simulation.history import History
-from app.simulation.loop import checked
 from app.simulation.loop_process import Failure, run_loop
 from app.simulation.session import Session
-from app.simulation.snapshot import Command, Snapshot
+from app.simulation.snapshot import Snapshot
 
 Array = np.ndarray
 
@@ -99,10 +100,9 @@ class ProcessLoop:
         """Send a command; it is obeyed before one of the next control steps.
 
         Raises:
-            TargetError: The person's hand would be below the floor.
-            UnknownNameError: No controller has that name.
+            DbbError: It can never be obeyed; see `command_check.checked`.
         """
-        checked(command)
+        command = checked(command)
         with self._sending, suppress(OSError):  # the end of the child is told by `error`
             self._commands.send(command)
 

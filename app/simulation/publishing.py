@@ -9,7 +9,7 @@ from app.avoidance.self_collision import PairState
 from app.robot.state import RobotState
 from app.simulation.pacing import Pacer
 from app.simulation.session import Session, Step
-from app.simulation.snapshot import ActingReading, PairReading, Snapshot
+from app.simulation.snapshot import ActingReading, DoorView, PairReading, Snapshot
 
 Array = np.ndarray
 
@@ -48,11 +48,21 @@ def make_snapshot(session: Session, step: Step, pacer: Pacer, *, paused: bool) -
         realtime_factor=pacer.realtime_factor,
         overruns=pacer.overruns,
         paused=paused,
-        mode="guiding",
+        mode="tracking" if step.tracking else "guiding",
         controller=session.controller.name,
         config=session.config,
         buffer=step.buffer,
+        door=_door_view(session, step),
     )
+
+
+def _door_view(session: Session, step: Step) -> DoorView | None:
+    if session.door is None:
+        return None
+    assert session.physics.door is not None, "a plant with a door"
+    force = np.zeros(3) if step.door is None else step.door.force
+    angle = session.physics.door.angle() if step.door is None else step.door.angle
+    return DoorView(session.door.door, angle, _frozen(force))
 
 
 def _pair_reading(session: Session, pair: PairState, d: float) -> PairReading:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
@@ -71,6 +72,7 @@ class RefrigeratorScenario(Scenario):
     away that doors up to 0.6 m wide meet the base when they are open by the same angle."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.hinge not in ("left", "right"):
             raise ConfigError(f"--hinge: {self.hinge!r} is neither left nor right")
         for name, (low, high, unit) in _RANGES.items():
@@ -80,6 +82,11 @@ class RefrigeratorScenario(Scenario):
                 raise ConfigError(
                     f"--{option}: {value:g} {unit} is not within {low:g} to {high:g} {unit}"
                 )
+        for name, size in (("hinge_position", 2), ("base", 3)):
+            place = getattr(self, name)
+            if place is not None and not _finite(place, size):
+                option = name.replace("_", "-")
+                raise ConfigError(f"--{option}: {place!r} is not {size} finite numbers")
 
     @property
     def door(self) -> Door:
@@ -116,11 +123,22 @@ class RefrigeratorScenario(Scenario):
             base_pose, door, angle, seed=seed
         )
         holding, holding_data = with_door(model, data, door, T_ee.inverse() * door.pose(angle))
-        return Setting(holding, holding_data, base_pose, q_m, _firm(config), OpenDoor(door, angle))
+        return Setting(
+            holding, holding_data, base_pose, q_m, self.adapted(config), OpenDoor(door, angle)
+        )
+
+    def adapted(self, config: Config) -> Config:
+        """See `Scenario.adapted`."""
+        return _firm(config)
 
     def leader(self, session: Session) -> Leader:
         """See `Scenario.leader`."""
         return _Opener(self, session)
+
+
+def _finite(place: Sequence[float], size: int) -> bool:
+    values = np.array(place, dtype=float)
+    return values.shape == (size,) and bool(np.isfinite(values).all())
 
 
 def _firm(config: Config) -> Config:

@@ -9,9 +9,10 @@ from typing import NamedTuple
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
+from app.simulation.begin import begin
 from app.simulation.leading import Scenario
 from app.simulation.recording import Recorder
-from app.simulation.session import DT, Session
+from app.simulation.session import DT
 
 
 class RunResult(NamedTuple):
@@ -51,21 +52,17 @@ def run_scenario(
         UnknownNameError: No such controller or plant.
     """
     setting = scenario.setting(model, data, config, seed)
-    session = Session(
-        setting.model, setting.data, setting.config, controller=controller, physics=physics,
-        seed=seed, plant=model, door=setting.door,
-    )  # fmt: skip
+    session = begin(setting, model, controller=controller, physics=physics, seed=seed)
     try:
-        session.reset(setting.q_m, setting.base_pose)
         leader = scenario.leader(session)
         recorder = Recorder(setting.model)
-        begin = perf_counter()
+        begun = perf_counter()
         for k in range(round(scenario.duration / DT)):
             step = session.step(*leader(session))
             recorder.add(step)
             if k % 100 == 0:
                 on_progress(session.t)
-        elapsed = perf_counter() - begin
+        elapsed = perf_counter() - begun
     finally:
         session.close()
     figures: dict[str, object] = {

@@ -49,6 +49,7 @@ class Step(NamedTuple):
         distances: [m] true signed distances, in the order of the output's pairs.
         buffer: Whether d_b is enough for how fast the arm comes.
         door: How the opening of a door goes, or None if there is none.
+        tracking: Whether the arm follows a reference.
     """
 
     t: float
@@ -64,6 +65,7 @@ class Step(NamedTuple):
     distances: tuple[float, ...]
     buffer: BufferReading
     door: DoorReading | None = None
+    tracking: bool = False
 
 
 class Session:
@@ -71,6 +73,12 @@ class Session:
 
     Attributes:
         t: [s] simulated time since the last reset.
+        model: The robot as the controller knows it.
+        data: Its pairs and clouds.
+        config: Parameters.
+        kind: Kind of plant.
+        seed: Of everything random.
+        door: The door that the hand holds, and how far it is open at the start, or None.
         controller: The controller under test.
         physics: The plant.
         wheel_angles: (2,) [rad] how far the right and the left wheels have turned, for drawing.
@@ -104,8 +112,8 @@ class Session:
             UnknownNameError: No controller or plant has that name.
             ConfigError: The plant has no doors.
         """
-        self.model = model
-        self.config = config
+        self.model, self.data, self.config = model, data, config
+        self.kind, self.seed, self.door = physics, seed, door
         self.controller = Controller(model, data, config, name=controller)
         self.physics: Physics = make_physics(physics, plant or model, dt=DT, seed=seed, door=door)
         base = model.description.base
@@ -188,7 +196,7 @@ class Session:
         step = Step(
             self.t, measurement, output, command.copy(), pull, felt, error,
             self.physics.contacts(), duration, truth, self._truth.distances, self._look(output),
-            door,
+            door, reference is not None,
         )  # fmt: skip
         self.t += DT
         return step

@@ -1,4 +1,4 @@
-"""What the loop publishes and is told: immutable records that may cross a process border."""
+"""What the loop publishes: immutable records that may cross a process border."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ import numpy as np
 
 from app.config import Config
 from app.control.buffer_watch import BufferReading
-from app.simulation.leading import Scenario
+from app.simulation.commands import Choose as Choose
+from app.simulation.commands import Command as Command
+from app.simulation.commands import Configure as Configure
+from app.simulation.commands import Pause as Pause
+from app.simulation.commands import Play as Play
+from app.simulation.commands import Pull as Pull
+from app.simulation.commands import Reset as Reset
+from app.simulation.door import Door
 
 Array = np.ndarray
 
@@ -44,6 +51,25 @@ class ActingReading(NamedTuple):
     """(3,) [m] acting point."""
     f: Array
     """(3,) [N] force f_m,i of (14)."""
+
+
+class DoorView(NamedTuple):
+    """A door that the hand holds."""
+
+    door: Door
+    """Its geometry, which does not change: `door.pose(angle)` is T_world_door."""
+    angle: float
+    """[rad] how far it is open."""
+    force: Array
+    """(3,) [N] that the hand exerts on it while it opens it, in the world."""
+
+
+class Refusal(NamedTuple):
+    """A command that could not be obeyed, which has changed nothing."""
+
+    number: int
+    """Of the refusal, from 1 on: a larger one than the last is news."""
+    message: str
 
 
 @dataclass(frozen=True)
@@ -103,48 +129,16 @@ class Snapshot:
     """"guiding", or "tracking" while the arm follows a reference."""
     controller: str
     config: Config
+    """The parameters in force; a scenario may firm those that it was given."""
     buffer: BufferReading
     """Whether d_b is enough for how fast the arm comes."""
-
-
-@dataclass(frozen=True)
-class Pull:
-    """The person takes the end-effector and pulls it to `target`; None lets go."""
-
-    target: tuple[float, float, float] | None
-
-
-@dataclass(frozen=True)
-class Configure:
-    """Use this configuration from now on."""
-
-    config: Config
-
-
-@dataclass(frozen=True)
-class Choose:
-    """Use the controller of that name from now on."""
-
-    controller: str
-
-
-@dataclass(frozen=True)
-class Pause:
-    """Stop (True) or go on (False)."""
-
-    paused: bool
-
-
-@dataclass(frozen=True)
-class Reset:
-    """Begin anew at the starting pose."""
-
-
-@dataclass(frozen=True)
-class Play:
-    """Begin anew, and let a scenario that starts there lead the hand until its end or a pull."""
-
-    scenario: Scenario
-
-
-Command = Pull | Configure | Choose | Pause | Reset | Play
+    scenario: str = ""
+    """Name of the scenario that leads the hand, or empty while it is free."""
+    scenario_ends: float | None = None
+    """[s] simulated time at which the scenario ends, or None while the hand is free."""
+    door: DoorView | None = None
+    """The door that the hand holds, also after its scenario."""
+    busy: str = ""
+    """What is being prepared while time stands still, or empty."""
+    refusal: Refusal | None = None
+    """The newest command that was found out to be impossible only when it was obeyed."""

@@ -45,6 +45,7 @@ class WayOutScenario(Scenario):
     """Which kind of start is drawn."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.begin not in BEGINS:
             raise ConfigError(f"--begin: {self.begin!r} is none of {', '.join(BEGINS)}")
 

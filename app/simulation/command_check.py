@@ -1,0 +1,65 @@
+"""Commands are checked where they enter, so that what is wrong is its sender's error."""
+
+from __future__ import annotations
+
+from typing import get_args
+
+from app.config import Config
+from app.control.controller import CONTROLLERS
+from app.errors import ConfigError, DbbError, UnknownNameError
+from app.simulation.commands import Choose, Command, Configure, Pause, Play, PlayScenario, Pull
+from app.simulation.leading import Scenario
+from app.simulation.person import checked_target
+from app.simulation.scenario import scenario_by_name
+
+COMMANDS = get_args(Command)
+
+
+def checked(command: Command) -> Command:
+    """The command, if it can be obeyed as far as can be told without the robot.
+
+    Returns:
+        The same, or the `Play` of a `PlayScenario`.
+
+    Raises:
+        TargetError: The person's hand would be below the floor.
+        UnknownNameError: No controller or scenario has that name.
+        ConfigError: It is no command, a scenario has no such option, or a value is out of its
+            range.
+    """
+    if not isinstance(command, COMMANDS):
+        raise ConfigError(f"{command!r} is no command")
+    if isinstance(command, Pull) and command.target is not None:
+        checked_target(command.target)
+    elif isinstance(command, Choose):
+        checked_controller(command.controller)
+    elif isinstance(command, Configure) and not isinstance(command.config, Config):
+        raise ConfigError(f"a configuration is a Config, was {command.config!r}")
+    elif isinstance(command, Pause) and not isinstance(command.paused, bool):
+        raise ConfigError(f"paused is True or False, was {command.paused!r}")
+    elif isinstance(command, Play) and not isinstance(command.scenario, Scenario):
+        raise ConfigError(f"what is played is a Scenario, was {command.scenario!r}")
+    elif isinstance(command, PlayScenario):
+        return Play(_scenario(command))
+    return command
+
+
+def checked_controller(name: str) -> str:
+    """The name, if a controller has it.
+
+    Raises:
+        UnknownNameError: Lists those that exist.
+    """
+    if name not in CONTROLLERS:
+        raise UnknownNameError("controller", str(name), CONTROLLERS)
+    return name
+
+
+def _scenario(command: PlayScenario) -> Scenario:
+    scenario = scenario_by_name(command.name)
+    try:
+        return scenario.changed(**command.options)
+    except DbbError:
+        raise
+    except (TypeError, ValueError) as error:  # a text for a number, a point of two numbers
+        raise ConfigError(f"options of the scenario {command.name}: {error}") from None

@@ -1,0 +1,80 @@
+"""Whatever can be known to be wrong is refused where it enters, as its sender's error."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from app.config import Config
+from app.errors import ConfigError, DbbError, TargetError, UnknownNameError
+from app.simulation.command_check import checked
+from app.simulation.commands import Choose, Configure, Pause, Play, PlayScenario, Pull, Reset
+from app.simulation.scenario import SCENARIOS
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_scenario_by_its_name_is_the_play_of_that_scenario(name):
+    assert checked(PlayScenario(name)) == Play(SCENARIOS[name])
+
+
+def test_options_are_the_scenarios_own_fields():
+    played = checked(PlayScenario("refrigerator", {"hinge": "right", "door_width": 0.5}))
+    assert played == Play(SCENARIOS["refrigerator"].changed(hinge="right", door_width=0.5))
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("refrigerator", {"door_width": 3.0}),
+        ("refrigerator", {"door_width": "wide"}),
+        ("refrigerator", {"base": (0.0, NAN, 0.0)}),
+        ("refrigerator", {"hinge_position": (1.0,)}),
+        ("refrigerator", {"start": (0.5, 0.0, 0.5)}),
+        ("tracking", {"start": (0.5, 0.0)}),
+        ("tracking", {"move": (0.5, 0.0, math.inf)}),
+        ("tracking", {"mode": "dancing"}),
+        ("tracking", {"moving": 0.0}),
+        ("tracking", {"duration": 0.0}),
+        ("tracking", {"duration": NAN}),
+        ("tracking", {"duration": 1e9}),
+        ("tracking", {"name": "another"}),
+        ("way-out", {"begin": "asleep"}),
+    ],
+)
+def test_options_that_are_none_or_out_of_range_are_refused(name, options):
+    with pytest.raises(ConfigError):
+        checked(PlayScenario(name, options))
+
+
+@pytest.mark.parametrize(
+    ("command", "error"),
+    [
+        (PlayScenario("guiding-latera"), UnknownNameError),
+        (Choose("dbbb"), UnknownNameError),
+        (Pull((0.7, 0.0, -0.01)), TargetError),
+        (Pull((0.7, NAN, 0.2)), TargetError),
+        (Pull((0.7, 0.2)), TargetError),
+        (Pull(("a", "b", "c")), TargetError),
+        (Pull((1e300, 0.0, 0.5)), TargetError),
+        (Pull("x"), TargetError),
+        (Configure("d_b = 0.2"), ConfigError),
+        (Pause("yes"), ConfigError),
+        (Play("tracking"), ConfigError),
+        ("reset", ConfigError),
+        (None, ConfigError),
+    ],
+)
+def test_what_is_no_command_is_refused_with_an_error_of_the_project(command, error):
+    with pytest.raises(error) as caught:
+        checked(command)
+    assert isinstance(caught.value, DbbError)
+
+
+@pytest.mark.parametrize(
+    "command", [Pull((0.5, 0.0, 0.4)), Pull(None), Choose("none"), Configure(Config()), Reset()]
+)
+def test_what_can_be_obeyed_passes_unchanged(command):
+    assert checked(command) is command

@@ -1,0 +1,167 @@
+"""Any scenario by its name behind the dashboard is the run of the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.errors import ConfigError, TargetError
+from app.robot.model import RobotModel
+from app.simulation.begin import begin
+from app.simulation.ensemble import Ensemble
+from app.simulation.leading import Setting
+from app.simulation.pacing import Pacer
+from app.simulation.publishing import make_snapshot
+from app.simulation.refrigerator import RefrigeratorScenario
+from app.simulation.scenario import SCENARIOS
+from app.simulation.session import DT, Session, Step
+
+LATERAL = SCENARIOS["guiding-lateral"]
+TRACKING = SCENARIOS["tracking"]
+FRIDGE = SCENARIOS["refrigerator"]
+
+
+@pytest.fixture(scope="module")
+def fridge_setting(robot: RobotModel, border_data: BorderData) -> Setting:
+    return FRIDGE.setting(robot, border_data, Config(), 0)
+
+
+@pytest.fixture
+def known_fridge(monkeypatch: pytest.MonkeyPatch, fridge_setting: Setting) -> None:
+    """The search for the grasp, once for all tests: it takes seconds."""
+    monkeypatch.setattr(
+        RefrigeratorScenario, "setting",
+        lambda self, model, data, config, seed: fridge_setting,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def make(robot: RobotModel, border_data: BorderData) -> Iterator:
+    made: list[Ensemble] = []
+
+    def make(physics: str = "kinematic", controller: str = "dbb") -> Ensemble:
+        free = Session(robot, border_data, Config(), physics=physics, controller=controller)
+        made.append(Ensemble(free, np.array(robot.description.arm.ready_position)))
+        return made[-1]
+
+    yield make
+    for ensemble in made:
+        ensemble.close()
+
+
+def numbers(step: Step) -> list[float]:
+    """What is physical in a step."""
+    return [
+        step.t, step.ee_error, *step.truth.q_m, *step.truth.base_pose, *step.output.u_a,
+        *step.hand_force, *step.distances, *step.contacts,
+    ]  # fmt: skip
+
+
+def steps(ensemble: Ensemble, seconds: float) -> np.ndarray:
+    return np.array([numbers(ensemble.step()) for _ in range(round(seconds / DT))])
+
+
+@pytest.mark.parametrize("name", ["guiding-lateral", "tracking", "way-out"])
+def test_a_scenario_is_the_same_run_as_on_the_command_line(make, robot, border_data, name):
+    scenario = SCENARIOS[name]
+    ensemble = make()
+    steps(ensemble, 0.3)  # whatever was before leaves no trace
+    ensemble.play(scenario)
+    played = steps(ensemble, 0.7)
+    setting = scenario.setting(robot, border_data, Config(), 0)
+    session = begin(setting, robot, controller="dbb", physics="kinematic", seed=0)
+    leader = scenario.leader(session)
+    run = np.array([numbers(session.step(*leader(session))) for _ in range(700)])
+    np.testing.assert_allclose(played, run, atol=1e-9)
+
+
+def test_it_leads_until_its_end_and_then_the_hand_is_free(make):
+    ensemble = make()
+    ensemble.play(TRACKING.changed(duration=0.2))
+    assert (ensemble.leading, ensemble.ends) == ("tracking", 0.2)
+    taken = [ensemble.step() for _ in range(300)]
+    assert [step.tracking for step in taken] == [True] * 200 + [False] * 100
+    assert (ensemble.leading, ensemble.ends) == ("", None)
+
+
+def test_a_pull_ends_the_lead_and_a_restart_begins_it_again(make):
+    ensemble = make()
+    ensemble.play(LATERAL)
+    first = steps(ensemble, 0.3)
+    ensemble.pull(np.array([0.4, 0.7, 0.4]))
+    step = ensemble.step()
+    assert ensemble.leading == ""
+    np.testing.assert_array_equal(step.hand_target, [0.4, 0.7, 0.4])
+    ensemble.restart()
+    assert ensemble.leading == "guiding-lateral"
+    np.testing.assert_allclose(steps(ensemble, 0.3), first, atol=1e-9)
+
+
+def test_a_reset_returns_to_the_free_start_and_so_does_a_restart_after_it(make, robot):
+    ensemble = make()
+    ensemble.play(LATERAL)
+    ensemble.step()
+    for begin_anew in (ensemble.reset, ensemble.restart):
+        begin_anew()
+        step = ensemble.step()
+        assert (ensemble.leading, step.t) == ("", 0.0)
+        np.testing.assert_array_equal(step.truth.q_m, robot.description.arm.ready_position)
+        steps(ensemble, 0.05)
+
+
+@pytest.mark.usefixtures("known_fridge")
+def test_the_refrigerator_brings_its_door_and_takes_it_away_again(make, fridge_setting):
+    ensemble = make("planar", "repulsive")
+    free = ensemble.main
+    ensemble.configure(Config().replace("force.f_max", 111.0))
+    ensemble.play(FRIDGE)
+    step = ensemble.step()
+    begun = make_snapshot(ensemble.main, step, Pacer(DT), paused=False)
+    assert begun.door is not None
+    assert begun.door.door == FRIDGE.door
+    assert begun.door.angle == pytest.approx(0.0, abs=1e-9)
+    handle = begun.door.door.handle(begun.door.angle).translation
+    np.testing.assert_allclose(begun.p_ee, handle, atol=1e-3)
+    assert (begun.mode, begun.controller) == ("tracking", "repulsive")
+    assert "lm-door" in {pair.name for pair in begun.pairs}
+    assert begun.config.force.f_max == 111.0
+    assert begun.config.task.posture_stiffness == 100.0  # as firm as that scenario needs it
+    ensemble.configure(Config().replace("force.f_max", 99.0))
+    assert ensemble.main.config.task.posture_stiffness == 100.0
+    steps(ensemble, 1.5)
+    later = make_snapshot(ensemble.main, ensemble.step(), Pacer(DT), paused=False)
+    assert later.door.angle > 0.02  # [rad]
+    assert np.linalg.norm(later.door.force) > 0.1  # [N]
+    ensemble.reset()
+    assert ensemble.main is free
+    after = make_snapshot(free, ensemble.step(), Pacer(DT), paused=False)
+    assert after.door is None
+    assert after.config == Config().replace("force.f_max", 99.0)
+    assert (after.mode, after.controller) == ("guiding", "repulsive")
+
+
+@pytest.mark.usefixtures("known_fridge")
+def test_a_restart_of_the_refrigerator_is_the_same_run_again(make):
+    ensemble = make("planar")
+    ensemble.play(FRIDGE)
+    first = steps(ensemble, 0.3)
+    ensemble.restart()
+    np.testing.assert_allclose(steps(ensemble, 0.3), first, atol=1e-9)
+
+
+@pytest.mark.usefixtures("known_fridge")
+def test_what_cannot_begin_changes_nothing(make):
+    ensemble = make("kinematic")
+    ensemble.play(LATERAL)
+    steps(ensemble, 0.1)
+    main, t = ensemble.main, ensemble.main.t
+    with pytest.raises(ConfigError, match="kinematic has no door"):
+        ensemble.play(FRIDGE)
+    with pytest.raises(TargetError):
+        ensemble.play(LATERAL.changed(move=(0.0, 0.0, -2.0)))
+    assert (ensemble.main, ensemble.main.t, ensemble.leading) == (main, t, "guiding-lateral")
+    assert ensemble.step().t == t
