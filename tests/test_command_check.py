@@ -9,7 +9,16 @@ import pytest
 from app.config import Config
 from app.errors import ConfigError, DbbError, TargetError, UnknownNameError
 from app.simulation.command_check import checked
-from app.simulation.commands import Choose, Configure, Pause, Play, PlayScenario, Pull, Reset
+from app.simulation.commands import (
+    Choose,
+    Configure,
+    Pause,
+    Play,
+    PlayScenario,
+    Pull,
+    Speed,
+    StepOnce,
+)
 from app.simulation.scenario import SCENARIOS
 
 NAN = float("nan")
@@ -62,6 +71,12 @@ def test_options_that_are_none_or_out_of_range_are_refused(name, options):
         (Pull("x"), TargetError),
         (Configure("d_b = 0.2"), ConfigError),
         (Pause("yes"), ConfigError),
+        (Speed(0.05), ConfigError),
+        (Speed(4.5), ConfigError),
+        (Speed(NAN), ConfigError),
+        (Speed("fast"), ConfigError),
+        (StepOnce(0.0), ConfigError),
+        (StepOnce(60.0), ConfigError),
         (Play("tracking"), ConfigError),
         ("reset", ConfigError),
         (None, ConfigError),
@@ -74,7 +89,8 @@ def test_what_is_no_command_is_refused_with_an_error_of_the_project(command, err
 
 
 @pytest.mark.parametrize(
-    "command", [Pull((0.5, 0.0, 0.4)), Pull(None), Choose("none"), Configure(Config()), Reset()]
+    "command",
+    [Pull((0.5, 0.0, 0.4)), Pull(None), Choose("none"), Configure(Config()), Speed(4), StepOnce()],
 )
 def test_what_can_be_obeyed_passes_unchanged(command):
     assert checked(command) is command

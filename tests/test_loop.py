@@ -15,7 +15,17 @@ from app.config import Config
 from app.errors import AssetError, LoopError, TargetError, UnknownNameError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.commands import Choose, Configure, Pause, PlayScenario, Pull, Reset
+from app.simulation.commands import (
+    Choose,
+    Configure,
+    Pause,
+    PlayScenario,
+    Pull,
+    Reset,
+    Restart,
+    Speed,
+    StepOnce,
+)
 from app.simulation.loop import SimulationLoop
 from app.simulation.scenario import LINES
 from app.simulation.session import DT, Session
@@ -311,11 +321,71 @@ def test_a_scenario_that_cannot_begin_is_refused_in_the_snapshot_and_changes_not
     loop: SimulationLoop,
 ) -> None:
     before = until(loop, lambda s: s.t > 0.05)
-    loop.send(PlayScenario("tracking", {"start": (5.0, 0.0, 0.5)}))
+    loop.send(PlayScenario("tracking", {"move": (0.0, 0.0, -2.0)}))
     refused = until(loop, lambda s: s.refusal is not None)
     assert refused.refusal.number == 1
-    assert "out of the arm's reach" in refused.refusal.message
+    assert "below the floor" in refused.refusal.message
     on = until(loop, lambda s: s.t > refused.t)
     assert (on.scenario, on.busy, on.t > before.t) == ("", "", True)
     with pytest.raises(UnknownNameError, match="did you mean 'tracking'"):
         loop.send(PlayScenario("trackin"))
+
+
+def test_a_single_step_advances_by_one_snapshot_and_pauses(loop: SimulationLoop) -> None:
+    loop.send(StepOnce())
+    t = until(loop, lambda s: s.paused).t
+    for k, seconds in enumerate((0.02, 0.02, 0.1, 0.005)):
+        loop.send(StepOnce(seconds))
+        at = until(loop, lambda s, t=t: s.t > t)
+        assert at.paused, k
+        assert at.t == pytest.approx(t + seconds, abs=1e-9)
+        assert [s.t for s in loop.history(t)] == [at.t]
+        t = at.t
+    time.sleep(0.1)
+    assert loop.latest().t == t
+
+
+def test_the_speed_is_what_was_wished_also_after_a_reset(loop: SimulationLoop) -> None:
+    loop.send(Speed(0.25))
+    until(loop, lambda s: s.speed == 0.25)
+    loop.send(Reset())
+    begun, t = time.monotonic(), until(loop, lambda s: s.t < 0.05).t
+    later = until(loop, lambda s: s.t >= t + 0.1)
+    assert time.monotonic() - begun > 0.3  # [s] four times as long as is simulated
+    assert later.speed == 0.25
+    assert later.realtime_factor < 0.3
+
+
+def test_a_flood_of_commands_is_obeyed_in_a_few(loop: SimulationLoop, monkeypatch) -> None:
+    """By counts: ten thousand commands, far fewer obeyed, the newest of them last."""
+    obeyed: list[object] = []
+    carry_out = loop._carry_out
+    monkeypatch.setattr(
+        loop, "_carry_out", lambda command, *to: (obeyed.append(command), carry_out(command, *to))
+    )
+    loop.send(Pause(True))
+    until(loop, lambda s: s.paused)
+    steps: list[float] = []
+    monkeypatch.setattr("app.simulation.loop._IDLE", 0.05)
+    for k in range(10_000):
+        d_b = (0.10, 0.12, 0.14, 0.16)[k % 4]
+        loop.send(Configure(CONFIGS[d_b]) if k % 2 else Pull((0.4, 0.7, 0.3 + 1e-5 * k)))
+        steps.append(loop.latest().t)
+    loop.send(Pause(False))
+    s = until(loop, lambda s: s.hand_target is not None and s.hand_target[2] > 0.3 + 0.09997)
+    assert s.config == CONFIGS[0.16]
+    assert len(obeyed) < 500
+    assert len(set(steps)) == 1  # and while it was paused no time went by
+
+
+CONFIGS = {d_b: Config().replace("border.d_b", d_b) for d_b in (0.10, 0.12, 0.14, 0.16)}
+
+
+def test_a_restart_begins_the_scenario_again(loop: SimulationLoop) -> None:
+    loop.send(PlayScenario("tracking"))
+    until(loop, lambda s: s.scenario == "tracking" and s.t > 0.1)
+    loop.send(Pull((0.4, 0.7, 0.4)))
+    until(loop, lambda s: s.scenario == "")
+    loop.send(Restart())
+    again = until(loop, lambda s: s.scenario == "tracking")
+    assert again.hand_target is None

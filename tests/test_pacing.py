@@ -100,3 +100,21 @@ def test_step_time_is_the_mean_of_the_controllers_work_not_of_the_period(clock):
     assert (pacer.step_time_us, pacer.realtime_factor) == (0.0, 1.0)
     steps(pacer, clock, [0.0002, 0.0004] * 10)
     assert pacer.step_time_us == pytest.approx(300.0)
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.5, 2.0])
+def test_at_another_speed_the_factor_is_simulated_over_real_time(clock, speed):
+    pacer, begin = Pacer(PERIOD, speed), clock.now
+    steps(pacer, clock, [0.0003] * 3000)
+    assert clock.now - begin == pytest.approx(3.0 / speed, rel=1e-3)
+    assert pacer.realtime_factor == pytest.approx(speed, rel=2e-3)
+    assert pacer.overruns == 0
+
+
+def test_a_speed_beyond_what_the_steps_allow_is_not_claimed(clock):
+    pacer = Pacer(PERIOD)
+    pacer.speed = 4.0
+    assert pacer.realtime_factor == 4.0  # nothing to tell yet
+    steps(pacer, clock, [0.0005] * 3000)
+    assert pacer.realtime_factor == pytest.approx(2.0, rel=2e-3)
+    assert pacer.overruns > 2900

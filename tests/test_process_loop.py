@@ -11,10 +11,10 @@ import pytest
 
 from app.config import Config
 from app.errors import LoopError, TargetError
+from app.simulation.commands import Configure, Pause, PlayScenario, Pull, Reset
 from app.simulation.history import History
 from app.simulation.process_loop import ProcessLoop
 from app.simulation.session import Session
-from app.simulation.snapshot import Configure, Pause, Pull, Reset
 from tests.fakes import ScriptedLoop
 
 PATIENCE = 20.0  # [s]
@@ -83,6 +83,16 @@ def test_commands_go_out_and_snapshots_come_back(make_loop):
     stopped = loop.latest().t
     loop.send(Reset())
     wait_for(lambda: loop.latest().t < stopped)
+
+
+def test_a_scenario_and_its_refusal_cross_the_process_border(make_loop):
+    loop = make_loop()
+    loop.send(PlayScenario("guiding-lateral", {"move": (0.0, 0.0, -2.0)}))
+    wait_for(lambda: loop.latest().refusal is not None)
+    assert loop.latest().refusal.number == 1
+    loop.send(PlayScenario("way-out"))
+    wait_for(lambda: loop.latest().scenario == "way-out")
+    assert loop.error is None
 
 
 def test_stop_ends_the_child_and_later_commands_are_harmless(make_loop):

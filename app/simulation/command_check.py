@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
-from typing import get_args
+from typing import Any, get_args
 
 from app.config import Config
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError, DbbError, UnknownNameError
-from app.simulation.commands import Choose, Command, Configure, Pause, Play, PlayScenario, Pull
+from app.simulation.commands import (
+    Choose,
+    Command,
+    Configure,
+    Pause,
+    Play,
+    PlayScenario,
+    Pull,
+    Speed,
+    StepOnce,
+)
 from app.simulation.leading import Scenario
 from app.simulation.person import checked_target
 from app.simulation.scenario import scenario_by_name
 
 COMMANDS = get_args(Command)
+SPEEDS = 0.1, 4.0
+"""[-] slowest and fastest, in times of real time."""
+STEPS = 0.001, 1.0
+"""[s] shortest and longest single step."""
 
 
 def checked(command: Command) -> Command:
@@ -37,6 +51,10 @@ def checked(command: Command) -> Command:
         raise ConfigError(f"a configuration is a Config, was {command.config!r}")
     elif isinstance(command, Pause) and not isinstance(command.paused, bool):
         raise ConfigError(f"paused is True or False, was {command.paused!r}")
+    elif isinstance(command, Speed):
+        _check_range("the speed", command.factor, SPEEDS, "times real time")
+    elif isinstance(command, StepOnce):
+        _check_range("a step", command.seconds, STEPS, "s")
     elif isinstance(command, Play) and not isinstance(command.scenario, Scenario):
         raise ConfigError(f"what is played is a Scenario, was {command.scenario!r}")
     elif isinstance(command, PlayScenario):
@@ -53,6 +71,13 @@ def checked_controller(name: str) -> str:
     if name not in CONTROLLERS:
         raise UnknownNameError("controller", str(name), CONTROLLERS)
     return name
+
+
+def _check_range(what: str, value: Any, limits: tuple[float, float], unit: str) -> None:
+    low, high = limits
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not (number and low <= value <= high):
+        raise ConfigError(f"{what} is {low:g} to {high:g} {unit}, was {value!r}")
 
 
 def _scenario(command: PlayScenario) -> Scenario:

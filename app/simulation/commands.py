@@ -41,6 +41,20 @@ class Pause:
 
 
 @dataclass(frozen=True)
+class Speed:
+    """Run at `factor` times real time, 0.1 to 4, as far as the machine can."""
+
+    factor: float
+
+
+@dataclass(frozen=True)
+class StepOnce:
+    """Pause, if it runs, and advance to the next snapshot, `seconds` [s] of 0.001 to 1 later."""
+
+    seconds: float = 0.02
+
+
+@dataclass(frozen=True)
 class Reset:
     """Begin anew at the free start, without a scenario."""
 
@@ -66,4 +80,6 @@ class PlayScenario:
     """Fields of the scenario that differ from its own, as `Scenario.changed` takes them."""
 
 
-Command = Pull | Configure | Choose | Pause | Reset | Restart | Play | PlayScenario
+Command = (
+    Pull | Configure | Choose | Pause | Speed | StepOnce | Reset | Restart | Play | PlayScenario
+)

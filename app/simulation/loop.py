@@ -6,7 +6,6 @@ thread may live in another process without a change on the other side.
 
 from __future__ import annotations
 
-import queue
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,9 +16,20 @@ import numpy as np
 
 from app.errors import DbbError, LoopError
 from app.simulation.command_check import checked
-from app.simulation.commands import Choose, Command, Configure, Pause, Play, Pull, Restart
+from app.simulation.commands import (
+    Choose,
+    Command,
+    Configure,
+    Pause,
+    Play,
+    Pull,
+    Restart,
+    Speed,
+    StepOnce,
+)
 from app.simulation.ensemble import Ensemble
 from app.simulation.history import History
+from app.simulation.mailbox import Mailbox
 from app.simulation.pacing import Pacer
 from app.simulation.publishing import make_snapshot
 from app.simulation.session import DT, Session, Step
@@ -28,7 +38,7 @@ from app.simulation.snapshot import Refusal, Snapshot
 Array = np.ndarray
 
 _PUBLISH_EVERY = 20  # control steps between two snapshots: 50 Hz
-_IDLE = 0.01  # [s] between two looks at the queue while paused
+_IDLE = 0.01  # [s] between two looks for commands while paused
 
 
 class LoopHandle(Protocol):
@@ -38,7 +48,10 @@ class LoopHandle(Protocol):
     """Why the loop ended, if it did."""
 
     def send(self, command: Command) -> None:
-        """Put a command in the queue; it is obeyed before the next control step."""
+        """Leave a command; it is obeyed before the next control step.
+
+        Of commands that replace one another, such as two pulls, only the newest is obeyed.
+        """
         ...
 
     def latest(self) -> Snapshot:
@@ -67,12 +80,12 @@ class SimulationLoop:
         self.error: BaseException | None = None
         self._make_session = make_session
         self._q_start = np.array(q_start)
-        self._commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
+        self._mailbox = Mailbox()
         self._history = History()
         self._ready = threading.Event()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulation", daemon=True)
-        self._paused = False
+        self._paused, self._speed = False, 1.0
         self._refusal: Refusal | None = None
 
     def start(self) -> None:
@@ -93,12 +106,12 @@ class SimulationLoop:
             self._thread.join(timeout=5.0)
 
     def send(self, command: Command) -> None:
-        """Put a command in the queue; it is obeyed before the next control step.
+        """Leave a command; it is obeyed before the next control step.
 
         Raises:
-            DbbError: It can never be obeyed; see `command_check.checked`.
+            DbbError: It can never be obeyed (`command_check.checked`), or too many wait.
         """
-        self._commands.put(checked(command))
+        self._mailbox.put(checked(command))
 
     def latest(self) -> Snapshot:
         """The newest snapshot."""
@@ -130,7 +143,7 @@ class SimulationLoop:
 
     def _begun(self, ensemble: Ensemble) -> None:
         """Publish the first step after a beginning."""
-        self._pacer = Pacer(DT)
+        self._pacer = Pacer(DT, self._speed)
         self._publish(ensemble, ensemble.step())
 
     def _advance(self, ensemble: Ensemble) -> None:
@@ -149,20 +162,19 @@ class SimulationLoop:
         return {
             "scenario": ensemble.leading,
             "scenario_ends": ensemble.ends,
+            "speed": self._speed,
             "refusal": self._refusal,
         }
 
     def _obey(self, ensemble: Ensemble) -> None:
-        while True:
-            try:
-                command = self._commands.get_nowait()
-            except queue.Empty:
-                return
+        commands = self._mailbox.take()
+        for command in commands:
             try:
                 self._carry_out(command, ensemble)
             except DbbError as error:
                 number = 1 if self._refusal is None else self._refusal.number + 1
                 self._refusal = Refusal(number, str(error))
+        if commands:
             self._refresh(ensemble)
 
     def _carry_out(self, command: Command, ensemble: Ensemble) -> None:
@@ -175,8 +187,21 @@ class SimulationLoop:
         elif isinstance(command, Pause):
             self._paused = command.paused
             self._pacer.restart()
+        elif isinstance(command, Speed):
+            self._pacer.speed = self._speed = command.factor
+        elif isinstance(command, StepOnce):
+            self._step_once(command.seconds, ensemble)
         else:
             self._begin_anew(command, ensemble)
+
+    def _step_once(self, seconds: float, ensemble: Ensemble) -> None:
+        """Pause, and publish the step that comes so much after the newest snapshot."""
+        self._paused = True
+        due = self._history.latest.t + seconds
+        step = ensemble.step()
+        while step.t < due - 0.5 * DT:
+            step = ensemble.step()
+        self._publish(ensemble, step)
 
     def _begin_anew(self, command: Command, ensemble: Ensemble) -> None:
         if isinstance(command, Play):

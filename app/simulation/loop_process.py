@@ -69,7 +69,8 @@ def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> 
             snapshots.send(latest)
             posted = latest
         if commands.poll(_POST_EVERY):
-            loop.send(commands.recv())
+            with suppress(LoopError):  # too many at once, on top of those that the parent held
+                loop.send(commands.recv())
     snapshots.send(_failure(loop.error))
 
 

@@ -1,4 +1,4 @@
-"""Keeping to real time, and saying honestly how well."""
+"""Keeping to real time, or a multiple of it, and saying honestly how well."""
 
 from __future__ import annotations
 
@@ -21,8 +21,14 @@ class Pacer:
             it was over.
     """
 
-    def __init__(self, period: float) -> None:
-        self._period = period
+    def __init__(self, period: float, speed: float = 1.0) -> None:
+        """Begin now.
+
+        Args:
+            period: [s] of simulated time in a step.
+            speed: [-] wanted simulated time over real time.
+        """
+        self._period, self._speed = period, speed
         self.overruns = 0
         self._marks: deque[tuple[float, int]] = deque()
         self._works: deque[float] = deque(maxlen=round(_WINDOW / period))
@@ -32,8 +38,23 @@ class Pacer:
     def restart(self) -> None:
         """Begin a new schedule now, as after a pause."""
         self._begun = perf_counter()
-        self._due = self._begun + self._period
+        self._due = self._begun + self._real
         self._marks.clear()
+
+    @property
+    def speed(self) -> float:
+        """[-] wanted simulated time over real time; another one begins a new schedule."""
+        return self._speed
+
+    @speed.setter
+    def speed(self, speed: float) -> None:
+        self._speed = speed
+        self.restart()
+
+    @property
+    def _real(self) -> float:
+        """[s] of real time in a step."""
+        return self._period / self._speed
 
     def worked(self, duration: float) -> None:
         """Note the real time [s] that the controller took in this step."""
@@ -44,14 +65,14 @@ class Pacer:
         now = perf_counter()
         self._steps += 1
         self._mark(now)
-        if now - self._begun > self._period or self._begun > self._due:
+        if now - self._begun > self._real or self._begun > self._due:
             self.overruns += 1
         late = now - self._due
         if late > _CATCH_UP:
             self._due = now
         elif late < -_COARSE:
             sleep(-late)
-        self._due += self._period
+        self._due += self._real
         self._begun = perf_counter()
 
     def _mark(self, now: float) -> None:
@@ -61,9 +82,9 @@ class Pacer:
 
     @property
     def realtime_factor(self) -> float:
-        """[-] simulated over real time in the last second; 1 before there is anything to tell."""
+        """[-] simulated over real time in the last second; as wanted before it can be told."""
         if len(self._marks) < 2:
-            return 1.0
+            return self._speed
         (begin, first), (end, last) = self._marks[0], self._marks[-1]
         return (last - first) * self._period / max(end - begin, 1e-9)
 

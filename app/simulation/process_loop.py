@@ -9,7 +9,6 @@ from __future__ import annotations
 import multiprocessing
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 from multiprocessing.connection import Connection
 
 import numpy as np
@@ -20,12 +19,14 @@ from app.simulation.command_check import checked
 from app.simulation.commands import Command
 from app.simulation.history import History
 from app.simulation.loop_process import Failure, run_loop
+from app.simulation.mailbox import Mailbox
 from app.simulation.session import Session
 from app.simulation.snapshot import Snapshot
 
 Array = np.ndarray
 
 _PATIENCE = 5.0  # [s] for the process to end by itself
+_POST_EVERY = 0.002  # [s] between two posts of commands
 
 
 class RemoteTraceback(Exception):  # noqa: N818 - the text of one, not an error by itself
@@ -57,7 +58,7 @@ class ProcessLoop:
         self.error: BaseException | None = None
         self._history = History()
         self._ready, self._stopping = threading.Event(), threading.Event()
-        self._sending = threading.Lock()
+        self._mailbox, self._posted = Mailbox(), threading.Event()
         spawn = multiprocessing.get_context("spawn")
         self._snapshots, theirs_out = spawn.Pipe(duplex=False)
         theirs_in, self._commands = spawn.Pipe(duplex=False)
@@ -66,7 +67,10 @@ class ProcessLoop:
             target=run_loop, args=(make_session, np.array(q_start), theirs_in, theirs_out),
             name="simulation", daemon=True,
         )  # fmt: skip
-        self._thread = threading.Thread(target=self._receive, name="snapshots", daemon=True)
+        self._threads = [
+            threading.Thread(target=work, name=name, daemon=True)
+            for name, work in (("snapshots", self._receive), ("commands", self._post))
+        ]
 
     def start(self) -> None:
         """Begin, and wait for the first snapshot.
@@ -78,7 +82,8 @@ class ProcessLoop:
             self._process.start()
         for connection in self._theirs:  # else the end of the child would not close the pipes
             connection.close()
-        self._thread.start()
+        for thread in self._threads:
+            thread.start()
         self._ready.wait()
         if self.error is not None:
             raise LoopError(f"the simulation could not start: {self.error}") from self.error
@@ -86,25 +91,25 @@ class ProcessLoop:
     def stop(self) -> None:
         """End the child."""
         self._stopping.set()
-        with self._sending, suppress(OSError):
-            self._commands.close()
+        self._posted.set()
         if self._process.pid is None:
+            self._commands.close()
             return
         self._process.join(_PATIENCE)
         if self._process.is_alive():
             self._process.kill()
             self._process.join(_PATIENCE)
-        self._thread.join(_PATIENCE)
+        for thread in self._threads:
+            thread.join(_PATIENCE)
 
     def send(self, command: Command) -> None:
         """Send a command; it is obeyed before one of the next control steps.
 
         Raises:
-            DbbError: It can never be obeyed; see `command_check.checked`.
+            DbbError: It can never be obeyed (`command_check.checked`), or too many wait.
         """
-        command = checked(command)
-        with self._sending, suppress(OSError):  # the end of the child is told by `error`
-            self._commands.send(command)
+        self._mailbox.put(checked(command))
+        self._posted.set()
 
     def latest(self) -> Snapshot:
         """The newest snapshot."""
@@ -113,6 +118,22 @@ class ProcessLoop:
     def history(self, after: float) -> list[Snapshot]:
         """Snapshots of the last 60 s with t > `after` [s], oldest first."""
         return self._history.after(after)
+
+    def _post(self) -> None:
+        """Hand commands on to the child; a flood waits here, where it shrinks, not in the pipe."""
+        try:
+            while not self._stopping.is_set():
+                self._posted.wait()
+                self._posted.clear()
+                for command in self._mailbox.take():
+                    self._commands.send(command)
+                self._stopping.wait(_POST_EVERY)
+        except OSError:
+            pass  # the end of the child, of which `_receive` tells
+        except Exception as error:  # a command that cannot be pickled
+            self.error = error
+        finally:
+            self._commands.close()
 
     def _receive(self) -> None:
         try:

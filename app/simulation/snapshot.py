@@ -122,8 +122,8 @@ class Snapshot:
     realtime_factor: float
     """[-] simulated over real time in the last second."""
     overruns: int
-    """Control steps since the last reset that missed their period of 1 ms: their own work took
-    longer, or they began after it was over."""
+    """Control steps since the last reset that missed their period of 1 ms, over the speed: their
+    own work took longer, or they began after it was over."""
     paused: bool
     mode: str
     """"guiding", or "tracking" while the arm follows a reference."""
@@ -138,6 +138,8 @@ class Snapshot:
     """[s] simulated time at which the scenario ends, or None while the hand is free."""
     door: DoorView | None = None
     """The door that the hand holds, also after its scenario."""
+    speed: float = 1.0
+    """[-] the wanted `realtime_factor`."""
     busy: str = ""
     """What is being prepared while time stands still, or empty."""
     refusal: Refusal | None = None

@@ -1,0 +1,74 @@
+"""However many commands are sent, few wait, and what they come to is the same."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from app.config import Config
+from app.simulation.commands import (
+    Choose,
+    Configure,
+    Pause,
+    Play,
+    Pull,
+    Reset,
+    Restart,
+    Speed,
+    StepOnce,
+)
+from app.simulation.mailbox import MOST, Mailbox
+from app.simulation.scenario import SCENARIOS
+
+LATERAL = Play(SCENARIOS["guiding-lateral"])
+
+
+def after(*commands) -> list:
+    mailbox = Mailbox()
+    for command in commands:
+        mailbox.put(command)
+    return mailbox.take()
+
+
+def pull(x: float) -> Pull:
+    return Pull((x, 0.0, 0.5))
+
+
+def test_of_a_flood_the_newest_of_each_kind_is_left():
+    rng = np.random.default_rng(0)
+    configs = [Config().replace("border.d_b", d) for d in (0.10, 0.15, 0.20)]
+    kinds = (
+        lambda k: pull(k * 1e-4), lambda k: Configure(configs[k % 3]), lambda k: Pause(k % 2 == 0),
+        lambda k: Choose(("dbb", "none")[k % 2]), lambda k: Speed(0.5 + k * 1e-5),
+        lambda k: Reset(), lambda k: StepOnce(),
+    )  # fmt: skip
+    sent = [kinds[i](k) for k, i in enumerate(rng.integers(len(kinds), size=10_000))]
+    left = after(*sent)
+    assert len(left) == len(kinds) < MOST
+    for command in left:
+        assert command == [other for other in sent if type(other) is type(command)][-1]
+
+
+def test_it_is_empty_once_it_was_fetched_and_keeps_order():
+    mailbox = Mailbox()
+    for command in (LATERAL, pull(0.4), Pause(True)):
+        mailbox.put(command)
+    assert mailbox.take() == [LATERAL, pull(0.4), Pause(True)]
+    assert mailbox.take() == []
+
+
+def test_a_pull_after_a_beginning_holds_and_one_before_it_is_forgotten_by_it():
+    assert after(pull(0.4), LATERAL, pull(0.5)) == [LATERAL, pull(0.5)]
+    assert after(pull(0.4), LATERAL) == [pull(0.4), LATERAL]
+    assert after(pull(0.4), pull(0.5), Pull(None)) == [Pull(None)]
+
+
+def test_a_beginning_has_the_newest_parameters():
+    old, new = Config(), Config().replace("border.d_b", 0.2)
+    assert after(Configure(old), LATERAL, Configure(new)) == [Configure(new), LATERAL]
+
+
+def test_of_several_beginnings_only_the_last_begins():
+    assert after(LATERAL, Reset()) == [Reset()]
+    assert after(Reset(), LATERAL) == [LATERAL]
+    assert after(LATERAL, Restart()) == [LATERAL]  # what would be restarted begins already
+    assert after(Restart()) == [Restart()]
