@@ -16,30 +16,28 @@ from viser import _messages
 
 from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
-from app.config import BorderConfig, Config, parameter
-from app.dashboard.acting_points import METRES_PER_NEWTON, arrow
-from app.dashboard.border_cloud import MAX_POINTS, BorderCloud, subsample
+from app.border.score import ScoreField
+from app.config import BorderConfig
+from app.dashboard.arrows import arrow
+from app.dashboard.border_cloud import BorderCloud
+from app.dashboard.borders import MAX_POINTS, Borders, subsample
 from app.dashboard.colours import FULL, NEAR, REST, distance_colour, viridis
-from app.dashboard.hand import Grip
+from app.dashboard.hand import Grip, Hold
 from app.dashboard.legend import legend_html, make_legend, normalised, tick_texts
 from app.dashboard.notices import Notices
 from app.dashboard.pair_lines import segments
 from app.dashboard.panels.run import buffer_text, pairs_html, status_html
-from app.dashboard.panels.tuning import BORDER_AND_FORCE, GAINS, MAIN, Tuning, apply, slider_step
 from app.dashboard.robot import LinkPoses
+from app.dashboard.scales import METRES_PER_NEWTON
 from app.dashboard.server import check_address, serve_dashboard
 from app.dashboard.view import View
 from app.dashboard.visuals import MAX_FACES, load_visuals, read_mesh
-from app.dashboard.window import LENGTH, PERIOD, Window
 from app.errors import AssetError, ConfigError, ServerError
 from app.robot.urdf import resolved_urdf
-from app.simulation.snapshot import Configure, PairReading, Pull
+from app.simulation.snapshot import PairReading, Pull
 from tests.fakes import ScriptedLoop, fake_clouds
+from tests.raw_client import RawClient
 from tests.robots import husky_panda, random_state
-
-TUNED = [
-    path for tab in (MAIN, BORDER_AND_FORCE, GAINS) for paths in tab.values() for path in paths
-]
 
 
 class Recorder:
@@ -85,112 +83,64 @@ def wait_for(condition, seconds=5.0):
         time.sleep(0.01)
 
 
-# Sliders
-
-
-def test_sliders_have_range_unit_and_help_of_the_configuration(dashboard):
-    page = dashboard.page
-    sliders = page.main_panel.sliders | page.border_panel.sliders | page.gains_panel.sliders
-    assert set(sliders) == set(TUNED)
-    for path, slider in sliders.items():
-        about = parameter(path)
-        assert (slider.min, slider.max) == (about.low, about.high), path
-        assert slider.value == about.default, path
-        assert slider.hint == (about.help or None), path
-        assert about.unit == "-" or about.unit in slider.label, path
-
-
-def test_every_default_lies_on_a_step_of_its_slider():
-    for path in TUNED:
-        about = parameter(path)
-        step = slider_step(about.low, about.high)
-        assert 100 <= (about.high - about.low) / step <= 1000.0001, path
-        assert (about.default / step) % 1 == pytest.approx(0, abs=1e-9) or (
-            about.default / step
-        ) % 1 == pytest.approx(1, abs=1e-9), path
-
-
-@pytest.mark.parametrize("value", [99999.0, -1.0, float("nan"), float("inf")])
-def test_a_value_out_of_range_is_refused_and_the_slider_set_back(value):
-    sink = Recorder()
-    tuning = Tuning(sink, Config())
-    slider = SimpleNamespace(value=value)
-    with pytest.raises(ConfigError, match=r"border\.d_b"):
-        apply(tuning, "border.d_b", slider)
-    assert slider.value == Config().border.d_b
-    assert tuning.config == Config()
-    assert sink.commands == []
-
-
-def test_a_value_in_range_is_sent_once_and_changes_nothing_else():
-    sink = Recorder()
-    tuning = Tuning(sink, Config())
-    for _ in range(2):
-        apply(tuning, "border.d_b", SimpleNamespace(value=0.2))
-    assert sink.commands == [Configure(Config().replace("border.d_b", 0.2))]
-
-
-def test_defaults_button_restores_every_slider_of_its_tab(dashboard, loop):
-    panel = dashboard.page.main_panel
-    for path in ("border.d_b", "force.f_max"):
-        dashboard.page.tuning.set(path, parameter(path).high)
-    panel.reset()
-    assert dashboard.page.tuning.config == Config()
-    assert loop.commands[-1] == Configure(Config())
-
-
 # The hand
 
 
-def event(phase, position=(0.5, 0.0, 0.8), client_id=1, client=None):
-    client = client or Recorder()
-    target = SimpleNamespace(position=np.array(position))
-    return SimpleNamespace(phase=phase, target=target, client_id=client_id, client=client)
+def held(link=None):
+    """A grip that has taken hold, the commands it sends, and the one who sees its notices."""
+    sink, client = Recorder(), Recorder()
+    grip = Grip(sink, Notices(sink), 7)
+    grip.take(Hold(*link) if link else Hold())
+    return grip, sink, client
 
 
-def grip():
-    sink = Recorder()
-    return Grip(sink, Notices(sink)), sink
+LINK = ("panda_joint3", (0.0, 0.1, 0.2))
 
 
-def test_a_drag_pulls_and_its_end_lets_go():
-    hand, sink = grip()
-    for phase, x in (("start", 0.5), ("update", 0.4), ("end", 0.4)):
-        hand.drag(event(phase, (x, 0.0, 0.8)))
-    assert sink.commands == [Pull((0.5, 0.0, 0.8)), Pull((0.4, 0.0, 0.8)), Pull(None)]
-    assert hand.holder is None
+@pytest.mark.parametrize("link", [None])
+def test_a_drag_pulls_and_its_end_lets_go(link):
+    grip, sink, client = held(link)
+    for x in (0.5, 0.4):
+        grip.pull(np.array([x, 0.0, 0.8]), client)
+    grip.release()
+    assert sink.commands == [
+        Pull((0.5, 0.0, 0.8)),
+        Pull((0.4, 0.0, 0.8)),
+        Pull(None),
+    ]
+    assert not grip.holds_anything
 
 
-def test_a_client_that_is_gone_releases_the_hand_once():
-    hand, sink = grip()
-    hand.drag(event("start"))
-    hand.release(2)
-    assert hand.holder == 1
-    hand.release(1)
-    hand.release(1)
-    assert sink.commands[1:] == [Pull(None)]
+def test_a_viewer_who_is_gone_lets_go_once():
+    grip, sink, _ = held()
+    grip.release()
+    grip.release()
+    assert sink.commands == [Pull(None)]
 
 
-def test_only_who_grabbed_the_hand_first_pulls_it():
-    hand, sink = grip()
-    other = Recorder()
-    hand.drag(event("start"))
-    for phase in ("start", "update", "end"):
-        hand.drag(event(phase, (9.0, 9.0, 9.0), client_id=2, client=other))
-    assert sink.commands == [Pull((0.5, 0.0, 0.8))]
-    assert hand.holder == 1
-    assert len(other.notes) == 1
+def test_who_holds_nothing_pulls_nothing():
+    grip, sink, client = held()
+    grip.release()
+    grip.pull(np.array([9.0, 9.0, 9.0]), client)
+    assert sink.commands == [Pull(None)]
+
+
+def test_taking_hold_elsewhere_lets_go_first():
+    grip, sink, client = held()
+    grip.take(Hold(*LINK))
+    grip.pull(np.array([0.5, 0.0, 0.8]), client)
+    assert sink.commands == [Pull(None), Pull((0.5, 0.0, 0.8))]
+    assert not grip.holds_hand
 
 
 def test_targets_below_the_floor_stop_at_it_with_one_notice_a_drag():
-    hand, sink = grip()
-    client = Recorder()
-    for phase in ("start", "update", "update"):
-        hand.drag(event(phase, (0.5, 0.0, -0.3), client=client))
+    grip, sink, client = held()
+    for _ in range(3):
+        grip.pull(np.array([0.5, 0.0, -0.3]), client)
     assert {command.target for command in sink.commands} == {(0.5, 0.0, 0.0)}
     assert len(client.notes) == 1
-    hand.drag(event("end", client=client))
-    hand.drag(event("start", (0.5, 0.0, -0.3), client=client))
+    grip.take(Hold())
+    grip.pull(np.array([0.5, 0.0, -0.3]), client)
     assert len(client.notes) == 2
 
 
@@ -206,26 +156,63 @@ def test_an_exception_of_a_callback_is_shown_to_who_caused_it(error, title):
     def fails(_):
         raise error
 
-    asyncio.run(Notices(everybody).guard(fails)(event("start", client=client)))
+    asyncio.run(Notices(everybody).guard(fails)(SimpleNamespace(client=client)))
     [(shown, text)] = client.notes
     assert shown.startswith(title)
     assert str(error) in text
     assert everybody.notes == []
 
 
+def page_of(dashboard):
+    """The page of the only viewer."""
+    wait_for(lambda: len(dashboard.pages) == 1, 20.0)
+    [page] = dashboard.pages.values()
+    return page
+
+
 def test_the_end_of_the_simulation_stays_on_the_page(dashboard, loop):
-    loop.error = ValueError("a <bad> number")
-    banner = dashboard.page._banner
-    wait_for(lambda: banner.visible)
-    assert "a &lt;bad&gt; number" in banner.content
-    assert dashboard.error is None
+    with RawClient(dashboard.address):
+        banner = page_of(dashboard)._banner
+        loop.error = ValueError("a <bad> number")
+        wait_for(lambda: banner.visible)
+        assert "a &lt;bad&gt; number" in banner.content
+        assert dashboard.error is None
 
 
 def test_an_error_of_the_drawing_ends_it_visibly(dashboard, loop):
-    loop.latest = lambda: 1 / 0
-    wait_for(lambda: dashboard.page._banner.visible)
-    assert "ZeroDivisionError" in dashboard.page._banner.content
-    assert isinstance(dashboard.error, ZeroDivisionError)
+    with RawClient(dashboard.address):
+        banner = page_of(dashboard)._banner
+        loop.latest = lambda: 1 / 0
+        wait_for(lambda: banner.visible)
+        assert "ZeroDivisionError" in banner.content
+        assert isinstance(dashboard.error, ZeroDivisionError)
+
+
+def test_each_viewer_has_a_page_that_ends_with_the_connection(dashboard):
+    with RawClient(dashboard.address):
+        first = page_of(dashboard)
+        with RawClient(dashboard.address):
+            wait_for(lambda: len(dashboard.pages) == 2, 20.0)
+            first.view.borders["lm-lEE"] = "hidden"
+            second = next(page for page in dashboard.pages.values() if page is not first)
+            assert second.view.borders["lm-lEE"] == "score"
+            second.timeline.look_back(0.1)
+            assert first.timeline.live
+        wait_for(lambda: list(dashboard.pages.values()) == [first])
+    wait_for(lambda: dashboard.pages == {})
+    assert dashboard.error is None
+
+
+def test_garbage_ends_the_connection_of_its_sender_only(dashboard):
+    with RawClient(dashboard.address):
+        page_of(dashboard)
+        for data in (b"garbage", "a text", b"\xc1" * 1000, b"\x81\xa4type\xa7Nothing"):
+            with RawClient(dashboard.address) as rude:
+                rude.send_raw(data)
+                rude._thread.join(timeout=10.0)
+                assert not rude._thread.is_alive(), "still connected"
+        wait_for(lambda: len(dashboard.pages) == 1)
+    assert dashboard.error is None
 
 
 # The server
@@ -317,56 +304,70 @@ def test_an_unreadable_mesh_is_named(tmp_path):
 
 
 @pytest.fixture
-def border(clouds):
-    """In a scene of its own: the dashboard's drawing thread draws borders too."""
-    scene = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
-    top = float(MobileBody(husky_panda()).upper[2])
-    calls = []
-
-    def border_of(pair, config):
-        calls.append(pair)
-        return construct_dbb(clouds[pair], config.d_b, config.eps).points
-
-    def values_of(quantity, pair, points):
-        return points[:, 0]
-
-    yield BorderCloud(scene, top, border_of, values_of), top, calls
-    scene.stop()
+def scene():
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    yield server.scene
+    server.stop()
 
 
-def test_the_border_is_selected_anew_only_when_it_has_changed(border):
-    cloud, _, calls = border
-    view, config = View(pair="lm-lEE"), BorderConfig()
+@pytest.fixture(scope="module")
+def borders(clouds):
+    return Borders(husky_panda(), clouds)
+
+
+def view_of(**quantities):
+    return View({"lm-lEE": "hidden", "lm-l3": "hidden"} | quantities)
+
+
+def test_the_border_is_drawn_anew_only_when_it_has_changed(scene, borders):
+    cloud = BorderCloud(scene, borders)
+    view, config = view_of(**{"lm-lEE": "score"}), BorderConfig()
     assert cloud.update(view, config)
     assert not cloud.update(view, config)
     assert cloud.update(view, config.model_copy(update={"d_b": 0.2}))
-    view.pair = "lm-l3"
+    view.borders["lm-l3"] = "determinant"
     assert cloud.update(view, config)
-    assert calls == ["lm-lEE", "lm-lEE", "lm-l3"]
+    assert [legend.pair for legend in cloud.legends] == ["lm-lEE", "lm-l3"]
+    assert [legend.quantity for legend in cloud.legends] == ["score", "determinant"]
 
 
-def test_legend_numbers_are_those_of_the_border(border, clouds):
-    cloud, top, _ = border
-    view, config = View(pair="lm-lEE"), BorderConfig()
+@pytest.mark.parametrize("quantity", ["determinant", "reachability", "score"])
+def test_legend_numbers_are_those_of_the_border(borders, clouds, quantity):
+    field = ScoreField.of(husky_panda(), "lEE")
+    function = {"determinant": field.singularity, "reachability": field.reachability,
+                "score": field.score}[quantity]  # fmt: skip
     for whole in (False, True):
-        view.whole_border = whole
-        cloud.update(view, config)
-        points = construct_dbb(clouds["lm-lEE"], config.d_b, config.eps).points
-        points = points if whole else points[points[:, 2] <= top]
-        assert cloud.legend.low == points[:, 0].min()
-        assert cloud.legend.high == points[:, 0].max()
-        assert cloud.legend.total == len(points)
-        assert cloud.legend.drawn == min(len(points), MAX_POINTS)
+        coloured = borders.coloured("lm-lEE", quantity, BorderConfig(), whole=whole)
+        points = construct_dbb(clouds["lm-lEE"], 0.15, 0.01).points
+        points = points if whole else points[points[:, 2] <= borders.top]
+        values = function(points)
+        assert coloured.legend.low == values.min()
+        assert coloured.legend.high == values.max()
+        assert coloured.legend.total == len(points)
+        assert coloured.legend.drawn == len(coloured.points) == min(len(points), MAX_POINTS)
 
 
-def test_a_hidden_border_has_no_legend(border):
-    cloud, _, _ = border
-    view = View(pair="lm-lEE")
+def test_what_one_viewer_has_asked_for_the_next_finds(borders):
+    one = borders.coloured("lm-lEE", "score", BorderConfig(), whole=False)
+    assert borders.coloured("lm-lEE", "score", BorderConfig(), whole=False) is one
+
+
+def test_a_hidden_border_has_no_legend(scene, borders):
+    cloud = BorderCloud(scene, borders)
+    view = view_of(**{"lm-lEE": "score"})
     cloud.update(view, BorderConfig())
-    view.quantity = "hidden"
+    view.borders["lm-lEE"] = "hidden"
     assert cloud.update(view, BorderConfig())
-    assert cloud.legend is None
-    assert not cloud._cloud.visible
+    assert cloud.legends == []
+    assert not cloud._clouds["lm-lEE"].visible
+
+
+@pytest.mark.parametrize("z", [0.1, 0.3, 0.45])
+def test_a_slice_lies_at_its_height_on_the_border(borders, z):
+    contour = borders.contour("lm-lEE", BorderConfig(), z)
+    np.testing.assert_allclose(contour[:, 2], z)
+    body = MobileBody(husky_panda())
+    np.testing.assert_allclose(body.distance(contour[::20]), 0.15, atol=0.005)
 
 
 @pytest.mark.parametrize("scale", [1e-9, 3.7e-4, 0.02, 1.0, 95.0, 4.2e6])
@@ -380,7 +381,7 @@ def test_ticks_times_their_power_of_ten_are_the_values(scale):
 
 def test_legend_says_how_many_points_are_drawn():
     legend = make_legend("lm-lEE", "score", 0.15, np.linspace(-1, 2, 50_000), 20_000, 0.38)
-    html = legend_html(legend)
+    html = legend_html([legend])
     assert "20,000 of the 50,000 points" in html
     assert "0.150 m" in html
     np.testing.assert_allclose(normalised(np.array([-1.0, 0.5, 2.0]), legend), [0.0, 0.5, 1.0])
@@ -433,38 +434,30 @@ def test_arrow_has_the_direction_of_the_force_and_its_length_in_scale():
 # Plots and readings
 
 
-def snapshots(loop, times):
-    from dataclasses import replace
-
-    return [replace(loop.latest(), t=t) for t in times]
-
-
-def test_the_window_of_the_plots_is_bounded_in_memory_and_time(loop):
-    window = Window(pairs=5)
-    for chunk in np.array_split(np.arange(0, 90, 0.02), 300):
-        window.extend(snapshots(loop, chunk), chunk[-1])
-    t = window.columns()[0]
-    assert len(t) <= LENGTH / PERIOD + 2
-    assert t[-1] - t[0] <= LENGTH
-    assert t[-1] == pytest.approx(90, abs=2 * PERIOD)
-    assert (np.diff(t) >= PERIOD - 1e-3).all()
-
-
-def test_a_reset_empties_the_plots(loop):
-    window = Window(pairs=5)
-    window.extend(snapshots(loop, [8.0, 8.1, 8.2]), 8.2)
-    window.extend([], 0.02)
-    window.extend(snapshots(loop, [0.02, 0.1]), 0.1)
-    np.testing.assert_allclose(window.columns()[0], [0.02, 0.1])
-
-
 def test_plots_are_fed_from_the_loop(dashboard, loop):
-    plots = dashboard.page._plots
-    wait_for(lambda: len(plots._distances.data[0]) > 5)
-    latest = loop.latest()
-    lines = np.array(plots._distances.data)
-    np.testing.assert_allclose(lines[1:-1, -1], [p.d for p in latest.pairs], atol=1e-5)
-    np.testing.assert_allclose(lines[-1], latest.config.border.d_b)
+    with RawClient(dashboard.address):
+        page = page_of(dashboard)
+        plot = page._plots._plots["distance [m]"]
+        wait_for(lambda: len(plot.data[0]) > 5)
+        latest = loop.latest()
+        lines = np.array(plot.data)
+        np.testing.assert_allclose(lines[1:-2, -1], [p.d for p in latest.pairs], atol=1e-5)
+        np.testing.assert_allclose(lines[-2], latest.config.border.d_b)
+        assert (lines[-1] < 0).all(), "no cursor while it is live"
+        page.timeline.look_back(0.1)
+        wait_for(lambda: (np.array(plot.data[-1]) == 1.0).sum() == 1)
+
+
+def test_plots_that_are_not_shown_are_not_sent(dashboard):
+    with RawClient(dashboard.address):
+        page = page_of(dashboard)
+        plots = page._plots._plots
+        hidden = [title for title in plots if title not in page.view.plots]
+        assert hidden
+        wait_for(lambda: not any(plots[title].visible for title in hidden))
+        assert all(len(plots[title].data[0]) == 1 for title in hidden)
+        page.view.plots |= {hidden[0]}
+        wait_for(lambda: plots[hidden[0]].visible and len(plots[hidden[0]].data[0]) > 1)
 
 
 def test_readings_show_every_pair_and_mark_what_should_worry(loop):

@@ -92,6 +92,27 @@ class BorderSurface:
             assert found is not None
         return Foot(np.array([*found.xy, p[2]]), np.array([*found.tangent, 0.0]))
 
+    def contour(self, z: float) -> Array | None:
+        """The surface's curve at a height, closed or open in the gap.
+
+        Args:
+            z: [m] in the base's frame; beyond the surface its lowest or highest curve is given.
+
+        Returns:
+            (K, 3) [m] in the base's frame, at that height; None if l_m has no offset at all.
+        """
+        if not len(self._offset.heights):
+            return None
+        level = within(self._offset, z)
+        ring = self._offset.contour(level)
+        assert ring is not None
+        centre = float(np.interp(level, self._offset.heights, self.gap.centre))
+        half = float(np.interp(level, self._offset.heights, self.gap.half))
+        if half > 0.0:
+            first, last = np.ceil(centre + half), np.floor(centre - half + RAYS)
+            ring = ring[np.arange(int(first), int(last) + 1) % RAYS]
+        return np.column_stack([ring, np.full(len(ring), z)])
+
 
 def within(offset: OffsetContours, z: float) -> float:
     """[m] the height nearest to z that the offset has."""

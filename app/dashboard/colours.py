@@ -29,6 +29,14 @@ PERSON: Rgb = (32, 150, 230)
 """What the person does."""
 ACTING: Rgb = (222, 49, 140)
 """The acting point and its force."""
+ACCELERATION: Rgb = (60, 190, 90)
+"""What is asked of the base."""
+TRAIL_BASE: Rgb = (240, 140, 40)
+"""Where the base has been."""
+TRAIL_HAND: Rgb = PERSON
+"""Where the hand has been."""
+GHOSTS: tuple[Rgb, Rgb] = ((150, 110, 230), (40, 180, 170))
+"""Robots of other controllers."""
 
 
 def viridis(u: Array) -> Array:

@@ -1,14 +1,17 @@
-"""The gizmo on the end-effector: who drags it pulls the hand, who lets go releases it."""
+"""The viewer's hand: who drags the gizmo or a link pulls it there, who lets go releases it."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
+import pinocchio as pin
 import viser
 
 from app.dashboard.colours import PERSON
+from app.dashboard.lines import hidden_line, set_polyline
 from app.dashboard.notices import Notices
+from app.dashboard.robot import RobotScene
 from app.simulation.snapshot import Command, Pull, Snapshot
 
 Array = np.ndarray
@@ -17,6 +20,7 @@ GIZMO = "/hand"
 """Scene node of the gizmo."""
 SCALE = 0.26  # [m] length of the gizmo's arrows
 LEAST_STRETCH = 0.002  # [m] shorter rubber bands are not drawn
+_MOST_BANDS = 4  # people who pull at once that are drawn
 
 
 class Sink(Protocol):
@@ -27,70 +31,129 @@ class Sink(Protocol):
         ...
 
 
-class Grip:
-    """Who holds the hand: the first client that grabs it, until it lets go or is gone."""
+class Hold(NamedTuple):
+    """Where a person holds the robot.
 
-    def __init__(self, sink: Sink, notices: Notices) -> None:
-        self._sink, self._notices = sink, notices
-        self.holder: int | None = None
-        """Client that drags, or None."""
+    Attributes:
+        link: Name of the joint that moves the link; None for the end-effector.
+        point: (3,) [m] in that joint's frame; None for the end-effector.
+    """
+
+    link: str | None = None
+    point: tuple[float, float, float] | None = None
+
+
+class Grip:
+    """What one viewer holds. Several may pull at once: their forces add."""
+
+    def __init__(self, sink: Sink, notices: Notices, who: int) -> None:
+        """A hand that holds nothing.
+
+        Args:
+            sink: Where pulls go.
+            notices: For what is not possible.
+            who: Number of the viewer.
+        """
+        self._sink, self._notices, self._who = sink, notices, who
+        self._hold: Hold | None = None
         self._told = False
 
-    def drag(self, event: viser.TransformControlsEvent) -> None:
-        """One event of the gizmo: start, update or end."""
-        if event.phase == "end":
-            self.release(event.client_id)
+    @property
+    def holds_hand(self) -> bool:
+        """Whether the end-effector is held by this viewer's gizmo."""
+        return self._hold is not None and self._hold.link is None
+
+    @property
+    def holds_anything(self) -> bool:
+        """Whether the viewer pulls at all."""
+        return self._hold is not None
+
+    def take(self, hold: Hold) -> None:
+        """Take hold of the robot; of what was held before, the person lets go."""
+        if self._hold is not None:
+            self.release()
+        self._hold, self._told = hold, False
+
+    def pull(self, target: Array, client: viser.ClientHandle | None) -> None:
+        """Pull what is held to a place (3,) [m] in the world, or to the floor below it."""
+        if self._hold is None:
             return
-        if self.holder is None and event.phase == "start":
-            self.holder, self._told = event.client_id, False
-        if event.client_id != self.holder:
-            if event.phase == "start":
-                self._notices.warn(event.client, "Somebody else holds the hand just now.")
-            return
-        x, y, z = (float(value) for value in event.target.position)
+        x, y, z = (float(value) for value in target)
         if z < 0.0 and not self._told:
             self._told = True  # once a drag, not twenty times a second
-            self._notices.warn(event.client, "The floor is at z = 0: the hand stays above it.")
+            self._notices.warn(client, "The floor is at z = 0: the hand stays above it.")
         self._sink.send(Pull((x, y, max(z, 0.0))))
 
-    def release(self, client_id: int | None) -> None:
-        """Let go, if it is this client that holds the hand."""
-        if self.holder is not None and client_id == self.holder:
-            self.holder = None
+    def release(self) -> None:
+        """Let go."""
+        if self._hold is not None:
+            self._hold = None
             self._sink.send(Pull(None))
 
 
 class Hand:
-    """Gizmo, and the rubber band from the hand to where the person pulls it."""
+    """Gizmo on the end-effector, links that can be dragged, and the rubber bands of all pulls."""
 
-    def __init__(self, server: viser.ViserServer, sink: Sink, notices: Notices) -> None:
-        """Put the gizmo into the scene and listen to it."""
-        self.grip = Grip(sink, notices)
-        self._gizmo = server.scene.add_transform_controls(
+    def __init__(
+        self, scene: viser.SceneApi, robot: RobotScene, grip: Grip, notices: Notices,
+        arm_joints: dict[int, str],
+    ) -> None:  # fmt: skip
+        """Put the gizmo into the scene and listen to it and to the arm's links.
+
+        Args:
+            scene: Of the viewer.
+            robot: Whose links may be dragged.
+            grip: What the viewer holds.
+            notices: For what goes wrong.
+            arm_joints: Names of the arm's joints, by their index in the drawn model.
+        """
+        self.grip = grip
+        self._gizmo = scene.add_transform_controls(
             GIZMO, scale=SCALE, disable_rotations=True, depth_test=False, opacity=0.7
         )
-        self._band = server.scene.add_line_segments(
-            "/pull/band", np.zeros((1, 2, 3)), PERSON, thickness=3.0, thickness_units="screen",
-            visible=False,
-        )  # fmt: skip
-        self._label = server.scene.add_label(
-            "/pull/label", "", visible=False, anchor="top-left", font_screen_scale=0.85
-        )
-        self._gizmo.on_update(notices.guard(self.grip.drag))  # type: ignore[arg-type]
-
-        @server.on_client_disconnect
-        async def _(client: viser.ClientHandle) -> None:
-            self.grip.release(client.client_id)
+        self._gizmo.on_update(notices.guard(self._drag_gizmo))  # type: ignore[arg-type]
+        self._bands = [hidden_line(scene, f"/pull/{i}", PERSON, 3.0) for i in range(_MOST_BANDS)]
+        self._labels = [
+            scene.add_label(
+                f"/pull/label_{i}", "", visible=False, anchor="top-left", font_screen_scale=0.85
+            )
+            for i in range(_MOST_BANDS)
+        ]
 
     def update(self, snapshot: Snapshot, *, texts: bool) -> None:
-        """Let the gizmo follow the hand unless somebody drags it; draw the rubber band."""
-        if self.grip.holder is None:
+        """Let the gizmo follow the hand unless this viewer drags it; draw the rubber bands."""
+        if not self.grip.holds_hand:
             self._gizmo.position = snapshot.p_ee
-        target = snapshot.hand_target
+        band, label, target = self._bands[0], self._labels[0], snapshot.hand_target
         stretched = target is not None and np.linalg.norm(target - snapshot.p_ee) > LEAST_STRETCH
-        self._band.visible = self._label.visible = bool(stretched)
+        band.visible = label.visible = bool(stretched)
         if target is not None and stretched:
-            self._band.points = np.array([[snapshot.p_ee, target]])
-            self._label.position = (snapshot.p_ee + target) / 2
+            set_polyline(band, np.array([snapshot.p_ee, target]), PERSON)
+            label.position = (snapshot.p_ee + target) / 2
             if texts:
-                self._label.text = f"{np.linalg.norm(snapshot.hand_force):.0f} N"
+                label.text = f"{np.linalg.norm(snapshot.hand_force):.0f} N"
+
+    def _drag_gizmo(self, event: viser.TransformControlsEvent) -> None:
+        """One event of the gizmo: start, update or end."""
+        if event.phase == "end":
+            self.grip.release()
+            return
+        if event.phase == "start":
+            self.grip.take(Hold())
+        if self.grip.holds_hand:
+            self.grip.pull(np.asarray(event.target.position), event.client)
+
+    def _listen(
+        self, mesh: viser.MeshHandle, robot: RobotScene, joint: int, name: str, notices: Notices
+    ) -> None:
+        def dragged(event: viser.SceneNodeDragEvent) -> None:
+            if event.phase == "end":
+                self.grip.release()
+                return
+            if event.phase == "start":
+                T: pin.SE3 = robot.world_pose(joint)
+                point = T.actInv(np.array(event.start_position))
+                self.grip.take(Hold(name, (float(point[0]), float(point[1]), float(point[2]))))
+            self.grip.pull(np.array(event.end_position), event.client)
+
+        mesh.on_drag(notices.guard(dragged))  # type: ignore[arg-type]

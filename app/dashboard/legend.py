@@ -1,4 +1,4 @@
-"""The colour bar of the border: the numbers of the points that are drawn, with their unit."""
+"""Colour bars of the borders, in the unit of what they show; and what all else means."""
 
 from __future__ import annotations
 
@@ -7,10 +7,24 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.dashboard.acting_points import METRES_PER_NEWTON
-from app.dashboard.colours import ACTING, css, viridis_css
+from app.dashboard.colours import (
+    ACCELERATION,
+    ACTING,
+    FULL,
+    NEAR,
+    PERSON,
+    REST,
+    TRAIL_BASE,
+    TRAIL_HAND,
+    Rgb,
+    css,
+    viridis_css,
+)
+from app.dashboard.scales import METRES_PER_ACCELERATION, METRES_PER_NEWTON
 
 Array = np.ndarray
+
+_BOX = "padding:.3em .8em .4em;font-size:.8em;line-height:1.5"
 
 
 class Quantity(NamedTuple):
@@ -73,10 +87,40 @@ def normalised(values: Array, legend: Legend) -> Array:
     return np.full(len(values), 0.5) if span <= 0 else (values - legend.low) / span
 
 
-def legend_html(legend: Legend | None) -> str:
-    """The colour bar as HTML; without a border, a line that says so."""
-    if legend is None:
-        return '<div style="padding:.4em .8em;opacity:.65;font-size:.8em">border hidden</div>'
+def legend_html(legends: list[Legend]) -> str:
+    """The colour bars of all drawn borders as HTML; without one, a line that says so."""
+    if not legends:
+        return f'<div style="{_BOX};opacity:.65">no border drawn (tab View)</div>'
+    return "".join(map(_bar_html, legends))
+
+
+def key_html(d_b: float, d_full: float) -> str:
+    """What the other colours and arrows mean, as HTML.
+
+    Args:
+        d_b: [m] buffer distance.
+        d_full: [m] distance of full force.
+    """
+    near = f"inside d<sub>b</sub> = {d_b:.2f} m, red from {d_full:.2f} m on"
+    force, push = 0.1 / METRES_PER_NEWTON, 0.2 / METRES_PER_ACCELERATION
+    rows = [
+        (_dash(REST), "closest points, pair outside its buffer"),
+        (_dash(NEAR) + _dash(FULL), near),
+        (_dot(ACTING) + _arrow(ACTING), f"acting point and its force: 0.1 m is {force:.0f} N"),
+        (_arrow(PERSON), f"person's force: 0.1 m is {force:.0f} N"),
+        (_arrow(ACCELERATION), f"asked of the base: v̇, 0.2 m is {push:.0f} m/s²; ω̇ as an arc"),
+        (_dash(TRAIL_BASE) + _dash(TRAIL_HAND), "ways of base and hand"),
+        ("<b>―</b>", "border at the hand's height"),
+    ]
+    body = "".join(
+        f'<div style="display:flex;gap:.6em"><span style="width:2.6em;text-align:center;'
+        f'white-space:nowrap">{sign}</span><span style="opacity:.75">{text}</span></div>'
+        for sign, text in rows
+    )
+    return f'<div style="{_BOX}">{body}</div>'
+
+
+def _bar_html(legend: Legend) -> str:
     quantity = QUANTITIES[legend.quantity]
     texts, factor = tick_texts(legend.low, legend.high)
     ticks = "".join(f"<span>{text}</span>" for text in texts)
@@ -84,7 +128,7 @@ def legend_html(legend: Legend | None) -> str:
     part = "" if legend.top is None else f" up to z = {legend.top:.2f} m"
     unit = f" [{factor}{quantity.unit}]" if factor or quantity.unit else ""
     return (
-        '<div style="padding:.35em .8em .5em;font-size:.8em;line-height:1.5">'
+        f'<div style="{_BOX}">'
         f'<div style="display:flex;justify-content:space-between"><b>{quantity.title}{unit}</b>'
         f"<span>{legend.pair}</span></div>"
         f'<div style="height:.9em;border-radius:3px;margin:.2em 0;'
@@ -92,17 +136,20 @@ def legend_html(legend: Legend | None) -> str:
         '<div style="display:flex;justify-content:space-between;'
         f'font-variant-numeric:tabular-nums">{ticks}</div>'
         f'<div style="opacity:.65">d<sub>b</sub> = {legend.d_b:.3f} m, '
-        f"{share} {legend.total:,} points{part}</div>{_force_scale()}</div>"
+        f"{share} {legend.total:,} points{part}</div></div>"
     )
 
 
-def _force_scale() -> str:
-    """How long the arrow of a force is."""
-    arrow = f'<b style="color:{css(ACTING)}">→</b>'
-    return (
-        f'<div><span style="opacity:.65">acting point and force</span> {arrow} '
-        f'<span style="opacity:.65">0.1 m = {0.1 / METRES_PER_NEWTON:.0f} N</span></div>'
-    )
+def _dash(colour: Rgb) -> str:
+    return f'<b style="color:{css(colour)}">―</b>'
+
+
+def _dot(colour: Rgb) -> str:
+    return f'<span style="color:{css(colour)}">●</span>'
+
+
+def _arrow(colour: Rgb) -> str:
+    return f'<b style="color:{css(colour)}">→</b>'
 
 
 def tick_texts(low: float, high: float) -> tuple[list[str], str]:

@@ -1,173 +1,165 @@
-"""The page as a whole: all layers and panels, and how a snapshot is drawn on them."""
+"""One viewer's page: its own panels, layers, camera and place in time."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
-
-import numpy as np
 import viser
 
-from app.border.cloud import Cloud
-from app.border.dbb import construct_dbb
-from app.border.mobile import MobileBody
-from app.border.score import ScoreField
-from app.config import BorderConfig
-from app.dashboard.acting_points import ActingPoints
-from app.dashboard.border_cloud import BorderCloud
-from app.dashboard.hand import Hand
-from app.dashboard.legend import legend_html
+from app.dashboard.camera import Camera
+from app.dashboard.hand import Grip, Hand
+from app.dashboard.legend import key_html, legend_html
 from app.dashboard.notices import Notices
-from app.dashboard.pair_lines import PairLines
 from app.dashboard.panels.border import add_border_choice
 from app.dashboard.panels.case import add_case_button
 from app.dashboard.panels.run import RunPanel
-from app.dashboard.panels.sweep import DEFAULT_FOLDER, SweepPanel
-from app.dashboard.panels.tuning import BORDER_AND_FORCE, GAINS, MAIN, Tuning, TuningPanel
+from app.dashboard.panels.sweep import SweepPanel
+from app.dashboard.panels.timeline import TimelinePanel
+from app.dashboard.panels.tuning import BORDER_AND_FORCE, GAINS, MAIN, TuningPanel
 from app.dashboard.panels.view import ViewPanel
 from app.dashboard.plots import Plots
-from app.dashboard.robot import RobotScene
-from app.dashboard.stage import Stage
+from app.dashboard.scene import Scene
+from app.dashboard.shared import Shared
+from app.dashboard.stage import set_theme
+from app.dashboard.timeline import Timeline
 from app.dashboard.view import View
-from app.robot.model import RobotModel
-from app.simulation.leading import Scenario
-from app.simulation.loop import LoopHandle
-
-Array = np.ndarray
 
 PANEL_WIDTH = 330  # [px] of each of the two columns
 
 
 class Page:
-    """Builds the page; `draw` is called by one thread only."""
+    """Built and drawn by one thread only; callbacks assign to its view or send commands.
 
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        loop: LoopHandle,
-        model: RobotModel,
-        clouds: Mapping[str, Cloud],
-        case: Scenario | None = None,
-        sweeps: Path = DEFAULT_FOLDER,
-    ) -> None:
-        self._server, self._loop, self._case = server, loop, case
-        first = loop.latest()
-        names = [pair.name for pair in first.pairs]
-        mobile = [pair.name for pair in first.pairs if pair.mobile]
-        self.view = View(pair=mobile[0])
-        self.notices = Notices(server)
-        self.tuning = Tuning(loop, first.config)
-        self._shown: tuple[object, ...] = ()
-        self._stage = Stage(server, model.description.title, dark=self.view.dark)
-        self._robot = RobotScene(server, model)
-        top = float(MobileBody(model).upper[2])
-        borders = _Borders(model, clouds)
-        self._border = BorderCloud(server, top, borders.points, borders.values)
-        self._lines = PairLines(server, names)
-        self._acting = ActingPoints(server, mobile)
-        self.hand = Hand(server, loop, self.notices)
-        self._build_panels(names, mobile, model.description.name, sweeps)
-        server.on_client_connect(self._welcome)
+    Attributes:
+        view: What the viewer has chosen to see.
+        timeline: The viewer's place in time.
+        grip: What the viewer holds.
+        closed: Whether the viewer is gone.
+    """
+
+    def __init__(self, client: viser.ClientHandle, shared: Shared, notices: Notices) -> None:
+        """Fill the page of a client.
+
+        Args:
+            client: The viewer.
+            shared: What all viewers share.
+            notices: For what goes wrong.
+        """
+        self._client, self._shared, self._notices = client, shared, notices
+        self.view = View.first(shared.mobile, [plan.title for plan in shared.plans])
+        self.timeline = Timeline(shared.loop)
+        self.grip = Grip(shared.outbox, notices, client.client_id)
+        self.closed = False
+        self._camera = Camera(client)
+        self._dark: bool | None = None
+        self._key: tuple[float, float] | None = None
+        set_theme(client.gui, dark=self.view.dark)
+        client.gui.set_panel_label(shared.model.description.title)
+        with client.atomic():
+            self._build_left()
+            self._build_right()
+            self.timeline_panel = TimelinePanel(client.gui, self.timeline, shared.outbox, notices)
+        self._scene = Scene(client.scene, shared, self.view)
+        kinematics = shared.parts.kinematics.model
+        arm = {kinematics.getJointId(name): name for name in shared.model.description.arm.joints}
+        self.hand = Hand(client.scene, self._scene.robot, self.grip, notices, arm)
+        self.look("iso")
 
     def draw(self, *, texts: bool) -> None:
-        """Draw the newest snapshot.
+        """Draw the instant at which the viewer is.
 
         Args:
             texts: Whether panels, plots and labels are due too.
         """
-        snapshot = self._loop.latest()
-        # Selecting a border takes milliseconds: outside of `atomic`, which holds up all sending.
-        if self._border.update(self.view, self.tuning.config.border):
-            self._legend.content = legend_html(self._border.legend)
-        new = self._loop.history(self._plots.last) if texts else []
-        with self._server.atomic():
-            self._apply_view()
-            self._robot.update(snapshot)
-            self._lines.update(snapshot, self.view, texts=texts)
-            self._acting.update(snapshot, self.view, texts=texts)
-            self.hand.update(snapshot, texts=texts)
-            self._stage.follow(snapshot.base_pose[:2], on=self.view.follow)
+        newest, shown = self._shared.loop.latest(), self.timeline.shown()
+        if self.grip.holds_anything and not self.timeline.live:
+            self.timeline.go_live()  # nobody pulls in the past
+        if self._scene.select_border(shown):
+            self._legend.content = legend_html(self._scene.legends)
+        with self._client.atomic():
+            self._apply_theme()
+            self._scene.draw(shown, texts=texts)
+            self.hand.update(shown, texts=texts)
+            self._camera.follow(shown.base_pose[:2], on=self.view.follow)
             if texts:
-                self._run.update(snapshot)
-                self._plots.update(new, snapshot)
+                self._run.update(newest, shown)
+                self.timeline_panel.update(newest, shown)
+                self._plots.update(self._shared.record, self.timeline, shown)
+                self._renew_key()
         if texts:
-            self.sweep_panel.update()
+            self._sweep.update()
 
-    def close(self) -> None:
-        """End what the page has started besides drawing."""
-        self.sweep_panel.close()
+    def look(self, preset: str) -> None:
+        """Look from a preset, at the instant that is shown.
+
+        Args:
+            preset: A key of `app.dashboard.camera.PRESETS`.
+        """
+        self._camera.use(preset, self.timeline.shown())
 
     def fail(self, title: str, error: BaseException) -> None:
-        """Show, for good and to later viewers too, that the simulation or the drawing has ended."""
-        self._banner.content = (
-            '<div style="margin:.5em .7em;padding:.5em .7em;border-radius:4px;background:#c92a2a;'
-            f'color:white;font-size:.85em"><b>{title}</b><br>{_escape(error)}</div>'
-        )
+        """Show, for good, that the simulation or the drawing has ended."""
+        self._banner.content = _failure_html(title, error)
         self._banner.visible = True
 
-    def _build_panels(self, names: list[str], mobile: list[str], robot: str, sweeps: Path) -> None:
-        gui, notices = self._server.gui, self.notices
+    def close(self) -> None:
+        """Let go of what the viewer held who is gone; nothing is drawn any more."""
+        self.closed = True
+        self.grip.release()
+
+    def _build_left(self) -> None:
+        gui = self._client.gui
+        panel = gui.add_panel()
+        with panel.add_tab("Live", viser.Icon.CHART_LINE):
+            self._legend = gui.add_html(legend_html([]))
+            self._plots = Plots(gui, self._shared.plans, self.view)
+        with panel.add_tab("Key", viser.Icon.COLOR_SWATCH):
+            self._key_text = gui.add_html("")
+        panel.dock_left()
+        panel.set_width(PANEL_WIDTH)
+
+    def _build_right(self) -> None:
+        gui, notices, shared = self._client.gui, self._notices, self._shared
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_WIDTH)
         self._banner = gui.add_html("", visible=False)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Run"):
-            self._run = RunPanel(self._server, self._loop, notices)
-            if self._case is not None:
-                add_case_button(self._server, self._loop, notices, self._case)
-            self.main_panel = TuningPanel(self._server, self.tuning, notices, MAIN)
-            self.sweep_panel = SweepPanel(
-                self._server, self._loop, self.tuning, notices, robot, sweeps
-            )
-        with tabs.add_tab("Border & force"):
-            add_border_choice(self._server, self.view, self.tuning, notices, mobile)
-            self.border_panel = TuningPanel(self._server, self.tuning, notices, BORDER_AND_FORCE)
-        with tabs.add_tab("Gains"):
-            self.gains_panel = TuningPanel(self._server, self.tuning, notices, GAINS)
+            self._run = RunPanel(gui, shared.outbox, notices)
+            if shared.case is not None:
+                add_case_button(gui, shared.outbox, notices, shared.case)
+            self.main_panel = TuningPanel(gui, shared.tuning, notices, MAIN)
+            self._sweep = SweepPanel(gui, shared, notices)
         with tabs.add_tab("View"):
-            view_panel = ViewPanel(self._server, self.view, notices)
-        view_panel.reset_camera.on_click(notices.guard(self._reset_camera))  # type: ignore[arg-type]
-        live = gui.add_panel()
-        with live.add_tab("Live", viser.Icon.CHART_LINE):
-            self._legend = gui.add_html(legend_html(None))
-            self._plots = Plots(self._server, names)
-        live.dock_left()
-        live.set_width(PANEL_WIDTH)
+            plots = [plan.title for plan in shared.plans]
+            ViewPanel(gui, self.view, notices, plots, self.look)
+        with tabs.add_tab("Border & force"):
+            add_border_choice(gui, shared.tuning, notices)
+            TuningPanel(gui, shared.tuning, notices, BORDER_AND_FORCE)
+        with tabs.add_tab("Gains"):
+            TuningPanel(gui, shared.tuning, notices, GAINS)
 
-    async def _welcome(self, client: viser.ClientHandle) -> None:
-        """Show a new viewer the base where it is by now."""
-        self._stage.reset_camera(client, self._loop.latest().base_pose[:2])
+    def _renew_key(self) -> None:
+        config = self._shared.loop.latest().config
+        wanted = (config.border.d_b, config.activation.d_full)
+        if wanted != self._key:
+            self._key = wanted
+            self._key_text.content = key_html(*wanted)
 
-    def _reset_camera(self, event: viser.GuiEvent) -> None:
-        if event.client is not None:
-            self._stage.reset_camera(event.client, self._loop.latest().base_pose[:2])
-
-    def _apply_view(self) -> None:
-        wanted = (self.view.meshes, self.view.bodies, self.view.dark)
-        if wanted == self._shown:
-            return
-        if self._shown and self._shown[2] != self.view.dark:
-            self._stage.theme(dark=self.view.dark)
-        self._robot.show(meshes=self.view.meshes, bodies=self.view.bodies)
-        self._shown = wanted
+    def _apply_theme(self) -> None:
+        if self._dark != self.view.dark:
+            self._dark = self.view.dark
+            set_theme(self._client.gui, dark=self.view.dark)
 
 
-class _Borders:
-    """Borders of all pairs of L_m, and the values that they are coloured by."""
+def show_failure(gui: viser.GuiApi, title: str, error: BaseException) -> None:
+    """The same on a page that nobody draws any more."""
+    gui.add_html(_failure_html(title, error))
 
-    def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud]) -> None:
-        self._clouds = clouds
-        # A pair of L_m is named `lm-<body of the arm>`.
-        self._fields = {pair: ScoreField.of(model, pair.partition("-")[2]) for pair in clouds}
 
-    def points(self, pair: str, border: BorderConfig) -> Array:
-        return construct_dbb(self._clouds[pair], border.d_b, border.eps).points
-
-    def values(self, quantity: str, pair: str, points: Array) -> Array:
-        field = self._fields[pair]
-        if quantity == "determinant":
-            return field.singularity(points)
-        return field.reachability(points) if quantity == "reachability" else field.score(points)
+def _failure_html(title: str, error: BaseException) -> str:
+    return (
+        '<div style="margin:.5em .7em;padding:.5em .7em;border-radius:4px;background:#c92a2a;'
+        f'color:white;font-size:.85em"><b>{title}</b><br>{_escape(error)}</div>'
+    )
 
 
 def _escape(error: BaseException) -> str:

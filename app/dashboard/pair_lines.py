@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import viser
 
-from app.dashboard.colours import distance_colour
+from app.dashboard.colours import NEAR, distance_colour
 from app.dashboard.view import View
 from app.simulation.snapshot import PairReading, Snapshot
 
@@ -19,28 +19,34 @@ _ANCHORS: tuple[Literal["bottom-left", "center-left", "center-right", "top-right
     "bottom-left", "center-left", "center-right", "top-right",
 )  # fmt: skip
 """Sides on which the labels stand in turn, so that those of neighbouring lines do not overlap."""
+_END_ANCHORS: tuple[tuple[str, Literal["bottom-right", "top-left"]], ...] = (
+    ("p_a", "bottom-right"), ("p_b", "top-left"),
+)  # fmt: skip
+"""Points of a pair, and the side on which each one's name stands."""
 
 
 class PairLines:
     """Thin lines for pairs outside of their buffer, thick ones for those inside."""
 
-    def __init__(self, server: viser.ViserServer, names: list[str]) -> None:
+    def __init__(self, scene: viser.SceneApi, names: list[str]) -> None:
         """Lines and labels of the pairs of these names, hidden until the first update."""
         nothing = np.zeros((len(names), 2, 3))
         self._thin, self._thick = (
-            server.scene.add_line_segments(
+            scene.add_line_segments(
                 f"{NODE}/{kind}", nothing, np.zeros((len(names), 2, 3), np.uint8),
                 thickness=pixels, thickness_units="screen", visible=False,
             )
             for kind, pixels in (("outside", 1.5), ("inside", 4.0))
         )  # fmt: skip
         self._labels = {
-            name: server.scene.add_label(
+            name: scene.add_label(
                 f"{NODE}/label_{name}", name, visible=False, anchor=_ANCHORS[i % len(_ANCHORS)],
                 font_screen_scale=0.85,
             )
             for i, name in enumerate(names)
         }  # fmt: skip
+
+        self._ends = {name: _ends(scene, f"{NODE}/{name}") for name in names}
 
     def update(self, snapshot: Snapshot, view: View, *, texts: bool) -> None:
         """Move the lines; renew the labels' texts only if `texts`, at the panels' lower rate."""
@@ -56,6 +62,13 @@ class PairLines:
                 lines.colors = np.repeat(colours[:, None, :], 2, axis=1)
         for pair in snapshot.pairs:
             self._update_label(pair, view, d_b, texts=texts)
+            self._update_ends(pair, shown=view.distances and view.names and pair.d < d_b)
+
+    def _update_ends(self, pair: PairReading, *, shown: bool) -> None:
+        for point, mark, label in zip((pair.p_a, pair.p_b), *self._ends[pair.name], strict=True):
+            mark.visible = label.visible = shown
+            if shown:
+                mark.position = label.position = point
 
     def _update_label(self, pair: PairReading, view: View, d_b: float, *, texts: bool) -> None:
         label = self._labels[pair.name]
@@ -67,6 +80,23 @@ class PairLines:
             label.position = pair.p_a + LIFT if pair.mobile else (pair.p_a + pair.p_b) / 2
             if texts:
                 label.text = f"{pair.name}  {1000 * pair.d:.0f} mm"
+
+
+def _ends(scene: viser.SceneApi, node: str) -> tuple[list, list]:
+    """Marks of p_a and p_b, and their names; hidden."""
+    marks = [
+        scene.add_icosphere(
+            f"{node}/{key}", radius=0.009, color=NEAR, visible=False, cast_shadow=False
+        )
+        for key in ("p_a", "p_b")
+    ]
+    labels = [
+        scene.add_label(
+            f"{node}/{key}_label", key, anchor=anchor, visible=False, font_screen_scale=0.85
+        )
+        for key, anchor in _END_ANCHORS
+    ]
+    return marks, labels
 
 
 def segments(pairs: tuple[PairReading, ...], d_b: float, *, inside: bool) -> Array:

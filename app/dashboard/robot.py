@@ -11,7 +11,6 @@ from app.dashboard.visuals import Visual, load_visuals
 from app.robot.meshes import shape_mesh
 from app.robot.model import RobotModel
 from app.robot.urdf import resolved_urdf
-from app.simulation.snapshot import Snapshot
 
 Array = np.ndarray
 
@@ -19,6 +18,7 @@ ROOT = "/robot"
 """Scene node that moves with the base: origin on the floor below the base's centre, x forward."""
 BODY: Rgb = (64, 156, 224)
 BODY_OPACITY = 0.28  # [-]
+GHOST_OPACITY = 0.30  # [-]
 
 
 class LinkPoses:
@@ -58,49 +58,97 @@ class LinkPoses:
         self._q[joint.idx_q : joint.idx_q + joint.nq] = at
 
 
-class RobotScene:
-    """Visual meshes and, on demand, the convex bodies."""
+class RobotParts:
+    """Kinematics, visual meshes and convex bodies of a robot: read once, drawn for many viewers.
 
-    def __init__(self, server: viser.ViserServer, robot: RobotModel) -> None:
-        self._kinematics = LinkPoses(robot)
-        self._server = server
-        model = self._kinematics.model
-        self._root = server.scene.add_frame(ROOT, show_axes=False)
-        visuals = load_visuals(robot.description, model)
-        bodies = _bodies(robot, model)
-        moving = sorted({visual.joint for visual in (*visuals, *bodies)})
+    Attributes:
+        kinematics: Poses of what moves; used by the one thread that draws.
+        visuals: What the robot looks like.
+        bodies: The convex bodies that distances are measured to.
+    """
+
+    def __init__(self, robot: RobotModel) -> None:
+        self.kinematics = LinkPoses(robot)
+        self.visuals = load_visuals(robot.description, self.kinematics.model)
+        self.bodies = _bodies(robot, self.kinematics.model)
+
+    def joint_name(self, joint: int) -> str:
+        """Name of a joint of the model; empty for the root."""
+        return "" if joint == 0 else self.kinematics.model.names[joint]
+
+
+class RobotScene:
+    """A robot in a scene: visual meshes and, on demand, the convex bodies."""
+
+    def __init__(
+        self, scene: viser.SceneApi, parts: RobotParts, root: str = ROOT,
+        *, ghost: Rgb | None = None,
+    ) -> None:  # fmt: skip
+        """Send all meshes.
+
+        Args:
+            scene: Where to.
+            parts: The robot.
+            root: Scene node that moves with the base.
+            ghost: Colour of a translucent robot without bodies; None for the real one.
+        """
+        self._parts, self._scene, self._ghost, self._path = parts, scene, ghost, root
+        self._root = scene.add_frame(root, show_axes=False)
+        bodies = parts.bodies if ghost is None else []
+        moving = sorted({visual.joint for visual in (*parts.visuals, *bodies)})
         self._frames = {
-            joint: server.scene.add_frame(_node(model, joint), show_axes=False) for joint in moving
+            joint: scene.add_frame(self._node(joint), show_axes=False) for joint in moving
         }
-        self._visuals = [self._add(model, visual, None) for visual in visuals]
-        self._bodies = [self._add(model, body, BODY_OPACITY) for body in bodies]
+        opacity = None if ghost is None else GHOST_OPACITY
+        self.links = [(visual.joint, self._add(visual, opacity)) for visual in parts.visuals]
+        """Joint that moves it, and handle, of each visual mesh."""
+        self._bodies = [self._add(body, BODY_OPACITY) for body in bodies]
         self.show(meshes=True, bodies=False)
 
     def show(self, *, meshes: bool, bodies: bool) -> None:
         """Choose what is to be seen of the robot."""
-        for handle in self._visuals:
+        for _, handle in self.links:
             handle.visible = meshes
         for handle in self._bodies:
             handle.visible = bodies
 
-    def update(self, snapshot: Snapshot) -> None:
-        """Move the frames; viser sends only those that moved."""
-        x, y, phi = snapshot.base_pose
+    def update(self, base_pose: Array, q_m: Array, wheel_angles: Array) -> None:
+        """Move the frames; viser sends only those that moved.
+
+        Args:
+            base_pose: (3,) x, y [m] and heading [rad] in the world.
+            q_m: (n_m,) [rad or m] arm joints.
+            wheel_angles: (2,) [rad] right and left.
+        """
+        x, y, phi = base_pose
         self._root.position = (x, y, 0.0)
         self._root.wxyz = (np.cos(phi / 2), 0.0, 0.0, np.sin(phi / 2))
-        poses = self._kinematics.update(snapshot.q_m, snapshot.wheel_angles)
+        poses = self._parts.kinematics.update(q_m, wheel_angles)
         for joint, frame in self._frames.items():
             frame.position, frame.wxyz = _pose(poses[joint])
 
-    def _add(self, model: pin.Model, visual: Visual, opacity: float | None) -> viser.MeshHandle:
+    def world_pose(self, joint: int) -> pin.SE3:
+        """T_world_joint of a joint, as it was drawn last."""
+        frame = self._frames[joint]
+        return _placed(self._root.position, self._root.wxyz) * _placed(frame.position, frame.wxyz)
+
+    def remove(self) -> None:
+        """Take it out of the scene."""
+        self._root.remove()
+
+    def _add(self, visual: Visual, opacity: float | None) -> viser.MeshHandle:
         position, wxyz = _pose(visual.placement)
-        return self._server.scene.add_mesh_simple(
-            f"{_node(model, visual.joint)}/{visual.name}",
+        return self._scene.add_mesh_simple(
+            f"{self._node(visual.joint)}/{visual.name}",
             vertices=np.asarray(visual.mesh.vertices),
             faces=np.asarray(visual.mesh.faces),
-            color=visual.colour, opacity=opacity, position=position, wxyz=wxyz,
+            color=visual.colour if self._ghost is None else self._ghost,
+            opacity=opacity, position=position, wxyz=wxyz,
             cast_shadow=opacity is None, receive_shadow=opacity is None,
         )  # fmt: skip
+
+    def _node(self, joint: int) -> str:
+        return f"{self._path}/{self._parts.joint_name(joint) or 'fixed'}"
 
 
 def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
@@ -115,11 +163,11 @@ def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
     return bodies
 
 
-def _node(model: pin.Model, joint: int) -> str:
-    return f"{ROOT}/{'fixed' if joint == 0 else model.names[joint]}"
-
-
 def _pose(T: pin.SE3) -> tuple[Array, Array]:
     """Position (3,) [m] and quaternion wxyz (4,)."""
     xyzquat = np.array(pin.SE3ToXYZQUAT(T))
     return xyzquat[:3], xyzquat[[6, 3, 4, 5]]
+
+
+def _placed(position: Array, wxyz: Array) -> pin.SE3:
+    return pin.XYZQUATToSE3(np.concatenate([position, wxyz[1:], wxyz[:1]]))

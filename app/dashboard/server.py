@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import queue
 import socket
 import threading
 import time
@@ -15,8 +16,13 @@ import viser
 from viser import _messages
 
 from app.border.cloud import Cloud
-from app.dashboard.page import Page
+from app.dashboard.camera import FIELD_OF_VIEW, PRESETS
+from app.dashboard.notices import Notices
+from app.dashboard.origin import foreign_origins_refused
+from app.dashboard.page import Page, show_failure
 from app.dashboard.panels.sweep import DEFAULT_FOLDER
+from app.dashboard.shared import Shared
+from app.dashboard.stage import set_theme
 from app.errors import LoopError, ServerError
 from app.robot.model import RobotModel
 from app.simulation.leading import Scenario
@@ -26,26 +32,40 @@ logger = logging.getLogger(__name__)
 
 FRAME = 1 / 30  # [s] between two pictures
 TEXTS_EVERY = 3  # pictures between two renewals of panels, plots and labels: 10 Hz
+LARGEST_SHARE = 0.5  # [-] of the time that drawing may take
 
 
 class DashboardServer:
-    """A page that shows a loop and sends it commands.
+    """Pages that show a loop and send it commands, one for each viewer.
 
     Attributes:
         address: As to be typed into a browser.
-        page: What is on it.
+        shared: What all viewers share.
+        pages: Of the viewers, by their number.
+        error: Why the drawing thread ended, if it did.
     """
 
-    def __init__(self, viser_server: viser.ViserServer, page: Page, loop: LoopHandle) -> None:
-        self.viser, self.page = viser_server, page
+    def __init__(self, viser_server: viser.ViserServer, shared: Shared) -> None:
+        """Begin to draw.
+
+        Args:
+            viser_server: Accepts connections.
+            shared: The simulation and what else the pages need.
+        """
+        self.viser, self.shared = viser_server, shared
         self.address = f"http://{viser_server.get_host()}:{viser_server.get_port()}"
+        self.pages: dict[int, Page] = {}
         self.error: BaseException | None = None
-        """Why the drawing thread ended, if it did."""
-        self._loop = loop
+        self._notices = Notices(viser_server)
+        self._failure: tuple[str, BaseException] | None = None
+        self._arrived: queue.SimpleQueue[viser.ClientHandle] = queue.SimpleQueue()
+        self._gone: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._draw_until_stopped, name="dashboard")
         self._thread.daemon = True
         self._thread.start()
+        viser_server.on_client_connect(self._welcome)
+        viser_server.on_client_disconnect(self._part)
 
     def run_forever(self) -> None:
         """Serve until `stop` is called from another thread, or Ctrl-C.
@@ -57,18 +77,28 @@ class DashboardServer:
         with contextlib.suppress(KeyboardInterrupt):
             self._stopping.wait()
         self.stop()
-        error = self._loop.error or self.error
+        error = self.shared.loop.error or self.error
         if error is not None:
             raise LoopError(f"the simulation ended: {type(error).__name__}: {error}") from error
 
     def stop(self) -> None:
-        """End the drawing thread and close the page; the loop is not touched."""
+        """End the drawing thread and close all pages; the loop is not touched."""
         self._stopping.set()
         if self._thread is not threading.current_thread():
             self._thread.join(timeout=5.0)
-        self.page.close()
+        self.shared.close()
         with _silence():
             self.viser.stop()
+
+    async def _welcome(self, client: viser.ClientHandle) -> None:
+        self._arrived.put(client)
+
+    async def _part(self, client: viser.ClientHandle) -> None:
+        """Let go at once of what a viewer held who is gone."""
+        page = self.pages.get(client.client_id)
+        if page is not None:
+            page.close()
+        self._gone.put(client.client_id)
 
     def _draw_until_stopped(self) -> None:
         try:
@@ -78,19 +108,48 @@ class DashboardServer:
         ) as error:  # nobody joins this thread, so it has to say itself what went wrong
             self.error = error
             logger.exception("drawing ended")
-            self.page.fail("Drawing has ended", error)
+            self._fail("Drawing has ended", error)
+            self._tell_late_viewers()
 
     def _draw_frames(self) -> None:
-        frame, due, failed = 0, time.monotonic(), False
+        frame, due = 0, time.monotonic()
         while not self._stopping.wait(max(0.0, due - time.monotonic())):
-            # After a hold-up go on from now: a burst of late pictures would only delay more.
-            due = max(due + FRAME, time.monotonic())
-            self.page.draw(texts=frame % TEXTS_EVERY == 0)
+            begin = time.monotonic()
+            self._open_and_close_pages()
+            self.shared.update()
+            for page in self.pages.values():
+                if not page.closed:
+                    page.draw(texts=frame % TEXTS_EVERY == 0)
             frame += 1
-            if self._loop.error is not None and not failed:
-                failed = True
-                logger.error("the simulation ended", exc_info=self._loop.error)
-                self.page.fail("The simulation has ended", self._loop.error)
+            error = self.shared.loop.error
+            if error is not None and self._failure is None:
+                logger.error("the simulation ended", exc_info=error)
+                self._fail("The simulation has ended", error)
+            # Many viewers are drawn less often rather than let drawing fill all the time. After a
+            # hold-up go on from now: a burst of late pictures would only delay more.
+            now = time.monotonic()
+            due = max(due + FRAME, now, begin + (now - begin) / LARGEST_SHARE)
+
+    def _open_and_close_pages(self) -> None:
+        while not self._arrived.empty():
+            client = self._arrived.get()
+            page = self.pages[client.client_id] = Page(client, self.shared, self._notices)
+            if self._failure is not None:
+                page.fail(*self._failure)
+        while not self._gone.empty():
+            self.pages.pop(self._gone.get(), None)
+
+    def _fail(self, title: str, error: BaseException) -> None:
+        """Show, for good and to later viewers too, that something has ended."""
+        self._failure = (title, error)
+        for page in self.pages.values():
+            page.fail(title, error)
+
+    def _tell_late_viewers(self) -> None:
+        """When nothing is drawn any more, still say so to whoever opens the page."""
+        while not self._stopping.wait(0.2):
+            while not self._arrived.empty() and self._failure is not None:
+                show_failure(self._arrived.get().gui, *self._failure)
 
 
 def serve_dashboard(
@@ -120,18 +179,28 @@ def serve_dashboard(
         AssetError: A mesh of the robot is not there.
     """
     check_address(host, port)
+    shared = Shared(loop, model, clouds, case, sweeps)
     logging.getLogger("websockets").setLevel(logging.WARNING)  # every viewer's coming and going
-    with _silence():
+    with _silence(), foreign_origins_refused(host):
         server = viser.ViserServer(host=host, port=port, verbose=False)
     try:
         if port not in (0, server.get_port()):
             raise ServerError(f"port {port} was taken while the server started; try --port 0")
         _forbid_sharing(server)
-        return DashboardServer(server, Page(server, loop, model, clouds, case, sweeps), loop)
+        _set_first_picture(server)
+        return DashboardServer(server, shared)
     except BaseException:
         with _silence():
             server.stop()
         raise
+
+
+def _set_first_picture(server: viser.ViserServer) -> None:
+    """What is to be seen until a viewer's own page is there."""
+    set_theme(server.gui, dark=True)
+    first = PRESETS["iso"]
+    server.initial_camera.position, server.initial_camera.look_at = first.eye, first.target
+    server.initial_camera.fov = FIELD_OF_VIEW
 
 
 def check_address(host: str, port: int) -> None:

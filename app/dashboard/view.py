@@ -1,23 +1,28 @@
-"""What the viewers have chosen to see. Callbacks assign a field, the drawing thread reads it."""
+"""What one viewer has chosen to see. Callbacks assign a field, the drawing thread reads it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
-Quantity = Literal["determinant", "reachability", "score", "hidden"]
+from app.dashboard.legend import QUANTITIES
+
+HIDDEN = "hidden"
+"""Instead of a quantity: the border is not drawn."""
+CHOICES = (*reversed(tuple(QUANTITIES)), HIDDEN)
+"""What a border may be coloured by."""
 
 
 @dataclass
 class View:
     """Layers of the scene; each field is one assignment of a callback."""
 
-    pair: str
-    """Link pair of L_m whose border is drawn."""
-    quantity: Quantity = "score"
-    """What the border is coloured by."""
+    borders: dict[str, str]
+    """What the border of each pair of L_m is coloured by: a key of `QUANTITIES`, or `HIDDEN`."""
     whole_border: bool = False
     """Also the part of the border above the base's top, which hides the arm."""
+    slice: bool = True
+    """The border's contour at the hand's height."""
     meshes: bool = True
     bodies: bool = False
     distances: bool = True
@@ -25,7 +30,28 @@ class View:
     labels: Literal["active", "all", "none"] = "active"
     """Which of these lines carry their distance."""
     acting: bool = True
-    """Acting points and forces."""
+    """Acting points and the forces of avoidance."""
+    names: bool = False
+    """Names of p_a, p_b, p_n, p_t and p_act."""
+    motion: bool = True
+    """The person's force, and the accelerations asked of the base."""
+    trails: bool = True
+    """Where base and hand have been."""
     follow: bool = False
-    """Whether the cameras follow the base."""
+    """Whether the camera follows the base."""
     dark: bool = True
+    plots: set[str] = field(default_factory=set)
+    """Titles of the plots that are shown."""
+
+    @classmethod
+    def first(cls, pairs: list[str], plots: list[str]) -> View:
+        """What a new viewer sees: the score of the first pair's border, and the first three plots.
+
+        Args:
+            pairs: Names of the pairs of L_m.
+            plots: Titles of all plots.
+        """
+        borders = dict.fromkeys(pairs, HIDDEN)
+        if pairs:
+            borders[pairs[0]] = "score"
+        return cls(borders, plots=set(plots[:3]))

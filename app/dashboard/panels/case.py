@@ -10,18 +10,16 @@ from app.simulation.leading import Scenario
 from app.simulation.snapshot import Play
 
 
-def add_case_button(
-    server: viser.ViserServer, sink: Sink, notices: Notices, scenario: Scenario
-) -> None:
+def add_case_button(gui: viser.GuiApi, sink: Sink, notices: Notices, scenario: Scenario) -> None:
     """Build it in the GUI container that is now open.
 
     Args:
-        server: Of the page.
+        gui: Of the viewer.
         sink: Where commands go.
         notices: Tells the user what went wrong.
         scenario: That begins where the loop begins after a reset.
     """
-    button = server.gui.add_button(
+    button = gui.add_button(
         "Play the case", icon=viser.Icon.PLAYER_TRACK_NEXT,
         hint=f"{scenario.about}: begins anew; whoever takes the hand ends it",
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Tab "Run": reset and pause, state of the simulation, distances of all pairs."""
+"""Tab "Run": what is played, how fast and by which controller; and how the simulation fares."""
 
 from __future__ import annotations
 
@@ -9,52 +9,97 @@ from app.control.controller import CONTROLLERS
 from app.dashboard.colours import SERIES, css, distance_colour
 from app.dashboard.hand import Sink
 from app.dashboard.notices import Notices
-from app.simulation.snapshot import Choose, PairReading, Pause, Reset, Snapshot
+from app.simulation.commands import Choose, Pause, PlayScenario, Reset, Restart
+from app.simulation.scenario import SCENARIOS
+from app.simulation.snapshot import (
+    PairReading,
+    Snapshot,
+)
 
+FREE = "free: drag the hand"
+"""Choice of no scenario."""
 BAR_RANGE = 0.5  # [m] distance that fills a bar of the table
 STEP = 0.001  # [s] of one control step
 GOOD, BAD = "#2f9e5b", css((222, 49, 40))
 
 
 class RunPanel:
-    """Buttons and readings."""
+    """Buttons and readings; what one viewer chooses, all see."""
 
-    def __init__(self, server: viser.ViserServer, sink: Sink, notices: Notices) -> None:
+    def __init__(self, gui: viser.GuiApi, sink: Sink, notices: Notices) -> None:
         """Build the tab in the GUI container that is now open."""
-        self._paused = False
-        self._name = ""
-        self._pause = server.gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
-        reset = server.gui.add_button("Reset", icon=viser.Icon.REFRESH, color="gray")
-        self._controller = server.gui.add_dropdown(
+        self._sink = sink
+        self._shown: Snapshot | None = None
+        self._scenario = gui.add_dropdown(
+            "Scenario", (FREE, *SCENARIOS),
+            hint="Played from its beginning; whoever takes the hand ends it.",
+        )  # fmt: skip
+        self._controller = gui.add_dropdown(
             "Controller", CONTROLLERS,
             hint="dbb: the base gives way, as in the paper. repulsive: a force on the arm alone. "
             "barrier: each distance a hard inequality. none: no avoidance.",
         )  # fmt: skip
-        self._status = server.gui.add_html("")
-        self._pairs = server.gui.add_html("")
-        self._pause.on_click(notices.guard(lambda _: sink.send(Pause(not self._paused))))  # type: ignore[arg-type]
-        self._controller.on_update(
-            notices.guard(lambda event: sink.send(Choose(event.target.value)))  # type: ignore[arg-type]
-        )
-        reset.on_click(notices.guard(lambda _: sink.send(Reset())))  # type: ignore[arg-type]
-
-    def update(self, snapshot: Snapshot) -> None:
-        """Renew the readings; what has not changed is not sent."""
-        if snapshot.paused != self._paused:
-            self._paused = snapshot.paused
-            self._pause.label = "Continue" if snapshot.paused else "Pause"
-            icon = viser.Icon.PLAYER_PLAY if snapshot.paused else viser.Icon.PLAYER_PAUSE
-            self._pause.icon = icon
-        if snapshot.controller != self._name:  # not while a choice is on its way
-            self._name = snapshot.controller
-            if self._controller.value != self._name:
-                self._controller.value = self._name
-        for handle, html in (
-            (self._status, status_html(snapshot)),
-            (self._pairs, pairs_html(snapshot)),
+        self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
+        restart = gui.add_button("Restart", icon=viser.Icon.REFRESH, color="gray")
+        self._status = gui.add_html("")
+        self._pairs = gui.add_html("")
+        for handle, callback in (
+            (self._scenario, self._choose_scenario),
+            (self._controller, self._choose_controller),
         ):
+            handle.on_update(notices.guard(callback))  # type: ignore[arg-type]
+        self._pause.on_click(notices.guard(lambda _: self.toggle_pause()))  # type: ignore[arg-type]
+        restart.on_click(notices.guard(lambda _: self.restart()))  # type: ignore[arg-type]
+
+    def toggle_pause(self) -> None:
+        """Stop, or go on."""
+        self._sink.send(Pause(self._shown is None or not self._shown.paused))
+
+    def restart(self) -> None:
+        """Begin anew where the run began."""
+        self._sink.send(Restart())
+
+    def play(self, scenario: str) -> None:
+        """Play a scenario from its beginning, or none.
+
+        Args:
+            scenario: Its name, or `FREE`.
+        """
+        self._sink.send(Reset() if scenario == FREE else PlayScenario(scenario))
+
+    def update(self, newest: Snapshot, shown: Snapshot) -> None:
+        """Renew the readings; what has not changed is not sent.
+
+        Args:
+            newest: What the buttons stand for.
+            shown: What the readings tell.
+        """
+        before, self._shown = self._shown, newest
+        if before is None or newest.paused != before.paused:
+            self._pause.label = "Continue" if newest.paused else "Pause"
+            self._pause.icon = viser.Icon.PLAYER_PLAY if newest.paused else viser.Icon.PLAYER_PAUSE
+        for handle, now, then in (
+            (self._scenario, _choice(newest), before and _choice(before)),
+            (self._controller, newest.controller, before and before.controller),
+        ):
+            if now != then and handle.value != now:  # not while a choice is on its way
+                handle.value = now
+        for handle, html in ((self._status, status_html(shown)), (self._pairs, pairs_html(shown))):
             if handle.content != html:
                 handle.content = html
+
+    def _choose_scenario(self, event: viser.GuiEvent) -> None:
+        name = event.target.value
+        if self._shown is None or name != _choice(self._shown):
+            self.play(name)
+
+    def _choose_controller(self, event: viser.GuiEvent) -> None:
+        if self._shown is None or event.target.value != self._shown.controller:
+            self._sink.send(Choose(event.target.value))
+
+
+def _choice(snapshot: Snapshot) -> str:
+    return snapshot.scenario if snapshot.scenario in SCENARIOS else FREE
 
 
 def status_html(snapshot: Snapshot) -> str:
@@ -64,12 +109,11 @@ def status_html(snapshot: Snapshot) -> str:
     contact += (" and " if contact else "") + "within arm" if snapshot.arm_in_contact else ""
     state = "paused" if snapshot.paused else "running"
     pull = f"{sum(f * f for f in snapshot.hand_force) ** 0.5:.1f} N"
+    slow = not snapshot.paused and snapshot.realtime_factor < 0.95
     rows = [
         ("time", f"{snapshot.t:.1f} s", None),
-        ("state", f"{state}, {snapshot.mode}", None),
-        ("controller", snapshot.controller, None),
-        ("real-time factor", f"{snapshot.realtime_factor:.2f}",
-         not snapshot.paused and snapshot.realtime_factor < 0.95),
+        ("state", snapshot.busy or f"{state}, {snapshot.mode}", None),
+        ("real-time factor", f"{snapshot.realtime_factor:.2f}", slow),
         ("control step", f"{snapshot.step_time_us:.0f} µs", None),
         ("steps late", late_text(snapshot), None),
         ("contact", contact or "none", bool(contact)),
@@ -81,7 +125,7 @@ def status_html(snapshot: Snapshot) -> str:
     ]  # fmt: skip
     body = "".join(_status_row(*row) for row in rows)
     return (
-        f'<table style="width:100%;font-size:.82em;line-height:1.65;padding:0 .7em">{body}</table>'
+        f'<table style="width:100%;font-size:.82em;line-height:1.6;padding:0 .7em">{body}</table>'
     )
 
 

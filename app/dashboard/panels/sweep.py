@@ -7,9 +7,7 @@ from pathlib import Path
 import viser
 
 from app.dashboard.notices import Notices
-from app.dashboard.panels.tuning import Tuning
-from app.simulation.loop import LoopHandle
-from app.study.sweep_job import SweepJob
+from app.dashboard.shared import Shared
 from app.study.sweep_maps import newest_map, read_map
 from app.study.sweep_plan import SweepPlan
 
@@ -23,29 +21,23 @@ _LOOK_EVERY = 20  # updates between two looks into the folder
 class SweepPanel:
     """A map, a line of text, and the button that starts and stops a sweep."""
 
-    def __init__(
-        self, server: viser.ViserServer, loop: LoopHandle, tuning: Tuning, notices: Notices,
-        robot: str, folder: Path,
-    ) -> None:  # fmt: skip
+    def __init__(self, gui: viser.GuiApi, shared: Shared, notices: Notices) -> None:
         """Build the folder, closed, in the GUI container that is now open.
 
         Args:
-            server: The page.
-            loop: Tells which controller is in use.
-            tuning: The parameters in use.
+            gui: Of the viewer.
+            shared: Tells robot, controller, parameters and folder; its job is common to all.
             notices: For what goes wrong.
-            robot: Name of the robot.
-            folder: Where the maps are.
         """
-        self._server, self._loop, self._tuning, self._notices = server, loop, tuning, notices
-        self._robot, self._folder = robot, folder
-        self._job, self._waiting = SweepJob(), False
+        self._gui, self._shared, self._notices = gui, shared, notices
+        self._job, self._folder = shared.sweep_job, shared.sweeps
+        self._waiting = False
         self._map: tuple[Path, int] | None = None
         self._updates = 0
-        self._box = server.gui.add_folder("Sweep", expand_by_default=False)
+        self._box = gui.add_folder("Sweep", expand_by_default=False)
         with self._box:
-            self._text = server.gui.add_markdown("")
-            self._button = server.gui.add_button(
+            self._text = gui.add_markdown("")
+            self._button = gui.add_button(
                 "Make a map", icon=viser.Icon.RADAR,
                 hint=f"Hand paths towards the base every {STEP:g}°, with the controller and the "
                 "parameters of now, in a process of low priority; takes some minutes.",
@@ -56,6 +48,9 @@ class SweepPanel:
 
     def update(self) -> None:
         """Renew text and map; called by the drawing thread."""
+        if not self._waiting and self._job.running:  # perhaps begun by another viewer
+            self._waiting = True
+            self._button.label = "Stop"
         if self._waiting and not self._job.running:
             self._waiting = False
             self._updates = 0
@@ -70,19 +65,17 @@ class SweepPanel:
         if self._text.content != text:
             self._text.content = text
 
-    def close(self) -> None:
-        """End what is under way."""
-        self._job.stop()
-
     def _start_or_stop(self) -> None:
         if self._job.running:
             self._job.stop()
             self._waiting = False
             self._button.label = "Make a map"
             return
+        shared = self._shared
         plan = SweepPlan(
-            self._robot, (self._loop.latest().controller,), step=STEP, config=self._tuning.config
-        )
+            shared.model.description.name, (shared.loop.latest().controller,), step=STEP,
+            config=shared.tuning.config,
+        )  # fmt: skip
         self._job.start(plan, self._folder)
         self._waiting = True
         self._button.label = "Stop"
@@ -105,7 +98,7 @@ class SweepPanel:
         picture = read_map(path)  # whole: a press on it enlarges it
         if self._image is None:
             with self._box:
-                self._image = self._server.gui.add_image(picture, format="png")
+                self._image = self._gui.add_image(picture, format="png")
         else:
             self._image.image = picture
         self._map = found

@@ -74,17 +74,17 @@ class TuningPanel:
     """Folders of sliders, and a button that sets them back."""
 
     def __init__(
-        self, server: viser.ViserServer, tuning: Tuning, notices: Notices,
+        self, gui: viser.GuiApi, tuning: Tuning, notices: Notices,
         folders: dict[str, tuple[str, ...]],
     ) -> None:  # fmt: skip
         """Build the tab in the GUI container that is now open."""
         self._tuning = tuning
         self.sliders: dict[str, viser.GuiSliderHandle[float]] = {}
         for title, paths in folders.items():
-            with server.gui.add_folder(title):
+            with gui.add_folder(title):
                 for path in paths:
-                    self._add_slider(server, notices, path)
-        default = server.gui.add_button("Defaults", icon=viser.Icon.ARROW_BACK_UP, color="gray")
+                    self._add_slider(gui, notices, path)
+        default = gui.add_button("Defaults", icon=viser.Icon.ARROW_BACK_UP, color="gray")
         default.on_click(notices.guard(lambda _: self.reset()))  # type: ignore[arg-type]
 
     def reset(self, paths: Iterable[str] | None = None) -> None:
@@ -93,9 +93,9 @@ class TuningPanel:
             self._tuning.set(path, parameter(path).default)
             self.sliders[path].value = self._tuning.value(path)
 
-    def _add_slider(self, server: viser.ViserServer, notices: Notices, path: str) -> None:
+    def _add_slider(self, gui: viser.GuiApi, notices: Notices, path: str) -> None:
         about = parameter(path)
-        slider = server.gui.add_slider(
+        slider = gui.add_slider(
             label(path), min=float(about.low), max=float(about.high),
             step=slider_step(about.low, about.high),
             initial_value=float(self._tuning.value(path)), hint=about.help or None,

@@ -1,4 +1,4 @@
-"""Tab "View": which layers are drawn."""
+"""Tab "View": which layers one viewer sees, from where, and which plots."""
 
 from __future__ import annotations
 
@@ -7,63 +7,77 @@ from typing import Any
 
 import viser
 
+from app.dashboard.camera import PRESETS
 from app.dashboard.notices import Notices
-from app.dashboard.view import View
+from app.dashboard.view import CHOICES, View
 
 
 class ViewPanel:
     """Boxes and choices, each of which assigns one field of the view."""
 
-    def __init__(self, server: viser.ViserServer, view: View, notices: Notices) -> None:
-        """Build the tab in the GUI container that is now open."""
-        self._view, self._notices = view, notices
-        gui = server.gui
-        with gui.add_folder("Layers"):
-            self._bind("meshes", gui.add_checkbox("Robot", view.meshes))
-            self._bind(
-                "bodies",
-                gui.add_checkbox(
-                    "Convex bodies", view.bodies, hint="What distances are measured to"
-                ),
-            )
-            self._bind("distances", gui.add_checkbox("Closest points", view.distances))
-            self._bind(
-                "labels",
-                gui.add_dropdown(
-                    "Distance labels", ("active", "all", "none"), initial_value=view.labels
-                ),
-            )
-            self._bind(
-                "acting",
-                gui.add_checkbox(
-                    "Acting points",
-                    view.acting,
-                    hint="p_n, p_t, p_act and the force: 0.1 m is 40 N",
-                ),
-            )
-            self._bind(
+    def __init__(
+        self, gui: viser.GuiApi, view: View, notices: Notices, plots: list[str],
+        look: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        """Build the tab in the GUI container that is now open.
+
+        Args:
+            gui: Of the viewer.
+            view: What is assigned to.
+            notices: For what goes wrong.
+            plots: Titles of all plots.
+            look: Takes the name of a camera's preset.
+        """
+        self._gui, self._view, self._notices = gui, view, notices
+        with gui.add_folder("Border coloured by"):
+            for pair, quantity in view.borders.items():
+                choice = gui.add_dropdown(pair, CHOICES, initial_value=quantity)
+                self._on_update(choice, self._border(pair))
+            self._box(
                 "whole_border",
-                gui.add_checkbox(
-                    "Border above base", view.whole_border,
-                    hint="The part of the border above the base's top, which hides the arm",
-                ),
-            )  # fmt: skip
-        with gui.add_folder("Page"):
-            self._bind("follow", gui.add_checkbox("Follow the base", view.follow))
-            self._bind("dark", gui.add_checkbox("Dark", view.dark))
-            self.reset_camera = gui.add_button(
-                "Reset camera", icon=viser.Icon.CAMERA_ROTATE, color="gray"
+                "Above the base too",
+                "The part of the border above the base's top, which hides the arm",
             )
+            self._box("slice", "Slice at the hand", "The border's contour at the hand's height")
+        with gui.add_folder("Layers"):
+            self._box("meshes", "Robot")
+            self._box("bodies", "Convex bodies", "What distances are measured to")
+            self._box("distances", "Closest points")
+            labels = gui.add_dropdown(
+                "Distances of", ("active", "all", "none"), initial_value=view.labels
+            )
+            self._on_update(labels, lambda event: setattr(view, "labels", event.target.value))
+            self._box("acting", "Acting points", "p_n, p_t, p_act and the force of avoidance")
+            self._box("names", "Names of points", "p_a, p_b, p_n, p_t and p_act")
+            self._box("motion", "Person and base", "The person's force, and what the base is asked")
+            self._box("trails", "Trails", "Where base and hand have been")
+        with gui.add_folder("Camera and page"):
+            cameras = gui.add_button_group("Look from", tuple(PRESETS))
+            cameras.on_click(notices.guard(lambda event: look(event.target.value)))  # type: ignore[arg-type]
+            self._box("follow", "Follow the base")
+            self._box("dark", "Dark")
+        with gui.add_folder("Plots", expand_by_default=False):
+            for title in plots:
+                box = gui.add_checkbox(title, title in view.plots)
+                self._on_update(box, self._plot(title))
 
-    def _bind(self, field: str, handle: Any) -> None:
-        bind(self._view, field, handle, self._notices)
+    def _box(self, field: str, label: str, hint: str | None = None) -> None:
+        box = self._gui.add_checkbox(label, getattr(self._view, field), hint=hint)
+        self._on_update(box, lambda event: setattr(self._view, field, bool(event.target.value)))
 
+    def _border(self, pair: str) -> Callable[[Any], None]:
+        def assign(event: Any) -> None:
+            if event.target.value in CHOICES:  # the server does not check what a client sends
+                self._view.borders[pair] = event.target.value
 
-def bind(view: View, field: str, handle: Any, notices: Notices) -> None:
-    """Let a widget assign a field of the view."""
+        return assign
 
-    def assign(event: Any) -> None:
-        setattr(view, field, event.target.value)
+    def _plot(self, title: str) -> Callable[[Any], None]:
+        def assign(event: Any) -> None:
+            plots = self._view.plots
+            self._view.plots = plots | {title} if event.target.value else plots - {title}
 
-    callback: Callable[..., Any] = notices.guard(assign)
-    handle.on_update(callback)
+        return assign
+
+    def _on_update(self, handle: Any, callback: Callable[[Any], None]) -> None:
+        handle.on_update(self._notices.guard(callback))

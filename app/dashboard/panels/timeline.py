@@ -1,0 +1,102 @@
+"""The time line under the scene: stop, look back, step, go on; mark an interval."""
+
+from __future__ import annotations
+
+import math
+
+import viser
+
+from app.dashboard.hand import Sink
+from app.dashboard.notices import Notices
+from app.dashboard.timeline import FRAME, REACH, Timeline
+from app.simulation.snapshot import Pause, Snapshot
+
+WIDTH = 430  # [px]
+_STEPS = {"−1 s": -1.0, "−20 ms": -FRAME, "+20 ms": FRAME, "+1 s": 1.0}
+_MARKS = ("Mark begin", "Mark end", "No marks")
+
+
+class TimelinePanel:
+    """Slider and buttons over one viewer's place in time."""
+
+    def __init__(self, gui: viser.GuiApi, timeline: Timeline, sink: Sink, notices: Notices) -> None:
+        """Open the panel, floating under the scene.
+
+        Args:
+            gui: Of the viewer.
+            timeline: What is moved.
+            sink: Where commands go.
+            notices: For what goes wrong.
+        """
+        self._timeline, self._sink = timeline, sink
+        self._set = 0.0
+        self._newest: Snapshot | None = None
+        panel = gui.add_panel()
+        with panel.add_tab("Time line", viser.Icon.HISTORY):
+            self._text = gui.add_html("")
+            self._slider = gui.add_slider(
+                "Back [s]", min=-REACH, max=0.0, step=FRAME, initial_value=0.0,
+                hint="Shows the scene, readings and plots as they were; the simulation goes on.",
+            )  # fmt: skip
+            steps = gui.add_button_group("Step", tuple(_STEPS))
+            self._play = gui.add_button_group("Play", ("Pause / continue", "Now"))
+            marks = gui.add_button_group("Interval", _MARKS)
+        panel.float(x=12, y=-12, width=WIDTH)
+        self._slider.on_update(notices.guard(self._slide))  # type: ignore[arg-type]
+        steps.on_click(notices.guard(lambda event: self.step(_STEPS[event.target.value])))  # type: ignore[arg-type]
+        self._play.on_click(notices.guard(self._press))  # type: ignore[arg-type]
+        marks.on_click(notices.guard(self._mark))  # type: ignore[arg-type]
+
+    def step(self, seconds: float) -> None:
+        """Go on or back; where time stands still at now, one step on is simulated."""
+        self._timeline.step(seconds)
+
+    def update(self, newest: Snapshot, shown: Snapshot) -> None:
+        """Renew text and slider."""
+        self._newest = newest
+        text = time_html(newest, shown, self._timeline)
+        if self._text.content != text:
+            self._text.content = text
+        back = -round(self._timeline.back / FRAME) * FRAME
+        if abs(back - self._slider.value) > 0.5 * FRAME:
+            self._set = back
+            self._slider.value = back
+
+    def _slide(self, event: viser.GuiEvent) -> None:
+        value = event.target.value
+        if not isinstance(value, (int, float)) or not math.isfinite(value):
+            return  # the server does not check what a client sends
+        if abs(value - self._set) < 0.5 * FRAME:  # set by `update`
+            return
+        self._set = value
+        self._timeline.look_back(-value)
+
+    def _press(self, event: viser.GuiEvent) -> None:
+        if event.target.value == "Now":
+            self._timeline.go_live()
+        else:
+            self._sink.send(Pause(self._newest is None or not self._newest.paused))
+
+    def _mark(self, event: viser.GuiEvent) -> None:
+        begin, end, _ = _MARKS
+        if event.target.value == begin:
+            self._timeline.mark_begin()
+        elif event.target.value == end:
+            self._timeline.mark_end()
+        else:
+            self._timeline.begin = self._timeline.end = None
+
+
+def time_html(newest: Snapshot, shown: Snapshot, timeline: Timeline) -> str:
+    """Which instant is shown, and which interval is marked."""
+    state = "paused" if newest.paused else "running"
+    where = "now" if timeline.live else f"{newest.t - shown.t:.2f} s ago"
+    begin = "…" if timeline.begin is None else f"{timeline.begin:.2f}"
+    end = "…" if timeline.end is None else f"{timeline.end:.2f}"
+    marked = timeline.begin is not None or timeline.end is not None
+    mark = f"marked {begin} to {end} s" if marked else "no interval marked"
+    return (
+        '<div style="display:flex;justify-content:space-between;padding:.2em .8em;font-size:.85em;'
+        f'font-variant-numeric:tabular-nums"><b>t = {shown.t:.2f} s, {where}</b>'
+        f'<span style="opacity:.65">{mark}, {state}</span></div>'
+    )

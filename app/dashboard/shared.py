@@ -1,0 +1,79 @@
+"""What all viewers of a dashboard share: the simulation, its record, and what is costly to make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from app.border.cloud import Cloud
+from app.dashboard.borders import Borders
+from app.dashboard.outbox import Outbox
+from app.dashboard.panels.tuning import Tuning
+from app.dashboard.plots import plot_plans
+from app.dashboard.record import Record
+from app.dashboard.robot import RobotParts
+from app.dashboard.trails import Tracks
+from app.robot.model import RobotModel
+from app.simulation.leading import Scenario
+from app.simulation.loop import LoopHandle
+from app.study.sweep_job import SweepJob
+
+
+class Shared:
+    """One for all pages; `update` is called by the drawing thread before it draws them.
+
+    Attributes:
+        loop: The simulation.
+        outbox: Where commands to it go.
+        model: The robot.
+        parts: Its meshes.
+        borders: Its borders.
+        tuning: The parameters, one set for all viewers.
+        plans: The plots.
+        record: Their values in the last minute.
+        tracks: Where base and hand have been.
+        case: A scenario that begins where the loop does, for a button that plays it, or None.
+        sweeps: Folder of the maps of sweeps.
+        sweep_job: A sweep that a viewer has begun.
+    """
+
+    def __init__(
+        self, loop: LoopHandle, model: RobotModel, clouds: Mapping[str, Cloud],
+        case: Scenario | None, sweeps: Path,
+    ) -> None:  # fmt: skip
+        """Load what pages need.
+
+        Args:
+            loop: A started simulation.
+            model: The robot that it simulates.
+            clouds: P_i of every pair of L_m, by the pair's name.
+            case: A scenario that a button plays, or None.
+            sweeps: Folder of the maps of sweeps.
+        """
+        first = loop.latest()
+        self.loop, self.model, self.case, self.sweeps = loop, model, case, sweeps
+        self.outbox = Outbox(loop)
+        self.pairs = [pair.name for pair in first.pairs]
+        """Names of all link pairs, in the order of the snapshots."""
+        self.mobile = [pair.name for pair in first.pairs if pair.mobile]
+        """Names of those of L_m."""
+        self.parts = RobotParts(model)
+        self.borders = Borders(model, clouds)
+        self.tuning = Tuning(self.outbox, first.config)
+        self.plans = plot_plans(model, self.pairs)
+        self.record = Record(curve for plan in self.plans for curve in plan.curves)
+        self.tracks = Tracks()
+        self.sweep_job = SweepJob()
+
+    def close(self) -> None:
+        """End what was started beside the simulation."""
+        self.sweep_job.stop()
+
+    def update(self) -> None:
+        """Send what is held, and take in what is new."""
+        self.outbox.flush()
+        newest = self.loop.latest()
+        last = self.tracks.last
+        new = self.loop.history(last if newest.t >= last else -1.0)
+        self.record.extend(new, newest.t)
+        self.tracks.extend(new, newest.t)

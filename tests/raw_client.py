@@ -1,0 +1,66 @@
+"""A program that speaks to the dashboard's server as a browser would, and may send anything."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from typing import Any
+
+import msgspec
+import viser
+import websockets
+from viser import _messages
+from websockets.sync.client import connect
+
+
+class RawClient:
+    """One connection; what the server sends is counted and thrown away.
+
+    Attributes:
+        received: [bytes] taken in so far.
+    """
+
+    def __init__(self, address: str, origin: str | None = None) -> None:
+        """Connect, and tell where the camera is: then the server has a client."""
+        self._connection = connect(
+            address.replace("http://", "ws://"), origin=origin, max_size=None, compression=None,
+            subprotocols=[websockets.Subprotocol(f"viser-v{viser.__version__}")],
+        )  # fmt: skip
+        self.received = 0
+        self._thread = threading.Thread(target=self._drain, daemon=True)
+        self._thread.start()
+        self.send(
+            _messages.ViewerCameraMessage(
+                wxyz=(1.0, 0.0, 0.0, 0.0), position=(2.0, 2.0, 1.5), fov=0.75, near=0.01,
+                far=100.0, image_height=900, image_width=1600, look_at=(0.0, 0.0, 0.4),
+                up_direction=(0.0, 0.0, 1.0),
+            )
+        )  # fmt: skip
+
+    def send(self, message: Any) -> None:
+        """Send one message of viser's."""
+        self.send_raw(msgspec.msgpack.encode(message.as_serializable_dict()))
+
+    def send_raw(self, data: bytes | str) -> None:
+        """Send anything."""
+        self._connection.send(data)
+
+    def set_widget(self, handle: Any, value: object) -> None:
+        """Claim that the person has set a widget to a value."""
+        self.send(_messages.GuiUpdateMessage(handle._impl.uuid, {"value": value}))
+
+    def close(self) -> None:
+        """Leave."""
+        self._connection.close()
+        self._thread.join(timeout=5.0)
+
+    def __enter__(self) -> RawClient:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _drain(self) -> None:
+        with contextlib.suppress(websockets.ConnectionClosed):
+            for data in self._connection:
+                self.received += len(data)
