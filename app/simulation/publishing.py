@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.avoidance.self_collision import PairState
+from app.control.explanation import explain
 from app.robot.state import RobotState
 from app.simulation.pacing import Pacer
 from app.simulation.session import Session, Step
@@ -48,10 +49,11 @@ def make_snapshot(session: Session, step: Step, pacer: Pacer, *, paused: bool) -
         realtime_factor=pacer.realtime_factor,
         overruns=pacer.overruns,
         paused=paused,
-        mode="guiding",
+        mode="tracking" if output.tracking else "guiding",
         controller=session.controller.name,
         config=session.config,
         buffer=step.buffer,
+        explanation=explain(session.controller, output, session.config, step.base_command),
     )
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from app.config import Config
 from app.control.buffer_watch import BufferReading
+from app.control.explanation import Explanation
 from app.simulation.leading import Scenario
 
 Array = np.ndarray
@@ -105,6 +106,8 @@ class Snapshot:
     config: Config
     buffer: BufferReading
     """Whether d_b is enough for how fast the arm comes."""
+    explanation: Explanation | None = None
+    """Why the robot moved as it did in the control step of `t`; None where nobody asked."""
 
 
 @dataclass(frozen=True)
