@@ -58,11 +58,15 @@ def tangential_step(gradient: Array, t: Array, alpha: float) -> Array:
 
 
 class ActingPointFinder:
-    """Algorithm 3 for one pair of L_m, on its border as points or as a surface."""
+    """Algorithm 3 for one pair of L_m, on its border as points or as a surface.
+
+    Attributes:
+        field: The pair's score.
+    """
 
     def __init__(self, border: NearestBorder, field: ScoreField) -> None:
+        self.field = field
         self._border = border
-        self._field = field
 
     def find_acting_point(self, p_b: Array, d: float, force: ForceConfig) -> ActingPoint | None:
         """The acting point for the closest point p_b.
@@ -81,8 +85,8 @@ class ActingPointFinder:
         if foot is None:
             return None
         p_n, t = foot
-        alpha = step_size(d, float(self._field.score(p_n)), force)
-        p_t = p_n + tangential_step(self._field.gradient(p_n), t, alpha)
+        alpha = step_size(d, float(self.field.score(p_n)), force)
+        p_t = p_n + tangential_step(self.field.gradient(p_n), t, alpha)
         nearest = self._border.nearest(p_t)
         assert nearest is not None
         return ActingPoint(p_n, p_t, nearest.p, t, alpha)

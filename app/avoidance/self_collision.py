@@ -100,6 +100,10 @@ class SelfCollisionAvoidance:
             self._finders = self._make_finders(config)
         self._config = config
 
+    def field(self, pair: str) -> ScoreField:
+        """The score by which a pair of L_m chooses its acting points, by the pair's name."""
+        return self._finders[pair].field
+
     def update(self) -> Avoidance:
         """The avoidance task at the state's configuration.
 

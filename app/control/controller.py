@@ -9,6 +9,7 @@ import numpy as np
 from app.avoidance.self_collision import Avoidance, SelfCollisionAvoidance
 from app.avoidance.task import mobile_rows
 from app.border.cache import BorderData
+from app.border.score import ScoreField
 from app.config import Config, TaskConfig, slowed
 from app.control.hqp import HierarchicalQP, NoSolutionError
 from app.control.limits import robot_limits, with_barriers
@@ -25,6 +26,7 @@ from app.control.tasks import (
     softened,
 )
 from app.control.transition import TaskTransition
+from app.control.workings import ArmSolve, Workings
 from app.errors import UnknownNameError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
@@ -44,6 +46,8 @@ class ControlOutput(NamedTuple):
         avoidance: The avoidance task of this step, whether or not the method inserts it.
         inserted: What the method put above the stack or among its limits.
         solved: False if a QP had no solution and this is the safe command.
+        tracking: Whether there was a reference.
+        workings: How it came about, or None with the safe command.
     """
 
     u_a: Array
@@ -51,6 +55,8 @@ class ControlOutput(NamedTuple):
     avoidance: Avoidance
     inserted: Inserted
     solved: bool
+    tracking: bool = False
+    workings: Workings | None = None
 
     @property
     def activation(self) -> float:
@@ -150,22 +156,32 @@ class Controller:
             self._u_a = free_arm_torque(self.state)
         avoidance = self._avoidance.update()
         inserted = self._method.insert(self.state, avoidance, self._config)
+        workings = None
         try:
-            asked = self._base_acceleration(inserted, reference)
+            wanted = self._base_acceleration(inserted, reference)
+            limit = np.array(self._model.description.base.max_acceleration)
+            asked = np.clip(wanted, -limit, limit)
             given = asked if base_acceleration is None else base_acceleration
-            u_a, solved = self._torques(given, inserted, reference), True
+            arm = self._solve_arm(given, inserted, reference)
+            u_a, workings = arm.u_a, Workings(wanted, given, arm)
         except NoSolutionError:
             self.failures += 1
-            (u_a, asked), solved = self._safe_command(), False
+            u_a, asked = self._safe_command()
         self._u_a = self._u_a + np.clip(u_a - self._u_a, -self._slew, self._slew)
-        return ControlOutput(self._u_a.copy(), asked, avoidance, inserted, solved)
+        return ControlOutput(
+            self._u_a.copy(), asked, avoidance, inserted, workings is not None,
+            tracking=reference is not None, workings=workings,
+        )  # fmt: skip
+
+    def score_field(self, pair: str) -> ScoreField:
+        """The score by which a pair of L_m chooses its acting points, by the pair's name."""
+        return self._avoidance.field(pair)
 
     def _base_acceleration(self, inserted: Inserted, reference: Reference | None) -> Array:
         """The base's part of (29), (2,): its rows fix it once the solution without them is known.
 
-        Paper: Eq. (29), first two rows.
+        Paper: Eq. (29), first two rows; the base's own limits are not yet applied.
         """
-        limit = np.array(self._model.description.base.max_acceleration)
         rows_m = inserted.rows_m
         if rows_m is not None and rows_m.beta >= 1.0:
             free = np.zeros(2)  # weighs nothing
@@ -174,8 +190,8 @@ class Controller:
         else:
             free = self._model.J_m @ self._slow_solution(inserted, reference)[:2]
         if rows_m is None:
-            return np.clip(free, -limit, limit)
-        return np.clip(rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free, -limit, limit)
+            return free
+        return rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
 
     def _slow_solution(self, inserted: Inserted, reference: Reference | None) -> Array:
         """q̈ of (29) without the base's rows, (n,), its loops as slow as the base is.
@@ -196,12 +212,12 @@ class Controller:
             stack = self._tracking_stack(reference, task)
         limits = robot_limits(state, self._config.limit, np.zeros(2))
         limits = with_barriers(limits, inserted.barriers)
-        return self._transition.solve(rows, *stack, limits, slot="slow").qdd
+        return self._transition.solve(rows, *self._weighted(stack), limits, slot="slow").qdd
 
-    def _torques(
+    def _solve_arm(
         self, base_acceleration: Array, inserted: Inserted, reference: Reference | None
-    ) -> Array:
-        """The arm's part of (29), (n_m,), with the acceleration that the base really has."""
+    ) -> ArmSolve:
+        """The arm's part of (29) with the acceleration that the base really has."""
         state = self.state
         given = mobile_rows(self._model.J_m, self._model.n, base_acceleration, 1.0)
         stack = (
@@ -212,15 +228,19 @@ class Controller:
         wheels = self._J_m_inv @ base_acceleration
         limits = with_barriers(robot_limits(state, self._config.limit, wheels), inserted.barriers)
         rows = (given, *inserted.rows_arm, *inserted.rows_links)
-        qdd = self._transition.solve(rows, *stack, limits, slot="arm").qdd
-        u_a = state.M[2:] @ qdd + state.h[2:]
-        return np.clip(u_a, -self._model.tau_max, self._model.tau_max)
+        solution = self._transition.solve(rows, *self._weighted(stack), limits, slot="arm")
+        u_a = state.M[2:] @ solution.qdd + state.h[2:]
+        u_a = np.clip(u_a, -self._model.tau_max, self._model.tau_max)
+        return ArmSolve(rows, stack, limits, solution, u_a)
 
     def _tracking_stack(self, reference: Reference, config: TaskConfig) -> Stack:
         assert self.q_posture is not None
         task = end_effector_task(self.state, reference, config)
-        stack = Stack((task,), posture_objective(self.state, self.q_posture, config))
-        return softened(stack, config.soft_weight) if self._method.soft else stack
+        return Stack((task,), posture_objective(self.state, self.q_posture, config))
+
+    def _weighted(self, stack: Stack) -> Stack:
+        """The stack as the method solves it: its levels strict, or weighted."""
+        return softened(stack, self._config.task.soft_weight) if self._method.soft else stack
 
     @property
     def _slew(self) -> float:

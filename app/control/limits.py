@@ -23,12 +23,26 @@ def acceleration_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, 
     Returns:
         (n_m,) lower and (n_m,) upper bound [rad/s² or m/s²], lower ≤ upper.
     """
-    model = state.model
-    q, qd = state.measurement.q_m, state.measurement.qd_m
-    rate, k = config.position_rate, config.velocity_rate
-    upper = np.minimum(rate**2 * (model.q_upper - q) - 2 * rate * qd, k * (model.qd_max - qd))
-    lower = np.maximum(rate**2 * (model.q_lower - q) - 2 * rate * qd, k * (-model.qd_max - qd))
+    from_position, from_velocity = position_bounds(state, config), velocity_bounds(state, config)
+    lower = np.maximum(from_position[0], from_velocity[0])
+    upper = np.minimum(from_position[1], from_velocity[1])
     return np.minimum(lower, upper), np.maximum(lower, upper)
+
+
+def position_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Array]:
+    """(n_m,) λ² e - 2 λ q̇ towards the lower and the upper position limit [rad/s² or m/s²]."""
+    model, rate = state.model, config.position_rate
+    q, qd = state.measurement.q_m, state.measurement.qd_m
+    return (
+        rate**2 * (model.q_lower - q) - 2 * rate * qd,
+        rate**2 * (model.q_upper - q) - 2 * rate * qd,
+    )
+
+
+def velocity_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Array]:
+    """(n_m,) κ (±q̇_max - q̇), towards the lower and the upper velocity limit [rad/s² or m/s²]."""
+    k, qd, qd_max = config.velocity_rate, state.measurement.qd_m, state.model.qd_max
+    return k * (-qd_max - qd), k * (qd_max - qd)
 
 
 def with_barriers(limits: Limits, barriers: Sequence[BarrierRow]) -> Limits:

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.avoidance.self_collision import PairState
+from app.control.explanation import explain
 from app.robot.state import RobotState
 from app.simulation.pacing import Pacer
 from app.simulation.session import Session, Step
@@ -53,6 +54,7 @@ def make_snapshot(session: Session, step: Step, pacer: Pacer, *, paused: bool) -
         config=session.config,
         buffer=step.buffer,
         door=_door_view(session, step),
+        explanation=explain(session.controller, output, session.config, step.base_command),
     )
 
 

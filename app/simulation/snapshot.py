@@ -9,6 +9,7 @@ import numpy as np
 
 from app.config import Config
 from app.control.buffer_watch import BufferReading
+from app.control.explanation import Explanation
 from app.simulation.commands import Choose as Choose
 from app.simulation.commands import Command as Command
 from app.simulation.commands import Configure as Configure
@@ -144,3 +145,5 @@ class Snapshot:
     """What is being prepared while time stands still, or empty."""
     refusal: Refusal | None = None
     """The newest command that was found out to be impossible only when it was obeyed."""
+    explanation: Explanation | None = None
+    """Why the robot moved as it did in the control step of `t`; None where nobody asked."""

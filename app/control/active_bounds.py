@@ -1,0 +1,118 @@
+"""Which of the robot's limits a control step met, by names that a person understands."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from app.config import Config
+from app.control.controller import ControlOutput
+from app.control.hqp import Limits
+from app.control.limits import position_bounds, velocity_bounds
+from app.control.workings import Workings
+from app.robot.model import RobotModel
+from app.robot.state import RobotState
+
+Array = np.ndarray
+BoundKind = Literal[
+    "torque", "position", "velocity", "barrier", "torque rate", "acceleration",
+    "angular acceleration", "speed", "turning speed",
+]  # fmt: skip
+
+TOLERANCE = 1e-5
+"""[N m, rad/s² or m/s²] how near to a bound is at it: the accuracy that the QPs are held to."""
+
+
+class Bound(NamedTuple):
+    """A limit that was met.
+
+    Attributes:
+        where: Name of a joint, "base", or a pair as in `lm-lEE`.
+        kind: What is limited.
+        upper: Whether it is the upper of the two bounds.
+    """
+
+    where: str
+    kind: BoundKind
+    upper: bool
+
+
+def active_bounds(
+    state: RobotState, output: ControlOutput, workings: Workings, config: Config
+) -> list[Bound]:
+    """The limits that the controller met in a step, those of the arm first.
+
+    The base's own rows among the limits are none of them: its acceleration is given there.
+
+    Args:
+        state: The robot's state in the step.
+        output: What the controller answered.
+        workings: How it came about.
+        config: The parameters of the step.
+    """
+    low, high = met(workings.arm.limits, workings.arm.solution.qdd)
+    n_m, joints = state.model.n_m, state.model.description.arm.joints
+    bounds = []
+    for i in np.flatnonzero(low | high).tolist():
+        upper = bool(high[i])
+        if i < n_m:
+            bounds.append(Bound(joints[i], "torque", upper))
+        elif i < 2 * n_m:
+            bounds.append(Bound(joints[i - n_m], _joint_kind(state, config, i - n_m, upper), upper))
+        elif i >= 2 * n_m + 2:
+            pair = output.avoidance.pairs[i - 2 * n_m - 2].closest.pair
+            bounds.append(Bound(pair.name, "barrier", upper))
+    return [*bounds, *_rate_bounds(joints, output, workings), *_base_bounds(output, workings)]
+
+
+def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list[Bound]:
+    """Whether the base's velocity command is as large as it may be.
+
+    Args:
+        model: The robot.
+        config: v_max and ω_max.
+        command: (2,) v [m/s] and ω [rad/s].
+    """
+    law = config.admittance
+    largest = np.minimum(model.description.base.max_velocity, [law.v_max, law.omega_max])
+    kinds: tuple[BoundKind, BoundKind] = ("speed", "turning speed")
+    return [
+        Bound("base", kind, bool(value > 0))
+        for kind, value, most in zip(kinds, command, largest, strict=True)
+        if abs(value) >= most - 1e-9
+    ]
+
+
+def met(limits: Limits, qdd: Array) -> tuple[Array, Array]:
+    """(m,) whether q̈ is at the lower, and (m,) at the upper bound of each row."""
+    reached = limits.C @ qdd
+    return reached <= limits.l + TOLERANCE, reached >= limits.u - TOLERANCE
+
+
+def _joint_kind(state: RobotState, config: Config, joint: int, upper: bool) -> BoundKind:
+    """What makes the tighter bound of a joint's acceleration, its position or its velocity."""
+    at = int(upper)
+    position = position_bounds(state, config.limit)[at][joint]
+    velocity = velocity_bounds(state, config.limit)[at][joint]
+    return "position" if (position < velocity) == upper else "velocity"
+
+
+def _rate_bounds(joints: tuple[str, ...], output: ControlOutput, workings: Workings) -> list[Bound]:
+    """Joints whose torque had to change faster than it may."""
+    missing = workings.arm.u_a - output.u_a
+    return [
+        Bound(joints[i], "torque rate", bool(missing[i] > 0))
+        for i in np.flatnonzero(np.abs(missing) > TOLERANCE).tolist()
+    ]
+
+
+def _base_bounds(output: ControlOutput, workings: Workings) -> list[Bound]:
+    """Whether the base was asked for more acceleration than it is allowed."""
+    missing = workings.base_wanted - output.base_acceleration
+    kinds: tuple[BoundKind, BoundKind] = ("acceleration", "angular acceleration")
+    return [
+        Bound("base", kind, bool(m > 0))
+        for kind, m in zip(kinds, missing, strict=True)
+        if abs(m) > TOLERANCE
+    ]

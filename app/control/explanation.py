@@ -1,0 +1,232 @@
+"""Why the robot moved as it did, as plain numbers: made from what a control step has kept.
+
+Vectors are in the base's frame: "forward" and "left" mean the same wherever it stands.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from app.avoidance.activation import arm_activation, share_from_above
+from app.avoidance.mobile_acceleration import PairForce, generate_mob_acc
+from app.avoidance.self_collision import PairState
+from app.config import Config
+from app.control.active_bounds import Bound, active_bounds, admittance_bounds
+from app.control.controller import Controller, ControlOutput
+from app.control.levels import Level, level_readings
+
+Array = np.ndarray
+Planar = tuple[float, float]
+
+Controlled = Literal["guiding", "tracking"]
+
+
+class ForceSplit(NamedTuple):
+    """The force of one pair of L_m, split as in Figure 7; horizontal, forward and left.
+
+    Attributes:
+        f: [N] f_m,i of (14), the sum of the next two.
+        away: [N] its part along -n: it moves the base away from the arm.
+        turn: [N] its part across: what the step (12), (13) towards a better score adds.
+        away_acceleration: v̇ [m/s²] and ω̇ [rad/s²] of (16) by `away` alone, times β_m.
+        turn_acceleration: The same by `turn`.
+        determinant: [m⁴/rad⁴] det(J_c J_cᵀ) of (7) at p_act.
+        reachability: [-] R of (9) at p_act.
+        score: [m⁴/rad⁴] S of (10) at p_act.
+        score_near: [m⁴/rad⁴] S at p_n, where the force would act without the step.
+    """
+
+    f: Planar
+    away: Planar
+    turn: Planar
+    away_acceleration: Planar
+    turn_acceleration: Planar
+    determinant: float
+    reachability: float
+    score: float
+    score_near: float
+
+
+class NearPair(NamedTuple):
+    """One link pair that is inside a buffer, or held by its barrier.
+
+    Attributes:
+        a: Body nearer to the base, as in `lm`.
+        b: Body farther out, as in `lEE`.
+        mobile: Whether it belongs to L_m.
+        d: [m] signed distance, as the controller has it.
+        beta: [-] activation parameter.
+        n: Unit normal from `a` to `b`, in the base's frame.
+        above: [-] how far the pair meets from above, where no motion of the base helps; 0 to 1.
+        arm_beta: [-] activation of the arm's own rows against the base, 0 if there are none.
+        held: Whether the method's hard inequality for the pair is at its bound.
+        force: Of an active pair of L_m whose controller moves the base, else None.
+    """
+
+    a: str
+    b: str
+    mobile: bool
+    d: float
+    beta: float
+    n: tuple[float, float, float]
+    above: float
+    arm_beta: float
+    held: bool
+    force: ForceSplit | None
+
+
+class Explanation(NamedTuple):
+    """One control step, explained.
+
+    Attributes:
+        controller: Name of the controller that acted.
+        mode: Whether the arm is led by hand or follows a reference.
+        solved: False if a QP had no solution and the safe command was given.
+        chain: Names of all bodies, the mobile robot first, then outwards.
+        near: Pairs inside a buffer, the most active first.
+        nearest: Body names and distance [m] of the nearest pair of L_m, near or not.
+        base_avoidance: v̇ [m/s²] and ω̇ [rad/s²] of (16), times β_m; 0 without the base's rows.
+        base_asked: The same that the step asks of the base.
+        base_given: The same that the base has.
+        levels: What each level of the hierarchy gave up, highest priority first.
+        bounds: What limited the step.
+    """
+
+    controller: str
+    mode: Controlled
+    solved: bool
+    chain: tuple[str, ...]
+    near: tuple[NearPair, ...]
+    nearest: tuple[str, str, float]
+    base_avoidance: Planar
+    base_asked: Planar
+    base_given: Planar
+    levels: tuple[Level, ...]
+    bounds: tuple[Bound, ...]
+
+    @property
+    def forces(self) -> tuple[ForceSplit, ...]:
+        """Forces on the base, that of the most active pair first."""
+        return tuple(pair.force for pair in self.near if pair.force is not None)
+
+    @property
+    def bearing(self) -> NearPair | None:
+        """The pair that counts most: the most active one of L_m, else between links, or None."""
+        return self.near[0] if self.near else None
+
+
+def explain(
+    controller: Controller, output: ControlOutput, config: Config, base_command: Array
+) -> Explanation:
+    """Explain the controller's last step.
+
+    Args:
+        controller: Still in the state of that step.
+        output: What it answered.
+        config: The parameters of the step.
+        base_command: (2,) v [m/s] and ω [rad/s], the admittance law's command in force.
+    """
+    state, avoidance, workings = controller.state, output.avoidance, output.workings
+    bounds = [] if workings is None else active_bounds(state, output, workings, config)
+    held = {bound.where for bound in bounds if bound.kind == "barrier"}
+    near = [
+        _near_pair(controller, output, pair, config, held=pair.closest.pair.name in held)
+        for pair in avoidance.pairs
+    ]
+    closest = min((pair.closest for pair in avoidance.mobile), key=lambda c: c.d)
+    asked = output.base_acceleration
+    return Explanation(
+        controller=controller.name,
+        mode="tracking" if output.tracking else "guiding",
+        solved=output.solved,
+        chain=tuple(state.model.body_names),
+        near=tuple(sorted((p for p in near if p is not None), key=_weight, reverse=True)),
+        nearest=(closest.pair.a, closest.pair.b, float(closest.d)),
+        base_avoidance=_pair_of(output.inserted.base_acceleration),
+        base_asked=_pair_of(asked),
+        base_given=_pair_of(asked if workings is None else workings.base_given),
+        levels=() if workings is None else level_readings(output, workings),
+        bounds=(*bounds, *admittance_bounds(state.model, config, base_command)),
+    )
+
+
+def split(f: Array, n: Array) -> tuple[Array, Array]:
+    """A horizontal force along -n and across it.
+
+    Args:
+        f: (3,) [N], horizontal.
+        n: (3,) unit normal from the base to the arm; where it is vertical, all of f is across.
+
+    Returns:
+        (3,) along and (3,) across, whose sum is f; both horizontal.
+    """
+    along = np.array([n[0], n[1], 0.0])
+    length = float(np.linalg.norm(along))
+    if length < 1e-9:
+        return np.zeros(3), f.copy()
+    along /= length
+    away = float(f @ along) * along
+    return away, f - away
+
+
+def _near_pair(
+    controller: Controller, output: ControlOutput, pair: PairState, config: Config, *, held: bool
+) -> NearPair | None:
+    """What there is to say of a pair, or None if nothing acts on it."""
+    closest, state = pair.closest, controller.state
+    mobile = closest.pair.a == state.model.body_names[0]
+    n_z = float(closest.n[2])
+    arm_beta = _arm_beta(output, pair, config) if mobile else 0.0
+    if pair.beta == 0.0 and arm_beta == 0.0 and not held:
+        return None
+    return NearPair(
+        *closest.pair, mobile, float(closest.d), pair.beta,
+        n=tuple((state.R_world_base.T @ closest.n).tolist()),
+        above=share_from_above(n_z) if mobile else 0.0,
+        arm_beta=arm_beta,
+        held=held,
+        force=_force_split(controller, output, pair),
+    )  # fmt: skip
+
+
+def _arm_beta(output: ControlOutput, pair: PairState, config: Config) -> float:
+    """Activation of the arm's rows against the base that the method has for a pair of L_m."""
+    rows = output.inserted.rows_arm
+    if rows is output.avoidance.rows_arm:
+        return arm_activation(pair.closest.d, float(pair.closest.n[2]), config.activation)
+    return pair.beta if rows else 0.0  # a method's own rows share the pair's activation
+
+
+def _force_split(
+    controller: Controller, output: ControlOutput, pair: PairState
+) -> ForceSplit | None:
+    """The force on the base for a pair, or None if the method does not move the base for it."""
+    rows_m, acting, state = output.inserted.rows_m, pair.acting, controller.state
+    if rows_m is None or acting is None:
+        return None
+    field, points = controller.score_field(pair.closest.pair.name), (acting.p_act, acting.p_n)
+    score, score_near = field.score(np.array(points)).tolist()
+    base = state.model.description.base
+    away, turn = split(pair.f, state.R_world_base.T @ pair.closest.n)
+    away_acc, turn_acc = (
+        rows_m.beta
+        * generate_mob_acc([PairForce(f, acting.p_act)], m=base.mass_kg, I=base.inertia_kgm2)
+        for f in (away, turn)
+    )
+    return ForceSplit(
+        *(_pair_of(v[:2]) for v in (pair.f, away, turn, away_acc, turn_acc)),
+        determinant=float(field.singularity(acting.p_act)),
+        reachability=float(field.reachability(acting.p_act)),
+        score=score,
+        score_near=score_near,
+    )
+
+
+def _weight(pair: NearPair) -> tuple[bool, float, float]:
+    return pair.mobile, max(pair.beta, pair.arm_beta), -pair.d
+
+
+def _pair_of(v: Array) -> Planar:
+    return float(v[0]), float(v[1])
