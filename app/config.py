@@ -6,11 +6,12 @@ in brackets at the start of a field's docstring.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
-from app.errors import ConfigError
+from app.errors import ConfigError, did_you_mean
+from app.parameters import Parameter, Section, Shown, Tunable, read_tunable
 from app.strict import Strict, explain
 
 
@@ -19,10 +20,10 @@ class BorderConfig(Strict):
 
     d_b: float = Field(default=0.15, ge=0.06, le=0.30)
     """[m] buffer distance."""
-    eps: float = Field(default=0.01, ge=0.002, le=0.02)
+    eps: Annotated[float, Shown("ε")] = Field(default=0.01, ge=0.002, le=0.02)
     """[m] tolerance ε of (3)."""
-    kind: Literal["surface", "points"] = "surface"
-    """[-] the border as a continuous surface, or as the paper's points."""
+    kind: Annotated[Literal["surface", "points"], Shown("acting point on")] = "surface"
+    """[-] the border as a continuous surface, or as the paper's points, among which it jumps."""
 
 
 class ForceConfig(Strict):
@@ -30,11 +31,13 @@ class ForceConfig(Strict):
 
     f_max: float = Field(default=300.0, ge=0.0, le=600.0)
     """[N] force at contact, f_max of (14)."""
-    alpha_gain: float = Field(default=0.001, ge=0.0, le=0.1)
+    alpha_gain: Annotated[float, Shown("α gain", advanced=True)] = Field(
+        default=0.001, ge=0.0, le=0.1
+    )
     """[-] factor of (13), in units of α |S| / d."""
-    alpha_min: float = Field(default=0.02, ge=0.0, le=0.10)
+    alpha_min: Annotated[float, Shown("α_min")] = Field(default=0.02, ge=0.0, le=0.10)
     """[m] lower bound of the step α."""
-    alpha_max: float = Field(default=0.15, ge=0.10, le=0.40)
+    alpha_max: Annotated[float, Shown("α_max")] = Field(default=0.15, ge=0.10, le=0.40)
     """[m] upper bound of the step α."""
 
 
@@ -63,69 +66,73 @@ class BarrierConfig(Strict):
 
     d_min: float = Field(default=0.05, ge=0.0, le=0.30)
     """[m] distance that is never undercut."""
-    rate: float = Field(default=20.0, ge=1.0, le=100.0)
+    rate: Annotated[float, Shown("approach rate")] = Field(default=20.0, ge=1.0, le=100.0)
     """[1/s] how fast a pair may close in on that distance, per distance left."""
 
 
 class TaskConfig(Strict):
     """The tasks below self-collision avoidance."""
 
-    ee_stiffness: float = Field(default=900.0, ge=0.0, le=4000.0)
+    ee_stiffness: Annotated[float, Shown("hand task k")] = Field(default=900.0, ge=0.0, le=4000.0)
     """[1/s²] position gain of the end-effector's task."""
-    ee_damping: float = Field(default=60.0, ge=0.0, le=200.0)
+    ee_damping: Annotated[float, Shown("hand task d")] = Field(default=60.0, ge=0.0, le=200.0)
     """[1/s] velocity gain of the end-effector's task."""
-    posture_stiffness: float = Field(default=4.0, ge=0.0, le=100.0)
+    posture_stiffness: Annotated[float, Shown("posture k")] = Field(default=4.0, ge=0.0, le=100.0)
     """[1/s²] pull of the arm towards its starting pose, lowest level."""
-    posture_damping: float = Field(default=4.0, ge=0.0, le=100.0)
+    posture_damping: Annotated[float, Shown("posture d")] = Field(default=4.0, ge=0.0, le=100.0)
     """[1/s] damping of the arm, lowest level."""
-    base_damping: float = Field(default=3.0, ge=0.0, le=20.0)
+    base_damping: Annotated[float, Shown("base rest k")] = Field(default=3.0, ge=0.0, le=20.0)
     """[1/s] k of the base's rest acceleration −k q̇_b."""
-    base_slowness: float = Field(default=4.0, ge=1.0, le=100.0)
+    base_slowness: Annotated[float, Shown(advanced=True)] = Field(default=4.0, ge=1.0, le=100.0)
     """[-] how much slower the base corrects errors than the arm; its commands come at 10 Hz."""
-    base_weight: float = Field(default=1000.0, ge=1.0, le=1e6)
+    base_weight: Annotated[float, Shown(log=True)] = Field(default=1000.0, ge=1.0, le=1e6)
     """[-] how much costlier the base's acceleration is than the arm's, lowest level."""
-    soft_weight: float = Field(default=1e3, ge=1.0, le=1e6)
+    soft_weight: Annotated[float, Shown(advanced=True, log=True)] = Field(
+        default=1e3, ge=1.0, le=1e6
+    )
     """[-] of the end-effector's task against the posture, where a method has them on one level."""
 
 
 class LimitConfig(Strict):
     """Limits of the arm as constraints of the QP."""
 
-    position_rate: float = Field(default=30.0, ge=1.0, le=100.0)
+    position_rate: Annotated[float, Shown(advanced=True)] = Field(default=30.0, ge=1.0, le=100.0)
     """[1/s] how fast a joint may close in on its position limit, per distance left."""
-    velocity_rate: float = Field(default=30.0, ge=1.0, le=200.0)
+    velocity_rate: Annotated[float, Shown(advanced=True)] = Field(default=30.0, ge=1.0, le=200.0)
     """[1/s] how fast a joint may close in on its velocity limit, per velocity left."""
-    torque_rate: float = Field(default=1000.0, ge=50.0, le=1e6)
+    torque_rate: Annotated[float, Shown(log=True)] = Field(default=1000.0, ge=50.0, le=1e6)
     """[N m/s] how fast a torque of the arm may change; a Panda takes 1000."""
 
 
 class AdmittanceConfig(Strict):
     """§4.1: velocity command of the base, M_a v̇ + D_a v = F."""
 
-    mass: float = Field(default=60.0, ge=5.0, le=300.0)
+    mass: Annotated[float, Shown("base mass")] = Field(default=60.0, ge=5.0, le=300.0)
     """[kg] M_a, linear."""
-    inertia: float = Field(default=16.0, ge=0.5, le=60.0)
+    inertia: Annotated[float, Shown("base inertia")] = Field(default=16.0, ge=0.5, le=60.0)
     """[kg m²] M_a, angular."""
-    damping: float = Field(default=180.0, ge=0.0, le=600.0)
+    damping: Annotated[float, Shown("base damping")] = Field(default=180.0, ge=0.0, le=600.0)
     """[N s/m] D_a, linear."""
-    angular_damping: float = Field(default=160.0, ge=0.0, le=600.0)
+    angular_damping: Annotated[float, Shown("turn damping")] = Field(
+        default=160.0, ge=0.0, le=600.0
+    )
     """[N m s] D_a, angular."""
     v_max: float = Field(default=0.5, ge=0.05, le=2.0)
     """[m/s] largest commanded speed, within the base's own limit; one that the arm can follow."""
-    omega_max: float = Field(default=1.0, ge=0.1, le=4.0)
+    omega_max: Annotated[float, Shown("ω_max")] = Field(default=1.0, ge=0.1, le=4.0)
     """[rad/s] largest commanded turn, within the base's own limit."""
-    period: float = Field(default=0.1, ge=0.001, le=0.5)
+    period: Annotated[float, Shown("command period")] = Field(default=0.1, ge=0.001, le=0.5)
     """[s] between two velocity commands."""
 
 
 class HandConfig(Strict):
     """The hand of a person who guides the end-effector: a spring and damper with a force limit."""
 
-    stiffness: float = Field(default=300.0, ge=10.0, le=2000.0)
-    """[N/m]"""
-    damping: float = Field(default=25.0, ge=0.0, le=200.0)
-    """[N s/m]"""
-    f_max: float = Field(default=40.0, ge=1.0, le=150.0)
+    stiffness: Annotated[float, Shown("hand stiffness")] = Field(default=300.0, ge=10.0, le=2000.0)
+    """[N/m] of the spring between the person's hand and the robot's."""
+    damping: Annotated[float, Shown("hand damping")] = Field(default=25.0, ge=0.0, le=200.0)
+    """[N s/m] of the damper beside that spring."""
+    f_max: Annotated[float, Shown("hand force")] = Field(default=40.0, ge=1.0, le=150.0)
     """[N] largest force."""
 
 
@@ -157,18 +164,28 @@ def slowed(task: TaskConfig, repulsion: RepulsionConfig) -> tuple[TaskConfig, Re
 
 
 class Config(Strict):
-    """Everything that can be tuned."""
+    """Everything that can be tuned; below each section stands its title."""
 
     border: BorderConfig = BorderConfig()
+    """Border"""
     force: ForceConfig = ForceConfig()
+    """Force"""
     activation: ActivationConfig = ActivationConfig()
+    """Activation"""
     repulsion: RepulsionConfig = RepulsionConfig()
+    """Repulsion"""
     barrier: BarrierConfig = BarrierConfig()
+    """Barrier"""
     task: TaskConfig = TaskConfig()
+    """Tasks"""
     limit: LimitConfig = LimitConfig()
+    """Limits"""
     admittance: AdmittanceConfig = AdmittanceConfig()
+    """Admittance"""
     hand: HandConfig = HandConfig()
+    """Hand"""
     disturbance: DisturbanceConfig = DisturbanceConfig()
+    """Noise"""
 
     def replace(self, path: str, value: Any) -> Config:
         """A copy with one parameter changed.
@@ -180,48 +197,86 @@ class Config(Strict):
         Raises:
             ConfigError: No such parameter, or a value out of its range.
         """
-        section, _, name = path.partition(".")
-        if (
-            section not in type(self).model_fields
-            or name not in type(getattr(self, section)).model_fields
-        ):
-            raise ConfigError(f"no parameter {path!r}")
+        section, name = _split(path)
         data = self.model_dump()
         data[section][name] = value
         return make_config(data)
 
+    def value(self, path: str) -> float | str:
+        """The value of a parameter.
+
+        Raises:
+            ConfigError: No such parameter.
+        """
+        section, name = _split(path)
+        return getattr(getattr(self, section), name)
+
 
 def make_config(data: dict[str, Any]) -> Config:
-    """A configuration from nested dictionaries, checked.
+    """A configuration from nested dictionaries, checked; what is not in them is at its default.
 
     Raises:
         ConfigError: Names each parameter that is unknown or out of its range, and the range.
     """
     try:
-        return Config.model_validate(data)
+        # Strict: neither `true` nor "0.2" is a number.
+        return Config.model_validate(data, strict=True)
     except ValidationError as error:
-        raise ConfigError(explain(error, Config)) from None
+        raise ConfigError(explain(error, Config, _range_text)) from None
 
 
-class Parameter(Strict):
-    """One parameter, as a slider or a help text needs it."""
+def sections() -> tuple[Section, ...]:
+    """All parameters, by section, as the records above have them."""
+    return tuple(
+        Section(
+            name,
+            field.description or name,
+            (type(field.default).__doc__ or "").strip(),
+            tuple(read_tunable(name, each, f) for each, f in _fields(name).items()),
+        )
+        for name, field in Config.model_fields.items()
+    )
 
-    path: str
-    """Section and name, as in `border.d_b`."""
-    low: float
-    high: float
-    default: float
-    unit: str
-    help: str
+
+def tunable(path: str) -> Tunable:
+    """A parameter by its path, as in `border.d_b`.
+
+    Raises:
+        ConfigError: No such parameter.
+    """
+    section, name = _split(path)
+    return read_tunable(section, name, _fields(section)[name])
 
 
 def parameter(path: str) -> Parameter:
-    """Range, default, unit and meaning of a parameter, read off the records above."""
+    """Range, default, unit and meaning of a parameter that is a number.
+
+    Raises:
+        ConfigError: No such parameter, or it is a choice among words.
+    """
+    found = tunable(path)
+    if not isinstance(found, Parameter):
+        raise ConfigError(f"{path} is not a number but {found.allowed}")
+    return found
+
+
+def _split(path: str) -> tuple[str, str]:
     section, _, name = path.partition(".")
-    field = type(getattr(Config(), section)).model_fields[name]
-    bounds = {type(m).__name__: m for m in field.metadata}
-    unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
-    return Parameter(
-        path=path, low=bounds["Ge"].ge, high=bounds["Le"].le,
-        default=field.default, unit=unit, help=text.strip(),
-    )  # fmt: skip
+    if section not in Config.model_fields or name not in _fields(section):
+        known = [each.path for group in sections() for each in group.tunables]
+        raise ConfigError(f"no parameter {path!r}{did_you_mean(path, known)}")
+    return section, name
+
+
+def _fields(section: str) -> dict[str, Any]:
+    return type(Config.model_fields[section].default).model_fields
+
+
+def _range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
+    """What would be right for a section or a parameter that exists."""
+    if len(loc) == 1 and kind == "model_type":
+        return "must be a section of parameters"
+    if len(loc) != 2 or kind == "extra_forbidden":
+        return None
+    known = tunable(".".join(map(str, loc)))
+    return f"must be {'within ' if isinstance(known, Parameter) else ''}{known.allowed}"

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Annotated
 
 import numpy as np
 from pydantic import AllowInfNan, BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
 
 from app.errors import did_you_mean
 
@@ -13,6 +15,9 @@ Finite = Annotated[float, AllowInfNan(False)]
 Positive = Annotated[float, AllowInfNan(False), Field(gt=0)]
 NonNegative = Annotated[float, AllowInfNan(False), Field(ge=0)]
 Vector3 = tuple[Finite, Finite, Finite]
+
+
+_MOST_PROBLEMS = 8  # [-] of a file that are told; a longer line nobody reads
 
 
 class Strict(BaseModel):
@@ -23,31 +28,53 @@ class Strict(BaseModel):
     )
 
 
-def explain(error: ValidationError, model: type[BaseModel]) -> str:
-    """All of a validation error, one `field: what would be right` a problem, on one line."""
-    problems = []
-    for problem in error.errors():
-        path = _path(problem["loc"])
-        if problem["type"] == "missing":
-            problems.append(f"{path}: missing")
-        elif problem["type"] == "extra_forbidden":
-            names = _siblings(model, problem["loc"])
-            hint = did_you_mean(str(problem["loc"][-1]), names)
-            problems.append(f"{path}: unknown field{hint}; known: {', '.join(sorted(names))}")
-        else:
-            problems.append(f"{path}: {problem['msg']} (was {_short(problem['input'])})")
-    return "; ".join(problems)
+def explain(
+    error: ValidationError,
+    model: type[BaseModel],
+    wanted: Callable[[tuple[int | str, ...], str], str | None] = lambda loc, kind: None,
+) -> str:
+    """A validation error, one `field: what would be right` a problem, on one line.
+
+    Args:
+        error: The error.
+        model: The record that was validated.
+        wanted: What would be right, from a problem's place and kind; None for pydantic's own words.
+    """
+    problems = error.errors()
+    told = [_explain(problem, model, wanted) for problem in problems[:_MOST_PROBLEMS]]
+    if len(problems) > len(told):
+        told.append(f"and {len(problems) - len(told)} more")
+    return "; ".join(told)
+
+
+def _explain(
+    problem: ErrorDetails,
+    model: type[BaseModel],
+    wanted: Callable[[tuple[int | str, ...], str], str | None],
+) -> str:
+    path = _path(problem["loc"])
+    if problem["type"] == "missing":
+        return f"{path}: missing"
+    if problem["type"] == "extra_forbidden":
+        names = _siblings(model, problem["loc"])
+        hint = did_you_mean(str(problem["loc"][-1]), names)
+        return f"{path}: unknown field{hint}; known: {', '.join(sorted(names))}"
+    right = wanted(problem["loc"], problem["type"]) or problem["msg"]
+    return f"{path}: {right} (was {_short(problem['input'])})"
 
 
 def _path(loc: tuple[int | str, ...]) -> str:
     text = ""
     for part in loc:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
-    return text or "(whole file)"
+    return _cut(text) or "(whole file)"
 
 
 def _short(value: object) -> str:
-    text = repr(value.tolist() if isinstance(value, np.ndarray) else value)
+    return _cut(repr(value.tolist() if isinstance(value, np.ndarray) else value))
+
+
+def _cut(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "…"
 
 

@@ -5,15 +5,12 @@ from __future__ import annotations
 import pytest
 from pydantic import ValidationError
 
-from app.config import Config, make_config, parameter, slowed
+from app.config import Config, make_config, parameter, sections, slowed, tunable
 from app.errors import ConfigError
+from app.parameters import Choice, Parameter
 
-PATHS = [
-    f"{section}.{name}"
-    for section in Config.model_fields
-    for name in type(getattr(Config(), section)).model_fields
-    if (section, name) != ("border", "kind")
-]
+TUNABLES = [each for section in sections() for each in section.tunables]
+PATHS = [each.path for each in TUNABLES if isinstance(each, Parameter)]
 UNITS = {
     "m",
     "rad",
@@ -108,3 +105,57 @@ def test_the_kind_of_border_is_one_of_two() -> None:
     assert Config().replace("border.kind", "points").border.kind == "points"
     with pytest.raises(ConfigError, match=r"border\.kind"):
         Config().replace("border.kind", "cloud")
+
+
+def test_sections_hold_every_parameter_of_the_records_once() -> None:
+    assert [each.path for each in TUNABLES] == [
+        f"{section}.{name}" for section, names in Config().model_dump().items() for name in names
+    ]
+    assert all(tunable(each.path) == each for each in TUNABLES)
+    assert all(section.title and section.about for section in sections())
+
+
+def test_every_title_is_short_and_says_by_itself_which_parameter_it_is() -> None:
+    titles = [each.title for each in TUNABLES]
+    assert len(set(titles)) == len(titles)
+    assert [title for title in titles if len(title) > 20] == []
+    assert [each.path for each in TUNABLES if not each.help] == []
+
+
+def test_a_logarithmic_scale_is_for_ranges_of_three_decades_and_more() -> None:
+    for path in PATHS:
+        known = parameter(path)
+        assert known.log == (known.low > 0 and known.high / known.low >= 1000), path
+
+
+def test_every_section_has_a_parameter_for_everybody() -> None:
+    assert all(not all(each.advanced for each in section.tunables) for section in sections())
+
+
+def test_a_choice_is_no_number() -> None:
+    kind = tunable("border.kind")
+    assert isinstance(kind, Choice)
+    assert (kind.choices, kind.default) == (("surface", "points"), "surface")
+    with pytest.raises(ConfigError, match="surface or points"):
+        parameter("border.kind")
+
+
+@pytest.mark.parametrize("value", ["0.2", True, None, [0.2], {"d_b": 0.2}, float("-inf")])
+def test_what_is_no_number_is_refused_with_the_range(value: object) -> None:
+    with pytest.raises(ConfigError, match=r"border\.d_b: must be within 0\.06 to 0\.3 m"):
+        Config().replace("border.d_b", value)
+
+
+def test_a_misspelt_parameter_is_answered_with_the_right_one() -> None:
+    with pytest.raises(ConfigError, match=r"did you mean 'border\.d_b'"):
+        Config().replace("border.db", 0.1)
+    with pytest.raises(ConfigError, match="did you mean 'admittance'"):
+        make_config({"admitance": {}})
+    with pytest.raises(ConfigError, match="border: must be a section"):
+        make_config({"border": 0.1})
+
+
+def test_of_thousands_of_problems_a_few_are_told() -> None:
+    with pytest.raises(ConfigError, match="and 4992 more") as caught:
+        make_config({f"{'x' * 100}{i}": i for i in range(5000)})
+    assert len(str(caught.value)) < 2000

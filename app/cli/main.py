@@ -9,6 +9,7 @@ import sys
 import tyro
 
 from app.cli.border import border
+from app.cli.config import config
 from app.cli.pairs import pairs
 from app.cli.reach import reach
 from app.cli.reproduce import reproduce
@@ -28,6 +29,7 @@ _COMMANDS = {
     "reproduce": reproduce,
     "study": study,
     "sweep": sweep,
+    "config": config,
     "robots": robots,
 }
 

@@ -9,6 +9,7 @@ from typing import Annotated
 import tyro
 
 from app.config import Config, parameter
+from app.config_file import read_config
 from app.errors import ConfigError, OutputError, UnknownNameError
 
 Point = tuple[float, float, float]
@@ -51,7 +52,21 @@ def check_parameter(option: str, value: float, path: str) -> None:
         ConfigError: Names the option and its range.
     """
     known = parameter(path)
-    check_range(option, value, known.low, known.high, known.unit)
+    check_range(option, value, known.low, known.high, known.unit.removeprefix("-"))
+
+
+def configured(file: Path | None) -> Config:
+    """The parameters of the file of `--config`, or the defaults.
+
+    Raises:
+        ConfigError: It cannot be read, or names what is no parameter or out of its range.
+    """
+    if file is None:
+        return Config()
+    try:
+        return read_config(file).config
+    except ConfigError as error:
+        raise ConfigError(f"--config: {error}") from None
 
 
 def disturbed(config: Config, **given: float | None) -> Config:

@@ -21,10 +21,10 @@ from app.cli.options import (
     check_point,
     check_range,
     check_seed,
+    configured,
     disturbed,
     make_folder,
 )
-from app.config import Config
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError
 from app.simulation.plants import PLANTS
@@ -45,7 +45,8 @@ def run(
     duration: float | None = None,
     physics: str | None = None,
     buffer_distance: float | None = None,
-    border: str = "surface",
+    border: str | None = None,
+    config: Path | None = None,
     out: Path | None = None,
     seed: int = 0,
     json: Json = False,
@@ -80,7 +81,10 @@ def run(
         physics: planar (base on velocity motors), contact (base on wheels in contact) or kinematic
             (a stand-in without physics) (default: planar, or the replayed case's).
         buffer_distance: [m] d_b (default: the configuration's).
-        border: surface, or points for the paper's way, where the acting point jumps.
+        border: surface, or points for the paper's way, where the acting point jumps (default: the
+            configuration's).
+        config: File of parameters, TOML, as `dbb config` or the dashboard writes it; what is not in
+            it is at its default, and other options come before it.
         out: Folder for `log.csv` and `metrics.json`.
         seed: Seed of everything random in the run.
         json: Print one JSON object on standard output and nothing else there.
@@ -120,7 +124,7 @@ def run(
             hinge=hinge, hinge_position=hinge_position, door_friction=door_friction,
             door_angle=door_angle, door_yaw=door_yaw, radial_guess=radial_guess,
             opening_rate=opening_rate, base=base, begin=begin, encoder_noise=encoder_noise,
-            base_delay=base_delay, mass_error=mass_error, slip=slip,
+            base_delay=base_delay, mass_error=mass_error, slip=slip, config=config,
         )  # fmt: skip
         chosen, robot, seed = case.scenario(), case.robot, case.seed
     elif scenario is not None:
@@ -131,7 +135,8 @@ def run(
     physics = physics or (case.physics if case else PLANTS[0])
     check_name("controller", controller, CONTROLLERS)
     check_name("physics", physics, PLANTS)
-    check_name("border", border, BORDERS)
+    if border is not None:
+        check_name("border", border, BORDERS)
     check_point("--start", start)
     check_point("--move", move)
     check_point("--hinge-position", hinge_position)
@@ -147,23 +152,25 @@ def run(
     )  # fmt: skip
     if duration is not None:
         check_range("--duration", duration, *_DURATIONS, "s")
-    config = (case.config() if case else Config()).replace("border.kind", border)
+    tuned = case.config() if case else configured(config)
+    if border is not None:
+        tuned = tuned.replace("border.kind", border)
     if buffer_distance is not None:
         check_parameter("--buffer-distance", buffer_distance, "border.d_b")
-        config = config.replace("border.d_b", buffer_distance)
-    config = disturbed(
-        config, encoder_noise=encoder_noise, base_delay=base_delay, mass_error=mass_error, slip=slip
+        tuned = tuned.replace("border.d_b", buffer_distance)
+    tuned = disturbed(
+        tuned, encoder_noise=encoder_noise, base_delay=base_delay, mass_error=mass_error, slip=slip
     )
     make_folder(out)
     model, data = load_robot_and_border(robot)
     with progress_bar(f"{chosen.name}, {controller}", chosen.duration) as on_progress:
         result = run_scenario(
-            model, data, chosen, config, controller=controller, physics=physics, seed=seed,
+            model, data, chosen, tuned, controller=controller, physics=physics, seed=seed,
             on_progress=on_progress,
         )  # fmt: skip
     if out is not None:
         _write(out, result)
-    if warning := buffer_warning(result.recorder.buffer, config):
+    if warning := buffer_warning(result.recorder.buffer, tuned):
         print(f"warning: {warning}", file=sys.stderr)
     if json:
         print_json(result.figures)

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from app.avoidance.self_collision import BORDERS
 from app.cli.common import load_robot_and_border
-from app.cli.options import PointOption, check_name, check_point, check_seed, disturbed
-from app.config import Config
+from app.cli.options import PointOption, check_name, check_point, check_seed, configured, disturbed
 from app.control.controller import CONTROLLERS
 from app.simulation.plants import PLANTS
 from app.simulation.scenario import LINES
@@ -27,7 +26,8 @@ def serve(
     physics: str | None = None,
     seed: int = 0,
     loop: str = "process",
-    border: str = "surface",
+    border: str | None = None,
+    config: Path | None = None,
     encoder_noise: float | None = None,
     base_delay: float | None = None,
     mass_error: float | None = None,
@@ -48,7 +48,10 @@ def serve(
         seed: Seed of the search for the start and of the noise.
         loop: process, or thread for the simulation inside the server's process, where drawing
             disturbs its real time.
-        border: surface, or points for the paper's way, where the acting point jumps.
+        border: surface, or points for the paper's way, where the acting point jumps (default: the
+            configuration's).
+        config: File of parameters, TOML, as `dbb config` or the dashboard writes it; what is not in
+            it is at its default, and other options come before it.
         encoder_noise: [rad] standard deviation of the noise of each joint's measured position
             (default: 0). This and the next three are sliders too.
         base_delay: [s] from a velocity command to the base's drive, on top of the 10 Hz at which
@@ -73,7 +76,7 @@ def serve(
         case = read_case(replay_case)
         check_no_others(
             start=start, encoder_noise=encoder_noise, base_delay=base_delay,
-            mass_error=mass_error, slip=slip,
+            mass_error=mass_error, slip=slip, config=config,
         )  # fmt: skip
         robot, seed = case.robot, case.seed
     controller = controller or (case.controller if case else "dbb")
@@ -81,22 +84,25 @@ def serve(
     check_name("controller", controller, CONTROLLERS)
     check_name("physics", physics, PLANTS)
     check_name("loop", loop, LOOPS)
-    check_name("border", border, BORDERS)
+    if border is not None:
+        check_name("border", border, BORDERS)
     check_point("--start", start)
     check_seed(seed)
     check_address(host, port)
-    config = disturbed(
-        (case.config() if case else Config()).replace("border.kind", border),
-        encoder_noise=encoder_noise, base_delay=base_delay, mass_error=mass_error, slip=slip,
-    )  # fmt: skip
+    tuned = case.config() if case else configured(config)
+    if border is not None:
+        tuned = tuned.replace("border.kind", border)
+    tuned = disturbed(
+        tuned, encoder_noise=encoder_noise, base_delay=base_delay, mass_error=mass_error, slip=slip
+    )
     model, data = load_robot_and_border(robot)
     p_start = start or LINES["guiding-front"].start
     if case is None:
-        q_start = StartSolver(model, data.pairs, config.border.d_b).solve(p_start, seed=seed)
+        q_start = StartSolver(model, data.pairs, tuned.border.d_b).solve(p_start, seed=seed)
     else:
-        q_start = case.scenario().setting(model, data, config, seed).q_m
+        q_start = case.scenario().setting(model, data, tuned, seed).q_m
     make_session = partial(
-        Session, model, data, config, controller=controller, physics=physics, seed=seed
+        Session, model, data, tuned, controller=controller, physics=physics, seed=seed
     )
     make_loop = ProcessLoop if loop == "process" else SimulationLoop
     simulation = make_loop(make_session, q_start)

@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from app.cli.common import print_json, progress_bar
-from app.cli.options import Json, check_name, check_parameter, check_range, check_seed, make_folder
+from app.cli.options import (
+    Json,
+    check_name,
+    check_parameter,
+    check_range,
+    check_seed,
+    configured,
+    make_folder,
+)
 from app.config import Config, make_config
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError
@@ -44,6 +52,7 @@ def sweep(
     start_distance: float | None = None,
     buffer_distance: float | None = None,
     base_weight: float | None = None,
+    config: Path | None = None,
     parameters: Path | None = None,
     physics: str = "planar",
     processes: int | None = None,
@@ -73,7 +82,9 @@ def sweep(
         buffer_distance: [m] d_b (default: the configuration's).
         base_weight: How much costlier the base's motion is than the arm's (default: the
             configuration's).
-        parameters: File of parameters as JSON, by section and name; those not in it stay.
+        config: File of parameters, TOML, as `dbb config` or the dashboard writes it; what is not in
+            it is at its default, and other options come before it.
+        parameters: The same as JSON, by section and name.
         physics: planar, contact or kinematic.
         processes: How many runs to do side by side (default: 2, or as many as there are cores).
         out: Folder for `sweep.json`, `sweep.csv` and a PNG for each height and speed.
@@ -86,11 +97,11 @@ def sweep(
     from app.study.sweep_files import write_sweep
     from app.study.sweep_plan import SweepPlan
 
-    config = _config(parameters, buffer_distance, base_weight)
+    tuned = _config(config, parameters, buffer_distance, base_weight)
     plan = SweepPlan(
         robot, _names(controller), _several("--height", height, _HEIGHTS, "m"),
         _several("--speed", speed, _SPEEDS, "m/s"), step, mode, wheel_axis, above, above_spacing,
-        length, hold, start_distance, physics, seed, config,
+        length, hold, start_distance, physics, seed, tuned,
     )  # fmt: skip
     _check(plan)
     if processes is not None:
@@ -128,9 +139,14 @@ def _several(
 
 
 def _config(
-    parameters: Path | None, buffer_distance: float | None, base_weight: float | None
+    file: Path | None,
+    parameters: Path | None,
+    buffer_distance: float | None,
+    base_weight: float | None,
 ) -> Config:
-    config = Config() if parameters is None else read_parameters(parameters)
+    if file is not None and parameters is not None:
+        raise ConfigError("--parameters: --config gives them already; leave one of them")
+    config = configured(file) if parameters is None else read_parameters(parameters)
     if buffer_distance is not None:
         check_parameter("--buffer-distance", buffer_distance, "border.d_b")
         config = config.replace("border.d_b", buffer_distance)

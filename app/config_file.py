@@ -1,0 +1,144 @@
+"""A configuration as a commented TOML file: written, and read with checks.
+
+A file may hold only some sections and parameters; what is not in it is at its default.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import tomlkit
+from tomlkit.items import Table
+
+from app.config import Config, make_config, sections
+from app.errors import ConfigError
+from app.parameters import Parameter, Tunable
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+MOST_BYTES = 64 * 1024
+"""[-] of a file; with all parameters it has a tenth of that."""
+LONGEST_NAME = 60
+"""[-] characters."""
+_NAME = "name"  # key of the file's own name, beside the sections
+
+
+class NamedConfig(NamedTuple):
+    """What a file holds.
+
+    Attributes:
+        name: "" if the file gives itself none.
+        config: The parameters.
+    """
+
+    name: str
+    config: Config
+
+
+def save_config(config: Config, name: str = "") -> str:
+    """The text of a file with every parameter, its unit, range and meaning, and what is changed.
+
+    Args:
+        config: The parameters.
+        name: What the file calls itself.
+
+    Raises:
+        ConfigError: The name is too long or has characters that cannot be printed.
+    """
+    document = tomlkit.document()
+    document.add(tomlkit.comment("Parameters for `dbb run`, `dbb serve` and others: --config FILE"))
+    document.add(tomlkit.comment("A line that is taken out is at its default."))
+    if name := checked_name(name):
+        document.add(_NAME, tomlkit.item(name))
+    for section in sections():
+        table = tomlkit.table()
+        table.add(tomlkit.comment(section.about))
+        for each in section.tunables:
+            _add(table, each, config.value(each.path))
+        document.add(tomlkit.nl())
+        document.add(section.name, table)
+    return tomlkit.dumps(document)
+
+
+def parse_config(text: str) -> NamedConfig:
+    """The parameters of a file's text.
+
+    Raises:
+        ConfigError: It is no TOML, or names a parameter that does not exist or is out of its range.
+    """
+    try:
+        data: dict[str, Any] = tomllib.loads(text)
+    except RecursionError:
+        raise ConfigError("no TOML: brackets too deep") from None
+    except ValueError as error:  # also of numbers with thousands of digits
+        raise ConfigError(f"no TOML: {error}") from None
+    name = data.pop(_NAME, "")
+    if not isinstance(name, str):
+        raise ConfigError(f"{_NAME}: must be a text")
+    return NamedConfig(checked_name(name), make_config(data))
+
+
+def decode_config(content: bytes) -> NamedConfig:
+    """The parameters of a file's bytes.
+
+    Raises:
+        ConfigError: As `parse_config`, or it is too large or no text.
+    """
+    if len(content) > MOST_BYTES:
+        raise ConfigError(f"{len(content)} bytes, more than the {MOST_BYTES} of a configuration")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise ConfigError("no TOML: not UTF-8") from None
+    return parse_config(text.replace("\r\n", "\n"))
+
+
+def read_config(path: Path) -> NamedConfig:
+    """The parameters of a file.
+
+    Raises:
+        ConfigError: As `decode_config`, or it cannot be read; names the file.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(MOST_BYTES + 1)
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}") from None
+    try:
+        return decode_config(content)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def checked_name(name: str) -> str:
+    """A file's name for itself, without blanks at its ends.
+
+    Raises:
+        ConfigError: It is too long or has characters that cannot be printed.
+    """
+    name = name.strip()
+    if len(name) > LONGEST_NAME or not name.isprintable():
+        raise ConfigError(
+            f"name: must have at most {LONGEST_NAME} characters, all of which can be printed"
+        )
+    return name
+
+
+def _add(table: Table, about: Tunable, value: float | str) -> None:
+    table.add(tomlkit.nl())
+    table.add(tomlkit.comment(f"{_range(about)}: {about.help}"))
+    item = tomlkit.item(value)
+    if value != about.default:
+        item.comment(f"changed, the default is {tomlkit.item(about.default).as_string()}")
+    table.add(about.path.partition(".")[2], item)
+
+
+def _range(about: Tunable) -> str:
+    if isinstance(about, Parameter):
+        return f"[{about.unit}] {about.low:g} to {about.high:g}"
+    return about.allowed

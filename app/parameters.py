@@ -1,0 +1,109 @@
+"""What a slider, a file or a help text needs to know of a parameter, read off its field."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Literal, NamedTuple, get_args, get_origin
+
+from pydantic.fields import FieldInfo
+
+from app.strict import Strict
+
+
+class Shown(NamedTuple):
+    """How a field is shown to people, where its name is not enough; stands in its `Annotated`."""
+
+    label: str = ""
+    """In the place of the name."""
+    advanced: bool = False
+    """Hidden until all parameters are asked for."""
+    log: bool = False
+    """On a logarithmic scale, since the range spans decades."""
+
+
+class Parameter(Strict):
+    """A number that can be tuned."""
+
+    path: str
+    """Section and name, as in `border.d_b`."""
+    low: float
+    high: float
+    default: float
+    unit: str
+    help: str
+    label: str
+    """Name for people, without the unit."""
+    advanced: bool
+    log: bool
+
+    @property
+    def title(self) -> str:
+        """Label and unit, as in `α_min [m]`."""
+        return self.label if self.unit == "-" else f"{self.label} [{self.unit}]"
+
+    @property
+    def allowed(self) -> str:
+        """As in `0.06 to 0.3 m`."""
+        return f"{self.low:g} to {self.high:g}" + ("" if self.unit == "-" else f" {self.unit}")
+
+
+class Choice(Strict):
+    """One of several words that can be chosen."""
+
+    path: str
+    choices: tuple[str, ...]
+    default: str
+    help: str
+    label: str
+    advanced: bool
+
+    @property
+    def title(self) -> str:
+        """The label: a word has no unit."""
+        return self.label
+
+    @property
+    def allowed(self) -> str:
+        """As in `surface or points`."""
+        return " or ".join(self.choices)
+
+
+Tunable = Parameter | Choice
+
+
+class Section(NamedTuple):
+    """Parameters that belong together.
+
+    Attributes:
+        name: As in `border`.
+        title: For people.
+        about: One sentence.
+        tunables: In the order of the record.
+    """
+
+    name: str
+    title: str
+    about: str
+    tunables: tuple[Tunable, ...]
+
+
+def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
+    """A parameter from its field.
+
+    A unit stands in brackets at the start of a field's docstring; number fields have both bounds.
+    """
+    marks: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
+    shown: Shown = marks.get("Shown", Shown())
+    unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
+    common = {
+        "path": f"{section}.{name}", "default": field.default, "help": text.strip(),
+        "label": shown.label or _words(name), "advanced": shown.advanced,
+    }  # fmt: skip
+    if get_origin(field.annotation) is Literal:
+        return Choice(choices=get_args(field.annotation), **common)
+    return Parameter(low=marks["Ge"].ge, high=marks["Le"].le, unit=unit, log=shown.log, **common)
+
+
+def _words(name: str) -> str:
+    """A letter with an index, as d_b, stays what it is."""
+    return name if re.match("[a-z]_", name) else name.replace("_", " ")

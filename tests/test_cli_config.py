@@ -1,0 +1,151 @@
+"""Parameters from a file on the command line, and the file that `dbb config` writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import app.dashboard.server
+from app.cli.main import main
+from app.cli.options import configured
+from app.config import Config, sections
+from app.config_file import parse_config, read_config, save_config
+from app.study.case import Case
+
+QUICK = ["run", "guiding-lateral", "--physics", "kinematic", "--duration", "0.01", "--json"]
+
+
+class SeenError(Exception):
+    """Carries what a command hands on, in the place of the work."""
+
+
+@pytest.fixture
+def handed_on(monkeypatch):
+    """The configuration that `dbb run` or `dbb sweep` would work with."""
+
+    def stop(*args, **given):
+        raise SeenError(next(each for each in (*args, *given.values()) if isinstance(each, Config)))
+
+    def stop_sweep(plan, **_):
+        raise SeenError(plan.config)
+
+    monkeypatch.setattr("app.simulation.run.run_scenario", stop)
+    monkeypatch.setattr("app.study.sweep.sweep", stop_sweep)
+
+    def of(*args: str) -> Config:
+        with pytest.raises(SeenError) as caught:
+            main(list(args))
+        return caught.value.args[0]
+
+    return of
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.toml"
+    path.write_text("[border]\nd_b = 0.2\nkind = 'points'\n[disturbance]\nslip = 0.1\n")
+    return path
+
+
+CONFIG = (
+    Config()
+    .replace("border.d_b", 0.2)
+    .replace("border.kind", "points")
+    .replace("disturbance.slip", 0.1)
+)
+
+
+def refused(capsys, *args: str) -> str:
+    with pytest.raises(SystemExit) as end:
+        main(list(args))
+    told = capsys.readouterr()
+    assert (end.value.code, told.out) == (2, "")
+    assert len(told.err.splitlines()) == 1
+    return told.err
+
+
+def test_a_run_uses_the_parameters_of_its_file_and_options_come_before_it(handed_on, mine):
+    assert configured(None) == Config()
+    assert configured(mine) == CONFIG
+    file = ["--config", str(mine)]
+    assert handed_on(*QUICK, *file) == CONFIG
+    changed = handed_on(
+        *QUICK, *file, "--slip", "0.3", "--border", "surface", "--buffer-distance", "0.1"
+    )
+    assert changed == CONFIG.replace("disturbance.slip", 0.3).replace(
+        "border.kind", "surface"
+    ).replace("border.d_b", 0.1)
+    assert handed_on(*QUICK) == Config()
+
+
+def test_a_sweep_uses_the_parameters_of_its_file(handed_on, mine, tmp_path, capsys):
+    args = ["sweep", "--out", str(tmp_path / "out"), "--config", str(mine)]
+    assert handed_on(*args) == CONFIG
+    assert handed_on(*args, "--base-weight", "7") == CONFIG.replace("task.base_weight", 7.0)
+    both = tmp_path / "p.json"
+    both.write_text("{}")
+    assert "leave one of them" in refused(capsys, *args, "--parameters", str(both))
+
+
+def test_the_dashboard_begins_with_the_parameters_of_its_file(mine, monkeypatch):
+    def stop(loop, *_, **__):
+        raise SeenError(loop.latest().config)
+
+    monkeypatch.setattr(app.dashboard.server, "serve_dashboard", stop)
+    args = ["serve", "--config", str(mine), "--loop", "thread", "--physics", "kinematic"]
+    with pytest.raises(SeenError) as caught:
+        main([*args, "--port", "0", "--slip", "0.2"])
+    assert caught.value.args[0] == CONFIG.replace("disturbance.slip", 0.2)
+
+
+@pytest.mark.parametrize("command", [QUICK, ["serve"], ["sweep"], ["config"]])
+def test_a_mistake_in_the_file_is_one_line_that_names_it(capsys, tmp_path, command):
+    path = tmp_path / "bad.toml"
+    path.write_text("[border]\nd_bb = 0.2\n")
+    told = refused(capsys, *command, "--config", str(path))
+    for word in ("--config", "bad.toml", "border.d_bb", "did you mean 'd_b'"):
+        assert word in told
+
+
+def test_a_replayed_case_has_its_own_parameters(capsys, mine, tmp_path):
+    case = Case(
+        study_seed=0, number=0, kind="front", redraws=0, robot="husky_panda", controller="dbb",
+        physics="planar", start=(0.9, 0.0, 0.3), move=(-0.2, 0.0, 0.0), speed=0.1, duration=1.0,
+        moving=1.0, q_m=(0.0,) * 7, delay=0.0, noise=0.0, mass_error=0.0, slip=0.0, base_speed=0.5,
+        strength=40.0, seed=0,
+    )  # fmt: skip
+    path = tmp_path / "case.json"
+    path.write_text(case.model_dump_json())
+    for command in ("run", "serve"):
+        told = refused(capsys, command, "--replay-case", str(path), "--config", str(mine))
+        assert "--config" in told
+
+
+def test_config_prints_the_defaults_and_writes_no_file_over(capsys, tmp_path):
+    main(["config"])
+    assert parse_config(capsys.readouterr().out).config == Config()
+    out = tmp_path / "all.toml"
+    main(["config", "--out", str(out)])
+    assert read_config(out) == ("all", Config())
+    capsys.readouterr()
+    out.write_text("kept")
+    assert "exists" in refused(capsys, "config", "--out", str(out))
+    assert out.read_text() == "kept"
+    assert "--out" in refused(capsys, "config", "--out", str(tmp_path / "no" / "all.toml"))
+
+
+def test_config_fills_up_a_file(capsys, mine):
+    main(["config", "--config", str(mine)])
+    assert capsys.readouterr().out == save_config(CONFIG)
+
+
+def test_config_as_json_tells_everything_of_every_parameter(capsys, mine):
+    main(["config", "--config", str(mine), "--json"])
+    rows = json.loads(capsys.readouterr().out)["parameters"]
+    assert [row["path"] for row in rows] == [t.path for s in sections() for t in s.tunables]
+    assert {row["path"]: row["value"] for row in rows} == {
+        row["path"]: CONFIG.value(row["path"]) for row in rows
+    }
+    assert {"low", "high", "default", "unit", "help"} <= set(rows[0])

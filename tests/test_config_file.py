@@ -1,0 +1,123 @@
+"""A configuration that is written and read again is the same; what is wrong in a file is told."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from app.config import Config, make_config, sections
+from app.config_file import (
+    LONGEST_NAME,
+    MOST_BYTES,
+    checked_name,
+    decode_config,
+    parse_config,
+    read_config,
+    save_config,
+)
+from app.errors import ConfigError
+from app.parameters import Parameter, Tunable
+
+
+def values(about: Tunable) -> st.SearchStrategy[float | str]:
+    """All values that a parameter may have."""
+    if isinstance(about, Parameter):
+        return st.floats(about.low, about.high)
+    return st.sampled_from(about.choices)
+
+
+configs = st.fixed_dictionaries(
+    {
+        section.name: st.fixed_dictionaries(
+            {each.path.partition(".")[2]: values(each) for each in section.tunables}
+        )
+        for section in sections()
+    }
+).map(make_config)
+names = st.text(max_size=LONGEST_NAME).filter(str.isprintable)
+
+
+@settings(max_examples=60, deadline=None)
+@given(configs, names)
+def test_a_configuration_survives_being_saved_and_read(config: Config, name: str) -> None:
+    text = save_config(config, name)
+    assert parse_config(text) == (name.strip(), config)
+    if name.isascii():
+        assert decode_config(text.replace("\n", "\r\n").encode("utf-8-sig")).config == config
+
+
+def test_what_is_changed_is_marked_with_the_default_and_nothing_else_is() -> None:
+    config = Config().replace("border.d_b", 0.2).replace("border.kind", "points")
+    marked = [line for line in save_config(config).splitlines() if "changed" in line]
+    assert marked == [
+        "d_b = 0.2 # changed, the default is 0.15",
+        'kind = "points" # changed, the default is "surface"',
+    ]
+    assert "changed" not in save_config(Config())
+
+
+def test_every_parameter_stands_below_its_unit_range_and_meaning() -> None:
+    lines = save_config(Config()).splitlines()
+    for section in sections():
+        begin = lines.index(f"[{section.name}]")
+        assert lines[begin + 1] == f"# {section.about}"
+        for each in section.tunables:
+            name = each.path.partition(".")[2]
+            at = next(i for i in range(begin, len(lines)) if lines[i].startswith(f"{name} = "))
+            assert each.help in lines[at - 1]
+            if isinstance(each, Parameter):
+                assert f"[{each.unit}] {each.low:g} to {each.high:g}" in lines[at - 1]
+
+
+def test_a_file_may_hold_only_some_parameters() -> None:
+    assert parse_config("") == ("", Config())
+    found = parse_config("name = 'soft'\n[hand]\nstiffness = 100\n")
+    assert found == ("soft", Config().replace("hand.stiffness", 100.0))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("[border]\nd_bb = 0.1", r"border\.d_bb.*did you mean 'd_b'"),
+        ("[bordr]\nd_b = 0.1", "did you mean 'border'"),
+        ("[border]\nd_b = 9", r"border\.d_b: must be within 0\.06 to 0\.3 m \(was 9\)"),
+        ("[border]\nd_b = nan", r"within 0\.06 to 0\.3 m \(was nan\)"),
+        ("[border]\nd_b = '0.1'", r"within 0\.06 to 0\.3 m"),
+        ("[border]\nkind = 'cloud'", "must be surface or points"),
+        ("[border\n", "no TOML.*line 1"),
+        ("x = " + "[" * 20_000, "no TOML"),
+        ("x = " + "1" * 9_000, "no TOML"),
+        ("name = 3", "name"),
+        ('name = "a\\nb"', "name.*printed"),
+        (f"name = '{'a' * 61}'", "name.*60 characters"),
+    ],
+)
+def test_a_file_with_a_mistake_is_refused_on_one_short_line(text: str, told: str) -> None:
+    with pytest.raises(ConfigError, match=told) as caught:
+        parse_config(text)
+    assert "\n" not in str(caught.value)
+    assert len(str(caught.value)) < 300
+
+
+def test_a_file_that_cannot_be_one_is_named(tmp_path) -> None:
+    with pytest.raises(ConfigError, match=r"gone\.toml: No such file"):
+        read_config(tmp_path / "gone.toml")
+    with pytest.raises(ConfigError, match="Is a directory"):
+        read_config(tmp_path)
+    for content, told in (
+        (b"#" * (MOST_BYTES + 1), "more than"),
+        (b"\xff\xfe\x00", "UTF-8"),
+        (b"[hand]\nf_max = 0.0", r"hand\.f_max"),
+    ):
+        path = tmp_path / "mine.toml"
+        path.write_bytes(content)
+        with pytest.raises(ConfigError, match=rf"mine\.toml: .*{told}"):
+            read_config(path)
+
+
+def test_names_that_cannot_be_printed_are_not_written() -> None:
+    for name in ("a\nb", "\x00", "\ud800", "a" * 61):
+        with pytest.raises(ConfigError, match="name"):
+            save_config(Config(), name)
+    assert checked_name("  stiff arm ☃ ") == "stiff arm ☃"
