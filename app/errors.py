@@ -59,6 +59,10 @@ class OutputError(DbbError):
     """A result cannot be written where it was asked for."""
 
 
+class LogError(DbbError):
+    """A log that cannot be read or made: damaged, not one, or with columns that are not a log's."""
+
+
 class CaseError(DbbError):
     """A case of a study that cannot be read, or is of another robot."""
 

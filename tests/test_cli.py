@@ -22,6 +22,7 @@ import pytest
 from app.cli.main import main
 from app.robot import assets
 from app.robot.state import Measurement, RobotState
+from app.simulation.log import read_log
 from app.simulation.scenario import SCENARIOS
 
 PROJECT = Path(__file__).parent.parent
@@ -111,6 +112,23 @@ def test_figures_of_a_run_are_those_of_the_issue_and_further_ones_end_in_their_u
 def test_none_and_dbb_are_told_apart(dbb):
     plain = json.loads(dbb(*QUICK, "--controller", "none", "--seed", "3", "--json").out)
     assert (plain["controller"], plain["seed"], plain["activation_max"]) == ("none", 3, 0.0)
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_a_run_is_logged_where_log_says_and_the_log_can_be_read(dbb, tmp_path, ending):
+    path = tmp_path / "new" / f"run.{ending}"
+    outcome = dbb(*QUICK, "--seed", "4", "--log", str(path), "--json")
+    assert outcome.status == 0, outcome.err
+    json.loads(outcome.out)
+    log = read_log(path)
+    assert [round(s.t, 3) for s in log.snapshots] == [0.0, 0.02, 0.04]
+    assert (log.meta.scenario, log.meta.seed) == ("guiding-lateral", 4)
+
+
+def test_a_log_of_no_known_format_is_refused_before_anything_runs(dbb, tmp_path):
+    refused(dbb(*QUICK, "--log", str(tmp_path / "run.xlsx")), "--log", ".csv or .parquet")
+    (tmp_path / "file").write_text("")
+    refused(dbb(*QUICK, "--log", str(tmp_path / "file" / "run.csv")), "--log", "cannot write")
 
 
 def test_start_and_move_are_obeyed(dbb, robot, tmp_path):

@@ -32,6 +32,11 @@ ONLY_IN = {
 }
 """Libraries that belong to some rooms alone."""
 
+ONE_FILE = {"pyarrow": "simulation/log_file.py"}
+"""The one file outside of its rooms that may import a library. A log is Parquet like the table of a
+study, and the dashboard writes logs too, without what a study needs."""
+
+
 FILES = sorted((PROJECT / "app").rglob("*.py"))
 
 
@@ -44,7 +49,9 @@ def test_every_module_stands_in_a_known_room() -> None:
 @pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PROJECT)))
 def test_a_module_imports_only_from_its_own_room_and_those_before(path: Path) -> None:
     source = path.read_text(encoding="utf-8")
-    assert violations(source, room_of(path), package_of(path)) == []
+    here = path.relative_to(PROJECT / "app").as_posix()
+    excused = {library for library, file in ONE_FILE.items() if file == here}
+    assert set(violations(source, room_of(path), package_of(path))) <= excused
 
 
 @pytest.mark.parametrize(
@@ -61,6 +68,7 @@ def test_a_module_imports_only_from_its_own_room_and_those_before(path: Path) ->
         ("control", "import pybullet as p", "pybullet"),
         ("dashboard", "import pybullet_data", "pybullet_data"),
         ("border", "import app", "app"),
+        ("simulation", "import pyarrow.csv", "pyarrow"),
     ],
 )
 def test_the_rule_sees_every_way_to_break_it(room: str, source: str, culprit: str) -> None:

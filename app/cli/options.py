@@ -102,8 +102,23 @@ def check_seed(seed: int) -> None:
     check_range("--seed", seed, 0, _MOST_SEEDS)
 
 
-def make_folder(out: Path | None) -> None:
-    """Make the folder of `--out` and try to write there, before the work and not after it.
+def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
+    """Refuse a file of the wrong ending or in a folder that cannot be written, before the work.
+
+    Raises:
+        OutputError: Names the option, and the endings or why the folder cannot be written.
+    """
+    if path is None:
+        return
+    if path.suffix.lower() not in suffixes:
+        raise OutputError(f"{option}: {path} should end in {' or '.join(suffixes)}")
+    if path.is_dir():
+        raise OutputError(f"{option}: {path} is a folder")
+    make_folder(path.parent, option)
+
+
+def make_folder(out: Path | None, option: str = "--out") -> None:
+    """Make the folder of an option and try to write there, before the work and not after it.
 
     Raises:
         OutputError: It cannot be made or written to.
@@ -116,4 +131,4 @@ def make_folder(out: Path | None) -> None:
         probe.touch()
         probe.unlink()
     except OSError as error:
-        raise OutputError(f"--out: cannot write to {out}: {error.strerror}") from None
+        raise OutputError(f"{option}: cannot write to {out}: {error.strerror}") from None

@@ -16,6 +16,7 @@ from app.cli.options import (
     PlaceOption,
     PointOption,
     PoseOption,
+    check_file,
     check_name,
     check_parameter,
     check_point,
@@ -48,6 +49,7 @@ def run(
     border: str | None = None,
     config: Path | None = None,
     out: Path | None = None,
+    log: Path | None = None,
     seed: int = 0,
     json: Json = False,
     encoder_noise: float | None = None,
@@ -86,6 +88,8 @@ def run(
         config: File of parameters, TOML, as `dbb config` or the dashboard writes it; what is not in
             it is at its default, and other options come before it.
         out: Folder for `log.csv` and `metrics.json`.
+        log: File ending in .csv or .parquet for 50 rows a second with all that the dashboard draws;
+            `dbb report` and `dbb replay` take it.
         seed: Seed of everything random in the run.
         json: Print one JSON object on standard output and nothing else there.
         encoder_noise: [rad] standard deviation of the noise of each joint's measured position; its
@@ -114,6 +118,7 @@ def run(
     # Imported here: scipy would make every other command start later.
     from app.control.buffer_watch import buffer_warning
     from app.simulation.run import run_scenario
+    from app.simulation.run_log import RunLog
     from app.study.case import check_no_others, read_case
 
     case = None
@@ -162,14 +167,18 @@ def run(
         tuned, encoder_noise=encoder_noise, base_delay=base_delay, mass_error=mass_error, slip=slip
     )
     make_folder(out)
+    check_file("--log", log, (".csv", ".parquet"))
     model, data = load_robot_and_border(robot)
+    recording = None if log is None else RunLog(model, chosen, physics, seed)
     with progress_bar(f"{chosen.name}, {controller}", chosen.duration) as on_progress:
         result = run_scenario(
             model, data, chosen, tuned, controller=controller, physics=physics, seed=seed,
-            on_progress=on_progress,
+            on_progress=on_progress, on_step=recording.add if recording else None,
         )  # fmt: skip
     if out is not None:
         _write(out, result)
+    if log is not None and recording is not None:
+        recording.write(log)
     if warning := buffer_warning(result.recorder.buffer, tuned):
         print(f"warning: {warning}", file=sys.stderr)
     if json:

@@ -8,14 +8,14 @@ import pinocchio as pin
 from app.avoidance.self_collision import PairState
 from app.control.explanation import explain
 from app.robot.state import RobotState
-from app.simulation.pacing import Pacer
+from app.simulation.pacing import Clock
 from app.simulation.session import Session, Step
 from app.simulation.snapshot import ActingReading, DoorView, PairReading, Snapshot
 
 Array = np.ndarray
 
 
-def make_snapshot(session: Session, step: Step, pacer: Pacer, *, paused: bool) -> Snapshot:
+def make_snapshot(session: Session, step: Step, pacer: Clock, *, paused: bool) -> Snapshot:
     """The whole simulation at a control step; shares no memory with it, and is read-only."""
     state = session.state
     output, avoidance = step.output, step.output.avoidance

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import closing
 from time import perf_counter
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ from app.robot.model import RobotModel
 from app.simulation.begin import begin
 from app.simulation.leading import Scenario
 from app.simulation.recording import Recorder
-from app.simulation.session import DT
+from app.simulation.session import DT, Session, Step
 
 
 class RunResult(NamedTuple):
@@ -20,6 +21,45 @@ class RunResult(NamedTuple):
 
     figures: dict[str, object]
     recorder: Recorder
+
+
+def steps_of(
+    model: RobotModel,
+    data: BorderData,
+    scenario: Scenario,
+    config: Config,
+    *,
+    controller: str = "dbb",
+    physics: str = "planar",
+    seed: int = 0,
+) -> Generator[tuple[Session, Step], None, None]:
+    """The control steps of a scenario, one by one, with the session after each.
+
+    The session is closed when the last step has been taken, or the iterator is.
+
+    Args:
+        model: The robot.
+        data: Its pairs and clouds.
+        scenario: What happens.
+        config: Parameters.
+        controller: One of `app.control.controller.CONTROLLERS`.
+        physics: Kind of plant.
+        seed: Of everything random in the run.
+
+    Raises:
+        UnreachableError: No start of the arm for this scenario.
+        TargetError: The hand would be led below the floor.
+        ConfigError: The plant has no doors, and the scenario has one.
+        UnknownNameError: No such controller or plant.
+    """
+    setting = scenario.setting(model, data, config, seed)
+    session = begin(setting, model, controller=controller, physics=physics, seed=seed)
+    try:
+        leader = scenario.leader(session)
+        for _ in range(round(scenario.duration / DT)):
+            yield session, session.step(*leader(session))
+    finally:
+        session.close()
 
 
 def run_scenario(
@@ -32,8 +72,9 @@ def run_scenario(
     physics: str = "planar",
     seed: int = 0,
     on_progress: Callable[[float], None] = lambda _: None,
+    on_step: Callable[[Session, Step], None] | None = None,
 ) -> RunResult:
-    """Run a scenario and take its figures.
+    """Run a scenario and take its figures; arguments and errors are those of `steps_of`.
 
     Args:
         model: The robot.
@@ -44,27 +85,24 @@ def run_scenario(
         physics: Kind of plant.
         seed: Of everything random in the run.
         on_progress: Called now and then with the simulated time [s].
-
-    Raises:
-        UnreachableError: No start of the arm for this scenario.
-        TargetError: The hand would be led below the floor.
-        ConfigError: The plant has no doors, and the scenario has one.
-        UnknownNameError: No such controller or plant.
+        on_step: Called after each control step, such as to take snapshots.
     """
-    setting = scenario.setting(model, data, config, seed)
-    session = begin(setting, model, controller=controller, physics=physics, seed=seed)
-    try:
-        leader = scenario.leader(session)
-        recorder = Recorder(setting.model)
-        begun = perf_counter()
-        for k in range(round(scenario.duration / DT)):
-            step = session.step(*leader(session))
+    recorder: Recorder | None = None
+    begun = perf_counter()
+    steps = steps_of(
+        model, data, scenario, config, controller=controller, physics=physics, seed=seed
+    )
+    with closing(steps):
+        for k, (session, step) in enumerate(steps):
+            if recorder is None:
+                recorder, begun = Recorder(session.model), perf_counter() - step.duration
             recorder.add(step)
+            if on_step is not None:
+                on_step(session, step)
             if k % 100 == 0:
                 on_progress(session.t)
-        elapsed = perf_counter() - begun
-    finally:
-        session.close()
+    elapsed = perf_counter() - begun
+    assert recorder is not None, "a scenario lasts at least one step"
     figures: dict[str, object] = {
         "scenario": scenario.name,
         "controller": controller,
