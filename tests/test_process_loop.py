@@ -17,6 +17,8 @@ from app.simulation.session import Session
 from app.simulation.snapshot import Configure, Pause, Pull, Reset
 from tests.fakes import ScriptedLoop
 
+pytestmark = pytest.mark.alone
+
 PATIENCE = 20.0  # [s]
 
 

@@ -27,6 +27,8 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+pytestmark = pytest.mark.alone
+
 PROJECT = Path(__file__).parent.parent
 CASES = 6
 OPTIONS = ("--physics", "kinematic", "--duration", "0.2", "--seed", "7")
