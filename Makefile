@@ -3,7 +3,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: run test test-without-browser lint format browser clean
+.PHONY: run test test-without-browser pictures lint format browser clean
 
 run: $(VENV)/.installed
 	$(BIN)/dbb serve $(ARGS)
@@ -14,6 +14,10 @@ test: $(VENV)/.installed-dev browser
 # For machines without a Chromium.
 test-without-browser: $(VENV)/.installed-dev
 	tools/test.sh $(VENV) -m 'not browser' $(ARGS)
+
+# The figures of the paper, with their data.
+pictures: $(VENV)/.installed
+	$(BIN)/dbb reproduce --out out/pictures
 
 # pyright asks the interpreter for its search path: pinocchio extends it at run time.
 lint: $(VENV)/.installed-dev
