@@ -3,13 +3,21 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
 
-.PHONY: run test lint format browser clean
+.PHONY: run test test-without-browser pictures lint format browser clean
 
 run: $(VENV)/.installed
 	$(BIN)/dbb serve $(ARGS)
 
 test: $(VENV)/.installed-dev browser
-	DBB_REQUIRE_BROWSER=1 $(BIN)/python -m pytest $(ARGS)
+	DBB_REQUIRE_BROWSER=1 tools/test.sh $(VENV) $(ARGS)
+
+# For machines without a Chromium.
+test-without-browser: $(VENV)/.installed-dev
+	tools/test.sh $(VENV) -m 'not browser' $(ARGS)
+
+# The figures of the paper, with their data.
+pictures: $(VENV)/.installed
+	$(BIN)/dbb reproduce --out out/pictures
 
 # pyright asks the interpreter for its search path: pinocchio extends it at run time.
 lint: $(VENV)/.installed-dev

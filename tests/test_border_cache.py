@@ -201,8 +201,8 @@ def test_the_papers_robot_ships_with_its_border_small_and_quick_to_load():
     )
     assert path.is_file(), "run `dbb border`, then commit the new file of dbb_cache/"
     assert path.stat().st_size < 10e6
-    start = time.perf_counter()
+    start = time.process_time()
     data = load_border_data(model)
-    assert time.perf_counter() - start < 1.0  # [s]
+    assert time.process_time() - start < 1.0  # [s]
     assert data.origin in ("cache", "shipped")
     assert [pair.name for pair in data.pairs.mobile] == list(data.clouds) == ["lm-lEE", "lm-l3"]

@@ -74,6 +74,7 @@ def test_points_and_distances_are_kept_to_half_a_step():
     assert np.abs(quantise_distances(d) * 1e-5 - d).max() <= 0.5001e-5
 
 
+@pytest.mark.alone
 def test_a_selection_from_a_million_points_is_quick():
     cloud = ball_cloud(1_200_000)
     least = min(_timed(lambda: construct_dbb(cloud, 0.15, 0.01)) for _ in range(5))

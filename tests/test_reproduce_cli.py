@@ -8,10 +8,12 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from app.cli.main import main
 from app.reproduce.names import FIGURES
 
 PROJECT = Path(__file__).parent.parent
@@ -24,11 +26,19 @@ def dbb(*args: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-def refused(done: subprocess.CompletedProcess[str], *words: str) -> None:
-    """Status 2, nothing on standard output, one line on standard error with these words."""
-    assert (done.returncode, done.stdout) == (2, "")
-    (line,) = done.stderr.splitlines()
-    assert all(word in line for word in words), line
+@pytest.fixture
+def refused(capfd) -> Callable[..., None]:
+    """Checks, in this process: status 2, nothing on standard output, one line with these words."""
+
+    def refused(args: list[str], *words: str) -> None:
+        with pytest.raises(SystemExit) as end:
+            main(args)
+        out, err = capfd.readouterr()
+        assert (end.value.code, out) == (2, "")
+        (line,) = err.splitlines()
+        assert all(word in line for word in words), line
+
+    return refused
 
 
 def test_a_figure_without_runs_is_written_with_its_data_and_page(tmp_path):
@@ -48,18 +58,18 @@ def test_a_figure_without_runs_is_written_with_its_data_and_page(tmp_path):
     assert (float(rows[0]["beta"]), float(rows[-1]["beta"])) == (1.0, 0.0)
 
 
-def test_an_unknown_figure_is_refused_with_those_that_exist(tmp_path):
-    refused(dbb("reproduce", "fig9", "--out", str(tmp_path)), "fig9", *FIGURES)
+def test_an_unknown_figure_is_refused_with_those_that_exist(refused, tmp_path):
+    refused(["reproduce", "fig9", "--out", str(tmp_path)], "fig9", *FIGURES)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_bad_options_are_refused_before_any_work(tmp_path):
+def test_bad_options_are_refused_before_any_work(refused, tmp_path):
     out = ["--out", str(tmp_path)]
-    refused(dbb("reproduce", "fig12", "--seed", "-1", *out), "--seed", "-1")
-    refused(dbb("reproduce", "fig12", "--processes", "0", *out), "--processes", "0")
+    refused(["reproduce", "fig12", "--seed", "-1", *out], "--seed", "-1")
+    refused(["reproduce", "fig12", "--processes", "0", *out], "--processes", "0")
     file = tmp_path / "file"
     file.touch()
-    refused(dbb("reproduce", "fig12", "--out", str(file)), "--out", str(file))
+    refused(["reproduce", "fig12", "--out", str(file)], "--out", str(file))
 
 
 def test_other_commands_start_without_matplotlib():
@@ -94,6 +104,7 @@ def test_a_figure_agrees_with_the_run_of_its_scenario(tmp_path):
     assert "data:image/png" in (tmp_path / "index.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.alone
 @pytest.mark.slow
 def test_ctrl_c_ends_it_and_its_workers(tmp_path):
     psutil = pytest.importorskip("psutil")

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from distributed import LocalCluster
 
+from app.cli.main import main
 from app.study import cluster
 from app.study.parameters import StudyParameters
 from app.study.play import TIMES
@@ -26,6 +27,8 @@ if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
+
+pytestmark = pytest.mark.alone
 
 PROJECT = Path(__file__).parent.parent
 CASES = 6
@@ -57,6 +60,13 @@ def dbb(*args: str) -> tuple[int, str, str]:
     process = start(*args)
     out, err = process.communicate(timeout=240)
     return process.returncode, out, err
+
+
+def here(capfd: pytest.CaptureFixture[str], *args: str) -> tuple[int, str, str]:
+    """What cannot be done, in this process."""
+    with pytest.raises(SystemExit) as end:
+        main(list(args))
+    return (int(str(end.value.code)), *capfd.readouterr())
 
 
 def refused(outcome: tuple[int, str, str], *words: str) -> None:
@@ -151,25 +161,19 @@ def test_a_finished_study_is_not_done_again(undisturbed):
     assert (undisturbed / "cases.jsonl").read_bytes() == before
 
 
-def test_another_studys_folder_is_refused_and_left_alone(undisturbed):
+def test_another_studys_folder_is_refused_and_left_alone(undisturbed, capfd):
     before = {path: path.read_bytes() for path in undisturbed.glob("*.*")}
     args = ("study", "--cases", str(CASES), *OPTIONS, "--out", str(undisturbed))
-    refused(dbb(*args, "--seed", "8"), "another study", "seed: 7, not 8")
-    refused(dbb(*args, "--speed", "0.1", "0.2"), "another study", "speed")
+    refused(here(capfd, *args, "--seed", "8"), "another study", "seed: 7, not 8")
+    refused(here(capfd, *args, "--speed", "0.1", "0.2"), "another study", "speed")
     assert {path: path.read_bytes() for path in undisturbed.glob("*.*")} == before
 
 
 def test_a_scheduler_that_nobody_answers_for_is_one_line(tmp_path, capfd, monkeypatch):
-    from app.cli.main import main
-
     monkeypatch.setattr(cluster, "_PATIENCE", 1.0)
+    args = ("study", "--cases", "2", *OPTIONS, "--out", str(tmp_path), "--scheduler")
     for address in ("tcp://127.0.0.1:9", "no address"):
-        with pytest.raises(SystemExit) as end:
-            main(
-                ["study", "--cases", "2", *OPTIONS, "--out", str(tmp_path), "--scheduler", address]
-            )
-        outcome = (int(str(end.value.code)), *capfd.readouterr())
-        refused(outcome, "--scheduler", address, "dask scheduler")
+        refused(here(capfd, *args, address), "--scheduler", address, "dask scheduler")
 
 
 @pytest.mark.parametrize(
@@ -187,11 +191,7 @@ def test_a_scheduler_that_nobody_answers_for_is_one_line(tmp_path, capfd, monkey
     ],
 )
 def test_what_cannot_be_studied_is_one_line_that_says_what_can(tmp_path, capfd, args, words):
-    from app.cli.main import main
-
-    with pytest.raises(SystemExit) as end:
-        main(["study", "--out", str(tmp_path), *args])
-    refused((int(str(end.value.code)), *capfd.readouterr()), *words)
+    refused(here(capfd, "study", "--out", str(tmp_path), *args), *words)
     assert not (tmp_path / "cases.jsonl").exists()
 
 
