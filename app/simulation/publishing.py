@@ -8,6 +8,7 @@ import pinocchio as pin
 from app.avoidance.self_collision import PairState
 from app.robot.state import RobotState
 from app.simulation.pacing import Pacer
+from app.simulation.people import PullReading
 from app.simulation.session import Session, Step
 from app.simulation.snapshot import ActingReading, DoorView, PairReading, Snapshot
 
@@ -52,6 +53,9 @@ def make_snapshot(session: Session, step: Step, pacer: Pacer, *, paused: bool) -
         controller=session.controller.name,
         config=session.config,
         buffer=step.buffer,
+        pulls=tuple(
+            PullReading(who, link, *map(_frozen, vectors)) for who, link, *vectors in step.pulls
+        ),
         door=_door_view(session, step),
     )
 
