@@ -12,7 +12,7 @@ from app.dashboard.colours import PERSON
 from app.dashboard.lines import hidden_line, set_polyline
 from app.dashboard.notices import Notices
 from app.dashboard.robot import RobotScene
-from app.simulation.snapshot import Command, Pull, Snapshot
+from app.simulation.snapshot import Command, Pull, PullReading, Snapshot
 
 Array = np.ndarray
 
@@ -82,13 +82,13 @@ class Grip:
         if z < 0.0 and not self._told:
             self._told = True  # once a drag, not twenty times a second
             self._notices.warn(client, "The floor is at z = 0: the hand stays above it.")
-        self._sink.send(Pull((x, y, max(z, 0.0))))
+        self._sink.send(Pull((x, y, max(z, 0.0)), *self._hold, who=self._who))
 
     def release(self) -> None:
         """Let go."""
         if self._hold is not None:
             self._hold = None
-            self._sink.send(Pull(None))
+            self._sink.send(Pull(None, who=self._who))
 
 
 class Hand:
@@ -112,6 +112,9 @@ class Hand:
             GIZMO, scale=SCALE, disable_rotations=True, depth_test=False, opacity=0.7
         )
         self._gizmo.on_update(notices.guard(self._drag_gizmo))  # type: ignore[arg-type]
+        for joint, mesh in robot.links:
+            if joint in arm_joints:
+                self._listen(mesh, robot, joint, arm_joints[joint], notices)
         self._bands = [hidden_line(scene, f"/pull/{i}", PERSON, 3.0) for i in range(_MOST_BANDS)]
         self._labels = [
             scene.add_label(
@@ -124,14 +127,23 @@ class Hand:
         """Let the gizmo follow the hand unless this viewer drags it; draw the rubber bands."""
         if not self.grip.holds_hand:
             self._gizmo.position = snapshot.p_ee
-        band, label, target = self._bands[0], self._labels[0], snapshot.hand_target
-        stretched = target is not None and np.linalg.norm(target - snapshot.p_ee) > LEAST_STRETCH
-        band.visible = label.visible = bool(stretched)
-        if target is not None and stretched:
-            set_polyline(band, np.array([snapshot.p_ee, target]), PERSON)
-            label.position = (snapshot.p_ee + target) / 2
-            if texts:
-                label.text = f"{np.linalg.norm(snapshot.hand_force):.0f} N"
+        stretched = [
+            pull for pull in snapshot.pulls
+            if np.linalg.norm(pull.target - pull.point) > LEAST_STRETCH
+        ]  # fmt: skip
+        for i, (band, label) in enumerate(zip(self._bands, self._labels, strict=True)):
+            band.visible = label.visible = i < len(stretched)
+            if i < len(stretched):
+                self._draw(band, label, stretched[i], texts=texts)
+
+    @staticmethod
+    def _draw(
+        band: viser.LineSegmentsHandle, label: viser.LabelHandle, pull: PullReading, *, texts: bool
+    ) -> None:
+        set_polyline(band, np.array([pull.point, pull.target]), PERSON)
+        label.position = (pull.point + pull.target) / 2
+        if texts:
+            label.text = f"{np.linalg.norm(pull.force):.0f} N"
 
     def _drag_gizmo(self, event: viser.TransformControlsEvent) -> None:
         """One event of the gizmo: start, update or end."""
