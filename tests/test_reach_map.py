@@ -190,7 +190,7 @@ def test_with_fewer_joints_less_is_asked_for_and_counted_right(
     chain = Chain(model, body)
     assert (chain.asked, chain.free) == (asked, len(chain.joints) - asked)
     config = ReachConfig(spacing_m=0.12, orientations=6)
-    found = load_reach_map(model, body, config=config, progress=False)
+    found = load_reach_map(model, body, config=config, progress=False, processes=1)
     assert found.method == "analytic"
     edges = np.array([0.3, 0.6, 0.9])
     solver = make_solver(chain, 1)
