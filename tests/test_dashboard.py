@@ -34,7 +34,8 @@ from app.dashboard.view import View
 from app.dashboard.visuals import MAX_FACES, load_visuals, read_mesh
 from app.errors import AssetError, ConfigError, ServerError
 from app.robot.urdf import resolved_urdf
-from app.simulation.snapshot import PairReading, Pull
+from app.simulation.commands import Pull, Release
+from app.simulation.snapshot import PairReading
 from tests.fakes import ScriptedLoop, fake_clouds
 from tests.raw_client import RawClient
 from tests.robots import husky_panda, random_state
@@ -97,16 +98,16 @@ def held(link=None):
 LINK = ("panda_joint3", (0.0, 0.1, 0.2))
 
 
-@pytest.mark.parametrize("link", [None])
+@pytest.mark.parametrize("link", [None, LINK])
 def test_a_drag_pulls_and_its_end_lets_go(link):
     grip, sink, client = held(link)
     for x in (0.5, 0.4):
         grip.pull(np.array([x, 0.0, 0.8]), client)
     grip.release()
     assert sink.commands == [
-        Pull((0.5, 0.0, 0.8)),
-        Pull((0.4, 0.0, 0.8)),
-        Pull(None),
+        Pull((0.5, 0.0, 0.8), *(link or ()), who=7),
+        Pull((0.4, 0.0, 0.8), *(link or ()), who=7),
+        Release(7),
     ]
     assert not grip.holds_anything
 
@@ -115,21 +116,21 @@ def test_a_viewer_who_is_gone_lets_go_once():
     grip, sink, _ = held()
     grip.release()
     grip.release()
-    assert sink.commands == [Pull(None)]
+    assert sink.commands == [Release(7)]
 
 
 def test_who_holds_nothing_pulls_nothing():
     grip, sink, client = held()
     grip.release()
     grip.pull(np.array([9.0, 9.0, 9.0]), client)
-    assert sink.commands == [Pull(None)]
+    assert sink.commands == [Release(7)]
 
 
 def test_taking_hold_elsewhere_lets_go_first():
     grip, sink, client = held()
     grip.take(Hold(*LINK))
     grip.pull(np.array([0.5, 0.0, 0.8]), client)
-    assert sink.commands == [Pull(None), Pull((0.5, 0.0, 0.8))]
+    assert sink.commands == [Release(7), Pull((0.5, 0.0, 0.8), *LINK, who=7)]
     assert not grip.holds_hand
 
 

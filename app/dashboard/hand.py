@@ -12,7 +12,9 @@ from app.dashboard.colours import PERSON
 from app.dashboard.lines import hidden_line, set_polyline
 from app.dashboard.notices import Notices
 from app.dashboard.robot import RobotScene
-from app.simulation.snapshot import Command, Pull, PullReading, Snapshot
+from app.simulation.commands import Command, Pull, Release
+from app.simulation.people import PullReading
+from app.simulation.snapshot import Snapshot
 
 Array = np.ndarray
 
@@ -88,7 +90,7 @@ class Grip:
         """Let go."""
         if self._hold is not None:
             self._hold = None
-            self._sink.send(Pull(None, who=self._who))
+            self._sink.send(Release(self._who))
 
 
 class Hand:

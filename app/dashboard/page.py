@@ -46,7 +46,7 @@ class Page:
         self._client, self._shared, self._notices = client, shared, notices
         self.view = View.first(shared.mobile, [plan.title for plan in shared.plans])
         self.timeline = Timeline(shared.loop)
-        self.grip = Grip(shared.outbox, notices, client.client_id)
+        self.grip = Grip(shared.loop, notices, client.client_id)
         self.closed = False
         self._camera = Camera(client)
         self._dark: bool | None = None
@@ -56,7 +56,7 @@ class Page:
         with client.atomic():
             self._build_left()
             self._build_right()
-            self.timeline_panel = TimelinePanel(client.gui, self.timeline, shared.outbox, notices)
+            self.timeline_panel = TimelinePanel(client.gui, self.timeline, shared.loop, notices)
         self._scene = Scene(client.scene, shared, self.view)
         kinematics = shared.parts.kinematics.model
         arm = {kinematics.getJointId(name): name for name in shared.model.description.arm.joints}
@@ -123,9 +123,9 @@ class Page:
         self._banner = gui.add_html("", visible=False)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Run"):
-            self._run = RunPanel(gui, shared.outbox, notices)
+            self._run = RunPanel(gui, shared.loop, notices)
             if shared.case is not None:
-                add_case_button(gui, shared.outbox, notices, shared.case)
+                add_case_button(gui, shared.loop, notices, shared.case)
             self.main_panel = TuningPanel(gui, shared.tuning, notices, MAIN)
             self._sweep = SweepPanel(gui, shared, notices)
         with tabs.add_tab("View"):

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from app.border.cloud import Cloud
 from app.dashboard.borders import Borders
-from app.dashboard.outbox import Outbox
 from app.dashboard.panels.tuning import Tuning
 from app.dashboard.plots import plot_plans
 from app.dashboard.record import Record
@@ -24,7 +23,6 @@ class Shared:
 
     Attributes:
         loop: The simulation.
-        outbox: Where commands to it go.
         model: The robot.
         parts: Its meshes.
         borders: Its borders.
@@ -52,14 +50,13 @@ class Shared:
         """
         first = loop.latest()
         self.loop, self.model, self.case, self.sweeps = loop, model, case, sweeps
-        self.outbox = Outbox(loop)
         self.pairs = [pair.name for pair in first.pairs]
         """Names of all link pairs, in the order of the snapshots."""
         self.mobile = [pair.name for pair in first.pairs if pair.mobile]
         """Names of those of L_m."""
         self.parts = RobotParts(model)
         self.borders = Borders(model, clouds)
-        self.tuning = Tuning(self.outbox, first.config)
+        self.tuning = Tuning(loop, first.config)
         self.plans = plot_plans(model, self.pairs)
         self.record = Record(curve for plan in self.plans for curve in plan.curves)
         self.tracks = Tracks()
@@ -70,8 +67,7 @@ class Shared:
         self.sweep_job.stop()
 
     def update(self) -> None:
-        """Send what is held, and take in what is new."""
-        self.outbox.flush()
+        """Take in what is new."""
         newest = self.loop.latest()
         last = self.tracks.last
         new = self.loop.history(last if newest.t >= last else -1.0)

@@ -9,12 +9,10 @@ from app.control.controller import CONTROLLERS
 from app.dashboard.colours import SERIES, css, distance_colour
 from app.dashboard.hand import Sink
 from app.dashboard.notices import Notices
-from app.simulation.commands import Choose, Pause, PlayScenario, Reset, Restart
+from app.simulation.command_check import SPEEDS
+from app.simulation.commands import Choose, Pause, PlayScenario, Reset, Restart, Speed
 from app.simulation.scenario import SCENARIOS
-from app.simulation.snapshot import (
-    PairReading,
-    Snapshot,
-)
+from app.simulation.snapshot import PairReading, Snapshot
 
 FREE = "free: drag the hand"
 """Choice of no scenario."""
@@ -39,6 +37,10 @@ class RunPanel:
             hint="dbb: the base gives way, as in the paper. repulsive: a force on the arm alone. "
             "barrier: each distance a hard inequality. none: no avoidance.",
         )  # fmt: skip
+        self._speed = gui.add_slider(
+            "Speed", min=SPEEDS[0], max=SPEEDS[1], step=0.1, initial_value=1.0,
+            hint="Simulated over real time, as far as the machine keeps up.",
+        )  # fmt: skip
         self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         restart = gui.add_button("Restart", icon=viser.Icon.REFRESH, color="gray")
         self._status = gui.add_html("")
@@ -46,6 +48,7 @@ class RunPanel:
         for handle, callback in (
             (self._scenario, self._choose_scenario),
             (self._controller, self._choose_controller),
+            (self._speed, self._choose_speed),
         ):
             handle.on_update(notices.guard(callback))  # type: ignore[arg-type]
         self._pause.on_click(notices.guard(lambda _: self.toggle_pause()))  # type: ignore[arg-type]
@@ -81,6 +84,7 @@ class RunPanel:
         for handle, now, then in (
             (self._scenario, _choice(newest), before and _choice(before)),
             (self._controller, newest.controller, before and before.controller),
+            (self._speed, newest.speed, before and before.speed),
         ):
             if now != then and handle.value != now:  # not while a choice is on its way
                 handle.value = now
@@ -97,6 +101,10 @@ class RunPanel:
         if self._shown is None or event.target.value != self._shown.controller:
             self._sink.send(Choose(event.target.value))
 
+    def _choose_speed(self, event: viser.GuiEvent) -> None:
+        if self._shown is None or event.target.value != self._shown.speed:
+            self._sink.send(Speed(event.target.value))
+
 
 def _choice(snapshot: Snapshot) -> str:
     return snapshot.scenario if snapshot.scenario in SCENARIOS else FREE
@@ -109,7 +117,7 @@ def status_html(snapshot: Snapshot) -> str:
     contact += (" and " if contact else "") + "within arm" if snapshot.arm_in_contact else ""
     state = "paused" if snapshot.paused else "running"
     pull = f"{sum(f * f for f in snapshot.hand_force) ** 0.5:.1f} N"
-    slow = not snapshot.paused and snapshot.realtime_factor < 0.95
+    slow = not snapshot.paused and snapshot.realtime_factor < 0.95 * snapshot.speed
     rows = [
         ("time", f"{snapshot.t:.1f} s", None),
         ("state", snapshot.busy or f"{state}, {snapshot.mode}", None),
@@ -119,7 +127,7 @@ def status_html(snapshot: Snapshot) -> str:
         ("contact", contact or "none", bool(contact)),
         ("buffer distance", buffer_text(snapshot.buffer), snapshot.buffer.too_small),
         ("solver failures", f"{snapshot.solver_failures}", snapshot.solver_failures > 0),
-        ("person pulls", pull if snapshot.hand_target is not None else "no", None),
+        ("person pulls", pull if snapshot.pulls else "no", None),
         ("hand off target", f"{1000 * snapshot.ee_error:.0f} mm", None),
         ("base", f"{_signed(v)} m/s, {_signed(w)} rad/s", None),
     ]  # fmt: skip

@@ -9,7 +9,8 @@ import viser
 from app.dashboard.hand import Sink
 from app.dashboard.notices import Notices
 from app.dashboard.timeline import FRAME, REACH, Timeline
-from app.simulation.snapshot import Pause, Snapshot
+from app.simulation.commands import Pause, StepOnce
+from app.simulation.snapshot import Snapshot
 
 WIDTH = 430  # [px]
 _STEPS = {"−1 s": -1.0, "−20 ms": -FRAME, "+20 ms": FRAME, "+1 s": 1.0}
@@ -49,7 +50,12 @@ class TimelinePanel:
 
     def step(self, seconds: float) -> None:
         """Go on or back; where time stands still at now, one step on is simulated."""
-        self._timeline.step(seconds)
+        newest = self._newest
+        at_now = self._timeline.live and newest is not None and newest.paused
+        if at_now and seconds > 0.0:
+            self._sink.send(StepOnce(seconds))
+        else:
+            self._timeline.step(seconds)
 
     def update(self, newest: Snapshot, shown: Snapshot) -> None:
         """Renew text and slider."""
