@@ -25,6 +25,8 @@ _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
     ("posture, or arm left alone",
      "the lowest level: what the arm's joints would do by themselves", ("posture", "free")),
 )  # fmt: skip
+_COLUMNS = (("N", "13%"), ("v̇ [m/s²]", "19%"), ("ω̇ [rad/s²]", "23%"))
+"""Of the table of forces, with widths that do not follow the numbers."""
 _ZERO = ForceSplit((0, 0), (0, 0), (0, 0), (0, 0), (0, 0), 0, 0, 0, 0)
 
 
@@ -67,7 +69,7 @@ def _colour(snapshot: Snapshot) -> str:
 def _tables(snapshot: Snapshot, why: Explanation) -> str:
     return (
         _table("Near", _near_rows(snapshot, why))
-        + _table("Force on the base", _force_rows(why), ("N", "v̇ [m/s²]", "ω̇ [rad/s²]"))
+        + _table("Force on the base", _force_rows(why), _COLUMNS)
         + _table("Where it acts, p_act", _score_rows(why))
         + _table("Given up, highest priority first", _level_rows(why.levels))
         + _table("Limited by", _bound_rows(why))
@@ -152,10 +154,10 @@ def _bound_rows(why: Explanation) -> list[str]:
     return [f'<tr><td style="white-space:nowrap">{text}</td></tr>' for text in texts]
 
 
-def _table(title: str, rows: Sequence[str], columns: Sequence[str] = ()) -> str:
+def _table(title: str, rows: Sequence[str], columns: Sequence[tuple[str, str]] = ()) -> str:
     cells = "".join(
-        f'<td style="text-align:right;opacity:.65;white-space:nowrap">{column}</td>'
-        for column in columns
+        f'<td style="width:{width};text-align:right;opacity:.65;white-space:nowrap">{column}</td>'
+        for column, width in columns
     )
     head = f'<tr><td style="font-weight:600;white-space:nowrap">{title}</td>{cells}</tr>'
     style = "width:100%;border-spacing:0;margin-bottom:.4em"
