@@ -1,0 +1,190 @@
+"""Panel "Why did it move?": one plain sentence, and below it every quantity behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import viser
+
+from app.control.explanation import Explanation, ForceSplit
+from app.control.levels import Level, LevelName
+from app.dashboard import words
+from app.dashboard.colours import FULL, REST, css, distance_colour
+from app.dashboard.explain import sentence
+from app.simulation.snapshot import Snapshot
+
+BOUNDS_SHOWN = 3
+"""Lines for limits that were met; of more than that the number is told."""
+
+_NONE = '<span style="opacity:.45">–</span>'
+_LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
+    ("base gives way", "the base's rows of T_sca, (16), less what the base may do", ("base",)),
+    ("arm against base", "the arm's own rows: from above, or as the last resort", ("arm",)),
+    ("between links", "the rows (20) that part links of the arm", ("links",)),
+    ("hand's task", "w_2 of (26): the end-effector's task", ("hand",)),
+    ("posture, or arm left alone",
+     "the lowest level: what the arm's joints would do by themselves", ("posture", "free")),
+)  # fmt: skip
+_COLUMNS = (("N", "13%"), ("v̇ [m/s²]", "19%"), ("ω̇ [rad/s²]", "23%"))
+"""Of the table of forces, with widths that do not follow the numbers."""
+_ZERO = ForceSplit((0, 0), (0, 0), (0, 0), (0, 0), (0, 0), 0, 0, 0, 0)
+
+
+class WhyPanel:
+    """The sentence and a table of fixed height."""
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        """Build the panel in the GUI container that is now open."""
+        self._html = gui.add_html("")
+
+    def update(self, snapshot: Snapshot) -> None:
+        """Explain a snapshot; what has not changed is not sent."""
+        html = why_html(snapshot)
+        if self._html.content != html:
+            self._html.content = html
+
+
+def why_html(snapshot: Snapshot) -> str:
+    """The whole panel; its number of lines is the same whatever it says."""
+    why = snapshot.explanation
+    tables = "" if why is None else _tables(snapshot, why)
+    return (
+        f'<div style="border-left:4px solid {_colour(snapshot)};margin:.4em .7em;padding-left:.6em;'
+        f'height:7.1em;overflow:hidden;font-size:.85em;line-height:1.4">{sentence(snapshot)}</div>'
+        '<div style="font-size:.8em;line-height:1.55;padding:0 .7em .4em;'
+        f'font-variant-numeric:tabular-nums">{tables}</div>'
+    )
+
+
+def _colour(snapshot: Snapshot) -> str:
+    """Grey while nothing is near, then the colour of the distance; red if something is wrong."""
+    why, config = snapshot.explanation, snapshot.config
+    if snapshot.in_contact or snapshot.arm_in_contact or (why is not None and not why.solved):
+        return css(FULL)
+    if why is None or why.bearing is None:
+        return css(REST)
+    return css(distance_colour(why.bearing.d, config.border.d_b, config.activation.d_full))
+
+
+def _tables(snapshot: Snapshot, why: Explanation) -> str:
+    return (
+        _table("Near", _near_rows(snapshot, why))
+        + _table("Force on the base", _force_rows(why), _COLUMNS)
+        + _table("Where it acts, p_act", _score_rows(why))
+        + _table("Given up, highest priority first", _level_rows(why.levels))
+        + _table("Limited by", _bound_rows(why))
+    )
+
+
+def _near_rows(snapshot: Snapshot, why: Explanation) -> list[str]:
+    pair = why.bearing
+    more = f" and {len(why.near) - 1} more" if len(why.near) > 1 else ""
+    buffer = f" of {1000 * snapshot.config.border.d_b:.0f} mm"
+    if pair is None:
+        a, b, d = why.nearest
+        name, beta = words.pair(a, b, why.chain), 0.0
+    else:
+        name, d, beta = words.pair(pair.a, pair.b, why.chain), pair.d, pair.beta
+    distance = f"{1000 * d:.0f}".replace("-", "−")
+    own = "" if pair is None or pair.arm_beta == 0.0 else f", arm's own {pair.arm_beta:.2f}"
+    return [
+        _row("pair", name + more, "the link pair that counts most"),
+        _row("distance d, of buffer d_b", distance + buffer, "signed distance of its bodies"),
+        _row("activation β", f"{beta:.2f}{own}", "0 outside of the buffer, 1 in full force"),
+    ]
+
+
+def _force_rows(why: Explanation) -> list[str]:
+    """The resultant (15), its two parts as in Figure 7, and the base's accelerations."""
+    forces, on = why.forces, bool(why.forces)
+    f = _sum([force.f for force in forces])
+    away, turn = _sum([force.away for force in forces]), _sum([force.turn for force in forces])
+    away_acc = _sum([force.away_acceleration for force in forces])
+    turn_acc = _sum([force.turn_acceleration for force in forces])
+    towards = f"{words.direction(*f)}, {words.angle(*f)}" if _size(f) > 0.05 else _NONE
+    return [
+        _row("direction", towards, "from forward, as the base sees it", span=3),
+        _acceleration("moving away", away, away_acc, "the part along −n, Figure 7b", on=on),
+        _acceleration(
+            "to the better score", turn, turn_acc, "the part across, by (12) and (13), Figure 7c",
+            on=on,
+        ),
+        _acceleration(
+            "together, times β", f, why.base_avoidance, "(15); (16), (17), (18) times β_m", on=on
+        ),
+        _acceleration("asked of the base", None, why.base_asked, "the base's part of (29)"),
+        _acceleration("the base really has", None, why.base_given, "of its drive, a command late"),
+    ]  # fmt: skip
+
+
+def _score_rows(why: Explanation) -> list[str]:
+    first = why.forces[0] if why.forces else _ZERO
+    values = (
+        ("far from singular, det", words.scientific(first.determinant) + " m⁴/rad⁴",
+         "(7): 0 on the wheels' axis, where the base cannot move the point sideways"),
+        ("reachability R", f"{first.reachability:.0f}", "(9): how well the arm reaches the point"),
+        ("score S", words.scientific(first.score) + " m⁴/rad⁴", "(10): sign · det · R"),
+        ("score without the step, p_n", words.scientific(first.score_near) + " m⁴/rad⁴",
+         "S where the force would act without (12)"),
+    )  # fmt: skip
+    return [_row(label, text if why.forces else _NONE, hint) for label, text, hint in values]
+
+
+def _level_rows(levels: Sequence[Level]) -> list[str]:
+    by_name = {level.name: level for level in levels}
+    rows = []
+    for label, hint, names in _LEVELS:
+        level = next((by_name[name] for name in names if name in by_name), None)
+        rows.append(_row(label, _NONE if level is None else _given_up(level), hint))
+    return rows
+
+
+def _given_up(level: Level) -> str:
+    parts = ((level.linear, "m/s²"), (level.angular, "rad/s²"))
+    texts = [f"{value:.2f} {unit}" for value, unit in parts if value is not None and value >= 0.005]
+    return ", ".join(texts) or '<span style="opacity:.65">nothing</span>'
+
+
+def _bound_rows(why: Explanation) -> list[str]:
+    texts = [words.bound(bound, why.chain) for bound in why.bounds]
+    if len(texts) > BOUNDS_SHOWN:
+        texts = [*texts[: BOUNDS_SHOWN - 1], f"and {len(texts) - BOUNDS_SHOWN + 1} more"]
+    texts = texts or ['<span style="opacity:.65">no limit</span>']
+    texts += ["&nbsp;"] * (BOUNDS_SHOWN - len(texts))
+    return [f'<tr><td style="white-space:nowrap">{text}</td></tr>' for text in texts]
+
+
+def _table(title: str, rows: Sequence[str], columns: Sequence[tuple[str, str]] = ()) -> str:
+    cells = "".join(
+        f'<td style="width:{width};text-align:right;opacity:.65;white-space:nowrap">{column}</td>'
+        for column, width in columns
+    )
+    head = f'<tr><td style="font-weight:600;white-space:nowrap">{title}</td>{cells}</tr>'
+    style = "width:100%;border-spacing:0;margin-bottom:.4em"
+    return f'<table cellpadding="0" style="{style}">{head}{"".join(rows)}</table>'
+
+
+def _row(label: str, value: str, hint: str, *, span: int = 1) -> str:
+    return (
+        f'<tr title="{hint}"><td style="opacity:.65;white-space:nowrap">{label}</td>'
+        f'<td colspan="{span}" style="text-align:right;white-space:nowrap">{value}</td></tr>'
+    )
+
+
+def _acceleration(
+    label: str, f: tuple[float, float] | None, acceleration: tuple[float, float], hint: str,
+    *, on: bool = True,
+) -> str:  # fmt: skip
+    """A row of newtons, m/s² and rad/s²; dashes where there is no force at all."""
+    newtons = "" if f is None else f"{_size(f):.0f}"
+    values = (newtons, *(words.signed(a) for a in acceleration)) if on else (_NONE,) * 3
+    cells = "".join(f'<td style="text-align:right">{value}</td>' for value in values)
+    return f'<tr title="{hint}"><td style="opacity:.65;white-space:nowrap">{label}</td>{cells}</tr>'
+
+
+def _sum(vectors: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    return sum(v[0] for v in vectors), sum(v[1] for v in vectors)
+
+
+def _size(v: tuple[float, float]) -> float:
+    return (v[0] ** 2 + v[1] ** 2) ** 0.5

@@ -1,0 +1,296 @@
+"""Laws of the words: they agree with the numbers, for every controller and in every state."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from itertools import product
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.config import Config
+from app.control.active_bounds import Bound
+from app.control.controller import CONTROLLERS
+from app.control.explanation import Explanation, ForceSplit, NearPair
+from app.control.levels import Level
+from app.dashboard import words
+from app.dashboard.explain import LONGEST, sentence
+from app.dashboard.panels.why import WhyPanel, why_html
+from app.simulation.snapshot import Snapshot
+from tests.fakes import ScriptedLoop
+from tests.robots import husky_panda
+
+CHAIN = ("lm", "l1", "l2", "l3", "lEE")
+UNITS = {"forward": (1, 0), "backward": (-1, 0), "left": (0, 1), "right": (0, -1)}
+FRONT, LEFT, REAR, TOP = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+CORNER = (0.8, -0.6, 0.0)
+FORCE = ForceSplit((-80, -60), (-80, 0), (0, -60), (-0.4, 0), (0, -0.2), 2.3e-4, 98, 0.022, 0.021)
+BASE = NearPair("lm", "lEE", True, 0.08, 0.7, FRONT, 0.0, 0.0, False, FORCE)
+LINKS = NearPair("l1", "lEE", False, 0.09, 0.5, FRONT, 0.0, 0.0, False, None)
+ABOVE = BASE._replace(n=TOP, above=1.0, arm_beta=0.4)
+LAST = BASE._replace(d=0.03, arm_beta=0.9)
+INSIDE = BASE._replace(d=-0.004, beta=1.0, arm_beta=1.0)
+HELD = BASE._replace(d=0.05, held=True, force=None)
+NEAR = {
+    "nothing": (), "base": (BASE,), "left": (BASE._replace(n=LEFT),),
+    "corner": (BASE._replace(n=CORNER, d=0.123), LINKS), "rear": (BASE._replace(n=REAR),),
+    "above": (ABOVE,), "high above": (ABOVE._replace(arm_beta=0.0, d=0.13),), "last": (LAST,),
+    "inside": (INSIDE,), "links": (LINKS,), "both": (BASE, LINKS), "held": (HELD, LINKS),
+    "edge": (BASE._replace(d=0.148),), "all": (ABOVE, BASE._replace(b="l3"), LINKS),
+}  # fmt: skip
+MOTIONS = {"rest": (0.0, 0.0), "back": (-0.21, 0.3), "turns": (0.0, -0.5), "ahead": (0.4, 0.0)}
+BOUNDS = (
+    (), (Bound("panda_joint4", "torque", upper=True),),
+    tuple(Bound(f"panda_joint{i}", "angular acceleration", upper=True) for i in range(1, 8)),
+)  # fmt: skip
+LEVELS = (
+    Level("base", 0.0, 0.31), Level("arm", 0.0, None), Level("links", 12.0, None),
+    Level("hand", 92.9, 4.2), Level("posture", None, 0.6),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def blank() -> Snapshot:
+    return ScriptedLoop(husky_panda()).latest()
+
+
+def explanation(near: tuple[NearPair, ...] = (), **fields: object) -> Explanation:
+    why = Explanation(
+        controller="dbb", mode="guiding", solved=True, chain=CHAIN, near=near,
+        nearest=("lm", "lEE", near[0].d if near else 0.23), base_avoidance=(0.0, 0.0),
+        base_asked=(0.0, 0.0), base_given=(0.0, 0.0), levels=(), bounds=(),
+    )  # fmt: skip
+    return why._replace(**fields)
+
+
+def said(blank: Snapshot, why: Explanation, **fields: object) -> str:
+    return sentence(replace(blank, explanation=why, controller=why.controller, **fields))
+
+
+def vector(text: str) -> tuple[float, float]:
+    x, y = (sum(UNITS[word][i] for word in text.split()) for i in (0, 1))
+    return x / math.hypot(x, y), y / math.hypot(x, y)
+
+
+# Numbers as words
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(0.1, 600))
+def test_the_direction_in_words_is_within_half_a_sector_of_the_force(heading, size):
+    x, y = size * math.cos(heading), size * math.sin(heading)
+    word = vector(words.direction(x, y))
+    assert word[0] * x + word[1] * y >= size * math.cos(math.pi / 8) * (1 - 1e-9)
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(0.1, 600))
+def test_the_degrees_say_the_same_as_the_force(heading, size):
+    text = words.angle(size * math.cos(heading), size * math.sin(heading))
+    degrees = float(text.split("°")[0]) * (-1.0 if "right" in text else 1.0)
+    assert math.cos(math.radians(degrees) - heading) >= math.cos(math.radians(0.51))
+    assert ("left" in text or "right" in text) == (degrees not in (0.0, 180.0))
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(-0.79, 0.79))
+def test_the_place_on_the_base_is_where_the_normal_points(heading, n_z):
+    flat = math.sqrt(1 - n_z**2)
+    text = words.place((flat * math.cos(heading), flat * math.sin(heading), n_z))
+    named = [{"front": "forward", "rear": "backward"}.get(word, word) for word in text.split()]
+    word = vector(" ".join(w for w in named if w in UNITS))
+    assert word[0] * math.cos(heading) + word[1] * math.sin(heading) >= math.cos(math.pi / 8) - 1e-9
+
+
+def test_the_top_is_the_top():
+    assert words.place((0.3, 0.0, 0.95)) == words.place(TOP) == "top"
+
+
+@given(st.floats(-2, 2), st.floats(-2, 2), st.booleans())
+def test_what_the_base_does_has_the_signs_of_its_velocity(v, w, ahead):
+    for text in (words.motion(v, w, ahead=ahead), words.intention(v, w, ahead=ahead)):
+        assert (text is None) == (abs(v) < words.AT_REST[0] and abs(w) < words.AT_REST[1])
+        told = text or ""
+        assert ("back" in told) == (v <= -words.AT_REST[0])
+        assert ("forward" in told) == (v >= words.AT_REST[0])
+        assert ("left" in told) == (w >= words.AT_REST[1])
+        assert ("right" in told) == (w <= -words.AT_REST[1])
+
+
+@given(st.floats(-1e3, 1e3))
+def test_powers_of_ten_read_back_as_the_number(value):
+    digits = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹−", "-0123456789-")
+    mantissa, _, power = words.scientific(value).partition("·10")
+    read = float(mantissa.translate(digits)) * 10.0 ** int(power.translate(digits) or 0)
+    assert read == pytest.approx(value, rel=0.051)
+
+
+def test_bodies_are_named_from_the_hand_inwards():
+    names = [words.body(name, CHAIN) for name in CHAIN]
+    assert names == ["base", "shoulder", "upper arm", "forearm", "hand"]
+    assert words.body("lEE", (*CHAIN, "door")) == "hand"
+    assert words.body("door", (*CHAIN, "door")) == "door"
+    assert words.body("l1", ("lm", "l1", "l2", "l3", "l4", "lEE")) == "link l1"
+
+
+def test_a_limit_names_the_joint_or_the_pair():
+    assert words.bound(BOUNDS[1][0], CHAIN) == "panda_joint4: torque limit"
+    assert words.bound(Bound("lm-lEE", "barrier", upper=False), CHAIN).startswith("hand – base: ")
+
+
+# The sentence
+
+
+EVERYTHING = list(
+    product(CONTROLLERS, NEAR, MOTIONS, ("guiding", "tracking"), (LEVELS, ()), (True, False))
+)
+
+
+@pytest.mark.parametrize("controller", CONTROLLERS)
+def test_there_is_one_short_answer_for_every_state(blank, controller):
+    for name, near, moves, mode, levels, solved in EVERYTHING:
+        if name != controller:
+            continue
+        why = explanation(
+            NEAR[near], controller=name, mode=mode, levels=levels, solved=solved,
+            bounds=(Bound("base", "speed", upper=True),),
+        )  # fmt: skip
+        for contact in ((False, False), (True, False), (False, True)):
+            text = said(
+                blank, why, base_velocity=MOTIONS[moves], in_contact=contact[0],
+                arm_in_contact=contact[1], ee_error=0.123,
+            )  # fmt: skip
+            assert len(text) <= LONGEST, text
+            assert re.fullmatch(r"[A-Z].*\.", text), text
+            assert not re.search(r"None|nan|\(\)|  |lm|lEE|l1", text), text
+            assert any(contact) == ("touch!" in text)
+
+
+def test_the_base_that_gives_way_is_said_with_distance_buffer_place_and_motion(blank):
+    why = explanation(NEAR["base"], mode="tracking")
+    assert said(blank, why, base_velocity=(-0.21, 0.3)) == (
+        "The hand came within 8 cm of the base's front (its buffer is 15 cm), so the base backs "
+        "away at 0.21 m/s and turns left; the hand's own task is not disturbed."
+    )
+
+
+def test_before_the_base_moves_it_says_what_it_is_about_to_do(blank):
+    why = explanation(NEAR["base"], base_asked=(-0.3, -0.2))
+    assert "so the base is about to back away and turn right" in said(
+        blank, why, base_velocity=(0.0, 0.0)
+    )
+    idle = explanation(NEAR["base"])
+    assert "too little yet to move the base" in said(blank, idle, base_velocity=(0.0, 0.0))
+
+
+@pytest.mark.parametrize(("slack", "disturbed"), [(0.0, False), (0.04, False), (3.0, True)])
+def test_the_hands_task_is_disturbed_exactly_where_it_has_slack(blank, slack, disturbed):
+    why = explanation(NEAR["base"], mode="tracking", levels=(Level("hand", slack, 0.0),))
+    assert ("has to give way" in said(blank, why)) == disturbed
+    assert ("not disturbed" in said(blank, why)) != disturbed
+
+
+@pytest.mark.parametrize(
+    ("near", "controller", "part"),
+    [
+        ("nothing", "dbb", "Nothing is near: the hand is 23 cm from the base (buffer 15 cm)"),
+        ("nothing", "none", "Avoidance is off."),
+        ("base", "none", "avoidance is off: nothing gives way"),
+        ("above", "dbb", "base's top (its buffer is 15 cm), where no motion of the base helps"),
+        ("high above", "dbb", "from 10 cm on the arm itself will resist"),
+        ("last", "dbb", "the arm itself resists too, as the last resort"),
+        ("inside", "dbb", "The hand is 4 mm inside the outline of the base's front"),
+        ("edge", "dbb", "The hand is at the edge of the 15 cm buffer around the base's front"),
+        ("links", "dbb", "within 9 cm of the shoulder (its buffer is 15 cm), so the arm pushes"),
+        ("both", "dbb", "Hand and shoulder are pushed apart as well."),
+        ("base", "repulsive", "pushes the arm away and does not ask the base"),
+        ("held", "barrier", "held back by the hard limit of 5 cm"),
+        ("base", "barrier", "only nearer than 5 cm is forbidden, so nothing gives way yet"),
+    ],
+)  # fmt: skip
+def test_each_state_has_its_reason(blank, near, controller, part):
+    assert part in said(blank, explanation(NEAR[near], controller=controller))
+
+
+def test_a_failed_solver_is_said_before_all_else(blank):
+    text = said(blank, explanation(NEAR["base"], solved=False))
+    assert text.startswith("The solver found no motion that keeps all limits")
+
+
+def test_the_buffer_is_that_of_the_configuration(blank):
+    config = Config().replace("border.d_b", 0.22)
+    assert "its buffer is 22 cm" in said(blank, explanation(NEAR["base"]), config=config)
+
+
+def test_as_fast_as_it_may_is_said_at_the_top_speed_only(blank):
+    slow, fast = (
+        said(blank, explanation(NEAR["base"], bounds=bounds), base_velocity=(-0.5, 0.0))
+        for bounds in ((), (Bound("base", "speed", upper=False),))
+    )
+    assert ("as fast as it may" in slow, "as fast as it may" in fast) == (False, True)
+
+
+# The panel
+
+
+def test_the_panel_has_the_same_rows_whatever_it_says(blank):
+    rows = {
+        why_html(replace(blank, explanation=explanation(near, bounds=bounds, levels=levels))).count(
+            "<tr"
+        )
+        for near in NEAR.values()
+        for bounds in BOUNDS
+        for levels in (LEVELS, LEVELS[3:], ())
+    }
+    assert len(rows) == 1
+
+
+def test_the_panel_shows_the_numbers_of_the_explanation(blank):
+    why = explanation(
+        NEAR["base"], base_avoidance=(-0.4, -0.2), base_asked=(-0.35, -0.15), levels=LEVELS,
+        bounds=BOUNDS[1],
+    )  # fmt: skip
+    text = re.sub(r"<[^>]*>", " ", why_html(replace(blank, explanation=why)))
+    for part in (
+        "backward right, 143° to the right", "2.3·10⁻⁴", "98", "2.2·10⁻²", "−0.35", "92.90 m/s²",
+        "4.20 rad/s²", "panda_joint4: torque limit", "80 of 150 mm", "0.70",
+    ):  # fmt: skip
+        assert part in text, part
+    assert re.search(r"moving away\s+80\s+−0.40\s+\+0.00", text)
+    assert re.search(r"to the better score\s+60\s+\+0.00\s+−0.20", text)
+    assert re.search(r"together, times β\s+100\s+−0.40\s+−0.20", text)
+
+
+def test_the_text_inherits_its_colour_from_the_theme(blank):
+    html = why_html(replace(blank, explanation=explanation(NEAR["base"], levels=LEVELS)))
+    assert not re.search(r'[;"]\s*color\s*:', html)
+
+
+def test_what_has_not_changed_is_not_sent(blank):
+    panel = WhyPanel(FakeGui())  # type: ignore[arg-type]
+    handle = panel._html
+    one, two = (replace(blank, explanation=explanation(NEAR[near])) for near in ("base", "links"))
+    for snapshot in (one, one, two, two, replace(blank, explanation=None)):
+        panel.update(snapshot)
+    assert handle.sent == 3
+    assert "There is no explanation" in handle.content
+
+
+class FakeGui:
+    """Hands out one HTML element that counts what is sent."""
+
+    def add_html(self, content: str) -> FakeHtml:
+        return FakeHtml(content)
+
+
+class FakeHtml:
+    def __init__(self, content: str) -> None:
+        self._content, self.sent = content, 0
+
+    @property
+    def content(self) -> str:
+        return self._content
+
+    @content.setter
+    def content(self, content: str) -> None:
+        self._content, self.sent = content, self.sent + 1

@@ -1,0 +1,401 @@
+"""Laws of what explains a control step: forces, levels and limits agree with other computations."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from app.avoidance.task import TaskRows
+from app.border.cache import BorderData
+from app.border.score import ScoreField
+from app.config import Config
+from app.control.active_bounds import TOLERANCE, Bound, admittance_bounds, met
+from app.control.controller import CONTROLLERS, Controller, ControlOutput
+from app.control.explanation import Explanation, NearPair, explain, split
+from app.control.hqp import HierarchicalQP, Limits, NoSolutionError, Objective
+from app.control.levels import Level, level_readings
+from app.control.tasks import Reference, Stack, end_effector_task, free_arm_torque
+from app.control.transition import TaskTransition
+from app.control.workings import ArmSolve, Workings
+from app.robot.link_pairs import PairDistances, candidate_pairs
+from app.robot.model import RobotModel
+from app.robot.state import Measurement
+from app.simulation.pacing import Pacer
+from app.simulation.publishing import make_snapshot
+from app.simulation.session import Session
+
+AT_ONCE = Config().replace("limit.torque_rate", 1e6)
+REST = np.zeros(2)
+SEEDS = range(4)
+
+
+@pytest.fixture(scope="module")
+def controllers(robot: RobotModel, border_data: BorderData) -> dict[str, Controller]:
+    """One of each, with torques that may change at once, so that they are those of the QP."""
+    return {name: Controller(robot, border_data, AT_ONCE, name=name) for name in CONTROLLERS}
+
+
+@pytest.fixture(scope="module")
+def dbb(controllers: dict[str, Controller]) -> Controller:
+    return controllers["dbb"]
+
+
+def near(robot: RobotModel, pair: str, seed: int, low: float = 0.06, high: float = 0.12):
+    """A random posture, moving slowly, with a pair that meets from the side between two bounds."""
+    rng = np.random.default_rng(seed)
+    reader = PairDistances(robot, candidate_pairs(robot))
+    names = [p.name for p in reader.pairs]
+    while True:
+        q_m = rng.uniform(robot.q_lower + 0.4, robot.q_upper - 0.4)
+        reader.update(robot.configuration(np.zeros(3), q_m))
+        d = {name: reader.distance(i) for i, name in enumerate(names)}
+        n_z = reader.closest(names.index(pair)).normal[2]
+        if low < d[pair] < high and abs(n_z) < 0.7 and all(v > 0.02 for v in d.values()):
+            pose = np.array([1.0, -2.0, rng.uniform(-3, 3)])
+            return Measurement(pose, rng.normal(0, 0.05, 2), q_m, rng.normal(0, 0.05, robot.n_m))
+
+
+def explained(
+    controller: Controller, m: Measurement, reference: Reference | None = None,
+    config: Config = AT_ONCE, command: np.ndarray = REST,
+) -> tuple[Explanation, ControlOutput]:  # fmt: skip
+    controller.reset()
+    controller.configure(config)
+    output = controller.step(m, reference)
+    return explain(controller, output, config, command), output
+
+
+def qdd_of(controller: Controller, output: ControlOutput) -> np.ndarray:
+    """q̈ by the equation of motion, from torques and the base's acceleration alone."""
+    state = controller.state
+    qdd_b = np.linalg.solve(state.model.J_m, output.base_acceleration)
+    M_a = state.M[2:]
+    rest = output.u_a - state.h[2:] - M_a[:, :2] @ qdd_b
+    return np.concatenate([qdd_b, np.linalg.solve(M_a[:, 2:], rest)])
+
+
+def level(why: Explanation, name: str) -> Level:
+    return next(level for level in why.levels if level.name == name)
+
+
+def here(controller: Controller, m: Measurement, *, off: float = 0.0) -> Reference:
+    """A reference at rest where the hand is, or so many metres above."""
+    controller.state.update(m)
+    pose = controller.state.T_world_ee
+    pose = pin.SE3(pose.rotation.copy(), pose.translation + np.array([0.0, 0.0, off]))
+    return Reference(pose, np.zeros(6), np.zeros(6))
+
+
+# Forces
+
+
+@given(
+    st.floats(-np.pi, np.pi), st.floats(0, 600), st.floats(-np.pi, np.pi), st.floats(-1.57, 1.57)
+)
+def test_away_and_turn_add_up_and_are_along_and_across_the_normal(heading, size, azimuth, height):
+    f = size * np.array([np.cos(heading), np.sin(heading), 0.0])
+    n = np.array([*(np.cos(height) * np.array([np.cos(azimuth), np.sin(azimuth)])), np.sin(height)])
+    away, turn = split(f, n)
+    np.testing.assert_allclose(away + turn, f, atol=1e-9)
+    assert abs(away @ turn) <= 1e-9 * (1 + size**2)
+    assert abs(turn @ n) <= 1e-6 * (1 + size)
+    assert away[2] == turn[2] == 0.0
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_force_is_that_of_the_pair_and_its_parts_make_the_bases_acceleration(robot, dbb, seed):
+    why, output = explained(dbb, near(robot, "lm-lEE", seed))
+    by_name = {pair.closest.pair.name: pair for pair in output.avoidance.mobile}
+    assert why.forces
+    for pair in why.near:
+        if pair.force is None:
+            continue
+        f = by_name[f"{pair.a}-{pair.b}"].f
+        np.testing.assert_allclose([*pair.force.f, 0.0], f, atol=1e-12)
+        np.testing.assert_allclose(np.add(pair.force.away, pair.force.turn), f[:2], atol=1e-9)
+    total = sum(np.add(f.away_acceleration, f.turn_acceleration) for f in why.forces)
+    np.testing.assert_allclose(total, output.inserted.base_acceleration, atol=1e-9)
+    np.testing.assert_allclose(why.base_avoidance, total, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_turn_draws_the_better_part_of_the_border_to_the_hand(robot, dbb, seed):
+    """And the rest of the force moves the base away from it."""
+    why, output = explained(dbb, near(robot, "lm-lEE", seed))
+    by_name = {pair.closest.pair.name: pair for pair in output.avoidance.mobile}
+    for pair in why.near:
+        if pair.force is None:
+            continue
+        acting = by_name[f"{pair.a}-{pair.b}"].acting
+        assert acting is not None
+        assert np.dot(pair.force.away, pair.n[:2]) < 0.0 or pair.above == 1.0
+        step = np.array(acting.p_t - acting.p_n)[:2]
+        assert np.dot(pair.force.turn, step) <= 1e-9
+        assert pair.force.score >= pair.force.score_near - 1e-12
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_determinant_reachability_and_score_are_the_fields_at_p_act(robot, dbb, seed):
+    why, output = explained(dbb, near(robot, "lm-l3", seed))
+    for pair in output.avoidance.mobile:
+        if pair.acting is None:
+            continue
+        field = ScoreField.of(robot, pair.closest.pair.b)
+        force = next(p.force for p in why.near if (p.a, p.b) == tuple(pair.closest.pair))
+        assert force is not None
+        assert force.determinant == pytest.approx(float(field.singularity(pair.acting.p_act)))
+        assert force.reachability == pytest.approx(float(field.reachability(pair.acting.p_act)))
+        assert force.score == pytest.approx(float(field.score(pair.acting.p_act)))
+        assert force.score_near == pytest.approx(float(field.score(pair.acting.p_n)))
+
+
+def test_nothing_depends_on_where_the_base_stands_and_how_it_is_turned(robot, dbb):
+    m = near(robot, "lm-lEE", 1)
+    here_, there = (
+        explained(dbb, m._replace(base_pose=np.array(pose)))[0]
+        for pose in ([0.0, 0.0, 0.0], [3.0, -1.0, 2.2])
+    )
+    np.testing.assert_allclose(here_.forces[0].f, there.forces[0].f, atol=1e-6)
+    np.testing.assert_allclose(here_.near[0].n, there.near[0].n, atol=1e-9)
+
+
+# Levels
+
+
+@pytest.mark.parametrize("name", ["dbb", "repulsive", "barrier", "none"])
+@pytest.mark.parametrize("off", [0.0, 0.8])
+def test_the_hands_slack_is_what_the_torques_leave_of_its_task(robot, controllers, name, off):
+    """`off` by 0.8 m the task asks for 720 m/s², which no torque gives."""
+    controller, m = controllers[name], near(robot, "lm-lEE", 2)
+    reference = here(controller, m, off=off)
+    why, output = explained(controller, m, reference)
+    task = end_effector_task(controller.state, reference, AT_ONCE.task)
+    w = task.b - task.J @ qdd_of(controller, output)
+    hand = level(why, "hand")
+    assert hand.linear is not None
+    assert (hand.linear, hand.angular) == pytest.approx(
+        (np.linalg.norm(w[:3]), np.linalg.norm(w[3:])), abs=1e-4, rel=1e-3
+    )
+    assert (off > 0.0) == (hand.linear > 10.0) or name == "repulsive"
+
+
+def test_a_level_that_is_met_gives_up_nothing(robot, dbb):
+    m = near(robot, "lm-lEE", 2)
+    why, _ = explained(dbb, m, here(dbb, m))
+    assert level(why, "hand").linear == pytest.approx(0.0, abs=1e-6)
+    assert level(why, "base").linear == level(why, "base").angular == 0.0
+    names = [reading.name for reading in why.levels]
+    assert (names[0], *names[-2:]) == ("base", "hand", "posture")
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_posture_gives_up_what_its_joints_do_not_get(robot, dbb, seed):
+    m = near(robot, "lm-lEE", seed)
+    why, output = explained(dbb, m, here(dbb, m))
+    wanted = -AT_ONCE.task.posture_damping * m.qd_m  # the posture is the present one
+    expected = np.linalg.norm(qdd_of(dbb, output)[2:] - wanted)
+    assert level(why, "posture").angular == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("pair", ["lm-lEE", "l1-l3"])
+def test_a_guided_arm_gives_up_what_is_asked_beyond_carrying_itself(robot, dbb, pair):
+    why, output = explained(dbb, near(robot, pair, 0))
+    M_aa = dbb.state.M[2:, 2:]
+    expected = np.linalg.norm(np.linalg.solve(M_aa, output.u_a - free_arm_torque(dbb.state)))
+    assert level(why, "free").angular == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("gap", [0.0, 2.0, 5.0])
+def test_rows_that_contradict_each_other_give_up_half_of_their_difference_each(robot, dbb, gap):
+    _, output = explained(dbb, near(robot, "l1-l3", 0))
+    e = np.eye(9)
+    given_rows = TaskRows(e[:2], np.zeros(2), np.zeros(2), 1.0)
+    rows = [TaskRows(e[[5]], np.zeros(1), np.array([b]), 1.0) for b in (1.0, 1.0 + gap)]
+    limits = Limits(e[:1], np.array([-1e6]), np.array([1e6]))
+    stack = Stack((), Objective(e, np.zeros(9)))
+    above = (given_rows, *rows)
+    solution = TaskTransition(HierarchicalQP(9)).solve(above, *stack, limits)
+    arm = ArmSolve(above, stack, limits, solution, np.zeros(7))
+    inserted = output.inserted._replace(rows_m=None, rows_arm=(), rows_links=tuple(rows))
+    output = output._replace(inserted=inserted)
+    links, free = level_readings(output, Workings(np.zeros(2), np.zeros(2), arm))
+    assert links == ("links", pytest.approx(np.sqrt(2.0) * gap / 2.0, abs=1e-7), None)
+    assert free.angular == pytest.approx(1.0 + gap / 2.0, abs=1e-7)
+
+
+def test_the_base_gives_up_what_its_largest_acceleration_does_not_allow(robot, dbb):
+    strong = AT_ONCE.replace("force.f_max", 600.0)
+    seeds = (explained(dbb, near(robot, "lm-lEE", s, 0.02, 0.04), config=strong) for s in range(20))
+    why, output = next((w, o) for w, o in seeds if any(b.where == "base" for b in w.bounds))
+    most = np.array(robot.description.base.max_acceleration)
+    wanted = output.avoidance.beta_m * output.avoidance.xdd_m  # β = 1: nothing else is wanted
+    assert output.avoidance.beta_m == 1.0
+    excess = np.maximum(np.abs(wanted) - most, 0.0)
+    assert level(why, "base")[1:] == pytest.approx(tuple(excess), abs=1e-9)
+    kinds = {bound.kind for bound in why.bounds if bound.where == "base"}
+    names = np.array(["acceleration", "angular acceleration"])
+    assert kinds == set(names[excess > 0.0])
+
+
+# Limits
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_bound_is_reported_exactly_where_giving_way_would_change_the_answer(seed):
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(9, 9))
+    objective = Objective(A @ A.T + np.eye(9), 3.0 * rng.normal(size=9))
+    limits = Limits(np.eye(9)[:6], np.full(6, -0.3), np.full(6, 0.3))
+    qdd = HierarchicalQP(9).solve([], objective, limits).qdd
+    low, high = met(limits, qdd)
+    assert (low | high).any()
+    for i in range(6):
+        for side, at in ((limits.l, low[i]), (limits.u, high[i])):
+            kept, side[i] = side[i], 10.0 * side[i]
+            moved = np.abs(HierarchicalQP(9).solve([], objective, limits).qdd - qdd).max()
+            side[i] = kept
+            assert (moved > 10 * TOLERANCE) == at
+
+
+def test_a_torque_limit_is_reported_for_the_joints_whose_torque_is_at_it(robot, dbb):
+    m = near(robot, "lm-lEE", 2)
+    for off in (0.0, 0.8):
+        why, output = explained(dbb, m, here(dbb, m, off=off))
+        full = np.abs(output.u_a) >= robot.tau_max - 1e-5
+        joints = robot.description.arm.joints
+        reported = {bound.where for bound in why.bounds if bound.kind == "torque"}
+        assert reported == {joint for joint, at in zip(joints, full, strict=True) if at}
+        assert bool(reported) == (off > 0.0)
+
+
+@pytest.mark.parametrize("upper", [True, False])
+@pytest.mark.parametrize("kind", ["position", "velocity"])
+def test_a_joint_that_is_braked_before_its_limit_says_which_one(robot, dbb, kind, upper):
+    sign, joint = (1.0 if upper else -1.0), 0
+    q_m, qd_m = np.array(robot.description.arm.ready_position), np.zeros(robot.n_m)
+    if kind == "position":
+        q_m[joint] = (robot.q_upper if upper else robot.q_lower)[joint] - sign * 0.01
+        qd_m[joint] = sign * 0.5
+    else:
+        qd_m[joint] = sign * 1.3 * robot.qd_max[joint]
+    prompt = AT_ONCE.replace("limit.velocity_rate", 100.0)  # sooner than by the joint's damping
+    why, _ = explained(dbb, Measurement(np.zeros(3), np.zeros(2), q_m, qd_m), config=prompt)
+    assert Bound(robot.description.arm.joints[joint], kind, upper) in why.bounds
+    qd_m[:] = 0.0
+    q_m[joint] = robot.description.arm.ready_position[joint]
+    why, _ = explained(dbb, Measurement(np.zeros(3), np.zeros(2), q_m, qd_m))
+    assert why.bounds == ()
+
+
+def test_a_torque_that_cannot_change_so_fast_is_reported_until_it_has_arrived(robot, dbb):
+    slow = AT_ONCE.replace("limit.torque_rate", 1000.0)
+    m = near(robot, "l1-l3", 0)
+    dbb.reset()
+    dbb.configure(slow)
+    for _ in range(3):
+        output = dbb.step(m)
+        why = explain(dbb, output, slow, REST)
+        late = np.abs(output.workings.arm.u_a - output.u_a) > TOLERANCE
+        joints = [b.where for b in why.bounds if b.kind == "torque rate"]
+        assert joints == [j for j, at in zip(robot.description.arm.joints, late, strict=True) if at]
+        assert joints
+    for _ in range(100):
+        output = dbb.step(m)
+    assert "torque rate" not in {b.kind for b in explain(dbb, output, slow, REST).bounds}
+
+
+@pytest.mark.parametrize(
+    ("command", "expected"),
+    [
+        ((0.0, 0.0), []),
+        ((0.499, -0.999), []),
+        ((-0.5, 0.2), [Bound("base", "speed", upper=False)]),
+        ((0.5, -1.0), [Bound("base", "speed", True), Bound("base", "turning speed", False)]),
+    ],
+)
+def test_the_bases_top_speeds_are_reported_when_they_are_commanded(robot, command, expected):
+    assert admittance_bounds(robot, Config(), np.array(command)) == expected
+
+
+# Methods and failures
+
+
+def test_only_the_method_that_moves_the_base_has_forces(robot, controllers):
+    m = near(robot, "lm-lEE", 0)
+    why = {name: explained(controller, m)[0] for name, controller in controllers.items()}
+    assert {name for name, each in why.items() if each.forces} == {"dbb"}
+    assert {name: each.controller for name, each in why.items()} == {n: n for n in CONTROLLERS}
+    assert all(each.near[0][:5] == why["dbb"].near[0][:5] for each in why.values())
+    assert why["repulsive"].near[0].arm_beta == why["repulsive"].near[0].beta > 0.0
+    assert why["none"].near[0].arm_beta == 0.0
+
+
+def test_a_barrier_is_held_exactly_where_its_row_is_at_its_bound(robot, controllers):
+    held = set()
+    for seed in range(6):
+        why, output = explained(controllers["barrier"], near(robot, "lm-lEE", seed, 0.03, 0.08))
+        qdd = qdd_of(controllers["barrier"], output)
+        for row, pair in zip(output.inserted.barriers, output.avoidance.pairs, strict=True):
+            at = abs(row.J @ qdd - row.l) < 1e-4
+            name = pair.closest.pair.name
+            assert (Bound(name, "barrier", upper=False) in why.bounds) == at
+            reading = next((p for p in why.near if f"{p.a}-{p.b}" == name), None)
+            assert (reading is not None and reading.held) == at
+            held.add(at)
+    assert held == {True, False}
+
+
+def test_the_arms_own_rows_are_told_from_above_and_as_the_last_resort(robot, dbb):
+    for seed in range(6):
+        m = near(robot, "lm-lEE", seed, 0.02, 0.10)
+        why, output = explained(dbb, m)
+        betas = [pair.arm_beta for pair in why.near if pair.arm_beta > 0.0]
+        assert sorted(betas) == sorted(row.beta for row in output.inserted.rows_arm)
+
+
+def test_without_a_solution_it_says_so_and_still_what_is_near(robot, dbb, monkeypatch):
+    def fail(*_, **__):
+        raise NoSolutionError(0, "none")
+
+    monkeypatch.setattr(TaskTransition, "solve", fail)
+    why, output = explained(dbb, near(robot, "lm-lEE", 0))
+    assert not why.solved
+    assert output.workings is None
+    assert why.levels == ()
+    assert why.near[0].b == "lEE"
+
+
+def test_it_is_plain_small_data(robot, dbb):
+    why, _ = explained(dbb, near(robot, "lm-lEE", 0))
+    assert pickle.loads(pickle.dumps(why)) == why
+    assert len(pickle.dumps(why)) < 2000  # [bytes] 3000 of them are kept
+    assert {type(x) for x in leaves(why)} <= {str, float, bool, type(None)}
+
+
+def leaves(value: object):
+    if isinstance(value, tuple):
+        for item in value:
+            yield from leaves(item)
+    else:
+        yield value
+
+
+def test_every_published_snapshot_is_explained(robot, border_data):
+    session = Session(robot, border_data, Config(), physics="kinematic")
+    m = near(robot, "lm-lEE", 3)
+    session.reset(m.q_m)
+    step = session.step()
+    snapshot = make_snapshot(session, step, Pacer(0.001), paused=False)
+    session.close()
+    why = snapshot.explanation
+    assert why is not None
+    assert (why.mode, snapshot.mode) == ("guiding", "guiding")
+    assert isinstance(why.near[0], NearPair)
+    assert why.near[0].d == pytest.approx(snapshot.pairs[0].d)
+    np.testing.assert_allclose(why.base_asked, snapshot.base_acceleration)
+    np.testing.assert_allclose(why.base_avoidance, snapshot.avoidance_acceleration)
