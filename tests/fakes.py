@@ -14,16 +14,9 @@ from app.config import Config
 from app.control.buffer_watch import BufferReading
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.snapshot import (
-    ActingReading,
-    Command,
-    Configure,
-    PairReading,
-    Pause,
-    Pull,
-    Reset,
-    Snapshot,
-)
+from app.simulation.commands import Command, Configure, Pause, Pull, Reset
+from app.simulation.people import held_links
+from app.simulation.snapshot import ActingReading, PairReading, Snapshot
 
 Array = np.ndarray
 
@@ -43,6 +36,7 @@ class ScriptedLoop:
         self.model = model
         self.commands: list[Command] = []
         self.error: BaseException | None = None
+        self.links = held_links(model)
         self._state = RobotState(model)
         self._distances = _PairDistances(model)
         self._q_start = np.array(model.description.arm.ready_position if q_m is None else q_m)

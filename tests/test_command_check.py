@@ -16,6 +16,7 @@ from app.simulation.commands import (
     Play,
     PlayScenario,
     Pull,
+    Release,
     Speed,
     StepOnce,
 )
@@ -63,6 +64,14 @@ def test_options_that_are_none_or_out_of_range_are_refused(name, options):
     [
         (PlayScenario("guiding-latera"), UnknownNameError),
         (Choose("dbbb"), UnknownNameError),
+        (Pull((0.7, 0.0, 0.4), "base_link"), UnknownNameError),
+        (Pull((0.7, 0.0, 0.4), 5), UnknownNameError),
+        (Pull((0.7, 0.0, 0.4), "panda_link4", (2.0, 0.0, 0.0)), TargetError),
+        (Pull((0.7, 0.0, 0.4), "panda_link4", (NAN, 0.0, 0.0)), TargetError),
+        (Pull((0.7, 0.0, 0.4), None, (0.1, 0.0, 0.0)), TargetError),
+        (Pull((0.7, 0.0, 0.4), who=-1), ConfigError),
+        (Pull((0.7, 0.0, 0.4), who="me"), ConfigError),
+        (Release(None), ConfigError),
         (Pull((0.7, 0.0, -0.01)), TargetError),
         (Pull((0.7, NAN, 0.2)), TargetError),
         (Pull((0.7, 0.2)), TargetError),
@@ -84,7 +93,7 @@ def test_options_that_are_none_or_out_of_range_are_refused(name, options):
 )
 def test_what_is_no_command_is_refused_with_an_error_of_the_project(command, error):
     with pytest.raises(error) as caught:
-        checked(command)
+        checked(command, ("panda_link4",))
     assert isinstance(caught.value, DbbError)
 
 
@@ -93,4 +102,4 @@ def test_what_is_no_command_is_refused_with_an_error_of_the_project(command, err
     [Pull((0.5, 0.0, 0.4)), Pull(None), Choose("none"), Configure(Config()), Speed(4), StepOnce()],
 )
 def test_what_can_be_obeyed_passes_unchanged(command):
-    assert checked(command) is command
+    assert checked(command, ("panda_link4",)) is command

@@ -12,7 +12,8 @@ from app.config import Config
 from app.errors import ConfigError, TargetError
 from app.robot.model import RobotModel
 from app.simulation.begin import begin
-from app.simulation.ensemble import Ensemble
+from app.simulation.commands import Pull
+from app.simulation.ensemble import MOST_PULLS, Ensemble
 from app.simulation.leading import Setting
 from app.simulation.pacing import Pacer
 from app.simulation.publishing import make_snapshot
@@ -92,7 +93,7 @@ def test_a_pull_ends_the_lead_and_a_restart_begins_it_again(make):
     ensemble = make()
     ensemble.play(LATERAL)
     first = steps(ensemble, 0.3)
-    ensemble.pull(np.array([0.4, 0.7, 0.4]))
+    ensemble.pull(Pull((0.4, 0.7, 0.4)))
     step = ensemble.step()
     assert ensemble.leading == ""
     np.testing.assert_array_equal(step.hand_target, [0.4, 0.7, 0.4])
@@ -165,3 +166,33 @@ def test_what_cannot_begin_changes_nothing(make):
         ensemble.play(LATERAL.changed(move=(0.0, 0.0, -2.0)))
     assert (ensemble.main, ensemble.main.t, ensemble.leading) == (main, t, "guiding-lateral")
     assert ensemble.step().t == t
+
+
+def test_a_pull_elsewhere_disturbs_a_scenario_and_does_not_end_it(make):
+    ensemble = make()
+    ensemble.play(TRACKING)
+    alone = steps(ensemble, 0.4)
+    ensemble.restart()
+    ensemble.pull(Pull((0.2, 0.6, 1.0), "panda_link4", who=5))
+    disturbed = steps(ensemble, 0.4)
+    assert ensemble.leading == "tracking"
+    assert np.abs(disturbed - alone).max() > 1e-3
+    ensemble.pull(Pull(None, who=5))
+    assert (ensemble.leading, ensemble.step().pulls) == ("tracking", ())
+    ensemble.pull(Pull(None))  # of the end-effector, as nobody holds anything else
+    assert ensemble.leading == ""
+
+
+def test_each_lets_go_for_himself_and_only_so_many_can_hold(make):
+    ensemble = make()
+    for who in range(MOST_PULLS):
+        ensemble.pull(Pull((0.5, 0.1 * who, 0.8), who=who))
+    with pytest.raises(TargetError, match="8 people hold the robot"):
+        ensemble.pull(Pull((0.5, 0.0, 0.8), who=99))
+    ensemble.pull(Pull((0.6, 0.0, 0.8), "panda_link5", who=2))  # who holds may take another point
+    ensemble.release(0)
+    ensemble.pull(Pull(None, who=5))
+    ensemble.release(77)
+    assert {reading.who for reading in ensemble.step().pulls} == {1, 2, 3, 4, 6, 7}
+    ensemble.reset()
+    assert ensemble.step().pulls == ()

@@ -21,6 +21,7 @@ from app.simulation.commands import (
     Pause,
     PlayScenario,
     Pull,
+    Release,
     Reset,
     Restart,
     Speed,
@@ -69,7 +70,7 @@ def until(loop: SimulationLoop, holds: Callable[[Snapshot], bool]) -> Snapshot:
 
 def arrays(snapshot: Snapshot) -> list[np.ndarray]:
     """All arrays in a snapshot, those in its readings included."""
-    records = [vars(snapshot).values(), *snapshot.pairs, *snapshot.acting]
+    records = [vars(snapshot).values(), *snapshot.pairs, *snapshot.acting, *snapshot.pulls]
     return [value for record in records for value in record if isinstance(value, np.ndarray)]
 
 
@@ -389,3 +390,19 @@ def test_a_restart_begins_the_scenario_again(loop: SimulationLoop) -> None:
     loop.send(Restart())
     again = until(loop, lambda s: s.scenario == "tracking")
     assert again.hand_target is None
+
+
+def test_the_elbow_is_pulled_where_it_is_held_and_the_snapshot_says_by_whom(loop) -> None:
+    loop.send(Pull((0.2, 0.6, 1.0), "panda_link4", (0.0, 0.05, 0.0), who=3))
+    loop.send(PULL)
+    s = until(loop, lambda s: len(s.pulls) == 2 and np.linalg.norm(s.pulls[0].force) > 1.0)
+    assert [(reading.who, reading.link) for reading in s.pulls] == [(3, "panda_link4"), (0, None)]
+    np.testing.assert_array_equal(s.hand_target, PULL.target)
+    np.testing.assert_array_equal(s.pulls[1].force, s.hand_force)
+    np.testing.assert_allclose(s.pulls[1].point, s.p_ee)
+    assert s.held == s.pulls[0]
+    loop.send(Release(0))
+    s = until(loop, lambda s: len(s.pulls) == 1)
+    assert (s.pulls[0].who, s.hand_target) == (3, None)
+    with pytest.raises(UnknownNameError, match="did you mean 'panda_link4'"):
+        loop.send(Pull((0.2, 0.6, 1.0), "panda_lin4"))

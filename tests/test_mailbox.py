@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from app.config import Config
+from app.errors import LoopError
 from app.simulation.commands import (
     Choose,
     Configure,
     Pause,
     Play,
     Pull,
+    Release,
     Reset,
     Restart,
     Speed,
@@ -72,3 +75,11 @@ def test_of_several_beginnings_only_the_last_begins():
     assert after(Reset(), LATERAL) == [LATERAL]
     assert after(LATERAL, Restart()) == [LATERAL]  # what would be restarted begins already
     assert after(Restart()) == [Restart()]
+
+
+def test_everybodys_pull_waits_for_itself():
+    two = pull(0.4), Pull((0.3, 0.0, 0.5), "panda_link4", who=2)
+    assert after(*two) == list(two)
+    assert after(*two, Release(0)) == [two[1], Release(0)]
+    with pytest.raises(LoopError, match="more than 64"):
+        after(*(Pull((0.3, 0.0, 0.5), who=who) for who in range(MOST + 1)))

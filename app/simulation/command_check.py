@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any, get_args
 
 from app.config import Config
 from app.control.controller import CONTROLLERS
-from app.errors import ConfigError, DbbError, UnknownNameError
+from app.errors import ConfigError, DbbError, TargetError, UnknownNameError
 from app.simulation.commands import (
     Choose,
     Command,
@@ -15,11 +16,12 @@ from app.simulation.commands import (
     Play,
     PlayScenario,
     Pull,
+    Release,
     Speed,
     StepOnce,
 )
 from app.simulation.leading import Scenario
-from app.simulation.person import checked_target
+from app.simulation.person import checked_hold, checked_target
 from app.simulation.scenario import scenario_by_name
 
 COMMANDS = get_args(Command)
@@ -29,22 +31,26 @@ STEPS = 0.001, 1.0
 """[s] shortest and longest single step."""
 
 
-def checked(command: Command) -> Command:
-    """The command, if it can be obeyed as far as can be told without the robot.
+def checked(command: Command, links: Collection[str] = ()) -> Command:
+    """The command, if it can be obeyed as far as can be told without the session.
+
+    Args:
+        command: What was sent.
+        links: Where the arm can be held.
 
     Returns:
         The same, or the `Play` of a `PlayScenario`.
 
     Raises:
-        TargetError: The person's hand would be below the floor.
-        UnknownNameError: No controller or scenario has that name.
+        TargetError: The person's hand would be below the floor, or holds nothing of the link.
+        UnknownNameError: No controller, scenario or link has that name.
         ConfigError: It is no command, a scenario has no such option, or a value is out of its
             range.
     """
     if not isinstance(command, COMMANDS):
         raise ConfigError(f"{command!r} is no command")
-    if isinstance(command, Pull) and command.target is not None:
-        checked_target(command.target)
+    if isinstance(command, (Pull, Release)):
+        _check_person(command, links)
     elif isinstance(command, Choose):
         checked_controller(command.controller)
     elif isinstance(command, Configure) and not isinstance(command.config, Config):
@@ -71,6 +77,21 @@ def checked_controller(name: str) -> str:
     if name not in CONTROLLERS:
         raise UnknownNameError("controller", str(name), CONTROLLERS)
     return name
+
+
+def _check_person(command: Pull | Release, links: Collection[str]) -> None:
+    if not isinstance(command.who, int) or isinstance(command.who, bool) or command.who < 0:
+        raise ConfigError(f"a person's number is 0 or a larger whole number, was {command.who!r}")
+    if isinstance(command, Release):
+        return
+    if command.target is not None:
+        checked_target(command.target)
+    if command.link is not None and command.link not in links:
+        raise UnknownNameError("link", str(command.link), links)
+    if command.point is not None:
+        if command.link is None:
+            raise TargetError("a point is held in the frame of a link; name the link")
+        checked_hold(command.point)
 
 
 def _check_range(what: str, value: Any, limits: tuple[float, float], unit: str) -> None:

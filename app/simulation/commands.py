@@ -8,15 +8,32 @@ from dataclasses import dataclass, field
 from app.config import Config
 from app.simulation.leading import Scenario
 
+Point = tuple[float, float, float]
+
 
 @dataclass(frozen=True)
 class Pull:
-    """The person takes the end-effector and pulls it to `target`; None lets go.
+    """A person takes the robot and pulls it to `target`; None lets go.
 
-    It ends a scenario that leads the hand.
+    Taking or letting go of the end-effector ends a scenario that leads the hand; a pull elsewhere
+    disturbs it.
     """
 
-    target: tuple[float, float, float] | None
+    target: Point | None
+    """[m] where to, in the world."""
+    link: str | None = None
+    """One of the loop's `links`; None is the end-effector."""
+    point: Point | None = None
+    """[m] where the person holds, in the link's frame; None is its origin."""
+    who: int = 0
+    """Number of the person; each has one hand, and their forces add up."""
+
+
+@dataclass(frozen=True)
+class Release:
+    """A person lets go, if he holds the robot; a scenario goes on."""
+
+    who: int
 
 
 @dataclass(frozen=True)
@@ -80,6 +97,18 @@ class PlayScenario:
     """Fields of the scenario that differ from its own, as `Scenario.changed` takes them."""
 
 
+# fmt: off
 Command = (
-    Pull | Configure | Choose | Pause | Speed | StepOnce | Reset | Restart | Play | PlayScenario
+    Pull
+    | Release
+    | Configure
+    | Choose
+    | Pause
+    | Speed
+    | StepOnce
+    | Reset
+    | Restart
+    | Play
+    | PlayScenario
 )
+# fmt: on

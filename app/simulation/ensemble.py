@@ -5,11 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from app.config import Config
+from app.errors import TargetError
 from app.simulation.begin import begin
+from app.simulation.commands import Pull
 from app.simulation.leading import Lead, Leader, Scenario, Setting
+from app.simulation.people import Hold
 from app.simulation.session import DT, Session, Step
 
 Array = np.ndarray
+
+MOST_PULLS = 8
+"""People who can hold the robot at once."""
 
 
 class Ensemble:
@@ -34,7 +40,7 @@ class Ensemble:
         self.ends: float | None = None
         self._config = free.config
         self._leader: Leader | None = None
-        self._pull: Array | None = None
+        self._holds: dict[int, Hold] = {}
         self._start = Setting(free.model, free.data, np.zeros(3), np.array(q_start), free.config)
         self._found: tuple[Scenario, Config, Setting] | None = None
         self.reset()
@@ -76,17 +82,36 @@ class Ensemble:
         """Use the controller of that name from the next step on."""
         self.main.controller.use(controller)
 
-    def pull(self, target: Array | None) -> None:
-        """The person pulls the end-effector there, or lets go; a scenario leads no longer."""
-        self._pull = target
-        self._let_go()
+    def pull(self, pull: Pull) -> None:
+        """Somebody takes the robot or lets go; at the end-effector a scenario leads no longer.
+
+        Raises:
+            TargetError: As many as can hold it do so.
+        """
+        if pull.target is None:
+            held = self._holds.pop(pull.who, None)
+            if held is None or held.link is None:
+                self._let_go()
+            return
+        if pull.who not in self._holds and len(self._holds) >= MOST_PULLS:
+            raise TargetError(f"{MOST_PULLS} people hold the robot already")
+        if pull.link is None:
+            self._let_go()
+        x, y, z = map(float, (0.0, 0.0, 0.0) if pull.point is None else pull.point)
+        self._holds[pull.who] = Hold(
+            pull.who, np.array(pull.target, dtype=float), pull.link, (x, y, z)
+        )
+
+    def release(self, who: int) -> None:
+        """Somebody lets go, if he holds the robot."""
+        self._holds.pop(who, None)
 
     def step(self) -> Step:
-        """One control step, led by the scenario until it ends, else by the person."""
+        """One control step, led by the scenario until it ends; people pull."""
         if self.ends is not None and self.main.t > self.ends - 0.5 * DT:
             self._let_go()
-        lead = Lead(pull=self._pull) if self._leader is None else self._leader(self.main)
-        return self.main.step(*lead)
+        lead = Lead() if self._leader is None else self._leader(self.main)
+        return self.main.step(*lead, holds=tuple(self._holds.values()))
 
     def close(self) -> None:
         """Release all plants."""
@@ -113,7 +138,7 @@ class Ensemble:
         session.configure(self._config if scenario is None else scenario.adapted(self._config))
         session.reset(setting.q_m, setting.base_pose)
         self.main, self.scenario = session, scenario
-        self._pull = None
+        self._holds.clear()
         self._let_go()
         if scenario is not None:
             self._leader, self.ends = scenario.leader(session), scenario.duration

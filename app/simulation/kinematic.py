@@ -18,7 +18,7 @@ from app.control.drive import Drive
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.contact_pairs import body_contact_pairs
-from app.simulation.physics import Contacts
+from app.simulation.physics import Contacts, Push
 
 Array = np.ndarray
 
@@ -68,13 +68,15 @@ class Kinematic:
             self._base_pose.copy(), self._drive.velocity.copy(), self._q.copy(), self._qd.copy()
         )
 
-    def step(self, u_a: Array, base_velocity: Array, hand_force: Array) -> None:
+    def step(
+        self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
+    ) -> None:
         """See `Physics.step`."""
         self._state.update(self.measure())
         before = self._drive.velocity
         v, w = self._drive.step(base_velocity)
         qdd_b = self._rolling @ (self._drive.velocity - before) / self.dt
-        self._qd += self._arm_acceleration(u_a, qdd_b, hand_force) * self.dt
+        self._qd += self._arm_acceleration(u_a + self._felt(hand_force, pushes), qdd_b) * self.dt
         self._q += self._qd * self.dt
         phi = self._base_pose[2] + 0.5 * w * self.dt  # the middle of the step, exact on a circle
         self._base_pose += np.array([v * math.cos(phi), v * math.sin(phi), w]) * self.dt
@@ -90,10 +92,19 @@ class Kinematic:
     def close(self) -> None:
         """See `Physics.close`."""
 
-    def _arm_acceleration(self, u_a: Array, qdd_b: Array, hand_force: Array) -> Array:
+    def _felt(self, hand_force: Array, pushes: Sequence[Push]) -> Array:
+        """(n_m,) Σ J_aᵀ f: the joints' share of the forces on the arm."""
+        state, felt = self._state, self._state.J_ee[:3, 2:].T @ np.asarray(hand_force)
+        for push in pushes:
+            joint = self._model.pin.getJointId(push.joint)
+            p_world = state.data.oMi[joint].act(push.p)
+            felt = felt + state.point_jacobian(joint, p_world)[:, 2:].T @ push.force
+        return felt
+
+    def _arm_acceleration(self, u_a: Array, qdd_b: Array) -> Array:
         """(n_m,) q̈_a from the arm's rows of the equation of motion, joint limits included."""
-        M, h, J = self._state.M, self._state.h, self._state.J_ee[:3]
-        u = u_a + J[:, 2:].T @ np.asarray(hand_force) - h[2:] - M[2:, :2] @ qdd_b
+        M, h = self._state.M, self._state.h
+        u = u_a - h[2:] - M[2:, :2] @ qdd_b
         M_aa = M[2:, 2:]
         qdd = np.linalg.solve(M_aa, u)
         held = np.zeros(len(qdd), dtype=bool)

@@ -23,6 +23,7 @@ from app.simulation.commands import (
     Pause,
     Play,
     Pull,
+    Release,
     Restart,
     Speed,
     StepOnce,
@@ -31,6 +32,7 @@ from app.simulation.ensemble import Ensemble
 from app.simulation.history import History
 from app.simulation.mailbox import Mailbox
 from app.simulation.pacing import Pacer
+from app.simulation.people import held_links
 from app.simulation.publishing import make_snapshot
 from app.simulation.session import DT, Session, Step
 from app.simulation.snapshot import Refusal, Snapshot
@@ -46,6 +48,8 @@ class LoopHandle(Protocol):
 
     error: BaseException | None
     """Why the loop ended, if it did."""
+    links: tuple[str, ...]
+    """Names of the arm's frames that can be pulled, once it has started."""
 
     def send(self, command: Command) -> None:
         """Leave a command; it is obeyed before the next control step.
@@ -68,6 +72,7 @@ class SimulationLoop:
 
     Attributes:
         error: The exception that ended the thread, or None.
+        links: Where the arm can be held, once it has started.
     """
 
     def __init__(self, make_session: Callable[[], Session], q_start: Array) -> None:
@@ -78,6 +83,7 @@ class SimulationLoop:
             q_start: (n_m,) arm configuration at the start and after each reset.
         """
         self.error: BaseException | None = None
+        self.links: tuple[str, ...] = ()
         self._make_session = make_session
         self._q_start = np.array(q_start)
         self._mailbox = Mailbox()
@@ -111,7 +117,7 @@ class SimulationLoop:
         Raises:
             DbbError: It can never be obeyed (`command_check.checked`), or too many wait.
         """
-        self._mailbox.put(checked(command))
+        self._mailbox.put(checked(command, self.links))
 
     def latest(self) -> Snapshot:
         """The newest snapshot."""
@@ -126,6 +132,7 @@ class SimulationLoop:
         try:
             owner = session = self._make_session()
             owner = ensemble = Ensemble(session, self._q_start)
+            self.links = held_links(session.model)
             self._begun(ensemble)
             self._ready.set()
             while not self._stop.is_set():
@@ -179,7 +186,9 @@ class SimulationLoop:
 
     def _carry_out(self, command: Command, ensemble: Ensemble) -> None:
         if isinstance(command, Pull):
-            ensemble.pull(None if command.target is None else np.array(command.target))
+            ensemble.pull(command)
+        elif isinstance(command, Release):
+            ensemble.release(command.who)
         elif isinstance(command, Configure):
             ensemble.configure(command.config)
         elif isinstance(command, Choose):

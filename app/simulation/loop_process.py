@@ -26,6 +26,13 @@ _SWITCH = 2e-4  # [s] after which the loop's thread gets its turn from the one t
 _NICENESS = -10  # [-] wished for; browsers give their drawing -8 where they may
 
 
+class Started(NamedTuple):
+    """The loop has begun."""
+
+    links: tuple[str, ...]
+    """Where the arm can be held."""
+
+
 class Failure(NamedTuple):
     """The loop has ended with an error."""
 
@@ -46,6 +53,7 @@ def run_loop(
     try:
         with suppress(LoopError):  # posted below
             loop.start()
+            snapshots.send(Started(loop.links))
         gc.collect()
         gc.freeze()  # what is there stays; looking through it again would take milliseconds
         with suppress(EOFError, OSError):

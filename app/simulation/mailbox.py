@@ -13,6 +13,8 @@ from app.simulation.commands import (
     Pause,
     Play,
     PlayScenario,
+    Pull,
+    Release,
     Reset,
     Restart,
     Speed,
@@ -66,4 +68,6 @@ class Mailbox:
 
 def _key(command: Command) -> Hashable:
     """Commands of equal keys replace one another."""
+    if isinstance(command, (Pull, Release)):
+        return Pull, command.who
     return _BEGINNINGS if isinstance(command, _BEGINNINGS) else type(command)

@@ -1,4 +1,4 @@
-"""The person who takes the robot by its end-effector: a spring, a damper, a limited strength."""
+"""The person who takes the robot by one hand: a spring, a damper, a limited strength."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ Array = np.ndarray
 _QUICKNESS = 20.0  # [rad/s] of the hand's motion towards a new target
 _TOP_SPEED = 1.5  # [m/s] of the hand
 _FARTHEST = 1e4  # [m] from the world's origin
+_LINK_SIZE = 1.0  # [m] no part of a link is farther from its origin
 
 
 def checked_target(target: Sequence[float] | Array) -> Array:
@@ -24,18 +25,37 @@ def checked_target(target: Sequence[float] | Array) -> Array:
         TargetError: It lies below the floor or farther away than 10 km, or is not three finite
             numbers.
     """
-    try:
-        place = np.array(target, dtype=float)
-    except (TypeError, ValueError):
-        place = np.empty(0)
-    if place.shape != (3,) or not np.isfinite(place).all():
-        raise TargetError(f"the hand's target must be three finite numbers, was {target!r}")
+    place = _finite_point(target, "the hand's target")
     if place[2] < 0:
         raise TargetError(
             f"the hand's target is at z = {place[2]:.3f} m, below the floor, which is z = 0"
         )
     if np.abs(place).max() > _FARTHEST:
         raise TargetError(f"the hand's target is farther away than {_FARTHEST:g} m: {target!r}")
+    return place
+
+
+def checked_hold(point: Sequence[float] | Array) -> Array:
+    """(3,) [m] a point of a link, in its frame, that a person may hold.
+
+    Raises:
+        TargetError: It is nothing of a link's, or is not three finite numbers.
+    """
+    place = _finite_point(point, "the point that is held")
+    if np.linalg.norm(place) > _LINK_SIZE:
+        raise TargetError(
+            f"the point that is held is farther than {_LINK_SIZE:g} m from its link: {point!r}"
+        )
+    return place
+
+
+def _finite_point(point: Sequence[float] | Array, what: str) -> Array:
+    try:
+        place = np.array(point, dtype=float)
+    except (TypeError, ValueError):
+        place = np.empty(0)
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise TargetError(f"{what} must be three finite numbers, was {point!r}")
     return place
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -29,6 +30,20 @@ class Wrench(NamedTuple):
 
     force: Array
     torque: Array
+
+
+class Push(NamedTuple):
+    """A force on some point of the arm.
+
+    Attributes:
+        joint: Name of the joint that carries the point.
+        p: (3,) [m] the point in that joint's frame.
+        force: (3,) [N] in the world.
+    """
+
+    joint: str
+    p: Array
+    force: Array
 
 
 class HeldDoor(Protocol):
@@ -66,7 +81,9 @@ class Physics(Protocol):
         """The sensors' readings now."""
         ...
 
-    def step(self, u_a: Array, base_velocity: Array, hand_force: Array) -> None:
+    def step(
+        self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
+    ) -> None:
         """Advance by `dt`.
 
         Args:
@@ -74,6 +91,7 @@ class Physics(Protocol):
             base_velocity: (2,) commanded v [m/s] and ω [rad/s]; the drive follows with the
                 description's time constant and acceleration limits.
             hand_force: (3,) [N] force of the person on the end-effector's origin, in the world.
+            pushes: Forces on other points of the arm.
         """
         ...
 

@@ -18,7 +18,7 @@ from app.errors import LoopError
 from app.simulation.command_check import checked
 from app.simulation.commands import Command
 from app.simulation.history import History
-from app.simulation.loop_process import Failure, run_loop
+from app.simulation.loop_process import Failure, Started, run_loop
 from app.simulation.mailbox import Mailbox
 from app.simulation.session import Session
 from app.simulation.snapshot import Snapshot
@@ -45,6 +45,7 @@ class ProcessLoop:
 
     Attributes:
         error: The exception that ended the loop, or None.
+        links: Where the arm can be held, once it has started.
     """
 
     def __init__(self, make_session: Callable[[], Session], q_start: Array) -> None:
@@ -56,6 +57,7 @@ class ProcessLoop:
             q_start: (n_m,) arm configuration at the start and after each reset.
         """
         self.error: BaseException | None = None
+        self.links: tuple[str, ...] = ()
         self._history = History()
         self._ready, self._stopping = threading.Event(), threading.Event()
         self._mailbox, self._posted = Mailbox(), threading.Event()
@@ -108,7 +110,7 @@ class ProcessLoop:
         Raises:
             DbbError: It can never be obeyed (`command_check.checked`), or too many wait.
         """
-        self._mailbox.put(checked(command))
+        self._mailbox.put(checked(command, self.links))
         self._posted.set()
 
     def latest(self) -> Snapshot:
@@ -153,5 +155,8 @@ class ProcessLoop:
                 received.error.__cause__ = RemoteTraceback(received.traceback)
                 self.error = received.error
                 return
+            if isinstance(received, Started):
+                self.links = received.links
+                continue
             self._history.add(received)
             self._ready.set()

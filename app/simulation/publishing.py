@@ -9,6 +9,7 @@ from app.avoidance.self_collision import PairState
 from app.control.explanation import explain
 from app.robot.state import RobotState
 from app.simulation.pacing import Clock
+from app.simulation.people import PullReading
 from app.simulation.session import Session, Step
 from app.simulation.snapshot import ActingReading, DoorView, PairReading, Snapshot
 
@@ -53,6 +54,9 @@ def make_snapshot(session: Session, step: Step, pacer: Clock, *, paused: bool) -
         controller=session.controller.name,
         config=session.config,
         buffer=step.buffer,
+        pulls=tuple(
+            PullReading(who, link, *map(_frozen, vectors)) for who, link, *vectors in step.pulls
+        ),
         door=_door_view(session, step),
         explanation=explain(session.controller, output, session.config, step.base_command),
     )

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from app.robot.model import RobotModel
 from app.simulation.bullet_world import BulletWorld, pybullet
+from app.simulation.physics import Push
 
 Array = np.ndarray
 
@@ -39,17 +42,28 @@ class BulletArm:
             physicsClientId=self._world.client,
         )  # fmt: skip
 
-    def push(self, force: Array) -> None:
-        """Force (3,) [N] of the world on the end-effector's origin for the next step."""
+    def push(self, force: Array, pushes: Sequence[Push] = ()) -> None:
+        """Forces of the world for the next step.
+
+        Args:
+            force: (3,) [N] on the end-effector's origin.
+            pushes: On other points of the arm.
+        """
+        self._press(self._hand, self._tool, force)
+        for push in pushes:
+            self._press(self._world.joints[push.joint], push.p.tolist(), push.force)
+
+    def _press(self, link: int, point: Sequence[float], force: Array) -> None:
+        """Force (3,) [N] in the world on a point [m] of a link's frame, which is its joint's."""
         fx, fy, fz = np.asarray(force).tolist()
         if fx == fy == fz == 0.0:
             return
         robot, client = self._world.robot, self._world.client
         # Without fresh kinematics both the point and the lever would be those of a step ago.
-        link = pybullet.getLinkState(
-            robot, self._hand, computeForwardKinematics=1, physicsClientId=client
+        state = pybullet.getLinkState(
+            robot, link, computeForwardKinematics=1, physicsClientId=client
         )
-        origin, _ = pybullet.multiplyTransforms(link[4], link[5], self._tool, (0, 0, 0, 1))
+        place, _ = pybullet.multiplyTransforms(state[4], state[5], point, (0, 0, 0, 1))
         pybullet.applyExternalForce(
-            robot, self._hand, (fx, fy, fz), origin, pybullet.WORLD_FRAME, physicsClientId=client
+            robot, link, (fx, fy, fz), place, pybullet.WORLD_FRAME, physicsClientId=client
         )

@@ -20,7 +20,7 @@ from app.robot.state import Measurement
 from app.simulation.bullet_world import GRAVITY, BulletWorld, pybullet
 from app.simulation.contact_pairs import link_contact_pairs
 from app.simulation.door import OpenDoor
-from app.simulation.physics import Contacts
+from app.simulation.physics import Contacts, Push
 from app.simulation.pybullet_arm import BulletArm
 from app.simulation.pybullet_door import BulletDoor
 from app.simulation.pybullet_urdf import CASTERS, DRIVE_SPHERES, contact_plant_urdf
@@ -117,7 +117,9 @@ class PybulletContact:
             np.array([state[1] for state in states]),
         )
 
-    def step(self, u_a: Array, base_velocity: Array, hand_force: Array) -> None:
+    def step(
+        self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
+    ) -> None:
         """See `Physics.step`."""
         wheels = self._rolling @ self._drive.step(base_velocity)
         pybullet.setJointMotorControlArray(
@@ -126,7 +128,7 @@ class PybulletContact:
             physicsClientId=self.world.client,
         )  # fmt: skip
         self.arm.drive(u_a)
-        self.arm.push(hand_force)
+        self.arm.push(hand_force, pushes)
         self.world.step()
 
     def tilt(self) -> float:

@@ -18,7 +18,7 @@ from app.robot.urdf import PLANAR_JOINTS
 from app.simulation.bullet_world import BulletWorld, pybullet
 from app.simulation.contact_pairs import link_contact_pairs
 from app.simulation.door import OpenDoor
-from app.simulation.physics import Contacts
+from app.simulation.physics import Contacts, Push
 from app.simulation.pybullet_arm import BulletArm
 from app.simulation.pybullet_door import BulletDoor
 from app.simulation.pybullet_urdf import planar_plant_urdf
@@ -89,7 +89,9 @@ class PybulletPlanar:
         c, s = math.cos(q[2]), math.sin(q[2])
         return Measurement(q[:3], np.array([c * qd[0] + s * qd[1], qd[2]]), q[3:], qd[3:])
 
-    def step(self, u_a: Array, base_velocity: Array, hand_force: Array) -> None:
+    def step(
+        self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
+    ) -> None:
         """See `Physics.step`."""
         v, w = self._drive.step(base_velocity).tolist()
         phi = self._heading() + 0.5 * w * self.dt  # the middle of the step: no drift in a curve
@@ -99,7 +101,7 @@ class PybulletPlanar:
             physicsClientId=self.world.client,
         )  # fmt: skip
         self.arm.drive(u_a)
-        self.arm.push(hand_force)
+        self.arm.push(hand_force, pushes)
         self.world.step()
         self._wheel_angles += self._rolling @ (v, w) * self.dt
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from time import perf_counter
 from typing import NamedTuple
 
@@ -20,7 +21,7 @@ from app.robot.state import Measurement, RobotState
 from app.simulation.disturbance import Disturbances
 from app.simulation.door import OpenDoor
 from app.simulation.leading import DoorReading
-from app.simulation.person import PersonHand
+from app.simulation.people import Hold, People, PersonForces, PullReading
 from app.simulation.physics import Contacts, Physics
 from app.simulation.plants import make_physics
 from app.simulation.truth import Truth
@@ -28,6 +29,8 @@ from app.simulation.truth import Truth
 Array = np.ndarray
 
 DT = 0.001  # [s] control step, the paper's 1 kHz
+LEAD = -1
+"""Number of the person whose pull a scenario gives."""
 
 
 class Step(NamedTuple):
@@ -38,7 +41,7 @@ class Step(NamedTuple):
         measurement: The sensors' readings.
         output: The controller's answer.
         base_command: (2,) v [m/s] and ω [rad/s] in force; what arrives at the drive may be late.
-        hand_target: (3,) [m] where the person pulls, or None.
+        hand_target: (3,) [m] where the (first) person at the end-effector pulls it, or None.
         hand_force: (3,) [N] force on the end-effector in the world: the person's, or what the hand
             exerts on a door that it holds.
         ee_error: [m] true distance of the end-effector from its reference, or from where the
@@ -50,6 +53,8 @@ class Step(NamedTuple):
         buffer: Whether d_b is enough for how fast the arm comes.
         door: How the opening of a door goes, or None if there is none.
         tracking: Whether the arm follows a reference.
+        pulls: All that hold the robot.
+        person: The forces of people that acted on the robot.
     """
 
     t: float
@@ -66,6 +71,8 @@ class Step(NamedTuple):
     buffer: BufferReading
     door: DoorReading | None = None
     tracking: bool = False
+    pulls: tuple[PullReading, ...] = ()
+    person: PersonForces = PersonForces(np.zeros(3))
 
 
 class Session:
@@ -137,7 +144,7 @@ class Session:
         self.controller.reset()
         self._admittance.reset()
         self._disturbances.reset()
-        self._person = PersonHand(self.config.hand, DT)
+        self._people = People(self.model, self.config.hand, DT)
         self.wheel_angles = np.zeros(2)
         self.controller.state.update(self.physics.measure())
         self._truth.reset()
@@ -148,7 +155,7 @@ class Session:
         self.config = config
         self.controller.configure(config)
         self._admittance.config = config.admittance
-        self._person.config = config.hand
+        self._people.config = config.hand
         self._watch.config = config
         self._disturb(config.disturbance)
 
@@ -167,6 +174,8 @@ class Session:
         reference: Reference | None = None,
         pull: Array | None = None,
         door: DoorReading | None = None,
+        *,
+        holds: Sequence[Hold] = (),
     ) -> Step:
         """Advance by one control step.
 
@@ -174,6 +183,7 @@ class Session:
             reference: What the arm tracks, or None while it is guided.
             pull: (3,) [m] where a person pulls the end-effector, or None.
             door: How the opening of a door goes, for the record only.
+            holds: Others who hold the robot, here or elsewhere.
         """
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
@@ -187,16 +197,20 @@ class Session:
         self._truth.update(truth, measurement, output.avoidance.pairs)
         state = self.state
         p_ee = state.T_world_ee.translation
-        force = self._person.force(p_ee, state.v_ee[:3], pull)
-        aim = pull if pull is not None else reference.pose.translation if reference else p_ee
+        if pull is not None:
+            holds = (Hold(LEAD, pull), *holds)
+        pulls = self._people.pull(state, holds)
+        person = self._people.forces(holds, pulls)
+        target = next((hold.target for hold in holds if hold.link is None), None)
+        aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = float(np.linalg.norm(p_ee - aim))
-        self.physics.step(output.u_a, self._disturbances.arriving(command), force)
+        self.physics.step(output.u_a, self._disturbances.arriving(command), *person)
         self.wheel_angles = self.wheel_angles + state.qd[:2] * DT
-        felt = force if door is None else door.force
+        felt = person.hand if door is None else door.force
         step = Step(
-            self.t, measurement, output, command.copy(), pull, felt, error,
+            self.t, measurement, output, command.copy(), target, felt, error,
             self.physics.contacts(), duration, truth, self._truth.distances, self._look(output),
-            door, reference is not None,
+            door, reference is not None, tuple(pulls), person,
         )  # fmt: skip
         self.t += DT
         return step

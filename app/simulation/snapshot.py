@@ -18,6 +18,7 @@ from app.simulation.commands import Play as Play
 from app.simulation.commands import Pull as Pull
 from app.simulation.commands import Reset as Reset
 from app.simulation.door import Door
+from app.simulation.people import PullReading
 
 Array = np.ndarray
 
@@ -107,9 +108,9 @@ class Snapshot:
     beta_m: float
     """[-] of (28)."""
     hand_target: Array | None
-    """(3,) [m] where the person pulls the end-effector, or None if nobody does."""
+    """(3,) [m] where the (first) person pulls the end-effector, or None if nobody does."""
     hand_force: Array
-    """(3,) [N] the person's force."""
+    """(3,) [N] the force on the end-effector: of all persons there, or of a door."""
     ee_error: float
     """[m] from the end-effector to its reference or to where the person pulls, else 0."""
     in_contact: bool
@@ -133,6 +134,8 @@ class Snapshot:
     """The parameters in force; a scenario may firm those that it was given."""
     buffer: BufferReading
     """Whether d_b is enough for how fast the arm comes."""
+    pulls: tuple[PullReading, ...] = ()
+    """All that hold the robot, a scenario's person as number -1."""
     scenario: str = ""
     """Name of the scenario that leads the hand, or empty while it is free."""
     scenario_ends: float | None = None
@@ -147,3 +150,8 @@ class Snapshot:
     """The newest command that was found out to be impossible only when it was obeyed."""
     explanation: Explanation | None = None
     """Why the robot moved as it did in the control step of `t`; None where nobody asked."""
+
+    @property
+    def held(self) -> PullReading | None:
+        """The pull that has lasted longest, or None if nobody holds the robot."""
+        return self.pulls[0] if self.pulls else None
