@@ -102,12 +102,12 @@ def torques_figure(log: Log, track: Track) -> Figure:
 
 
 def plan_figure(log: Log, track: Track) -> Figure:
-    """Where the base and the hand went, from above; white where they began."""
+    """Where the base and the hand went, from above; a square where they began."""
     figure = new_figure(5.0)
     ax = figure.subplots()
     for points, colour, text in ((track.base, PATH, "base"), (track.p_ee, HAND, "hand")):
         ax.plot(points[:, 0], points[:, 1], color=colour, label=text)
-        ax.plot(*points[0, :2], markerfacecolor="white", **marker_style(colour))
+        ax.plot(*points[0, :2], **marker_style(colour, "s", 7.0))
         ax.plot(*points[-1, :2], **marker_style(colour))
     for k, filled in ((0, False), (-1, True)):
         x, y, phi = track.base[k].tolist()
