@@ -64,6 +64,7 @@ def random_snapshot(rng: np.random.Generator, t: float) -> Snapshot:
             number(), float(rng.choice([np.inf, 0.1])), number(), np.inf, truth(), truth()
         ),
         scenario=str(rng.choice(["", "tracking"])),
+        speed=number(),
         scenario_ends=number() if truth() else None,
         door=DoorView(DOORS[rng.integers(2)], number(), vector(3)) if truth() else None,
     )  # fmt: skip

@@ -12,6 +12,7 @@ from app.cli.border import border
 from app.cli.config import config
 from app.cli.pairs import pairs
 from app.cli.reach import reach
+from app.cli.report import report
 from app.cli.reproduce import reproduce
 from app.cli.robots import robots
 from app.cli.run import run
@@ -26,6 +27,7 @@ _COMMANDS = {
     "pairs": pairs,
     "border": border,
     "reach": reach,
+    "report": report,
     "reproduce": reproduce,
     "study": study,
     "sweep": sweep,

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 _UNITS = {
     "_m4prad4": "m⁴/rad⁴", "_radps2": "rad/s²", "_mps2": "m/s²", "_per_m2": "1/m²",
     "_per_m": "1/m", "_rad": "rad", "_nm": "N m", "_us": "µs", "_m": "m", "_n": "N", "_s": "s",
+    "_radps": "rad/s", "_mps": "m/s",
 }  # fmt: skip
 """Endings of keys; longer ones first where one ends in another."""
 
@@ -74,17 +75,34 @@ def page_html(sections: Sequence[Section], claims: Sequence[Mapping[str, Any]], 
         f'<a href="#{escape(s.name)}">{escape(s.title.split(":")[0])}</a>' for s in sections
     )
     tally = f"{hold} of {len(claims)} claims hold here. " if claims else ""
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>The paper's experiments, reproduced</title>\n<style>{_STYLE}</style>\n</head>\n"
-        "<body>\n<h1>The paper's experiments, reproduced</h1>\n"
+    return document(
+        "The paper's experiments, reproduced",
         "<p class='lead'>Reactive Self-Collision Avoidance for a Differentially Driven Mobile "
         f"Manipulator, in simulation. {tally}{escape(about)}</p>\n<nav>{links}</nav>\n"
         + (_claims(claims) if claims else "")
-        + "".join(map(_section, sections))
-        + "</body>\n</html>\n"
+        + "".join(map(_section, sections)),
     )
+
+
+def document(title: str, body: str) -> str:
+    """A page that needs nothing else.
+
+    Args:
+        title: Plain text, also its heading.
+        body: HTML.
+    """
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n"
+        f"<body>\n<h1>{escape(title)}</h1>\n{body}</body>\n</html>\n"
+    )
+
+
+def picture_html(text: str, png: bytes) -> str:
+    """A picture that stands in the page itself; `text` for those who do not see it."""
+    data = b64encode(png).decode("ascii")
+    return f'<img alt="{escape(text)}" src="data:image/png;base64,{data}">\n'
 
 
 def label(key: str) -> str:
@@ -120,18 +138,17 @@ def _verdict(holds: bool) -> str:
 
 
 def _section(section: Section) -> str:
-    data = b64encode(section.png).decode("ascii")
     remarks = "".join(f"<p>{escape(remark)}</p>" for remark in section.remarks)
     return (
         f'<h2 id="{escape(section.name)}">{escape(section.title)}</h2>\n'
-        f'<img alt="{escape(section.title)}" src="data:image/png;base64,{data}">\n'
+        f"{picture_html(section.title, section.png)}"
         f'<div class="sides"><div><h3>The paper says</h3><p>{escape(section.paper)}</p></div>\n'
-        f'<div><h3>Measured here</h3><div class="scroll">{_measured(section.measured)}</div>'
+        f'<div><h3>Measured here</h3><div class="scroll">{measured_html(section.measured)}</div>'
         f'{remarks}<p class="lead">{escape(", ".join(section.files))}</p></div></div>\n'
     )
 
 
-def _measured(measured: Mapping[str, Any]) -> str:
+def measured_html(measured: Mapping[str, Any]) -> str:
     """A table of figures; cases with figures of their own stand side by side."""
     plain = {k: v for k, v in measured.items() if not isinstance(v, Mapping)}
     cases = {k: v for k, v in measured.items() if isinstance(v, Mapping)}

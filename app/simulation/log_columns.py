@@ -1,7 +1,7 @@
 """The columns of a log: how each field of a snapshot is split into them and joined again.
 
-A new field of `Snapshot` gets a line in `parts`; one with a default that no drawing needs may do
-without.
+A new field of `Snapshot` gets a line in `parts`, or a place in `NOT_LOGGED` if no drawing of the
+scene needs it.
 """
 
 from __future__ import annotations
@@ -24,6 +24,9 @@ from app.simulation.snapshot import ActingReading, DoorView, PairReading
 Array = np.ndarray
 Kind = Literal["float", "int", "bool", "text"]
 Cell = float | int | bool | str
+
+NOT_LOGGED = frozenset({"busy", "refusal", "explanation"})
+"""Fields of a snapshot that are about the moment; what is read from a log has their defaults."""
 
 _XYZ = "xyz"
 _DOOR = TypeAdapter(Door)
@@ -95,6 +98,7 @@ def parts(meta: LogMeta) -> tuple[Part, ...]:
         _one("scenario", "scenario", "text"),
         _maybe("scenario_ends", "scenario_ends_s"),
         _door(),
+        _one("speed", "speed"),
     )
 
 

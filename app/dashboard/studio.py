@@ -1,0 +1,138 @@
+"""A scene of its own, without widgets and viewers, for pictures and replays."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Iterator, Mapping
+
+import viser
+
+from app.border.cloud import Cloud
+from app.dashboard.camera import FIELD_OF_VIEW, PRESETS, placed
+from app.dashboard.film import Film
+from app.dashboard.origin import foreign_origins_refused
+from app.dashboard.panels.sweep import DEFAULT_FOLDER
+from app.dashboard.scene import Scene
+from app.dashboard.shared import Shared
+from app.dashboard.stage import set_theme
+from app.dashboard.view import HIDDEN, View
+from app.robot.model import RobotModel
+from app.simulation.snapshot import Snapshot
+
+HOST = "127.0.0.1"
+LAYERS = ("determinant", "reachability", "score", "none")
+"""What a border may be coloured by; without a border, none."""
+
+
+class Studio:
+    """All layers of the dashboard's scene, drawn from a film.
+
+    Attributes:
+        server: viser's, at a free port of this machine.
+        view: What is to be seen; read at each drawing.
+        scene: The layers.
+    """
+
+    def __init__(
+        self, server: viser.ViserServer, film: Film, model: RobotModel,
+        clouds: Mapping[str, Cloud], *, layer: str, dark: bool,
+    ) -> None:  # fmt: skip
+        """Send what does not change.
+
+        Args:
+            server: Of this studio alone.
+            film: What is shown.
+            model: The robot.
+            clouds: P_i of every pair of L_m, by the pair's name.
+            layer: One of `LAYERS`, of the border of the first pair of L_m.
+            dark: A dark ground, else a light one.
+        """
+        self.server = server
+        self._film = film
+        self._shared = Shared(film, model, clouds, None, DEFAULT_FOLDER)
+        self.view = View.first(self._shared.mobile, [])
+        choose_layer(self.view, layer)
+        self.view.dark = dark
+        set_theme(server.gui, dark=dark)
+        self.scene = Scene(server.scene, self._shared, self.view)
+
+    @property
+    def address(self) -> str:
+        """As to be typed into a browser."""
+        return f"http://{HOST}:{self.server.get_port()}"
+
+    def look(self, preset: str, snapshot: Snapshot) -> None:
+        """Where whoever opens the page looks from.
+
+        Args:
+            preset: A key of `app.dashboard.camera.PRESETS`.
+            snapshot: Where base and hand are.
+        """
+        camera = self.server.initial_camera
+        camera.position, camera.look_at = placed(PRESETS[preset], snapshot)
+        camera.fov = FIELD_OF_VIEW
+
+    def draw(self, t: float, *, texts: bool = True) -> Snapshot:
+        """Draw the film's snapshot at a time [s]; trails lead up to it.
+
+        Args:
+            t: [s] of the simulation.
+            texts: Whether labels and trails are due too.
+        """
+        snapshot = self._film.go_to(t)
+        self._shared.update()
+        self.scene.select_border(snapshot)
+        with self.server.atomic():
+            self.scene.draw(snapshot, texts=texts)
+        return snapshot
+
+    def close(self) -> None:
+        """End what the scene has started."""
+        self._shared.close()
+
+
+def choose_layer(view: View, layer: str) -> None:
+    """Colour the borders that are drawn by a layer.
+
+    Args:
+        view: What is to be seen.
+        layer: One of `LAYERS`.
+    """
+    for pair, quantity in view.borders.items():
+        if quantity != HIDDEN:
+            view.borders[pair] = HIDDEN if layer == "none" else layer
+
+
+@contextlib.contextmanager
+def studio(
+    film: Film, model: RobotModel, clouds: Mapping[str, Cloud], *, layer: str, dark: bool
+) -> Iterator[Studio]:
+    """A studio at a free port, closed at the end.
+
+    Args:
+        film: What is shown.
+        model: The robot.
+        clouds: P_i of every pair of L_m, by the pair's name.
+        layer: One of `LAYERS`.
+        dark: A dark ground, else a light one.
+
+    Raises:
+        AssetError: A mesh of the robot is not there.
+    """
+    with _silence(), foreign_origins_refused(HOST):
+        server = viser.ViserServer(host=HOST, port=0, verbose=False)
+    try:
+        made = Studio(server, film, model, clouds, layer=layer, dark=dark)
+        try:
+            yield made
+        finally:
+            made.close()
+    finally:
+        with _silence():
+            server.stop()
+
+
+def _silence() -> contextlib.redirect_stdout[io.StringIO]:
+    """Holds back what viser prints about itself."""
+    return contextlib.redirect_stdout(io.StringIO())

@@ -1,0 +1,105 @@
+"""The report of a run: its numbers are the log's, and its page needs nothing else."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from app.cli.main import main
+from app.config import Config
+from app.reproduce.run_numbers import config_changes, key_numbers, spans, track_of
+from app.reproduce.run_report import run_report
+from app.simulation.log import Log, write_log
+from tests.logs import meta_of, random_snapshots
+
+
+def moving_log() -> Log:
+    """The base drives a quarter of a circle of 2 m to the left; distances fall from 0.3 m to 0."""
+    snapshots = []
+    for k, s in enumerate(random_snapshots(2, 101)):
+        angle = np.pi / 2 * k / 100
+        snapshots.append(
+            replace(
+                s, t=0.02 * k, config=Config(), in_contact=30 <= k < 40, arm_in_contact=False,
+                base_pose=np.array([2 * np.sin(angle), 2 - 2 * np.cos(angle), angle]),
+                pairs=tuple(pair._replace(d=0.3 - 0.003 * k, beta=k / 100) for pair in s.pairs),
+                u_a=np.full(7, -float(k)), ee_error=0.5 * k, hand_force=np.array([3.0, 4.0, 0.0]),
+            )
+        )  # fmt: skip
+    return Log(meta_of(snapshots), tuple(snapshots))
+
+
+def test_key_numbers_are_those_of_the_motion():
+    log = moving_log()
+    numbers = key_numbers(log, track_of(log))
+    assert numbers["duration_s"] == pytest.approx(2.0)
+    assert numbers["base_path_m"] == pytest.approx(np.pi, rel=1e-4)
+    assert numbers["base_displacement_m"] == pytest.approx(np.sqrt(8.0))
+    assert numbers["base_turn_rad"] == pytest.approx(np.pi / 2)
+    assert numbers["least_distance_m"] == pytest.approx(dict.fromkeys(log.meta.pairs, 0.0))
+    assert numbers["largest_activation"] == 1.0
+    assert (numbers["largest_error_m"], numbers["final_error_m"]) == (50.0, 50.0)
+    assert numbers["largest_hand_force_n"] == pytest.approx(5.0)
+    assert set(numbers["largest_torque_nm"].values()) == {100.0}
+    assert numbers["rows_in_contact"] == 10
+
+
+def test_spans_cover_what_is_flagged_and_nothing_else():
+    t = np.arange(8.0)
+    flags = np.array([1, 1, 0, 0, 1, 0, 1, 1], dtype=bool)
+    assert spans(flags, t) == [(0.0, 2.0), (4.0, 5.0), (6.0, 7.0)]
+    assert spans(np.zeros(8, dtype=bool), t) == []
+
+
+def test_every_changed_parameter_is_listed_with_all_its_values():
+    first = Config().replace("border.d_b", 0.2)
+    second = first.replace("force.f_max", 100.0).replace("border.kind", "points")
+    assert config_changes([Config()]) == []
+    assert config_changes([first, second]) == [
+        ("border.d_b", 0.15, 0.2),
+        ("border.kind", "surface", ["surface", "points"]),
+        ("force.f_max", 300.0, [300.0, 100.0]),
+    ]
+
+
+def test_the_page_stands_alone_and_tells_numbers_changes_and_figures(tmp_path):
+    log = moving_log()
+    changed = log.snapshots[0].config.replace("border.d_b", 0.2)
+    rows = (replace(log.snapshots[0], config=changed, controller="<none>"), *log.snapshots[1:])
+    page = run_report(Log(log.meta, rows))
+    assert not re.findall(r"""(?:src|href)=["'](?!data:|#)""", page)
+    assert "http" not in re.sub(r'src="data:[^"]*"', "", page)
+    assert page.count('src="data:image/png;base64,') == 5
+    assert "border.d_b" in page
+    assert "0.2, then 0.15" in page
+    assert "&lt;none&gt;" in page
+    assert "<none>" not in page
+
+
+def test_dbb_report_writes_the_page_and_prints_the_numbers(tmp_path, capsys):
+    log = moving_log()
+    write_log(tmp_path / "log.csv", log.snapshots, log.meta)
+    page = tmp_path / "new" / "report.html"
+    main(["report", str(tmp_path / "log.csv"), "--out", str(page), "--json"])
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["base_path_m"] == key_numbers(log, track_of(log))["base_path_m"]
+    assert page.read_text(encoding="utf-8").startswith("<!doctype html>")
+
+
+def test_dbb_report_of_no_log_is_one_clear_line(tmp_path, capsys):
+    for args, words in (
+        ([str(tmp_path / "none.csv")], "no such file"),
+        ([str(tmp_path / "log.csv"), "--out", str(tmp_path / "a.pdf")], ".html"),
+    ):
+        with pytest.raises(SystemExit) as end:
+            main(
+                ["report", *args, *(["--out", str(tmp_path / "a.html")] if len(args) == 1 else [])]
+            )
+        assert end.value.code == 2
+        err = capsys.readouterr().err
+        assert err.startswith("dbb: error: ")
+        assert words in err
