@@ -11,6 +11,7 @@ from app.errors import ConfigError, DbbError, TargetError, UnknownNameError
 from app.simulation.command_check import checked
 from app.simulation.commands import (
     Choose,
+    Compare,
     Configure,
     Pause,
     Play,
@@ -72,6 +73,11 @@ def test_options_that_are_none_or_out_of_range_are_refused(name, options):
         (Pull((0.7, 0.0, 0.4), who=-1), ConfigError),
         (Pull((0.7, 0.0, 0.4), who="me"), ConfigError),
         (Release(None), ConfigError),
+        (Compare(("dbb", "none", "barrier")), ConfigError),
+        (Compare("dbb"), ConfigError),
+        (Compare((["dbb"],)), UnknownNameError),
+        (Compare(("dbb", "no")), UnknownNameError),
+        (Compare(("dbb",), "time"), UnknownNameError),
         (Pull((0.7, 0.0, -0.01)), TargetError),
         (Pull((0.7, NAN, 0.2)), TargetError),
         (Pull((0.7, 0.2)), TargetError),

@@ -17,6 +17,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.commands import (
     Choose,
+    Compare,
     Configure,
     Pause,
     PlayScenario,
@@ -72,7 +73,13 @@ def until(loop: SimulationLoop, holds: Callable[[Snapshot], bool]) -> Snapshot:
 
 def arrays(snapshot: Snapshot) -> list[np.ndarray]:
     """All arrays in a snapshot, those in its readings included."""
-    records = [vars(snapshot).values(), *snapshot.pairs, *snapshot.acting, *snapshot.pulls]
+    records = [
+        vars(snapshot).values(),
+        *snapshot.pairs,
+        *snapshot.acting,
+        *snapshot.pulls,
+        *snapshot.ghosts,
+    ]
     return [value for record in records for value in record if isinstance(value, np.ndarray)]
 
 
@@ -408,3 +415,17 @@ def test_the_elbow_is_pulled_where_it_is_held_and_the_snapshot_says_by_whom(loop
     assert (s.pulls[0].who, s.hand_target) == (3, None)
     with pytest.raises(UnknownNameError, match="did you mean 'panda_link4'"):
         loop.send(Pull((0.2, 0.6, 1.0), "panda_lin4"))
+
+
+def test_ghosts_run_beside_the_robot_in_the_snapshot(loop: SimulationLoop) -> None:
+    loop.send(Compare(("none", "repulsive"), "force"))
+    begun = until(loop, lambda s: len(s.ghosts) == 2)
+    loop.send(PULL)
+    s = until(loop, lambda s: s.t > begun.t and s.beta_m > 0.05)
+    assert [ghost.controller for ghost in s.ghosts] == ["none", "repulsive"]
+    assert [score.controller for score in s.scores] == ["dbb", "none", "repulsive"]
+    assert (s.same, s.busy) == ("force", "")
+    loop.send(Compare())
+    alone = until(loop, lambda s: not s.ghosts)
+    assert (alone.scores, alone.same, alone.t >= s.t) == ((), "", True)
+    assert np.linalg.norm(until(loop, lambda later: later.t > alone.t).hand_force) > 0.1

@@ -11,6 +11,7 @@ from app.errors import ConfigError, DbbError, TargetError, UnknownNameError
 from app.simulation.commands import (
     Choose,
     Command,
+    Compare,
     Configure,
     Pause,
     Play,
@@ -20,6 +21,7 @@ from app.simulation.commands import (
     Speed,
     StepOnce,
 )
+from app.simulation.comparison import MOST_GHOSTS, SAMES
 from app.simulation.leading import Scenario
 from app.simulation.person import checked_hold, checked_target
 from app.simulation.scenario import scenario_by_name
@@ -53,6 +55,8 @@ def checked(command: Command, links: Collection[str] = ()) -> Command:
         _check_person(command, links)
     elif isinstance(command, Choose):
         checked_controller(command.controller)
+    elif isinstance(command, Compare):
+        _check_comparison(command)
     elif isinstance(command, Configure) and not isinstance(command.config, Config):
         raise ConfigError(f"a configuration is a Config, was {command.config!r}")
     elif isinstance(command, Pause) and not isinstance(command.paused, bool):
@@ -74,7 +78,7 @@ def checked_controller(name: str) -> str:
     Raises:
         UnknownNameError: Lists those that exist.
     """
-    if name not in CONTROLLERS:
+    if not isinstance(name, str) or name not in CONTROLLERS:
         raise UnknownNameError("controller", str(name), CONTROLLERS)
     return name
 
@@ -92,6 +96,16 @@ def _check_person(command: Pull | Release, links: Collection[str]) -> None:
         if command.link is None:
             raise TargetError("a point is held in the frame of a link; name the link")
         checked_hold(command.point)
+
+
+def _check_comparison(command: Compare) -> None:
+    names = command.controllers
+    if not isinstance(names, (tuple, list)) or len(names) > MOST_GHOSTS:
+        raise ConfigError(f"at most {MOST_GHOSTS} controllers are compared, was {names!r}")
+    for name in names:
+        checked_controller(name)
+    if command.same not in SAMES:
+        raise UnknownNameError("comparison", str(command.same), SAMES)
 
 
 def _check_range(what: str, value: Any, limits: tuple[float, float], unit: str) -> None:

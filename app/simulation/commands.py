@@ -97,18 +97,19 @@ class PlayScenario:
     """Fields of the scenario that differ from its own, as `Scenario.changed` takes them."""
 
 
+@dataclass(frozen=True)
+class Compare:
+    """Begin anew where the robot stands or the scenario starts, with others beside it."""
+
+    controllers: tuple[str, ...] = ()
+    """Of the others, at most two; none ends the comparison, and the robot just goes on."""
+    same: str = "path"
+    """What people have in common at all of them: "path", where they pull to, or "force"."""
+
+
 # fmt: off
 Command = (
-    Pull
-    | Release
-    | Configure
-    | Choose
-    | Pause
-    | Speed
-    | StepOnce
-    | Reset
-    | Restart
-    | Play
-    | PlayScenario
+    Pull | Release | Configure | Choose | Pause | Speed | StepOnce
+    | Reset | Restart | Play | PlayScenario | Compare
 )
 # fmt: on

@@ -1,4 +1,4 @@
-"""The robot that is led, in the session that its scenario needs."""
+"""The robot that is led, in the session that its scenario needs, and ghosts beside it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import numpy as np
 from app.config import Config
 from app.errors import TargetError
 from app.simulation.begin import begin
-from app.simulation.commands import Pull
+from app.simulation.commands import Compare, Pull
+from app.simulation.comparison import Ghost, Score, ScoreKeeper
 from app.simulation.leading import Lead, Leader, Scenario, Setting
 from app.simulation.people import Hold
 from app.simulation.session import DT, Session, Step
@@ -26,6 +27,8 @@ class Ensemble:
             whose hand holds something: these have one of their own.
         scenario: The one at whose start the last beginning was, or None.
         ends: [s] when it ends, while it leads, else None.
+        ghosts: Robots that run the same input with other controllers.
+        comparison: What was asked to be compared last.
     """
 
     def __init__(self, free: Session, q_start: Array) -> None:
@@ -39,6 +42,8 @@ class Ensemble:
         self.scenario: Scenario | None = None
         self.ends: float | None = None
         self._config = free.config
+        self.ghosts: list[Ghost] = []
+        self.comparison = Compare()
         self._leader: Leader | None = None
         self._holds: dict[int, Hold] = {}
         self._start = Setting(free.model, free.data, np.zeros(3), np.array(q_start), free.config)
@@ -76,11 +81,35 @@ class Ensemble:
     def configure(self, config: Config) -> None:
         """Use other parameters, which the scenario may adapt, from the next step on."""
         self._config = config
-        self.main.configure(config if self.scenario is None else self.scenario.adapted(config))
+        for session in (self.main, *(ghost.session for ghost in self.ghosts)):
+            session.configure(self._adapted(self.scenario))
 
     def choose(self, controller: str) -> None:
         """Use the controller of that name from the next step on."""
         self.main.controller.use(controller)
+
+    def compare(self, comparison: Compare) -> None:
+        """Begin anew with these controllers beside the present one, or end a comparison.
+
+        The beginning is the scenario's start while it leads or its door is held, else where the
+        robot stands now, at rest.
+
+        Raises:
+            DbbError: It cannot begin so; then nothing has changed.
+        """
+        before, self.comparison = self.comparison, comparison
+        try:
+            if not comparison.controllers:
+                self._replace_ghosts([])
+            elif self.scenario is not None and (self.leading or self.main.door is not None):
+                self.play(self.scenario)
+            else:
+                truth, start = self.main.physics.measure(), self._start
+                here = start._replace(base_pose=truth.base_pose, q_m=truth.q_m)
+                self._enter(here, None)
+        except BaseException:
+            self.comparison = before
+            raise
 
     def pull(self, pull: Pull) -> None:
         """Somebody takes the robot or lets go; at the end-effector a scenario leads no longer.
@@ -111,16 +140,34 @@ class Ensemble:
         if self.ends is not None and self.main.t > self.ends - 0.5 * DT:
             self._let_go()
         lead = Lead() if self._leader is None else self._leader(self.main)
-        return self.main.step(*lead, holds=tuple(self._holds.values()))
+        holds = tuple(self._holds.values())
+        step = self.main.step(*lead, holds=holds)
+        if self.ghosts:
+            self._keeper.add(step)
+            for ghost in self.ghosts:
+                ghost.step(holds, step.person)
+        return step
+
+    def scores(self) -> tuple[Score, ...]:
+        """Of the robot and its ghosts since the comparison began; none without ghosts."""
+        if not self.ghosts:
+            return ()
+        return tuple(keeper.score() for keeper in (self._keeper, *(g.keeper for g in self.ghosts)))
 
     def close(self) -> None:
         """Release all plants."""
+        self._replace_ghosts([])
         self._free.close()
         if self.main is not self._free:
             self.main.close()
 
     def _let_go(self) -> None:
         self._leader = self.ends = None
+        for ghost in self.ghosts:
+            ghost.let_go()
+
+    def _adapted(self, scenario: Scenario | None) -> Config:
+        return self._config if scenario is None else scenario.adapted(self._config)
 
     def _setting_of(self, scenario: Scenario) -> Setting:
         """Where a scenario begins; looked for once as long as nothing else is played."""
@@ -131,17 +178,48 @@ class Ensemble:
         return self._found[2]
 
     def _enter(self, setting: Setting, scenario: Scenario | None) -> None:
-        """Put the robot at the beginning of a setting."""
+        """Put the robot and its ghosts at the beginning of a setting."""
+        setting = setting._replace(config=self._adapted(scenario))
         session = self._session_for(setting)
+        others = self._other_sessions(setting)
+        for each in (session, *others):
+            each.configure(setting.config)
+            each.reset(setting.q_m, setting.base_pose)
         if session is not self.main and self.main is not self._free:
             self.main.close()
-        session.configure(self._config if scenario is None else scenario.adapted(self._config))
-        session.reset(setting.q_m, setting.base_pose)
         self.main, self.scenario = session, scenario
         self._holds.clear()
-        self._let_go()
-        if scenario is not None:
-            self._leader, self.ends = scenario.leader(session), scenario.duration
+        same_force = self.comparison.same == "force"
+        self._replace_ghosts([
+            Ghost(other, scenario and scenario.leader(other), same_force=same_force)
+            for other in others
+        ])  # fmt: skip
+        self._keeper = ScoreKeeper(session)
+        self._leader = scenario and scenario.leader(session)
+        self.ends = scenario and scenario.duration
+
+    def _replace_ghosts(self, ghosts: list[Ghost]) -> None:
+        """Let these be the ghosts; sessions that none of them has are closed."""
+        kept = {id(ghost.session) for ghost in ghosts}
+        for ghost in self.ghosts:
+            if id(ghost.session) not in kept:
+                ghost.session.close()
+        self.ghosts = ghosts
+
+    def _other_sessions(self, setting: Setting) -> list[Session]:
+        """A session for each ghost, those that are there used again where they can be."""
+        free = self._free
+        usable = [g.session for g in self.ghosts if g.session.door is None and setting.door is None]
+        sessions: list[Session] = []
+        for name in self.comparison.controllers:
+            if usable:
+                sessions.append(usable.pop(0))
+                sessions[-1].controller.use(name)
+            else:
+                sessions.append(
+                    begin(setting, free.model, controller=name, physics=free.kind, seed=free.seed)
+                )
+        return sessions
 
     def _session_for(self, setting: Setting) -> Session:
         """The free session if it can be that setting's, else a new one, as pybullet's solver keeps

@@ -19,6 +19,7 @@ from app.simulation.command_check import checked
 from app.simulation.commands import (
     Choose,
     Command,
+    Compare,
     Configure,
     Pause,
     Play,
@@ -33,7 +34,7 @@ from app.simulation.history import History
 from app.simulation.mailbox import Mailbox
 from app.simulation.pacing import Pacer
 from app.simulation.people import held_links
-from app.simulation.publishing import make_snapshot
+from app.simulation.publishing import ghost_reading, make_snapshot
 from app.simulation.session import DT, Session, Step
 from app.simulation.snapshot import Refusal, Snapshot
 
@@ -169,6 +170,9 @@ class SimulationLoop:
         return {
             "scenario": ensemble.leading,
             "scenario_ends": ensemble.ends,
+            "ghosts": tuple(map(ghost_reading, ensemble.ghosts)),
+            "scores": ensemble.scores(),
+            "same": ensemble.comparison.same if ensemble.ghosts else "",
             "speed": self._speed,
             "refusal": self._refusal,
         }
@@ -216,6 +220,11 @@ class SimulationLoop:
         if isinstance(command, Play):
             self._say_busy(f"preparing {command.scenario.name}")
             ensemble.play(command.scenario)
+        elif isinstance(command, Compare):
+            self._say_busy("preparing the comparison")
+            ensemble.compare(command)
+            if not ensemble.ghosts:
+                return
         elif isinstance(command, Restart):
             ensemble.restart()
         else:

@@ -8,6 +8,7 @@ import pinocchio as pin
 from app.avoidance.self_collision import PairState
 from app.control.explanation import explain
 from app.robot.state import RobotState
+from app.simulation.comparison import Ghost, GhostReading
 from app.simulation.pacing import Clock
 from app.simulation.people import PullReading
 from app.simulation.session import Session, Step
@@ -60,6 +61,15 @@ def make_snapshot(session: Session, step: Step, pacer: Clock, *, paused: bool) -
         door=_door_view(session, step),
         explanation=explain(session.controller, output, session.config, step.base_command),
     )
+
+
+def ghost_reading(ghost: Ghost) -> GhostReading:
+    """A ghost after its last control step; shares no memory with it, and is read-only."""
+    reading = ghost.reading()
+    return reading._replace(
+        base_pose=_frozen(reading.base_pose), q_m=_frozen(reading.q_m),
+        wheel_angles=_frozen(reading.wheel_angles), p_ee=_frozen(reading.p_ee),
+    )  # fmt: skip
 
 
 def _door_view(session: Session, step: Step) -> DoorView | None:

@@ -176,6 +176,7 @@ class Session:
         door: DoorReading | None = None,
         *,
         holds: Sequence[Hold] = (),
+        forces: PersonForces | None = None,
     ) -> Step:
         """Advance by one control step.
 
@@ -184,6 +185,8 @@ class Session:
             pull: (3,) [m] where a person pulls the end-effector, or None.
             door: How the opening of a door goes, for the record only.
             holds: Others who hold the robot, here or elsewhere.
+            forces: What acts on the robot instead of those people's own springs; the error is still
+                towards where they pull.
         """
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
@@ -199,8 +202,8 @@ class Session:
         p_ee = state.T_world_ee.translation
         if pull is not None:
             holds = (Hold(LEAD, pull), *holds)
-        pulls = self._people.pull(state, holds)
-        person = self._people.forces(holds, pulls)
+        pulls = self._people.pull(state, holds if forces is None else ())
+        person = self._people.forces(holds, pulls) if forces is None else forces
         target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = float(np.linalg.norm(p_ee - aim))

@@ -17,6 +17,7 @@ from app.simulation.commands import Pause as Pause
 from app.simulation.commands import Play as Play
 from app.simulation.commands import Pull as Pull
 from app.simulation.commands import Reset as Reset
+from app.simulation.comparison import GhostReading, Score
 from app.simulation.door import Door
 from app.simulation.people import PullReading
 
@@ -136,6 +137,12 @@ class Snapshot:
     """Whether d_b is enough for how fast the arm comes."""
     pulls: tuple[PullReading, ...] = ()
     """All that hold the robot, a scenario's person as number -1."""
+    ghosts: tuple[GhostReading, ...] = ()
+    """Robots that run the same input with other controllers, after the control step of `t`."""
+    scores: tuple[Score, ...] = ()
+    """Since the comparison began: of this robot, then of the ghosts; empty without ghosts."""
+    same: str = ""
+    """What is the same at the ghosts, "path" or "force", or empty without ghosts."""
     scenario: str = ""
     """Name of the scenario that leads the hand, or empty while it is free."""
     scenario_ends: float | None = None
