@@ -12,7 +12,7 @@ from app.config import Config
 from app.errors import ConfigError, TargetError
 from app.robot.model import RobotModel
 from app.simulation.begin import begin
-from app.simulation.commands import Pull
+from app.simulation.commands import Compare, Pull
 from app.simulation.ensemble import MOST_PULLS, Ensemble
 from app.simulation.leading import Setting
 from app.simulation.pacing import Pacer
@@ -196,3 +196,18 @@ def test_each_lets_go_for_himself_and_only_so_many_can_hold(make):
     assert {reading.who for reading in ensemble.step().pulls} == {1, 2, 3, 4, 6, 7}
     ensemble.reset()
     assert ensemble.step().pulls == ()
+
+
+@pytest.mark.usefixtures("known_fridge")
+def test_ghosts_hold_doors_of_their_own(make):
+    ensemble = make("planar")
+    ensemble.play(FRIDGE)
+    closed = ensemble.main.physics.door.angle()
+    ensemble.compare(Compare(("dbb",)))
+    steps(ensemble, 0.6)
+    ghost, main = ensemble.ghosts[0].session.physics.door, ensemble.main.physics.door
+    assert ghost is not main
+    assert ghost.angle() == pytest.approx(main.angle(), abs=1e-6)
+    assert ghost.angle() > closed + 1e-4  # [rad]
+    ensemble.reset()
+    assert ensemble.ghosts[0].session.door is None

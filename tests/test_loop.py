@@ -429,3 +429,16 @@ def test_ghosts_run_beside_the_robot_in_the_snapshot(loop: SimulationLoop) -> No
     alone = until(loop, lambda s: not s.ghosts)
     assert (alone.scores, alone.same, alone.t >= s.t) == ((), "", True)
     assert np.linalg.norm(until(loop, lambda later: later.t > alone.t).hand_force) > 0.1
+
+
+def test_ghosts_are_of_the_snapshots_own_instant_whatever_is_changed_meanwhile(loop) -> None:
+    loop.send(Compare(("dbb",)))
+    until(loop, lambda s: bool(s.ghosts))
+    loop.send(PULL)
+    t = until(loop, lambda s: np.linalg.norm(s.hand_force) > 5.0).t
+    for k in range(20):
+        loop.send(Speed(1.0 + 0.01 * k))
+        s = until(loop, lambda s, k=k: s.speed == 1.0 + 0.01 * k)
+        np.testing.assert_allclose(s.ghosts[0].q_m, s.q_m, atol=1e-6)
+        np.testing.assert_allclose(s.ghosts[0].base_pose, s.base_pose, atol=1e-6)
+    assert s.t >= t

@@ -163,15 +163,18 @@ class SimulationLoop:
 
     def _publish(self, ensemble: Ensemble, step: Step) -> None:
         snapshot = make_snapshot(ensemble.main, step, self._pacer, paused=self._paused)
-        self._history.add(replace(snapshot, **self._course(ensemble)))
+        ghosts = tuple(map(ghost_reading, ensemble.ghosts))
+        self._history.add(
+            replace(
+                snapshot, ghosts=ghosts, scores=ensemble.scores(), **self._course(ensemble)
+            )
+        )  # fmt: skip
 
     def _course(self, ensemble: Ensemble) -> dict[str, Any]:
         """What a snapshot says beyond the session."""
         return {
             "scenario": ensemble.leading,
             "scenario_ends": ensemble.ends,
-            "ghosts": tuple(map(ghost_reading, ensemble.ghosts)),
-            "scores": ensemble.scores(),
             "same": ensemble.comparison.same if ensemble.ghosts else "",
             "speed": self._speed,
             "refusal": self._refusal,
@@ -236,10 +239,12 @@ class SimulationLoop:
 
     def _refresh(self, ensemble: Ensemble) -> None:
         """Publish a change that must be seen although no step follows while paused."""
-        main = ensemble.main
+        main, latest = ensemble.main, self._history.latest
+        compared = bool(ensemble.ghosts)
         self._history.add(
             replace(
-                self._history.latest, config=main.config, controller=main.controller.name,
-                paused=self._paused, busy="", **self._course(ensemble),
+                latest, config=main.config, controller=main.controller.name,
+                paused=self._paused, busy="", ghosts=latest.ghosts if compared else (),
+                scores=latest.scores if compared else (), **self._course(ensemble),
             )
         )  # fmt: skip
