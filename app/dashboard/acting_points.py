@@ -9,12 +9,14 @@ import viser
 
 from app.dashboard.arrows import arrow, hidden_arrow
 from app.dashboard.colours import ACTING
+from app.dashboard.lines import hidden_line, set_polyline
 from app.dashboard.scales import LEAST_FORCE
 from app.dashboard.view import View
 from app.simulation.snapshot import ActingReading, Snapshot
 
 Array = np.ndarray
 
+LIFT = 0.03  # [m] of an arrow over the base's top
 LEAST_APART = 0.05  # [m] nearer to p_act the label of p_t would lie under that of p_act
 _COLOURS = {"p_n": (240, 240, 245), "p_t": (32, 190, 200), "p_act": ACTING}
 # Each label on its own side, the distance's to the upper right: they stay apart where points meet.
@@ -28,8 +30,8 @@ _ANCHORS: dict[str, Literal["bottom-right", "top-right", "top-left"]] = {
 class _Marks:
     """What is drawn for one pair."""
 
-    def __init__(self, scene: viser.SceneApi, name: str) -> None:
-        node = f"/acting/{name}"
+    def __init__(self, scene: viser.SceneApi, name: str, top: float) -> None:
+        node, self._top = f"/acting/{name}", top
         self.points = {
             key: scene.add_icosphere(
                 f"{node}/{key}", radius=0.011, color=colour, visible=False, cast_shadow=False
@@ -43,9 +45,10 @@ class _Marks:
             for key, anchor in _ANCHORS.items()
         }
         self.arrow = hidden_arrow(scene, f"{node}/force", ACTING)
+        self.stem = hidden_line(scene, f"{node}/stem", ACTING, 2.0)
 
     def hide(self) -> None:
-        for handle in (*self.points.values(), *self.labels.values(), self.arrow):
+        for handle in (*self.points.values(), *self.labels.values(), self.arrow, self.stem):
             handle.visible = False
 
     def update(self, reading: ActingReading, *, names: bool, texts: bool) -> None:
@@ -60,17 +63,26 @@ class _Marks:
         force = float(np.linalg.norm(reading.f))
         if texts:
             self.labels["p_act"].text = f"p_act  {force:.0f} N" if names else f"{force:.0f} N"
-        self.arrow.visible = force >= LEAST_FORCE
+        self.arrow.visible = self.stem.visible = force >= LEAST_FORCE
         if self.arrow.visible:
-            self.arrow.points = arrow(reading.p_act, reading.f)
+            tail = lifted(reading.p_act, self._top)
+            self.arrow.points = arrow(tail, reading.f)
+            set_polyline(self.stem, np.array([reading.p_act, tail]), ACTING)
+            self.labels["p_act"].position = tail
 
 
 class ActingPoints:
     """Marks of all pairs of L_m, shown while the pair has an acting point."""
 
-    def __init__(self, scene: viser.SceneApi, names: list[str]) -> None:
-        """Hidden marks for the pairs of these names."""
-        self._marks = {name: _Marks(scene, name) for name in names}
+    def __init__(self, scene: viser.SceneApi, names: list[str], top: float) -> None:
+        """Hidden marks.
+
+        Args:
+            scene: Where to draw.
+            names: Of the pairs.
+            top: [m] height of the base's top.
+        """
+        self._marks = {name: _Marks(scene, name, top) for name in names}
 
     def update(self, snapshot: Snapshot, view: View, *, texts: bool) -> None:
         """Move what is active, hide the rest; texts change only if `texts`."""
@@ -80,3 +92,16 @@ class ActingPoints:
                 marks.update(readings[name], names=view.names, texts=texts)
             else:
                 marks.hide()
+
+
+def lifted(p_act: Array, top: float) -> Array:
+    """(3,) [m] where the arrow of a force on the base begins that acts at p_act.
+
+    The force points into the base, which would hide it: below the base's top the arrow is drawn
+    straight above p_act.
+
+    Args:
+        p_act: (3,) [m] in the world.
+        top: [m] height of the base's top.
+    """
+    return np.array([p_act[0], p_act[1], max(float(p_act[2]), top + LIFT)])

@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import viser
 
-from app.dashboard.camera import Camera
+from app.dashboard.camera import PRESETS, Camera
 from app.dashboard.hand import Grip, Hand
 from app.dashboard.legend import key_html, legend_html
 from app.dashboard.notices import Notices
 from app.dashboard.panels.case import add_case_button
-from app.dashboard.panels.run import RunPanel
+from app.dashboard.panels.compare import ComparePanel
+from app.dashboard.panels.help import add_help
+from app.dashboard.panels.run import FREE, RunPanel
+from app.dashboard.panels.save import SavePanel
 from app.dashboard.panels.sweep import SweepPanel
 from app.dashboard.panels.timeline import TimelinePanel
 from app.dashboard.panels.tuning import MAIN, TuningPanel
 from app.dashboard.panels.view import ViewPanel
+from app.dashboard.panels.why import WhyPanel
 from app.dashboard.plots import Plots
 from app.dashboard.scene import Scene
 from app.dashboard.shared import Shared
+from app.dashboard.shortcuts import Shortcut, add_shortcuts, keys_text
 from app.dashboard.stage import set_theme
 from app.dashboard.timeline import Timeline
+from app.dashboard.tour import Tour
 from app.dashboard.view import View
+from app.simulation.scenario import SCENARIOS
 
 PANEL_WIDTH = 330  # [px] of each of the two columns
 
@@ -60,6 +67,8 @@ class Page:
         kinematics = shared.parts.kinematics.model
         arm = {kinematics.getJointId(name): name for name in shared.model.description.arm.joints}
         self.hand = Hand(client.scene, self._scene.robot, self.grip, notices, arm)
+        add_shortcuts(client.gui, self._shortcuts(), notices)
+        self.tour = Tour(client, notices)
         self.look("iso")
 
     def draw(self, *, texts: bool) -> None:
@@ -80,6 +89,8 @@ class Page:
             self._camera.follow(shown.base_pose[:2], on=self.view.follow)
             if texts:
                 self._run.update(newest, shown)
+                self._why.update(shown)
+                self._compare.update(newest, shown)
                 self.timeline_panel.update(newest, shown)
                 self._plots.update(self._shared.record, self.timeline, shown)
                 self._renew_key()
@@ -109,9 +120,13 @@ class Page:
     def _build_left(self) -> None:
         gui = self._client.gui
         panel = gui.add_panel()
-        with panel.add_tab("Live", viser.Icon.CHART_LINE):
+        with panel.add_tab("Why", viser.Icon.BULB):
+            self._why = WhyPanel(gui)
             self._legend = gui.add_html(legend_html([]))
+        with panel.add_tab("Plots", viser.Icon.CHART_LINE):
             self._plots = Plots(gui, self._shared.plans, self.view)
+        with panel.add_tab("Compare", viser.Icon.USERS):
+            self._compare = ComparePanel(gui, self._shared.loop, self._notices)
         with panel.add_tab("Key", viser.Icon.COLOR_SWATCH):
             self._key_text = gui.add_html("")
         panel.dock_left()
@@ -132,10 +147,39 @@ class Page:
         with tabs.add_tab("View"):
             plots = [plan.title for plan in shared.plans]
             ViewPanel(gui, self.view, notices, plots, self.look)
-        with tabs.add_tab("Tuning"):
+        with tabs.add_tab("Tune"):
             self.tuning_panel = TuningPanel(
                 gui, shared.tuning, notices, robot=shared.model.description
             )
+        with tabs.add_tab("Save"):
+            SavePanel(gui, shared, self.timeline, self.view, notices)
+        with tabs.add_tab("Help"):
+            add_help(gui, keys_text(self._shortcuts()))
+
+    def _shortcuts(self) -> list[Shortcut]:
+        scenarios = [
+            Shortcut(f"Play {name}", None, lambda name=name: self._run.play(name))
+            for name in SCENARIOS
+        ]
+        looks = [
+            Shortcut(f"Look: {name}", str(i), lambda name=name: self.look(name))
+            for i, name in enumerate(PRESETS, 1)
+        ]
+        return [
+            Shortcut("Pause or go on", "space", lambda: self._run.toggle_pause()),
+            Shortcut("Restart", "R", lambda: self._run.restart()),
+            Shortcut("Back 1 s", "B", lambda: self.timeline_panel.step(-1.0)),
+            Shortcut("Forward 1 s", "F", lambda: self.timeline_panel.step(1.0)),
+            Shortcut("Now", "N", self.timeline.go_live),
+            Shortcut("Dark or light", "L", self._toggle_dark),
+            *looks,
+            Shortcut("Drag the hand freely", None, lambda: self._run.play(FREE)),
+            *scenarios,
+            Shortcut("Show the tour", "H", lambda: self.tour.begin()),
+        ]
+
+    def _toggle_dark(self) -> None:
+        self.view.dark = not self.view.dark
 
     def _renew_key(self) -> None:
         config = self._shared.loop.latest().config

@@ -7,6 +7,7 @@ import viser
 from app.dashboard.acting_points import ActingPoints
 from app.dashboard.border_cloud import BorderCloud
 from app.dashboard.border_slice import BorderSlice
+from app.dashboard.ghosts import Ghosts
 from app.dashboard.legend import Legend
 from app.dashboard.motion import Motion
 from app.dashboard.pair_lines import PairLines
@@ -35,9 +36,10 @@ class Scene:
         self._border = BorderCloud(scene, shared.borders)
         self._slice = BorderSlice(scene, shared.borders, shared.mobile)
         self._lines = PairLines(scene, shared.pairs)
-        self._acting = ActingPoints(scene, shared.mobile)
+        self._acting = ActingPoints(scene, shared.mobile, shared.borders.top)
         self._motion = Motion(scene, shared.borders.top)
         self._trails = Trails(scene, shared.tracks)
+        self._ghosts = Ghosts(scene, shared.parts)
         self._shown: tuple[bool, bool] | None = None
         self._dark: bool | None = None
 
@@ -71,6 +73,7 @@ class Scene:
             self._shown = (view.meshes, view.bodies)
             self.robot.show(meshes=view.meshes, bodies=view.bodies)
         self.robot.update(snapshot.base_pose, snapshot.q_m, snapshot.wheel_angles)
+        self._ghosts.update(snapshot)
         self._slice.update(snapshot, view)
         self._lines.update(snapshot, view, texts=texts)
         self._acting.update(snapshot, view, texts=texts)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import viser
 
 BRAND = (38, 132, 214)
+BACKGROUND = {True: (20, 20, 20), False: (255, 255, 255)}
+"""Of a dark and of a light page, behind the scene."""
 
 
 def set_lights(scene: viser.SceneApi) -> None:

@@ -37,7 +37,7 @@ class View:
     """The person's force, and the accelerations asked of the base."""
     trails: bool = True
     """Where base and hand have been."""
-    follow: bool = False
+    follow: bool = True
     """Whether the camera follows the base."""
     dark: bool = True
     plots: set[str] = field(default_factory=set)
