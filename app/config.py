@@ -66,7 +66,7 @@ class BarrierConfig(Strict):
 
     d_min: float = Field(default=0.05, ge=0.0, le=0.30)
     """[m] distance that is never undercut."""
-    rate: Annotated[float, Shown("approach rate")] = Field(default=20.0, ge=1.0, le=100.0)
+    rate: Annotated[float, Shown("approach")] = Field(default=20.0, ge=1.0, le=100.0)
     """[1/s] how fast a pair may close in on that distance, per distance left."""
 
 
@@ -100,7 +100,9 @@ class LimitConfig(Strict):
     """[1/s] how fast a joint may close in on its position limit, per distance left."""
     velocity_rate: Annotated[float, Shown(advanced=True)] = Field(default=30.0, ge=1.0, le=200.0)
     """[1/s] how fast a joint may close in on its velocity limit, per velocity left."""
-    torque_rate: Annotated[float, Shown(log=True)] = Field(default=1000.0, ge=50.0, le=1e6)
+    torque_rate: Annotated[float, Shown("torque", log=True)] = Field(
+        default=1000.0, ge=50.0, le=1e6
+    )
     """[N m/s] how fast a torque of the arm may change; a Panda takes 1000."""
 
 
@@ -128,9 +130,9 @@ class AdmittanceConfig(Strict):
 class HandConfig(Strict):
     """The hand of a person who guides the end-effector: a spring and damper with a force limit."""
 
-    stiffness: Annotated[float, Shown("hand stiffness")] = Field(default=300.0, ge=10.0, le=2000.0)
+    stiffness: Annotated[float, Shown("hand k")] = Field(default=300.0, ge=10.0, le=2000.0)
     """[N/m] of the spring between the person's hand and the robot's."""
-    damping: Annotated[float, Shown("hand damping")] = Field(default=25.0, ge=0.0, le=200.0)
+    damping: Annotated[float, Shown("hand d")] = Field(default=25.0, ge=0.0, le=200.0)
     """[N s/m] of the damper beside that spring."""
     f_max: Annotated[float, Shown("hand force")] = Field(default=40.0, ge=1.0, le=150.0)
     """[N] largest force."""

@@ -208,7 +208,7 @@ class DashboardTab:
 
     def row(self, label: str) -> Any:
         """The row of the widget with this label."""
-        text = re.compile(rf"^\s*{re.escape(label)}\s*$")
+        text = re.compile(rf"^\s*{re.escape(label)}(\s•)?\s*$")  # with the mark of what is changed
         found = self.page.locator("label").filter(has_text=text).filter(visible=True)
         return found.locator("xpath=ancestor::div[contains(@class,'mantine-Flex-root')][1]")
 

@@ -79,7 +79,7 @@ def test_first_picture_shows_robot_border_panel_and_plots(tab, served):
         "real-time factor",
         "d_b [m]",
         "f_max [N]",
-        "hand stiffness [N/m]",
+        "hand k [N/m]",
         "solver failures",
         "distance [m]",
         "activation β_m",
@@ -144,7 +144,7 @@ def test_closing_the_page_in_mid_drag_releases_the_hand(browser, served):
 
 def test_a_forged_value_is_refused_with_a_notice_and_set_back(tab, served):
     server, loop = served
-    slider = server.page.main_panel.sliders["border.d_b"]
+    slider = server.page.main_panel.knobs["border.d_b"].handles[0]
     tab.open_tab("Run")
     forged = _messages.GuiUpdateMessage(slider._impl.uuid, {"value": 99999.0})
     [client] = server.viser.get_clients()

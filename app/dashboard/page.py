@@ -8,12 +8,11 @@ from app.dashboard.camera import Camera
 from app.dashboard.hand import Grip, Hand
 from app.dashboard.legend import key_html, legend_html
 from app.dashboard.notices import Notices
-from app.dashboard.panels.border import add_border_choice
 from app.dashboard.panels.case import add_case_button
 from app.dashboard.panels.run import RunPanel
 from app.dashboard.panels.sweep import SweepPanel
 from app.dashboard.panels.timeline import TimelinePanel
-from app.dashboard.panels.tuning import BORDER_AND_FORCE, GAINS, MAIN, TuningPanel
+from app.dashboard.panels.tuning import MAIN, TuningPanel
 from app.dashboard.panels.view import ViewPanel
 from app.dashboard.plots import Plots
 from app.dashboard.scene import Scene
@@ -86,6 +85,8 @@ class Page:
                 self._renew_key()
         if texts:
             self._sweep.update()
+            self.main_panel.update()
+            self.tuning_panel.update()
 
     def look(self, preset: str) -> None:
         """Look from a preset, at the instant that is shown.
@@ -131,11 +132,10 @@ class Page:
         with tabs.add_tab("View"):
             plots = [plan.title for plan in shared.plans]
             ViewPanel(gui, self.view, notices, plots, self.look)
-        with tabs.add_tab("Border & force"):
-            add_border_choice(gui, shared.tuning, notices)
-            TuningPanel(gui, shared.tuning, notices, BORDER_AND_FORCE)
-        with tabs.add_tab("Gains"):
-            TuningPanel(gui, shared.tuning, notices, GAINS)
+        with tabs.add_tab("Tuning"):
+            self.tuning_panel = TuningPanel(
+                gui, shared.tuning, notices, robot=shared.model.description
+            )
 
     def _renew_key(self) -> None:
         config = self._shared.loop.latest().config

@@ -7,11 +7,11 @@ from pathlib import Path
 
 from app.border.cloud import Cloud
 from app.dashboard.borders import Borders
-from app.dashboard.panels.tuning import Tuning
 from app.dashboard.plots import plot_plans
 from app.dashboard.record import Record
 from app.dashboard.robot import RobotParts
 from app.dashboard.trails import Tracks
+from app.dashboard.tuning import Tuning
 from app.robot.model import RobotModel
 from app.simulation.leading import Scenario
 from app.simulation.loop import LoopHandle

@@ -1,141 +1,157 @@
-"""Sliders of parameters: range, unit and help come from the configuration, and so do the checks."""
+"""All parameters in folders, made from the configuration's own records; or a few of them."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import viser
 
-from app.config import Config, parameter
-from app.dashboard.hand import Sink
+from app.config import Config, sections
+from app.dashboard.knobs import Knob
 from app.dashboard.notices import Notices
-from app.errors import ConfigError
-from app.simulation.snapshot import Configure
+from app.dashboard.panels.config_file import ConfigFilePanel
+from app.dashboard.tuning import Tuning
+from app.dashboard.value_guard import guard_values
+from app.robot.description import RobotDescription
 
-MAIN = {
-    "Main parameters": (
-        "border.d_b", "force.f_max", "repulsion.k_p", "admittance.mass", "admittance.damping",
-        "hand.stiffness",
-    ),
-}  # fmt: skip
-"""Folder of the tab "Run": what a first visitor may want to move, in sight at once."""
-BORDER_AND_FORCE = {
-    "Border": ("border.eps",),
-    "Activation": ("activation.d_full",),
-    "Force": ("force.alpha_min", "force.alpha_max", "force.alpha_gain"),
-}
-"""Folders of the tab "Border & force"."""
-GAINS = {
-    "Repulsion of the arm": ("repulsion.k_v",),
-    "Admittance of the base": (
-        "admittance.inertia", "admittance.angular_damping", "admittance.v_max",
-        "admittance.omega_max", "admittance.period",
-    ),
-    "Person's hand": ("hand.damping", "hand.f_max"),
-    "End-effector task": ("task.ee_stiffness", "task.ee_damping"),
-    "Arm and base at rest": (
-        "task.posture_stiffness", "task.posture_damping", "task.base_damping",
-    ),
-    "Disturbances": (
-        "disturbance.encoder_noise", "disturbance.base_delay", "disturbance.mass_error",
-        "disturbance.slip",
-    ),
-}  # fmt: skip
-"""Folders of the tab "Gains"."""
-
-
-class Tuning:
-    """The configuration as the sliders have it: one for all viewers."""
-
-    def __init__(self, sink: Sink, config: Config) -> None:
-        self._sink = sink
-        self.config = config
-
-    def set(self, path: str, value: float | str) -> None:
-        """Change one parameter and tell the simulation.
-
-        Raises:
-            ConfigError: The value is out of the parameter's range or not one of its choices, which
-                viser does not check.
-        """
-        if self.value(path) == value:
-            return
-        self.config = self.config.replace(path, value)
-        self._sink.send(Configure(self.config))
-
-    def value(self, path: str) -> float:
-        """The value of a parameter now."""
-        section, _, name = path.partition(".")
-        return getattr(getattr(self.config, section), name)
+MAIN = (
+    "border.d_b", "force.f_max", "repulsion.k_p", "admittance.mass", "admittance.damping",
+    "hand.stiffness",
+)  # fmt: skip
+"""What a first visitor may want to move."""
+_BEFORE_SCORE = "border"  # section after which the score stands, as in the paper
 
 
 class TuningPanel:
-    """Folders of sliders, and a button that sets them back."""
+    """Folders of widgets, in the GUI container that is open when it is made.
+
+    Attributes:
+        knobs: The widgets of each parameter, by its path.
+    """
 
     def __init__(
-        self, gui: viser.GuiApi, tuning: Tuning, notices: Notices,
-        folders: dict[str, tuple[str, ...]],
-    ) -> None:  # fmt: skip
-        """Build the tab in the GUI container that is now open."""
-        self._tuning = tuning
-        self.sliders: dict[str, viser.GuiSliderHandle[float]] = {}
-        for title, paths in folders.items():
-            with gui.add_folder(title):
-                for path in paths:
-                    self._add_slider(gui, notices, path)
-        default = gui.add_button("Defaults", icon=viser.Icon.ARROW_BACK_UP, color="gray")
-        default.on_click(notices.guard(lambda _: self.reset()))  # type: ignore[arg-type]
+        self,
+        gui: viser.GuiApi,
+        tuning: Tuning,
+        notices: Notices,
+        paths: Iterable[str] | None = None,
+        *,
+        robot: RobotDescription | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Build the panel.
 
-    def reset(self, paths: Iterable[str] | None = None) -> None:
-        """Set parameters of this tab, by default all, to their defaults."""
-        for path in self.sliders if paths is None else paths:
-            self._tuning.set(path, parameter(path).default)
-            self.sliders[path].value = self._tuning.value(path)
+        Args:
+            gui: Of the page or of one client.
+            tuning: The configuration, which all viewers share.
+            notices: Tells who set a value that it was refused.
+            paths: Parameters of a single folder without files, steps and resets of others; None
+                is all of them, with those.
+            robot: Whose numbers of the score are told.
+            clock: [s] for what waits for the end of typing.
+        """
+        self._gui, self._tuning, self._notices, self._clock = gui, tuning, notices, clock
+        self.knobs: dict[str, Knob] = {}
+        self._folders: list[_Folder] = []
+        self._seen: Config | None = None
+        self._all: viser.GuiCheckboxHandle | None = None
+        guard_values(gui, notices)
+        if paths is None:
+            self._add_everything(robot)
+        else:
+            self._add_folder("Main parameters", tuple(paths), expand=True)
+        self.update()
 
-    def _add_slider(self, gui: viser.GuiApi, notices: Notices, path: str) -> None:
-        about = parameter(path)
-        slider = gui.add_slider(
-            label(path), min=float(about.low), max=float(about.high),
-            step=slider_step(about.low, about.high),
-            initial_value=float(self._tuning.value(path)), hint=about.help or None,
-        )  # fmt: skip
-        self.sliders[path] = slider
+    def update(self) -> None:
+        """Show what has changed, whoever changed it; called by the drawing thread."""
+        config = self._tuning.config
+        waiting = any(knob.is_waiting for knob in self.knobs.values())
+        if config is self._seen and not waiting:
+            return
+        self._seen = config
+        for knob in self.knobs.values():
+            knob.update()
+        for folder in self._folders:
+            folder.update()
+        self._show_advanced()
 
-        def moved(event: viser.GuiEvent) -> None:
-            apply(self._tuning, path, event.target)
+    def _add_everything(self, robot: RobotDescription | None) -> None:
+        self._add_steps()
+        self._all = self._gui.add_checkbox("Advanced", False, hint="Show all parameters")
+        self._all.on_update(self._notices.guard(lambda _: self._show_advanced()))  # type: ignore[arg-type]
+        for section in sections():
+            paths = tuple(each.path for each in section.tunables)
+            self._add_folder(section.title, paths, expand=section.name == _BEFORE_SCORE)
+            if section.name == _BEFORE_SCORE:
+                with self._gui.add_folder("Score", expand_by_default=False):
+                    self._gui.add_html(score_html(robot))
+        with self._gui.add_folder("File"):
+            ConfigFilePanel(self._gui, self._tuning, self._notices)
 
-        slider.on_update(notices.guard(moved))  # type: ignore[arg-type]
+    def _add_steps(self) -> None:
+        tuning = self._tuning
+        acts = {"Undo": tuning.undo, "Redo": tuning.redo, "Reset all": tuning.reset}
+        steps = self._gui.add_button_group(
+            "Changes", tuple(acts), hint="One step is one move of a slider, whoever moved it"
+        )
+
+        def pressed(event: Any) -> None:
+            if (act := acts.get(event.target.value)) is not None:  # a program may send any word
+                act()
+
+        steps.on_click(self._notices.guard(pressed))  # type: ignore[arg-type]
+
+    def _add_folder(self, title: str, paths: tuple[str, ...], *, expand: bool) -> None:
+        handle = self._gui.add_folder(title, expand_by_default=expand)
+        with handle:
+            knobs = [
+                Knob(self._gui, self._tuning, self._notices, path, self._clock) for path in paths
+            ]
+            reset = self._gui.add_button(
+                "Defaults", icon=viser.Icon.ARROW_BACK_UP, color="gray", disabled=True,
+                hint="Set what stands above to its defaults",
+            )  # fmt: skip
+        reset.on_click(self._notices.guard(lambda _: self._tuning.reset(paths)))  # type: ignore[arg-type]
+        self.knobs |= dict(zip(paths, knobs, strict=True))
+        self._folders.append(_Folder(handle, reset, title, knobs))
+
+    def _show_advanced(self) -> None:
+        wanted = self._all is None or self._all.value
+        for knob in self.knobs.values():
+            knob.show(visible=wanted or knob.is_marked or not knob.about.advanced)
 
 
-def apply(tuning: Tuning, path: str, slider: viser.GuiSliderHandle[float]) -> None:
-    """Take the slider's value over, or set the slider back.
+class _Folder:
+    """Its title says how many of its parameters are changed."""
 
-    Raises:
-        ConfigError: The value is out of range.
-    """
-    try:
-        tuning.set(path, slider.value)
-    except ConfigError:
-        slider.value = tuning.value(path)
-        raise
+    def __init__(self, handle: Any, reset: Any, title: str, knobs: list[Knob]) -> None:
+        self._handle, self._reset, self._title, self._knobs = handle, reset, title, knobs
+
+    def update(self) -> None:
+        count = sum(knob.is_marked for knob in self._knobs)
+        title = f"{self._title} · {count} changed" if count else self._title
+        if self._handle.label != title:
+            self._handle.label = title
+            self._reset.disabled = not count
 
 
-def label(path: str) -> str:
-    """Name and unit of a parameter, with Greek letters, as in `α_min [m]`."""
-    section, _, name = path.partition(".")
-    if section in {"admittance", "hand"}:  # else a mass or a stiffness could be anybody's
-        name = f"{section}_{name}"
-    name = name.replace("alpha", "α").replace("eps", "ε").replace("omega", "ω")
-    symbol = (
-        name
-        if name in {"d_b", "ε", "f_max", "k_p", "k_v", "d_full"} or "α" in name
-        else (name.removeprefix("ee_").removeprefix("posture_").replace("_", " "))
+def score_html(robot: RobotDescription | None) -> str:
+    """That the score has nothing to tune, and where its numbers come from."""
+    rows = "".join(
+        f"<tr><td>{body}</td><td>{r.A_per_m2:g}</td><td>{r.B_m:g}</td><td>{r.C:g}</td></tr>"
+        for body, r in (robot.reachability.items() if robot else ())
     )
-    unit = parameter(path).unit
-    return symbol if unit == "-" else f"{symbol} [{unit}]"
-
-
-def slider_step(low: float, high: float) -> float:
-    """The power of ten that gives a slider 100 to 1000 steps."""
-    return 10.0 ** math.floor(math.log10((high - low) / 100.0))
+    table = (
+        '<table style="width:100%;text-align:left;font-variant-numeric:tabular-nums">'
+        '<tr style="opacity:.65"><td>body</td><td>A [1/m²]</td><td>B [m]</td><td>C</td></tr>'
+        f"{rows}</table>"
+        if rows
+        else ""
+    )
+    return (
+        '<div style="padding:0 .7em .5em;font-size:.82em;line-height:1.5">'
+        "Nothing to tune: det J_c of (7) follows from the wheels, and A, B, C of (9) are the "
+        f"robot's, from its description.{table}</div>"
+    )
