@@ -140,5 +140,5 @@ def _add(table: Table, about: Tunable, value: float | str) -> None:
 
 def _range(about: Tunable) -> str:
     if isinstance(about, Parameter):
-        return f"[{about.unit}] {about.low:g} to {about.high:g}"
+        return f"[{about.unit}] {about.low:.15g} to {about.high:.15g}"
     return about.allowed

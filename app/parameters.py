@@ -44,7 +44,9 @@ class Parameter(Strict):
     @property
     def allowed(self) -> str:
         """As in `0.06 to 0.3 m`."""
-        return f"{self.low:g} to {self.high:g}" + ("" if self.unit == "-" else f" {self.unit}")
+        return f"{self.low:.15g} to {self.high:.15g}" + (
+            "" if self.unit == "-" else f" {self.unit}"
+        )
 
 
 class Choice(Strict):

@@ -67,7 +67,7 @@ def test_every_parameter_stands_below_its_unit_range_and_meaning() -> None:
             at = next(i for i in range(begin, len(lines)) if lines[i].startswith(f"{name} = "))
             assert each.help in lines[at - 1]
             if isinstance(each, Parameter):
-                assert f"[{each.unit}] {each.low:g} to {each.high:g}" in lines[at - 1]
+                assert f"[{each.unit}] {each.low:.15g} to {each.high:.15g}" in lines[at - 1]
 
 
 def test_a_file_may_hold_only_some_parameters() -> None:

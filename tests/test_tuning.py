@@ -1,0 +1,555 @@
+"""One configuration for all viewers: what they set, refuse, undo, mark, save and load."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from itertools import pairwise
+from types import SimpleNamespace
+
+import pytest
+import viser
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from viser import _messages
+
+from app.config import Config, parameter, sections, tunable
+from app.config_file import MOST_BYTES, parse_config, save_config
+from app.dashboard.knobs import LONGEST, MARK, PATIENCE, slider_step
+from app.dashboard.notices import Notices
+from app.dashboard.panels.config_file import file_name
+from app.dashboard.panels.tuning import MAIN, TuningPanel, score_html
+from app.dashboard.tuning import BURST, MOST_STEPS, Tuning
+from app.dashboard.value_guard import guard_values
+from app.errors import ConfigError
+from app.parameters import Choice, Parameter
+from app.simulation.commands import Configure
+from tests.robots import husky_panda
+
+TUNABLES = {each.path: each for section in sections() for each in section.tunables}
+NUMBERS = [path for path, each in TUNABLES.items() if isinstance(each, Parameter)]
+D_B = "border.d_b"
+
+
+class Clock:
+    """Time that a test sets."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Person:
+    """A client: keeps what it is told and sent."""
+
+    def __init__(self):
+        self.notes, self.files, self.messages = [], [], []
+        self._websock_connection = SimpleNamespace(queue_message=self.messages.append)
+
+    def add_notification(self, title, text, **_):
+        self.notes.append(text)
+
+    def send_file_download(self, name, content, **_):
+        self.files.append((name, content))
+
+
+class Sink:
+    """Takes commands and keeps them."""
+
+    def __init__(self):
+        self.commands = []
+
+    def send(self, command):
+        self.commands.append(command)
+
+
+class Desk:
+    """A configuration and the panels of two viewers."""
+
+    def __init__(self, servers, paths=None):
+        self.sink, self.clock = Sink(), Clock()
+        self.tuning = Tuning(self.sink, Config(), clock=self.clock)
+        self.panels = [
+            TuningPanel(
+                server.gui, self.tuning, Notices(server), paths,
+                robot=husky_panda().description, clock=self.clock,
+            )
+            for server in servers
+        ]  # fmt: skip
+
+    def handle(self, path, viewer=0, face=0):
+        return self.panels[viewer].knobs[path].handles[face]
+
+    def sees(self, path, viewer=0):
+        return self.handle(path, viewer).value
+
+    def update(self):
+        for panel in self.panels:
+            panel.update()
+
+
+@pytest.fixture(scope="module")
+def servers():
+    servers = [viser.ViserServer(host="127.0.0.1", port=0, verbose=False) for _ in range(2)]
+    yield servers
+    for server in servers:
+        server.stop()
+
+
+@pytest.fixture
+def desk(servers):
+    for server in servers:
+        server.gui.reset()
+    return Desk(servers)
+
+
+def put(handle, value, person):
+    """What viser does with a value that a client has sent: take it over, tell the callbacks."""
+    handle._impl.value = value
+    event = SimpleNamespace(client=person, client_id=1, target=handle)
+    for callback in list(handle._impl.update_cb):
+        asyncio.run(callback(event))
+
+
+def press(gui, label, value=True, person=None):
+    """Press the button, or one of a group, or upload, by the label; the last one that was made."""
+    found = [h for h in gui._gui_input_handle_from_uuid.values() if h.label == label]
+    person = person or Person()
+    put(found[-1], value, person)
+    return person
+
+
+# The history
+
+
+def test_each_change_is_sent_once_and_is_of_one_parameter():
+    sink = Sink()
+    tuning = Tuning(sink, Config())
+    for _ in range(2):
+        tuning.set(D_B, 0.2)
+    assert sink.commands == [Configure(Config().replace(D_B, 0.2))]
+
+
+@pytest.mark.parametrize("value", [99999.0, -1.0, math.nan, math.inf, "0.2", [0.2], None, True])
+def test_a_value_that_is_refused_changes_nothing_and_is_no_step(value):
+    sink = Sink()
+    tuning = Tuning(sink, Config())
+    with pytest.raises(ConfigError, match=r"border\.d_b: must be within 0\.06 to 0\.3 m"):
+        tuning.set(D_B, value)
+    with pytest.raises(ConfigError, match="nothing to undo"):
+        tuning.undo()
+    assert (tuning.config, sink.commands) == (Config(), [])
+
+
+def test_moves_of_one_slider_within_the_burst_are_one_step():
+    clock = Clock()
+    tuning = Tuning(Sink(), Config(), clock=clock)
+    for value in (0.16, 0.17, 0.18):
+        clock.now += 0.99 * BURST
+        tuning.set(D_B, value)
+    clock.now += 1.01 * BURST
+    tuning.set(D_B, 0.19)
+    tuning.set("force.f_max", 200.0)
+    tuning.set(D_B, 0.20)
+    seen = []
+    for _ in range(4):
+        tuning.undo()
+        seen.append((tuning.value(D_B), tuning.value("force.f_max")))
+    assert seen == [(0.19, 200.0), (0.19, 300.0), (0.18, 300.0), (0.15, 300.0)]
+    with pytest.raises(ConfigError, match="nothing to undo"):
+        tuning.undo()
+
+
+def test_there_and_back_in_one_burst_is_no_step():
+    tuning = Tuning(Sink(), Config(), clock=Clock())
+    tuning.set("force.f_max", 200.0)
+    tuning.set(D_B, 0.2)
+    tuning.set(D_B, 0.15)
+    tuning.undo()
+    assert tuning.config == Config()
+
+
+acts = st.one_of(
+    st.tuples(st.just("set"), st.sampled_from(NUMBERS), st.floats(0, 1), st.floats(0, 2)),
+    st.sampled_from([("undo",), ("redo",), ("reset",)]),
+)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(acts, max_size=15))
+def test_undoing_everything_leads_back_and_redoing_it_forth_again(script):
+    clock, sink = Clock(), Sink()
+    tuning = Tuning(sink, Config(), clock=clock)
+    for name, *given_ in script:
+        before = tuning.config
+        try:
+            if name == "set":
+                path, share, wait = given_
+                clock.now += wait
+                about = parameter(path)
+                tuning.set(path, min(about.low + share * (about.high - about.low), about.high))
+            else:
+                getattr(tuning, name)()
+        except ConfigError:
+            assert name in ("undo", "redo")
+            assert tuning.config is before
+    until_refused(tuning, tuning.redo)
+    back = until_refused(tuning, tuning.undo)
+    assert back[-1] == Config()
+    assert until_refused(tuning, tuning.redo) == back[::-1]
+    assert all(a != b for a, b in pairwise(back)), "a step changes something"
+    assert not sink.commands or sink.commands[-1] == Configure(tuning.config)
+
+
+def until_refused(tuning, act):
+    """The configurations from now on, until there is nothing more to undo or to redo."""
+    seen = [tuning.config]
+    with contextlib.suppress(ConfigError):
+        for _ in range(1000):
+            act()
+            seen.append(tuning.config)
+    assert len(seen) <= 1000
+    return seen
+
+
+def test_a_change_after_an_undo_ends_what_could_be_redone():
+    tuning = Tuning(Sink(), Config(), clock=Clock())
+    tuning.set(D_B, 0.2)
+    tuning.undo()
+    tuning.set(D_B, 0.25)
+    with pytest.raises(ConfigError, match="nothing to do again"):
+        tuning.redo()
+    assert tuning.value(D_B) == 0.25
+
+
+def test_the_history_is_bounded():
+    clock = Clock()
+    tuning = Tuning(Sink(), Config(), clock=clock)
+    for i in range(MOST_STEPS + 50):
+        clock.now += 2 * BURST
+        tuning.set("force.f_max", float(i))
+    for _ in range(MOST_STEPS):
+        tuning.undo()
+    assert tuning.value("force.f_max") == 49.0
+    with pytest.raises(ConfigError):
+        tuning.undo()
+
+
+def test_loading_and_resetting_are_one_step_each():
+    tuning = Tuning(Sink(), Config(), clock=Clock())
+    loaded = Config().replace(D_B, 0.2).replace("hand.f_max", 20.0)
+    tuning.load(loaded)
+    tuning.reset([D_B])
+    assert tuning.config == Config().replace("hand.f_max", 20.0)
+    tuning.reset()
+    assert tuning.config == Config()
+    tuning.reset()  # changes nothing, so it is none
+    tuning.undo()
+    tuning.undo()
+    assert tuning.config == loaded
+    tuning.undo()
+    assert tuning.config == Config()
+
+
+# The widgets
+
+
+def test_every_parameter_has_widgets_with_its_range_unit_value_and_help(desk):
+    assert list(desk.panels[0].knobs) == list(TUNABLES)
+    for path, about in TUNABLES.items():
+        handle = desk.handle(path)
+        assert handle.value == about.default, path
+        assert handle.hint.startswith(about.help), path
+        if isinstance(about, Choice):
+            assert (handle.options, handle.label) == (about.choices, about.title)
+        else:
+            assert (handle.min, handle.max) == (about.low, about.high), path
+            assert handle.precision == 6, path
+            assert handle.label.replace("\N{NO-BREAK SPACE}", " ") == about.title, path
+
+
+def test_every_default_lies_on_a_step_of_its_slider():
+    for path in NUMBERS:
+        about = parameter(path)
+        step = slider_step(about.low, about.high)
+        assert 100 <= (about.high - about.low) / step <= 1000.0001, path
+        if not about.log:
+            assert math.isclose(about.default / step, round(about.default / step)), path
+
+
+@pytest.mark.parametrize("path", list(TUNABLES))
+def test_each_widget_changes_what_it_says_at_once_and_nothing_else(desk, path):
+    about = TUNABLES[path]
+    value = about.choices[-1] if isinstance(about, Choice) else about.high
+    if value == about.default:
+        value = about.low if isinstance(about, Parameter) else value
+    put(desk.handle(path), value, Person())
+    assert desk.sink.commands == [Configure(Config().replace(path, value))]
+
+
+def test_what_one_sets_the_others_see_and_nothing_comes_back(desk):
+    put(desk.handle(D_B), 0.2, Person())
+    assert desk.sees(D_B, viewer=1) == 0.15
+    for _ in range(3):
+        desk.update()
+    assert desk.sees(D_B, viewer=0) == desk.sees(D_B, viewer=1) == 0.2
+    desk.tuning.undo()
+    desk.update()
+    assert desk.sees(D_B, viewer=0) == desk.sees(D_B, viewer=1) == 0.15
+    assert [c.config.border.d_b for c in desk.sink.commands] == [0.2, 0.15]
+
+
+def test_a_widget_that_the_program_sets_sends_nothing(desk):
+    handle = desk.handle(D_B)
+    put(handle, 0.2, None)  # as viser tells an assignment
+    assert desk.sink.commands == []
+
+
+@pytest.mark.parametrize("value", [9e9, -1.0, math.nan, math.inf])
+@pytest.mark.parametrize("path", [D_B, "task.base_weight"])
+def test_a_refused_value_is_told_to_its_sender_and_set_back(desk, path, value):
+    sender = Person()
+    put(desk.handle(path), value, sender)
+    desk.clock.now += 0.9 * PATIENCE
+    desk.update()
+    assert sender.notes == []  # perhaps the sender is still typing
+    desk.clock.now += 0.2 * PATIENCE
+    for _ in range(3):
+        desk.update()
+    assert desk.handle(path).value == tunable(path).default
+    assert len(sender.notes) == 1
+    assert parameter(path).allowed in sender.notes[0]
+    assert (desk.tuning.config, desk.sink.commands) == (Config(), [])
+
+
+def test_a_choice_that_does_not_exist_is_refused(desk):
+    sender = Person()
+    put(desk.handle("border.kind"), "cloud", sender)
+    desk.clock.now += 2 * PATIENCE
+    desk.update()
+    assert desk.sees("border.kind") == "surface"
+    assert "surface or points" in sender.notes[0]
+
+
+def test_who_types_a_number_is_not_interrupted_at_its_first_digit(desk):
+    person = Person()
+    for value in (0.0, 0.2, 0.22):
+        put(desk.handle(D_B), value, person)
+        desk.update()
+        desk.clock.now += 0.5 * PATIENCE
+        assert desk.sees(D_B) == value
+    desk.clock.now += 10 * PATIENCE
+    desk.update()
+    assert (desk.tuning.value(D_B), person.notes) == (0.22, [])
+
+
+def test_a_flood_of_refused_values_is_answered_now_and_then(desk):
+    sender = Person()
+    for _ in range(1000):
+        put(desk.handle(D_B), 7.0, sender)
+        desk.clock.now += 0.01
+        desk.update()
+    assert len(sender.notes) == int(10 / LONGEST)
+
+
+def test_a_logarithmic_slider_and_its_exact_box_go_together(desk):
+    box, slider = desk.panels[0].knobs["task.base_weight"].handles
+    assert (slider.min, slider.max, slider.value) == (0.0, 6.0, 3.0)
+    put(slider, 2.5, Person())
+    assert desk.tuning.value("task.base_weight") == box.value == 316.0
+    put(box, 1234.5, Person())
+    assert desk.tuning.value("task.base_weight") == 1234.5
+    assert 10**slider.value == pytest.approx(1234.5)
+    assert desk.handle("task.base_weight", 1, 1).value == 3.0
+    desk.update()
+    assert 10 ** desk.handle("task.base_weight", 1, 1).value == pytest.approx(1234.5)
+    assert desk.tuning.value("task.base_weight") == 1234.5
+    for path in (path for path in NUMBERS if parameter(path).log):
+        _, slider = desk.panels[0].knobs[path].handles
+        for end, value in ((slider.min, parameter(path).low), (slider.max, parameter(path).high)):
+            put(slider, end, Person())
+            assert desk.tuning.value(path) == value
+
+
+@pytest.mark.parametrize("value", [7.0, -7.0, 400.0, -400.0, math.nan, math.inf, -math.inf])
+def test_an_exponent_out_of_range_is_refused(desk, value):
+    sender = Person()
+    slider = desk.handle("task.base_weight", face=1)
+    put(slider, value, sender)
+    desk.clock.now += 2 * PATIENCE
+    desk.update()
+    assert (slider.value, desk.tuning.config, len(sender.notes)) == (3.0, Config(), 1)
+
+
+def test_what_is_changed_is_marked_on_its_label_and_folder_until_it_is_set_back(desk):
+    def labels():
+        return {h.label for h in desk.panels[0]._gui._container_handle_from_uuid.values()
+                if isinstance(h, viser.GuiFolderHandle)}  # fmt: skip
+
+    assert "Force" in labels()
+    put(desk.handle("force.f_max"), 200.0, Person())
+    put(desk.handle("force.alpha_min"), 0.05, Person())
+    desk.update()
+    assert desk.handle("force.f_max").label == "f_max [N]" + MARK
+    assert MARK not in desk.handle("force.alpha_max").label
+    assert "Force · 2 changed" in labels()
+    press(desk.panels[0]._gui, "Changes", "Reset all")
+    desk.update()
+    assert "Force" in labels()
+    assert MARK not in desk.handle("force.f_max").label
+    assert desk.tuning.config == Config()
+
+
+def test_buttons_undo_redo_and_say_when_there_is_nothing(desk):
+    gui = desk.panels[0]._gui
+    put(desk.handle(D_B), 0.2, Person())
+    press(gui, "Changes", "Undo")
+    assert desk.tuning.value(D_B) == 0.15
+    press(gui, "Changes", "Redo")
+    assert desk.tuning.value(D_B) == 0.2
+    assert "nothing to do again" in press(gui, "Changes", "Redo").notes[0]
+    assert press(gui, "Changes", "Explode").notes == []
+    assert desk.tuning.value(D_B) == 0.2
+
+
+def test_defaults_of_a_folder_leave_the_others(servers):
+    servers[0].gui.reset()
+    desk = Desk(servers[:1], MAIN)
+    assert tuple(desk.panels[0].knobs) == MAIN
+    desk.tuning.set(D_B, 0.2)
+    desk.tuning.set("border.eps", 0.015)
+    press(servers[0].gui, "Defaults")
+    assert desk.tuning.config == Config().replace("border.eps", 0.015)
+    desk.tuning.undo()
+    assert desk.tuning.value(D_B) == 0.2
+
+
+def test_advanced_parameters_are_shown_when_asked_for_or_changed(desk):
+    advanced = [path for path, about in TUNABLES.items() if about.advanced]
+    assert advanced
+
+    def shown():
+        return [path for path in advanced if desk.handle(path).visible]
+
+    assert shown() == []
+    assert all(desk.handle(p).visible for p, about in TUNABLES.items() if not about.advanced)
+    desk.tuning.set("force.alpha_gain", 0.01)
+    desk.update()
+    assert shown() == ["force.alpha_gain"]
+    press(desk.panels[0]._gui, "Advanced")
+    assert shown() == advanced
+
+
+def test_the_score_tells_the_numbers_of_the_robot():
+    html = score_html(husky_panda().description)
+    for body, reach in husky_panda().description.reachability.items():
+        for text in (body, f"{reach.A_per_m2:g}", f"{reach.B_m:g}", f"{reach.C:g}"):
+            assert f"<td>{text}</td>" in html
+
+
+# Files
+
+
+def upload(desk, content, name="mine.toml"):
+    file = viser.UploadedFile(name=name, content=content)
+    return press(desk.panels[0]._gui, "Load", file)
+
+
+def test_what_is_saved_and_loaded_again_is_the_same_in_one_step(desk):
+    gui = desk.panels[0]._gui
+    desk.tuning.load(config := Config().replace(D_B, 0.2).replace("border.kind", "points"))
+    press(gui, "Name", " stiff/arm ")
+    [(name, content)] = press(gui, "Save").files
+    assert name == "stiff-arm.toml"
+    assert parse_config(content.decode()) == ("stiff/arm", config)
+    desk.tuning.reset()
+    assert upload(desk, content).notes == []
+    assert desk.tuning.config == config
+    desk.tuning.undo()
+    assert desk.tuning.config == Config()
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"#" * (MOST_BYTES + 1), "more than"),
+        (b"\xff\xfe", "UTF-8"),
+        (b"[border]\nd_b = 1", "border.d_b: must be within 0.06 to 0.3 m"),
+        (b"[border]\nd_bb = 1", "did you mean 'd_b'"),
+    ],
+)
+def test_a_bad_file_is_refused_with_its_name_and_problem(desk, content, told):
+    [note] = upload(desk, content).notes
+    assert note.startswith("mine.toml: ")
+    assert told in note
+    assert (desk.tuning.config, desk.sink.commands) == (Config(), [])
+
+
+def test_a_name_that_cannot_be_printed_is_refused(desk):
+    gui = desk.panels[0]._gui
+    press(gui, "Name", "a\nb")
+    person = press(gui, "Save")
+    assert person.files == []
+    assert "printed" in person.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [("a b", "a b.toml"), ("../x", "-x.toml"), ("", "tuning.toml"), ("é☃?", "é--.toml")],
+)
+def test_a_file_is_named_as_any_system_takes_it(name, file):
+    assert file_name(name) == file
+
+
+def test_a_loaded_file_is_as_good_as_one_that_is_typed(desk):
+    upload(desk, save_config(Config().replace("hand.f_max", 20.0)).encode())
+    desk.update()
+    assert desk.sees("hand.f_max", viewer=1) == 20.0
+
+
+# Values that no browser sends
+
+
+def deliver(gui, person, updates, uuid=None, monkeypatch=None):
+    """Hand a message to whatever handles updates, as viser's connection does."""
+    monkeypatch.setattr(gui, "_resolve_client", lambda _: person)
+    message = _messages.GuiUpdateMessage(uuid, updates)
+    for handler in list(gui._websock_interface._incoming_handlers[_messages.GuiUpdateMessage]):
+        asyncio.run(handler(1, message))
+
+
+@pytest.mark.parametrize(
+    "updates",
+    [
+        {"value": "much"}, {"value": [0.2]}, {"value": None}, {"value": {}}, {}, [0.2], 3, None,
+        {"value": 0.2, "update_cb": []}, {"update_cb": []}, {"gui_api": 1}, {"removed": True},
+    ],
+)  # fmt: skip
+def test_what_a_widget_cannot_hold_is_told_to_the_sender_and_changes_nothing(
+    desk, updates, monkeypatch
+):
+    gui, handle, sender = desk.panels[0]._gui, desk.handle(D_B), Person()
+    state = dict(vars(handle._impl))
+    deliver(gui, sender, updates, handle._impl.uuid, monkeypatch)
+    assert len(sender.notes) == 1
+    assert [m.updates for m in sender.messages] == [{"value": 0.15}]
+    assert {**vars(handle._impl), "update_timestamp": 0} == {**state, "update_timestamp": 0}
+    assert (desk.tuning.config, desk.sink.commands) == (Config(), [])
+
+
+@pytest.mark.parametrize("uuid", [None, 3, [], {}, "nobody"])
+def test_a_message_to_no_widget_changes_nothing(desk, uuid, monkeypatch):
+    sender = Person()
+    deliver(desk.panels[0]._gui, sender, {"value": 0.2}, uuid, monkeypatch)
+    assert sender.messages == []
+    assert desk.sink.commands == []
+
+
+def test_a_good_value_passes_the_guard(desk, monkeypatch):
+    sender = Person()
+    guard_values(desk.panels[0]._gui, Notices(desk.panels[0]._gui._owner))  # again: no second guard
+    deliver(desk.panels[0]._gui, sender, {"value": 0.2}, desk.handle(D_B)._impl.uuid, monkeypatch)
+    assert desk.sink.commands == [Configure(Config().replace(D_B, 0.2))]
+    assert sender.notes == []

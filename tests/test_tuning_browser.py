@@ -1,0 +1,85 @@
+"""The tuning panel in a real browser: typing, files, undo, two viewers."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from app.config import Config
+from app.config_file import read_config
+from app.dashboard.server import serve_dashboard
+from app.simulation.commands import Configure
+from tests.browser import DashboardTab, chromium
+from tests.fakes import ScriptedLoop, fake_clouds
+from tests.robots import husky_panda
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as browser:
+        yield browser
+
+
+@pytest.fixture
+def served():
+    loop = ScriptedLoop(husky_panda())
+    loop.start()
+    server = serve_dashboard(loop, husky_panda(), fake_clouds(husky_panda(), 0.03), port=0)
+    yield server, loop
+    server.stop()
+    loop.stop()
+
+
+def configured(loop):
+    return [command.config for command in loop.commands if isinstance(command, Configure)]
+
+
+def wait_for(condition, seconds=20.0):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "did not come true in time"
+        time.sleep(0.02)
+
+
+def box(tab, label):
+    """The number box of a parameter."""
+    return tab.row(label).locator("input[type=text], input[inputmode]").last
+
+
+def test_what_is_typed_saved_loaded_and_undone_is_what_both_viewers_see(browser, served, tmp_path):
+    server, loop = served
+    tabs = [DashboardTab(browser, server.address, (1280, 720)) for _ in range(2)]
+    for tab in tabs:
+        tab.open_tab("Tuning")
+    first, second = tabs
+
+    first.set_slider("d_b [m]", 0.225)
+    wait_for(lambda: configured(loop) == [Config().replace("border.d_b", 0.225)])
+    wait_for(lambda: box(second, "d_b [m]").input_value() == "0.225")
+    second.page.get_by_text("Border · 1 changed").wait_for()
+
+    path = tmp_path / "wide.toml"
+    with first.page.expect_download() as download:
+        first.click("Save")
+    download.value.save_as(path)
+    assert read_config(path).config == Config().replace("border.d_b", 0.225)
+    path.write_text(path.read_text(encoding="utf-8").replace("d_b = 0.225", "d_b = 0.25"))
+
+    with second.page.expect_file_chooser() as chooser:
+        second.click("Load")
+    chooser.value.set_files(path)
+    wait_for(lambda: box(first, "d_b [m]").input_value() == "0.25")
+    first.click("Undo")
+    wait_for(lambda: box(second, "d_b [m]").input_value() == "0.225")
+
+    second.set_slider("d_b [m]", 7)
+    second.page.get_by_text("must be within 0.06 to 0.3 m").wait_for()
+    wait_for(lambda: box(second, "d_b [m]").input_value() == "0.225")
+    assert configured(loop)[-1] == Config().replace("border.d_b", 0.225)
+    assert all(config.border.d_b <= 0.25 for config in configured(loop))
+    for tab in tabs:
+        tab.close()
+        assert tab.errors == []
