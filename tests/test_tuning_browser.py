@@ -51,7 +51,7 @@ def box(tab, label):
 
 def test_what_is_typed_saved_loaded_and_undone_is_what_both_viewers_see(browser, served, tmp_path):
     server, loop = served
-    tabs = [DashboardTab(browser, server.address, (1280, 720)) for _ in range(2)]
+    tabs = [DashboardTab(browser, server.address, (900, 600)) for _ in range(2)]
     for tab in tabs:
         tab.open_tab("Tuning")
     first, second = tabs
