@@ -75,6 +75,10 @@ class ServerError(DbbError):
     """The dashboard cannot listen where it was told to."""
 
 
+class BrowserError(DbbError):
+    """There is no browser that can draw."""
+
+
 class LoopError(DbbError):
     """The simulation thread ended with an exception, which is its cause."""
 

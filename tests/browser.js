@@ -1,24 +1,6 @@
-// Helpers inside the page. They use hooks of viser's client that are private, so viser is pinned.
+// More helpers inside the page, for tests; those of app/dashboard/browser.js come first.
 (() => {
-  // Tests draw in software on purpose: without this a warning about it covers a part of the page.
-  for (const kind of [self.WebGLRenderingContext, self.WebGL2RenderingContext]) {
-    if (!kind) continue;
-    const original = kind.prototype.getParameter;
-    const UNMASKED_RENDERER = 37446;
-    kind.prototype.getParameter = function (name) {
-      const value = original.call(this, name);
-      return name === UNMASKED_RENDERER && typeof value === "string" ? "headless" : value;
-    };
-  }
-
-  const viewer = () => window.__viserMutable;
-  const frame = () => window.__viserTestpoints?.rendererInfo?.render?.frame ?? -1;
-  const canvas = () => {
-    const element = viewer().canvas;
-    return element.tagName === "CANVAS" ? element : element.querySelector("canvas");
-  };
-  const node = (name) => viewer().nodeRefFromName[name];
-  const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
+  const { viewer, canvas, node } = window.dbbPage;
 
   const world = (name, point) => {
     const object = node(name);
@@ -52,24 +34,12 @@
   };
 
   window.dbbTest = {
-    ready: () => !!viewer()?.canvas && frame() > 0,
-    node: (name) => !!node(name),
     pixel,
     // In the scene's frame, z up; three.js itself has y up.
     position: (name) => node("").worldToLocal(world(name, [0, 0, 0])).toArray(),
     box: () => {
       const b = canvas().getBoundingClientRect();
       return [b.left, b.top, b.right, b.bottom].map(Math.round);
-    },
-    // Reading a pixel back waits for the drawing, which software renderers do later.
-    render: async (count) => {
-      const last = frame() + count;
-      while (frame() < last) {
-        viewer().requestRender();
-        await pause(15);
-      }
-      const gl = canvas().getContext("webgl2");
-      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
     },
     // A point on an arrow of a gizmo where that arrow really lies on top, or null.
     arrow: (name, axis, scale) => {

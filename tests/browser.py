@@ -1,108 +1,39 @@
-"""A headless Chromium for the tests: find it, open the page, drag the gizmo, work the widgets."""
+"""The page in a headless Chromium, for tests: open it, drag the gizmo, work the widgets."""
 
 from __future__ import annotations
 
 import os
 import re
-import shutil
-import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-VARIABLE = "DBB_BROWSER"
-"""Environment variable that names the browser to use."""
+from app.dashboard import browser as browser_of_app
+from app.errors import BrowserError
+
 REQUIRED = "DBB_REQUIRE_BROWSER"
 """Environment variable that turns a missing browser from a skip into a failure."""
 
-_NAMES = (
-    "chromium", "chromium-browser", "google-chrome-stable", "google-chrome", "chrome",
-    "microsoft-edge-stable", "brave-browser",
-)  # fmt: skip
-_APPLICATIONS = (
-    "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
-    "/Applications/Chromium.app/Contents/MacOS/Chromium",
-)
-# Mesa draws two to three times faster in software than Chromium's own SwiftShader.
-_MESA = ("--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist",
-         "--disable-gpu-compositing")  # fmt: skip
-_SWIFTSHADER = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-_QUIET = ("--disable-quic", "--no-first-run", "--disable-background-networking",
-          "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage")  # fmt: skip
-_RENDERER = """() => {
-  const gl = document.createElement('canvas').getContext('webgl2');
-  if (!gl) return null;
-  const info = gl.getExtension('WEBGL_debug_renderer_info');
-  return gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
-}"""
 _HELPERS = (Path(__file__).parent / "browser.js").read_text(encoding="utf-8")
 
 GIZMO_REACH = 0.9  # [-] where along a gizmo's arrow to grab it: its head
 
 
-def browser_path(bundled: str) -> str | None:
-    """Path of a browser, or None if playwright's own at `bundled` is there and none is asked for.
-
-    Raises:
-        FileNotFoundError: There is none, or the environment variable names one that is not there.
-    """
-    if chosen := os.environ.get(VARIABLE):
-        if not Path(chosen).exists():
-            raise FileNotFoundError(f"{VARIABLE}={chosen} does not exist")
-        return chosen
-    for name in _NAMES:
-        if found := shutil.which(name):
-            return found
-    if sys.platform == "darwin":
-        for path in _APPLICATIONS:
-            if Path(path).exists():
-                return path
-    if Path(bundled).exists():
-        return None
-    raise FileNotFoundError(
-        f"no Chromium: install Debian's, run `playwright install chromium`, or set {VARIABLE}"
-    )
-
-
 @contextmanager
 def chromium() -> Iterator[Any]:
     """A headless browser with WebGL; skips the test if there is none and none is required."""
-    try:
-        from playwright.sync_api import sync_playwright
-    except ImportError as error:
-        _missing(error)
-    with sync_playwright() as playwright:
+    with ExitStack() as stack:
         try:
-            path = browser_path(playwright.chromium.executable_path)
-        except FileNotFoundError as error:
-            _missing(error)
-        browser = _launch(playwright, path)
-        try:
-            yield browser
-        finally:
-            browser.close()
-
-
-def _missing(error: Exception) -> None:
-    if os.environ.get(REQUIRED):
-        raise error
-    pytest.skip(str(error))
-
-
-def _launch(playwright: Any, path: str | None) -> Any:
-    for flags in (_MESA, _SWIFTSHADER):
-        browser = playwright.chromium.launch(executable_path=path, args=[*flags, *_QUIET])
-        page = browser.new_page()
-        renderer = page.evaluate(_RENDERER)
-        page.close()
-        if renderer and (flags is _SWIFTSHADER or "SwiftShader" not in renderer):
-            return browser
-        browser.close()
-    raise RuntimeError(f"{path or 'the bundled browser'} has no WebGL 2")
+            browser = stack.enter_context(browser_of_app.chromium())
+        except BrowserError as error:
+            if os.environ.get(REQUIRED):
+                raise
+            pytest.skip(str(error))
+        yield browser
 
 
 class DashboardTab:
@@ -115,17 +46,15 @@ class DashboardTab:
 
     def __init__(self, browser: Any, address: str, size: tuple[int, int] = (1600, 900)) -> None:
         """Open the page and wait until the first picture with the robot is drawn."""
-        context = browser.new_context(
-            viewport={"width": size[0], "height": size[1]}, reduced_motion="reduce"
-        )
+        context = browser_of_app.new_context(browser, size)
         context.add_init_script(_HELPERS)
         self.page = context.new_page()
         self.errors: list[str] = []
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.on("console", self._listen)
         self.page.goto(f"{address}/?fixedDpr=1")
-        self.wait("() => dbbTest.ready()")
-        self.wait("() => dbbTest.node('/robot') && dbbTest.node('/hand')")
+        self.wait("() => dbbPage.ready()")
+        self.wait("() => dbbPage.has('/robot') && dbbPage.has('/hand')")
         self.render(3)
 
     def _listen(self, message: Any) -> None:
@@ -138,7 +67,7 @@ class DashboardTab:
 
     def render(self, frames: int = 1) -> None:
         """Let so many pictures be drawn, to their end."""
-        self.page.evaluate("n => dbbTest.render(n)", frames)
+        self.page.evaluate("n => dbbPage.render(n)", frames)
 
     def picture(self, path: Path | None = None) -> np.ndarray:
         """(H, W, 3) uint8 what is to be seen, also written to `path`."""

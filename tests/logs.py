@@ -12,6 +12,7 @@ from app.control.buffer_watch import BufferReading
 from app.simulation.door import Door
 from app.simulation.log_columns import frozen
 from app.simulation.log_meta import LogMeta
+from app.simulation.people import PullReading
 from app.simulation.snapshot import ActingReading, DoorView, PairReading, Snapshot
 from tests.robots import husky_panda
 
@@ -65,6 +66,11 @@ def random_snapshot(rng: np.random.Generator, t: float) -> Snapshot:
         ),
         scenario=str(rng.choice(["", "tracking"])),
         speed=number(),
+        pulls=tuple(
+            PullReading(who, link, vector(3), vector(3), vector(3))
+            for who, link in ((0, None), (12, "panda_joint4"))
+            if truth()
+        ),
         scenario_ends=number() if truth() else None,
         door=DoorView(DOORS[rng.integers(2)], number(), vector(3)) if truth() else None,
     )  # fmt: skip

@@ -22,6 +22,7 @@ ROOMS = (
 
 ONLY_IN = {
     "viser": {"dashboard"},
+    "playwright": {"dashboard"},
     "pybullet": {"simulation"},
     "pybullet_data": {"simulation"},
     "tyro": {"cli"},

@@ -4,8 +4,8 @@
 set -uo pipefail
 venv=$1
 found() {
-    PYTHONPATH=tests "$venv/bin/python" - 2>/dev/null <<'PY'
-from browser import browser_path
+    "$venv/bin/python" - 2>/dev/null <<'PY'
+from app.dashboard.browser import browser_path
 from playwright.sync_api import sync_playwright
 
 with sync_playwright() as playwright:

@@ -12,10 +12,12 @@ from app.cli.border import border
 from app.cli.config import config
 from app.cli.pairs import pairs
 from app.cli.reach import reach
+from app.cli.replay import replay
 from app.cli.report import report
 from app.cli.reproduce import reproduce
 from app.cli.robots import robots
 from app.cli.run import run
+from app.cli.screenshot import screenshot
 from app.cli.serve import serve
 from app.cli.study import study
 from app.cli.sweep import sweep
@@ -28,6 +30,8 @@ _COMMANDS = {
     "border": border,
     "reach": reach,
     "report": report,
+    "replay": replay,
+    "screenshot": screenshot,
     "reproduce": reproduce,
     "study": study,
     "sweep": sweep,

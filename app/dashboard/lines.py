@@ -1,4 +1,4 @@
-"""Polylines as viser draws them: segments, each of whose ends has a colour."""
+"""Polylines of one colour, as the segments that viser draws."""
 
 from __future__ import annotations
 
@@ -28,6 +28,11 @@ def hidden_line(
 
 
 def set_polyline(line: viser.LineSegmentsHandle, points: Array, colour: Rgb) -> None:
-    """Draw a line through points (K, 3) [m], K ≥ 2; within `atomic`, as two messages are sent."""
-    line.colors = np.tile(np.array(colour, np.uint8), (len(points) - 1, 2, 1))
+    """Draw a line through points (K, 3) [m], K ≥ 2.
+
+    One colour for all of it: viser takes colours of single segments for linear ones, which washes
+    them out, and a line that goes over to them stays white now and then.
+    """
+    if not np.array_equal(line.colors, colour):
+        line.colors = np.array(colour, np.uint8)
     line.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 from collections.abc import Iterator, Mapping
 
 import viser
@@ -57,11 +58,6 @@ class Studio:
         set_theme(server.gui, dark=dark)
         self.scene = Scene(server.scene, self._shared, self.view)
 
-    @property
-    def address(self) -> str:
-        """As to be typed into a browser."""
-        return f"http://{HOST}:{self.server.get_port()}"
-
     def look(self, preset: str, snapshot: Snapshot) -> None:
         """Where whoever opens the page looks from.
 
@@ -105,10 +101,23 @@ def choose_layer(view: View, layer: str) -> None:
 
 
 @contextlib.contextmanager
+def own_server() -> Iterator[viser.ViserServer]:
+    """A server at a free port of this machine, for this program alone, closed at the end."""
+    logging.getLogger("websockets").setLevel(logging.WARNING)
+    with _silence(), foreign_origins_refused(HOST):
+        server = viser.ViserServer(host=HOST, port=0, verbose=False)
+    try:
+        yield server
+    finally:
+        with _silence():
+            server.stop()
+
+
+@contextlib.contextmanager
 def studio(
     film: Film, model: RobotModel, clouds: Mapping[str, Cloud], *, layer: str, dark: bool
 ) -> Iterator[Studio]:
-    """A studio at a free port, closed at the end.
+    """A studio with a server of its own, closed at the end.
 
     Args:
         film: What is shown.
@@ -120,17 +129,17 @@ def studio(
     Raises:
         AssetError: A mesh of the robot is not there.
     """
-    with _silence(), foreign_origins_refused(HOST):
-        server = viser.ViserServer(host=HOST, port=0, verbose=False)
-    try:
+    with own_server() as server:
         made = Studio(server, film, model, clouds, layer=layer, dark=dark)
         try:
             yield made
         finally:
             made.close()
-    finally:
-        with _silence():
-            server.stop()
+
+
+def address_of(server: viser.ViserServer) -> str:
+    """As to be typed into a browser."""
+    return f"http://{HOST}:{server.get_port()}"
 
 
 def _silence() -> contextlib.redirect_stdout[io.StringIO]:

@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_type_hints
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -19,6 +19,7 @@ from app.config import Config, make_config
 from app.control.buffer_watch import BufferReading
 from app.simulation.door import Door
 from app.simulation.log_meta import LogMeta
+from app.simulation.people import PullReading
 from app.simulation.snapshot import ActingReading, DoorView, PairReading
 
 Array = np.ndarray
@@ -99,6 +100,7 @@ def parts(meta: LogMeta) -> tuple[Part, ...]:
         _maybe("scenario_ends", "scenario_ends_s"),
         _door(),
         _one("speed", "speed"),
+        _records("pulls", PullReading),
     )
 
 
@@ -248,3 +250,24 @@ def _door() -> Part:
         return DoorView(door(cells[0]), cells[1], frozen(cells[2:])) if cells[0] else None
 
     return Part("door", columns, split, join)
+
+
+def _records(field: str, kind: type[Any]) -> Part:
+    """A tuple of named tuples as JSON, empty if there are none; for what is seldom there."""
+    hints = get_type_hints(kind)
+
+    def value(name: str, data: Any) -> Any:
+        return frozen(data) if hints[name] is np.ndarray else data
+
+    def split(records: Sequence[Any]) -> Sequence[Cell]:
+        rows = [
+            {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in r._asdict().items()}
+            for r in records
+        ]
+        return (json.dumps(rows) if rows else "",)
+
+    def join(cells: Sequence[str]) -> tuple[Any, ...]:
+        rows = json.loads(cells[0] or "[]")
+        return tuple(kind(**{k: value(k, v) for k, v in row.items()}) for row in rows)
+
+    return Part(field, (Column(f"{field}_json", "text"),), split, join)

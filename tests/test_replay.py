@@ -1,0 +1,90 @@
+"""A replay is one file that plays in a browser without any network."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.cli.main import main
+from app.dashboard.browser import new_context
+from app.simulation.log import read_log, write_log
+from tests.browser import chromium
+
+_PLACE = "() => dbbPage.viewer().nodePoseData['/robot']?.position ?? null"
+
+
+@pytest.fixture(scope="module")
+def replay(tmp_path_factory) -> Path:
+    """The page of a second and a half in which the base backs off, by the commands."""
+    folder = tmp_path_factory.mktemp("replay")
+    run = ["run", "guiding-front", "--duration", "1.5", "--physics", "kinematic"]
+    main([*run, "--log", str(folder / "run.parquet"), "--json"])
+    main(["replay", str(folder / "run.parquet"), "--out", str(folder / "run.html"), "--json"])
+    return folder / "run.html"
+
+
+def test_dbb_replay_of_no_log_is_one_clear_line(tmp_path, capsys):
+    (tmp_path / "log.csv").write_text("t_s\n0\n")
+    for name, out, words in (
+        ("none.csv", "a.html", "no such file"),
+        ("log.csv", "a.html", "damaged"),
+        ("none.csv", "a.txt", "--out"),
+    ):
+        with pytest.raises(SystemExit) as end:
+            main(["replay", str(tmp_path / name), "--out", str(tmp_path / out)])
+        assert end.value.code == 2
+        out, err = capsys.readouterr()
+        assert (out, err.count("\n")) == ("", 1)
+        assert words in err
+    with pytest.raises(SystemExit):
+        main(["replay", str(tmp_path / "log.csv"), "--dark", "--light"])
+    assert "only one of them" in capsys.readouterr().err
+
+
+@pytest.mark.browser
+def test_it_plays_from_a_file_with_the_network_off(replay):
+    requests, errors = [], []
+    with chromium() as browser:
+        context = new_context(browser, (640, 480))
+        context.set_offline(True)
+        page = context.new_page()
+        page.on("request", lambda r: requests.append(r.url))
+        page.on("pageerror", lambda e: errors.append(str(e)))
+        page.on("console", lambda m: errors.append(m.text) if m.type == "error" else None)
+        page.goto(replay.as_uri())
+        page.wait_for_function("() => dbbPage.ready() && dbbPage.has('/robot')", timeout=60_000)
+        places = []
+        for _ in range(100):
+            places.append(page.evaluate(_PLACE))
+            page.wait_for_timeout(50)
+            if np.ptp([p[0] for p in places if p]) > 0.05:
+                break
+        x = [p[0] for p in places if p]
+        assert np.ptp(x) > 0.05, "the base moves"  # [m]
+        assert min(x) < -0.05, "backwards"
+        for node in ("/robot/border_lm-lEE", "/trails/hand", "/distances", "/acting", "/person"):
+            assert page.evaluate("name => dbbPage.has(name)", node), node
+        context.close()
+    assert errors == []
+    assert [url for url in requests if not url.startswith(("file:", "data:", "blob:"))] == []
+
+
+def test_ten_seconds_stay_below_ten_megabytes(tmp_path, replay, capsys):
+    """The same run seven times over, each time from its beginning."""
+    log = read_log(replay.with_suffix(".parquet"))
+    rows = [replace(s, t=s.t + 1.5 * k) for k in range(7) for s in log.snapshots]
+    write_log(tmp_path / "long.csv", rows, log.meta)
+    page = tmp_path / "long.html"
+    capsys.readouterr()
+    main(["replay", str(tmp_path / "long.csv"), "--out", str(page), "--light", "--json"])
+    told = json.loads(capsys.readouterr().out)
+    assert told["duration_s"] == pytest.approx(10.48)
+    assert told["size_bytes"] == page.stat().st_size
+    assert 0.5e6 < page.stat().st_size < 10e6
+    text = page.read_text(encoding="utf-8")
+    assert "<title>guiding-front, dbb</title>" in text
+    assert "darkMode:false" in text

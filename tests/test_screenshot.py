@@ -1,0 +1,192 @@
+"""Pictures without a display: of the asked size, of what was asked, the same each time."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from PIL import Image
+
+from app.config import Config
+from app.dashboard.browser import VARIABLE, browser_path
+from app.dashboard.film import Film
+from app.dashboard.screenshot import Look, strip, take_pictures
+from app.errors import BrowserError
+from app.simulation.run import steps_of
+from app.simulation.scenario import scenario_by_name
+from app.simulation.tape import filmed
+from tests.browser import chromium
+from tests.logs import random_snapshots
+
+PROJECT = Path(__file__).parent.parent
+LOOK = Look(width=400, height=300)
+
+
+@pytest.fixture(scope="module")
+def snapshots(robot, border_data):
+    """A fast pull, on the plant that costs least."""
+    scenario = scenario_by_name("guiding-front").changed(duration=1.5)
+    steps = steps_of(robot, border_data, scenario, Config(), physics="kinematic")
+    return filmed(steps, scenario, [0.333, 1.0])
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def take(browser, snapshots, robot, border_data):
+    """Takes pictures of the run, as arrays."""
+
+    def pictures(look, times=(1.0,)):
+        taken = take_pictures(browser, snapshots, times, robot, border_data.clouds, look)
+        return [np.asarray(picture).astype(int) for picture in taken]
+
+    return pictures
+
+
+@pytest.fixture(scope="module")
+def first(take):
+    """The first picture of the scene."""
+    return take(LOOK)[0]
+
+
+def share(a, b, least=8):
+    """[-] of the pixels that differ."""
+    assert a.shape == b.shape
+    return float((np.abs(a - b).max(axis=-1) > least).mean())
+
+
+def test_a_run_is_filmed_up_to_the_last_time_that_is_asked_for(snapshots):
+    times = [s.t for s in snapshots]
+    assert times[-1] == pytest.approx(1.0, abs=1e-9)
+    assert min(abs(t - 0.333) for t in times) < 1e-9
+    assert len(times) == 51 + 1
+
+
+def test_a_film_shows_what_had_been_until_a_time():
+    rows = random_snapshots(1, 40)
+    film = Film(rows)
+    for k in (39, 0, 17):
+        assert film.go_to(rows[k].t) is rows[k]
+        assert film.latest() is rows[k]
+        assert film.history(-1.0) == rows[: k + 1]
+        assert film.history(rows[k // 2].t) == rows[k // 2 + 1 : k + 1]
+    between = (rows[4].t + rows[5].t) / 2
+    assert film.go_to(between) is rows[4]
+    assert film.go_to(-5.0) is rows[0]
+
+
+def test_a_strip_has_the_pictures_side_by_side_with_their_times_in_a_corner():
+    pictures = [Image.new("RGB", (300, 200), colour) for colour in ("red", "green", "blue")]
+    whole = strip(pictures, [0.0, 1.25, 8.0], dark=True)
+    assert whole.size == (900, 200)
+    pixels = np.asarray(whole).astype(int)
+    for k, picture in enumerate(pictures):
+        part, plain = pixels[:, 300 * k : 300 * (k + 1)], np.asarray(picture).astype(int)
+        assert share(part[40:, 1:], plain[40:, 1:]) == 0.0
+        assert 0.0 < share(part[:40], plain[:40]) < 0.3
+        assert share(part[:40, 200:], plain[:40, 200:]) == 0.0
+
+
+def test_without_a_browser_it_is_said_what_provides_one(monkeypatch, tmp_path):
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "none"))
+    with pytest.raises(BrowserError, match="does not exist"):
+        browser_path("")
+    monkeypatch.delenv(VARIABLE)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(sys, "platform", "linux")
+    with pytest.raises(BrowserError, match="playwright install chromium"):
+        browser_path(str(tmp_path / "none"))
+    (tmp_path / "chromium").touch(mode=0o755)
+    assert browser_path("") == str(tmp_path / "chromium")
+
+
+@pytest.mark.browser
+def test_a_picture_of_the_scene_has_the_asked_size_and_is_the_same_each_time(take, first):
+    assert first.shape == (300, 400, 3)
+    [again] = take(LOOK)
+    assert share(first, again, least=0) <= 0.005
+
+
+@pytest.mark.browser
+def test_pictures_of_several_times_show_the_motion_from_one_place(take):
+    a, b, again = take(LOOK, (0.0, 1.0, 0.0))
+    assert 0.005 < share(a, b) < 0.5
+    assert share(a, again, least=0) <= 0.005
+
+
+@pytest.mark.browser
+def test_only_the_scene_is_to_be_seen(first):
+    """Towards the upper edge the floor has faded: there is nothing but the ground."""
+    edge = first[:20]
+    assert np.ptp(edge.reshape(-1, 3), axis=0).max() <= 2
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize(
+    ("change", "least"),
+    [({"layer": "none"}, 0.03), ({"layer": "reachability"}, 0.01), ({"dark": False}, 0.5)],
+    ids=["no-layer", "layer", "light"],
+)
+def test_each_option_changes_what_is_to_be_seen(take, first, change, least):
+    [picture] = take(LOOK._replace(**change))
+    assert share(first, picture) > least
+
+
+@pytest.mark.browser
+def test_the_page_is_taken_whole_with_panels_and_plots_and_the_same_each_time(take):
+    look = Look(width=1280, height=720, page=True)
+    [a], [b] = take(look), take(look)
+    assert a.shape == (720, 1280, 3)
+    assert share(a, b, least=0) <= 0.005
+    for panel in (a[:, :300], a[:, -300:]):
+        assert (panel.max(axis=-1) > 120).mean() > 0.01, "text"
+
+
+@pytest.mark.browser
+def test_ctrl_c_ends_the_browser_too(tmp_path):
+    """The signal goes to all of the group, as from a terminal, once the browser runs."""
+    out = tmp_path / "a.png"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "app", "screenshot", "tracking", "--at", "29", "--out", str(out)],
+        cwd=PROJECT, start_new_session=True, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    children: list[psutil.Process] = []
+    try:
+        deadline = time.monotonic() + 120
+        while not any("--headless" in " ".join(_line(child)) for child in children):
+            assert process.poll() is None
+            assert time.monotonic() < deadline, "no browser was started"
+            children = psutil.Process(process.pid).children(recursive=True)
+            time.sleep(0.2)
+        time.sleep(1.0)
+        children = psutil.Process(process.pid).children(recursive=True)
+        os.killpg(process.pid, signal.SIGINT)
+        assert process.wait(timeout=60) == 130
+        _, alive = psutil.wait_procs(children, timeout=20)
+        assert alive == []
+        assert not out.exists()
+        assert process.stderr is not None
+        assert process.stderr.read().strip().splitlines() == ["dbb: interrupted"]
+    finally:
+        for child in children:
+            if child.is_running():
+                child.kill()
+        process.kill()
+
+
+def _line(process: psutil.Process) -> list[str]:
+    try:
+        return process.cmdline()
+    except psutil.Error:
+        return []
