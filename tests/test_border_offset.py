@@ -77,6 +77,42 @@ def test_the_nearest_point_is_no_farther_than_any_point_of_the_polygon(offset):
         assert np.cross([*xy, 0.0], [*tangent, 0.0])[2] > 0  # counter-clockwise
 
 
+def test_the_nearest_point_is_that_of_a_search_edge_by_edge(offset):
+    rng = np.random.default_rng(3)
+    for _ in range(60):
+        p, z = rng.uniform(-1.2, 1.2, 2), float(rng.uniform(0, TOP + offset.d_b - 2e-3))
+        found = offset.nearest(p, z)
+        np.testing.assert_allclose(found.xy, nearest_by_edges(offset, p, z), rtol=1e-9, atol=1e-11)
+        np.testing.assert_allclose(offset.at(found.ray, z).xy, found.xy, rtol=1e-9, atol=1e-11)
+
+
+def nearest_by_edges(offset: OffsetContours, p: np.ndarray, z: float) -> np.ndarray:
+    """Where on an edge p lies square to the blended tangent, by bisection on every edge."""
+    k = min(int(np.searchsorted(offset.heights, z, "right")) - 1, len(offset.heights) - 2)
+    share = (z - offset.heights[k]) / (offset.heights[k + 1] - offset.heights[k])
+    corners = (1 - share) * offset.vertices[k] + share * offset.vertices[k + 1]
+    tangents = (1 - share) * vertex_tangents(offset.vertices[k])
+    tangents += share * vertex_tangents(offset.vertices[k + 1])
+    feet = []
+    for a, b, t_a, t_b in zip(corners[:-1], corners[1:], tangents, tangents[1:], strict=False):
+        if (p - a) @ t_a >= 0.0 > (p - b) @ t_b:
+            low, high = 0.0, 1.0
+            for _ in range(60):
+                s = (low + high) / 2
+                ahead = (p - a - s * (b - a)) @ (t_a + s * (t_b - t_a)) >= 0.0
+                low, high = (s, high) if ahead else (low, s)
+            feet.append(a + low * (b - a))
+    return min(feet, key=lambda foot: float(np.linalg.norm(p - foot)))
+
+
+def vertex_tangents(ring: np.ndarray) -> np.ndarray:
+    edges = np.diff(ring, axis=0)
+    edges /= np.linalg.norm(edges, axis=1)[:, None]
+    tangents = edges + np.roll(edges, 1, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1)[:, None]
+    return np.concatenate([tangents, tangents[:1]])
+
+
 def test_the_tangent_is_square_to_the_way_to_the_contour_beside_a_flat_side(offset):
     xy, tangent, _ = offset.nearest(np.array([0.1, 1.0]), 0.2)
     np.testing.assert_allclose(xy, [0.1, 0.345 + offset.d_b], atol=1e-5)

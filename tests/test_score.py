@@ -128,6 +128,15 @@ def test_the_direction_is_the_gradients(field):
     np.testing.assert_allclose(field.direction(p), gradient / np.linalg.norm(gradient))
 
 
+def test_score_and_gradient_at_one_point_are_those_of_many(field):
+    near, far = points(500), P_BASE + 2.0 * points(500, seed=1)
+    for p in [*near, *far, P_BASE, np.array([0.0, 0.5, 0.2]), np.array([-1e-9, 0.5, 0.2])]:
+        S, gradient = field.at_point(p)
+        scale = np.abs(field.gradient(p)).max()
+        np.testing.assert_allclose(S, field.score(p), rtol=1e-12)
+        np.testing.assert_allclose(gradient, field.gradient(p), rtol=1e-12, atol=1e-13 * scale)
+
+
 def test_the_field_holds_the_papers_numbers(field):
     assert (field.r, field.b) == (0.165, 0.51)
     assert (field.A, field.B, field.C) == (525.9, 0.575, 100.0)

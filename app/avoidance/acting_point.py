@@ -43,9 +43,8 @@ def step_size(d: float, score: float, force: ForceConfig) -> float:
     """
     if score == 0.0:
         return force.alpha_max
-    return float(
-        np.clip(force.alpha_gain * max(d, 0.0) / abs(score), force.alpha_min, force.alpha_max)
-    )
+    proportional = force.alpha_gain * max(d, 0.0) / abs(score)
+    return min(max(proportional, force.alpha_min), force.alpha_max)
 
 
 def tangential_step(gradient: Array, t: Array, alpha: float) -> Array:
@@ -85,8 +84,9 @@ class ActingPointFinder:
         if foot is None:
             return None
         p_n, t = foot
-        alpha = step_size(d, float(self.field.score(p_n)), force)
-        p_t = p_n + tangential_step(self.field.gradient(p_n), t, alpha)
+        score, gradient = self.field.at_point(p_n)
+        alpha = step_size(d, score, force)
+        p_t = p_n + tangential_step(gradient, t, alpha)
         nearest = self._border.nearest(p_t)
         assert nearest is not None
         return ActingPoint(p_n, p_t, nearest.p, t, alpha)

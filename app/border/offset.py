@@ -6,6 +6,8 @@ zero force.
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
 from typing import NamedTuple
 
 import numpy as np
@@ -71,13 +73,19 @@ class OffsetContours:
             heights.append(z)
             rings.append(np.concatenate([ring, ring[:1]]))
         self.heights = np.array(heights)
+        self._heights: list[float] = self.heights.tolist()
         self.vertices = np.array(rings)
         # x + iy: one product gives the dot product of many edges, at a third of the cost of rows.
+        # (H, RAYS + 1), the first vertex repeated: what follows a vertex stands beside it.
         corners = self.vertices[..., 0] + 1j * self.vertices[..., 1]
-        self._starts, self._edges = corners[:, :-1], np.diff(corners, axis=1)
-        self._tangents = _vertex_tangents(self._edges)
+        self._corners = _Table(corners)
+        self._tangents = _Table(_vertex_tangents(np.diff(corners, axis=1)))
         # Beside upright walls polygons repeat and need no blending.
-        self._same = (self.vertices[1:] == self.vertices[:-1]).all(axis=(1, 2))
+        self._same = (self.vertices[1:] == self.vertices[:-1]).all(axis=(1, 2)).tolist()
+
+    def within(self, z: float) -> float:
+        """[m] the height nearest to z that there is."""
+        return min(max(z, self._heights[0]), self._heights[-1])
 
     def contour(self, z: float) -> Array | None:
         """(RAYS + 1, 2) [m] closed polygon at a height z [m], or None where there is none."""
@@ -104,34 +112,24 @@ class OffsetContours:
         at = self._between(z)
         if at is None:
             return None
-        start, edge = self._blended(self._starts, *at), self._blended(self._edges, *at)
-        tangent = self._blended(self._tangents, *at)
-        to_p = complex(p_xy[0], p_xy[1]) - start
+        corner, tangent = self._corners.row(*at), self._tangents.row(*at)
+        to_p = complex(p_xy[0], p_xy[1]) - corner
         ahead = (to_p * tangent.conj()).real  # p lies ahead of a vertex, seen along the contour
-        beyond = np.roll(ahead, -1)
-        passed = np.flatnonzero((ahead >= 0.0) & (beyond < 0.0))
-        if not len(passed):  # p is as far from all of the contour
-            passed = np.array([np.abs(to_p).argmin()])
-        following = np.roll(tangent, -1)
-        feet = [self._foot(to_p[i], edge[i], tangent[i], following[i]) for i in passed]
-        away = [abs(to_p[i] - along * edge[i]) for i, along in zip(passed, feet, strict=True)]
-        k = int(np.argmin(away))
-        return self._point(start, edge, at, int(passed[k]), feet[k])
-
-    @staticmethod
-    def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
-        """The share of an edge from which p lies at a right angle to the contour's tangent.
-
-        The tangent is blended along the edge. The foot of p on the bare polygon would jump over
-        its corners: seen from inside, a corner is never nearest.
-        """
-        turn = (t_next - t).conjugate()
-        # (to_p - s edge) · (t + s (t_next - t)) = a s² + b s + c
-        a = -(edge * turn).real
-        b = (to_p * turn - edge * t.conjugate()).real
-        c = (to_p * t.conjugate()).real
-        root = -2.0 * c / (b - np.sqrt(max(b * b - 4.0 * a * c, 0.0))) if c > 0.0 else 0.0
-        return float(min(max(root, 0.0), 1.0))
+        passed = np.flatnonzero((ahead[:-1] >= 0.0) & (ahead[1:] < 0.0)).tolist()
+        if not passed:  # p is as far from all of the contour
+            passed = [int(np.abs(to_p[:-1]).argmin())]
+        best, least = (passed[0], 0.0), np.inf
+        for i in passed:
+            from_corner, edge = complex(to_p[i]), complex(to_p[i] - to_p[i + 1])
+            along = _foot(from_corner, edge, complex(tangent[i]), complex(tangent[i + 1]))
+            away = abs(from_corner - along * edge)
+            if away < least:
+                best, least = (i, along), away
+        i, along = best
+        return _point_of_edge(
+            complex(corner[i]), complex(corner[i + 1]), complex(tangent[i]),
+            complex(tangent[i + 1]), i, along,
+        )  # fmt: skip
 
     def at(self, ray: float, z: float) -> OnContour | None:
         """The contour's point at a place along it.
@@ -146,48 +144,94 @@ class OffsetContours:
         at = self._between(z)
         if at is None:
             return None
-        i = int(np.floor(ray % RAYS)) % RAYS
-        start, edge = self._blended(self._starts, *at), self._blended(self._edges, *at)
-        return self._point(start, edge, at, i, float(ray % RAYS) % 1.0)
+        i = int(ray % RAYS) % RAYS
+        corner, tangent = self._corners, self._tangents
+        return _point_of_edge(
+            corner.entry(i, *at), corner.entry(i + 1, *at), tangent.entry(i, *at),
+            tangent.entry(i + 1, *at), i, float(ray % RAYS) % 1.0,
+        )  # fmt: skip
 
     def ray_of(self, points_xy: Array) -> Array:
         """(N,) on which ray points (N, 2) [m] lie, from 0 to `RAYS`."""
         out = points_xy - self._centre
         return np.arctan2(out[:, 1], out[:, 0]) % (2 * np.pi) * (RAYS / (2 * np.pi))
 
-    def _point(
-        self, start: Array, edge: Array, at: tuple[int, float], i: int, along: float
-    ) -> OnContour:
-        """The point of edge i at a share of its length."""
-        xy = start[i] + along * edge[i]
-        tangents = self._blended(self._tangents, *at)
-        t = tangents[i] + along * (tangents[(i + 1) % RAYS] - tangents[i])
-        t /= abs(t)
-        return OnContour(np.array([xy.real, xy.imag]), np.array([t.real, t.imag]), i + along)
+    def place(self, z: float) -> tuple[int, float] | None:
+        """Index of the polygon at or below a height [m], and how far up to the next one, [0, 1).
 
-    @staticmethod
-    def _blended(of_heights: Array, k: int, share: float) -> Array:
-        """One row of a table by heights, or a blend of two."""
-        if share == 0.0:
-            return of_heights[k]
-        return of_heights[k] + share * (of_heights[k + 1] - of_heights[k])
-
-    def _between(self, z: float) -> tuple[int, float] | None:
-        """Index of the polygon at or below a height, and the share of the next one."""
-        heights = self.heights
-        if not len(heights) or not heights[0] <= z <= heights[-1]:
+        None where there is no contour.
+        """
+        heights = self._heights
+        if not heights or not heights[0] <= z <= heights[-1]:
             return None
-        k = int(heights.searchsorted(z, "right")) - 1
-        if heights[k] == z or self._same[k]:
+        k = bisect_right(heights, z) - 1
+        if heights[k] == z:
             return k, 0.0
         return k, (z - heights[k]) / (heights[k + 1] - heights[k])
 
+    def _between(self, z: float) -> tuple[int, float] | None:
+        """The same, but nowhere between two equal polygons."""
+        at = self.place(z)
+        return (at[0], 0.0) if at is not None and at[1] > 0.0 and self._same[at[0]] else at
+
+
+class _Table:
+    """One row a height, blended between two heights."""
+
+    def __init__(self, rows: Array) -> None:
+        """Take (H, RAYS + 1) complex rows."""
+        self._rows, self._rise = rows, np.diff(rows, axis=0)
+
+    def row(self, k: int, share: float) -> Array:
+        """(RAYS + 1,) the k-th row, moved towards the next one by a share."""
+        return self._rows[k] if share == 0.0 else self._rows[k] + share * self._rise[k]
+
+    def entry(self, i: int, k: int, share: float) -> complex:
+        """The i-th entry of the same row."""
+        return complex(
+            self._rows[k, i] if share == 0.0 else self._rows[k, i] + share * self._rise[k, i]
+        )
+
+
+def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
+    """The share of an edge from which p lies at a right angle to the contour's tangent.
+
+    The tangent is blended along the edge. The foot of p on the bare polygon would jump over
+    its corners: seen from inside, a corner is never nearest.
+    """
+    turn = (t_next - t).conjugate()
+    # (to_p - s edge) · (t + s (t_next - t)) = a s² + b s + c
+    a = -(edge * turn).real
+    b = (to_p * turn - edge * t.conjugate()).real
+    c = (to_p * t.conjugate()).real
+    root = -2.0 * c / (b - math.sqrt(max(b * b - 4.0 * a * c, 0.0))) if c > 0.0 else 0.0
+    return min(max(root, 0.0), 1.0)
+
+
+def _point_of_edge(
+    start: complex, end: complex, t: complex, t_next: complex, i: int, along: float
+) -> OnContour:
+    """The point of edge i at a share of its length, from both its vertices."""
+    xy, tangent = start + along * (end - start), t + along * (t_next - t)
+    tangent /= abs(tangent)
+    return OnContour(
+        np.array([xy.real, xy.imag]), np.array([tangent.real, tangent.imag]), i + along
+    )
+
 
 def _vertex_tangents(edges: Array) -> Array:
-    """(H, RAYS) unit tangents at the vertices, as x + iy: between those of the two edges there."""
+    """Unit tangents at the vertices, as x + iy: between those of the two edges there.
+
+    Args:
+        edges: (H, RAYS).
+
+    Returns:
+        (H, RAYS + 1), the first one repeated.
+    """
     directions = edges / np.abs(edges)
     tangents = directions + np.roll(directions, 1, axis=1)
-    return tangents / np.abs(tangents)
+    tangents /= np.abs(tangents)
+    return np.concatenate([tangents, tangents[:, :1]], axis=1)
 
 
 def _centre(body: MobileBody) -> Array:

@@ -5,7 +5,9 @@ Points stand in the base's frame: origin on the floor under the base's centre, x
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -120,7 +122,7 @@ def score_gradient(
 
 def uphill(gradient: Array) -> Array:
     """(3,) ∇S/‖∇S‖ from ∇S (3,); where ∇S = 0, on the wheels' axis, its limit e_x."""
-    norm = float(np.linalg.norm(gradient))
+    norm = math.hypot(*gradient.tolist())
     return gradient / norm if norm > 0.0 else np.array([1.0, 0.0, 0.0])
 
 
@@ -175,9 +177,31 @@ class ScoreField:
         """(…, 3) ∇S at points (…, 3)."""
         return score_gradient(p, self.r, self.b, self.p_base, self.A, self.B, self.C)
 
+    def at_point(self, p: Array) -> tuple[float, Array]:
+        """S and ∇S (3,) at one point (3,): `score` and `gradient` together, at little cost."""
+        x, y, z = p.tolist()
+        out = (x - self._mount[0], y - self._mount[1], z - self._mount[2])
+        rho = math.hypot(*out)
+        R, slope = self.C - self.A * (rho - self.B) ** 2, 1.0
+        R_1 = FLOOR * self.C
+        if R < R_1:  # bent as in `reachability`
+            low = R_1 / (2 * R_1 - R)
+            R, slope = R_1 * low, low**2
+        per_x = 4 * self.b**2 * (self.r / (2 * self.b)) ** 4  # det(J_c J_cᵀ) = per_x x²
+        signed = per_x * x * abs(x)
+        along = -2 * self.A * (rho - self.B) * slope / rho if rho > 0.0 else 0.0
+        gradient = np.array([signed * along * o for o in out])
+        gradient[0] += 2 * per_x * abs(x) * R
+        return signed * R, gradient
+
     def direction(self, p: Array) -> Array:
         """(3,) ∇S/‖∇S‖ at a point (3,); on the wheels' axis its limit from both sides, e_x."""
         return uphill(self.gradient(p))
+
+    @cached_property
+    def _mount(self) -> tuple[float, float, float]:
+        x, y, z = self.p_base.tolist()
+        return x, y, z
 
 
 def _sign(x: Array) -> Array:

@@ -67,6 +67,7 @@ class BorderSurface:
         """
         self._offset = offset
         self.gap = find_gap(border, offset)
+        self._gaps = list(zip(self.gap.centre.tolist(), self.gap.half.tolist(), strict=True))
 
     def nearest(self, p: Array) -> Foot | None:
         """The surface's point at p's height that is nearest to p.
@@ -83,14 +84,14 @@ class BorderSurface:
         found = on_surface(self._offset, p)
         if found is None:
             return None
-        z = within(self._offset, float(p[2]))
-        centre = float(np.interp(z, self._offset.heights, self.gap.centre))
-        half = float(np.interp(z, self._offset.heights, self.gap.half))
+        z = self._offset.within(float(p[2]))
+        centre, half = self._gap_at(z)
         inside = _wrapped(found.ray - centre)
         if abs(inside) < half:
             found = self._offset.at(centre + (half if inside >= 0.0 else -half), z)
             assert found is not None
-        return Foot(np.array([*found.xy, p[2]]), np.array([*found.tangent, 0.0]))
+        (x, y), (t_x, t_y) = found.xy.tolist(), found.tangent.tolist()
+        return Foot(np.array([x, y, p[2]]), np.array([t_x, t_y, 0.0]))
 
     def contour(self, z: float) -> Array | None:
         """The surface's curve at a height, closed or open in the gap.
@@ -103,25 +104,31 @@ class BorderSurface:
         """
         if not len(self._offset.heights):
             return None
-        level = within(self._offset, z)
+        level = self._offset.within(z)
         ring = self._offset.contour(level)
         assert ring is not None
-        centre = float(np.interp(level, self._offset.heights, self.gap.centre))
-        half = float(np.interp(level, self._offset.heights, self.gap.half))
+        centre, half = self._gap_at(level)
         if half > 0.0:
             first, last = np.ceil(centre + half), np.floor(centre - half + RAYS)
             ring = ring[np.arange(int(first), int(last) + 1) % RAYS]
         return np.column_stack([ring, np.full(len(ring), z)])
 
-
-def within(offset: OffsetContours, z: float) -> float:
-    """[m] the height nearest to z that the offset has."""
-    return min(max(z, float(offset.heights[0])), float(offset.heights[-1]))
+    def _gap_at(self, z: float) -> tuple[float, float]:
+        """[rays] middle and half width of the gap at a height that the offset has."""
+        at = self._offset.place(z)
+        assert at is not None
+        k, share = at
+        centre, half = self._gaps[k]
+        if share > 0.0:
+            above = self._gaps[k + 1]
+            centre += share * (above[0] - centre)
+            half += share * (above[1] - half)
+        return centre, half
 
 
 def on_surface(offset: OffsetContours, p: Array) -> OnContour | None:
     """The nearest point of the exact offset at p's height, or at the nearest height it has."""
-    return offset.nearest(p[:2], within(offset, float(p[2]))) if len(offset.heights) else None
+    return offset.nearest(p[:2], offset.within(float(p[2]))) if len(offset.heights) else None
 
 
 def find_gap(border: Border, offset: OffsetContours) -> Gap:
