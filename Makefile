@@ -12,12 +12,13 @@ test: $(VENV)/.installed-dev browser
 	DBB_REQUIRE_BROWSER=1 tools/test.sh $(VENV) $(ARGS)
 
 # For machines without a Chromium.
-test-without-browser: $(VENV)/.installed-dev
+test-without-browser: $(VENV)/.installed
 	tools/test.sh $(VENV) -m 'not browser' $(ARGS)
 
-# The figures of the paper, with their data.
-pictures: $(VENV)/.installed
-	$(BIN)/dbb reproduce --out out/pictures
+# The README's pictures, in docs/pictures too; then the figures of the paper, with their data.
+pictures: $(VENV)/.installed browser
+	tools/pictures.sh $(VENV)
+	$(BIN)/dbb reproduce --out out/pictures/paper
 
 # pyright asks the interpreter for its search path: pinocchio extends it at run time.
 lint: $(VENV)/.installed-dev
@@ -29,7 +30,7 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-browser: $(VENV)/.installed-dev
+browser: $(VENV)/.installed
 	tools/browser.sh $(VENV)
 
 $(VENV)/.installed: pyproject.toml

@@ -9,6 +9,7 @@ import numpy as np
 
 from app.config import Config
 from app.control.buffer_watch import BufferReading
+from app.simulation.comparison import GhostReading, Score
 from app.simulation.door import Door
 from app.simulation.log_columns import frozen
 from app.simulation.log_meta import LogMeta
@@ -66,6 +67,17 @@ def random_snapshot(rng: np.random.Generator, t: float) -> Snapshot:
         ),
         scenario=str(rng.choice(["", "tracking"])),
         speed=number(),
+        ghosts=tuple(
+            GhostReading(name, vector(3), vector(7), vector(2), vector(3), number())
+            for name in ("none", "barrier")
+            if truth()
+        ),
+        scores=tuple(
+            Score(name, np.inf, *(number() for _ in range(6)), int(rng.integers(99)))
+            for name in ("dbb", "none")
+            if truth()
+        ),
+        same=str(rng.choice(["", "path", "force"])),
         pulls=tuple(
             PullReading(who, link, vector(3), vector(3), vector(3))
             for who, link in ((0, None), (12, "panda_joint4"))

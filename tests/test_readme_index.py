@@ -118,7 +118,7 @@ def test_the_method_prints_every_equation_once_and_in_order() -> None:
 def test_every_file_that_the_readme_names_exists() -> None:
     linked = re.findall(r"\]\(([^)#:]+)\)", README)
     spoken = re.findall(r"`((?:app|tests|robot_assets|dbb_cache)/[\w./]*)`", README)
-    assert "docs/dashboard.png" in linked
+    assert "docs/pictures/page.png" in linked
     missing = [name for name in {*linked, *spoken} if not (PROJECT / name).exists()]
     assert [name for name in missing if "NAME" not in name] == []
 

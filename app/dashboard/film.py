@@ -14,12 +14,14 @@ class Film:
 
     Attributes:
         error: Always None: nothing runs that could end.
+        links: None: nobody can pull.
         snapshots: In order of time.
     """
 
     def __init__(self, snapshots: Sequence[Snapshot]) -> None:
         """Stand at the first of the snapshots, of which there is at least one."""
         self.error: BaseException | None = None
+        self.links: tuple[str, ...] = ()
         self.snapshots = tuple(snapshots)
         self._times = [snapshot.t for snapshot in self.snapshots]
         self._at = 0

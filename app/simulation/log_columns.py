@@ -17,6 +17,7 @@ from pydantic import TypeAdapter
 
 from app.config import Config, make_config
 from app.control.buffer_watch import BufferReading
+from app.simulation.comparison import GhostReading, Score
 from app.simulation.door import Door
 from app.simulation.log_meta import LogMeta
 from app.simulation.people import PullReading
@@ -102,6 +103,9 @@ def parts(meta: LogMeta) -> tuple[Part, ...]:
         _door(),
         _one("speed", "speed"),
         _records("pulls", PullReading),
+        _records("ghosts", GhostReading),
+        _records("scores", Score),
+        _one("same", "ghosts_have_the_same", "text"),
     )
 
 

@@ -1,0 +1,14 @@
+#!/usr/bin/env bash
+# The README's pictures, into docs/pictures, and a copy of them for whoever publishes out/pictures.
+# Usage: tools/pictures.sh VENV
+set -euo pipefail
+dbb=$1/bin/dbb
+docs=docs/pictures
+mkdir -p "$docs" out/pictures
+shoot() {
+    "$dbb" screenshot "$@"
+}
+shoot guiding-front --at 3.5 --width 900 --height 600 --out "$docs/front.png"
+shoot guiding-lateral --at 0 4 8 --width 520 --height 400 --light --out "$docs/lateral.png"
+shoot guiding-lateral --at 4.5 --width 1280 --height 720 --page --out "$docs/page.png"
+cp "$docs"/*.png out/pictures/
