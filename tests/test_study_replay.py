@@ -15,9 +15,9 @@ from app.cli.main import main
 from app.dashboard.notices import Notices
 from app.dashboard.panels.case import add_case_button
 from app.dashboard.server import serve_dashboard
+from app.simulation.commands import Play, Pull, Reset
 from app.simulation.loop import SimulationLoop
 from app.simulation.session import Session
-from app.simulation.snapshot import Play, Pull, Reset
 from app.study.case import Case
 from app.study.draw import draw_case
 from app.study.parameters import StudyParameters

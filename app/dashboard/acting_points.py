@@ -10,13 +10,13 @@ import viser
 from app.dashboard.arrows import arrow, hidden_arrow
 from app.dashboard.colours import ACTING
 from app.dashboard.lines import hidden_line, set_polyline
-from app.dashboard.scales import LEAST_FORCE
+from app.dashboard.scales import LEAST_FORCE, METRES_PER_NEWTON
 from app.dashboard.view import View
 from app.simulation.snapshot import ActingReading, Snapshot
 
 Array = np.ndarray
 
-LIFT = 0.03  # [m] of an arrow over the base's top
+LIFT = 0.08  # [m] of an arrow over the base's top
 LEAST_APART = 0.05  # [m] nearer to p_act the label of p_t would lie under that of p_act
 _COLOURS = {"p_n": (240, 240, 245), "p_t": (32, 190, 200), "p_act": ACTING}
 # Each label on its own side, the distance's to the upper right: they stay apart where points meet.
@@ -65,10 +65,10 @@ class _Marks:
             self.labels["p_act"].text = f"p_act  {force:.0f} N" if names else f"{force:.0f} N"
         self.arrow.visible = self.stem.visible = force >= LEAST_FORCE
         if self.arrow.visible:
-            tail = lifted(reading.p_act, self._top)
-            self.arrow.points = arrow(tail, reading.f)
-            set_polyline(self.stem, np.array([reading.p_act, tail]), ACTING)
-            self.labels["p_act"].position = tail
+            points = pushing_arrow(reading.p_act, reading.f, self._top)
+            self.arrow.points = points
+            set_polyline(self.stem, np.array([reading.p_act, points[0, 1]]), ACTING)
+            self.labels["p_act"].position = points[0, 0]
 
 
 class ActingPoints:
@@ -82,11 +82,14 @@ class ActingPoints:
             names: Of the pairs.
             top: [m] height of the base's top.
         """
+        self._scene, self._top = scene, top
         self._marks = {name: _Marks(scene, name, top) for name in names}
 
     def update(self, snapshot: Snapshot, view: View, *, texts: bool) -> None:
         """Move what is active, hide the rest; texts change only if `texts`."""
         readings = {reading.name: reading for reading in snapshot.acting} if view.acting else {}
+        for name in readings.keys() - self._marks.keys():  # of what the hand has taken, as a door
+            self._marks[name] = _Marks(self._scene, name, self._top)
         for name, marks in self._marks.items():
             if name in readings:
                 marks.update(readings[name], names=view.names, texts=texts)
@@ -94,14 +97,16 @@ class ActingPoints:
                 marks.hide()
 
 
-def lifted(p_act: Array, top: float) -> Array:
-    """(3,) [m] where the arrow of a force on the base begins that acts at p_act.
+def pushing_arrow(p_act: Array, force: Array, top: float) -> Array:
+    """(1, 2, 3) [m] start and end of the arrow of a force on the base that acts at p_act.
 
-    The force points into the base, which would hide it: below the base's top the arrow is drawn
-    straight above p_act.
+    It ends there, for the base would hide one that began there; and below the base's top it is
+    drawn straight above p_act, for the arm would hide it.
 
     Args:
         p_act: (3,) [m] in the world.
+        force: (3,) [N].
         top: [m] height of the base's top.
     """
-    return np.array([p_act[0], p_act[1], max(float(p_act[2]), top + LIFT)])
+    end = np.array([p_act[0], p_act[1], max(float(p_act[2]), top + LIFT)])
+    return arrow(end - METRES_PER_NEWTON * np.asarray(force), force)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from time import monotonic
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,8 @@ Array = np.ndarray
 
 FIELD_OF_VIEW = np.deg2rad(42.0)  # [rad] vertical; longer than viser's 75°, so less distortion
 _LEAST_STEP = 1e-3  # [m] nobody sees less
+_ECHO = 0.3  # [s] after which what comes back from a browser holds what was set
+_PATIENCE = 2.0  # [s] after which nothing is waited for any more
 
 
 class Preset(NamedTuple):
@@ -42,11 +45,19 @@ PRESETS = {
 
 
 class Camera:
-    """Moves the camera of one client."""
+    """Moves the camera of one client.
+
+    What is set here comes back from the browser after a while, and with it what the viewer has
+    done meanwhile. So one step after the other: a step from a place that is still on its way to
+    the browser would be lost.
+    """
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
         self._followed: Array | None = None
+        self._set: Array | None = None
+        self._set_at = 0.0
+        client.camera.on_update(self._hear)
 
     def use(self, name: str, snapshot: Snapshot) -> None:
         """Look from a preset at the robot as it is in a snapshot.
@@ -62,10 +73,11 @@ class Camera:
             camera.position = eye
             camera.look_at = target
             camera.fov = FIELD_OF_VIEW
-        self._followed = None
+        self._followed = np.array(snapshot.base_pose[:2])
+        self._set, self._set_at = eye, monotonic()
 
     def follow(self, base_position: Array, *, on: bool) -> None:
-        """Carry the camera along by what the base has moved since the last call.
+        """Carry the camera along by what the base has moved since the last step.
 
         Args:
             base_position: (2,) [m] the base's centre in the world.
@@ -77,11 +89,19 @@ class Camera:
         if self._followed is None:
             self._followed = np.array(base_position)
         step = np.append(base_position - self._followed, 0.0)
-        if np.linalg.norm(step) < _LEAST_STEP:
+        waiting = self._set is not None and monotonic() < self._set_at + _PATIENCE
+        if waiting or np.linalg.norm(step) < _LEAST_STEP:
             return
         self._followed = np.array(base_position)
+        self._set, self._set_at = self._client.camera.position + step, monotonic()
         # Setting the position carries the point that is looked at along, by the same step.
-        self._client.camera.position = self._client.camera.position + step
+        self._client.camera.position = self._set
+
+    async def _hear(self, camera: viser.CameraHandle) -> None:
+        """Something has come back: is it what was set, or later than that?"""
+        there = self._set is not None and np.linalg.norm(camera.position - self._set) < _LEAST_STEP
+        if there or monotonic() > self._set_at + _ECHO:
+            self._set = None
 
 
 def placed(preset: Preset, snapshot: Snapshot) -> tuple[Array, Array]:

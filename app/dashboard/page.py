@@ -27,6 +27,7 @@ from app.dashboard.timeline import Timeline
 from app.dashboard.tour import Tour
 from app.dashboard.view import View
 from app.simulation.scenario import SCENARIOS
+from app.simulation.snapshot import Snapshot
 
 PANEL_WIDTH = 330  # [px] of each of the two columns
 
@@ -54,6 +55,8 @@ class Page:
         self.timeline = Timeline(shared.loop)
         self.grip = Grip(shared.loop, notices, client.client_id)
         self.closed = False
+        refusal = shared.loop.latest().refusal
+        self._refusals = 0 if refusal is None else refusal.number  # of before this viewer came
         self._camera = Camera(client)
         self._dark: bool | None = None
         self._key: tuple[float, float] | None = None
@@ -94,6 +97,7 @@ class Page:
                 self.timeline_panel.update(newest, shown)
                 self._plots.update(self._shared.record, self.timeline, shown)
                 self._renew_key()
+                self._tell_refusal(newest)
         if texts:
             self._sweep.update()
             self.main_panel.update()
@@ -180,6 +184,13 @@ class Page:
 
     def _toggle_dark(self) -> None:
         self.view.dark = not self.view.dark
+
+    def _tell_refusal(self, newest: Snapshot) -> None:
+        """What was found out to be impossible only when it was tried."""
+        number = 0 if newest.refusal is None else newest.refusal.number
+        if newest.refusal is not None and number > self._refusals:
+            self._notices.warn(self._client, newest.refusal.message)
+        self._refusals = number
 
     def _renew_key(self) -> None:
         config = self._shared.loop.latest().config

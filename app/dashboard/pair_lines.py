@@ -38,15 +38,18 @@ class PairLines:
             )
             for kind, pixels in (("outside", 1.5), ("inside", 4.0))
         )  # fmt: skip
-        self._labels = {
-            name: scene.add_label(
-                f"{NODE}/label_{name}", name, visible=False, anchor=_ANCHORS[i % len(_ANCHORS)],
-                font_screen_scale=0.85,
-            )
-            for i, name in enumerate(names)
-        }  # fmt: skip
+        self._scene = scene
+        self._labels: dict[str, viser.LabelHandle] = {}
+        self._ends: dict[str, tuple[list, list]] = {}
+        for name in names:
+            self._add(name)
 
-        self._ends = {name: _ends(scene, f"{NODE}/{name}") for name in names}
+    def _add(self, name: str) -> None:
+        anchor = _ANCHORS[len(self._labels) % len(_ANCHORS)]
+        self._labels[name] = self._scene.add_label(
+            f"{NODE}/label_{name}", name, visible=False, anchor=anchor, font_screen_scale=0.85
+        )
+        self._ends[name] = _ends(self._scene, f"{NODE}/{name}")
 
     def update(self, snapshot: Snapshot, view: View, *, texts: bool) -> None:
         """Move the lines; renew the labels' texts only if `texts`, at the panels' lower rate."""
@@ -58,11 +61,20 @@ class PairLines:
                 [distance_colour(p.d, d_b, d_full) for p in snapshot.pairs], np.uint8
             )
             for lines, inside in ((self._thin, False), (self._thick, True)):
-                lines.points = segments(snapshot.pairs, d_b, inside=inside)
                 lines.colors = np.repeat(colours[:, None, :], 2, axis=1)
+                lines.points = segments(snapshot.pairs, d_b, inside=inside)
+        self._hide_others({pair.name for pair in snapshot.pairs})
         for pair in snapshot.pairs:
+            if pair.name not in self._labels:  # of what the hand has taken, as a door
+                self._add(pair.name)
             self._update_label(pair, view, d_b, texts=texts)
             self._update_ends(pair, shown=view.distances and view.names and pair.d < d_b)
+
+    def _hide_others(self, names: set[str]) -> None:
+        for name in self._labels.keys() - names:
+            self._labels[name].visible = False
+            for handle in (*self._ends[name][0], *self._ends[name][1]):
+                handle.visible = False
 
     def _update_ends(self, pair: PairReading, *, shown: bool) -> None:
         for point, mark, label in zip((pair.p_a, pair.p_b), *self._ends[pair.name], strict=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,7 +57,7 @@ def plot_plans(model: RobotModel, names: list[str]) -> list[PlotPlan]:
         model: The robot, for the limits of its torques.
         names: Link pairs, in the order of the snapshots.
     """
-    distances = [Curve(name, lambda s, i=i: s.pairs[i].d) for i, name in enumerate(names)]
+    distances = [Curve(name, lambda s, name=name: distance(s, name)) for name in names]
     distances.append(Curve("d_b", lambda s: s.config.border.d_b))
     torques = [
         Curve(f"{i + 1}", lambda s, i=i, most=float(most): s.u_a[i] / most)
@@ -126,6 +127,16 @@ class Plots:
             cursor[int(np.abs(table[0] - shown.t).argmin())] = 1.0
         for title in self._shown:
             self._plots[title].data = (table[0], *table[self._columns[title]], cursor)
+
+
+def distance(snapshot: Snapshot, pair: str) -> float:
+    """[m] signed distance of a pair by its name; not a number where the snapshot has no such pair.
+
+    Args:
+        snapshot: One instant.
+        pair: As in `lm-lEE`.
+    """
+    return next((reading.d for reading in snapshot.pairs if reading.name == pair), math.nan)
 
 
 def _plot(gui: viser.GuiApi, plan: PlotPlan) -> viser.GuiUplotHandle:

@@ -7,6 +7,7 @@ import pinocchio as pin
 import viser
 
 from app.dashboard.colours import Rgb
+from app.dashboard.poses import from_viser, to_viser
 from app.dashboard.visuals import Visual, load_visuals
 from app.robot.meshes import shape_mesh
 from app.robot.model import RobotModel
@@ -125,19 +126,21 @@ class RobotScene:
         self._root.wxyz = (np.cos(phi / 2), 0.0, 0.0, np.sin(phi / 2))
         poses = self._parts.kinematics.update(q_m, wheel_angles)
         for joint, frame in self._frames.items():
-            frame.position, frame.wxyz = _pose(poses[joint])
+            frame.position, frame.wxyz = to_viser(poses[joint])
 
-    def world_pose(self, joint: int) -> pin.SE3:
+    def worldto_viser(self, joint: int) -> pin.SE3:
         """T_world_joint of a joint, as it was drawn last."""
         frame = self._frames[joint]
-        return _placed(self._root.position, self._root.wxyz) * _placed(frame.position, frame.wxyz)
+        return from_viser(self._root.position, self._root.wxyz) * from_viser(
+            frame.position, frame.wxyz
+        )
 
     def remove(self) -> None:
         """Take it out of the scene."""
         self._root.remove()
 
     def _add(self, visual: Visual, opacity: float | None) -> viser.MeshHandle:
-        position, wxyz = _pose(visual.placement)
+        position, wxyz = to_viser(visual.placement)
         return self._scene.add_mesh_simple(
             f"{self._node(visual.joint)}/{visual.name}",
             vertices=np.asarray(visual.mesh.vertices),
@@ -161,13 +164,3 @@ def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
             name = f"body_{body.name}_{i}"
             bodies.append(Visual(name, frame.parentJoint, placement, shape_mesh(shape), BODY))
     return bodies
-
-
-def _pose(T: pin.SE3) -> tuple[Array, Array]:
-    """Position (3,) [m] and quaternion wxyz (4,)."""
-    xyzquat = np.array(pin.SE3ToXYZQUAT(T))
-    return xyzquat[:3], xyzquat[[6, 3, 4, 5]]
-
-
-def _placed(position: Array, wxyz: Array) -> pin.SE3:
-    return pin.XYZQUATToSE3(np.concatenate([position, wxyz[1:], wxyz[:1]]))

@@ -7,6 +7,7 @@ import viser
 from app.dashboard.acting_points import ActingPoints
 from app.dashboard.border_cloud import BorderCloud
 from app.dashboard.border_slice import BorderSlice
+from app.dashboard.door_scene import DoorScene
 from app.dashboard.ghosts import Ghosts
 from app.dashboard.legend import Legend
 from app.dashboard.motion import Motion
@@ -40,6 +41,7 @@ class Scene:
         self._motion = Motion(scene, shared.borders.top)
         self._trails = Trails(scene, shared.tracks)
         self._ghosts = Ghosts(scene, shared.parts)
+        self._door = DoorScene(scene)
         self._shown: tuple[bool, bool] | None = None
         self._dark: bool | None = None
 
@@ -74,6 +76,7 @@ class Scene:
             self.robot.show(meshes=view.meshes, bodies=view.bodies)
         self.robot.update(snapshot.base_pose, snapshot.q_m, snapshot.wheel_angles)
         self._ghosts.update(snapshot)
+        self._door.update(snapshot.door)
         self._slice.update(snapshot, view)
         self._lines.update(snapshot, view, texts=texts)
         self._acting.update(snapshot, view, texts=texts)

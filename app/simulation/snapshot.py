@@ -10,13 +10,6 @@ import numpy as np
 from app.config import Config
 from app.control.buffer_watch import BufferReading
 from app.control.explanation import Explanation
-from app.simulation.commands import Choose as Choose
-from app.simulation.commands import Command as Command
-from app.simulation.commands import Configure as Configure
-from app.simulation.commands import Pause as Pause
-from app.simulation.commands import Play as Play
-from app.simulation.commands import Pull as Pull
-from app.simulation.commands import Reset as Reset
 from app.simulation.comparison import GhostReading, Score
 from app.simulation.door import Door
 from app.simulation.people import PullReading

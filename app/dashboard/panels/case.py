@@ -6,8 +6,8 @@ import viser
 
 from app.dashboard.hand import Sink
 from app.dashboard.notices import Notices
+from app.simulation.commands import Play
 from app.simulation.leading import Scenario
-from app.simulation.snapshot import Play
 
 
 def add_case_button(gui: viser.GuiApi, sink: Sink, notices: Notices, scenario: Scenario) -> None:
