@@ -10,5 +10,5 @@ shoot() {
 }
 shoot guiding-front --at 3.5 --width 900 --height 600 --out "$docs/front.png"
 shoot guiding-lateral --at 0 4 8 --width 520 --height 400 --light --out "$docs/lateral.png"
-shoot guiding-lateral --at 4.5 --width 1280 --height 720 --page --out "$docs/page.png"
+shoot guiding-lateral --at 3.8 --width 1280 --height 720 --page --out "$docs/page.png"
 cp "$docs"/*.png out/pictures/

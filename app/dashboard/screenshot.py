@@ -21,6 +21,7 @@ from app.dashboard.page import Page
 from app.dashboard.panels.sweep import DEFAULT_FOLDER
 from app.dashboard.shared import Shared
 from app.dashboard.studio import address_of, choose_layer, own_server, studio
+from app.dashboard.tour import SEEN
 from app.errors import BrowserError
 from app.robot.model import RobotModel
 from app.simulation.snapshot import Snapshot
@@ -127,7 +128,9 @@ def _of_page(
         shared = Shared(film, model, clouds, None, DEFAULT_FOLDER)
         try:
             _open(page, server)
-            shown = Page(_client_of(server), shared, Notices(server))
+            client = _client_of(server)
+            client.local_storage.set_item(SEEN, "yes")  # no tour for who only takes a picture
+            shown = Page(client, shared, Notices(server))
             shown.view.dark = look.dark
             choose_layer(shown.view, look.layer)
             pictures = []

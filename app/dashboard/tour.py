@@ -22,7 +22,7 @@ STEPS = (
      "controllers on the same pull, **Tune** has every parameter."),
 )  # fmt: skip
 """Title and text of each step."""
-_SEEN = "dbb-tour-seen"  # key in the browser's own storage
+SEEN = "dbb-tour-seen"  # key in the browser's own storage
 _PATIENCE = 5.0  # [s] for the browser's answer
 
 
@@ -49,11 +49,11 @@ class Tour:
     def _ask(self) -> None:
         storage = self._client.local_storage
         try:
-            seen = storage.get_item(_SEEN, timeout=_PATIENCE)
+            seen = storage.get_item(SEEN, timeout=_PATIENCE)
         except (RuntimeError, TimeoutError):  # gone already, or without storage
             return
         if seen is None:
-            storage.set_item(_SEEN, "yes")
+            storage.set_item(SEEN, "yes")
             self.begin()
 
     def _show(self) -> None:

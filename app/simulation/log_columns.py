@@ -27,9 +27,8 @@ Array = np.ndarray
 Kind = Literal["float", "int", "bool", "text"]
 Cell = float | int | bool | str
 
-NOT_LOGGED = frozenset({"busy", "refusal", "explanation", "pulls", "ghosts", "scores", "same"})
-"""Fields about the moment, or about several people and robots; what is read from a log, which is of
-one robot that one person pulls, has their defaults."""
+NOT_LOGGED = frozenset({"busy", "refusal", "explanation"})
+"""Fields of a snapshot that are about the moment; what is read from a log has their defaults."""
 
 _XYZ = "xyz"
 _DOOR = TypeAdapter(Door)
