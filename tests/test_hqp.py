@@ -55,6 +55,21 @@ def test_limits_hold_at_every_level(seed: int) -> None:
     assert (reached <= limits.u + 1e-6).all()
 
 
+@pytest.mark.parametrize("seed", range(30))
+def test_levels_at_once_are_the_levels_one_by_one(seed: int) -> None:
+    """Also with limits so tight that a solver has to find some of the levels."""
+    rng = np.random.default_rng(seed)
+    solver, width = HierarchicalQP(N), (1e6, 3.0, 0.3)[seed % 3]
+    for _ in range(10):
+        limits = Limits(rng.normal(size=(M, N)), np.full(M, -width), np.full(M, width))
+        levels, objective = [random_task(rng, 2), random_task(rng, 5)], random_objective(rng)
+        qdd = solver.solve(levels, objective, limits).qdd
+        expected = HierarchicalQP(N)._within_limits(levels, objective, limits, "")
+        np.testing.assert_allclose(
+            qdd, expected, rtol=1e-9, atol=1e-9 if width > 1e3 else 5e-4
+        )  # ProxQP from another start
+
+
 def test_a_task_that_limits_forbid_is_met_as_closely_as_they_allow() -> None:
     task = EqualityTask(np.eye(N)[:1], np.array([5.0]))
     limits = Limits(np.eye(N)[:M], np.full(M, -1.0), np.full(M, 1.0))

@@ -50,3 +50,8 @@ class DistanceMonitor:
             ClosestPoints(pair, *self._distances.closest(i))
             for i, pair in enumerate(self._distances.pairs)
         ]
+
+    def distances(self) -> tuple[float, ...]:
+        """[m] the signed distance of every pair, without the points."""
+        self._distances.update_from(self._state.data)
+        return tuple(self._distances.distance(i) for i in range(len(self._distances.pairs)))

@@ -159,15 +159,14 @@ class Controller:
         workings = None
         try:
             wanted = self._base_acceleration(inserted, reference)
-            limit = np.array(self._model.description.base.max_acceleration)
-            asked = np.clip(wanted, -limit, limit)
+            asked = _clipped(wanted, self._model.base_acceleration_max)
             given = asked if base_acceleration is None else base_acceleration
             arm = self._solve_arm(given, inserted, reference)
             u_a, workings = arm.u_a, Workings(wanted, given, arm)
         except NoSolutionError:
             self.failures += 1
             u_a, asked = self._safe_command()
-        self._u_a = self._u_a + np.clip(u_a - self._u_a, -self._slew, self._slew)
+        self._u_a = self._u_a + _clipped(u_a - self._u_a, self._slew)
         return ControlOutput(
             self._u_a.copy(), asked, avoidance, inserted, workings is not None,
             tracking=reference is not None, workings=workings,
@@ -230,7 +229,7 @@ class Controller:
         rows = (given, *inserted.rows_arm, *inserted.rows_links)
         solution = self._transition.solve(rows, *self._weighted(stack), limits, slot="arm")
         u_a = state.M[2:] @ solution.qdd + state.h[2:]
-        u_a = np.clip(u_a, -self._model.tau_max, self._model.tau_max)
+        u_a = _clipped(u_a, self._model.tau_max)
         return ArmSolve(rows, stack, limits, solution, u_a)
 
     def _tracking_stack(self, reference: Reference, config: TaskConfig) -> Stack:
@@ -249,5 +248,10 @@ class Controller:
 
     def _safe_command(self) -> tuple[Array, Array]:
         """Gravity compensation and damping for the arm, braking for the base."""
-        u_a = np.clip(free_arm_torque(self.state), -self._model.tau_max, self._model.tau_max)
+        u_a = _clipped(free_arm_torque(self.state), self._model.tau_max)
         return u_a, base_rest_acceleration(self.state, self._config.task)
+
+
+def _clipped(values: Array, largest: Array | float) -> Array:
+    """Values within ±largest; `np.clip` costs thrice as much on so few."""
+    return np.minimum(np.maximum(values, -largest), largest)

@@ -91,7 +91,9 @@ class HierarchicalQP:
     def __init__(self, n: int) -> None:
         """Prepare for n unknowns."""
         self._n = n
+        self._all = np.eye(n)
         self._qps: dict[tuple[str, int, int, int], proxqp.dense.QP] = {}
+        self._inverses: dict[tuple[str, int], tuple[Array, Array, Array]] = {}
 
     def solve(
         self,
@@ -112,26 +114,59 @@ class HierarchicalQP:
         Raises:
             NoSolutionError: The limits contradict each other, or the solver failed.
         """
-        x, Z = np.zeros(self._n), np.eye(self._n)
-        slacks = []
+        x = self._without_limits(levels, objective, slot)
+        if not _holds(limits, x):
+            x = self._within_limits(levels, objective, limits, slot)
+        if not np.isfinite(x).all():
+            raise NoSolutionError(len(levels), "not a number")
+        return Solution(x, tuple(b - J @ x for J, b in levels))
+
+    def _without_limits(
+        self, levels: Sequence[EqualityTask], objective: Objective, slot: str
+    ) -> Array:
+        """The optimum if there were no limits, (n,); where it holds them, it is the optimum."""
+        x, Z = np.zeros(self._n), self._all
+        for p, (J, b) in enumerate(levels):
+            if p == 0:
+                inverse, Z = self._inverse(slot, p, J)
+                x = inverse @ b
+            else:
+                inverse, null = self._inverse(slot, p, J @ Z)
+                x, Z = x + Z @ (inverse @ (b - J @ x)), Z @ null
+        if not Z.shape[1]:
+            return x
+        H, c = Z.T @ objective.H @ Z, Z.T @ (objective.H @ x + objective.c)
+        return x - Z @ np.linalg.solve(H, c)
+
+    def _within_limits(
+        self, levels: Sequence[EqualityTask], objective: Objective, limits: Limits, slot: str
+    ) -> Array:
+        """The optimum level by level, (n,)."""
+        x, Z = np.zeros(self._n), self._all
         for p, (J, b) in enumerate(levels):
             JZ, residual = J @ Z, b - J @ x
-            y, null = least_squares(JZ, residual)
-            candidate = x + Z @ y
+            inverse, null = self._inverse(slot, p, JZ)
+            candidate = x + Z @ (inverse @ residual)
             if not _holds(limits, candidate):
                 y = self._solve_qp(slot, p, JZ.T @ JZ, -(JZ.T @ residual), x, Z, limits)
                 candidate = x + Z @ y
             x, Z = candidate, Z @ null
-            slacks.append(b - J @ x)
-        if Z.shape[1]:
-            H, c = Z.T @ objective.H @ Z, Z.T @ (objective.H @ x + objective.c)
-            candidate = x - Z @ np.linalg.solve(H, c)
-            if not _holds(limits, candidate):
-                candidate = x + Z @ self._solve_qp(slot, len(levels), H, c, x, Z, limits)
-            x = candidate
-        if not np.isfinite(x).all():
-            raise NoSolutionError(len(levels), "not a number")
-        return Solution(x, tuple(slacks))
+        if not Z.shape[1]:
+            return x
+        H, c = Z.T @ objective.H @ Z, Z.T @ (objective.H @ x + objective.c)
+        candidate = x - Z @ np.linalg.solve(H, c)
+        if _holds(limits, candidate):
+            return candidate
+        return x + Z @ self._solve_qp(slot, len(levels), H, c, x, Z, limits)
+
+    def _inverse(self, slot: str, level: int, A: Array) -> tuple[Array, Array]:
+        """`pseudo_inverse` of a level's rows; the last one's if they have not changed since."""
+        last = self._inverses.get((slot, level))
+        if last is not None and last[0].shape == A.shape and (last[0] == A).all():
+            return last[1:]
+        inverse, null = pseudo_inverse(A)
+        self._inverses[slot, level] = A.copy(), inverse, null
+        return inverse, null
 
     def _solve_qp(
         self, slot: str, level: int, H: Array, c: Array, x: Array, Z: Array, limits: Limits
@@ -168,25 +203,24 @@ class HierarchicalQP:
         return None
 
 
-def least_squares(A: Array, b: Array) -> tuple[Array, Array]:
-    """The least-norm minimiser of ‖A y - b‖ and a basis of A's null space.
+def pseudo_inverse(A: Array) -> tuple[Array, Array]:
+    """A's pseudo-inverse and a basis of its null space.
 
     Args:
         A: (k, m), of any rank.
-        b: (k,).
 
     Returns:
-        y (m,), and (m, m - rank) with orthonormal columns.
+        (m, k), and (m, m - rank) with orthonormal columns.
     """
     U, s, Vt = np.linalg.svd(A)
-    rank = int(np.count_nonzero(s > _RANK_TOLERANCE))
-    y = Vt[:rank].T @ ((U[:, :rank].T @ b) / s[:rank])
-    return y, Vt[rank:].T
+    rank = np.count_nonzero(s > _RANK_TOLERANCE)
+    return (Vt[:rank].T / s[:rank]) @ U[:, :rank].T, Vt[rank:].T
 
 
 def _holds(limits: Limits, x: Array) -> bool:
     reached = limits.C @ x
-    return bool((reached >= limits.l - _EPS_ABS).all() and (reached <= limits.u + _EPS_ABS).all())
+    within = (reached >= limits.l - _EPS_ABS) & (reached <= limits.u + _EPS_ABS)
+    return bool(within.all())
 
 
 def _is_answer(qp: proxqp.dense.QP) -> bool:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
 from app.avoidance.barrier import BarrierRow
 from app.config import LimitConfig
 from app.control.hqp import Limits
+from app.robot.model import RobotModel
 from app.robot.state import RobotState
 
 Array = np.ndarray
@@ -33,10 +35,8 @@ def position_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Arra
     """(n_m,) λ² e - 2 λ q̇ towards the lower and the upper position limit [rad/s² or m/s²]."""
     model, rate = state.model, config.position_rate
     q, qd = state.measurement.q_m, state.measurement.qd_m
-    return (
-        rate**2 * (model.q_lower - q) - 2 * rate * qd,
-        rate**2 * (model.q_upper - q) - 2 * rate * qd,
-    )
+    stopping = 2 * rate * qd
+    return rate**2 * (model.q_lower - q) - stopping, rate**2 * (model.q_upper - q) - stopping
 
 
 def velocity_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Array]:
@@ -72,20 +72,27 @@ def robot_limits(state: RobotState, config: LimitConfig, qdd_b: Array) -> Limits
     lower, upper = acceleration_bounds(state, config)
     tau_lower, tau_upper = -model.tau_max - h_a, model.tau_max - h_a
     coupling = M_a[:, :2] @ qdd_b
-    tamest = np.clip(np.zeros(model.n_m), lower, upper)
+    tamest = np.minimum(np.maximum(lower, 0.0), upper)  # nearest to no acceleration
     wanted = M_a[:, 2:] @ tamest + coupling
-    possible = np.clip(wanted, tau_lower, tau_upper)
+    possible = np.minimum(np.maximum(wanted, tau_lower), tau_upper)
     if (possible != wanted).any():
         tamest = np.linalg.solve(M_a[:, 2:], possible - coupling)
         lower, upper = np.minimum(lower, tamest), np.maximum(upper, tamest)
-    base_limit = np.array(model.description.base.max_acceleration)
-    n, n_m = model.n, model.n_m
-    C = np.zeros((2 * n_m + 2, n))
-    C[:n_m] = M_a
-    C[n_m : 2 * n_m, 2:] = np.eye(n_m)
-    C[2 * n_m :, :2] = model.J_m
+    C = _constant_rows(model).copy()
+    C[: model.n_m] = M_a
+    base_limit = model.base_acceleration_max
     return Limits(
         C,
         np.concatenate([tau_lower, lower, -base_limit]),
         np.concatenate([tau_upper, upper, base_limit]),
     )
+
+
+@lru_cache(maxsize=8)
+def _constant_rows(model: RobotModel) -> Array:
+    """(2 n_m + 2, n) the rows of all limits, zero where those of the torques are."""
+    n_m = model.n_m
+    C = np.zeros((2 * n_m + 2, model.n))
+    C[n_m : 2 * n_m, 2:] = np.eye(n_m)
+    C[2 * n_m :, :2] = model.J_m
+    return C

@@ -13,6 +13,8 @@ from app.robot.state import RobotState
 
 Array = np.ndarray
 
+_FREE_BASE = np.eye(2), np.zeros(2)  # what the base's acceleration costs where it is given anyway
+
 
 class Reference(NamedTuple):
     """Where the end-effector shall be, in the world.
@@ -41,12 +43,9 @@ def end_effector_task(state: RobotState, reference: Reference, config: TaskConfi
     Paper: Eq. (26), its task T_2.
     """
     at = state.T_world_ee
-    error = np.concatenate(
-        [
-            reference.pose.translation - at.translation,
-            at.rotation @ pin.log3(at.rotation.T @ reference.pose.rotation),
-        ]
-    )
+    error = np.empty(6)
+    error[:3] = reference.pose.translation - at.translation
+    error[3:] = at.rotation @ pin.log3(at.rotation.T @ reference.pose.rotation)
     xdd = (
         reference.acceleration
         + config.ee_damping * (reference.velocity - state.v_ee)
@@ -86,21 +85,18 @@ def posture_objective(state: RobotState, q_posture: Array, config: TaskConfig) -
         q_posture: (n_m,) the arm's posture.
         config: Gains and the base's weight.
     """
-    weight = np.ones(state.model.n)
-    weight[:2] = config.base_weight
-    wanted = np.empty(state.model.n)
-    wanted[:2] = -config.base_damping * state.qd[:2]
-    wanted[2:] = (
-        config.posture_stiffness * (q_posture - state.measurement.q_m)
-        - config.posture_damping * state.measurement.qd_m
+    H, c = np.eye(state.model.n), np.empty(state.model.n)
+    H[0, 0] = H[1, 1] = config.base_weight
+    c[:2] = config.base_weight * config.base_damping * state.qd[:2]
+    c[2:] = config.posture_damping * state.measurement.qd_m - config.posture_stiffness * (
+        q_posture - state.measurement.q_m
     )
-    return Objective(np.diag(weight), -weight * wanted)
+    return Objective(H, c)
 
 
 def free_arm_torque(state: RobotState) -> Array:
     """u_0 = g_a - D q̇_a: gravity compensation and joint damping, (n_m,)."""
-    damping = np.array(state.model.description.arm.joint_damping)
-    return state.g[2:] - damping * state.measurement.qd_m
+    return state.g[2:] - state.model.joint_damping * state.measurement.qd_m
 
 
 def guided_arm_objective(state: RobotState, base: Objective | None = None) -> Objective:
@@ -113,16 +109,17 @@ def guided_arm_objective(state: RobotState, base: Objective | None = None) -> Ob
         state: The robot's state.
         base: (2, 2) and (2,), what the base's acceleration costs; None where it is given anyway.
     """
-    H_b, c_b = base or Objective(np.eye(2), np.zeros(2))
-    M_aa, M_ab = state.M[2:, 2:], state.M[2:, :2]
-    c_a = state.h[2:] - free_arm_torque(state)
-    share = np.linalg.solve(M_aa, np.column_stack([M_ab, c_a]))  # M_aa⁻¹ (M_ab, c_a)
-    H = np.empty((state.model.n, state.model.n))
-    H[2:, 2:] = M_aa
-    H[2:, :2] = M_ab
-    H[:2, 2:] = M_ab.T
+    H_b, c_b = base or _FREE_BASE
+    M_ab = state.M[2:, :2]
+    c = np.empty(state.model.n)
+    c[2:] = state.h[2:] - free_arm_torque(state)
+    right = np.empty((state.model.n_m, 3))
+    right[:, :2], right[:, 2] = M_ab, c[2:]
+    share = np.linalg.solve(state.M[2:, 2:], right)  # M_aa⁻¹ (M_ab, c_a)
+    H = state.M.copy()
     H[:2, :2] = H_b + M_ab.T @ share[:, :2]
-    return Objective(H, np.concatenate([c_b + M_ab.T @ share[:, 2], c_a]))
+    c[:2] = c_b + M_ab.T @ share[:, 2]
+    return Objective(H, c)
 
 
 def base_rest_objective(state: RobotState, config: TaskConfig) -> Objective:

@@ -77,6 +77,8 @@ class TaskTransition:
         solution_with: Callable[[int], Solution],
     ) -> EqualityTask:
         """B (ẍ_sca - J̇_sca q̇) + (I - B) J_i q̈_{without i} for the chosen rows, stacked."""
+        if len(chosen) == 1 and rows[chosen[0]].beta >= 1.0:  # such as the base's given motion
+            return EqualityTask(rows[chosen[0]].J, rows[chosen[0]].b)
         b, J, B = generate_avoidance_task([rows[i] for i in chosen])
         inactive = [
             # A row in full force has no need of the solution without it.

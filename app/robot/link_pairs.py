@@ -117,9 +117,9 @@ class PairDistances:
         result = self.nearest_result(i)
         return Closest(
             result.min_distance,
-            np.array(result.getNearestPoint1()),
-            np.array(result.getNearestPoint2()),
-            np.array(result.normal),
+            result.getNearestPoint1(),
+            result.getNearestPoint2(),
+            result.normal.copy(),  # unlike the points it is a view
         )
 
     def nearest_result(self, i: int) -> pin.DistanceResult:

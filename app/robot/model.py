@@ -49,6 +49,8 @@ class RobotModel:
         n_m: Degrees of freedom of the arm.
         J_m: (2, 2) the base's Jacobian of (19).
         S: (3 + n_m, n) from the reduced velocity to pinocchio's.
+        base_acceleration_max: (2,) [m/s² and rad/s²] of v and ω.
+        joint_damping: (n_m,) [N m s/rad or N s/m] of the arm.
         q_lower, q_upper: (n_m,) [rad or m] joint limits of the arm.
         qd_max, tau_max: (n_m,) joint velocity and torque limits of the arm.
     """
@@ -76,6 +78,7 @@ class RobotModel:
         self.base_frame = self._frame(description.base.link, "base.link")
         self.geometry = pin.GeometryModel()
         self.shape_ids: dict[str, list[int]] = {}
+        self._body_joints: dict[str, int] = {}
         for body in description.bodies:
             self._add_body(body.name)
 
@@ -98,11 +101,13 @@ class RobotModel:
 
     def body_joint(self, name: str) -> int:
         """Pinocchio's joint that carries a body."""
-        return self.geometry.geometryObjects[self.shape_ids[name][0]].parentJoint
+        return self._body_joints[name]
 
     def _read_limits(self) -> None:
         arm = self.description.arm
         model = self.pin
+        self.base_acceleration_max = np.array(self.description.base.max_acceleration)
+        self.joint_damping = np.array(arm.joint_damping)
         self.q_lower = _chosen(arm.position_lower, model.lowerPositionLimit[4:])
         self.q_upper = _chosen(arm.position_upper, model.upperPositionLimit[4:])
         self.qd_max = _chosen(arm.max_velocity, model.velocityLimit[3:])
@@ -143,6 +148,7 @@ class RobotModel:
         frame = self.pin.frames[frame_id]
         for link in body.covers:
             self._frame(link, f"bodies.{name}.covers")
+        self._body_joints[name] = frame.parentJoint
         self.shape_ids[name] = [
             self.geometry.addGeometryObject(
                 pin.GeometryObject(

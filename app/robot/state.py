@@ -117,17 +117,16 @@ class RobotState:
     def point_jacobian(self, joint: int, p_world: Array) -> Array:
         """(3, n) Jacobian of the point of a joint's body that is now at `p_world`."""
         data = self.data
-        J = (
-            pin.getJointJacobian(self.model.pin, data, joint, pin.LOCAL_WORLD_ALIGNED)
-            @ self.model.S
-        )
-        return J[:3] - pin.skew(p_world - data.oMi[joint].translation) @ J[3:]
+        J = pin.getJointJacobian(self.model.pin, data, joint, pin.LOCAL_WORLD_ALIGNED)
+        lever = pin.skew(p_world - data.oMi[joint].translation)
+        return (J[:3] - lever @ J[3:]) @ self.model.S
 
     def point_bias(self, joint: int, p_world: Array) -> Array:
         """(3,) J̇ q̇ of that point: its acceleration at q̈ = 0."""
         data = self.data
         axes = pin.LOCAL_WORLD_ALIGNED
         a = pin.getClassicalAcceleration(self.model.pin, data, joint, axes)
-        w = data.oMi[joint].rotation @ data.v[joint].angular
-        r = p_world - data.oMi[joint].translation
-        return a.linear + np.cross(a.angular, r) + np.cross(w, np.cross(w, r))
+        placement = data.oMi[joint]
+        w = pin.skew(placement.rotation @ data.v[joint].angular)
+        r = p_world - placement.translation
+        return a.linear + pin.skew(a.angular) @ r + w @ (w @ r)

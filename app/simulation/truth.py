@@ -46,4 +46,4 @@ class Truth:
             return
         self._own.update(truth)
         self.state = self._own
-        self.distances = tuple(c.d for c in self._monitor.find_closest_points())
+        self.distances = self._monitor.distances()
