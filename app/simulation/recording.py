@@ -23,10 +23,11 @@ class Recorder:
     """Takes every control step of a run; gives its figures and its log, both about the truth."""
 
     def __init__(self, model: RobotModel) -> None:
-        self._model = model
+        self._mobile_body = model.description.mobile_body.name
         self._rows: list[dict[str, float]] = []
         self._first: Step | None = None
         self._last: Step | None = None
+        self._names: list[str] = []
         self._least: dict[str, float] = {}
         self._mobile: set[str] = set()
         self._contacts = self._arm_contacts = self._floor_contacts = 0
@@ -44,15 +45,19 @@ class Recorder:
         if self._last is not None:
             jump = np.abs(step.output.u_a - self._last.output.u_a)
             self._torque_jump = max(self._torque_jump, float(jump.max()))
-            moved = step.truth.base_pose[:2] - self._last.truth.base_pose[:2]
-            self._path += float(np.hypot(*moved))
+            moved = step.truth.base_pose - self._last.truth.base_pose
+            self._path += math.hypot(*moved[:2].tolist())
         else:
             self._first = step
-        for pair, d in zip(step.output.avoidance.pairs, step.distances, strict=True):
-            name = pair.closest.pair.name
-            self._least[name] = min(self._least.get(name, np.inf), d)
-            if pair.closest.pair.a == self._model.body_names[0]:
-                self._mobile.add(name)
+            self._names = [p.closest.pair.name for p in step.output.avoidance.pairs]
+            self._least = dict.fromkeys(self._names, math.inf)
+            self._mobile = {
+                p.closest.pair.name for p in step.output.avoidance.pairs
+                if p.closest.pair.a == self._mobile_body
+            }  # fmt: skip
+        for name, d in zip(self._names, step.distances, strict=True):
+            if d < self._least[name]:
+                self._least[name] = d
         self._contacts += step.contacts.arm_base
         self._arm_contacts += step.contacts.arm_arm
         self._floor_contacts += step.contacts.arm_floor
@@ -60,7 +65,8 @@ class Recorder:
             self._near_until = step.t
         self._ee_error_max = max(self._ee_error_max, step.ee_error)
         self._activation_max = max(self._activation_max, step.output.activation)
-        self._hand_force_max = max(self._hand_force_max, float(np.linalg.norm(step.hand_force)))
+        force = math.sqrt(step.hand_force @ step.hand_force)
+        self._hand_force_max = max(self._hand_force_max, force)
         self._failures += not step.output.solved
         self._asked.add(step.output.base_acceleration)
         self._inserted.add(step.output.inserted.base_acceleration)
@@ -169,28 +175,32 @@ class _Smoothness:
     """
 
     def __init__(self) -> None:
-        self._last: Array | None = None
-        self._sign = np.zeros(2)
-        self._jump = np.zeros(2)
-        self._changes = np.zeros(2, dtype=int)
+        self._last: list[float] | None = None
+        self._sign = [0.0, 0.0]
+        self._jump = [0.0, 0.0]
+        self._changes = [0, 0]
 
     def add(self, now: Array) -> None:
         """Take one control step's acceleration (2,)."""
-        if self._last is not None:
-            self._jump = np.maximum(self._jump, np.abs(now - self._last))
-        sign = np.where(np.abs(now) > _DEAD_BAND, np.sign(now), self._sign)
-        self._changes += sign * self._sign < 0
-        self._sign, self._last = sign, now
+        values = now.tolist()
+        for i, value in enumerate(values):
+            if self._last is not None:
+                self._jump[i] = max(self._jump[i], abs(value - self._last[i]))
+            if abs(value) > _DEAD_BAND:
+                sign = math.copysign(1.0, value)
+                self._changes[i] += sign * self._sign[i] < 0
+                self._sign[i] = sign
+        self._last = values
 
     def figures(self, name: str) -> dict[str, object]:
         """Both, by linear and angular part."""
         return {
             f"{name}_jump_max": {
-                "linear_mps2": float(self._jump[0]),
-                "angular_radps2": float(self._jump[1]),
+                "linear_mps2": self._jump[0],
+                "angular_radps2": self._jump[1],
             },
             f"{name}_sign_changes": {
-                "linear": int(self._changes[0]),
-                "angular": int(self._changes[1]),
+                "linear": self._changes[0],
+                "angular": self._changes[1],
             },
         }
