@@ -31,10 +31,7 @@ class Level(NamedTuple):
 
 
 def level_readings(output: ControlOutput, workings: Workings) -> tuple[Level, ...]:
-    """The levels that are in the stack of a step, highest priority first.
-
-    Paper: Eq. (29), w_sca* and w_2.
-    """
+    """The levels that are in the stack of a step, highest priority first: w_sca* and w_2 of (29)."""
     arm, inserted = workings.arm, output.inserted
     levels = []
     if inserted.rows_m is not None:

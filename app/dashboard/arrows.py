@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import viser
 
-from app.dashboard.colours import Rgb
+from app.dashboard.colours import Rgb, linear
 from app.dashboard.scales import METRES_PER_NEWTON
 
 Array = np.ndarray
@@ -22,7 +22,7 @@ def hidden_arrow(scene: viser.SceneApi, name: str, colour: Rgb) -> viser.ArrowHa
         colour: Of the arrow.
     """
     return scene.add_arrows(
-        name, np.zeros((1, 2, 3)), colour, shaft_radius=0.008, head_radius=0.020,
+        name, np.zeros((1, 2, 3)), linear(np.array([colour]))[0], shaft_radius=0.008, head_radius=0.020,
         head_length=HEAD_LENGTH, visible=False,
     )  # fmt: skip
 

@@ -33,26 +33,26 @@ class BorderSlice:
         self._lines = {
             pair: hidden_line(scene, f"{ROOT}/slice_{pair}", _ON_DARK, 2.5) for pair in pairs
         }
-        self._drawn: dict[str, tuple[object, ...]] = {}
+        self._drawn: dict[str, tuple[object, bool]] = {}
 
     def update(self, snapshot: Snapshot, view: View) -> None:
         """Move the slice of the pair that is nearest to the base; the others are hidden."""
         mobile = [pair for pair in snapshot.pairs if pair.name in self._lines]
         nearest = min(mobile, key=lambda pair: pair.d).name if mobile and view.slice else None
         for pair in mobile:
-            line = self._lines[pair.name]
-            line.visible = pair.name == nearest
-            if pair.name == nearest:
-                self._draw(pair.name, float(pair.p_b[2]), snapshot, view)
+            self._lines[pair.name].visible = pair.name == nearest and self._draw(
+                pair.name, float(pair.p_b[2]), snapshot, view
+            )
 
-    def _draw(self, pair: str, z: float, snapshot: Snapshot, view: View) -> None:
+    def _draw(self, pair: str, z: float, snapshot: Snapshot, view: View) -> bool:
+        """Renew a slice; gives whether there is one at that height."""
         border = snapshot.config.border
         wanted = (round(z / _GRAIN), border.d_b, border.eps, view.dark)
-        if self._drawn.get(pair) == wanted:
-            return
-        self._drawn[pair] = wanted
+        if pair in self._drawn and self._drawn[pair][0] == wanted:
+            return self._drawn[pair][1]
         contour = self._borders.contour(pair, border, z)
-        if contour is None:
-            return
-        kept = np.concatenate([contour[:-1:_EVERY], contour[-1:]])
-        set_polyline(self._lines[pair], kept, _ON_DARK if view.dark else _ON_LIGHT)
+        self._drawn[pair] = wanted, contour is not None
+        if contour is not None:
+            kept = np.concatenate([contour[:-1:_EVERY], contour[-1:]])
+            set_polyline(self._lines[pair], kept, _ON_DARK if view.dark else _ON_LIGHT)
+        return contour is not None

@@ -76,3 +76,17 @@ def distance_colour(d: float, d_b: float, d_full: float) -> Rgb:
 def css(colour: Rgb) -> str:
     """The colour as CSS writes it."""
     return "rgb({},{},{})".format(*colour)
+
+
+def linear(colours: Array) -> Array:
+    """Colours as viser takes them for single segments of lines, which it does not convert.
+
+    Args:
+        colours: (N, 3) uint8 as on a screen (sRGB).
+
+    Returns:
+        (N, 3) uint8 linear in light.
+    """
+    u = np.asarray(colours, float) / 255.0
+    light = np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4)
+    return (255.0 * light).round().astype(np.uint8)

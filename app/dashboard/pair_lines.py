@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 import viser
 
-from app.dashboard.colours import NEAR, distance_colour
+from app.dashboard.colours import NEAR, distance_colour, linear
 from app.dashboard.view import View
 from app.simulation.snapshot import PairReading, Snapshot
 
@@ -57,9 +57,7 @@ class PairLines:
         self._thin.visible = view.distances
         self._thick.visible = view.distances
         if view.distances:
-            colours = np.array(
-                [distance_colour(p.d, d_b, d_full) for p in snapshot.pairs], np.uint8
-            )
+            colours = linear(np.array([distance_colour(p.d, d_b, d_full) for p in snapshot.pairs]))
             for lines, inside in ((self._thin, False), (self._thick, True)):
                 lines.colors = np.repeat(colours[:, None, :], 2, axis=1)
                 lines.points = segments(snapshot.pairs, d_b, inside=inside)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import viser
 
 from app.control.buffer_watch import BufferReading, needed_text
@@ -121,8 +123,8 @@ def status_html(snapshot: Snapshot) -> str:
     rows = [
         ("time", f"{snapshot.t:.1f} s", None),
         ("state", snapshot.busy or f"{state}, {snapshot.mode}", None),
-        ("real-time factor", f"{snapshot.realtime_factor:.2f}", slow),
-        ("control step", f"{snapshot.step_time_us:.0f} µs", None),
+        ("real-time factor", _number(snapshot.realtime_factor, ".2f"), slow),
+        ("control step", f"{_number(snapshot.step_time_us, '.0f')} µs", None),
         ("steps late", late_text(snapshot), None),
         ("contact", contact or "none", bool(contact)),
         ("buffer distance", buffer_text(snapshot.buffer), snapshot.buffer.too_small),
@@ -146,6 +148,11 @@ def late_text(snapshot: Snapshot) -> str:
     """Share of the steps since the last reset that missed their period."""
     steps = max(round(snapshot.t / STEP), 1)
     return f"{100.0 * min(snapshot.overruns / steps, 1.0):.1f} %"
+
+
+def _number(value: float, form: str) -> str:
+    """A number as text; a dash where it is not known, as in what is drawn from a log."""
+    return "–" if math.isnan(value) else format(value, form)
 
 
 def _signed(value: float) -> str:

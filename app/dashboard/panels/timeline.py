@@ -12,8 +12,9 @@ from app.dashboard.timeline import FRAME, REACH, Timeline
 from app.simulation.commands import Pause, StepOnce
 from app.simulation.snapshot import Snapshot
 
-WIDTH = 430  # [px]
+WIDTH = 520  # [px]
 _STEPS = {"−1 s": -1.0, "−20 ms": -FRAME, "+20 ms": FRAME, "+1 s": 1.0}
+_PAUSE, _NOW = "Stop / go", "Now"
 _MARKS = ("Mark begin", "Mark end", "No marks")
 
 
@@ -39,13 +40,12 @@ class TimelinePanel:
                 "Back [s]", min=-REACH, max=0.0, step=FRAME, initial_value=0.0,
                 hint="Shows the scene, readings and plots as they were; the simulation goes on.",
             )  # fmt: skip
-            steps = gui.add_button_group("Step", tuple(_STEPS))
-            self._play = gui.add_button_group("Play", ("Pause / continue", "Now"))
+            back, on = tuple(_STEPS)[:2], tuple(_STEPS)[2:]
+            go = gui.add_button_group("Go", (*back, _PAUSE, *on, _NOW))
             marks = gui.add_button_group("Interval", _MARKS)
         panel.float(x=12, y=-12, width=WIDTH)
         self._slider.on_update(notices.guard(self._slide))  # type: ignore[arg-type]
-        steps.on_click(notices.guard(lambda event: self.step(_STEPS[event.target.value])))  # type: ignore[arg-type]
-        self._play.on_click(notices.guard(self._press))  # type: ignore[arg-type]
+        go.on_click(notices.guard(self._press))  # type: ignore[arg-type]
         marks.on_click(notices.guard(self._mark))  # type: ignore[arg-type]
 
     def step(self, seconds: float) -> None:
@@ -78,10 +78,13 @@ class TimelinePanel:
         self._timeline.look_back(-value)
 
     def _press(self, event: viser.GuiEvent) -> None:
-        if event.target.value == "Now":
+        choice = event.target.value
+        if choice == _NOW:
             self._timeline.go_live()
-        else:
+        elif choice == _PAUSE:
             self._sink.send(Pause(self._newest is None or not self._newest.paused))
+        elif choice in _STEPS:
+            self.step(_STEPS[choice])
 
     def _mark(self, event: viser.GuiEvent) -> None:
         begin, end, _ = _MARKS

@@ -51,7 +51,7 @@ def why_html(snapshot: Snapshot) -> str:
     return (
         f'<div style="border-left:4px solid {_colour(snapshot)};margin:.4em .7em;padding-left:.6em;'
         f'height:7.1em;overflow:hidden;font-size:.85em;line-height:1.4">{sentence(snapshot)}</div>'
-        '<div style="font-size:.8em;line-height:1.55;padding:0 .7em .4em;'
+        '<div style="font-size:.8em;line-height:1.55;padding:0 1.1em .4em .7em;'
         f'font-variant-numeric:tabular-nums">{tables}</div>'
     )
 
