@@ -6,6 +6,7 @@ velocity to pinocchio's is the constant matrix S, and M_r = Sᵀ M S without a t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -90,7 +91,10 @@ class RobotModel:
     def configuration(self, base_pose: Sequence[float] | Array, q_m: Array) -> Array:
         """Pinocchio's configuration from the base's pose (x, y, φ) and the arm's joints."""
         x, y, phi = base_pose
-        return np.concatenate(([x, y, np.cos(phi), np.sin(phi)], q_m))
+        q = np.empty(4 + self.n_m)
+        q[:4] = x, y, math.cos(phi), math.sin(phi)
+        q[4:] = q_m
+        return q
 
     def p_base(self) -> Array:
         """(3,) [m] position of the arm's mount in the base's frame: p_base of (9)."""
