@@ -53,6 +53,7 @@ class RobotModel:
         base_acceleration_max: (2,) [m/s² and rad/s²] of v and ω.
         joint_damping: (n_m,) [N m s/rad or N s/m] of the arm.
         q_lower, q_upper: (n_m,) [rad or m] joint limits of the arm.
+        q_limits, qd_limits: (2, n_m) the lower and the upper ones of position and velocity.
         qd_max, tau_max: (n_m,) joint velocity and torque limits of the arm.
     """
 
@@ -116,6 +117,8 @@ class RobotModel:
         self.q_upper = _chosen(arm.position_upper, model.upperPositionLimit[4:])
         self.qd_max = _chosen(arm.max_velocity, model.velocityLimit[3:])
         self.tau_max = _chosen(arm.max_effort, model.effortLimit[3:])
+        self.q_limits = np.array([self.q_lower, self.q_upper])
+        self.qd_limits = np.array([-self.qd_max, self.qd_max])
         ready = np.array(arm.ready_position)
         for name, lower, at, upper in zip(
             arm.joints, self.q_lower, ready, self.q_upper, strict=True
