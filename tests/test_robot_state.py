@@ -170,3 +170,19 @@ def test_moving_the_base_moves_the_whole_robot_with_it():
     )
     np.testing.assert_allclose(here.M, home.M, atol=1e-10)
     np.testing.assert_allclose(here.h, home.h, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_kinematics_alone_are_those_of_a_whole_update(seed):
+    rng = np.random.default_rng(seed)
+    state, m = state_at(random_measurement(rng)), random_measurement(rng)
+    whole = state_at(m)
+    state.update_kinematics(m)
+    for name in ("qd", "J_ee", "v_ee", "Jdqd_ee", "R_world_base", "p_o"):
+        np.testing.assert_allclose(getattr(state, name), getattr(whole, name), atol=1e-12)
+    np.testing.assert_allclose(state.T_world_ee.homogeneous, whole.T_world_ee.homogeneous)
+    for joint in range(1, state.model.pin.njoints):
+        p = whole.data.oMi[joint].translation + rng.uniform(-0.3, 0.3, 3)
+        for of in ("point_jacobian", "point_bias"):
+            there, here = getattr(whole, of)(joint, p), getattr(state, of)(joint, p)
+            np.testing.assert_allclose(here, there, atol=1e-11)

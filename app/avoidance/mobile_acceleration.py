@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -47,10 +48,10 @@ def avoidance_force(
     """
     magnitude = f_max * min(max(1.0 - d / d_b, 0.0), 1.0) * max(1.0 - float(n[2]) ** 2, 0.0)
     direction = p_b - p_act
-    length = float(np.linalg.norm(direction))
+    length = math.sqrt(direction @ direction)
     if length < 1e-6:  # [m]
         direction = np.array([-n[0], -n[1], 0.0])
-        length = float(np.linalg.norm(direction))
+        length = math.sqrt(direction @ direction)
     return magnitude / length * direction if length > 0.0 else np.zeros(3)
 
 
@@ -78,6 +79,10 @@ def generate_mob_acc(forces: Iterable[PairForce], *, m: float, I: float) -> Arra
         (2,) v̇_d [m/s²] and ω̇_d [rad/s²].
     """
     forces = tuple(forces)
-    f_m = resultant_force(forces)
-    torque = sum(float(p[0] * f[1] - p[1] * f[0]) for f, p in forces)
+    if not forces:
+        return np.zeros(2)
+    f_m, torque = resultant_force(forces), 0.0
+    for f, p_act in forces:
+        (f_x, f_y, _), (x, y, _) = f.tolist(), p_act.tolist()
+        torque += x * f_y - y * f_x
     return np.array([f_m[0] / m, torque / I])

@@ -64,6 +64,7 @@ class BufferWatch:
         self._steps = 0
         self._recent: deque[tuple[int, float, float]] = deque()
         self._speeds: dict[str, deque[tuple[float, float]]] = {}
+        self._speed = self._needed = 0.0  # the largest of the recent ones
         self._speed_max = self._needed_max = 0.0
 
     def update(
@@ -83,12 +84,12 @@ class BufferWatch:
                 self._sample(state, pair, look=look)
             while self._recent and (self._steps - self._recent[0][0]) * dt > _REMEMBERED:
                 self._recent.popleft()
+            self._speed = max((v for _, v, _ in self._recent), default=0.0)
+            self._needed = max((need for _, _, need in self._recent), default=0.0)
         self._steps += 1
-        speed = max((v for _, v, _ in self._recent), default=0.0)
-        needed = max((need for _, _, need in self._recent), default=0.0)
-        d_b = self.config.border.d_b
+        needed, d_b = self._needed, self.config.border.d_b
         return BufferReading(
-            speed, needed, self._speed_max, self._needed_max,
+            self._speed, needed, self._speed_max, self._needed_max,
             too_small=gives_way and needed > d_b,
             too_small_ever=gives_way and self._needed_max > d_b,
         )  # fmt: skip

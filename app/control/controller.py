@@ -101,6 +101,7 @@ class Controller:
         self.state = RobotState(model)
         self._model = model
         self._config = config
+        self._slow = slowed(config.task, config.repulsion)
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
         self._transition = TaskTransition(HierarchicalQP(model.n))
         self._J_m_inv = np.linalg.inv(model.J_m)
@@ -127,6 +128,7 @@ class Controller:
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on."""
         self._config = config
+        self._slow = slowed(config.task, config.repulsion)
         self._avoidance.configure(config)
 
     def step(
@@ -199,7 +201,7 @@ class Controller:
         helps.
         """
         state = self.state
-        task, repulsion = slowed(self._config.task, self._config.repulsion)
+        task, repulsion = self._slow
         rows = [
             row._replace(xdd=repulsion.k_p - repulsion.k_v * (row.J @ state.qd))
             for row in inserted.rows_links

@@ -31,18 +31,15 @@ def acceleration_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, 
     return np.minimum(lower, upper), np.maximum(lower, upper)
 
 
-def position_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Array]:
-    """(n_m,) λ² e - 2 λ q̇ towards the lower and the upper position limit [rad/s² or m/s²]."""
-    model, rate = state.model, config.position_rate
-    q, qd = state.measurement.q_m, state.measurement.qd_m
-    stopping = 2 * rate * qd
-    return rate**2 * (model.q_lower - q) - stopping, rate**2 * (model.q_upper - q) - stopping
+def position_bounds(state: RobotState, config: LimitConfig) -> Array:
+    """(2, n_m) λ² e - 2 λ q̇ towards the lower and the upper position limit [rad/s² or m/s²]."""
+    rate, m = config.position_rate, state.measurement
+    return rate**2 * (state.model.q_limits - m.q_m) - 2 * rate * m.qd_m
 
 
-def velocity_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Array]:
-    """(n_m,) κ (±q̇_max - q̇), towards the lower and the upper velocity limit [rad/s² or m/s²]."""
-    k, qd, qd_max = config.velocity_rate, state.measurement.qd_m, state.model.qd_max
-    return k * (-qd_max - qd), k * (qd_max - qd)
+def velocity_bounds(state: RobotState, config: LimitConfig) -> Array:
+    """(2, n_m) κ (±q̇_max - q̇), towards the lower and the upper velocity limit [rad/s² or m/s²]."""
+    return config.velocity_rate * (state.model.qd_limits - state.measurement.qd_m)
 
 
 def with_barriers(limits: Limits, barriers: Sequence[BarrierRow]) -> Limits:

@@ -6,6 +6,7 @@ velocity to pinocchio's is the constant matrix S, and M_r = Sᵀ M S without a t
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -52,6 +53,7 @@ class RobotModel:
         base_acceleration_max: (2,) [m/s² and rad/s²] of v and ω.
         joint_damping: (n_m,) [N m s/rad or N s/m] of the arm.
         q_lower, q_upper: (n_m,) [rad or m] joint limits of the arm.
+        q_limits, qd_limits: (2, n_m) the lower and the upper ones of position and velocity.
         qd_max, tau_max: (n_m,) joint velocity and torque limits of the arm.
     """
 
@@ -90,7 +92,10 @@ class RobotModel:
     def configuration(self, base_pose: Sequence[float] | Array, q_m: Array) -> Array:
         """Pinocchio's configuration from the base's pose (x, y, φ) and the arm's joints."""
         x, y, phi = base_pose
-        return np.concatenate(([x, y, np.cos(phi), np.sin(phi)], q_m))
+        q = np.empty(4 + self.n_m)
+        q[:4] = x, y, math.cos(phi), math.sin(phi)
+        q[4:] = q_m
+        return q
 
     def p_base(self) -> Array:
         """(3,) [m] position of the arm's mount in the base's frame: p_base of (9)."""
@@ -112,6 +117,8 @@ class RobotModel:
         self.q_upper = _chosen(arm.position_upper, model.upperPositionLimit[4:])
         self.qd_max = _chosen(arm.max_velocity, model.velocityLimit[3:])
         self.tau_max = _chosen(arm.max_effort, model.effortLimit[3:])
+        self.q_limits = np.array([self.q_lower, self.q_upper])
+        self.qd_limits = np.array([-self.qd_max, self.qd_max])
         ready = np.array(arm.ready_position)
         for name, lower, at, upper in zip(
             arm.joints, self.q_lower, ready, self.q_upper, strict=True

@@ -81,23 +81,37 @@ class RobotState:
 
     def update(self, measurement: Measurement) -> None:
         """Recompute everything; Algorithm 2, line 2 (UpdateKinematics)."""
-        model, data = self._pin, self.data
+        q, v = self._take(measurement)
+        pin.computeAllTerms(self._pin, self.data, q, v)
+        S, S_T = self.model.S, self._S_T
+        self.M = S_T @ self.data.M @ S
+        self.h = S_T @ self.data.nle
+        self.g = S_T @ self.data.g
+        self._update_motion(q, v)
+
+    def update_kinematics(self, measurement: Measurement) -> None:
+        """Recompute all but M, h and g, which stay those of the last `update`."""
+        q, v = self._take(measurement)
+        pin.computeJointJacobians(self._pin, self.data, q)
+        self._update_motion(q, v)
+
+    def _take(self, measurement: Measurement) -> tuple[Array, Array]:
+        """Pinocchio's configuration and velocity."""
         self.measurement = measurement
         self.qd[:2] = self._J_m_inv @ measurement.base_velocity
         self.qd[2:] = measurement.qd_m
         q = self.model.configuration(measurement.base_pose, measurement.q_m)
-        v = self.model.S @ self.qd
-        pin.computeAllTerms(model, data, q, v)
+        return q, self.model.S @ self.qd
+
+    def _update_motion(self, q: Array, v: Array) -> None:
+        """Placements, velocities and accelerations, with the Jacobians already there."""
+        model, data = self._pin, self.data
         # The acceleration of every point at q̈ = 0, which is J̇ q̇; S is constant.
         pin.forwardKinematics(model, data, q, v, self._zero)
         pin.updateFramePlacement(model, data, self.model.ee_frame)
-        S, S_T = self.model.S, self._S_T
-        self.M = S_T @ data.M @ S
-        self.h = S_T @ data.nle
-        self.g = S_T @ data.g
         self.T_world_ee = data.oMf[self.model.ee_frame]
         axes = pin.LOCAL_WORLD_ALIGNED
-        self.J_ee = pin.getFrameJacobian(model, data, self.model.ee_frame, axes) @ S
+        self.J_ee = pin.getFrameJacobian(model, data, self.model.ee_frame, axes) @ self.model.S
         self.v_ee = self.J_ee @ self.qd
         self.Jdqd_ee = pin.getFrameClassicalAcceleration(
             model, data, self.model.ee_frame, axes

@@ -44,6 +44,6 @@ class Truth:
             self.state = self._controller.state
             self.distances = tuple(pair.closest.d for pair in pairs)
             return
-        self._own.update(truth)
+        self._own.update_kinematics(truth)
         self.state = self._own
         self.distances = self._monitor.distances()
