@@ -50,6 +50,8 @@ class ActivationConfig(Strict):
     """[m] distance from the base at which the arm itself begins to resist, from above."""
     d_last: float = Field(default=0.05, ge=0.01, le=0.30)
     """[m] the same from the side, where the base gives way first."""
+    ahead: Annotated[float, Shown("arm looks ahead")] = Field(default=0.04, ge=0.0, le=0.2)
+    """[s] how far ahead the arm acts on an approach: its torques take as long to build up."""
 
 
 class RepulsionConfig(Strict):

@@ -6,6 +6,7 @@ import pytest
 from app.avoidance.activation import (
     activation,
     arm_activation,
+    distance_to_come,
     mobile_activation,
     share_from_above,
 )
@@ -64,3 +65,23 @@ def test_over_the_edge_the_arms_buffer_turns_without_a_jump() -> None:
         shares = [arm_share(d, n_z) for n_z in np.linspace(0, 1, 1001)]
         assert (np.diff(shares) >= 0).all()
         assert np.abs(np.diff(shares)).max() < 0.03
+
+
+def test_a_hand_at_rest_or_on_its_retreat_is_met_at_its_distance() -> None:
+    for speed in (0.0, 0.3, 5.0):
+        assert distance_to_come(0.06, speed, ActivationConfig()) == 0.06
+
+
+def test_an_approach_is_met_where_it_will_be_and_the_earlier_the_faster() -> None:
+    config = ActivationConfig()
+    assert distance_to_come(0.06, -0.5, config) == pytest.approx(0.06 - 0.5 * config.ahead)
+    to_come = [distance_to_come(0.06, v, config) for v in np.linspace(-10.0, 1.0, 11001)]
+    assert (np.diff(to_come) >= 0).all()
+    assert np.diff(to_come).max() <= 1.001e-3 * config.ahead
+    at_once = ActivationConfig(ahead=0.0)
+    assert distance_to_come(0.06, -0.5, at_once) == 0.06
+
+
+def test_what_is_asked_of_an_approach_is_bounded_however_fast_it_is_said_to_be() -> None:
+    config = ActivationConfig()
+    assert distance_to_come(1.0, -np.inf, config) == distance_to_come(1.0, -3.0, config) > 0.8

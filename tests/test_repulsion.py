@@ -6,7 +6,7 @@ import pytest
 from finite_differences import derivative, jacobian
 
 from app.avoidance.distances import ClosestPoints, DistanceMonitor
-from app.avoidance.repulsion import generate_rep_acc
+from app.avoidance.repulsion import distance_jacobian, distance_speed, generate_rep_acc
 from app.config import RepulsionConfig
 from app.robot.link_pairs import candidate_pairs
 from app.robot.model import RobotModel
@@ -108,3 +108,12 @@ def test_in_penetration_the_normal_still_parts_the_links(robot: RobotModel) -> N
             along = row.J_r / np.linalg.norm(row.J_r) ** 2 * 1e-3
             assert moving.at(1.0, along)[i].d > closest.d
             moving.at(0.0, np.zeros(robot.n))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_speed_alone_is_that_of_the_distance_jacobian(robot: RobotModel, seed: int) -> None:
+    moving = Moving(robot, seed)
+    for closest in moving.at(0.0, moving.qd):
+        speed = distance_jacobian(moving.state, closest).speed
+        assert distance_speed(moving.state, closest) == speed
+        assert speed == pytest.approx(float(distance_jacobian(moving.state, closest).J @ moving.qd))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from app.config import ActivationConfig
 
+_FASTEST = 3.0  # [m/s] approach beyond which the arm looks no farther ahead
 _ONSET = 0.8  # [-] |n_z| from which on the arm has a share
 
 
@@ -48,7 +49,7 @@ def arm_activation(d: float, n_z: float, config: ActivationConfig) -> float:
     the side too.
 
     Args:
-        d: [m] signed distance of a pair of L_m.
+        d: [m] signed distance of a pair of L_m, or the one to come (`distance_to_come`).
         n_z: [-] vertical component of the pair's unit normal.
         config: The buffers.
 
@@ -57,6 +58,25 @@ def arm_activation(d: float, n_z: float, config: ActivationConfig) -> float:
     """
     buffer = config.d_last + share_from_above(n_z) * (config.d_above - config.d_last)
     return activation(d, buffer, 0.5 * buffer)
+
+
+def distance_to_come(d: float, speed: float, config: ActivationConfig) -> float:
+    """The distance on which the arm's own row acts: d on a retreat, d + `ahead` ḋ on an approach.
+
+    The arm's torques change at a limited rate. A row that acts on d alone brakes a fast hand late
+    and, worse, lets go of it late: the hand is thrown back faster than it came, the person pulls it
+    in again, and it comes faster each time. Looking ahead only while the pair closes, the row takes
+    hold early and lets go early. A hand that is at rest or retreats feels nothing of it.
+
+    Args:
+        d: [m] signed distance of a pair of L_m.
+        speed: [m/s] ḋ, taken as -3 m/s if it is less.
+        config: The time `ahead`.
+
+    Returns:
+        [m] continuous in d and ḋ, and never above d.
+    """
+    return d + config.ahead * min(max(speed, -_FASTEST), 0.0)
 
 
 def _cubic(s: float) -> float:

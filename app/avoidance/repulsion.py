@@ -38,17 +38,29 @@ def distance_jacobian(state: RobotState, closest: ClosestPoints) -> DistanceJaco
     Paper: Eq. (21).
     """
     u = closest.n
-    joint_a = state.model.body_joint(closest.pair.a)
-    joint_b = state.model.body_joint(closest.pair.b)
-    relative = state.point_jacobian(joint_b, closest.p_b) - state.point_jacobian(
-        joint_a, closest.p_a
-    )
+    joint_a, joint_b = _joints(state, closest)
+    relative = _relative_jacobian(state, closest)
     velocity = relative @ state.qd
     speed = float(u @ velocity)
     across = velocity - speed * u
     bias = state.point_bias(joint_b, closest.p_b) - state.point_bias(joint_a, closest.p_a)
     turning = float(across @ across) / max(closest.d, _NEAR)
     return DistanceJacobian(u @ relative, float(u @ bias) + turning, speed)
+
+
+def distance_speed(state: RobotState, closest: ClosestPoints) -> float:
+    """ḋ [m/s] of a pair, negative while it closes; the `speed` of `distance_jacobian` alone."""
+    return float(closest.n @ (_relative_jacobian(state, closest) @ state.qd))
+
+
+def _relative_jacobian(state: RobotState, closest: ClosestPoints) -> Array:
+    """J_b - J_a of the closest points, (3, n)."""
+    joint_a, joint_b = _joints(state, closest)
+    return state.point_jacobian(joint_b, closest.p_b) - state.point_jacobian(joint_a, closest.p_a)
+
+
+def _joints(state: RobotState, closest: ClosestPoints) -> tuple[int, int]:
+    return state.model.body_joint(closest.pair.a), state.model.body_joint(closest.pair.b)
 
 
 class RepulsiveRow(NamedTuple):

@@ -8,10 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from app.avoidance.acting_point import ActingPoint, ActingPointFinder
-from app.avoidance.activation import activation, arm_activation, mobile_activation
+from app.avoidance.activation import (
+    activation,
+    arm_activation,
+    distance_to_come,
+    mobile_activation,
+)
 from app.avoidance.distances import ClosestPoints, DistanceMonitor
 from app.avoidance.mobile_acceleration import PairForce, avoidance_force, generate_mob_acc
-from app.avoidance.repulsion import generate_rep_acc
+from app.avoidance.repulsion import distance_speed, generate_rep_acc
 from app.avoidance.task import TaskRows, mobile_rows, repulsive_rows
 from app.border.cloud import Cloud
 from app.border.dbb import construct_dbb
@@ -38,12 +43,14 @@ class PairState(NamedTuple):
         beta: [-] activation parameter.
         acting: Acting point in the base's frame, or None outside the buffer.
         f: (3,) [N] force f_m,i in the base's frame.
+        arm_beta: [-] activation of the arm's own row against the base, 0 for a pair of L_m^c.
     """
 
     closest: ClosestPoints
     beta: float
     acting: ActingPoint | None
     f: Array
+    arm_beta: float = 0.0
 
 
 class Avoidance(NamedTuple):
@@ -128,30 +135,38 @@ class SelfCollisionAvoidance:
 
     def _mobile_pair(self, closest: ClosestPoints) -> PairState:
         """Lines 4 to 6 for one pair of L_m."""
-        beta = self._beta(closest.d)
+        beta, arm_beta = self._beta(closest.d), self._arm_beta(closest)
         if beta == 0.0:
-            return PairState(closest, 0.0, None, np.zeros(3))
+            return PairState(closest, 0.0, None, np.zeros(3), arm_beta)
         p_b = self._state.to_base(closest.p_b)
         finder = self._finders[closest.pair.name]
         acting = finder.find_acting_point(p_b, closest.d, self._config.force)
         if acting is None:
-            return PairState(closest, beta, None, np.zeros(3))
+            return PairState(closest, beta, None, np.zeros(3), arm_beta)
         f = avoidance_force(
             p_b, acting.p_act, closest.d, self._state.R_world_base.T @ closest.n,
             f_max=self._config.force.f_max, d_b=self._config.border.d_b,
         )  # fmt: skip
-        return PairState(closest, beta, acting, f)
+        return PairState(closest, beta, acting, f, arm_beta)
+
+    def _arm_beta(self, closest: ClosestPoints) -> float:
+        """β of the arm's own row for a pair of L_m, at the distance to come."""
+        config, n_z = self._config.activation, float(closest.n[2])
+        fastest = distance_to_come(closest.d, -np.inf, config)
+        if arm_activation(fastest, n_z, config) == 0.0:  # whatever the speed, which costs time
+            return 0.0
+        speed = distance_speed(self._state, closest)
+        return arm_activation(distance_to_come(closest.d, speed, config), n_z, config)
 
     def _rows_against_base(self, mobile: list[PairState]) -> tuple[TaskRows, ...]:
         """Rows of the kind (20) along the normal of pairs of L_m, each with the arm's own β."""
-        rows = []
-        for pair in mobile:
-            n_z = float(pair.closest.n[2])
-            beta = arm_activation(pair.closest.d, n_z, self._config.activation)
-            if beta > 0.0:
-                row = generate_rep_acc(self._state, pair.closest, self._config.repulsion)
-                rows.append(repulsive_rows(row, beta))
-        return tuple(rows)
+        return tuple(
+            repulsive_rows(
+                generate_rep_acc(self._state, p.closest, self._config.repulsion), p.arm_beta
+            )
+            for p in mobile
+            if p.arm_beta > 0.0
+        )
 
     def _rows_between_links(self, others: list[PairState]) -> tuple[TaskRows, ...]:
         """Lines 8 to 11."""

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from app.avoidance.activation import arm_activation, share_from_above
+from app.avoidance.activation import share_from_above
 from app.avoidance.mobile_acceleration import PairForce, generate_mob_acc
 from app.avoidance.self_collision import PairState
 from app.config import Config
@@ -178,7 +178,7 @@ def _near_pair(
     closest, state = pair.closest, controller.state
     mobile = closest.pair.a == state.model.body_names[0]
     n_z = float(closest.n[2])
-    arm_beta = _arm_beta(output, pair, config) if mobile else 0.0
+    arm_beta = _arm_beta(output, pair) if mobile else 0.0
     if pair.beta == 0.0 and arm_beta == 0.0 and not held:
         return None
     return NearPair(
@@ -191,11 +191,11 @@ def _near_pair(
     )  # fmt: skip
 
 
-def _arm_beta(output: ControlOutput, pair: PairState, config: Config) -> float:
+def _arm_beta(output: ControlOutput, pair: PairState) -> float:
     """Activation of the arm's rows against the base that the method has for a pair of L_m."""
     rows = output.inserted.rows_arm
     if rows is output.avoidance.rows_arm:
-        return arm_activation(pair.closest.d, float(pair.closest.n[2]), config.activation)
+        return pair.arm_beta
     return pair.beta if rows else 0.0  # a method's own rows share the pair's activation
 
 

@@ -1,0 +1,48 @@
+"""A fast pull in on the wheel axis, where the base cannot give way at once: the arm holds alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from app.border.cache import BorderData
+from app.robot.model import RobotModel
+from app.simulation.run import steps_of
+from app.study.case import Case
+
+UNTIL = 1.1  # [s] the pull ends at 1.14 s
+PULL = Case(
+    study_seed=1, number=6, kind="side", redraws=0, robot="husky_panda", controller="dbb",
+    physics="planar", start=(-0.0570, -0.6461, 0.4800), move=(-0.0130, 0.3770, -0.2684),
+    speed=0.6083, duration=2.6416, moving=0.43216,
+    q_m=(-1.16541, 1.20024, -1.00743, -1.69302, 2.15291, 2.65320, 0.0),
+    delay=0.18577, noise=0.00085, mass_error=0.0131, slip=0.0618, base_speed=0.3375,
+    strength=40.0, seed=3141514894,
+)  # fmt: skip
+
+
+def nearest_and_fastest(robot: RobotModel, data: BorderData, ahead: float) -> tuple[float, float]:
+    """[m] least true distance of arm and base, [m/s] largest true speed of the hand."""
+    config = PULL.config().replace("activation.ahead", ahead)
+    nearest, fastest = np.inf, 0.0
+    for session, step in steps_of(robot, data, PULL.scenario(), config, seed=PULL.seed):
+        nearest = min(nearest, *step.distances[:2])
+        fastest = max(fastest, float(np.linalg.norm(session.state.v_ee[:3])))
+        if step.t > UNTIL:
+            break
+    return nearest, fastest
+
+
+def test_the_arm_holds_a_fast_hand_and_does_not_throw_it_back(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    nearest, fastest = nearest_and_fastest(robot, border_data, PULL.config().activation.ahead)
+    assert nearest > 0.03
+    assert fastest < PULL.speed  # nothing but the person drives the hand
+
+
+def test_acting_on_the_present_distance_alone_it_throws_the_hand_about(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    nearest, fastest = nearest_and_fastest(robot, border_data, 0.0)
+    assert nearest < 0.025
+    assert fastest > 1.5 * PULL.speed
