@@ -37,6 +37,14 @@
     pixel,
     // In the scene's frame, z up; three.js itself has y up.
     position: (name) => node("").worldToLocal(world(name, [0, 0, 0])).toArray(),
+    // Times, lines and cursor of a plot.
+    plot: (title) => {
+      for (const { chart } of Object.values(window.__viserTestpoints.uplots ?? {})) {
+        const name = chart.root.querySelector(".u-title")?.textContent;
+        if (name === title) return chart.data.map((line) => Array.from(line));
+      }
+      return null;
+    },
     box: () => {
       const b = canvas().getBoundingClientRect();
       return [b.left, b.top, b.right, b.bottom].map(Math.round);

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from app.dashboard import browser as browser_of_app
+from app.dashboard.tour import SEEN
 from app.errors import BrowserError
 
 REQUIRED = "DBB_REQUIRE_BROWSER"
@@ -20,7 +22,8 @@ REQUIRED = "DBB_REQUIRE_BROWSER"
 
 _HELPERS = (Path(__file__).parent / "browser.js").read_text(encoding="utf-8")
 
-GIZMO_REACH = 0.9  # [-] where along a gizmo's arrow to grab it: its head
+_NO_TOUR = f"if (location.protocol === 'http:') localStorage.setItem('viser-user:{SEEN}', 'yes');"
+"""The page of who has been here before; viser's own prefix."""
 
 
 @contextmanager
@@ -36,6 +39,14 @@ def chromium() -> Iterator[Any]:
         yield browser
 
 
+def wait_for(condition: Callable[[], Any], seconds: float = 30.0, what: str = "") -> None:
+    """Wait until a condition is true; fail after so many seconds."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, f"not in {seconds:g} s: {what or 'what was waited for'}"
+        time.sleep(0.02)
+
+
 class DashboardTab:
     """One tab with the dashboard open.
 
@@ -44,15 +55,31 @@ class DashboardTab:
         errors: What the page has written to its console as errors, and uncaught exceptions.
     """
 
-    def __init__(self, browser: Any, address: str, size: tuple[int, int] = (1600, 900)) -> None:
-        """Open the page and wait until the first picture with the robot is drawn."""
+    def __init__(
+        self, browser: Any, address: str, size: tuple[int, int] = (1280, 720),
+        *, first_visit: bool = False,
+    ) -> None:  # fmt: skip
+        """Open the page and wait until the first picture with the robot is drawn.
+
+        Args:
+            browser: Where to.
+            address: Of the server.
+            size: [px] of the window.
+            first_visit: Whether the page shows its tour.
+        """
         context = browser_of_app.new_context(browser, size)
         context.add_init_script(_HELPERS)
+        if not first_visit:
+            context.add_init_script(_NO_TOUR)
         self.page = context.new_page()
         self.errors: list[str] = []
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.on("console", self._listen)
         self.page.goto(f"{address}/?fixedDpr=1")
+        self.wait_for_scene()
+
+    def wait_for_scene(self) -> None:
+        """Wait until the robot is drawn."""
         self.wait("() => dbbPage.ready()")
         self.wait("() => dbbPage.has('/robot') && dbbPage.has('/hand')")
         self.render(3)
@@ -91,6 +118,12 @@ class DashboardTab:
         """(2,) [px] where a point in a node's frame is on the page."""
         return np.array(self.page.evaluate("([n, p]) => dbbTest.pixel(n, p)", [node, list(point)]))
 
+    def plot(self, title: str) -> np.ndarray:
+        """(2 + lines, N) time, lines and cursor of a plot of the open tab "Plots", by its title."""
+        found = self.page.evaluate("title => dbbTest.plot(title)", title)
+        assert found is not None, f"no plot {title!r} in the open tabs"
+        return np.array(found, dtype=float)
+
     def drag_gizmo(
         self,
         node: str,
@@ -114,16 +147,18 @@ class DashboardTab:
         Raises:
             LookupError: The arrow is hidden in this view.
         """
-        start = np.zeros(3)
-        start[axis] = GIZMO_REACH * scale
         grabbed = self.page.evaluate("([n, a, s]) => dbbTest.arrow(n, a, s)", [node, axis, scale])
         if grabbed is None:
             raise LookupError(f"arrow {axis} of {node} is hidden in this view")
         end = np.array(grabbed)
         end[axis] += metres
         a, b = self.pixel(node, grabbed), self.pixel(node, tuple(end.tolist()))
+        self.drag(a, b, steps, drop=drop)
+
+    def drag(self, a: np.ndarray, b: np.ndarray, steps: int = 8, *, drop: bool = True) -> None:
+        """Drag from a pixel to another by the mouse, and let go at the end if `drop`."""
         self.page.mouse.move(*a)
-        self.render(1)  # the gizmo has to see the pointer above it first
+        self.render(1)  # the scene has to see the pointer above it first
         self.page.mouse.down()
         for i in range(1, steps + 1):
             self.page.mouse.move(*(a + (b - a) * i / steps))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
@@ -14,8 +15,24 @@ from app.config import Config
 from app.control.buffer_watch import BufferReading
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.commands import Command, Configure, Pause, Pull, Reset
-from app.simulation.people import held_links
+from app.simulation.command_check import checked
+from app.simulation.commands import (
+    Choose,
+    Command,
+    Compare,
+    Configure,
+    Pause,
+    Play,
+    PlayScenario,
+    Pull,
+    Release,
+    Reset,
+    Speed,
+    StepOnce,
+)
+from app.simulation.comparison import GhostReading, Score
+from app.simulation.history import History
+from app.simulation.people import PullReading, held_links, held_point
 from app.simulation.snapshot import ActingReading, PairReading, Snapshot
 
 Array = np.ndarray
@@ -29,7 +46,10 @@ class ScriptedLoop:
     """The interface of the simulation's loop; every command is recorded in `commands`.
 
     The hand moves towards where it is pulled, the base backs off at a speed in proportion to the
-    activation. Distances, closest points and the end-effector are those of the real model.
+    activation. Distances, closest points and the end-effector are those of the real model. Robots
+    that are compared have the same arm; their bases stay where they were. Forces of several people
+    add up. A scenario is
+    known by its name only: its hand stays where it is.
     """
 
     def __init__(self, model: RobotModel, q_m: Array | None = None) -> None:
@@ -41,10 +61,12 @@ class ScriptedLoop:
         self._distances = _PairDistances(model)
         self._q_start = np.array(model.description.arm.ready_position if q_m is None else q_m)
         self._config, self._paused, self._lock = Config(), False, threading.Lock()
+        self._speed, self._controller, self._scenario = 1.0, "dbb", ""
+        self._compared: Compare | None = None
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
-        self._ring: deque[Snapshot] = deque(maxlen=3000)
-        self._reset()
+        self._history = History()
+        self._begin()
 
     def start(self) -> None:
         self._thread.start()
@@ -55,56 +77,91 @@ class ScriptedLoop:
             self._thread.join()
 
     def send(self, command: Command) -> None:
+        checked(command, self.links)
         with self._lock:
             self.commands.append(command)
-            if isinstance(command, Pull):
-                self._target = None if command.target is None else np.array(command.target)
-            elif isinstance(command, Configure):
-                self._config = command.config
-            elif isinstance(command, Pause):
-                self._paused = command.paused
-            elif isinstance(command, Reset):
-                self._reset()
+            self._obey(command)
             self._publish()
 
     def latest(self) -> Snapshot:
-        return self._latest
+        return self._history.latest
 
     def history(self, after: float) -> list[Snapshot]:
         with self._lock:
-            return [snapshot for snapshot in self._ring if snapshot.t > after]
+            return self._history.after(after)
 
     def pulls(self) -> list[tuple[float, float, float] | None]:
-        """Targets of all pulls so far."""
+        """Targets of all pulls so far, None for letting go."""
         with self._lock:
-            return [command.target for command in self.commands if isinstance(command, Pull)]
+            kinds = [c for c in self.commands if isinstance(c, (Pull, Release))]
+            return [c.target if isinstance(c, Pull) else None for c in kinds]
 
-    def _reset(self) -> None:
+    def place(self, base_pose: Sequence[float] | None = None, q_m: Array | None = None) -> None:
+        """Put the robot elsewhere; the next step goes on from there."""
+        with self._lock:
+            if base_pose is not None:
+                self._base[:] = base_pose
+            if q_m is not None:
+                self._q[:] = q_m
+            self._t += DT
+            self._publish()
+
+    def _obey(self, command: Command) -> None:
+        if isinstance(command, (Pull, Release)):
+            self._pull(command)
+        elif isinstance(command, Configure):
+            self._config = command.config
+        elif isinstance(command, Choose):
+            self._controller = command.controller
+        elif isinstance(command, Pause):
+            self._paused = command.paused
+        elif isinstance(command, Speed):
+            self._speed = command.factor
+        elif isinstance(command, StepOnce):
+            self._paused = True
+            self._step(command.seconds)
+        elif isinstance(command, Compare):
+            self._compared = command if command.controllers else None
+            self._base_compared = self._base.copy()
+        else:
+            self._scenario = _scenario_name(command, self._scenario)
+            self._begin()
+
+    def _pull(self, command: Pull | Release) -> None:
+        if isinstance(command, Release) or command.target is None:
+            self._pulls.pop(command.who, None)
+        else:
+            self._pulls[command.who] = command
+
+    def _begin(self) -> None:
         self._t, self._base = 0.0, np.zeros(3)
-        self._q, self._target, self._v = self._q_start.copy(), None, 0.0
-        self._wheel = 0.0
-        self._ring.clear()
+        self._q, self._v, self._wheel = self._q_start.copy(), 0.0, 0.0
+        self._pulls: dict[int, Pull] = {}
+        self._base_compared = np.zeros(3)
         self._publish()
 
     def _run(self) -> None:
-        while not self._stopping.wait(DT):
+        while not self._stopping.wait(DT / self._speed):
             with self._lock:
                 if not self._paused:
-                    self._step()
+                    self._step(DT)
                 self._publish()
 
-    def _step(self) -> None:
-        self._t += DT
-        snapshot = self._latest
+    def _step(self, dt: float) -> None:
+        self._t += dt
+        snapshot = self._history.latest
         self._v = -0.3 * snapshot.beta_m
-        self._base[:2] += DT * self._v * np.array([np.cos(self._base[2]), np.sin(self._base[2])])
-        self._wheel += DT * self._v / self.model.description.base.wheel_radius_m
-        if self._target is None:
+        self._base[:2] += dt * self._v * np.array([np.cos(self._base[2]), np.sin(self._base[2])])
+        self._wheel += dt * self._v / self.model.description.base.wheel_radius_m
+        stretches = [
+            pull.target - snapshot.p_ee for pull in snapshot.pulls if pull.link is None
+        ]  # fmt: skip
+        if not stretches:
             return
-        stretch = self._target - snapshot.p_ee
-        v = stretch * min(HAND_SPEED / max(np.linalg.norm(stretch), 1e-9), 1.0 / DT)
+        stretch = np.mean(stretches, axis=0)
+        v = stretch * min(HAND_SPEED / max(float(np.linalg.norm(stretch)), 1e-9), 1.0 / dt)
         J = self._state.J_ee[:3, 2:]
-        self._q += DT * J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(3), v)
+        self._q += dt * J.T @ np.linalg.solve(J @ J.T + 1e-3 * np.eye(3), v)
         self._q = np.clip(self._q, self.model.q_lower, self.model.q_upper)
 
     def _publish(self) -> None:
@@ -112,26 +169,70 @@ class ScriptedLoop:
         state.update(Measurement(self._base, np.zeros(2), self._q, np.zeros(self.model.n_m)))
         pairs = self._distances(state, config)
         p_ee = state.T_world_ee.translation.copy()
-        stretch = np.zeros(3) if self._target is None else self._target - p_ee
-        force = config.hand.stiffness * stretch
-        force *= min(1.0, config.hand.f_max / max(float(np.linalg.norm(force)), 1e-9))
+        pulls = tuple(self._pull_reading(pull, p_ee) for pull in self._pulls.values())
+        of_hand = [pull for pull in pulls if pull.link is None]
+        target = of_hand[0].target if of_hand else None
+        error = 0.0 if target is None else float(np.linalg.norm(target - p_ee))
         beta_m = max(pair.beta for pair in pairs if pair.mobile)
+        asked = beta_m * np.array([-0.8, 0.5])
         quaternion = pin.Quaternion(state.T_world_ee.rotation).coeffs()  # x, y, z, w
-        self._latest = Snapshot(
+        clearance = min(pair.d for pair in pairs if pair.mobile)
+        snapshot = Snapshot(
             t=self._t, base_pose=self._base.copy(), base_velocity=np.array([self._v, 0.0]),
             base_velocity_command=np.array([self._v, 0.0]),
-            base_acceleration=np.zeros(2), avoidance_acceleration=beta_m * np.array([-0.8, 0.5]),
+            base_acceleration=asked, avoidance_acceleration=asked,
             wheel_angles=np.full(2, self._wheel), q_m=self._q.copy(), u_a=np.zeros(self.model.n_m),
             p_ee=p_ee, wxyz_ee=quaternion[[3, 0, 1, 2]], pairs=pairs,
             acting=tuple(_acting(p, config) for p in pairs if p.mobile and p.beta > 0),
-            beta_m=beta_m, hand_target=self._target, hand_force=force,
-            ee_error=float(np.linalg.norm(stretch)), in_contact=any(p.d <= 0 for p in pairs),
-            arm_in_contact=False, solver_failures=0, step_time_us=212.0, realtime_factor=1.0,
-            overruns=3, paused=self._paused, mode="guiding", controller="dbb", config=config,
+            beta_m=beta_m, hand_target=target,
+            hand_force=sum((pull.force for pull in of_hand), np.zeros(3)),
+            ee_error=error, in_contact=any(p.d <= 0 for p in pairs),
+            arm_in_contact=False, solver_failures=0, step_time_us=212.0,
+            realtime_factor=self._speed, overruns=3, paused=self._paused, mode="guiding",
+            controller=self._controller, config=config, speed=self._speed, pulls=pulls,
             buffer=BufferReading(0.0, 0.0, 0.0, 0.0, too_small=False, too_small_ever=False),
+            scenario=self._scenario, scenario_ends=60.0 if self._scenario else None,
         )  # fmt: skip
-        if not self._ring or self._t > self._ring[-1].t:
-            self._ring.append(self._latest)
+        self._history.add(self._compare(snapshot, clearance))
+
+    def _pull_reading(self, pull: Pull, p_ee: Array) -> PullReading:
+        point = p_ee
+        if pull.link is not None:
+            joint, p = held_point(self.model, pull.link, pull.point or (0.0, 0.0, 0.0))
+            point = self._state.data.oMi[joint].act(p)
+        force = self._config.hand.stiffness * (np.array(pull.target) - point)
+        force *= min(1.0, self._config.hand.f_max / max(float(np.linalg.norm(force)), 1e-9))
+        return PullReading(pull.who, pull.link, point.copy(), np.array(pull.target), force)
+
+    def _compare(self, snapshot: Snapshot, clearance: float) -> Snapshot:
+        """With those who are compared; they have come to nothing yet but this robot's clearance."""
+        if self._compared is None:
+            return snapshot
+        names = self._compared.controllers
+        return replace(
+            snapshot,
+            ghosts=tuple(
+                GhostReading(
+                    name, self._base_compared.copy(), snapshot.q_m, snapshot.wheel_angles,
+                    snapshot.p_ee, clearance,
+                )
+                for name in names
+            ),
+            scores=tuple(
+                Score(name, clearance, snapshot.ee_error, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+                for name in (snapshot.controller, *names)
+            ),
+            same=self._compared.same,
+        )  # fmt: skip
+
+
+def _scenario_name(command: Command, before: str) -> str:
+    """Which scenario leads after a beginning."""
+    if isinstance(command, PlayScenario):
+        return command.name
+    if isinstance(command, Play):
+        return command.scenario.name
+    return "" if isinstance(command, Reset) else before
 
 
 class _PairDistances:

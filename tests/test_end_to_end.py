@@ -9,7 +9,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,7 @@ import psutil
 import pytest
 
 from app.dashboard.hand import GIZMO, SCALE
-from tests.browser import DashboardTab, chromium
+from tests.browser import DashboardTab, chromium, wait_for
 
 pytestmark = pytest.mark.browser
 
@@ -86,19 +85,8 @@ def reading(tab: DashboardTab, label: str) -> str:
 
 
 def greatest_activation(tab: DashboardTab) -> float:
-    """The highest β_m on the plot of activation, the only one with a single line."""
-    return tab.page.evaluate(
-        """() => Math.max(...Object.values(__viserTestpoints.uplots)
-            .map(plot => plot.chart.data).filter(data => data.length === 2)
-            .flatMap(data => Array.from(data[1])))"""
-    )
-
-
-def wait_for(condition, what: str) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline, f"in {PATIENCE:g} s: {what}"
-        time.sleep(0.1)
+    """The highest β_m on the plot of activation."""
+    return float(tab.plot("activation β_m")[1].max())
 
 
 def pull_towards_base(tab: DashboardTab) -> None:
@@ -110,12 +98,14 @@ def pull_towards_base(tab: DashboardTab) -> None:
     def base_has_moved() -> bool:
         return float(np.linalg.norm(tab.position("/robot") - before)) > 0.05
 
-    wait_for(base_has_moved, "the base has moved by 0.05 m")
+    wait_for(base_has_moved, PATIENCE, "the base has moved by 0.05 m")
     tab.page.mouse.up()
 
 
 def test_the_base_gets_out_of_the_way_of_a_hand_that_is_dragged_at_it(browser, served):
     tab = DashboardTab(browser, served.address)
+    tab.open_tab("Plots")
+    tab.wait("() => dbbTest.plot('activation β_m') !== null")
     assert reading(tab, "person pulls") == "no"
     assert greatest_activation(tab) == 0.0
     start = tab.position(GIZMO)
@@ -125,9 +115,9 @@ def test_the_base_gets_out_of_the_way_of_a_hand_that_is_dragged_at_it(browser, s
 
     assert greatest_activation(tab) > 0.2
     assert tab.position("/robot")[0] < -0.05, "it backs off, away from the hand"
-    wait_for(lambda: reading(tab, "person pulls") == "no", "nobody pulls any more")
+    wait_for(lambda: reading(tab, "person pulls") == "no", PATIENCE, "nobody pulls any more")
     wait_for(
-        lambda: tab.position(GIZMO)[0] < start[0] - 0.1, "the hand is nearer than where it was"
+        lambda: tab.position(GIZMO)[0] < start[0] - 0.1, PATIENCE, "the hand is nearer than it was"
     )
     assert reading(tab, "contact") == "none"
     assert reading(tab, "solver failures") == "0"

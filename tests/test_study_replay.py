@@ -25,6 +25,7 @@ from app.study.play import play_case, run_case
 from app.study.sources import load_sources
 from app.study.study_range import StudyRange
 from tests.fakes import ScriptedLoop
+from tests.raw_client import RawClient
 from tests.robots import husky_panda
 
 FAST = StudyParameters(
@@ -171,6 +172,17 @@ def test_the_button_plays_the_case_of_the_page(case):
     assert pickle.loads(pickle.dumps(sent)) == sent  # it goes to the process of the loop
 
 
+def labels_of_the_page(server) -> list[str]:
+    """What the widgets of a viewer who has just come are called."""
+    with RawClient(server.address):
+        end = time.monotonic() + 60
+        while not server.pages:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        [client] = server.viser.get_clients().values()
+        return [handle.label for handle in client.gui._gui_input_handle_from_uuid.values()]
+
+
 def test_only_the_page_of_a_case_has_its_button(case, border_data):
     scenarios = (None, case.scenario())
     for scenario in scenarios:
@@ -178,10 +190,9 @@ def test_only_the_page_of_a_case_has_its_button(case, border_data):
         loop.start()
         server = serve_dashboard(loop, husky_panda(), border_data.clouds, port=0, case=scenario)
         try:
-            handles = server.viser.gui._gui_input_handle_from_uuid.values()
-            labels = [handle.label for handle in handles]
+            labels = labels_of_the_page(server)
         finally:
             server.stop()
             loop.stop()
         assert ("Play the case" in labels) == (scenario is not None)
-        assert "Reset" in labels
+        assert "Restart" in labels

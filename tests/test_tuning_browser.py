@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import time
-
 import pytest
 
 from app.config import Config
 from app.config_file import read_config
 from app.dashboard.server import serve_dashboard
 from app.simulation.commands import Configure
-from tests.browser import DashboardTab, chromium
+from tests.browser import DashboardTab, chromium, wait_for
 from tests.fakes import ScriptedLoop, fake_clouds
 from tests.robots import husky_panda
 
@@ -37,13 +35,6 @@ def configured(loop):
     return [command.config for command in loop.commands if isinstance(command, Configure)]
 
 
-def wait_for(condition, seconds=20.0):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "did not come true in time"
-        time.sleep(0.02)
-
-
 def box(tab, label):
     """The number box of a parameter."""
     return tab.row(label).locator("input[type=text], input[inputmode]").last
@@ -51,9 +42,9 @@ def box(tab, label):
 
 def test_what_is_typed_saved_loaded_and_undone_is_what_both_viewers_see(browser, served, tmp_path):
     server, loop = served
-    tabs = [DashboardTab(browser, server.address, (900, 600)) for _ in range(2)]
+    tabs = [DashboardTab(browser, server.address) for _ in range(2)]
     for tab in tabs:
-        tab.open_tab("Tuning")
+        tab.open_tab("Tune")
     first, second = tabs
 
     first.set_slider("d_b [m]", 0.225)

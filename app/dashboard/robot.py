@@ -128,7 +128,7 @@ class RobotScene:
         for joint, frame in self._frames.items():
             frame.position, frame.wxyz = to_viser(poses[joint])
 
-    def worldto_viser(self, joint: int) -> pin.SE3:
+    def world_pose(self, joint: int) -> pin.SE3:
         """T_world_joint of a joint, as it was drawn last."""
         frame = self._frames[joint]
         return from_viser(self._root.position, self._root.wxyz) * from_viser(
