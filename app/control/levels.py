@@ -31,7 +31,10 @@ class Level(NamedTuple):
 
 
 def level_readings(output: ControlOutput, workings: Workings) -> tuple[Level, ...]:
-    """The levels that are in the stack of a step, highest priority first: w_sca* and w_2 of (29)."""
+    """The levels that are in the stack of a step, highest priority first.
+
+    They are w_sca* and w_2 of (29).
+    """
     arm, inserted = workings.arm, output.inserted
     levels = []
     if inserted.rows_m is not None:
