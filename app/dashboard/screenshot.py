@@ -22,6 +22,7 @@ from app.dashboard.panels.sweep import DEFAULT_FOLDER
 from app.dashboard.shared import Shared
 from app.dashboard.studio import address_of, choose_layer, own_server, studio
 from app.dashboard.tour import SEEN
+from app.dashboard.view import View
 from app.errors import BrowserError
 from app.robot.model import RobotModel
 from app.simulation.snapshot import Snapshot
@@ -57,9 +58,22 @@ class Look(NamedTuple):
     page: bool = False
 
 
+class Seat(NamedTuple):
+    """What a viewer sees, and where from.
+
+    Attributes:
+        view: The viewer's layers.
+        eye, target: (3,) [m] where the viewer's camera is and what it looks at, in the world.
+    """
+
+    view: View
+    eye: np.ndarray
+    target: np.ndarray
+
+
 def take_pictures(
     browser: web.Browser, snapshots: Sequence[Snapshot], times: Sequence[float], model: RobotModel,
-    clouds: Mapping[str, Cloud], look: Look,
+    clouds: Mapping[str, Cloud], look: Look, seat: Seat | None = None,
 ) -> list[Image.Image]:  # fmt: skip
     """Pictures at some times of a run, all from the same place.
 
@@ -70,16 +84,19 @@ def take_pictures(
         model: The robot.
         clouds: P_i of every pair of L_m, by the pair's name.
         look: What they show.
+        seat: Of the viewer whose page is pictured, in place of the layer and the view of `look`.
 
     Raises:
         BrowserError: Its page does not open.
         AssetError: A mesh of the robot is not there.
     """
     film = Film(snapshots)
-    take = _of_page if look.page else _of_scene
     context = new_context(browser, (look.width, look.height))
     try:
-        return take(context.new_page(), film, times, model, clouds, look)
+        page = context.new_page()
+        if look.page:
+            return _of_page(page, film, times, model, clouds, look, seat)
+        return _of_scene(page, film, times, model, clouds, look)
     finally:
         context.close()
 
@@ -122,7 +139,7 @@ def _of_scene(
 
 def _of_page(
     page: web.Page, film: Film, times: Sequence[float], model: RobotModel,
-    clouds: Mapping[str, Cloud], look: Look,
+    clouds: Mapping[str, Cloud], look: Look, seat: Seat | None,
 ) -> list[Image.Image]:  # fmt: skip
     with own_server() as server:
         shared = Shared(film, model, clouds, None, DEFAULT_FOLDER)
@@ -133,11 +150,16 @@ def _of_page(
             shown = Page(client, shared, Notices(server))
             shown.view.dark = look.dark
             choose_layer(shown.view, look.layer)
+            if seat is not None:
+                shown.view.take_over(seat.view)
             pictures = []
             for t in times:
                 film.go_to(t)
                 shared.update()
-                shown.look(look.view)
+                if seat is None:
+                    shown.look(look.view)
+                else:
+                    client.camera.position, client.camera.look_at = seat.eye, seat.target
                 for _ in range(2):  # what the first drawing of a panel makes, the second fills
                     shown.draw(texts=True)
                 pictures.append(_settled(page, server))

@@ -24,6 +24,7 @@ class Shared:
     Attributes:
         loop: The simulation.
         model: The robot.
+        clouds: P_i of every pair of L_m, by the pair's name.
         parts: Its meshes.
         borders: Its borders.
         tuning: The parameters, one set for all viewers.
@@ -50,6 +51,7 @@ class Shared:
         """
         first = loop.latest()
         self.loop, self.model, self.case, self.sweeps = loop, model, case, sweeps
+        self.clouds = clouds
         self.pairs = [pair.name for pair in first.pairs]
         """Names of all link pairs, in the order of the snapshots."""
         self.mobile = [pair.name for pair in first.pairs if pair.mobile]

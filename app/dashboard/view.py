@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, fields
 from typing import Literal
 
 from app.dashboard.legend import QUANTITIES
@@ -42,6 +43,11 @@ class View:
     dark: bool = True
     plots: set[str] = field(default_factory=set)
     """Titles of the plots that are shown."""
+
+    def take_over(self, other: View) -> None:
+        """See what another viewer sees."""
+        for each in fields(self):
+            setattr(self, each.name, copy(getattr(other, each.name)))
 
     @classmethod
     def first(cls, pairs: list[str], plots: list[str]) -> View:

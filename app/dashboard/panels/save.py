@@ -50,12 +50,13 @@ class SavePanel:
         """
         self._shared, self._timeline, self._view, self._notices = shared, timeline, view, notices
         self._busy = threading.Lock()
-        with gui.add_folder("Picture of the scene"):
+        with gui.add_folder("Picture"):
             self._sizes = {
                 name: gui.add_number(f"{name} [px]", first, min=least, max=most, step=1)
                 for name, (least, most, first) in SIZES.items()
             }
-            self._button(gui, "Picture (PNG)", viser.Icon.CAMERA, self._picture)
+            self._button(gui, "Picture (PNG)", viser.Icon.CAMERA, self._scene)
+            self._button(gui, "Whole page (PNG)", viser.Icon.BROWSER, self._whole_page)
         with gui.add_folder("The marked interval, or all that is kept"):
             for label, name in _LOGS.items():
                 self._button(gui, label, viser.Icon.TABLE, self._log(name))
@@ -88,15 +89,39 @@ class SavePanel:
 
         gui.add_button(label, icon=icon).on_click(self._notices.guard(pressed))  # type: ignore[arg-type]
 
-    def _picture(self, client: viser.ClientHandle) -> tuple[str, bytes]:
-        width, height = (
-            checked_size(name, self._sizes[name].value) for name in ("width", "height")
+    def _size(self) -> tuple[int, int]:
+        """[px] the wanted width and height."""
+        return (
+            checked_size("width", self._sizes["width"].value),
+            checked_size("height", self._sizes["height"].value),
         )
+
+    def _scene(self, client: viser.ClientHandle) -> tuple[str, bytes]:
+        width, height = self._size()
         try:
             pixels = client.get_render(height, width, transport_format="png", timeout=_PATIENCE)
         except (RuntimeError, TimeoutError) as error:
             raise LogError(f"the browser gave no picture: {error}") from None
         return "scene.png", png(pixels, BACKGROUND[self._view.dark])
+
+    def _whole_page(self, client: viser.ClientHandle) -> tuple[str, bytes]:
+        """The page as this viewer has it, but for the open tabs, drawn by a browser of our own."""
+        # Imported here: they draw pages such as the one that holds this panel.
+        from app.dashboard.browser import chromium
+        from app.dashboard.screenshot import Look, Seat, take_pictures
+
+        width, height = self._size()
+        shown, shared = self._timeline.shown(), self._shared
+        seat = Seat(self._view, client.camera.position, client.camera.look_at)
+        past = [s for s in shared.loop.history(-1.0) if s.t <= shown.t] or [shown]
+        with chromium() as browser:
+            [picture] = take_pictures(
+                browser, past, [shown.t], shared.model, shared.clouds,
+                Look(width, height, dark=self._view.dark, page=True), seat,
+            )  # fmt: skip
+        file = BytesIO()
+        picture.save(file, "PNG")
+        return "page.png", file.getvalue()
 
     def _log(self, name: str) -> Callable[[Any], tuple[str, bytes]]:
         def make(_: Any) -> tuple[str, bytes]:
