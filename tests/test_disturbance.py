@@ -35,9 +35,9 @@ class Spy:
     def __getattr__(self, name: str):
         return getattr(self._physics, name)
 
-    def step(self, u_a, base_velocity, hand_force) -> None:
+    def step(self, u_a, base_velocity, hand_force, pushes=()) -> None:
         self.commands.append(np.array(base_velocity))
-        self._physics.step(u_a, base_velocity, hand_force)
+        self._physics.step(u_a, base_velocity, hand_force, pushes)
 
 
 @pytest.fixture
