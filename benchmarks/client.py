@@ -44,7 +44,7 @@ def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
 
 
 def _sweep(tab: DashboardTab, end: float) -> int:
-    """Take the hand, sweep it `SWEEPS` times, let go and press Reset; how often it was swept."""
+    """Take the hand, sweep it `SWEEPS` times, let go and press Restart; how often it was swept."""
     arrow = tab.page.evaluate("([n, a, s]) => dbbTest.arrow(n, a, s)", [GIZMO, AXIS, SCALE])
     if arrow is None:
         raise LookupError(f"the arrow {AXIS} of the gizmo is hidden")
@@ -61,7 +61,7 @@ def _sweep(tab: DashboardTab, end: float) -> int:
         tab.page.mouse.move(*tab.pixel("", tuple((target + arrow).tolist())))
         tab.page.wait_for_timeout(1000.0 * MOVE)
     tab.page.mouse.up()
-    tab.click("Reset")
+    tab.click("Restart")
     tab.page.wait_for_timeout(300)  # [ms] the gizmo has to be back at the hand
     return int(sweeps)
 

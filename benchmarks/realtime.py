@@ -22,17 +22,18 @@ import psutil
 import tyro
 
 from app.cli.common import load_robot_and_border
-from app.cli.serve import LOOPS
 from app.config import Config
-from app.dashboard.server import serve_dashboard
-from app.simulation.loop import LoopHandle
+from app.dashboard.server import DashboardServer, serve_dashboard
+from app.simulation.commands import Compare, Pull, Reset
+from app.simulation.loop import LoopHandle, SimulationLoop
+from app.simulation.process_loop import ProcessLoop
 from app.simulation.scenario import scenario_by_name
 from app.simulation.session import DT
-from app.simulation.snapshot import Pull, Reset
 from app.simulation.start import StartSolver
 from benchmarks.client import FAR, NEAR, SWEEP, SWEEPS
 from benchmarks.timed_session import TimedSession
 
+LOOPS = {"process": ProcessLoop, "thread": SimulationLoop}
 SETTLE = 2.0  # [s] between the client's connection and the measurement
 PULL_EVERY = 0.05  # [s] as often as a browser sends
 
@@ -49,6 +50,10 @@ class Realtime:
     """Whether the hand is dragged at the base and back, in the browser by the mouse."""
     loop: Literal["process", "thread"] = "process"
     """Where the simulation runs."""
+    layers: bool = False
+    """Whether all layers are shown: both borders whole, bodies, names, arrows, trails."""
+    ghosts: int = 0
+    """Robots with other controllers beside the one that is dragged, at most 2."""
     json: bool = False
     """Print one JSON object on standard output and nothing else there."""
 
@@ -74,8 +79,10 @@ def measure(args: Realtime, record: Path) -> dict[str, Any]:
     loop.start()
     try:
         server = serve_dashboard(loop, model, data.clouds, port=0)
-        done, window, cpu = _observe(args, server.address, loop)
-        overruns = loop.latest().overruns
+        if args.ghosts:
+            loop.send(Compare(("barrier", "none")[: args.ghosts]))
+        done, window, cpu, pictures = _observe(args, server, loop)
+        overruns, shown = loop.latest().overruns, loop.latest().realtime_factor
         server.stop()
     finally:
         loop.stop()
@@ -87,30 +94,44 @@ def measure(args: Realtime, record: Path) -> dict[str, Any]:
     return {
         "loop": args.loop, "client": args.client, "dragged": args.drag, "seconds": args.seconds,
         "cores": os.cpu_count(), "load_before": load, **found,
-        "overruns_since_reset": overruns, "servers_cpu_percent": cpu, **done,
+        "layers": args.layers, "ghosts": args.ghosts, "pictures_per_s": pictures,
+        "shown_realtime_factor": shown, "overruns_since_reset": overruns,
+        "servers_cpu_percent": cpu, **done,
     }  # fmt: skip
 
 
 def _observe(
-    args: Realtime, address: str, loop: LoopHandle
-) -> tuple[dict[str, Any], tuple[float, float], float]:
-    """What the client has done, the measured span of time, and the server's load in percent."""
+    args: Realtime, server: DashboardServer, loop: LoopHandle
+) -> tuple[dict[str, Any], tuple[float, float], float, float]:
+    """What the client has done, the span of time, the server's load [%] and its pictures [1/s]."""
     servers = _servers()
     kind = "drag" if args.client == "browser" and args.drag else args.client
     client = None
     if kind != "none":
-        command = [sys.executable, "-m", "benchmarks.client", kind, address]
+        command = [sys.executable, "-m", "benchmarks.client", kind, server.address]
         whole = SETTLE + args.seconds
         client = subprocess.Popen([*command, str(whole)], stdout=subprocess.PIPE, text=True)
         assert client.stdout is not None
         if client.stdout.readline() != "ready\n":
             raise RuntimeError("the client could not connect")
+    if args.layers:
+        _show_all(server)
     time.sleep(SETTLE)
-    begin, begin_cpu = time.perf_counter(), _cpu(servers)
+    begin, begin_cpu, first = time.perf_counter(), _cpu(servers), server.pictures
     _pass_time(args, begin, loop)
-    end, end_cpu = time.perf_counter(), _cpu(servers)
+    end, end_cpu, last = time.perf_counter(), _cpu(servers), server.pictures
     done = json_module.loads(client.communicate(timeout=60)[0]) if client else {}
-    return done, (begin, end), 100.0 * (end_cpu - begin_cpu) / (end - begin)
+    load = 100.0 * (end_cpu - begin_cpu) / (end - begin)
+    return done, (begin, end), load, (last - first) / (end - begin)
+
+
+def _show_all(server: DashboardServer) -> None:
+    """All layers on each page."""
+    for page in list(server.pages.values()):
+        view = page.view
+        view.borders = dict.fromkeys(view.borders, "determinant")
+        view.whole_border = view.bodies = view.names = True
+        view.labels = "all"
 
 
 def _servers() -> list[psutil.Process]:

@@ -12,12 +12,13 @@ import numpy as np
 import psutil
 import pytest
 
-from app.dashboard.panels.sweep import STEP
+from app.dashboard.panels.sweep import STEP, SweepPanel
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.errors import OutputError
 from app.study.sweep_job import SweepJob
 from app.study.sweep_plan import SweepPlan
 from tests.fakes import ScriptedLoop, fake_clouds
+from tests.raw_client import RawClient
 from tests.robots import husky_panda
 from tests.test_sweep_maps import result
 
@@ -46,12 +47,20 @@ def wait_for(condition: Callable[[], object], seconds: float = 400.0) -> None:
         time.sleep(0.05)
 
 
+@pytest.fixture
+def panel(dashboard: DashboardServer) -> Iterator[SweepPanel]:
+    """Of the only viewer."""
+    with RawClient(dashboard.address):
+        wait_for(lambda: len(dashboard.pages) == 1, 30.0)
+        [page] = dashboard.pages.values()
+        yield page.sweep_panel
+
+
 def test_without_a_map_there_is_a_line_and_a_new_map_appears_by_itself(
-    dashboard: DashboardServer, tmp_path: Path
+    panel: SweepPanel, tmp_path: Path
 ) -> None:
     from app.study.sweep_files import write_sweep
 
-    panel = dashboard.page.sweep_panel
     assert "No map" in panel._text.content
     assert panel._image is None
     (tmp_path / "sweeps").mkdir()
@@ -62,10 +71,9 @@ def test_without_a_map_there_is_a_line_and_a_new_map_appears_by_itself(
 
 
 def test_the_button_starts_a_sweep_with_what_is_chosen_and_stopping_the_server_ends_it(
-    dashboard: DashboardServer, monkeypatch: pytest.MonkeyPatch
+    dashboard: DashboardServer, panel: SweepPanel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    panel = dashboard.page.sweep_panel
-    dashboard.page.tuning.set("force.f_max", 200.0)
+    dashboard.shared.tuning.set("force.f_max", 200.0)
     plans: list[SweepPlan] = []
     start = SweepJob.start
     monkeypatch.setattr(
@@ -82,8 +90,7 @@ def test_the_button_starts_a_sweep_with_what_is_chosen_and_stopping_the_server_e
     assert not process.is_running()
 
 
-def test_a_second_press_stops_the_sweep(dashboard: DashboardServer) -> None:
-    panel = dashboard.page.sweep_panel
+def test_a_second_press_stops_the_sweep(panel: SweepPanel) -> None:
     panel._start_or_stop()
     process = psutil.Process(panel._job._process.pid)
     panel._start_or_stop()

@@ -99,7 +99,7 @@ class Page:
                 self._renew_key()
                 self._tell_refusal(newest)
         if texts:
-            self._sweep.update()
+            self.sweep_panel.update()
             self.main_panel.update()
             self.tuning_panel.update()
 
@@ -147,7 +147,7 @@ class Page:
             if shared.case is not None:
                 add_case_button(gui, shared.loop, notices, shared.case)
             self.main_panel = TuningPanel(gui, shared.tuning, notices, MAIN)
-            self._sweep = SweepPanel(gui, shared, notices)
+            self.sweep_panel = SweepPanel(gui, shared, notices)
         with tabs.add_tab("View"):
             plots = [plan.title for plan in shared.plans]
             ViewPanel(gui, self.view, notices, plots, self.look)

@@ -42,6 +42,7 @@ class DashboardServer:
         address: As to be typed into a browser.
         shared: What all viewers share.
         pages: Of the viewers, by their number.
+        pictures: How often all pages have been drawn.
         error: Why the drawing thread ended, if it did.
     """
 
@@ -55,6 +56,7 @@ class DashboardServer:
         self.viser, self.shared = viser_server, shared
         self.address = f"http://{viser_server.get_host()}:{viser_server.get_port()}"
         self.pages: dict[int, Page] = {}
+        self.pictures = 0
         self.error: BaseException | None = None
         self._notices = Notices(viser_server)
         self._failure: tuple[str, BaseException] | None = None
@@ -112,15 +114,15 @@ class DashboardServer:
             self._tell_late_viewers()
 
     def _draw_frames(self) -> None:
-        frame, due = 0, time.monotonic()
+        due = time.monotonic()
         while not self._stopping.wait(max(0.0, due - time.monotonic())):
             begin = time.monotonic()
             self._open_and_close_pages()
             self.shared.update()
             for page in self.pages.values():
                 if not page.closed:
-                    page.draw(texts=frame % TEXTS_EVERY == 0)
-            frame += 1
+                    page.draw(texts=self.pictures % TEXTS_EVERY == 0)
+            self.pictures += 1
             error = self.shared.loop.error
             if error is not None and self._failure is None:
                 logger.error("the simulation ended", exc_info=error)
