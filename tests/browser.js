@@ -45,6 +45,21 @@
       }
       return null;
     },
+    // Eye in the scene's frame.
+    camera: () => {
+      const { camera } = viewer();
+      camera.updateMatrixWorld();
+      const eye = camera.position.clone().setFromMatrixPosition(camera.matrixWorld);
+      return node("").worldToLocal(eye).toArray();
+    },
+    shown: (name) => !!window.__viserSceneTree.getState()[name]?.effectiveVisibility,
+    text: (name) => window.__viserSceneTree.getState()[name]?.message?.props?.text ?? null,
+    // Of what floats over the scene.
+    windows: () =>
+      [...document.querySelectorAll("[data-floating-window]")].map((element) => {
+        const b = element.getBoundingClientRect();
+        return [b.left, b.top, b.right, b.bottom].map(Math.round);
+      }),
     box: () => {
       const b = canvas().getBoundingClientRect();
       return [b.left, b.top, b.right, b.bottom].map(Math.round);

@@ -22,6 +22,12 @@ REQUIRED = "DBB_REQUIRE_BROWSER"
 
 _HELPERS = (Path(__file__).parent / "browser.js").read_text(encoding="utf-8")
 
+LEAST_DIFFERENCE = 24
+"""Of a channel of 0 to 255, from which on a pixel counts as changed."""
+
+HARMLESS = "Unable to preventDefault inside passive event listener invocation."
+"""What Chromium says when viser's own page begins to drag something; nothing is wrong then."""
+
 _NO_TOUR = f"if (location.protocol === 'http:') localStorage.setItem('viser-user:{SEEN}', 'yes');"
 """The page of who has been here before; viser's own prefix."""
 
@@ -45,6 +51,15 @@ def wait_for(condition: Callable[[], Any], seconds: float = 30.0, what: str = ""
     while not condition():
         assert time.monotonic() < deadline, f"not in {seconds:g} s: {what or 'what was waited for'}"
         time.sleep(0.02)
+
+
+def around(places: np.ndarray, radius: int, picture: np.ndarray) -> np.ndarray:
+    """(H, W) bool which pixels of a picture lie in squares around places (K, 2) [px]."""
+    near = np.zeros(picture.shape[:2], bool)
+    for at in np.asarray(places).round().astype(int):
+        (left, top), (right, bottom) = np.maximum(at - radius, 0), np.maximum(at + radius, 0)
+        near[top:bottom, left:right] = True
+    return near
 
 
 class DashboardTab:
@@ -85,7 +100,7 @@ class DashboardTab:
         self.render(3)
 
     def _listen(self, message: Any) -> None:
-        if message.type == "error":
+        if message.type == "error" and message.text != HARMLESS:
             self.errors.append(message.text)
 
     def wait(self, script: str, argument: Any = None, timeout: float = 60.0) -> None:
@@ -109,6 +124,64 @@ class DashboardTab:
     def canvas_box(self) -> tuple[int, int, int, int]:
         """Left, top, right and bottom [px] of the scene between the panels."""
         return tuple(self.page.evaluate("() => dbbTest.box()"))
+
+    def scene_mask(self) -> np.ndarray:
+        """(H, W) bool which pixels show the scene and nothing that floats over it."""
+        size = self.page.viewport_size
+        mask = np.zeros((size["height"], size["width"]), bool)
+        left, top, right, bottom = self.canvas_box()
+        mask[max(top, 0) : bottom, max(left, 0) : right] = True
+        for left, top, right, bottom in self.page.evaluate("() => dbbTest.windows()"):
+            mask[max(top, 0) : bottom, max(left, 0) : right] = False
+        return mask
+
+    def changed(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """(H, W) bool which pixels of the scene differ between two pictures."""
+        difference = np.abs(before.astype(int) - after.astype(int)).max(axis=-1)
+        return (difference > LEAST_DIFFERENCE) & self.scene_mask()
+
+    def wait_for_change(
+        self, before: np.ndarray, least: int, places: np.ndarray | None = None, radius: int = 30,
+        seconds: float = 30.0,
+    ) -> np.ndarray:  # fmt: skip
+        """Wait until so many pixels of the scene differ from a picture.
+
+        Args:
+            before: The picture.
+            least: How many pixels have to differ.
+            places: (K, 2) [px] around which they have to; None is the whole scene.
+            radius: [px] how far around.
+            seconds: How long to wait at most.
+
+        Returns:
+            The new picture.
+        """
+        near = np.ones(before.shape[:2], bool) if places is None else around(places, radius, before)
+        deadline = time.monotonic() + seconds
+        while True:
+            after = self.picture()
+            count = int((self.changed(before, after) & near).sum())
+            if count >= least:
+                return after
+            assert time.monotonic() < deadline, f"only {count} pixels changed, not {least}"
+
+    def wait_for_picture(self, wanted: np.ndarray, most: int, seconds: float = 30.0) -> None:
+        """Wait until at most so many pixels of the scene differ from a picture."""
+        deadline = time.monotonic() + seconds
+        while (count := int(self.changed(wanted, self.picture()).sum())) > most:
+            assert time.monotonic() < deadline, f"{count} pixels still differ"
+
+    def camera(self) -> np.ndarray:
+        """(3,) [m] the camera's eye, in the world."""
+        return np.array(self.page.evaluate("() => dbbTest.camera()"))
+
+    def is_shown(self, node: str) -> bool:
+        """Whether a scene node and all above it are visible."""
+        return self.page.evaluate("n => dbbTest.shown(n)", node)
+
+    def text(self, node: str) -> str | None:
+        """What a label of the scene says."""
+        return self.page.evaluate("n => dbbTest.text(n)", node)
 
     def position(self, node: str) -> np.ndarray:
         """(3,) [m] where a scene node is, in the world."""

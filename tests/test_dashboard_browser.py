@@ -1,22 +1,30 @@
-"""The page in a real browser, in front of a loop without physics."""
+"""The page in a real browser, in front of a loop without physics: first picture, hand, widgets."""
 
 from __future__ import annotations
 
-import asyncio
-import time
-
 import numpy as np
 import pytest
-from viser import _messages
 
 from app.dashboard.hand import GIZMO, SCALE
-from app.dashboard.server import serve_dashboard
-from app.simulation.snapshot import Configure, Pause, Reset
-from tests.browser import DashboardTab, chromium
-from tests.fakes import ScriptedLoop, fake_clouds
-from tests.robots import husky_panda
+from app.dashboard.tour import STEPS
+from app.simulation.commands import (
+    Choose,
+    Compare,
+    Configure,
+    Pause,
+    PlayScenario,
+    Pull,
+    Release,
+    Restart,
+    Speed,
+)
+from tests.browser import DashboardTab, chromium, wait_for
+from tests.dashboards import served_dashboard
 
 pytestmark = pytest.mark.browser
+
+LINK = "/robot/panda_joint4"
+"""Scene node of a link in the middle of the arm."""
 
 
 @pytest.fixture(scope="module")
@@ -26,76 +34,53 @@ def browser():
 
 
 @pytest.fixture(scope="module")
-def clouds():
-    return fake_clouds(husky_panda(), spacing=0.015)
+def served_once():
+    with served_dashboard() as served:
+        yield served
 
 
 @pytest.fixture
-def served(clouds):
-    loop = ScriptedLoop(husky_panda())
-    loop.start()
-    server = serve_dashboard(loop, husky_panda(), clouds, port=0)
-    yield server, loop
-    server.stop()
-    loop.stop()
+def served(served_once):
+    served_once.begin_anew()
+    return served_once
 
 
-@pytest.fixture
-def tab(browser, served):
-    tab = DashboardTab(browser, served[0].address)
+@pytest.fixture(scope="module")
+def opened(browser, served_once):
+    tab = DashboardTab(browser, served_once.server.address)
     yield tab
     tab.close()
-    assert tab.errors == [], "the page's console"
-    assert served[0].error is None, "the drawing thread"
 
 
-def wait_for(condition, seconds=20.0):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "did not come true in time"
-        time.sleep(0.02)
+@pytest.fixture
+def tab(opened, served):
+    opened.page.mouse.move(640, 8)
+    yield opened
+    assert opened.errors == [], "the page's console"
 
 
-def changed(tab, before, after):
-    """Pixels of the scene that differ."""
-    left, top, right, bottom = tab.canvas_box()
-    difference = np.abs(before.astype(int) - after.astype(int)).max(axis=-1)
-    return int((difference[top:bottom, left:right] > 24).sum())
-
-
-def wait_for_change(tab, before, least, seconds=20.0):
-    """Wait until so many pixels of the scene differ from a picture; gives the new picture."""
-    deadline = time.monotonic() + seconds
-    while True:
-        after = tab.picture()
-        if changed(tab, before, after) >= least:
-            return after
-        assert time.monotonic() < deadline, f"only {changed(tab, before, after)} pixels changed"
-
-
-def test_first_picture_shows_robot_border_panel_and_plots(tab, served):
-    page = tab.page
-    for text in (
-        "real-time factor",
-        "d_b [m]",
-        "f_max [N]",
-        "hand k [N/m]",
-        "solver failures",
-        "distance [m]",
-        "activation β_m",
-        "score S",
-    ):
-        assert page.get_by_text(text).filter(visible=True).first.is_visible(), text
-    assert page.locator(".uplot canvas").count() == 3
-    plotted = "() => Object.values(__viserTestpoints.uplots).every(p => p.chart.data[0].length > 5)"
-    tab.wait(plotted)
+def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
+    texts = "real-time factor", "lm-lEE", "d_b [m]", "score S, (10)", "Back [s]", "Pause"
+    for text in texts:
+        assert tab.page.get_by_text(text).filter(visible=True).first.is_visible(), text
+    assert tab.page.get_by_text("no explanation for this instant").is_visible()
     first = tab.picture()
-    tab.open_tab("View")
-    tab.check("Robot", on=False)
-    without_robot = wait_for_change(tab, first, 20_000)
-    tab.open_tab("Border & force")
-    tab.choose("Coloured by", "hidden")
-    wait_for_change(tab, without_robot, 20_000)
+    page = served.page()
+    page.view.meshes = False
+    without_robot = tab.wait_for_change(first, 15_000)
+    page.view.borders["lm-lEE"] = "hidden"
+    tab.wait_for_change(without_robot, 5000)
+    page.view.meshes, page.view.borders["lm-lEE"] = True, "score"
+
+    tab.open_tab("Plots")
+    assert tab.page.locator(".uplot canvas").count() == 3
+    for title in ("distance [m]", "activation β_m", "base acceleration of avoidance, β ẍ"):
+        wait_for(lambda title=title: tab.plot(title).shape[1] > 5, what=title)
+    for pair, line in zip(served.loop.latest().pairs, tab.plot("distance [m]")[1:], strict=False):
+        np.testing.assert_allclose(line, pair.d, atol=1e-5, err_msg=pair.name)
+    tab.open_tab("Key")
+    assert tab.page.get_by_text("closest points, pair outside its buffer").is_visible()
+    tab.open_tab("Why")
 
 
 def test_the_robot_is_framed_by_the_scene(tab):
@@ -108,18 +93,19 @@ def test_the_robot_is_framed_by_the_scene(tab):
 
 
 def test_d_b_slider_shows_the_new_border_at_once(tab, served):
-    _, loop = served
-    tab.open_tab("Run")
     before = tab.picture()
     tab.set_slider("d_b [m]", 0.25)
-    wait_for(lambda: any(isinstance(c, Configure) for c in loop.commands))
-    assert loop.commands[-1].config.border.d_b == 0.25
+    wait_for(lambda: any(isinstance(c, Configure) for c in served.loop.commands))
+    assert served.loop.commands[-1].config.border.d_b == 0.25
     tab.page.get_by_text("= 0.250 m").wait_for(timeout=10_000)
-    wait_for_change(tab, before, 10_000)
+    tab.wait_for_change(before, 5000)
+    tab.set_slider("d_b [m]", 0.15)
+    tab.page.get_by_text("= 0.150 m").wait_for(timeout=10_000)
 
 
 def test_dragging_the_gizmo_pulls_the_hand_and_letting_go_releases_it(tab, served):
-    _, loop = served
+    loop = served.loop
+    wait_for(lambda: np.linalg.norm(tab.position(GIZMO) - loop.latest().p_ee) < 1e-3)
     start = loop.latest().p_ee.copy()
     tab.drag_gizmo(GIZMO, axis=1, metres=0.2, scale=SCALE)
     wait_for(lambda: loop.pulls() and loop.pulls()[-1] is None)
@@ -132,58 +118,105 @@ def test_dragging_the_gizmo_pulls_the_hand_and_letting_go_releases_it(tab, serve
     wait_for(lambda: np.linalg.norm(tab.position(GIZMO) - loop.latest().p_ee) < 1e-3)
 
 
-def test_closing_the_page_in_mid_drag_releases_the_hand(browser, served):
-    _, loop = served
-    tab = DashboardTab(browser, served[0].address)
-    tab.drag_gizmo(GIZMO, axis=1, metres=0.1, scale=SCALE, steps=4, drop=False)
-    wait_for(lambda: len(loop.pulls()) > 1)
-    assert loop.pulls()[-1] is not None
-    tab.close()
-    wait_for(lambda: loop.pulls()[-1] is None)
+def test_a_link_dragged_by_the_mouse_is_pulled_there_by_a_band_with_its_newtons(tab, served):
+    loop = served.loop
+    before = tab.picture()
+    start = tab.pixel(LINK, (0.0, 0.03, 0.0))
+    tab.drag(start, start + np.array([-90.0, -60.0]), drop=False)
+    wait_for(lambda: len(loop.pulls()) > 1, what="a pull")
+    pulls = [command for command in loop.commands if isinstance(command, Pull)]
+    assert {pull.link for pull in pulls} <= {f"panda_joint{i}" for i in range(3, 6)}
+    assert len({(pull.link, pull.point, pull.who) for pull in pulls}) == 1, "one point of one link"
+    wait_for(lambda: tab.is_shown("/pull/0"), what="the rubber band")
+    [pull] = loop.latest().pulls
+    newtons = f"{np.linalg.norm(pull.force):.0f} N"
+    wait_for(lambda: tab.text("/pull/label_0") == newtons, what=newtons)
+    along = [tab.pixel("", tuple(pull.point + u * (pull.target - pull.point))) for u in (0.3, 0.6)]
+    tab.wait_for_change(before, 40, np.array(along), radius=12)
+
+    tab.page.mouse.up()
+    wait_for(lambda: isinstance(loop.commands[-1], Release), what="letting go")
+    wait_for(lambda: not tab.is_shown("/pull/0") and not tab.is_shown("/pull/label_0"))
+    tab.wait_for_picture(before, most=200)
 
 
-def test_a_forged_value_is_refused_with_a_notice_and_set_back(tab, served):
-    server, loop = served
-    slider = server.page.main_panel.knobs["border.d_b"].handles[0]
-    tab.open_tab("Run")
-    forged = _messages.GuiUpdateMessage(slider._impl.uuid, {"value": 99999.0})
-    [client] = server.viser.get_clients()
-    future = asyncio.run_coroutine_threadsafe(
-        server.viser.gui._handle_gui_updates(client, forged), server.viser.get_event_loop()
-    )
-    future.result(timeout=5)
-    tab.page.get_by_text("Not possible").wait_for(timeout=10_000)
-    assert slider.value == 0.15
-    assert loop.commands == []
-
-
-def test_pause_and_reset_reach_the_loop(tab, served):
-    _, loop = served
+def test_buttons_pause_go_on_and_restart(tab, served):
     tab.click("Pause")
     tab.page.get_by_role("button", name="Continue", exact=True).wait_for(timeout=10_000)
     tab.click("Continue")
-    wait_for(lambda: Pause(False) in loop.commands)
-    tab.click("Reset")
-    wait_for(lambda: Reset() in loop.commands)
-    assert loop.commands == [Pause(True), Pause(False), Reset()]
+    wait_for(lambda: Pause(False) in served.loop.commands)
+    tab.click("Restart")
+    wait_for(lambda: Restart() in served.loop.commands)
+    assert served.loop.commands == [Pause(True), Pause(False), Restart()]
 
 
-def test_the_end_of_the_simulation_is_shown_to_later_viewers_too(browser, served):
-    server, loop = served
-    loop.error = RuntimeError("the plant is gone")
-    wait_for(lambda: server.page._banner.visible)
-    tab = DashboardTab(browser, server.address)
-    tab.page.get_by_text("the plant is gone").wait_for(timeout=10_000)
+def test_scenario_speed_and_controller_are_chosen_by_name_and_told_to_the_loop(tab, served):
+    tab.choose("Scenario", "guiding-front")
+    wait_for(lambda: served.loop.latest().scenario == "guiding-front")
+    tab.set_slider("Speed", 2.5)
+    wait_for(lambda: served.loop.latest().speed == 2.5)
+    tab.choose("Controller", "none")
+    wait_for(lambda: served.loop.latest().controller == "none")
+    wanted = [PlayScenario("guiding-front"), Speed(2.5), Choose("none")]
+    assert served.loop.commands == wanted, "each once"
+    tab.choose("Controller", "dbb")
+    wait_for(lambda: served.loop.latest().controller == "dbb")
+
+
+def test_keys_do_what_the_help_says(tab, served):
+    tab.page.mouse.click(640, 60)  # the scene, so that no widget takes the key
+    for key, command in (("Space", Pause(True)), ("Space", Pause(False)), ("r", Restart())):
+        count = len(served.loop.commands)
+        tab.page.keyboard.press(key)
+        wait_for(lambda count=count: len(served.loop.commands) > count, what=key)
+        assert served.loop.commands[-1] == command
+        wait_for(lambda: served.page()._run._shown.paused == served.loop.latest().paused)
+    light = tab.picture()
+    tab.page.keyboard.press("l")
+    tab.wait_for_change(light, 50_000)
+    tab.page.keyboard.press("l")
+    tab.open_tab("Help")
+    assert tab.page.get_by_text("pause or go on").filter(visible=True).count() == 1
+    tab.open_tab("Run")
+
+
+def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served):
+    tab.open_tab("Compare")
+    assert tab.page.get_by_text("nothing compared").is_visible()
+    tab.choose("Second robot", "repulsive")
+    wait_for(lambda: served.loop.commands == [Compare(("repulsive",), "path")])
+    wait_for(lambda: tab.is_shown("/ghost_0"))
+    heads = tab.page.locator("th").filter(visible=True)
+    heads.nth(1).wait_for()
+    assert [text.split()[-1] for text in heads.all_inner_texts()] == ["dbb", "repulsive"]
+    hand = served.loop.latest().p_ee
+    served.loop.place((-0.35, 0.0, 0.0))  # the ghost stays behind
+    wait_for(lambda: np.linalg.norm(tab.position("/robot") - [-0.35, 0.0, 0.0]) < 1e-3)
+    np.testing.assert_allclose(tab.position("/ghost_0"), 0.0, atol=1e-6)
+    with_ghost = tab.picture()
+    tab.choose("Second robot", "nobody")
+    wait_for(lambda: served.loop.commands[-1] == Compare((), "path"))
+    tab.wait_for_change(with_ghost, 500, tab.pixel("", tuple(hand))[None], radius=50)
+    assert tab.page.get_by_text("nothing compared").is_visible()
+    tab.open_tab("Why")
+
+
+def test_a_value_that_the_loop_refuses_is_told_to_who_has_sent_it(tab, served):
+    tab.set_slider("d_b [m]", 7)
+    tab.page.get_by_text("must be within 0.06 to 0.3 m").wait_for(timeout=10_000)
+    wait_for(lambda: tab.row("d_b [m]").locator("input").last.input_value() == "0.15")
+    assert served.loop.commands == []
+
+
+def test_the_tour_opens_at_the_first_visit_only(browser, served):
+    tab = DashboardTab(browser, served.server.address, (900, 600), first_visit=True)
+    for i, (title, _) in enumerate(STEPS, 1):
+        tab.page.get_by_text(f"{i} of {len(STEPS)}: {title}").wait_for(timeout=20_000)
+        tab.click("Done" if i == len(STEPS) else "Next")
+    tab.page.get_by_text(STEPS[-1][0]).wait_for(state="hidden")
+    tab.page.reload()
+    tab.wait_for_scene()
+    tab.page.wait_for_timeout(1500)
+    assert not tab.page.get_by_text(f"1 of {len(STEPS)}").is_visible()
     tab.close()
-
-
-def test_the_camera_follows_the_base_if_asked(tab, served):
-    _, loop = served
-    server = served[0]
-    [client] = server.viser.get_clients().values()
-    before = client.camera.position.copy()
-    server.page.view.follow = True
-    time.sleep(0.2)
-    with loop._lock:
-        loop._base[:2] = 0.4, -0.3
-    wait_for(lambda: np.linalg.norm(client.camera.position - before - [0.4, -0.3, 0.0]) < 5e-3)
+    assert tab.errors == []

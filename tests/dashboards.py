@@ -1,0 +1,56 @@
+"""The dashboard in front of a loop without physics, for tests with a browser or a raw client."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import NamedTuple
+
+from app.border.cloud import Cloud
+from app.dashboard.page import Page
+from app.dashboard.server import DashboardServer, serve_dashboard
+from app.simulation.commands import Compare, Pause, Reset, Speed
+from tests.browser import wait_for
+from tests.fakes import ScriptedLoop, fake_clouds
+from tests.robots import husky_panda
+
+
+class Served(NamedTuple):
+    """A dashboard that is served, and the loop behind it."""
+
+    server: DashboardServer
+    loop: ScriptedLoop
+
+    def page(self) -> Page:
+        """The page of the viewer who came last."""
+        wait_for(lambda: self.server.pages, what="a viewer's page")
+        return self.server.pages[max(self.server.pages)]
+
+    def begin_anew(self) -> None:
+        """As at the first start, but for the parameters and what viewers have chosen to see."""
+        for command in (Compare(), Speed(1.0), Pause(False), Reset()):
+            self.loop.send(command)
+        self.loop.commands.clear()
+
+
+@contextmanager
+def served_dashboard(loop: ScriptedLoop | None = None, port: int = 0) -> Iterator[Served]:
+    """Serve until the end; the drawing has to have gone without an error."""
+    loop = loop or ScriptedLoop(husky_panda())
+    loop.start()
+    try:
+        server = serve_dashboard(loop, husky_panda(), clouds(), port=port)
+        try:
+            yield Served(server, loop)
+        finally:
+            server.stop()
+        assert server.error is None, "the drawing thread"
+    finally:
+        loop.stop()
+
+
+@cache
+def clouds() -> dict[str, Cloud]:
+    """Borders coarse enough to be drawn fast."""
+    return fake_clouds(husky_panda(), spacing=0.02)

@@ -1,0 +1,252 @@
+"""Each layer of the scene is seen where it belongs when it is on, and gone when it is off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from app.dashboard.camera import PRESETS, placed
+from app.dashboard.robot import ROOT
+from app.dashboard.scales import METRES_PER_NEWTON
+from app.simulation.commands import Pause, Pull
+from app.simulation.snapshot import Snapshot
+from tests.browser import DashboardTab, around, chromium, wait_for
+from tests.dashboards import Served, served_dashboard
+
+pytestmark = pytest.mark.browser
+
+Array = np.ndarray
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def served():
+    """The hand is pulled at the base, which has moved away, and time stands still."""
+    with served_dashboard() as served:
+        loop = served.loop
+        x, y, z = loop.latest().p_ee
+        loop.send(Pull((x - 0.45, y, z - 0.25)))
+        wait_for(lambda: loop.latest().beta_m > 0.3, what="β of 0.3")
+        loop.send(Pause(True))
+        yield served
+
+
+@pytest.fixture(scope="module")
+def opened(browser, served):
+    tab = DashboardTab(browser, served.server.address)
+    tab.open_tab("View")
+    yield tab
+    tab.close()
+
+
+@pytest.fixture
+def tab(opened):
+    yield opened
+    assert opened.errors == [], "the page's console"
+
+
+class Layer(NamedTuple):
+    """A box of the tab "View", and where what it stands for is to be seen.
+
+    Attributes:
+        box: Its label.
+        places: (K, 3) [m] in a node's frame, from the dashboard.
+        radius: [px] how far from there something may change.
+        least: [px] how many have to.
+        node: In whose frame; the root is the world.
+        share: [-] of all that changes, how much of it lies there.
+    """
+
+    box: str
+    places: Callable[[Served], Array]
+    radius: int
+    least: int
+    node: str = ""
+    share: float = 0.9
+
+
+def of(function: Callable[[Snapshot], object]) -> Callable[[Served], Array]:
+    """Places that follow from the snapshot that is shown."""
+    return lambda served: np.array(function(served.loop.latest())).reshape(-1, 3)
+
+
+def between(a: Array, b: Array) -> list[Array]:
+    """Places along a line."""
+    return [a + u * (b - a) for u in np.linspace(0.0, 1.0, 9)]
+
+
+def robot(served: Served) -> Array:
+    """Places all over the robot, in its own frame."""
+    base = [(x, y, z) for x in (-0.4, 0.0, 0.4) for y in (-0.25, 0.25) for z in (0.1, 0.3)]
+    parts = served.server.shared.parts.kinematics
+    snapshot = served.loop.latest()
+    arm = [T.translation for T in parts.update(snapshot.q_m, snapshot.wheel_angles)]
+    return np.array([*base, *arm])
+
+
+def border(served: Served, pair: str = "lm-lEE", *, above: bool = False) -> Array:
+    """Some points of a border, in the base's frame; only those above the base's top."""
+    borders = served.server.shared.borders
+    config = served.loop.latest().config.border
+    points = borders.coloured(pair, "score", config, whole=above).points
+    return points[points[:, 2] > borders.top][::7] if above else points[::7]
+
+
+def contour(served: Served) -> Array:
+    """The slice of the nearest pair's border, in the base's frame."""
+    snapshot = served.loop.latest()
+    nearest = min((pair for pair in snapshot.pairs if pair.mobile), key=lambda pair: pair.d)
+    borders = served.server.shared.borders
+    return borders.contour(nearest.name, snapshot.config.border, float(nearest.p_b[2]))[::5]
+
+
+def lines(snapshot: Snapshot) -> list[Array]:
+    """Along the lines between closest points."""
+    return [p for pair in snapshot.pairs for p in between(pair.p_a, pair.p_b)]
+
+
+def acting(snapshot: Snapshot) -> list[Array]:
+    """Around the acting points, and up to the arrows over them."""
+    return [
+        p for a in snapshot.acting
+        for p in (a.p_n, a.p_t, *between(a.p_act, a.p_act + [0.0, 0.0, 0.4]),
+                  *between(a.p_act + [0.0, 0.0, 0.25],
+                           a.p_act + [0.0, 0.0, 0.25] - METRES_PER_NEWTON * a.f))
+    ]  # fmt: skip
+
+
+def named(snapshot: Snapshot) -> list[Array]:
+    """The points that have names."""
+    near = [pair for pair in snapshot.pairs if pair.d < snapshot.config.border.d_b]
+    return [p for pair in near for p in (pair.p_a, pair.p_b)] + acting(snapshot)
+
+
+def pushed(snapshot: Snapshot) -> list[Array]:
+    """Along the person's force, and over the base."""
+    tip = snapshot.p_ee + METRES_PER_NEWTON * snapshot.hand_force
+    base = np.append(snapshot.base_pose[:2], 0.45)
+    around_base = [base + 0.22 * np.array([np.cos(a), np.sin(a), 0.0]) for a in np.arange(0, 6, 1)]
+    return [*between(snapshot.p_ee, tip), base, *around_base]
+
+
+def passed(served: Served) -> Array:
+    """Where base and hand have been."""
+    tracks = served.server.shared.tracks
+    return np.concatenate([tracks.base.until(np.inf), tracks.hand.until(np.inf)])
+
+
+LAYERS = (
+    Layer("Robot", robot, 110, 15_000, ROOT),
+    Layer("Convex bodies", robot, 110, 8000, ROOT),
+    Layer("Above the base too", lambda served: border(served, above=True), 12, 3000, ROOT),
+    Layer("Slice at the hand", contour, 20, 150, ROOT),
+    Layer("Closest points", of(lines), 70, 60),
+    Layer("Acting points", of(acting), 60, 200),
+    Layer("Names of points", of(named), 80, 80),
+    Layer("Person and base", of(pushed), 60, 200),
+    Layer("Trails", passed, 12, 60),
+)
+
+
+def pixels(tab: DashboardTab, served: Served, layer: Layer) -> Array:
+    return np.array([tab.pixel(layer.node, tuple(p)) for p in layer.places(served).tolist()])
+
+
+@pytest.mark.parametrize("layer", LAYERS, ids=lambda layer: layer.box)
+def test_a_layer_is_seen_where_it_belongs_and_only_while_it_is_on(tab, served, layer):
+    is_on = tab.row(layer.box).locator("input[type=checkbox]").is_checked()
+    before, places = tab.picture(), pixels(tab, served, layer)
+    tab.check(layer.box, on=not is_on)
+    after = tab.wait_for_change(before, layer.least, places, layer.radius)
+    changed = tab.changed(before, after)
+    there = (changed & around(places, layer.radius, before)).sum() / changed.sum()
+    assert there > layer.share, f"{there:.0%} of the change is where it belongs"
+    tab.check(layer.box, on=is_on)
+    tab.wait_for_picture(before, most=layer.least // 4)
+
+
+@pytest.mark.parametrize("pair", ["lm-lEE", "lm-l3"])
+def test_a_border_can_be_hidden_or_coloured_by_each_quantity(tab, served, pair):
+    first = served.page().view.borders[pair]
+    tab.choose(pair, "hidden")
+    wait_for(lambda: served.page().view.borders[pair] == "hidden")
+    other = "lm-l3" if pair == "lm-lEE" else "lm-lEE"
+    tab.choose(other, "hidden")
+    wait_for(lambda: not tab.is_shown(f"{ROOT}/border_lm-lEE"))
+    picture = tab.picture()
+    places = np.array([tab.pixel(ROOT, tuple(p)) for p in border(served, pair)[::5].tolist()])
+    for quantity, title in (
+        ("determinant", "det(J"), ("reachability", "reachability R"), ("score", "score S"),
+        ("hidden", "no border drawn"),
+    ):  # fmt: skip
+        tab.choose(pair, quantity)
+        picture = tab.wait_for_change(picture, 1500, places, radius=10)
+        tab.page.get_by_text(title).filter(visible=True).first.wait_for(timeout=10_000)
+    for name, quantity in ((pair, first), (other, "score" if other == "lm-lEE" else "hidden")):
+        tab.choose(name, quantity)
+
+
+def test_distances_are_written_at_the_active_pairs_at_all_or_at_none(tab, served):
+    snapshot = served.loop.latest()
+    near = {pair.name for pair in snapshot.pairs if pair.d < snapshot.config.border.d_b}
+    everything = {pair.name for pair in snapshot.pairs}
+    assert near
+    assert near < everything
+    for choice, wanted in (("none", set()), ("all", everything), ("active", near)):
+        before = tab.picture()
+        tab.choose("Distances of", choice)
+
+        def written() -> set[str]:
+            return {name for name in everything if tab.is_shown(f"/distances/label_{name}")}
+
+        wait_for(lambda wanted=wanted: written() == wanted, what=choice)
+        for pair in snapshot.pairs:
+            if pair.name in wanted:
+                text = f"{pair.name}  {1000 * pair.d:.0f} mm"
+                wait_for(lambda n=pair.name, t=text: tab.text(f"/distances/label_{n}") == t)
+        tab.wait_for_change(before, 60)
+
+
+def test_the_page_is_dark_or_light(tab):
+    dark = tab.picture()
+    tab.check("Dark", on=False)
+    light = tab.wait_for_change(dark, 100_000)
+    assert light.mean() > dark.mean() + 100
+    tab.check("Dark", on=True)
+    tab.wait_for_picture(dark, most=3000)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_a_preset_looks_from_where_it_says(tab, served, name):
+    tab.click(name)
+    eye, target = placed(PRESETS[name], served.loop.latest())
+    wait_for(lambda: np.linalg.norm(tab.camera() - eye) < 5e-3, what=f"{eye}, not {tab.camera()}")
+    tab.render(2)
+    left, top, right, bottom = tab.canvas_box()
+    middle = (left + right) / 2, (top + bottom) / 2
+    np.testing.assert_allclose(tab.pixel("", tuple(target)), middle, atol=2.0)
+
+
+def test_the_camera_goes_with_the_base_if_asked(tab, served):
+    tab.click("iso")
+    start = served.loop.latest().base_pose.copy()
+    eye, _ = placed(PRESETS["iso"], served.loop.latest())
+    wait_for(lambda: np.linalg.norm(tab.camera() - eye) < 5e-3)
+    step = np.array([0.4, -0.3, 0.0])
+    served.loop.place(start + step)
+    wait_for(lambda: np.linalg.norm(tab.camera() - eye - step) < 5e-3, what="it follows")
+    tab.check("Follow the base", on=False)
+    wait_for(lambda: not served.page().view.follow)
+    served.loop.place(start)
+    wait_for(lambda: np.linalg.norm(tab.position(ROOT)[:2] - start[:2]) < 1e-3)
+    tab.render(3)
+    np.testing.assert_allclose(tab.camera(), eye + step, atol=5e-3)
+    tab.check("Follow the base", on=True)
