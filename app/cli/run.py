@@ -149,14 +149,14 @@ def run(
     check_seed(seed)
     if base is not None:
         check_range("--base", base[2], -360.0, 360.0, "deg")
+    if duration is not None:
+        check_range("--duration", duration, *_DURATIONS, "s")
     chosen = chosen.changed(
         start=start, move=move, duration=duration, door_width=door_width, hinge=hinge,
         hinge_position=hinge_position, door_friction=door_friction, door_angle=door_angle,
         door_yaw=door_yaw, radial_guess=radial_guess, opening_rate=opening_rate,
         base=None if base is None else (base[0], base[1], math.radians(base[2])), begin=begin,
     )  # fmt: skip
-    if duration is not None:
-        check_range("--duration", duration, *_DURATIONS, "s")
     tuned = case.config() if case else configured(config)
     if border is not None:
         tuned = tuned.replace("border.kind", border)
