@@ -87,12 +87,12 @@ class TimelinePanel:
             self.step(_STEPS[choice])
 
     def _mark(self, event: viser.GuiEvent) -> None:
-        begin, end, _ = _MARKS
+        begin, end, neither = _MARKS
         if event.target.value == begin:
             self._timeline.mark_begin()
         elif event.target.value == end:
             self._timeline.mark_end()
-        else:
+        elif event.target.value == neither:  # a program may send any word
             self._timeline.begin = self._timeline.end = None
 
 
