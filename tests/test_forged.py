@@ -1,0 +1,101 @@
+"""Programs in the place of a browser: whatever they send, the loop goes on within its ranges."""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+
+import pytest
+from viser import _messages
+
+from app.simulation.commands import Configure, Pause, Speed, StepOnce
+from tests.browser import wait_for
+from tests.dashboards import served_dashboard
+from tests.raw_client import RawClient
+
+pytestmark = pytest.mark.alone
+
+FLOOD = 10_000
+"""Messages of one client."""
+WRONG = (99999.0, -1e308, float("nan"), float("inf"), "wide", None, [1, 2], {"a": 1}, True, b"\xff")
+
+
+@pytest.fixture(scope="module")
+def served():
+    with served_dashboard() as served:
+        yield served
+
+
+def goes_on(served) -> bool:
+    """Whether time passes in the loop, and a viewer who comes now gets a page.
+
+    Anybody may pause it; so it is told to go on first.
+    """
+    served.loop.send(Pause(False))
+    before = served.loop.latest().t
+    wait_for(lambda: served.loop.latest().t > before + 0.1, what="time goes on")
+    with visitor(served):
+        return served.server.error is None
+
+
+@contextmanager
+def visitor(served):
+    """A program that has come as a viewer, and the page that was made for it."""
+    known = set(served.server.pages)
+    with RawClient(served.server.address) as client:
+        wait_for(lambda: set(served.server.pages) - known, what="a page for who comes now")
+        yield client, served.server.pages[max(served.server.pages)]
+
+
+def widgets(page):
+    """All widgets of a page."""
+    return list(page._client.gui._gui_input_handle_from_uuid.values())
+
+
+def test_no_widget_takes_what_is_not_of_its_kind_or_out_of_its_range(served, caplog):
+    first = served.loop.latest().config
+    with visitor(served) as (client, page):
+        handles = widgets(page)
+        assert len(handles) > 60
+        for handle in handles:
+            for value in WRONG:
+                client.set_widget(handle, value)
+        assert goes_on(served)
+    assert [record for record in caplog.records if record.levelname == "ERROR"] == []
+    for command in served.loop.commands:  # what the loop took has passed its own checks
+        if isinstance(command, Configure):
+            assert type(first).model_validate(command.config.model_dump()) == command.config
+        if isinstance(command, Speed):
+            assert 0.1 <= command.factor <= 4.0
+        if isinstance(command, StepOnce):
+            assert 0.0 < command.seconds <= 1.0
+
+
+def test_unknown_widgets_nodes_and_attributes_are_ignored(served):
+    config = served.loop.latest().config
+    with visitor(served) as (client, page):
+        handle = widgets(page)[0]
+        for message in (
+            _messages.GuiUpdateMessage("no such widget", {"value": 1}),
+            _messages.GuiUpdateMessage(handle._impl.uuid, {"visible": False, "label": "forged"}),
+            _messages.GuiUpdateMessage(handle._impl.uuid, {}),
+            _messages.TransformControlsUpdateMessage("/no/such/node", (1, 0, 0, 0), (9, 9, 9)),
+        ):
+            client.send(message)
+        assert goes_on(served)
+        assert handle.label != "forged"
+    assert served.loop.latest().config == config
+
+
+def test_ten_thousand_messages_at_once_hold_nobody_up_and_the_last_value_counts(served):
+    with visitor(served) as (client, page):
+        slider = page.main_panel.knobs["border.d_b"].handles[0]
+        served.loop.send(Pause(False))
+        begin, before = time.monotonic(), served.loop.latest().t
+        for i in range(FLOOD):
+            client.set_widget(slider, 0.10 + 0.1 * (i % 2) if i < FLOOD - 1 else 0.22)
+        wait_for(lambda: served.loop.latest().config.border.d_b == 0.22, 60.0, "the last value")
+        passed = time.monotonic() - begin
+        assert served.loop.latest().t - before > 0.25 * passed, "the loop has gone on meanwhile"
+        assert goes_on(served)
+    served.loop.send(Configure(type(served.loop.latest().config)()))
