@@ -96,6 +96,19 @@ class ScriptedLoop:
             kinds = [c for c in self.commands if isinstance(c, (Pull, Release))]
             return [c.target if isinstance(c, Pull) else None for c in kinds]
 
+    def pull_at_base(self, seconds: float) -> None:
+        """Begin anew, and pull the hand down before the base for so long, on the spot; then pause.
+
+        After 1.5 s the hand is inside the border; the base backs off from then on.
+        """
+        self.send(Pause(True))
+        self.send(Reset())
+        x, y, z = self.latest().p_ee
+        self.send(Pull((x - 0.1, y, z - 0.55)))
+        for _ in range(round(seconds / DT)):
+            self.send(StepOnce(DT))
+        self.commands.clear()
+
     def place(self, base_pose: Sequence[float] | None = None, q_m: Array | None = None) -> None:
         """Put the robot elsewhere; the next step goes on from there."""
         with self._lock:

@@ -11,7 +11,6 @@ import pytest
 from app.dashboard.camera import PRESETS, placed
 from app.dashboard.robot import ROOT
 from app.dashboard.scales import METRES_PER_NEWTON
-from app.simulation.commands import Pause, Pull
 from app.simulation.snapshot import Snapshot
 from tests.browser import DashboardTab, around, chromium, wait_for
 from tests.dashboards import Served, served_dashboard
@@ -31,11 +30,8 @@ def browser():
 def served():
     """The hand is pulled at the base, which has moved away, and time stands still."""
     with served_dashboard() as served:
-        loop = served.loop
-        x, y, z = loop.latest().p_ee
-        loop.send(Pull((x - 0.45, y, z - 0.25)))
-        wait_for(lambda: loop.latest().beta_m > 0.3, what="β of 0.3")
-        loop.send(Pause(True))
+        served.loop.pull_at_base(1.6)
+        assert served.loop.latest().beta_m > 0.3
         yield served
 
 
@@ -115,12 +111,12 @@ def lines(snapshot: Snapshot) -> list[Array]:
 
 def acting(snapshot: Snapshot) -> list[Array]:
     """Around the acting points, and up to the arrows over them."""
-    return [
-        p for a in snapshot.acting
-        for p in (a.p_n, a.p_t, *between(a.p_act, a.p_act + [0.0, 0.0, 0.4]),
-                  *between(a.p_act + [0.0, 0.0, 0.25],
-                           a.p_act + [0.0, 0.0, 0.25] - METRES_PER_NEWTON * a.f))
-    ]  # fmt: skip
+    places = []
+    for a in snapshot.acting:
+        stem, top = np.array([0.0, 0.0, 0.4]), np.array([*a.p_act[:2], 0.46])
+        places += [a.p_n, a.p_t, *between(a.p_act, a.p_act + stem)]
+        places += between(top, top - METRES_PER_NEWTON * a.f)
+    return places
 
 
 def named(snapshot: Snapshot) -> list[Array]:

@@ -7,7 +7,7 @@ import pytest
 
 from app.dashboard.hand import GIZMO
 from app.dashboard.robot import ROOT
-from app.simulation.commands import Pause, Pull, StepOnce
+from app.simulation.commands import Pause, StepOnce
 from app.simulation.snapshot import Snapshot
 from tests.browser import DashboardTab, chromium, wait_for
 from tests.dashboards import served_dashboard
@@ -25,11 +25,7 @@ def browser():
 
 @pytest.fixture(scope="module")
 def served():
-    """Some seconds in which the hand is pulled and the base gives way."""
     with served_dashboard() as served:
-        x, y, z = served.loop.latest().p_ee
-        served.loop.send(Pull((x - 0.45, y, z - 0.25)))
-        wait_for(lambda: served.loop.latest().t > 4.0)
         yield served
 
 
@@ -43,7 +39,8 @@ def opened(browser, served):
 
 @pytest.fixture
 def tab(opened, served):
-    served.loop.send(Pause(False))
+    """After 4 s in which the hand is pulled and the base gives way, time stands still."""
+    served.loop.pull_at_base(4.0)
     yield opened
     opened.click("Now")
     assert opened.errors == [], "the page's console"
@@ -67,6 +64,7 @@ def test_the_slider_shows_the_robot_as_it_was_while_the_simulation_goes_on(tab, 
     assert then in loop.history(-1.0)
     wait_for(lambda: shows(tab, then), what="the scene as it was")
     now = loop.latest()
+    loop.send(Pause(False))
     moved = np.linalg.norm(now.p_ee - then.p_ee) + np.linalg.norm(now.base_pose - then.base_pose)
     assert moved > 0.05, "it was elsewhere then"
     wait_for(lambda: loop.latest().t > now.t + 0.5, what="the simulation goes on")
@@ -90,7 +88,6 @@ def test_the_cursor_of_every_plot_stands_where_the_viewer_looks_and_goes_with_no
     np.testing.assert_allclose(cursors(), then, atol=0.03)
     tab.click("Now")
     wait_for(lambda: cursors() == [], what="no cursor")
-    served.loop.send(Pause(True))
     wait_for(lambda: shows(tab, served.loop.latest()), what="the newest instant")
     tab.page.get_by_text(f"t = {served.loop.latest().t:.2f} s, now").wait_for(timeout=10_000)
     assert tab.row("Back [s]").locator("input").last.input_value() == "0"
@@ -98,8 +95,10 @@ def test_the_cursor_of_every_plot_stands_where_the_viewer_looks_and_goes_with_no
 
 def test_a_step_forward_from_now_is_simulated_and_a_step_back_is_remembered(tab, served):
     loop, page = served.loop, served.page()
-    tab.click("Pause / continue")
-    wait_for(lambda: loop.latest().paused and page.timeline_panel._newest.paused)
+    for paused in (False, True):
+        tab.click("Stop / go")
+        wait_for(lambda p=paused: loop.commands[-1:] == [Pause(p)])
+        wait_for(lambda p=paused: page.timeline_panel._newest.paused is p)
     before = loop.latest().t
     tab.click("+20 ms")
     wait_for(lambda: loop.commands[-1] == StepOnce(DT))

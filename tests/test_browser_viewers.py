@@ -1,0 +1,92 @@
+"""Several viewers of one simulation, and viewers whose connection ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.dashboard.hand import GIZMO, SCALE
+from app.dashboard.robot import ROOT
+from app.simulation.commands import Pause
+from tests.browser import DashboardTab, chromium, wait_for
+from tests.dashboards import served_dashboard
+from tests.fakes import ScriptedLoop
+from tests.robots import husky_panda
+
+pytestmark = pytest.mark.browser
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as browser:
+        yield browser
+
+
+def hold(tab: DashboardTab, axis: int, metres: float) -> None:
+    """Drag the hand and do not let go."""
+    tab.drag_gizmo(GIZMO, axis=axis, metres=metres, scale=SCALE, steps=5, drop=False)
+
+
+def test_two_viewers_see_their_own_layers_and_times_of_one_simulation_and_both_pull(browser):
+    with served_dashboard() as served:
+        loop = served.loop
+        first = DashboardTab(browser, served.server.address)
+        page_of_first = served.page()
+        second = DashboardTab(browser, served.server.address)
+        page_of_second = served.page()
+        assert page_of_second is not page_of_first
+
+        first.open_tab("View")
+        first.choose("lm-lEE", "hidden")
+        wait_for(lambda: not first.is_shown(f"{ROOT}/border_lm-lEE"))
+        assert second.is_shown(f"{ROOT}/border_lm-lEE"), "each has layers of his own"
+
+        loop.pull_at_base(3.0)
+        first.set_slider("Back [s]", -1.5)
+        wait_for(lambda: not page_of_first.timeline.live)
+        then, now = page_of_first.timeline.shown(), loop.latest()
+        wait_for(lambda: np.linalg.norm(first.position(GIZMO) - then.p_ee) < 1e-3)
+        wait_for(lambda: np.linalg.norm(second.position(GIZMO) - now.p_ee) < 1e-3)
+        assert np.linalg.norm(now.p_ee - then.p_ee) > 0.1, "each has a time of his own"
+        first.click("Now")
+        served.begin_anew()
+        second.click("Pause")
+        first.page.get_by_role("button", name="Continue", exact=True).wait_for(timeout=20_000)
+        loop.send(Pause(False))
+
+        hold(first, 1, 0.15)
+        hold(second, 1, -0.15)
+        wait_for(lambda: len(loop.latest().pulls) == 2, what="two who pull")
+        for tab in (first, second):
+            wait_for(lambda tab=tab: tab.is_shown("/pull/0") and tab.is_shown("/pull/1"))
+        second.close()  # in mid-drag
+        wait_for(lambda: len(loop.latest().pulls) == 1, what="who is gone lets go")
+        wait_for(lambda: not first.is_shown("/pull/1"))
+        assert first.is_shown("/pull/0"), "the other still pulls"
+        first.close()
+        wait_for(lambda: loop.latest().pulls == ())
+        assert (first.errors, second.errors) == ([], [])
+
+
+def test_the_page_goes_on_with_a_server_that_comes_back_and_tells_how_the_simulation_ended(browser):
+    with served_dashboard() as served:
+        port = int(served.server.address.rpartition(":")[2])
+        tab = DashboardTab(browser, served.server.address)
+        assert tab.errors == []
+    loop = ScriptedLoop(husky_panda())
+    with served_dashboard(loop, port) as served:
+        wait_for(lambda: served.server.pages, 60.0, "the same tab is back")
+        tab.wait_for_scene()
+        tab.click("Pause")
+        wait_for(lambda: loop.commands == [Pause(True)], what="the new simulation obeys")
+        loop.send(Pause(False))
+        tab.drag_gizmo(GIZMO, axis=1, metres=0.1, scale=SCALE)
+        wait_for(lambda: loop.pulls() and loop.pulls()[-1] is None, what="a pull, and its end")
+
+        loop.error = RuntimeError("the plant is gone")
+        tab.page.get_by_text("the plant is gone").wait_for(timeout=20_000)
+        tab.page.reload()
+        tab.page.get_by_text("the plant is gone").wait_for(timeout=60_000)
+    refused = [text for text in tab.errors if "ERR_CONNECTION_REFUSED" not in text]
+    tab.close()
+    assert refused == [], "but that nobody was there meanwhile"
