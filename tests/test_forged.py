@@ -29,11 +29,17 @@ def served():
 def goes_on(served) -> bool:
     """Whether time passes in the loop, and a viewer who comes now gets a page.
 
-    Anybody may pause it; so it is told to go on first.
+    Anybody may pause it or begin anew, and what was sent may still be on its way: so it is told to
+    go on until it does.
     """
-    served.loop.send(Pause(False))
-    before = served.loop.latest().t
-    wait_for(lambda: served.loop.latest().t > before + 0.1, what="time goes on")
+
+    def passes() -> bool:
+        served.loop.send(Pause(False))
+        before = served.loop.latest().t
+        time.sleep(0.3)
+        return served.loop.latest().t > before + 0.1
+
+    wait_for(passes, what="time goes on")
     with visitor(served):
         return served.server.error is None
 
