@@ -35,6 +35,7 @@
 
   window.dbbTest = {
     pixel,
+    pixels: (name, points) => points.map((point) => pixel(name, point)),
     // In the scene's frame, z up; three.js itself has y up.
     position: (name) => node("").worldToLocal(world(name, [0, 0, 0])).toArray(),
     // Times, lines and cursor of a plot.

@@ -197,6 +197,11 @@ class DashboardTab:
         assert found is not None, f"no plot {title!r} in the open tabs"
         return np.array(found, dtype=float)
 
+    def pixels(self, node: str, points: np.ndarray) -> np.ndarray:
+        """(K, 2) [px] where points (K, 3) in a node's frame are on the page."""
+        found = self.page.evaluate("([n, p]) => dbbTest.pixels(n, p)", [node, points.tolist()])
+        return np.array(found)
+
     def drag_gizmo(
         self,
         node: str,
@@ -252,7 +257,10 @@ class DashboardTab:
     def set_slider(self, label: str, value: float) -> None:
         """Type a value into a slider's number box."""
         box = self.row(label).locator("input[type=text], input[inputmode]").last
-        box.fill(str(value))
+        text = f"{value:g}"  # with a last zero it would count as not yet typed to its end
+        box.fill(text)
+        if box.input_value() != text:  # after a change from outside the box takes the sign only
+            box.fill(text)
         box.press("Enter")
 
     def choose(self, label: str, option: str) -> None:
@@ -263,6 +271,7 @@ class DashboardTab:
     def check(self, label: str, *, on: bool = True) -> None:
         """Set a check box."""
         self.row(label).locator("input[type=checkbox]").set_checked(on)
+        self.page.mouse.move(2, 2)  # so that no hint lies over the scene
 
     def click(self, name: str) -> None:
         """Press a button."""

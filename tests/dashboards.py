@@ -33,6 +33,13 @@ class Served(NamedTuple):
             self.loop.send(command)
         self.loop.commands.clear()
 
+    def pull_at_base(self, seconds: float) -> None:
+        """As the loop does it, once the dashboard has seen that all begins anew."""
+        self.loop.send(Pause(True))
+        self.loop.send(Reset())
+        wait_for(lambda: self.server.shared.tracks.last <= 0.0, what="a new beginning")
+        self.loop.pull_at_base(seconds)
+
 
 @contextmanager
 def served_dashboard(loop: ScriptedLoop | None = None, port: int = 0) -> Iterator[Served]:

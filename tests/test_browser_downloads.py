@@ -29,7 +29,7 @@ def tab(browser):
     """Three seconds in which the base gives way, one of them marked; the tab "Save" is open."""
     with served_dashboard() as served:
         tab = DashboardTab(browser, served.server.address)
-        served.loop.pull_at_base(3.0)
+        served.pull_at_base(3.0)
         timeline = served.page().timeline
         wait_for(lambda: timeline.shown().t == pytest.approx(3.0))
         for back, mark in ((3.0 - BEGIN, "Mark begin"), (3.0 - END, "Mark end")):

@@ -30,7 +30,7 @@ def browser():
 def served():
     """The hand is pulled at the base, which has moved away, and time stands still."""
     with served_dashboard() as served:
-        served.loop.pull_at_base(1.6)
+        served.pull_at_base(1.6)
         assert served.loop.latest().beta_m > 0.3
         yield served
 
@@ -58,7 +58,8 @@ class Layer(NamedTuple):
         radius: [px] how far from there something may change.
         least: [px] how many have to.
         node: In whose frame; the root is the world.
-        share: [-] of all that changes, how much of it lies there.
+        share: [-] of all that changes, how much of it lies there; the rest of the border changes
+            its colours with the range of what is shown.
     """
 
     box: str
@@ -142,24 +143,20 @@ def passed(served: Served) -> Array:
 LAYERS = (
     Layer("Robot", robot, 110, 15_000, ROOT),
     Layer("Convex bodies", robot, 110, 8000, ROOT),
-    Layer("Above the base too", lambda served: border(served, above=True), 12, 3000, ROOT),
+    Layer("Above the base too", lambda served: border(served, above=True), 15, 3000, ROOT, 0.7),
     Layer("Slice at the hand", contour, 20, 150, ROOT),
     Layer("Closest points", of(lines), 70, 60),
     Layer("Acting points", of(acting), 60, 200),
     Layer("Names of points", of(named), 80, 80),
     Layer("Person and base", of(pushed), 60, 200),
-    Layer("Trails", passed, 12, 60),
+    Layer("Trails", passed, 12, 40),
 )
-
-
-def pixels(tab: DashboardTab, served: Served, layer: Layer) -> Array:
-    return np.array([tab.pixel(layer.node, tuple(p)) for p in layer.places(served).tolist()])
 
 
 @pytest.mark.parametrize("layer", LAYERS, ids=lambda layer: layer.box)
 def test_a_layer_is_seen_where_it_belongs_and_only_while_it_is_on(tab, served, layer):
     is_on = tab.row(layer.box).locator("input[type=checkbox]").is_checked()
-    before, places = tab.picture(), pixels(tab, served, layer)
+    before, places = tab.picture(), tab.pixels(layer.node, layer.places(served))
     tab.check(layer.box, on=not is_on)
     after = tab.wait_for_change(before, layer.least, places, layer.radius)
     changed = tab.changed(before, after)
@@ -178,7 +175,7 @@ def test_a_border_can_be_hidden_or_coloured_by_each_quantity(tab, served, pair):
     tab.choose(other, "hidden")
     wait_for(lambda: not tab.is_shown(f"{ROOT}/border_lm-lEE"))
     picture = tab.picture()
-    places = np.array([tab.pixel(ROOT, tuple(p)) for p in border(served, pair)[::5].tolist()])
+    places = tab.pixels(ROOT, border(served, pair))
     for quantity, title in (
         ("determinant", "det(J"), ("reachability", "reachability R"), ("score", "score S"),
         ("hidden", "no border drawn"),

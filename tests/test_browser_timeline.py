@@ -40,7 +40,7 @@ def opened(browser, served):
 @pytest.fixture
 def tab(opened, served):
     """After 4 s in which the hand is pulled and the base gives way, time stands still."""
-    served.loop.pull_at_base(4.0)
+    served.pull_at_base(4.0)
     yield opened
     opened.click("Now")
     assert opened.errors == [], "the page's console"

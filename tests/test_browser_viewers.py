@@ -41,7 +41,7 @@ def test_two_viewers_see_their_own_layers_and_times_of_one_simulation_and_both_p
         wait_for(lambda: not first.is_shown(f"{ROOT}/border_lm-lEE"))
         assert second.is_shown(f"{ROOT}/border_lm-lEE"), "each has layers of his own"
 
-        loop.pull_at_base(3.0)
+        served.pull_at_base(3.0)
         first.set_slider("Back [s]", -1.5)
         wait_for(lambda: not page_of_first.timeline.live)
         then, now = page_of_first.timeline.shown(), loop.latest()
