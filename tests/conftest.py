@@ -30,3 +30,10 @@ def robot() -> RobotModel:
 def border_data(robot: RobotModel) -> BorderData:
     """Pairs and clouds of the paper's robot, as they ship."""
     return load_border_data(robot, progress=False)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests in a browser have three tries: it draws in software on the cores of the simulation."""
+    for item in items:
+        if item.get_closest_marker("browser"):
+            item.add_marker(pytest.mark.flaky(reruns=2))

@@ -50,6 +50,7 @@ def test_two_viewers_see_their_own_layers_and_times_of_one_simulation_and_both_p
         assert np.linalg.norm(now.p_ee - then.p_ee) > 0.1, "each has a time of his own"
         first.click("Now")
         served.begin_anew()
+        first.open_tab("Run")
         second.click("Pause")
         first.page.get_by_role("button", name="Continue", exact=True).wait_for(timeout=20_000)
         loop.send(Pause(False))

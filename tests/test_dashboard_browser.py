@@ -83,10 +83,12 @@ def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
     tab.open_tab("Why")
 
 
-def test_the_robot_is_framed_by_the_scene(tab):
+def test_the_robot_is_framed_by_the_scene(tab, served):
     left, top, right, bottom = tab.canvas_box()
-    corners = [(x, y, z) for x in (-0.5, 0.55) for y in (-0.35, 0.35) for z in (0.0, 1.0)]
-    pixels = np.array([tab.pixel("/robot", corner) for corner in corners])
+    base = [(x, y, z) for x in (-0.48, 0.48) for y in (-0.33, 0.33) for z in (0.0, 0.38)]
+    snapshot, kinematics = served.loop.latest(), served.server.shared.parts.kinematics
+    joints = [T.translation for T in kinematics.update(snapshot.q_m, snapshot.wheel_angles)]
+    pixels = tab.pixels("/robot", np.array([*base, *joints]))
     assert (pixels > [left, top]).all()
     assert (pixels < [right, bottom]).all()
     assert np.ptp(pixels[:, 1]) > 0.4 * (bottom - top)
