@@ -7,6 +7,7 @@ from hypothesis import settings
 
 from app.border.cache import BorderData, load_border_data
 from app.robot.model import RobotModel
+from tests.browser import chromium
 from tests.robots import husky_panda
 
 # A shell starts what it runs in the background with Ctrl-C ignored, and the programs that tests
@@ -32,8 +33,8 @@ def border_data(robot: RobotModel) -> BorderData:
     return load_border_data(robot, progress=False)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests in a browser have three tries: it draws in software on the cores of the simulation."""
-    for item in items:
-        if item.get_closest_marker("browser"):
-            item.add_marker(pytest.mark.flaky(reruns=2))
+@pytest.fixture(scope="module")
+def browser():
+    """A headless browser, one for the tests of a file."""
+    with chromium() as browser:
+        yield browser

@@ -17,12 +17,18 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep the tests of one phase, slow files first, so that none is left for the end."""
+    """Keep the tests of one phase, slow files first, so that none is left for the end.
+
+    Those in a browser have three tries: it draws in software on the cores of the simulation.
+    """
     parted: dict[str, list[pytest.Item]] = {name: [] for name in PHASES}
     for item in items:
         parted[phase_of(item)].append(item)
     kept = parted.pop(config.getoption("phase"))
     config.hook.pytest_deselected(items=[item for others in parted.values() for item in others])
+    for item in kept:
+        if item.get_closest_marker("browser"):
+            item.add_marker(pytest.mark.flaky(reruns=2))
     slow = {item.path for item in kept if item.get_closest_marker("slow")}
     items[:] = sorted(kept, key=lambda item: item.path not in slow)
 

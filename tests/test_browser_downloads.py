@@ -10,18 +10,12 @@ from PIL import Image
 
 from app.dashboard.browser import new_context
 from app.simulation.log import read_log
-from tests.browser import DashboardTab, chromium, wait_for
+from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 
 pytestmark = pytest.mark.browser
 
 BEGIN, END = 1.0, 2.0  # [s] of the marked interval
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")

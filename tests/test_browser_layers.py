@@ -12,18 +12,12 @@ from app.dashboard.camera import PRESETS, placed
 from app.dashboard.robot import ROOT
 from app.dashboard.scales import METRES_PER_NEWTON
 from app.simulation.snapshot import Snapshot
-from tests.browser import DashboardTab, around, chromium, wait_for
+from tests.browser import DashboardTab, around, wait_for
 from tests.dashboards import Served, served_dashboard
 
 pytestmark = pytest.mark.browser
 
 Array = np.ndarray
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")

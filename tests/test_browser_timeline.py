@@ -9,18 +9,12 @@ from app.dashboard.hand import GIZMO
 from app.dashboard.robot import ROOT
 from app.simulation.commands import Pause, StepOnce
 from app.simulation.snapshot import Snapshot
-from tests.browser import DashboardTab, chromium, wait_for
+from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 
 pytestmark = pytest.mark.browser
 
 DT = 0.02  # [s] between two snapshots
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")

@@ -8,18 +8,12 @@ import pytest
 from app.dashboard.hand import GIZMO, SCALE
 from app.dashboard.robot import ROOT
 from app.simulation.commands import Pause
-from tests.browser import DashboardTab, chromium, wait_for
+from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
 
 pytestmark = pytest.mark.browser
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 def hold(tab: DashboardTab, axis: int, metres: float) -> None:

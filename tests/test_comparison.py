@@ -156,7 +156,7 @@ def test_scenarios_resets_and_parameters_are_for_all(make, q_start):
     for session in sessions:
         np.testing.assert_array_equal(session.physics.measure().q_m, q_start)
     step = ensemble.step()
-    assert (step.tracking, step.t) == (False, 0.0)
+    assert (step.output.tracking, step.t) == (False, 0.0)
     assert ensemble.scores()[0].error_max == 0.0  # they count anew
     reading = ghost_reading(ensemble.ghosts[1])
     assert reading.controller == "none"

@@ -18,19 +18,13 @@ from app.simulation.commands import (
     Restart,
     Speed,
 )
-from tests.browser import DashboardTab, chromium, wait_for
+from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 
 pytestmark = pytest.mark.browser
 
 LINK = "/robot/panda_joint4"
 """Scene node of a link in the middle of the arm."""
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")

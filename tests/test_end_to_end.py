@@ -16,7 +16,7 @@ import psutil
 import pytest
 
 from app.dashboard.hand import GIZMO, SCALE
-from tests.browser import DashboardTab, chromium, wait_for
+from tests.browser import DashboardTab, wait_for
 
 pytestmark = pytest.mark.browser
 
@@ -69,12 +69,6 @@ def served():
     yield served
     served.process.kill()
     served.process.wait()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 def reading(tab: DashboardTab, label: str) -> str:

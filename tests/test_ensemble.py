@@ -85,7 +85,7 @@ def test_it_leads_until_its_end_and_then_the_hand_is_free(make):
     ensemble.play(TRACKING.changed(duration=0.2))
     assert (ensemble.leading, ensemble.ends) == ("tracking", 0.2)
     taken = [ensemble.step() for _ in range(300)]
-    assert [step.tracking for step in taken] == [True] * 200 + [False] * 100
+    assert [step.output.tracking for step in taken] == [True] * 200 + [False] * 100
     assert (ensemble.leading, ensemble.ends) == ("", None)
 
 

@@ -45,7 +45,8 @@ def project(tmp_path: Path) -> Path:
 
 def run(project: Path, *args: str, **variables: str) -> tuple[int, dict[str, list[str]]]:
     """The status of `tools/test.sh`, and the tests that each phase reports."""
-    variables = {**os.environ, **PLUGINS, "PYTHONPATH": str(PROJECT), **variables}
+    outer = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
+    variables = {**outer, **PLUGINS, "PYTHONPATH": str(PROJECT), **variables}
     done = subprocess.run(
         [PROJECT / "tools" / "test.sh", VENV, *args],
         cwd=project, env=variables, capture_output=True, text=True, timeout=120,

@@ -22,7 +22,6 @@ from app.errors import BrowserError
 from app.simulation.run import steps_of
 from app.simulation.scenario import scenario_by_name
 from app.simulation.tape import filmed
-from tests.browser import chromium
 from tests.logs import random_snapshots
 
 PROJECT = Path(__file__).parent.parent
@@ -35,12 +34,6 @@ def snapshots(robot, border_data):
     scenario = scenario_by_name("guiding-front").changed(duration=1.5)
     steps = steps_of(robot, border_data, scenario, Config(), physics="kinematic")
     return filmed(steps, scenario, [0.333, 1.0])
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")

@@ -8,17 +8,11 @@ from app.config import Config
 from app.config_file import read_config
 from app.dashboard.server import serve_dashboard
 from app.simulation.commands import Configure
-from tests.browser import DashboardTab, chromium, wait_for
+from tests.browser import DashboardTab, wait_for
 from tests.fakes import ScriptedLoop, fake_clouds
 from tests.robots import husky_panda
 
 pytestmark = pytest.mark.browser
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with chromium() as browser:
-        yield browser
 
 
 @pytest.fixture

@@ -111,3 +111,15 @@ def placed(preset: Preset, snapshot: Snapshot) -> tuple[Array, Array]:
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     origin = snapshot.p_ee if preset.of_hand else np.array([x, y, 0.0])
     return origin + R @ preset.eye, origin + R @ preset.target
+
+
+def set_first_look(server: viser.ViserServer, eye: Array, target: Array) -> None:
+    """Where whoever opens the page of a server looks from at first.
+
+    Args:
+        server: Of the page.
+        eye: (3,) [m] in the world.
+        target: (3,) [m] what is looked at.
+    """
+    camera = server.initial_camera
+    camera.position, camera.look_at, camera.fov = eye, target, FIELD_OF_VIEW

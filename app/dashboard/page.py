@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import viser
 
+from app.config import Config
 from app.dashboard.camera import PRESETS, Camera
 from app.dashboard.hand import Grip, Hand
 from app.dashboard.legend import key_html, legend_html
@@ -96,7 +97,7 @@ class Page:
                 self._compare.update(newest, shown)
                 self.timeline_panel.update(newest, shown)
                 self._plots.update(self._shared.record, self.timeline, shown)
-                self._renew_key()
+                self._renew_key(newest.config)
                 self._tell_refusal(newest)
         if texts:
             self.sweep_panel.update()
@@ -192,8 +193,7 @@ class Page:
             self._notices.warn(self._client, newest.refusal.message)
         self._refusals = number
 
-    def _renew_key(self) -> None:
-        config = self._shared.loop.latest().config
+    def _renew_key(self, config: Config) -> None:
         wanted = (config.border.d_b, config.activation.d_full)
         if wanted != self._key:
             self._key = wanted

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import logging
 import queue
 import socket
@@ -13,12 +12,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import viser
-from viser import _messages
 
 from app.border.cloud import Cloud
-from app.dashboard.camera import FIELD_OF_VIEW, PRESETS
+from app.dashboard.camera import PRESETS, set_first_look
+from app.dashboard.listening import close_server, open_server
 from app.dashboard.notices import Notices
-from app.dashboard.origin import foreign_origins_refused
 from app.dashboard.page import Page, show_failure
 from app.dashboard.panels.sweep import DEFAULT_FOLDER
 from app.dashboard.shared import Shared
@@ -89,8 +87,7 @@ class DashboardServer:
         if self._thread is not threading.current_thread():
             self._thread.join(timeout=5.0)
         self.shared.close()
-        with _silence():
-            self.viser.stop()
+        close_server(self.viser)
 
     async def _welcome(self, client: viser.ClientHandle) -> None:
         self._arrived.put(client)
@@ -182,18 +179,14 @@ def serve_dashboard(
     """
     check_address(host, port)
     shared = Shared(loop, model, clouds, case, sweeps)
-    logging.getLogger("websockets").setLevel(logging.WARNING)  # every viewer's coming and going
-    with _silence(), foreign_origins_refused(host):
-        server = viser.ViserServer(host=host, port=port, verbose=False)
+    server = open_server(host, port)
     try:
         if port not in (0, server.get_port()):
             raise ServerError(f"port {port} was taken while the server started; try --port 0")
-        _forbid_sharing(server)
         _set_first_picture(server)
         return DashboardServer(server, shared)
     except BaseException:
-        with _silence():
-            server.stop()
+        close_server(server)
         raise
 
 
@@ -201,8 +194,7 @@ def _set_first_picture(server: viser.ViserServer) -> None:
     """What is to be seen until a viewer's own page is there."""
     set_theme(server.gui, dark=True)
     first = PRESETS["iso"]
-    server.initial_camera.position, server.initial_camera.look_at = first.eye, first.target
-    server.initial_camera.fov = FIELD_OF_VIEW
+    set_first_look(server, first.eye, first.target)
 
 
 def check_address(host: str, port: int) -> None:
@@ -224,14 +216,3 @@ def check_address(host: str, port: int) -> None:
         except OSError as error:
             hint = "; try another --port, or 0 for a free one"
             raise ServerError(f"cannot listen at {host}:{port}: {error}{hint}") from None
-
-
-def _silence() -> contextlib.redirect_stdout[io.StringIO]:
-    """Holds back what viser prints about itself: the address is the caller's to print."""
-    return contextlib.redirect_stdout(io.StringIO())
-
-
-def _forbid_sharing(server: viser.ViserServer) -> None:
-    """Take away the handler by which any client could open a public tunnel to this machine."""
-    for message in (_messages.ShareUrlRequest, _messages.ShareUrlDisconnect):
-        server._websock_server.unregister_handler(message)

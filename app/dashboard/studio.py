@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import io
-import logging
 from collections.abc import Iterator, Mapping
 
 import viser
 
 from app.border.cloud import Cloud
-from app.dashboard.camera import FIELD_OF_VIEW, PRESETS, placed
+from app.dashboard.camera import PRESETS, placed, set_first_look
 from app.dashboard.film import Film
-from app.dashboard.origin import foreign_origins_refused
+from app.dashboard.listening import close_server, open_server
 from app.dashboard.panels.sweep import DEFAULT_FOLDER
 from app.dashboard.scene import Scene
 from app.dashboard.shared import Shared
@@ -65,9 +63,7 @@ class Studio:
             preset: A key of `app.dashboard.camera.PRESETS`.
             snapshot: Where base and hand are.
         """
-        camera = self.server.initial_camera
-        camera.position, camera.look_at = placed(PRESETS[preset], snapshot)
-        camera.fov = FIELD_OF_VIEW
+        set_first_look(self.server, *placed(PRESETS[preset], snapshot))
 
     def draw(self, t: float, *, texts: bool = True) -> Snapshot:
         """Draw the film's snapshot at a time [s]; trails lead up to it.
@@ -103,14 +99,11 @@ def choose_layer(view: View, layer: str) -> None:
 @contextlib.contextmanager
 def own_server() -> Iterator[viser.ViserServer]:
     """A server at a free port of this machine, for this program alone, closed at the end."""
-    logging.getLogger("websockets").setLevel(logging.WARNING)
-    with _silence(), foreign_origins_refused(HOST):
-        server = viser.ViserServer(host=HOST, port=0, verbose=False)
+    server = open_server(HOST, 0)
     try:
         yield server
     finally:
-        with _silence():
-            server.stop()
+        close_server(server)
 
 
 @contextlib.contextmanager
@@ -140,8 +133,3 @@ def studio(
 def address_of(server: viser.ViserServer) -> str:
     """As to be typed into a browser."""
     return f"http://{HOST}:{server.get_port()}"
-
-
-def _silence() -> contextlib.redirect_stdout[io.StringIO]:
-    """Holds back what viser prints about itself."""
-    return contextlib.redirect_stdout(io.StringIO())

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from app.simulation.changes import Changes, Smoothness
 from app.simulation.leading import Lead, Leader
 from app.simulation.people import Hold, PersonForces
 from app.simulation.session import Session, Step
@@ -64,10 +65,9 @@ class ScoreKeeper:
         self._session = session
         self._base = session.model.body_names[0]
         self._least = self._now = float("inf")
-        self._error = self._error_max = self._path = self._torque = 0.0
-        self._jump = np.zeros(2)
+        self._error = self._error_max = 0.0
+        self._changes, self._asked = Changes(), Smoothness()
         self._contacts = 0
-        self._last: Step | None = None
 
     def add(self, step: Step) -> None:
         """Take one control step."""
@@ -77,14 +77,8 @@ class ScoreKeeper:
         self._least = min(self._least, self._now)
         self._error, self._error_max = step.ee_error, max(self._error_max, step.ee_error)
         self._contacts += step.contacts.arm_base
-        if self._last is not None:
-            now, last = step.output, self._last.output
-            jump = np.abs(now.base_acceleration - last.base_acceleration)
-            self._jump = np.maximum(self._jump, jump)
-            self._torque = max(self._torque, float(np.abs(now.u_a - last.u_a).max()))
-            moved = step.truth.base_pose[:2] - self._last.truth.base_pose[:2]
-            self._path += float(np.hypot(*moved))
-        self._last = step
+        self._changes.add(step)
+        self._asked.add(step.output.base_acceleration)
 
     @property
     def clearance(self) -> float:
@@ -94,8 +88,8 @@ class ScoreKeeper:
     def score(self) -> Score:
         """The score so far."""
         return Score(
-            self._session.controller.name, self._least, self._error, self._error_max, self._path,
-            float(self._jump[0]), float(self._jump[1]), self._torque, self._contacts,
+            self._session.controller.name, self._least, self._error, self._error_max,
+            self._changes.path, *self._asked.jumps, self._changes.torque_jump, self._contacts,
         )  # fmt: skip
 
 

@@ -51,7 +51,7 @@ def make_snapshot(session: Session, step: Step, pacer: Clock, *, paused: bool) -
         realtime_factor=pacer.realtime_factor,
         overruns=pacer.overruns,
         paused=paused,
-        mode="tracking" if step.tracking else "guiding",
+        mode="tracking" if output.tracking else "guiding",
         controller=session.controller.name,
         config=session.config,
         buffer=step.buffer,

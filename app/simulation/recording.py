@@ -10,13 +10,13 @@ import numpy as np
 
 from app.control.buffer_watch import BufferReading
 from app.robot.model import RobotModel
+from app.simulation.changes import Changes, Smoothness
 from app.simulation.door_record import DoorRecord, door_columns
 from app.simulation.session import Step
 
 Array = np.ndarray
 
 _LOG_EVERY = 10  # control steps per row of the log
-_DEAD_BAND = 0.01  # [m/s², rad/s²] within which an acceleration has no sign
 
 
 class Recorder:
@@ -31,9 +31,9 @@ class Recorder:
         self._least: dict[str, float] = {}
         self._mobile: set[str] = set()
         self._contacts = self._arm_contacts = self._floor_contacts = 0
-        self._ee_error_max = self._activation_max = self._path = 0.0
-        self._torque_jump = 0.0
-        self._asked, self._inserted = _Smoothness(), _Smoothness()
+        self._ee_error_max = self._activation_max = 0.0
+        self._changes = Changes()
+        self._asked, self._inserted = Smoothness(), Smoothness()
         self._door: DoorRecord | None = None
         self._hand_force_max = 0.0
         self._failures = 0
@@ -42,12 +42,8 @@ class Recorder:
 
     def add(self, step: Step) -> None:
         """Take one control step."""
-        if self._last is not None:
-            jump = np.abs(step.output.u_a - self._last.output.u_a)
-            self._torque_jump = max(self._torque_jump, float(jump.max()))
-            moved = step.truth.base_pose - self._last.truth.base_pose
-            self._path += math.hypot(*moved[:2].tolist())
-        else:
+        self._changes.add(step)
+        if self._first is None:
             self._first = step
             self._names = [p.closest.pair.name for p in step.output.avoidance.pairs]
             self._least = dict.fromkeys(self._names, math.inf)
@@ -112,12 +108,12 @@ class Recorder:
             "ee_error_max_m": self._ee_error_max,
             "ee_error_final_m": self._last.ee_error,
             "base_displacement_m": float(np.hypot(*(end - begin)[:2])),
-            "base_path_m": self._path,
+            "base_path_m": self._changes.path,
             "base_yaw_rad": float(end[2] - begin[2]),
             "activation_max": self._activation_max,
             **self._asked.figures("base_acceleration"),
             **self._inserted.figures("avoidance_acceleration"),
-            "torque_jump_max_nm": self._torque_jump,
+            "torque_jump_max_nm": self._changes.torque_jump,
             "hand_force_max_n": self._hand_force_max,
             "clear_since_s": self._clear_since(),
             "approach_speed_max_mps": self.buffer.approach_speed_max,
@@ -166,41 +162,3 @@ def _log_row(step: Step) -> dict[str, float]:
     if step.door is not None:
         row |= door_columns(step)
     return row
-
-
-class _Smoothness:
-    """Largest change a step and number of sign changes of an acceleration of the base.
-
-    A sign counts once the acceleration has left the dead band of ±0.01 m/s² and ±0.01 rad/s².
-    """
-
-    def __init__(self) -> None:
-        self._last: list[float] | None = None
-        self._sign = [0.0, 0.0]
-        self._jump = [0.0, 0.0]
-        self._changes = [0, 0]
-
-    def add(self, now: Array) -> None:
-        """Take one control step's acceleration (2,)."""
-        values = now.tolist()
-        for i, value in enumerate(values):
-            if self._last is not None:
-                self._jump[i] = max(self._jump[i], abs(value - self._last[i]))
-            if abs(value) > _DEAD_BAND:
-                sign = math.copysign(1.0, value)
-                self._changes[i] += sign * self._sign[i] < 0
-                self._sign[i] = sign
-        self._last = values
-
-    def figures(self, name: str) -> dict[str, object]:
-        """Both, by linear and angular part."""
-        return {
-            f"{name}_jump_max": {
-                "linear_mps2": self._jump[0],
-                "angular_radps2": self._jump[1],
-            },
-            f"{name}_sign_changes": {
-                "linear": self._changes[0],
-                "angular": self._changes[1],
-            },
-        }

@@ -52,7 +52,6 @@ class Step(NamedTuple):
         distances: [m] true signed distances, in the order of the output's pairs.
         buffer: Whether d_b is enough for how fast the arm comes.
         door: How the opening of a door goes, or None if there is none.
-        tracking: Whether the arm follows a reference.
         pulls: All that hold the robot.
         person: The forces of people that acted on the robot.
     """
@@ -70,7 +69,6 @@ class Step(NamedTuple):
     distances: tuple[float, ...]
     buffer: BufferReading
     door: DoorReading | None = None
-    tracking: bool = False
     pulls: tuple[PullReading, ...] = ()
     person: PersonForces = PersonForces(np.zeros(3))
 
@@ -213,7 +211,7 @@ class Session:
         step = Step(
             self.t, measurement, output, command.copy(), target, felt, error,
             self.physics.contacts(), duration, truth, self._truth.distances, self._look(output),
-            door, reference is not None, tuple(pulls), person,
+            door, tuple(pulls), person,
         )  # fmt: skip
         self.t += DT
         return step

@@ -102,7 +102,7 @@ class SavePanel:
             pixels = client.get_render(height, width, transport_format="png", timeout=_PATIENCE)
         except (RuntimeError, TimeoutError) as error:
             raise LogError(f"the browser gave no picture: {error}") from None
-        return "scene.png", png(pixels, BACKGROUND[self._view.dark])
+        return "scene.png", png(on_ground(pixels, BACKGROUND[self._view.dark]))
 
     def _whole_page(self, client: viser.ClientHandle) -> tuple[str, bytes]:
         """The page as this viewer has it, but for the open tabs, drawn by a browser of our own."""
@@ -119,9 +119,7 @@ class SavePanel:
                 browser, past, [shown.t], shared.model, shared.clouds,
                 Look(width, height, dark=self._view.dark, page=True), seat,
             )  # fmt: skip
-        file = BytesIO()
-        picture.save(file, "PNG")
-        return "page.png", file.getvalue()
+        return "page.png", png(picture)
 
     def _log(self, name: str) -> Callable[[Any], tuple[str, bytes]]:
         def make(_: Any) -> tuple[str, bytes]:
@@ -166,13 +164,18 @@ def checked_size(name: str, value: object) -> int:
     return int(value)
 
 
-def png(pixels: np.ndarray, ground: tuple[int, int, int]) -> bytes:
-    """A file of a picture (H, W, 4) uint8 on a ground of one colour."""
+def on_ground(pixels: np.ndarray, ground: tuple[int, int, int]) -> Image.Image:
+    """A picture (H, W, 4) uint8, partly transparent, on a ground of one colour."""
     picture = Image.fromarray(pixels, "RGBA")
     whole = Image.new("RGBA", picture.size, (*ground, 255))
     whole.alpha_composite(picture)
+    return whole.convert("RGB")
+
+
+def png(picture: Image.Image) -> bytes:
+    """The file of a picture."""
     file = BytesIO()
-    whole.convert("RGB").save(file, "PNG")
+    picture.save(file, "PNG")
     return file.getvalue()
 
 

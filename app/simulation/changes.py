@@ -1,0 +1,78 @@
+"""What changes from one control step to the next: the base's place, torques, accelerations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from app.simulation.session import Step
+
+Array = np.ndarray
+
+_DEAD_BAND = 0.01  # [m/s², rad/s²] within which an acceleration has no sign
+
+
+class Changes:
+    """Adds up over control steps.
+
+    Attributes:
+        path: [m] way of the base's centre.
+        torque_jump: [N m] largest change of a torque of the arm in one step.
+    """
+
+    def __init__(self) -> None:
+        self.path = self.torque_jump = 0.0
+        self._last: Step | None = None
+
+    def add(self, step: Step) -> None:
+        """Take one control step."""
+        if self._last is not None:
+            jump = np.abs(step.output.u_a - self._last.output.u_a)
+            self.torque_jump = max(self.torque_jump, float(jump.max()))
+            moved = step.truth.base_pose - self._last.truth.base_pose
+            self.path += math.hypot(*moved[:2].tolist())
+        self._last = step
+
+
+class Smoothness:
+    """Largest change a step and number of sign changes of an acceleration of the base.
+
+    A sign counts once the acceleration has left the dead band of ±0.01 m/s² and ±0.01 rad/s².
+    """
+
+    def __init__(self) -> None:
+        self._last: list[float] | None = None
+        self._sign = [0.0, 0.0]
+        self._jump = [0.0, 0.0]
+        self._changes = [0, 0]
+
+    def add(self, now: Array) -> None:
+        """Take one control step's acceleration (2,)."""
+        values = now.tolist()
+        for i, value in enumerate(values):
+            if self._last is not None:
+                self._jump[i] = max(self._jump[i], abs(value - self._last[i]))
+            if abs(value) > _DEAD_BAND:
+                sign = math.copysign(1.0, value)
+                self._changes[i] += sign * self._sign[i] < 0
+                self._sign[i] = sign
+        self._last = values
+
+    @property
+    def jumps(self) -> tuple[float, float]:
+        """[m/s²] and [rad/s²] largest change in one step."""
+        return self._jump[0], self._jump[1]
+
+    def figures(self, name: str) -> dict[str, object]:
+        """Both, by linear and angular part."""
+        return {
+            f"{name}_jump_max": {
+                "linear_mps2": self._jump[0],
+                "angular_radps2": self._jump[1],
+            },
+            f"{name}_sign_changes": {
+                "linear": self._changes[0],
+                "angular": self._changes[1],
+            },
+        }
