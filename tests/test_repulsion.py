@@ -89,7 +89,7 @@ def test_two_links_at_rest_are_parted_and_parting_links_are_braked(robot: RobotM
     closest = moving.monitor.find_closest_points()[-1]
     assert generate_rep_acc(moving.state, closest, CONFIG).xdd_r == pytest.approx(60.0)
     row = generate_rep_acc(moving.state, closest, CONFIG)
-    moving.state.qd[:] = row.J_r / np.linalg.norm(row.J_r) ** 2  # distance grows by 1 m/s
+    moving.at(0.0, row.J_r / np.linalg.norm(row.J_r) ** 2)  # distance grows by 1 m/s
     assert generate_rep_acc(moving.state, closest, CONFIG).xdd_r == pytest.approx(30.0)
 
 

@@ -37,30 +37,21 @@ def distance_jacobian(state: RobotState, closest: ClosestPoints) -> DistanceJaco
 
     Paper: Eq. (21).
     """
-    u = closest.n
-    joint_a, joint_b = _joints(state, closest)
-    relative = _relative_jacobian(state, closest)
-    velocity = relative @ state.qd
-    speed = float(u @ velocity)
-    across = velocity - speed * u
-    bias = state.point_bias(joint_b, closest.p_b) - state.point_bias(joint_a, closest.p_a)
-    turning = float(across @ across) / max(closest.d, _NEAR)
-    return DistanceJacobian(u @ relative, float(u @ bias) + turning, speed)
+    J, bias, speed, across = state.pair_motion(*_points(state, closest))
+    return DistanceJacobian(J, bias + across / max(closest.d, _NEAR), speed)
 
 
 def distance_speed(state: RobotState, closest: ClosestPoints) -> float:
     """ḋ [m/s] of a pair, negative while it closes; the `speed` of `distance_jacobian` alone."""
-    return float(closest.n @ (_relative_jacobian(state, closest) @ state.qd))
+    return state.pair_speed(*_points(state, closest))
 
 
-def _relative_jacobian(state: RobotState, closest: ClosestPoints) -> Array:
-    """J_b - J_a of the closest points, (3, n)."""
-    joint_a, joint_b = _joints(state, closest)
-    return state.point_jacobian(joint_b, closest.p_b) - state.point_jacobian(joint_a, closest.p_a)
-
-
-def _joints(state: RobotState, closest: ClosestPoints) -> tuple[int, int]:
-    return state.model.body_joint(closest.pair.a), state.model.body_joint(closest.pair.b)
+def _points(state: RobotState, closest: ClosestPoints) -> tuple[int, Array, int, Array, Array]:
+    """Joint and point of either body, and the normal."""
+    model, pair = state.model, closest.pair
+    return (
+        model.body_joint(pair.a), closest.p_a, model.body_joint(pair.b), closest.p_b, closest.n,
+    )  # fmt: skip
 
 
 class RepulsiveRow(NamedTuple):

@@ -6,12 +6,11 @@ zero force.
 
 from __future__ import annotations
 
-import math
-from bisect import bisect_right
 from typing import NamedTuple
 
 import numpy as np
 
+from app.border import contours
 from app.border.mobile import ConvexPart, MobileBody
 from app.robot.model import RobotModel
 
@@ -38,6 +37,22 @@ class OnContour(NamedTuple):
     ray: float
 
 
+class Tables(NamedTuple):
+    """The contours as the kernels of `app.border.contours` take them.
+
+    Attributes:
+        heights: (H,) [m], ascending.
+        same: (H - 1,) whether a contour equals the next one above.
+        vertices: (H, RAYS + 1) as x + iy [m].
+        tangents: (H, RAYS + 1) unit tangents at the vertices.
+    """
+
+    heights: Array
+    same: Array
+    vertices: Array
+    tangents: Array
+
+
 class OffsetContours:
     """Closed polygons around l_m, one a height, each vertex at the distance d_b.
 
@@ -50,6 +65,7 @@ class OffsetContours:
         heights: (H,) [m] of the polygons, ascending from the floor to l_m's top plus d_b.
         vertices: (H, RAYS + 1, 2) [m] in the base's frame, counter-clockwise, the first one
             repeated.
+        tables: The same for the kernels.
     """
 
     def __init__(self, model: RobotModel, d_b: float) -> None:
@@ -75,21 +91,20 @@ class OffsetContours:
         self.heights = np.array(heights)
         self._heights: list[float] = self.heights.tolist()
         self.vertices = np.array(rings)
-        # x + iy: one product gives the dot product of many edges, at a third of the cost of rows.
-        # (H, RAYS + 1), the first vertex repeated: what follows a vertex stands beside it.
         corners = self.vertices[..., 0] + 1j * self.vertices[..., 1]
-        self._corners = _Table(corners)
-        self._tangents = _Table(_vertex_tangents(np.diff(corners, axis=1)))
         # Beside upright walls polygons repeat and need no blending.
-        self._same = (self.vertices[1:] == self.vertices[:-1]).all(axis=(1, 2)).tolist()
+        same = (self.vertices[1:] == self.vertices[:-1]).all(axis=(1, 2))
+        self.tables = Tables(
+            self.heights, same, corners, _vertex_tangents(np.diff(corners, axis=1))
+        )
 
     def within(self, z: float) -> float:
         """[m] the height nearest to z that there is."""
-        return min(max(z, self._heights[0]), self._heights[-1])
+        return min(max(z, float(self.heights[0])), float(self.heights[-1]))
 
     def contour(self, z: float) -> Array | None:
         """(RAYS + 1, 2) [m] closed polygon at a height z [m], or None where there is none."""
-        at = self._between(z)
+        at = self.place(z)
         if at is None:
             return None
         k, share = at
@@ -109,27 +124,10 @@ class OffsetContours:
         Returns:
             None where there is no contour at that height.
         """
-        at = self._between(z)
-        if at is None:
+        if not self._has(z):
             return None
-        corner, tangent = self._corners.row(*at), self._tangents.row(*at)
-        to_p = complex(p_xy[0], p_xy[1]) - corner
-        ahead = (to_p * tangent.conj()).real  # p lies ahead of a vertex, seen along the contour
-        passed = np.flatnonzero((ahead[:-1] >= 0.0) & (ahead[1:] < 0.0)).tolist()
-        if not passed:  # p is as far from all of the contour
-            passed = [int(np.abs(to_p[:-1]).argmin())]
-        best, least = (passed[0], 0.0), np.inf
-        for i in passed:
-            from_corner, edge = complex(to_p[i]), complex(to_p[i] - to_p[i + 1])
-            along = _foot(from_corner, edge, complex(tangent[i]), complex(tangent[i + 1]))
-            away = abs(from_corner - along * edge)
-            if away < least:
-                best, least = (i, along), away
-        i, along = best
-        return _point_of_edge(
-            complex(corner[i]), complex(corner[i + 1]), complex(tangent[i]),
-            complex(tangent[i + 1]), i, along,
-        )  # fmt: skip
+        x, y, t_x, t_y, ray = contours.nearest_point(*self.tables, p_xy[0], p_xy[1], z)
+        return OnContour(np.array([x, y]), np.array([t_x, t_y]), ray)
 
     def at(self, ray: float, z: float) -> OnContour | None:
         """The contour's point at a place along it.
@@ -141,15 +139,10 @@ class OffsetContours:
         Returns:
             None where there is no contour at that height.
         """
-        at = self._between(z)
-        if at is None:
+        if not self._has(z):
             return None
-        i = int(ray % RAYS) % RAYS
-        corner, tangent = self._corners, self._tangents
-        return _point_of_edge(
-            corner.entry(i, *at), corner.entry(i + 1, *at), tangent.entry(i, *at),
-            tangent.entry(i + 1, *at), i, float(ray % RAYS) % 1.0,
-        )  # fmt: skip
+        x, y, t_x, t_y = contours.point_at(*self.tables, ray, z)
+        return OnContour(np.array([x, y]), np.array([t_x, t_y]), ray % RAYS)
 
     def ray_of(self, points_xy: Array) -> Array:
         """(N,) on which ray points (N, 2) [m] lie, from 0 to `RAYS`."""
@@ -161,62 +154,10 @@ class OffsetContours:
 
         None where there is no contour.
         """
-        heights = self._heights
-        if not heights or not heights[0] <= z <= heights[-1]:
-            return None
-        k = bisect_right(heights, z) - 1
-        if heights[k] == z:
-            return k, 0.0
-        return k, (z - heights[k]) / (heights[k + 1] - heights[k])
+        return contours.place(self.heights, z) if self._has(z) else None
 
-    def _between(self, z: float) -> tuple[int, float] | None:
-        """The same, but nowhere between two equal polygons."""
-        at = self.place(z)
-        return (at[0], 0.0) if at is not None and at[1] > 0.0 and self._same[at[0]] else at
-
-
-class _Table:
-    """One row a height, blended between two heights."""
-
-    def __init__(self, rows: Array) -> None:
-        """Take (H, RAYS + 1) complex rows."""
-        self._rows, self._rise = rows, np.diff(rows, axis=0)
-
-    def row(self, k: int, share: float) -> Array:
-        """(RAYS + 1,) the k-th row, moved towards the next one by a share."""
-        return self._rows[k] if share == 0.0 else self._rows[k] + share * self._rise[k]
-
-    def entry(self, i: int, k: int, share: float) -> complex:
-        """The i-th entry of the same row."""
-        return complex(
-            self._rows[k, i] if share == 0.0 else self._rows[k, i] + share * self._rise[k, i]
-        )
-
-
-def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
-    """The share of an edge from which p lies at a right angle to the contour's tangent.
-
-    The tangent is blended along the edge. The foot of p on the bare polygon would jump over
-    its corners: seen from inside, a corner is never nearest.
-    """
-    turn = (t_next - t).conjugate()
-    # (to_p - s edge) · (t + s (t_next - t)) = a s² + b s + c
-    a = -(edge * turn).real
-    b = (to_p * turn - edge * t.conjugate()).real
-    c = (to_p * t.conjugate()).real
-    root = -2.0 * c / (b - math.sqrt(max(b * b - 4.0 * a * c, 0.0))) if c > 0.0 else 0.0
-    return min(max(root, 0.0), 1.0)
-
-
-def _point_of_edge(
-    start: complex, end: complex, t: complex, t_next: complex, i: int, along: float
-) -> OnContour:
-    """The point of edge i at a share of its length, from both its vertices."""
-    xy, tangent = start + along * (end - start), t + along * (t_next - t)
-    tangent /= abs(tangent)
-    return OnContour(
-        np.array([xy.real, xy.imag]), np.array([tangent.real, tangent.imag]), i + along
-    )
+    def _has(self, z: float) -> bool:
+        return len(self.heights) > 0 and self.heights[0] <= z <= self.heights[-1]
 
 
 def _vertex_tangents(edges: Array) -> Array:

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
+from app.compiled import compiled
 from app.errors import DescriptionError
 from app.robot.model import RobotModel
 
@@ -120,10 +120,37 @@ def score_gradient(
     return gradient
 
 
+@compiled("f8[::1](f8[:])")
 def uphill(gradient: Array) -> Array:
     """(3,) ∇S/‖∇S‖ from ∇S (3,); where ∇S = 0, on the wheels' axis, its limit e_x."""
-    norm = math.hypot(*gradient.tolist())
-    return gradient / norm if norm > 0.0 else np.array([1.0, 0.0, 0.0])
+    norm = math.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
+    direction = np.zeros(3)
+    if norm > 0.0:
+        direction[:] = gradient / norm
+    else:
+        direction[0] = 1.0
+    return direction
+
+
+@compiled("Tuple((f8, f8[::1]))(f8[:], f8, f8, f8[:], f8, f8, f8)")
+def _score_at(
+    p: Array, r: float, b: float, p_base: Array, A: float, B: float, C: float
+) -> tuple[float, Array]:
+    """`score` and `score_gradient` of one point (3,) together."""
+    gradient = np.empty(3)
+    gradient[:] = p[0] - p_base[0], p[1] - p_base[1], p[2] - p_base[2]
+    rho = math.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
+    R, slope = C - A * (rho - B) ** 2, 1.0
+    R_1 = FLOOR * C
+    if R < R_1:  # bent as in `reachability`
+        low = R_1 / (2 * R_1 - R)
+        R, slope = R_1 * low, low**2
+    per_x = 4 * b**2 * (r / (2 * b)) ** 4  # det(J_c J_cᵀ) = per_x x²
+    x = p[0]
+    signed = per_x * x * abs(x)
+    gradient *= signed * (-2 * A * (rho - B) * slope / rho if rho > 0.0 else 0.0)
+    gradient[0] += 2 * per_x * abs(x) * R
+    return signed * R, gradient
 
 
 @dataclass(frozen=True)
@@ -179,29 +206,11 @@ class ScoreField:
 
     def at_point(self, p: Array) -> tuple[float, Array]:
         """S and ∇S (3,) at one point (3,): `score` and `gradient` together, at little cost."""
-        x, y, z = p.tolist()
-        out = (x - self._mount[0], y - self._mount[1], z - self._mount[2])
-        rho = math.hypot(*out)
-        R, slope = self.C - self.A * (rho - self.B) ** 2, 1.0
-        R_1 = FLOOR * self.C
-        if R < R_1:  # bent as in `reachability`
-            low = R_1 / (2 * R_1 - R)
-            R, slope = R_1 * low, low**2
-        per_x = 4 * self.b**2 * (self.r / (2 * self.b)) ** 4  # det(J_c J_cᵀ) = per_x x²
-        signed = per_x * x * abs(x)
-        along = -2 * self.A * (rho - self.B) * slope / rho if rho > 0.0 else 0.0
-        gradient = np.array([signed * along * o for o in out])
-        gradient[0] += 2 * per_x * abs(x) * R
-        return signed * R, gradient
+        return _score_at(p, self.r, self.b, self.p_base, self.A, self.B, self.C)
 
     def direction(self, p: Array) -> Array:
         """(3,) ∇S/‖∇S‖ at a point (3,); on the wheels' axis its limit from both sides, e_x."""
         return uphill(self.gradient(p))
-
-    @cached_property
-    def _mount(self) -> tuple[float, float, float]:
-        x, y, z = self.p_base.tolist()
-        return x, y, z
 
 
 def _sign(x: Array) -> Array:

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from app.border import contours
 from app.border.dbb import Border
 from app.border.offset import RAYS, OffsetContours, OnContour
 
@@ -67,7 +68,7 @@ class BorderSurface:
         """
         self._offset = offset
         self.gap = find_gap(border, offset)
-        self._gaps = list(zip(self.gap.centre.tolist(), self.gap.half.tolist(), strict=True))
+        self._tables = (*offset.tables, *self.gap)
 
     def nearest(self, p: Array) -> Foot | None:
         """The surface's point at p's height that is nearest to p.
@@ -81,16 +82,9 @@ class BorderSurface:
         Returns:
             None only if l_m has no offset at all.
         """
-        found = on_surface(self._offset, p)
-        if found is None:
+        if not len(self._offset.heights):
             return None
-        z = self._offset.within(float(p[2]))
-        centre, half = self._gap_at(z)
-        inside = _wrapped(found.ray - centre)
-        if abs(inside) < half:
-            found = self._offset.at(centre + (half if inside >= 0.0 else -half), z)
-            assert found is not None
-        (x, y), (t_x, t_y) = found.xy.tolist(), found.tangent.tolist()
+        x, y, t_x, t_y = contours.nearest_in_reach(*self._tables, p)
         return Foot(np.array([x, y, p[2]]), np.array([t_x, t_y, 0.0]))
 
     def contour(self, z: float) -> Array | None:
@@ -115,15 +109,7 @@ class BorderSurface:
 
     def _gap_at(self, z: float) -> tuple[float, float]:
         """[rays] middle and half width of the gap at a height that the offset has."""
-        at = self._offset.place(z)
-        assert at is not None
-        k, share = at
-        centre, half = self._gaps[k]
-        if share > 0.0:
-            above = self._gaps[k + 1]
-            centre += share * (above[0] - centre)
-            half += share * (above[1] - half)
-        return centre, half
+        return contours.gap_at(self._offset.heights, *self.gap, z)
 
 
 def on_surface(offset: OffsetContours, p: Array) -> OnContour | None:
@@ -157,8 +143,3 @@ def _rays_on_contour(offset: OffsetContours, k: int, points_xy: Array) -> Array:
     on_contour = offset.vertices[k][np.rint(rays).astype(int) % RAYS]
     near = np.linalg.norm(points_xy - on_contour, axis=1) < _NEAR_CONTOUR
     return rays[near]
-
-
-def _wrapped(rays: float) -> float:
-    """Into [-RAYS/2, RAYS/2)."""
-    return (rays + RAYS / 2) % RAYS - RAYS / 2

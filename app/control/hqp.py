@@ -15,11 +15,12 @@ from typing import NamedTuple
 import numpy as np
 from proxsuite import proxqp
 
+from app.control import least_squares
+
 Array = np.ndarray
 
 _EPS_ABS = 1e-8  # accuracy of the QPs, in the units of acceleration and torque
 _GOOD_ENOUGH = 1e-5  # violation of limits with which an answer is still taken, as the above
-_RANK_TOLERANCE = 1e-7  # singular values below it are zero
 
 
 class EqualityTask(NamedTuple):
@@ -91,9 +92,7 @@ class HierarchicalQP:
     def __init__(self, n: int) -> None:
         """Prepare for n unknowns."""
         self._n = n
-        self._all = np.eye(n)
         self._qps: dict[tuple[str, int, int, int], proxqp.dense.QP] = {}
-        self._inverses: dict[tuple[str, int], tuple[Array, Array, Array]] = {}
 
     def solve(
         self,
@@ -114,59 +113,32 @@ class HierarchicalQP:
         Raises:
             NoSolutionError: The limits contradict each other, or the solver failed.
         """
-        x = self._without_limits(levels, objective, slot)
+        H, c = objective
+        J, b, ends = _stacked(levels, self._n)
+        x = least_squares.optimum(J, b, ends, H, c)
         if not _holds(limits, x):
             x = self._within_limits(levels, objective, limits, slot)
         if not np.isfinite(x).all():
             raise NoSolutionError(len(levels), "not a number")
         return Solution(x, tuple(b - J @ x for J, b in levels))
 
-    def _without_limits(
-        self, levels: Sequence[EqualityTask], objective: Objective, slot: str
-    ) -> Array:
-        """The optimum if there were no limits, (n,); where it holds them, it is the optimum."""
-        x, Z = np.zeros(self._n), self._all
-        for p, (J, b) in enumerate(levels):
-            if p == 0:
-                inverse, Z = self._inverse(slot, p, J)
-                x = inverse @ b
-            else:
-                inverse, null = self._inverse(slot, p, J @ Z)
-                x, Z = x + Z @ (inverse @ (b - J @ x)), Z @ null
-        if not Z.shape[1]:
-            return x
-        H, c = Z.T @ objective.H @ Z, Z.T @ (objective.H @ x + objective.c)
-        return x - Z @ np.linalg.solve(H, c)
-
     def _within_limits(
         self, levels: Sequence[EqualityTask], objective: Objective, limits: Limits, slot: str
     ) -> Array:
         """The optimum level by level, (n,)."""
-        x, Z = np.zeros(self._n), self._all
+        x, Z = np.zeros(self._n), np.eye(self._n)
         for p, (J, b) in enumerate(levels):
-            JZ, residual = J @ Z, b - J @ x
-            inverse, null = self._inverse(slot, p, JZ)
-            candidate = x + Z @ (inverse @ residual)
+            candidate, left, JZ, residual = least_squares.next_level(J, b, x, Z)
             if not _holds(limits, candidate):
                 y = self._solve_qp(slot, p, JZ.T @ JZ, -(JZ.T @ residual), x, Z, limits)
                 candidate = x + Z @ y
-            x, Z = candidate, Z @ null
+            x, Z = candidate, left
         if not Z.shape[1]:
             return x
-        H, c = Z.T @ objective.H @ Z, Z.T @ (objective.H @ x + objective.c)
-        candidate = x - Z @ np.linalg.solve(H, c)
+        candidate, H, c = least_squares.lowest_level(*objective, x, Z)
         if _holds(limits, candidate):
             return candidate
         return x + Z @ self._solve_qp(slot, len(levels), H, c, x, Z, limits)
-
-    def _inverse(self, slot: str, level: int, A: Array) -> tuple[Array, Array]:
-        """`pseudo_inverse` of a level's rows; the last one's if they have not changed since."""
-        last = self._inverses.get((slot, level))
-        if last is not None and last[0].shape == A.shape and (last[0] == A).all():
-            return last[1:]
-        inverse, null = pseudo_inverse(A)
-        self._inverses[slot, level] = A.copy(), inverse, null
-        return inverse, null
 
     def _solve_qp(
         self, slot: str, level: int, H: Array, c: Array, x: Array, Z: Array, limits: Limits
@@ -203,24 +175,22 @@ class HierarchicalQP:
         return None
 
 
-def pseudo_inverse(A: Array) -> tuple[Array, Array]:
-    """A's pseudo-inverse and a basis of its null space.
-
-    Args:
-        A: (k, m), of any rank.
-
-    Returns:
-        (m, k), and (m, m - rank) with orthonormal columns.
-    """
-    U, s, Vt = np.linalg.svd(A)
-    rank = np.count_nonzero(s > _RANK_TOLERANCE)
-    return (Vt[:rank].T / s[:rank]) @ U[:, :rank].T, Vt[rank:].T
+def _stacked(levels: Sequence[EqualityTask], n: int) -> tuple[Array, Array, Array]:
+    """Rows and right-hand sides of all levels, and the index after the last row of each."""
+    if len(levels) == 1:
+        J, b = levels[0]
+        return J, b, np.array([len(b)])
+    if not levels:
+        return np.empty((0, n)), np.empty(0), np.empty(0, int)
+    return (
+        np.concatenate([J for J, _ in levels]),
+        np.concatenate([b for _, b in levels]),
+        np.cumsum([len(b) for _, b in levels]),
+    )
 
 
 def _holds(limits: Limits, x: Array) -> bool:
-    reached = limits.C @ x
-    within = (reached >= limits.l - _EPS_ABS) & (reached <= limits.u + _EPS_ABS)
-    return bool(within.all())
+    return least_squares.holds(*limits, x, _EPS_ABS)
 
 
 def _is_answer(qp: proxqp.dense.QP) -> bool:

@@ -3,36 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
 
 import numpy as np
 
 from app.avoidance.barrier import BarrierRow
+from app.compiled import compiled
 from app.config import LimitConfig
 from app.control.hqp import Limits
-from app.robot.model import RobotModel
 from app.robot.state import RobotState
 
 Array = np.ndarray
 
 
-def acceleration_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Array]:
-    """Bounds on q̈_m that keep the arm's joints within their position and velocity limits.
+def position_bounds(state: RobotState, config: LimitConfig) -> Array:
+    """(2, n_m) bounds on q̈_m from the position limits, the lower and the upper [rad/s² or m/s²].
 
     A joint at distance e from its limit may accelerate towards it at most by λ² e - 2 λ q̇, which
-    lets it reach the limit without overshoot; and by κ (q̇_max - q̇).
-
-    Returns:
-        (n_m,) lower and (n_m,) upper bound [rad/s² or m/s²], lower ≤ upper.
+    lets it reach the limit without overshoot.
     """
-    from_position, from_velocity = position_bounds(state, config), velocity_bounds(state, config)
-    lower = np.maximum(from_position[0], from_velocity[0])
-    upper = np.minimum(from_position[1], from_velocity[1])
-    return np.minimum(lower, upper), np.maximum(lower, upper)
-
-
-def position_bounds(state: RobotState, config: LimitConfig) -> Array:
-    """(2, n_m) λ² e - 2 λ q̇ towards the lower and the upper position limit [rad/s² or m/s²]."""
     rate, m = config.position_rate, state.measurement
     return rate**2 * (state.model.q_limits - m.q_m) - 2 * rate * m.qd_m
 
@@ -56,6 +44,7 @@ def with_barriers(limits: Limits, barriers: Sequence[BarrierRow]) -> Limits:
 def robot_limits(state: RobotState, config: LimitConfig, qdd_b: Array) -> Limits:
     """Torque, joint and base limits as l ≤ C q̈ ≤ u.
 
+    The joints' are the tighter ones of `position_bounds` and `velocity_bounds`.
     Where the joint bounds ask for more than the torques can do, they are widened to the nearest
     acceleration that the torques allow, so that the limits never contradict each other.
 
@@ -64,32 +53,60 @@ def robot_limits(state: RobotState, config: LimitConfig, qdd_b: Array) -> Limits
         config: How fast limits may be approached.
         qdd_b: (2,) [rad/s²] the wheels' acceleration with which that is judged.
     """
-    model = state.model
-    M_a, h_a = state.M[2:], state.h[2:]
-    lower, upper = acceleration_bounds(state, config)
-    tau_lower, tau_upper = -model.tau_max - h_a, model.tau_max - h_a
-    coupling = M_a[:, :2] @ qdd_b
-    tamest = np.minimum(np.maximum(lower, 0.0), upper)  # nearest to no acceleration
-    wanted = M_a[:, 2:] @ tamest + coupling
-    possible = np.minimum(np.maximum(wanted, tau_lower), tau_upper)
-    if (possible != wanted).any():
-        tamest = np.linalg.solve(M_a[:, 2:], possible - coupling)
-        lower, upper = np.minimum(lower, tamest), np.maximum(upper, tamest)
-    C = _constant_rows(model).copy()
-    C[: model.n_m] = M_a
-    base_limit = model.base_acceleration_max
+    model, m = state.model, state.measurement
     return Limits(
-        C,
-        np.concatenate([tau_lower, lower, -base_limit]),
-        np.concatenate([tau_upper, upper, base_limit]),
-    )
+        *_bounds(
+            state.M, state.h, m.q_m, m.qd_m, model.q_limits, model.qd_limits, model.tau_max,
+            model.J_m, model.base_acceleration_max, config.position_rate, config.velocity_rate,
+            qdd_b,
+        )
+    )  # fmt: skip
 
 
-@lru_cache(maxsize=8)
-def _constant_rows(model: RobotModel) -> Array:
-    """(2 n_m + 2, n) the rows of all limits, zero where those of the torques are."""
-    n_m = model.n_m
-    C = np.zeros((2 * n_m + 2, model.n))
-    C[n_m : 2 * n_m, 2:] = np.eye(n_m)
-    C[2 * n_m :, :2] = model.J_m
-    return C
+@compiled(
+    "Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8[:,:], f8[:,:], f8[:], "
+    "f8[:,:], f8[:], f8, f8, f8[:])"
+)
+def _bounds(
+    M: Array, h: Array, q_m: Array, qd_m: Array, q_limits: Array, qd_limits: Array, tau_max: Array,
+    J_m: Array, base_limit: Array, position_rate: float, velocity_rate: float, qdd_b: Array,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """C, l and u of `robot_limits`: rows of torques, of joints, of the base."""
+    n_m, n, n_b = len(q_m), len(h), len(qdd_b)
+    rows = 2 * n_m + len(base_limit)
+    C, l, u = np.zeros((rows, n)), np.empty(rows), np.empty(rows)
+    tamest, coupling, wanted = np.empty(n_m), np.zeros(n_m), np.empty(n_m)
+    torques_do = True
+    for i in range(n_m):
+        braking = 2 * position_rate * qd_m[i]
+        lower = max(
+            position_rate**2 * (q_limits[0, i] - q_m[i]) - braking,
+            velocity_rate * (qd_limits[0, i] - qd_m[i]),
+        )
+        upper = min(
+            position_rate**2 * (q_limits[1, i] - q_m[i]) - braking,
+            velocity_rate * (qd_limits[1, i] - qd_m[i]),
+        )
+        l[n_m + i], u[n_m + i] = min(lower, upper), max(lower, upper)
+        tamest[i] = min(max(l[n_m + i], 0.0), u[n_m + i])  # nearest to no acceleration
+        C[n_m + i, n_b + i] = 1.0
+    for i in range(n_m):
+        for j in range(n):
+            C[i, j] = M[n_b + i, j]
+        for j in range(n_b):
+            coupling[i] += M[n_b + i, j] * qdd_b[j]
+        wanted[i] = coupling[i]
+        for j in range(n_m):
+            wanted[i] += M[n_b + i, n_b + j] * tamest[j]
+        l[i], u[i] = -tau_max[i] - h[n_b + i], tau_max[i] - h[n_b + i]
+        torques_do = torques_do and l[i] <= wanted[i] <= u[i]
+    if not torques_do:
+        wanted = np.minimum(np.maximum(wanted, l[:n_m]), u[:n_m])
+        tamest = np.linalg.solve(M[n_b:, n_b:].copy(), wanted - coupling)
+        for i in range(n_m):
+            l[n_m + i], u[n_m + i] = min(l[n_m + i], tamest[i]), max(u[n_m + i], tamest[i])
+    for i in range(len(base_limit)):
+        for j in range(n_b):
+            C[2 * n_m + i, j] = J_m[i, j]
+        l[2 * n_m + i], u[2 * n_m + i] = -base_limit[i], base_limit[i]
+    return C, l, u

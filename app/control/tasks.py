@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -12,8 +13,6 @@ from app.control.hqp import EqualityTask, Objective
 from app.robot.state import RobotState
 
 Array = np.ndarray
-
-_FREE_BASE = np.eye(2), np.zeros(2)  # what the base's acceleration costs where it is given anyway
 
 
 class Reference(NamedTuple):
@@ -42,10 +41,10 @@ def end_effector_task(state: RobotState, reference: Reference, config: TaskConfi
 
     Paper: Eq. (26), its task T_2.
     """
-    at = state.T_world_ee
+    at, R = state.T_world_ee, state.T_world_ee.rotation
     error = np.empty(6)
     error[:3] = reference.pose.translation - at.translation
-    error[3:] = at.rotation @ pin.log3(at.rotation.T @ reference.pose.rotation)
+    error[3:] = R @ pin.log3(R.T @ reference.pose.rotation)
     xdd = (
         reference.acceleration
         + config.ee_damping * (reference.velocity - state.v_ee)
@@ -85,13 +84,18 @@ def posture_objective(state: RobotState, q_posture: Array, config: TaskConfig) -
         q_posture: (n_m,) the arm's posture.
         config: Gains and the base's weight.
     """
-    H, c = np.eye(state.model.n), np.empty(state.model.n)
-    H[0, 0] = H[1, 1] = config.base_weight
+    c = np.empty(state.model.n)
     c[:2] = config.base_weight * config.base_damping * state.qd[:2]
     c[2:] = config.posture_damping * state.measurement.qd_m - config.posture_stiffness * (
         q_posture - state.measurement.q_m
     )
-    return Objective(H, c)
+    return Objective(_posture_hessian(state.model.n, config.base_weight), c)
+
+
+@lru_cache(maxsize=8)
+def _posture_hessian(n: int, base_weight: float) -> Array:
+    """(n, n), not to be written to."""
+    return np.diag([base_weight] * 2 + [1.0] * (n - 2))
 
 
 def free_arm_torque(state: RobotState) -> Array:
@@ -107,12 +111,14 @@ def guided_arm_objective(state: RobotState, base: Objective | None = None) -> Ob
 
     Args:
         state: The robot's state.
-        base: (2, 2) and (2,), what the base's acceleration costs; None where it is given anyway.
+        base: (2, 2) and (2,), what the base's acceleration costs; None where a level above gives it.
     """
-    H_b, c_b = base or _FREE_BASE
-    M_ab = state.M[2:, :2]
-    c = np.empty(state.model.n)
+    c = np.zeros(state.model.n)
     c[2:] = state.h[2:] - free_arm_torque(state)
+    if base is None:
+        return Objective(state.M, c)
+    H_b, c_b = base
+    M_ab = state.M[2:, :2]
     right = np.empty((state.model.n_m, 3))
     right[:, :2], right[:, 2] = M_ab, c[2:]
     share = np.linalg.solve(state.M[2:, 2:], right)  # M_aa⁻¹ (M_ab, c_a)

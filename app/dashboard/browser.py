@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import shutil
 import sys
@@ -76,12 +77,17 @@ def chromium() -> Iterator[Browser]:
     # Imported here: most of what uses a scene needs no browser.
     from playwright.sync_api import sync_playwright
 
-    with sync_playwright() as playwright:
-        browser = _launch(playwright, browser_path(playwright.chromium.executable_path))
-        try:
-            yield browser
-        finally:
-            browser.close()
+    try:
+        with sync_playwright() as playwright:
+            browser = _launch(playwright, browser_path(playwright.chromium.executable_path))
+            try:
+                yield browser
+            finally:
+                browser.close()
+    except KeyboardInterrupt:
+        # The signal ends playwright's driver too; asyncio would tell of each call that this broke.
+        logging.getLogger("asyncio").setLevel(logging.CRITICAL)
+        raise
 
 
 def new_context(browser: Browser, size: tuple[int, int]) -> BrowserContext:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from app.robot import motion
 from app.robot.model import RobotModel
 
 Array = np.ndarray
@@ -49,11 +50,8 @@ class RobotState:
         self.model = model
         self.data = model.pin.createData()
         self._pin = model.pin
-        self.geometry_data = pin.GeometryData(model.geometry)
         self._J_m_inv = np.linalg.inv(model.J_m)
-        self._S_T = np.ascontiguousarray(model.S.T)
-        self._zero = np.zeros(model.pin.nv)
-        self.qd = np.zeros(model.n)
+        self._B = np.ascontiguousarray(model.S[:3, : model.n - model.n_m])
         self.R_world_base = np.eye(3)
         self.p_o = np.zeros(3)
         at_rest = Measurement(
@@ -82,40 +80,32 @@ class RobotState:
     def update(self, measurement: Measurement) -> None:
         """Recompute everything; Algorithm 2, line 2 (UpdateKinematics)."""
         q, v = self._take(measurement)
-        pin.computeAllTerms(self._pin, self.data, q, v)
-        S, S_T = self.model.S, self._S_T
-        self.M = S_T @ self.data.M @ S
-        self.h = S_T @ self.data.nle
-        self.g = S_T @ self.data.g
-        self._update_motion(q, v)
+        data = self.data
+        pin.computeAllTerms(self._pin, data, q, v)
+        self.M, self.h, self.g = motion.reduced_dynamics(data.M, data.nle, data.g, self._B)
+        self._update_motion(v)
 
     def update_kinematics(self, measurement: Measurement) -> None:
         """Recompute all but M, h and g, which stay those of the last `update`."""
         q, v = self._take(measurement)
         pin.computeJointJacobians(self._pin, self.data, q)
-        self._update_motion(q, v)
+        self._update_motion(v)
 
     def _take(self, measurement: Measurement) -> tuple[Array, Array]:
         """Pinocchio's configuration and velocity."""
         self.measurement = measurement
-        self.qd[:2] = self._J_m_inv @ measurement.base_velocity
-        self.qd[2:] = measurement.qd_m
-        q = self.model.configuration(measurement.base_pose, measurement.q_m)
-        return q, self.model.S @ self.qd
+        self.qd, q, v = motion.coordinates(*measurement, self._B, self._J_m_inv)
+        return q, v
 
-    def _update_motion(self, q: Array, v: Array) -> None:
+    def _update_motion(self, v: Array) -> None:
         """Placements, velocities and accelerations, with the Jacobians already there."""
-        model, data = self._pin, self.data
-        # The acceleration of every point at q̈ = 0, which is J̇ q̇; S is constant.
-        pin.forwardKinematics(model, data, q, v, self._zero)
-        pin.updateFramePlacement(model, data, self.model.ee_frame)
-        self.T_world_ee = data.oMf[self.model.ee_frame]
-        axes = pin.LOCAL_WORLD_ALIGNED
-        self.J_ee = pin.getFrameJacobian(model, data, self.model.ee_frame, axes) @ self.model.S
-        self.v_ee = self.J_ee @ self.qd
-        self.Jdqd_ee = pin.getFrameClassicalAcceleration(
-            model, data, self.model.ee_frame, axes
-        ).vector
+        data, frame = self.data, self.model.ee_frame
+        self._J = data.J
+        self._twists, self._biases = motion.chain_motion(self._J, v)
+        self.T_world_ee = pin.updateFramePlacement(self._pin, data, frame)
+        self.J_ee, self.v_ee, self.Jdqd_ee = motion.tip_motion(
+            self._J, self._B, self._twists, self._biases, self.T_world_ee.translation
+        )
         root = data.oMi[1]
         self.R_world_base = root.rotation
         self.p_o = root.translation
@@ -130,17 +120,36 @@ class RobotState:
 
     def point_jacobian(self, joint: int, p_world: Array) -> Array:
         """(3, n) Jacobian of the point of a joint's body that is now at `p_world`."""
-        data = self.data
-        J = pin.getJointJacobian(self.model.pin, data, joint, pin.LOCAL_WORLD_ALIGNED)
-        lever = pin.skew(p_world - data.oMi[joint].translation)
-        return (J[:3] - lever @ J[3:]) @ self.model.S
+        return motion.point_jacobian(self._J, self._B, joint, p_world)
+
+    def point_velocity(self, joint: int, p_world: Array) -> Array:
+        """(3,) [m/s] velocity of that point."""
+        return np.array(motion.point_velocity(self._twists[joint], p_world))
 
     def point_bias(self, joint: int, p_world: Array) -> Array:
         """(3,) J̇ q̇ of that point: its acceleration at q̈ = 0."""
-        data = self.data
-        axes = pin.LOCAL_WORLD_ALIGNED
-        a = pin.getClassicalAcceleration(self.model.pin, data, joint, axes)
-        placement = data.oMi[joint]
-        w = pin.skew(placement.rotation @ data.v[joint].angular)
-        r = p_world - placement.translation
-        return a.linear + pin.skew(a.angular) @ r + w @ (w @ r)
+        return np.array(motion.point_bias(self._twists[joint], self._biases[joint], p_world))
+
+    def pair_motion(
+        self, joint_a: int, p_a: Array, joint_b: int, p_b: Array, n: Array
+    ) -> tuple[Array, float, float, float]:
+        """How the distance between a point of one body and a point of another one moves.
+
+        Args:
+            joint_a: Joint of the first body.
+            p_a: (3,) [m] its point, in the world.
+            joint_b: Joint of the second body.
+            p_b: (3,) [m] its point, in the world.
+            n: (3,) unit vector from the first to the second.
+
+        Returns:
+            (n,) its Jacobian nᵀ(J_b - J_a); [m/s²] nᵀ(J̇_b - J̇_a) q̇; [m/s] its speed, and the
+            square of the speed [m²/s²] across n.
+        """
+        return motion.pair_motion(
+            self._J, self._B, self._twists, self._biases, joint_a, p_a, joint_b, p_b, n
+        )
+
+    def pair_speed(self, joint_a: int, p_a: Array, joint_b: int, p_b: Array, n: Array) -> float:
+        """[m/s] the speed of `pair_motion` alone."""
+        return motion.pair_velocity(self._twists, joint_a, p_a, joint_b, p_b, n)[0]
