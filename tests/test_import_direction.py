@@ -13,7 +13,7 @@ import pytest
 PROJECT = Path(__file__).resolve().parent.parent
 
 ROOMS = (
-    "errors", "strict", "parameters", "config", "config_file",
+    "errors", "strict", "compiled", "parameters", "config", "config_file",
     "robot", "border", "avoidance", "control", "simulation", "reproduce", "study", "dashboard",
     "cli",
     "__main__",

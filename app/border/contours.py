@@ -1,8 +1,8 @@
 """Kernels of the search on contours: closed polygons in plan, one a height, blended in between.
 
-Vertices and unit tangents stand as x + iy in rows (H, R + 1), the first one of a row repeated at its
-end, so that what follows a vertex stands beside it. A place along a contour is told in rays: the
-number of the edge and the share of its length.
+Vertices and unit tangents stand as x + iy in rows (H, R + 1), the first one of a row repeated at
+its end, so that what follows a vertex stands beside it. A place along a contour is told in rays:
+the number of the edge and the share of its length.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _TABLES = "f8[:], b1[:], c16[:,:], c16[:,:]"  # heights, which equal the next, v
 @compiled("Tuple((i8, f8))(f8[:], f8)")
 def place(heights: Array, z: float) -> tuple[int, float]:
     """Index of the polygon at or below z, and how far up to the next one, [0, 1); z is in range."""
-    k = np.searchsorted(heights, z, side="right") - 1
+    k = int(np.searchsorted(heights, z, side="right")) - 1
     if heights[k] == z:
         return k, 0.0
-    return k, (z - heights[k]) / (heights[k + 1] - heights[k])
+    return k, float((z - heights[k]) / (heights[k + 1] - heights[k]))
 
 
 @compiled("Tuple((i8, f8))(f8[:], b1[:], f8)")
@@ -143,3 +143,47 @@ def nearest_in_reach(
         end = middle + (width if inside >= 0.0 else -width)
         return point_at(heights, same, vertices, tangents, end, z)
     return x, y, t_x, t_y
+
+
+@compiled("Tuple((f8[::1], f8[::1]))(f8[:], f8[:], f8[:], i8[:], i8[:], c16[:,:], f8, i8)")
+def widest_gaps(
+    x: Array, y: Array, ray: Array, first: Array, last: Array, vertices: Array, near: float,
+    least_points: int,
+) -> tuple[Array, Array]:  # fmt: skip
+    """The widest part of each contour near which there is no point.
+
+    Args:
+        x: (N,) [m] of the points in plan.
+        y: (N,) [m] of the points in plan.
+        ray: (N,) on which ray each of them lies.
+        first: (H,) index of the first point of each contour's height.
+        last: (H,) index after the last one.
+        vertices: (H, R + 1) as x + iy [m].
+        near: [m] within which of the contour's vertex on its ray a point counts.
+        least_points: Fewer tell nothing.
+
+    Returns:
+        (H,) middle and (H,) width of each gap [rays]; the width is 0 where nothing is told.
+    """
+    H, rays = len(first), vertices.shape[1] - 1
+    middle, width = np.zeros(H), np.zeros(H)
+    lowest, highest = np.empty(rays), np.empty(rays)  # ray of a point, by whole rays
+    for k in range(H):
+        lowest[:], highest[:] = np.inf, -np.inf
+        count = 0
+        for i in range(first[k], last[k]):
+            v = vertices[k, round(ray[i]) % rays]
+            if (x[i] - v.real) ** 2 + (y[i] - v.imag) ** 2 < near**2:
+                cell = int(ray[i]) % rays
+                lowest[cell] = min(lowest[cell], ray[i])
+                highest[cell] = max(highest[cell], ray[i])
+                count += 1
+        if count < least_points:
+            continue
+        before = np.max(highest) - rays  # the last point, a turn ago
+        for cell in range(rays):
+            if lowest[cell] <= highest[cell]:
+                if lowest[cell] - before > width[k]:
+                    middle[k], width[k] = (before + lowest[cell]) / 2, lowest[cell] - before
+                before = highest[cell]
+    return middle, width

@@ -6,6 +6,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from app.border.ray_ends import measures
 from app.robot.model import RobotModel
 
 Array = np.ndarray
@@ -16,10 +17,13 @@ class ConvexPart:
 
     Attributes:
         lower, upper: (3,) [m] corners of a box around it, along the base's axes.
+        placement: T_base_shape.
+        measures: Kind and sizes for `app.border.ray_ends`, or None for another shape.
     """
 
     def __init__(self, geometry: coal.CollisionGeometry, placement: pin.SE3) -> None:
         self.lower, self.upper = _bounds(geometry, placement)
+        self.placement, self.measures = placement, measures(geometry)
         self._T_shape = coal.Transform3s(placement.rotation, placement.translation)
         self._T_point = coal.Transform3s()
         self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()

@@ -6,12 +6,14 @@ zero force.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from app.border import contours
 from app.border.mobile import ConvexPart, MobileBody
+from app.border.ray_ends import ray_ends
 from app.robot.model import RobotModel
 
 Array = np.ndarray
@@ -196,24 +198,20 @@ def _ray_ends(
     """(RAYS,) [m] how far along each ray the offset of one part ends; −inf where it misses it."""
     outside = float(np.abs(np.concatenate([part.lower, part.upper])[[0, 1, 3, 4]]).max())
     beyond = 2 * (outside + d_b + float(np.abs(centre).max()))
-    ends = np.empty(len(rays))
-    origin = (float(centre[0]), float(centre[1]), z)
-    for k, (x, y) in enumerate(rays.tolist()):
-        first = beyond if start is None or not np.isfinite(start[k]) else float(start[k])
-        ends[k] = _newton(part, origin, (x, y), first, d_b)
-    return ends
+    first = np.full(len(rays), beyond)
+    if start is not None:
+        first = np.where(np.isfinite(start), start, beyond)
+    origin = np.array([centre[0], centre[1], z])
+    if part.measures is not None:
+        at = part.placement
+        return ray_ends(*part.measures, at.rotation, at.translation, rays, origin, first, d_b)
+    pairs = zip(rays.tolist(), first.tolist(), strict=True)
+    return np.array([_newton(part, origin, ray, s, d_b) for ray, s in pairs])
 
 
-def _newton(
-    part: ConvexPart, origin: tuple[float, float, float], ray: tuple[float, float], s: float,
-    d_b: float,
-) -> float:  # fmt: skip
-    """Outer root [m] of distance(origin + s ray) = d_b, or −inf if the ray misses.
-
-    The distance to a convex part is a convex function of s: from any start on the rising side the
-    first step lands at the outer root or beyond it, and the next ones come down to it.
-    """
-    point = np.array(origin)
+def _newton(part: ConvexPart, origin: Array, ray: Sequence[float], s: float, d_b: float) -> float:
+    """`app.border.ray_ends.ray_ends` for one ray and any convex part."""
+    point = origin.copy()
     for _ in range(_MAX_NEWTON):
         point[0], point[1] = origin[0] + s * ray[0], origin[1] + s * ray[1]
         d, normal = part.distance_and_normal(point)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from app.border.dbb import Border
+from app.border.box_tree import BoxTree
+from app.border.dbb import SAME_HEIGHT, Border
 from app.border.offset import OffsetContours, OnContour
 from app.border.surface import Foot, on_surface
 
@@ -16,7 +19,8 @@ class BorderPoints:
 
     def __init__(self, border: Border, offset: OffsetContours) -> None:
         """The sampled border of one pair, and the exact offset of l_m for the same d_b."""
-        self._border = border
+        self._eps = border.eps
+        self._tree = BoxTree(border.points)
         self._offset = offset
 
     def nearest(self, p: Array) -> Foot | None:
@@ -33,21 +37,25 @@ class BorderPoints:
         Returns:
             None only if l_m has no border at all.
         """
-        z = float(p[2])
-        points = self._border.same_height(z)
-        if not len(points):
-            found = on_surface(self._offset, p)
-            return None if found is None else self._foot(p, found.xy, found)
-        offsets = points[:, :2] - p[:2]
-        xy = points[np.argmin(np.einsum("ij,ij->i", offsets, offsets)), :2]
-        return self._foot(p, xy, None)
+        xy = self._in_plan(p)
+        if xy is not None:
+            return self._foot(p, xy, None)
+        found = on_surface(self._offset, p)
+        if found is None:
+            return None
+        x, y = found.xy.tolist()
+        return self._foot(p, (x, y), found)
 
-    def _foot(self, p: Array, xy: Array, found: OnContour | None) -> Foot:
-        p_n = np.array([xy[0], xy[1], p[2]])
-        along = xy - p[:2]
-        length = float(np.hypot(*along))
-        if length > self._border.eps:
-            return Foot(p_n, np.array([-along[1], along[0], 0.0]) / length)
+    def _in_plan(self, p: Array) -> tuple[float, float] | None:
+        """[m] the point nearest in plan among those of p's height, or None if there is none."""
+        return self._tree.nearest(p, SAME_HEIGHT)
+
+    def _foot(self, p: Array, xy: tuple[float, float], found: OnContour | None) -> Foot:
+        p_n = np.array([*xy, p[2]])
+        x, y = xy[0] - float(p[0]), xy[1] - float(p[1])
+        length = math.hypot(x, y)
+        if length > self._eps:
+            return Foot(p_n, np.array([-y / length, x / length, 0.0]))
         found = found or on_surface(self._offset, p_n)
         t = found.tangent if found is not None else np.array([0.0, 1.0])
         return Foot(p_n, np.array([*t, 0.0]))

@@ -68,7 +68,6 @@ class BorderSurface:
         """
         self._offset = offset
         self.gap = find_gap(border, offset)
-        self._tables = (*offset.tables, *self.gap)
 
     def nearest(self, p: Array) -> Foot | None:
         """The surface's point at p's height that is nearest to p.
@@ -84,7 +83,7 @@ class BorderSurface:
         """
         if not len(self._offset.heights):
             return None
-        x, y, t_x, t_y = contours.nearest_in_reach(*self._tables, p)
+        x, y, t_x, t_y = contours.nearest_in_reach(*self._offset.tables, *self.gap, p)
         return Foot(np.array([x, y, p[2]]), np.array([t_x, t_y, 0.0]))
 
     def contour(self, z: float) -> Array | None:
@@ -120,26 +119,18 @@ def on_surface(offset: OffsetContours, p: Array) -> OnContour | None:
 def find_gap(border: Border, offset: OffsetContours) -> Gap:
     """The widest part of each contour near which the border has no points."""
     heights = offset.heights
-    centre, half = np.full(len(heights), np.nan), np.zeros(len(heights))
-    for k, z in enumerate(heights):
-        points = border.same_height(float(z), _NEAR_HEIGHT)
-        rays = np.sort(_rays_on_contour(offset, k, points[:, :2]))
-        if len(rays) < _LEAST_POINTS:
-            continue
-        widths = np.diff(rays, append=rays[0] + RAYS)
-        i = int(widths.argmax())
-        if widths[i] >= _LEAST_GAP:
-            centre[k], half[k] = rays[i] + widths[i] / 2, widths[i] / 2 - _MARGIN
+    first = border.heights.searchsorted(heights - _NEAR_HEIGHT, "left")
+    last = border.heights.searchsorted(heights + _NEAR_HEIGHT, "right")
+    points = border.points
+    centre, width = contours.widest_gaps(
+        points[:, 0].copy(), points[:, 1].copy(), offset.ray_of(points[:, :2]), first, last,
+        offset.tables.vertices, _NEAR_CONTOUR, _LEAST_POINTS,
+    )  # fmt: skip
+    found = width >= _LEAST_GAP
+    half = np.where(found, width / 2 - _MARGIN, 0.0)
+    centre[~found] = np.nan
     known = np.flatnonzero(np.isfinite(centre))
     if not len(known):
         return Gap(np.zeros(len(heights)), half)
     turns = np.unwrap(centre[known], period=RAYS)
     return Gap(np.interp(np.arange(len(heights)), known, turns), half)
-
-
-def _rays_on_contour(offset: OffsetContours, k: int, points_xy: Array) -> Array:
-    """Rays of those points (N, 2) [m] that lie near the k-th contour."""
-    rays = offset.ray_of(points_xy)
-    on_contour = offset.vertices[k][np.rint(rays).astype(int) % RAYS]
-    near = np.linalg.norm(points_xy - on_contour, axis=1) < _NEAR_CONTOUR
-    return rays[near]

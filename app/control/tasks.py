@@ -111,7 +111,8 @@ def guided_arm_objective(state: RobotState, base: Objective | None = None) -> Ob
 
     Args:
         state: The robot's state.
-        base: (2, 2) and (2,), what the base's acceleration costs; None where a level above gives it.
+        base: (2, 2) and (2,), what the base's acceleration costs; None where a level above
+            gives it.
     """
     c = np.zeros(state.model.n)
     c[2:] = state.h[2:] - free_arm_torque(state)

@@ -266,7 +266,7 @@ def _trade_off(s: Sources) -> Finding:
         f"{n} points: {1e3 * j:.0f} mm, {c:.0f} µs"
         for n, j, c in zip(count, jump, cost, strict=True)
     )
-    surface = float(table["jump_max_m"][~points][0])
+    surface = float(table["jump_max_m"][-1])
     values = {"jump_sparse_m": float(jump[0]), "jump_dense_m": float(jump[-1]),
               "find_sparse_us": float(cost[0]), "find_dense_us": float(cost[-1]),
               "jump_surface_m": surface}  # fmt: skip

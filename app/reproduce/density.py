@@ -34,6 +34,22 @@ COUNTS = (5_000, 10_000, 20_000, 50_000)
 """Points of the thinned borders; the whole one is the last."""
 
 
+class ScannedPoints(BorderPoints):
+    """The border searched as printed: every point at the hand's height is looked at."""
+
+    def __init__(self, border: Border, offset: OffsetContours) -> None:
+        super().__init__(border, offset)
+        self._border = border
+
+    def _in_plan(self, p: Array) -> tuple[float, float] | None:
+        points = self._border.same_height(float(p[2]))
+        if not len(points):
+            return None
+        offsets = points[:, :2] - p[:2]
+        x, y, _ = points[np.argmin(np.einsum("ij,ij->i", offsets, offsets))].tolist()
+        return x, y
+
+
 def figure_density(sources: Sources) -> Drawing:
     """Largest jump of the acting point and time per search, over the number of points."""
     table = trade_off(sources)
@@ -46,9 +62,18 @@ def figure_density(sources: Sources) -> Drawing:
         as_points = table["border"] == "points"
         ax.plot(
             table["points"][as_points], table[column][as_points], "o-",
-            color=METHOD_COLOURS["points"], label="border of points, as printed",
+            color=METHOD_COLOURS["points"], label="border of points, searched as printed",
         )  # fmt: skip
-        level(ax, float(table[column][~as_points][0]), "as a continuous surface (used here)")
+        surface, name = float(table[column][-1]), "as a continuous surface (used here)"
+        if ax is jump:
+            level(ax, surface, name)
+        else:
+            ax.axhline(surface, color="grey", linestyle=":", label=name)
+            in_tree = table["border"] == "tree"
+            ax.plot(
+                table["points"][in_tree], table[column][in_tree], "o--",
+                color=METHOD_COLOURS["points"], label="the same points in a tree of boxes",
+            )  # fmt: skip
         ax.set_xscale("log")
         ax.set_ylim(0.0, None)
         ax.set(xlabel="points of the border [–]", ylabel=label)
@@ -58,8 +83,9 @@ def figure_density(sources: Sources) -> Drawing:
     panel_title(jump, "", "jumps of the acting point")
     panel_title(cost, "", "cost of the acting point")
     jump.legend(loc="upper right")
+    cost.legend(loc="upper left")
     rows: dict[str, object] = {
-        f"{n} points" if kind == "points" else "surface": _row(table, k)
+        "surface" if kind == "surface" else f"{n} {kind}": _row(table, k)
         for k, (kind, n) in enumerate(zip(table["border"], table["points"].tolist(), strict=True))
     }
     return Drawing(
@@ -82,13 +108,15 @@ def trade_off(sources: Sources) -> Table:
     field = ScoreField.of(sources.model, pair.b)
     path = hand_in_buffer(sources)
     counts = [n for n in COUNTS if n < len(border)] + [len(border)]
-    shapes: list[NearestBorder] = [BorderPoints(thinned(border, count), offset) for count in counts]
+    borders = [thinned(border, count) for count in counts]
+    shapes: list[NearestBorder] = [ScannedPoints(thin, offset) for thin in borders]
+    shapes += [BorderPoints(thin, offset) for thin in borders]
     shapes.append(BorderSurface(border, offset))
-    kinds = np.array(["points"] * len(counts) + ["surface"])
+    kinds = np.array(["points"] * len(counts) + ["tree"] * len(counts) + ["surface"])
     measured = [jump_and_cost(sources, ActingPointFinder(shape, field), path) for shape in shapes]
     jumps, typical, times = np.array(measured).T
     return Table(
-        {"border": kinds, "points": np.array([*counts, len(border)]), "jump_max_m": jumps,
+        {"border": kinds, "points": np.array([*counts, *counts, len(border)]), "jump_max_m": jumps,
          "jump_p99_m": typical, "find_p50_us": times}
     )  # fmt: skip
 

@@ -148,8 +148,7 @@ def pair_velocity(
 
 
 @compiled(
-    "Tuple((f8[::1], f8, f8, f8))"
-    "(f8[:,:], f8[:,:], f8[:,:], f8[:,:], i8, f8[:], i8, f8[:], f8[:])"
+    "Tuple((f8[::1], f8, f8, f8))(f8[:,:], f8[:,:], f8[:,:], f8[:,:], i8, f8[:], i8, f8[:], f8[:])"
 )
 def pair_motion(
     J: Array, B: Array, twists: Array, biases: Array, joint_a: int, p_a: Array, joint_b: int,
