@@ -1,0 +1,83 @@
+"""One environment a library: they cannot share one, each wants its own version of pinocchio."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from app.errors import DbbError
+
+_LONGEST = 600.0  # [s] of one installation
+_MARK = "requirements.txt"  # in an environment that is complete
+
+
+class PeerError(DbbError):
+    """A library cannot be installed or run; says why."""
+
+
+def python_of(environment: Path) -> Path:
+    """The interpreter of an environment."""
+    return environment / "bin" / "python"
+
+
+def installed(environment: Path, requirements: Sequence[str]) -> bool:
+    """Whether an environment is there and has what is required."""
+    mark = environment / _MARK
+    return (
+        python_of(environment).exists()
+        and mark.is_file()
+        and mark.read_text(encoding="utf-8") == _text(requirements)
+    )
+
+
+def ensure_environment(environment: Path, requirements: Sequence[str]) -> Path:
+    """The interpreter of an environment with what is required, made if it is not there.
+
+    By `uv` where that is on the path, which is faster, else by venv and pip.
+
+    Raises:
+        PeerError: It cannot be made; says what the installer said last.
+    """
+    if installed(environment, requirements):
+        return python_of(environment)
+    shutil.rmtree(environment, ignore_errors=True)
+    try:
+        environment.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise PeerError(f"not installed: cannot make {environment}: {error.strerror}") from None
+    uv = shutil.which("uv")
+    if uv is not None:
+        _run([uv, "venv", "--quiet", "--python", sys.executable, str(environment)])
+        install = [uv, "pip", "install", "--quiet", "--python", str(python_of(environment))]
+    else:
+        _run([sys.executable, "-m", "venv", str(environment)])
+        install = [
+            str(python_of(environment)), "-m", "pip", "install", "--quiet",
+            "--disable-pip-version-check",
+        ]  # fmt: skip
+    _run([*install, *requirements])
+    (environment / _MARK).write_text(_text(requirements), encoding="utf-8")
+    return python_of(environment)
+
+
+def _text(requirements: Sequence[str]) -> str:
+    return "\n".join(requirements) + "\n"
+
+
+def _run(command: Sequence[str]) -> None:
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=_LONGEST)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise PeerError(f"not installed: {error}") from None
+    if done.returncode:
+        raise PeerError(f"not installed: {last_line(done.stderr or done.stdout)}")
+
+
+def last_line(text: str) -> str:
+    """The last line that says something; of pip's the one with the error."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    errors = [line for line in lines if line.startswith("ERROR:")]
+    return (errors or lines or ["it gave no reason"])[-1]

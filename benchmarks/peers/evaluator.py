@@ -1,0 +1,115 @@
+"""One judge for all: figures of a motion on the common model, by pinocchio and coal alone.
+
+It knows nothing of our own robot, its distances or its controllers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pinocchio as pin
+
+Array = np.ndarray
+
+
+class Evaluator:
+    """Kinematics and distances of the common model.
+
+    A configuration is (3 + n_m,): x, y [m], yaw [rad] and the arm's joints.
+    """
+
+    def __init__(self, urdf: str, pairs: Sequence[tuple[str, str]], hand: str) -> None:
+        """Read a model.
+
+        Args:
+            urdf: Its text, on three joints for x, y and yaw.
+            pairs: The two links of each pair; each link has one shape.
+            hand: The link of the end-effector.
+
+        Raises:
+            ValueError: It has no such link, or a link of a pair has no shape.
+        """
+        self.model = pin.buildModelFromXML(urdf)
+        self._data = self.model.createData()
+        self._shapes = pin.GeometryModel()
+        pin.buildGeomFromUrdfString(self.model, urdf, pin.COLLISION, self._shapes)
+        for pair in pairs:
+            names = [f"{link}_0" for link in pair]
+            for name in names:
+                if not self._shapes.existGeometryName(name):
+                    raise ValueError(f"the common model has no shape {name}")
+            self._shapes.addCollisionPair(
+                pin.CollisionPair(*(self._shapes.getGeometryId(name) for name in names))
+            )
+        self._placed = pin.GeometryData(self._shapes)
+        if not self.model.existFrame(hand):
+            raise ValueError(f"the common model has no link {hand}")
+        self._hand = self.model.getFrameId(hand)
+
+    def distances(self, q: Array) -> Array:
+        """(pairs,) [m] signed distances at a configuration."""
+        pin.computeDistances(self.model, self._data, self._shapes, self._placed, q)
+        return np.array([result.min_distance for result in self._placed.distanceResults])
+
+    def hand(self, q: Array) -> pin.SE3:
+        """T_world_hand at a configuration."""
+        pin.framesForwardKinematics(self.model, self._data, q)
+        return self._data.oMf[self._hand].copy()
+
+    def figures(self, q: Array, p: Array, R: Array, dt: float) -> dict[str, float]:
+        """What a motion comes to; keys end in their unit.
+
+        Args:
+            q: (N + 1, 3 + n_m) configurations every dt.
+            p: (N + 1, 3) [m] where the hand should have been at the same times.
+            R: (3, 3) its orientation.
+            dt: [s]
+        """
+        least = np.min([self.distances(at) for at in q], axis=0)
+        hands = [self.hand(at) for at in q]
+        off = np.linalg.norm([hand.translation for hand in hands] - p, axis=1)
+        turned = [float(np.linalg.norm(pin.log3(R.T @ hand.rotation))) for hand in hands]
+        steps = np.diff(q, axis=0)
+        velocity = np.vstack([np.zeros(q.shape[1]), steps / dt])
+        change = np.abs(np.diff(velocity, axis=0)) / dt
+        base = np.diff(along(q, velocity)) / dt
+        return {
+            "clearance_m": float(least.min()),
+            "error_final_m": float(off[-1]),
+            "error_max_m": float(off.max()),
+            "turn_error_final_rad": turned[-1],
+            "turn_error_max_rad": max(turned),
+            "base_path_m": float(np.hypot(*steps[:, :2].T).sum()),
+            "base_turned_rad": float(np.abs(steps[:, 2]).sum()),
+            "slip_m": float(slips(q).sum()),
+            "base_change_max_mps2": float(np.abs(base).max()),
+            "base_turn_change_max_radps2": float(change[:, 2].max()),
+            "arm_change_max_radps2": float(change[:, 3:].max()),
+        }
+
+
+def along(q: Array, velocity: Array) -> Array:
+    """(N + 1,) [m/s] the base's velocity ahead, before and in each step.
+
+    Args:
+        q: (N + 1, 3 + n_m) configurations.
+        velocity: (N + 1, 3 + n_m) of each step, a first row of zeros before them.
+    """
+    yaw = np.concatenate([q[:1, 2], (q[:-1, 2] + q[1:, 2]) / 2])
+    return velocity[:, 0] * np.cos(yaw) + velocity[:, 1] * np.sin(yaw)
+
+
+def slips(q: Array) -> Array:
+    """(N,) [m] how far the base went sideways in each step.
+
+    A step between two headings along any heading in between is none: an arc's chord, and a step of
+    Euler's along the heading at its begin.
+
+    Args:
+        q: (N + 1, 3 + n_m) configurations.
+    """
+    step = np.diff(q[:, :2], axis=0)
+    across = [-step[:, 0] * np.sin(yaw) + step[:, 1] * np.cos(yaw) for yaw in (q[:-1, 2], q[1:, 2])]
+    between = across[0] * across[1] <= 0.0
+    return np.where(between, 0.0, np.min(np.abs(across), axis=0))

@@ -1,0 +1,55 @@
+"""The hand paths that every library follows: from the side, from the front, on the wheel axis."""
+
+from __future__ import annotations
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.errors import UnreachableError
+from app.robot.model import RobotModel
+from app.simulation.start import StartSolver
+from app.study.paths import Approach
+from app.study.paths_start import StartFinder
+from app.study.sweep_plan import CLEAR, StartedLine
+
+DURATION = 15.0
+"""[s] of each path; a cubic in time from rest to rest."""
+
+AXIS_OFFSETS = (0.0, 0.001, 0.010, 0.050)
+"""[m] x of the arm's closest point at the begin, on the paths along the wheel axis."""
+
+_HEIGHT = 0.3  # [m] of the hand
+_LENGTH = 0.2  # [m] of the paths along the wheel axis
+_LINES = {
+    "side": ((0.30, 0.68, 0.30), (0.0, -0.2, 0.0)),
+    "front": ((0.92, 0.10, 0.30), (-0.3, 0.0, 0.0)),
+}  # [m] where the hand begins, and how far it is led
+
+
+def axis_name(offset: float) -> str:
+    """As in `axis-10mm`."""
+    return f"axis-{1000 * offset:g}mm"
+
+
+PATHS = (*_LINES, *(axis_name(offset) for offset in AXIS_OFFSETS))
+"""Names of all paths."""
+
+
+def hand_path(name: str, model: RobotModel, data: BorderData) -> StartedLine:
+    """One of `PATHS`, with the arm's posture at its begin; the base stands at the origin.
+
+    Raises:
+        UnreachableError: The arm has no clear posture there.
+    """
+    d_b = Config().border.d_b
+    if name in _LINES:
+        start, move = _LINES[name]
+        q_m = tuple(StartSolver(model, data.pairs, d_b).solve(start).tolist())
+    else:
+        offset = next(x for x in AXIS_OFFSETS if axis_name(x) == name)
+        approach = Approach("wheel_axis", _HEIGHT, 90.0, offset)
+        found = StartFinder(model, data, d_b).find(approach, d_b + CLEAR)
+        if found.reason:
+            raise UnreachableError(f"{approach.name}: {found.reason}")
+        x, y, z = (_LENGTH * approach.inwards).tolist()
+        start, move, q_m = found.p_ee, (x, y, z), found.q_m
+    return StartedLine(name, DURATION, "the hand is tracked", "tracking", start, move, 1.0, q_m)

@@ -1,0 +1,98 @@
+"""What every driver reads: the model, the paths, the weights, written once for all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
+from app.study.sweep_plan import StartedLine
+from benchmarks.peers.model import HAND, PLANAR, UNICYCLE, CommonModel, common_model
+
+Array = np.ndarray
+
+BASE_WEIGHTS = (300.0, 1.0)
+"""[-] how much costlier the base's motion is than the arm's, as the libraries count costs."""
+DT = 0.005
+"""[s] between two steps of a library, and two samples of all."""
+D_MIN = 0.05
+"""[m] distance that no pair shall undercut; the default of our own `barrier` too."""
+RATE = 20.0
+"""[1/s] how fast a pair may close in on it, per distance left; likewise."""
+_HAND_COST = 10.0  # [1/m and 1/rad] of the hand's error; its square weighs in the objective
+_ARM_COST = 0.1  # [1/rad] of a step of each joint of the arm; likewise
+_DETECTION = 0.3  # [m] farther pairs may be left out
+
+
+def run_name(path: str, base_weight: float) -> str:
+    """As in `side-300`."""
+    return f"{path}-{base_weight:g}"
+
+
+def write_plan(
+    folder: Path, model: RobotModel, data: BorderData, paths: Mapping[str, StartedLine],
+    base_weights: tuple[float, ...] = BASE_WEIGHTS, *, physics: str = "planar",
+) -> tuple[dict[str, Any], CommonModel]:  # fmt: skip
+    """Write `plan.json`, `paths.npz` and the URDFs into a folder that exists.
+
+    Args:
+        folder: Where to.
+        model: The robot.
+        data: Its pairs.
+        paths: By their names.
+        base_weights: [-] each path is run with each.
+        physics: The plant of our own controllers.
+
+    Returns:
+        What the JSON holds, and the common model.
+    """
+    limits = Config().admittance
+    common = common_model(model, data.pairs.all, (limits.v_max, limits.omega_max))
+    (folder / "robot.urdf").write_text(common.planar, encoding="utf-8")
+    (folder / "unicycle.urdf").write_text(common.unicycle, encoding="utf-8")
+    plan = {
+        "planar_urdf": "robot.urdf", "unicycle_urdf": "unicycle.urdf", "paths": "paths.npz",
+        "hand": HAND, "planar_joints": PLANAR, "unicycle_joints": UNICYCLE,
+        "arm_joints": common.joints, "pairs": common.pairs,
+        "base_velocity": [limits.v_max, limits.omega_max], "arm_velocity": model.qd_max.tolist(),
+        "dt_s": DT, "d_min_m": D_MIN, "rate_per_s": RATE, "detection_m": _DETECTION,
+        "hand_cost": _HAND_COST, "arm_cost": _ARM_COST,
+        "robot": model.description.name, "physics": physics,
+        "lines": {name: _line(line) for name, line in paths.items()},
+        "runs": [
+            {"name": run_name(path, weight), "path": path, "base_weight": weight}
+            for weight in base_weights for path in paths
+        ],
+    }  # fmt: skip
+    (folder / "plan.json").write_text(json.dumps(plan, indent=1), encoding="utf-8")
+    np.savez(folder / "paths.npz", **arrays_of(model, paths))
+    return plan, common
+
+
+def arrays_of(model: RobotModel, paths: Mapping[str, StartedLine]) -> dict[str, Array]:
+    """For each path (N + 1, 3) [m] `NAME_p`, the hand's target every `DT` from the begin on, and
+
+    (3, 3) `NAME_R`, the orientation that it keeps.
+    """
+    state, found = RobotState(model), {}
+    for name, line in paths.items():
+        zero = np.zeros(model.n_m)
+        state.update(Measurement(np.zeros(3), np.zeros(2), np.array(line.q_m), zero))
+        count = round(line.duration / DT)
+        found[f"{name}_p"] = np.array([line.position(k * DT)[0] for k in range(count + 1)])
+        found[f"{name}_R"] = state.T_world_ee.rotation.copy()
+    return found
+
+
+def _line(line: StartedLine) -> dict[str, Any]:
+    return {
+        "q_m_rad": line.q_m, "start_m": line.start, "move_m": line.move,
+        "duration_s": line.duration,
+    }  # fmt: skip

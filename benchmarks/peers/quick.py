@@ -1,0 +1,71 @@
+"""How long one step of pink takes here and now: what our own step is measured against."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from app.border.cache import BorderData
+from app.robot.model import RobotModel
+from benchmarks.peers.environments import PeerError, ensure_environment, installed
+from benchmarks.peers.names import PEERS
+from benchmarks.peers.paths import hand_path
+from benchmarks.peers.plan import BASE_WEIGHTS, write_plan
+from benchmarks.peers.running import run_driver
+
+ENVIRONMENTS = Path("out/peers/envs")
+"""Where environments are made if nothing else is asked."""
+_PATH = "side"
+
+
+class PinkStep(NamedTuple):
+    """The time of pink's step with its barrier on the five pairs, along the path from the side.
+
+    Attributes:
+        p50_us: [µs] median, or None where pink could not be measured.
+        p99_us: [µs] 99th percentile, likewise.
+        reason: Why it could not, or an empty string.
+    """
+
+    p50_us: float | None
+    p99_us: float | None
+    reason: str = ""
+
+
+def pink_step(
+    model: RobotModel, data: BorderData, *, environments: Path = ENVIRONMENTS,
+    install: bool = False,
+) -> PinkStep:  # fmt: skip
+    """Measure it, in a process of its own; 3,000 steps, about three seconds.
+
+    Args:
+        model: The robot.
+        data: Its pairs.
+        environments: Folder of the libraries' environments.
+        install: Whether pink's is made if it is not there; needs a package index.
+    """
+    pink = PEERS["pink"]
+    environment = environments / "pink"
+    if not install and not installed(environment, pink.requirements):
+        return PinkStep(
+            None, None, f"pink is not in {environment}: `python -m benchmarks.peers` installs it"
+        )
+    try:
+        python = ensure_environment(environment, pink.requirements)
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name) / "plan"
+            folder.mkdir()
+            write_plan(
+                folder, model, data, {_PATH: hand_path(_PATH, model, data)}, BASE_WEIGHTS[:1]
+            )
+            done = run_driver("pink", pink, python, folder, Path(name) / "out")
+    except PeerError as error:
+        return PinkStep(None, None, str(error))
+    if not done.motions:
+        return PinkStep(None, None, "; ".join(done.errors.values()) or "pink wrote nothing")
+    (motion,) = done.motions.values()
+    p50, p99 = 1e6 * np.percentile(motion.step_s, [50, 99])
+    return PinkStep(float(p50), float(p99))

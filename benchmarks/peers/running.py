@@ -1,0 +1,107 @@
+"""Running a driver: each in a process of its own, on one thread, with nothing of ours loaded."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.peers.environments import PeerError, last_line
+from benchmarks.peers.names import Peer
+
+Array = np.ndarray
+
+_PROJECT = Path(__file__).resolve().parents[2]
+_DRIVERS = Path(__file__).resolve().parent / "drivers"
+_LONGEST = 900.0  # [s] of one driver
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class Motion(NamedTuple):
+    """What a driver wrote of one run.
+
+    Attributes:
+        q: (N + 1, 3 + n_m) x, y [m], yaw [rad] and the arm's joints, every `plan.DT`.
+        step_s: (M,) [s] real time of each of its steps.
+        d_start: (pairs,) [m] distances at the begin, as it has them.
+        failures: Steps in which it had no solution and went on.
+    """
+
+    q: Array
+    step_s: Array
+    d_start: Array
+    failures: int = 0
+
+
+class Done(NamedTuple):
+    """What a driver did.
+
+    Attributes:
+        motions: By the name of the run.
+        errors: Why a run has none, by its name; by the empty name, why the driver ended early.
+        versions: Of the libraries.
+    """
+
+    motions: dict[str, Motion]
+    errors: dict[str, str]
+    versions: dict[str, str]
+
+
+def run_driver(name: str, peer: Peer, python: Path, plan: Path, out: Path) -> Done:
+    """Run a driver over a plan.
+
+    Args:
+        name: Of the peer.
+        peer: Which.
+        python: Its interpreter.
+        plan: Folder of the plan.
+        out: Folder for what it writes; what is in it is deleted.
+
+    Raises:
+        PeerError: It did not even begin.
+    """
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    command = [str(python), str(_DRIVERS / f"drive_{peer.driver}.py"), str(plan), str(out)]
+    variables = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "PYTHONHOME")}
+    variables |= dict.fromkeys(_THREADS, "1")
+    if peer.own:
+        command.append(name)
+        variables["PYTHONPATH"] = str(_PROJECT)
+    errors: dict[str, str] = {}
+    try:
+        done = subprocess.run(
+            command, env=variables, capture_output=True, text=True, timeout=_LONGEST
+        )
+        (out / "output.txt").write_text(done.stdout + done.stderr, encoding="utf-8")
+        if done.returncode:
+            errors[""] = f"ended with status {done.returncode}: {last_line(done.stderr)}"
+    except subprocess.TimeoutExpired:
+        errors[""] = f"not ready after {_LONGEST:g} s"
+    except OSError as error:
+        raise PeerError(f"cannot run {python}: {error.strerror}") from None
+    return _read(out, errors)
+
+
+def own_python() -> Path:
+    """The interpreter that runs this."""
+    return Path(sys.executable)
+
+
+def _read(out: Path, errors: dict[str, str]) -> Done:
+    motions = {}
+    for path in sorted(out.glob("*.npz")):
+        with np.load(path, allow_pickle=False) as found:
+            failures = int(found["failures"]) if "failures" in found else 0
+            motions[path.stem] = Motion(found["q"], found["step_s"], found["d_start"], failures)
+    for path in sorted(out.glob("*.error")):
+        errors[path.stem] = path.read_text(encoding="utf-8")
+    about = out / "about.json"
+    versions = json.loads(about.read_text(encoding="utf-8")) if about.is_file() else {}
+    return Done(motions, errors, versions)

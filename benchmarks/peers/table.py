@@ -1,0 +1,100 @@
+"""The rows as one table, in three forms: `table.json`, `table.csv` and `table.md`."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.peers.names import PEERS
+from benchmarks.peers.rows import Row
+
+PATH_TITLES = {
+    "side": "side", "front": "front", "axis-0mm": "axis, x = 0", "axis-1mm": "1 mm",
+    "axis-10mm": "10 mm", "axis-50mm": "50 mm",
+}  # fmt: skip
+"""For people, by the names of the paths."""
+
+
+def write_table(folder: Path, rows: Sequence[Row], machine: dict[str, Any]) -> dict[str, Any]:
+    """Write the table's three forms; gives what the JSON holds."""
+    result = {**machine, "all_ran": all(row["status"] == "ok" for row in rows), "rows": list(rows)}
+    text = json.dumps(result, indent=2, allow_nan=False) + "\n"
+    (folder / "table.json").write_text(text, encoding="utf-8")
+    columns = list(dict.fromkeys(key for row in rows for key in row))
+    with (folder / "table.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        writer.writerows(rows)
+    (folder / "table.md").write_text(markdown(rows), encoding="utf-8")
+    return result
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """The table for people: one for each weighting, then why something is missing."""
+    parts = []
+    for weight in dict.fromkeys(row["base_weight"] for row in rows):
+        parts.append(f"Base {weight:g} times as costly as the arm:\n")
+        parts.append(_one([row for row in rows if row["base_weight"] == weight]))
+    if notes := _reasons(rows):
+        parts.append("\n".join(notes) + "\n")
+    return "\n".join(parts)
+
+
+def _one(rows: Sequence[Row]) -> str:
+    """Of one weighting: a line a peer."""
+    paths = list(dict.fromkeys(row["path"] for row in rows))
+    head = [
+        "", "step, p50 / p99", *(PATH_TITLES.get(path, path) for path in paths),
+        "least distance", "slip", "largest change, base / arm",
+    ]  # fmt: skip
+    lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
+    for name in dict.fromkeys(row["peer"] for row in rows):
+        found = {row["path"]: row for row in rows if row["peer"] == name}
+        lines.append(f"| {' | '.join(_line(name, found, paths))} |")
+    return "\n".join(lines) + "\n"
+
+
+def _line(name: str, found: dict[str, Row], paths: Sequence[str]) -> Iterable[str]:
+    good = [row for row in found.values() if row["status"] == "ok"]
+    version = next((row["version"] for row in found.values() if row["version"]), "")
+    yield f"{PEERS[name].title if name in PEERS else name} {version}".strip()
+    if not good:
+        yield from [next(iter(found.values()))["status"], *[""] * (len(paths) + 3)]
+        return
+    p50, p99 = (np.median([row[key] for row in good]) for key in ("step_p50_us", "step_p99_us"))
+    yield f"{p50 / 1000:.3f} / {p99 / 1000:.2f} ms"
+    for path in paths:
+        row = found.get(path)
+        ok = row is not None and row["status"] == "ok"
+        yield f"{_mm(row['error_final_m'])}, {row['base_path_m']:.2f} m" if ok else "failed"
+    yield _mm(min(row["clearance_m"] for row in good))
+    yield _mm(max(row["slip_m"] for row in good))
+    base, arm = (
+        max(row[key] for row in good) for key in ("base_change_max_mps2", "arm_change_max_radps2")
+    )
+    yield f"{base:.1f} m/s², {arm:.0f} rad/s²"
+
+
+def _mm(value: float) -> str:
+    """A length [m] for people; what is nothing but rounding is 0."""
+    if abs(value) < 5e-7:
+        return "0"
+    return f"{1000 * value:.0f} mm" if abs(value) >= 0.01 else f"{1000 * value:.2g} mm"
+
+
+def _reasons(rows: Sequence[Row]) -> list[str]:
+    """One line for each reason of rows without figures."""
+    found: dict[tuple[str, str, str], list[str]] = {}
+    for row in rows:
+        if row["status"] != "ok":
+            key = row["peer"], row["status"], row["reason"]
+            found.setdefault(key, []).append(f"{row['path']} at {row['base_weight']:g}")
+    return [
+        f"- {peer} {status} ({'all' if len(runs) > 6 else ', '.join(runs)}): {reason}"
+        for (peer, status, reason), runs in found.items()
+    ]
