@@ -22,6 +22,7 @@ from app.robot.state import RobotState
 from app.study.sweep_plan import StartedLine
 from benchmarks.peers.__main__ import Peers, main
 from benchmarks.peers.drivers import loop
+from benchmarks.peers.drivers.capsules import without_capsules
 from benchmarks.peers.evaluator import Evaluator, slips
 from benchmarks.peers.model import HAND, UNICYCLE, CommonModel, common_model
 from benchmarks.peers.names import PEERS, Peer, chosen
@@ -85,6 +86,18 @@ def test_its_base_that_turns_and_drives_ahead_is_the_one_on_the_floor(
         floor = np.concatenate([[ahead * np.cos(yaw), ahead * np.sin(yaw), yaw], READY])
         other = unicycle.hand(np.concatenate([[yaw, ahead], READY]))
         assert judge.hand(floor).isApprox(other, 1e-12)
+
+
+def test_capsules_as_marked_cylinders_are_the_same_shapes(
+    common: CommonModel, judge: Evaluator
+) -> None:
+    text = without_capsules(common.planar)
+    assert "<geometry><capsule" not in text.replace("\n", "").replace(" ", "")
+    assert "version" not in text
+    old, rng = Evaluator(text, common.pairs, HAND), np.random.default_rng(2)
+    for _ in range(50):
+        q = rng.uniform(judge.model.lowerPositionLimit, judge.model.upperPositionLimit)
+        np.testing.assert_allclose(old.distances(q), judge.distances(q), atol=1e-12)
 
 
 def test_its_limits_are_those_of_our_own_controller(robot: RobotModel, judge: Evaluator) -> None:
@@ -277,7 +290,8 @@ def test_a_motion_that_cannot_be_judged_is_said_so(judge: Evaluator) -> None:
     assert "another model" in flaw(Motion(q, times, d + 1e-3), 3, judge)
     assert "another model" in flaw(Motion(q, times, d * np.nan), 3, judge)
     assert "shape (3, 10), not (4, 10)" in flaw(Motion(q, times, d), 4, judge)
-    assert "not finite" in flaw(Motion(q * np.inf, times, d), 3, judge)
+    assert "not finite" in flaw(Motion(np.full_like(q, np.nan), times, d), 3, judge)
+    assert flaw(Motion(q, times, d[:0]), 3, judge) == ""  # a library that tells no distances
 
 
 # The table ----------------------------------------------------------------------------------------

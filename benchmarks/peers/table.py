@@ -38,11 +38,20 @@ def markdown(rows: Sequence[Row]) -> str:
     """The table for people: one for each weighting, then why something is missing."""
     parts = []
     for weight in dict.fromkeys(row["base_weight"] for row in rows):
-        parts.append(f"Base {weight:g} times as costly as the arm:\n")
+        parts.append(f"{weight_title(weight)}:\n")
         parts.append(_one([row for row in rows if row["base_weight"] == weight]))
     if notes := _reasons(rows):
         parts.append("\n".join(notes) + "\n")
     return "\n".join(parts)
+
+
+def weight_title(weight: float) -> str:
+    """What a weighting of the base is called."""
+    return (
+        f"Base {weight:g} times as costly as the arm"
+        if weight != 1
+        else "Base as costly as the arm"
+    )
 
 
 def _one(rows: Sequence[Row]) -> str:

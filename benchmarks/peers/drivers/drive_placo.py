@@ -5,26 +5,11 @@ from __future__ import annotations
 import json
 import tempfile
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 import placo
+from capsules import without_capsules
 from loop import Array, Plan, main
-
-
-def without_capsules(urdf: str) -> str:
-    """The same model for a urdfdom that knows no capsules: pinocchio makes them of cylinders."""
-    robot = ElementTree.fromstring(urdf)
-    robot.attrib.pop("version")
-    for link in robot.iterfind("link"):
-        marks = ElementTree.Element("collision_checking")
-        for collision in link.iterfind("collision"):
-            for capsule in collision.iterfind("geometry/capsule"):
-                capsule.tag = "cylinder"
-                ElementTree.SubElement(marks, "capsule", name=str(collision.get("name")))
-        if len(marks):
-            link.append(marks)
-    return ElementTree.tostring(robot, encoding="unicode")
 
 
 class Placo:
