@@ -152,7 +152,7 @@ def test_errors_are_the_hands_distance_from_its_target_and_its_turn(judge: Evalu
     q = drive(np.zeros(3), np.zeros(3), np.zeros(3))
     at = judge.hand(q[0])
     p = at.translation + np.array([[0.0, 0.0, 0.0], [0.0, 0.03, 0.04], [0.01, 0.0, 0.0]])
-    found = judge.figures(q, p, at.rotation @ pin.utils.rotate("x", 0.2), 0.005)
+    found = judge.figures(q, p, at.rotation @ pin.rpy.rpyToMatrix(0.2, 0.0, 0.0), 0.005)
     assert found["error_max_m"] == pytest.approx(0.05)
     assert found["error_final_m"] == pytest.approx(0.01)
     assert found["turn_error_final_rad"] == pytest.approx(0.2)

@@ -17,7 +17,6 @@ class Peer(NamedTuple):
         requirements: What pip installs for it; nothing for our own.
         level: What it commands.
         dt: [s] between two of its steps.
-        about: How its row differs from the others, for the table's notes.
     """
 
     title: str
@@ -25,7 +24,6 @@ class Peer(NamedTuple):
     requirements: tuple[str, ...] = ()
     level: str = "velocity"
     dt: float = 0.005
-    about: str = ""
 
     @property
     def own(self) -> bool:
@@ -38,28 +36,14 @@ def _own(title: str) -> Peer:
 
 
 PEERS: dict[str, Peer] = {
-    "pink": Peer(
-        "pink", "pink", ("pin-pink==4.4.*", "daqp==0.*"),
-        about="no-slip row as a constraint; SelfCollisionBarrier, gain 20 /s",
-    ),
-    "mink": Peer(
-        "mink", "mink", ("mink==1.3.*", "daqp==0.*"),
-        about="no-slip row as a constraint; CollisionAvoidanceLimit, gain 0.1 a step (20 /s)",
-    ),
-    "placo": Peer(
-        "placo", "placo", ("placo==0.10.*",),
-        about="no-slip row as two hard half-spaces; its avoidance has no rate: a pair may close in "
-        "on d_min in one step",
-    ),
-    "roboplan": Peer(
-        "roboplan", "roboplan", ("roboplan-oink==0.7.*",),
-        about="a base that turns and drives ahead, set back to zero each step; "
-        "SelfCollisionBarrier, gain 20 /s",
-    ),
+    "pink": Peer("pink", "pink", ("pin-pink==4.4.*", "daqp==0.*")),
+    "mink": Peer("mink", "mink", ("mink==1.3.*", "daqp==0.*")),
+    "placo": Peer("placo", "placo", ("placo==0.10.*",)),
+    "roboplan": Peer("roboplan", "roboplan", ("roboplan-oink==0.7.*",)),
     "dbb": _own("proposed (DBB)"),
     "barrier": _own("our barrier rows"),
     "repulsive": _own("our repulsive force"),
-}  # fmt: skip
+}
 """By their names; the libraries, then our own controllers by the names of `--controller`."""
 
 

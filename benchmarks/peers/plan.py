@@ -72,14 +72,16 @@ def write_plan(
         ],
     }  # fmt: skip
     (folder / "plan.json").write_text(json.dumps(plan, indent=1), encoding="utf-8")
-    np.savez(folder / "paths.npz", **arrays_of(model, paths))
+    arrays: dict[str, Any] = arrays_of(model, paths)
+    np.savez(folder / "paths.npz", **arrays)
     return plan, common
 
 
 def arrays_of(model: RobotModel, paths: Mapping[str, StartedLine]) -> dict[str, Array]:
-    """For each path (N + 1, 3) [m] `NAME_p`, the hand's target every `DT` from the begin on, and
+    """What `paths.npz` holds.
 
-    (3, 3) `NAME_R`, the orientation that it keeps.
+    For each path `NAME_p`, (N + 1, 3) [m], the hand's target every `DT` from the begin on, and
+    `NAME_R`, (3, 3), the orientation that it keeps.
     """
     state, found = RobotState(model), {}
     for name, line in paths.items():

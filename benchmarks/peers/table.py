@@ -79,8 +79,10 @@ def _line(name: str, found: dict[str, Row], paths: Sequence[str]) -> Iterable[st
     yield f"{p50 / 1000:.3f} / {p99 / 1000:.2f} ms"
     for path in paths:
         row = found.get(path)
-        ok = row is not None and row["status"] == "ok"
-        yield f"{_mm(row['error_final_m'])}, {row['base_path_m']:.2f} m" if ok else "failed"
+        if row is None or row["status"] != "ok":
+            yield "failed" if row else ""
+        else:
+            yield f"{_mm(row['error_final_m'])}, {row['base_path_m']:.2f} m"
     yield _mm(min(row["clearance_m"] for row in good))
     yield _mm(max(row["slip_m"] for row in good))
     base, arm = (
