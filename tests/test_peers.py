@@ -26,7 +26,7 @@ from benchmarks.peers.drivers.capsules import without_capsules
 from benchmarks.peers.evaluator import Evaluator, slips
 from benchmarks.peers.model import HAND, UNICYCLE, CommonModel, common_model
 from benchmarks.peers.names import PEERS, Peer, chosen
-from benchmarks.peers.paths import AXIS_OFFSETS, PATHS, axis_name, hand_path
+from benchmarks.peers.paths import AXIS_OFFSETS, PATHS, axis_name, hand_paths
 from benchmarks.peers.picture import draw
 from benchmarks.peers.plan import D_MIN, DT, RATE, arrays_of, run_name, write_plan
 from benchmarks.peers.quick import pink_step
@@ -192,7 +192,7 @@ def test_a_model_without_the_link_is_refused(common: CommonModel) -> None:
 def test_a_path_begins_at_the_hand_and_goes_from_rest_to_rest(
     robot: RobotModel, border_data: BorderData, judge: Evaluator, name: str
 ) -> None:
-    line = hand_path(name, robot, border_data)
+    line = hand_paths(robot, border_data, [name])[name]
     found = arrays_of(robot, {name: line})
     p, R = found[f"{name}_p"], found[f"{name}_R"]
     at = judge.hand(np.concatenate([np.zeros(3), line.q_m]))
@@ -209,7 +209,7 @@ def test_a_path_begins_at_the_hand_and_goes_from_rest_to_rest(
 def test_a_path_on_the_wheel_axis_begins_with_its_closest_point_there(
     robot: RobotModel, border_data: BorderData
 ) -> None:
-    line = hand_path(axis_name(0.010), robot, border_data)
+    (line,) = hand_paths(robot, border_data, [axis_name(0.010)]).values()
     reader = PairDistances(robot, border_data.pairs.mobile)
     reader.update(robot.configuration(np.zeros(3), np.array(line.q_m)))
     nearest = min((reader.closest(i) for i in range(len(reader.pairs))), key=lambda c: c.d)
@@ -385,3 +385,18 @@ def test_where_pink_is_not_installed_its_step_is_none_with_the_reason(
     assert step.p50_us is None
     assert step.p99_us is None
     assert str(tmp_path / "pink") in step.reason
+
+
+def test_the_command_ends_well_without_a_peer_only_if_that_is_allowed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "envs").write_text("a file where the folder should be", encoding="utf-8")
+    assert main(Peers(only=("placo",), out=tmp_path, json=True)) == 1
+    result = json.loads(capsys.readouterr().out)
+    assert result["all_ran"] is False
+    assert [row["path"] for row in result["rows"]] == [*PATHS, *PATHS]
+    assert {row["status"] for row in result["rows"]} == {"missing"}
+    assert json.loads((tmp_path / "table.json").read_text(encoding="utf-8")) == result
+    assert (tmp_path / "peers.png").read_bytes().startswith(b"\x89PNG")
+    assert main(Peers(only=("placo",), out=tmp_path, allow_missing=True)) == 0
+    assert "- placo missing (all)" in capsys.readouterr().out

@@ -18,7 +18,7 @@ from app.simulation.plants import PLANTS
 from benchmarks.peers.evaluator import Evaluator
 from benchmarks.peers.model import HAND
 from benchmarks.peers.names import chosen
-from benchmarks.peers.paths import PATHS, hand_path
+from benchmarks.peers.paths import hand_paths
 from benchmarks.peers.plan import write_plan
 from benchmarks.peers.quick import pink_step
 from benchmarks.peers.rows import Row, rows_of
@@ -60,7 +60,7 @@ def _compare(args: Peers, peers: dict[str, Any]) -> int:
     plan_folder.mkdir(exist_ok=True)
     rows: list[Row] = []
     with progress_bar("peers", len(peers) + 1) as on_progress:
-        paths = {name: hand_path(name, model, data) for name in PATHS}
+        paths = hand_paths(model, data)
         plan, common = write_plan(plan_folder, model, data, paths, physics=args.physics)
         judge = Evaluator(common.planar, common.pairs, HAND)
         for k, (name, peer) in enumerate(peers.items(), start=1):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from app.border.cache import BorderData
 from app.config import Config
 from app.errors import UnreachableError
 from app.robot.model import RobotModel
 from app.simulation.start import StartSolver
 from app.study.paths import Approach
-from app.study.paths_start import StartFinder
+from app.study.paths_start import Start, StartFinder
 from app.study.sweep_plan import CLEAR, StartedLine
 
 DURATION = 15.0
@@ -30,26 +32,40 @@ def axis_name(offset: float) -> str:
     return f"axis-{1000 * offset:g}mm"
 
 
-PATHS = (*_LINES, *(axis_name(offset) for offset in AXIS_OFFSETS))
+_OFFSETS = {axis_name(offset): offset for offset in AXIS_OFFSETS}
+PATHS = (*_LINES, *_OFFSETS)
 """Names of all paths."""
 
 
-def hand_path(name: str, model: RobotModel, data: BorderData) -> StartedLine:
-    """One of `PATHS`, with the arm's posture at its begin; the base stands at the origin.
+def hand_paths(
+    model: RobotModel, data: BorderData, names: Sequence[str] = PATHS
+) -> dict[str, StartedLine]:
+    """Some of `PATHS`, each with the arm's posture at its begin; the base stands at the origin.
 
     Raises:
         UnreachableError: The arm has no clear posture there.
     """
     d_b = Config().border.d_b
-    if name in _LINES:
-        start, move = _LINES[name]
-        q_m = tuple(StartSolver(model, data.pairs, d_b).solve(start).tolist())
-    else:
-        offset = next(x for x in AXIS_OFFSETS if axis_name(x) == name)
-        approach = Approach("wheel_axis", _HEIGHT, 90.0, offset)
-        found = StartFinder(model, data, d_b).find(approach, d_b + CLEAR)
-        if found.reason:
-            raise UnreachableError(f"{approach.name}: {found.reason}")
-        x, y, z = (_LENGTH * approach.inwards).tolist()
-        start, move, q_m = found.p_ee, (x, y, z), found.q_m
-    return StartedLine(name, DURATION, "the hand is tracked", "tracking", start, move, 1.0, q_m)
+    solver = StartSolver(model, data.pairs, d_b)
+    finder = StartFinder(model, data, d_b)  # one for all: it keeps the postures that it found
+    found = {}
+    for name in names:
+        if name in _LINES:
+            start, move = _LINES[name]
+            q_m = tuple(solver.solve(start).tolist())
+        else:
+            begin = _on_axis(finder, _OFFSETS[name], d_b + CLEAR)
+            start, move, q_m = begin.p_ee, (0.0, -_LENGTH, 0.0), begin.q_m
+        found[name] = StartedLine(
+            name, DURATION, "the hand is tracked", "tracking", start, move, 1.0, q_m
+        )
+    return found
+
+
+def _on_axis(finder: StartFinder, offset: float, distance: float) -> Start:
+    """Where a path along the wheel axis begins, from the left."""
+    approach = Approach("wheel_axis", _HEIGHT, 90.0, offset)
+    start = finder.find(approach, distance)
+    if start.reason:
+        raise UnreachableError(f"{approach.name}: {start.reason}")
+    return start
