@@ -2,6 +2,8 @@
 VENV ?= .venv
 BIN := $(VENV)/bin
 ARGS ?=
+# Compiles what is compiled, so that nobody waits for it later.
+KERNELS := $(BIN)/python -c 'import app.control.controller'
 
 .PHONY: run test test-without-browser pictures lint format browser clean
 
@@ -36,11 +38,13 @@ browser: $(VENV)/.installed
 $(VENV)/.installed: pyproject.toml
 	tools/venv.sh $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	$(KERNELS)
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml
 	tools/venv.sh $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	$(KERNELS)
 	touch $@ $(VENV)/.installed
 
 clean:

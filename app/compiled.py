@@ -7,10 +7,13 @@ which does the same, slowly, with `NUMBA_DISABLE_JIT=1`.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from functools import lru_cache
 from typing import TypeVar, cast
 
 import numba
+from numba.core import config
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -22,9 +25,22 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
     may call kernels of its own module only: what is kept knows nothing of changes elsewhere.
 
     Args:
-        signatures: As numba writes them, such as ``f8[:](f8[:,:], i8)``.
+        signatures: As numba writes them, such as ``f8[:](f8[:,:], i8)``. Without any it is a part
+            of the kernels of its module that call it, and not to be called from elsewhere.
     """
-    return cast(
-        "Callable[[Function], Function]",
-        numba.njit(list(signatures), cache=True, error_model="numpy"),
-    )
+
+    def compile_(function: Function) -> Function:
+        kernel = numba.njit(
+            list(signatures) or None, cache=bool(signatures), error_model="numpy"
+        )(function)
+        if signatures and not config.DISABLE_JIT and kernel.stats.cache_misses:
+            _tell_once()
+        return cast("Function", kernel)
+
+    return compile_
+
+
+@lru_cache(maxsize=1)
+def _tell_once() -> None:
+    """Say why nothing happens for a while: another kernel was not kept yet."""
+    print("dbb: compiling kernels, once on this machine: half a minute", file=sys.stderr)

@@ -40,7 +40,7 @@ class BoxTree:
         return None if found < 0 else (self._points[found, 0], self._points[found, 1])
 
 
-@compiled("void(f8[:,:], i8, i8, i8, i8)")
+@compiled()
 def _partition(points: Array, low: int, high: int, middle: int, axis: int) -> None:
     """Put the points from low to before high in an order in which those before middle are less."""
     while high - low > 1:
@@ -85,7 +85,7 @@ def _sort(points: Array, boxes: Array) -> None:
             low[child + 1], high[child + 1] = middle, high[node]
 
 
-@compiled("f8(f8[:,:], f8[:], f8)")
+@compiled()
 def _away(box: Array, p: Array, half_thickness: float) -> float:
     """[m²] squared distance in plan from p to a box; infinite if it has no such heights."""
     if box[0, 2] > p[2] + half_thickness or box[1, 2] < p[2] - half_thickness:

@@ -27,21 +27,21 @@ def place(heights: Array, z: float) -> tuple[int, float]:
     return k, float((z - heights[k]) / (heights[k + 1] - heights[k]))
 
 
-@compiled("Tuple((i8, f8))(f8[:], b1[:], f8)")
+@compiled()
 def _between(heights: Array, same: Array, z: float) -> tuple[int, float]:
     """The same, but nowhere between two equal polygons."""
     k, share = place(heights, z)
     return (k, 0.0) if share > 0.0 and same[k] else (k, share)
 
 
-@compiled("c16(c16[:,:], i8, i8, f8)")
+@compiled()
 def _entry(rows: Array, i: int, k: int, share: float) -> complex:
     """The i-th entry of the k-th row, moved towards the next one by a share."""
     below = rows[k, i]
     return below if share == 0.0 else below + share * (rows[k + 1, i] - below)
 
 
-@compiled("f8(c16, c16, c16, c16)")
+@compiled()
 def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
     """The share of an edge from which p lies at a right angle to the contour's tangent.
 
@@ -57,7 +57,7 @@ def _foot(to_p: complex, edge: complex, t: complex, t_next: complex) -> float:
     return min(max(root, 0.0), 1.0)
 
 
-@compiled("UniTuple(f8, 4)(c16, c16, c16, c16, f8)")
+@compiled()
 def _point_of_edge(
     start: complex, end: complex, t: complex, t_next: complex, along: float
 ) -> tuple[float, float, float, float]:

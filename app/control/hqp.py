@@ -9,18 +9,22 @@ Where no limit is active the level's optimum is known in closed form; else ProxQ
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from proxsuite import proxqp
 
-from app.control import least_squares
+from app.control.least_squares import holds, lowest_level, next_level, optimum
 
 Array = np.ndarray
 
 _EPS_ABS = 1e-8  # accuracy of the QPs, in the units of acceleration and torque
 _GOOD_ENOUGH = 1e-5  # violation of limits with which an answer is still taken, as the above
+
+_ACTIVE = 1e-7  # multiplier from which on a bound is met
+_NO_WORSE = 1e-6  # relative rise of the cost that a polished answer may have
 
 
 class EqualityTask(NamedTuple):
@@ -115,7 +119,7 @@ class HierarchicalQP:
         """
         H, c = objective
         J, b, ends = _stacked(levels, self._n)
-        x = least_squares.optimum(J, b, ends, H, c)
+        x = optimum(J, b, ends, H, c)
         if not _holds(limits, x):
             x = self._within_limits(levels, objective, limits, slot)
         if not np.isfinite(x).all():
@@ -128,40 +132,42 @@ class HierarchicalQP:
         """The optimum level by level, (n,)."""
         x, Z = np.zeros(self._n), np.eye(self._n)
         for p, (J, b) in enumerate(levels):
-            candidate, left, JZ, residual = least_squares.next_level(J, b, x, Z)
+            candidate, left, JZ, residual = next_level(J, b, x, Z)
             if not _holds(limits, candidate):
-                y = self._solve_qp(slot, p, JZ.T @ JZ, -(JZ.T @ residual), x, Z, limits)
-                candidate = x + Z @ y
+                H, c = JZ.T @ JZ, -(JZ.T @ residual)
+                found = self._solve_qp(slot, p, H, c, x, Z, limits)
+                candidate = x + Z @ found.polished(partial(_least_squares, JZ, residual))
             x, Z = candidate, left
         if not Z.shape[1]:
             return x
-        candidate, H, c = least_squares.lowest_level(*objective, x, Z)
+        candidate, H, c = lowest_level(*objective, x, Z)
         if _holds(limits, candidate):
             return candidate
-        return x + Z @ self._solve_qp(slot, len(levels), H, c, x, Z, limits)
+        found = self._solve_qp(slot, len(levels), H, c, x, Z, limits)
+        return x + Z @ found.polished(partial(_minimum, H, c))
 
     def _solve_qp(
         self, slot: str, level: int, H: Array, c: Array, x: Array, Z: Array, limits: Limits
-    ) -> Array:
+    ) -> _Answer:
         """Min ½ yᵀ H y + cᵀ y where x + Z y keeps the limits."""
         C, reached = limits.C @ Z, limits.C @ x
         l, u = limits.l - reached, limits.u - reached
         if level > 0:  # the levels above kept the limits but for the solver's accuracy
             l, u = np.minimum(l, 0.0), np.maximum(u, 0.0)
         key = (slot, level, *C.shape)
-        y = self._run(key, H, c, C, l, u)
-        if y is None:  # once more, cold: a warm start can lead astray
-            y = self._run(key, H, c, C, l, u)
-        if y is not None:
-            return y
-        if level > 0:
-            return np.zeros(Z.shape[1])  # what the levels above reached is kept
+        found = self._run(key, H, c, C, l, u)
+        if found is None:  # once more, cold: a warm start can lead astray
+            found = self._run(key, H, c, C, l, u)
+        if found is not None:
+            return _Answer(*found, H, c, Limits(C, l, u))
+        if level > 0:  # what the levels above reached is kept
+            return _Answer(np.zeros(Z.shape[1]), np.zeros(len(l)), H, c, Limits(C, l, u))
         raise NoSolutionError(level, "no accelerations keep all limits, or the solver failed")
 
     def _run(
         self, key: tuple[str, int, int, int], H: Array, c: Array, C: Array, l: Array, u: Array
-    ) -> Array | None:
-        """ProxQP's answer, from where it ended last time under this key; None if it has none."""
+    ) -> tuple[Array, Array] | None:
+        """ProxQP's y and multipliers, from where it ended last time under this key, if any."""
         qp = self._qps.get(key)
         if qp is None:
             qp = self._qps[key] = _make_qp(len(c), len(l))
@@ -170,9 +176,58 @@ class HierarchicalQP:
             qp.update(H=H, g=c, C=C, l=l, u=u)
         qp.solve()
         if _is_answer(qp):
-            return qp.results.x.copy()
+            return qp.results.x.copy(), qp.results.z.copy()
         del self._qps[key]  # a failed run is no start for the next one
         return None
+
+
+class _Answer(NamedTuple):
+    """ProxQP's answer to min ½ yᵀ H y + cᵀ y within limits, as near as it comes.
+
+    Attributes:
+        y: (f,).
+        z: (m,) multipliers: below zero at a lower bound, above zero at an upper one.
+        H: (f, f).
+        c: (f,).
+        limits: On y.
+    """
+
+    y: Array
+    z: Array
+    H: Array
+    c: Array
+    limits: Limits
+
+    def polished(self, optimum_from: Callable[[Array, Array], Array]) -> Array:
+        """The optimum itself, if the bounds with multipliers are those that it meets.
+
+        ProxQP ends within its accuracy of the optimum, from another side after another start. With
+        its active bounds taken as equalities the optimum is known in closed form.
+
+        Args:
+            optimum_from: The optimum without limits, from a point in a freedom given by its basis.
+        """
+        C, l, u = self.limits
+        active = np.flatnonzero(np.abs(self.z) > _ACTIVE)
+        bound = np.where(self.z < 0.0, l, u)[active]
+        f = len(self.y)
+        at, free, _, _ = next_level(C[active], bound, np.zeros(f), np.eye(f))
+        y = optimum_from(at, free) if free.shape[1] else at
+        if not holds(C, l, u, y, _EPS_ABS):
+            return self.y
+        worse = self._cost(y) - self._cost(self.y)
+        return y if worse <= _NO_WORSE * (1.0 + abs(self._cost(self.y))) else self.y
+
+    def _cost(self, y: Array) -> float:
+        return float(0.5 * (y @ self.H @ y) + self.c @ y)
+
+
+def _least_squares(J: Array, b: Array, x: Array, Z: Array) -> Array:
+    return next_level(J, b, x, Z)[0]
+
+
+def _minimum(H: Array, c: Array, x: Array, Z: Array) -> Array:
+    return lowest_level(H, c, x, Z)[0]
 
 
 def _stacked(levels: Sequence[EqualityTask], n: int) -> tuple[Array, Array, Array]:
@@ -190,7 +245,7 @@ def _stacked(levels: Sequence[EqualityTask], n: int) -> tuple[Array, Array, Arra
 
 
 def _holds(limits: Limits, x: Array) -> bool:
-    return least_squares.holds(*limits, x, _EPS_ABS)
+    return holds(*limits, x, _EPS_ABS)
 
 
 def _is_answer(qp: proxqp.dense.QP) -> bool:

@@ -18,7 +18,7 @@ RANK_TOLERANCE = 1e-7
 """What is left of a row that is taken as a combination of the others, in its own units."""
 
 
-@compiled("f8[:,::1](f8[:,:], f8[:,:])")
+@compiled()
 def _product(A: Array, B: Array) -> Array:
     C = np.zeros((A.shape[0], B.shape[1]))
     for i in range(A.shape[0]):
@@ -28,7 +28,7 @@ def _product(A: Array, B: Array) -> Array:
     return C
 
 
-@compiled("void(f8[:], f8[:], i8, f8)")
+@compiled()
 def _reflect(row: Array, mirror: Array, start: int, scale: float) -> None:
     """Mirror a row, in place."""
     along = 0.0
@@ -39,7 +39,7 @@ def _reflect(row: Array, mirror: Array, start: int, scale: float) -> None:
         row[l] -= along * mirror[l]
 
 
-@compiled("Tuple((f8[:,::1], f8[:,::1], i8[::1], i8))(f8[:,:])")
+@compiled()
 def _factors(A: Array) -> tuple[Array, Array, Array, int]:
     """Q, L, order and rank r with A[order] = L Qᵀ[:r], from the largest remaining row on.
 
@@ -76,7 +76,7 @@ def _factors(A: Array) -> tuple[Array, Array, Array, int]:
     return Q, W[:, :rank].copy(), order, rank
 
 
-@compiled("f8[:,::1](f8[:,:], f8[:,:])")
+@compiled()
 def _forward(L: Array, B: Array) -> Array:
     """L⁻¹ B for the lower triangle in the first rows of L."""
     X = B[: L.shape[1]].copy()
@@ -88,7 +88,7 @@ def _forward(L: Array, B: Array) -> Array:
     return X
 
 
-@compiled("f8[:,::1](f8[:,:], i8[:], i8, f8[:,:])")
+@compiled()
 def _least(L: Array, order: Array, rank: int, B: Array) -> Array:
     """(r, j) Y with L Y as near as can be to B[order]."""
     sorted_rows = np.empty(B.shape)
@@ -108,20 +108,6 @@ def _least(L: Array, order: Array, rank: int, B: Array) -> Array:
     for i in range(rank):
         Y[columns[i]] = right[i]
     return Y
-
-
-@compiled("Tuple((f8[:,::1], f8[:,::1]))(f8[:,:])")
-def pseudo_inverse(A: Array) -> tuple[Array, Array]:
-    """A's pseudo-inverse and a basis of its null space.
-
-    Args:
-        A: (k, m), of any rank.
-
-    Returns:
-        (m, k), and (m, m - rank) with orthonormal columns.
-    """
-    Q, L, order, rank = _factors(A)
-    return _product(Q[:, :rank], _least(L, order, rank, np.eye(len(A)))), Q[:, rank:].copy()
 
 
 @compiled("Tuple((f8[::1], f8[:,::1], f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[::1], f8[:,:])")
@@ -186,7 +172,7 @@ def holds(C: Array, l: Array, u: Array, x: Array, tolerance: float) -> bool:
     return True
 
 
-@compiled("Tuple((f8[::1], f8[:,::1]))(f8[:,:], f8[:], i8[:])")
+@compiled()
 def _levels(J: Array, b: Array, ends: Array) -> tuple[Array, Array]:
     x, Z, start = np.zeros(J.shape[1]), np.eye(J.shape[1]), 0
     for end in ends:
