@@ -7,7 +7,7 @@ from functools import singledispatch
 import trimesh
 
 from app.robot.assets import resolve_package_uri
-from app.robot.shapes import Box, Capsule, ConvexMesh, Cylinder, Sphere, Superquadric
+from app.robot.shapes import Box, Capsule, ConvexMesh, Cylinder, Hull, Sphere, Superquadric
 
 
 @singledispatch
@@ -52,3 +52,8 @@ def _(shape: ConvexMesh) -> trimesh.Trimesh:
 @shape_mesh.register
 def _(shape: Superquadric) -> trimesh.Trimesh:
     return trimesh.convex.convex_hull(shape.vertices())
+
+
+@shape_mesh.register
+def _(shape: Hull) -> trimesh.Trimesh:
+    return trimesh.convex.convex_hull(shape.vertices_m)
