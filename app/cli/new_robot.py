@@ -11,6 +11,7 @@ import tyro
 from app.cli.common import console, print_json
 from app.cli.options import Json, PointOption, check_parameter, check_point, check_range, check_seed
 from app.config import Config
+from app.errors import ConfigError
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -31,6 +32,7 @@ def new_robot(
     tip_xyz: PointOption = None,
     tip_rpy: PointOption = None,
     half_track: float | None = None,
+    wheel_radius: float | None = None,
     ready: Annotated[tuple[float, ...] | None, tyro.conf.arg(metavar="Q1 Q2 …")] = None,
     bodies: int | None = None,
     assume_inertia: bool = False,
@@ -59,6 +61,7 @@ def new_robot(
         tip_xyz: [m] the end-effector's origin in --tip (default: 0 0 0).
         tip_rpy: [rad] how it is turned there; its z points out of the hand (default: 0 0 0).
         half_track: [m] effective half track of the base (default: measured between the wheels).
+        wheel_radius: [m] of a base whose URDF has no wheels; needs --half-track too.
         ready: [rad or m] the ready pose, one number a joint (default: chosen among random poses).
         bodies: How many bodies the arm gets (default: four, others where four do not do).
         assume_inertia: Take masses from volumes where the arm's URDF states none at all.
@@ -79,14 +82,18 @@ def new_robot(
         check_point(option, point)
     if half_track is not None:
         check_range("--half-track", half_track, 0.02, 3.0, "m")
+    if wheel_radius is not None:
+        check_range("--wheel-radius", wheel_radius, 0.01, 1.0, "m")
+        if half_track is None or wheels is not None:
+            raise ConfigError("--wheel-radius: needs --half-track, and no --wheels")
     if bodies is not None:
         check_range("--bodies", bodies, 1, 8)
     zero = (0.0, 0.0, 0.0)
     request = Request(
         urdf, base, tip, out, wheels=wheels, arm_urdf=arm_urdf, mount_xyz=mount_xyz or zero,
         mount_rpy=mount_rpy or zero, mount=mount, tip_xyz=tip_xyz or zero, tip_rpy=tip_rpy or zero,
-        half_track=half_track, ready=ready, bodies=bodies, assume_inertia=assume_inertia,
-        title=title, licence=licence, seed=seed, d_b=buffer_distance,
+        half_track=half_track, wheel_radius=wheel_radius, ready=ready, bodies=bodies,
+        assume_inertia=assume_inertia, title=title, licence=licence, seed=seed, d_b=buffer_distance,
     )  # fmt: skip
     begin = perf_counter()
     robot, data = finish(request, tell=lambda text: console.print(f"… {text}"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from app.border.cache import BorderData
 from app.config import Config
+from app.errors import UnreachableError
 from app.onboarding.checks import Row
 from app.robot.model import RobotModel
 
@@ -14,14 +15,16 @@ CLEARANCE = 0.03
 def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     """A guiding run with the default parameters.
 
-    Raises:
-        UnreachableError: The arm cannot start there.
+    Where the arm cannot start there is nothing to judge, which is warned of.
     """
     from app.simulation.run import run_scenario
     from app.simulation.scenario import scenario_of
 
     scenario = scenario_of(model.description, name)
-    figures = run_scenario(model, data, scenario, Config()).figures
+    try:
+        figures = run_scenario(model, data, scenario, Config()).figures
+    except UnreachableError as error:
+        return Row(name, "warned", f"not done: {error}", {})
     clearance = figures["min_clearance_m"]
     touched = sum(int(str(figures[k])) for k in ("contacts", "arm_contacts", "floor_contacts"))
     failures = int(str(figures["solver_failures"]))

@@ -76,9 +76,13 @@ def check_robot(
     yield _done("ready pose", lambda m: ready_row(m, data), model)
     yield _done("border", lambda m: border_row(m, data), model)
     if runs:
+        rows = []
         for scenario in ("guiding-lateral", "guiding-front"):
             tell(scenario)
-            yield _done(scenario, lambda m, s=scenario: run_row(m, data, s), model)
+            rows.append(_done(scenario, lambda m, s=scenario: run_row(m, data, s), model))
+            yield rows[-1]
+        if all(row.outcome == "warned" for row in rows):
+            yield Row("guiding", "failed", "no guiding run could be done", {})
 
 
 def _done(name: str, check: Callable[[RobotModel], Row], model: RobotModel) -> Row:

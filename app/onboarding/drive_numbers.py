@@ -52,7 +52,9 @@ def base_numbers(
     }
     skid = len(wheels.left) > 1
     sources = {
-        "wheel_radius_m": f"measured: {wheels.how}",
+        "wheel_radius_m": wheels.how
+        if wheels.how.startswith("given")
+        else f"measured: {wheels.how}",
         "half_track_m": "given: --half-track"
         if half_track
         else "measured: half of the distance between the wheels' joints"

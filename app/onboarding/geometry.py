@@ -74,13 +74,33 @@ def read_geometry(tree: Tree, folder: Path) -> dict[str, LinkGeometry]:
     return {name: _link_geometry(link, folder) for name, link in tree.links.items()}
 
 
+def read_shapes(tree: Tree, link: str, folder: Path) -> tuple[LinkShape, ...]:
+    """A link's collision shapes, or the visual ones where it has no collision.
+
+    Raises:
+        RobotFileError: As `read_geometry`.
+    """
+    return _link_geometry(tree.links[link], folder).shapes
+
+
+def looks(tree: Tree, link: str, folder: Path) -> LinkGeometry:
+    """A link's visual shapes, or the collision ones where it has no visual.
+
+    Raises:
+        RobotFileError: As `read_geometry`.
+    """
+    return _link_geometry(tree.links[link], folder, ("visual", "collision"))
+
+
 def total_extent(geometry: Mapping[str, LinkGeometry]) -> int:
     """How many links have a shape."""
     return sum(bool(each.shapes) for each in geometry.values())
 
 
-def _link_geometry(link: Element, folder: Path) -> LinkGeometry:
-    for tag in ("collision", "visual"):
+def _link_geometry(
+    link: Element, folder: Path, tags: tuple[str, ...] = ("collision", "visual")
+) -> LinkGeometry:
+    for tag in tags:
         found = [_shape(element, f"link {link.get('name')!r}", folder)
                  for element in link.findall(tag)]  # fmt: skip
         if found:
@@ -154,7 +174,7 @@ def _hull(mesh: trimesh.Trimesh, where: str) -> trimesh.Trimesh:
 def _surface(hull: trimesh.Trimesh) -> Array:
     """Corners, then points spread evenly over the faces; always the same ones."""
     count = int(np.clip(hull.area / _SPACING**2, 50, _MOST_POINTS))
-    spread, _ = trimesh.sample.sample_surface(hull, count, seed=0)
+    spread = trimesh.sample.sample_surface(hull, count, seed=0)[0]
     corners = np.asarray(hull.vertices)
     if len(corners) > _MOST_POINTS:
         corners = corners[:: -(-len(corners) // _MOST_POINTS)]

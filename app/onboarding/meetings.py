@@ -18,6 +18,7 @@ Array = np.ndarray
 
 ALWAYS = 0.6
 """[-] A pair inside its buffer in more of the free poses would keep the task on for good."""
+_BUILT_IN = 0.5  # [-] close hulls that touch in more of the poses are nested, as a telescope is
 _FEWEST = 50  # [-] poses without a collision that say what is near
 _MARGIN = 0.015  # [m] within which a point counts as met
 _MOST_LOOKS = 200  # [-] poses per pair of units in which the points are looked at
@@ -47,9 +48,8 @@ class Meetings:
     @property
     def collides(self) -> Array:
         """(N, pairs) whether the hulls meet; never for the close pairs."""
-        hits = self.distances <= 0.0
-        hits[:, [pair in self.close for pair in self.pairs]] = False
-        return hits
+        watched = np.array([pair not in self.close for pair in self.pairs], dtype=bool)
+        return np.logical_and(self.distances <= 0.0, watched)
 
     @property
     def possible(self) -> Array:
@@ -104,9 +104,10 @@ def close_pairs(
 def possible_poses(
     distances: Array, pairs: Sequence[tuple[int, int]], close: frozenset[tuple[int, int]]
 ) -> Array:
-    """(N,) whether none of the close pairs touches."""
-    columns = [k for k, pair in enumerate(pairs) if pair in close]
-    return (distances[:, columns] > 0.0).all(axis=1)
+    """(N,) whether none of the close pairs touches; those built into each other always do."""
+    rates = (distances <= 0.0).mean(axis=0)
+    columns = [k for k, pair in enumerate(pairs) if pair in close and rates[k] < _BUILT_IN]
+    return np.asarray((distances[:, columns] > 0.0).all(axis=1))
 
 
 def hull_distances(

@@ -28,7 +28,7 @@ from app.onboarding.tree import Tree, make_tree
 from app.onboarding.units import make_units
 from app.onboarding.urdf_text import ROOT, rebased_urdf
 from app.onboarding.warn import warnings_of
-from app.onboarding.wheels import Wheels, find_wheels
+from app.onboarding.wheels import Wheels, find_wheels, stated_wheels
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.model import RobotModel
@@ -101,7 +101,8 @@ def parse(request: Request) -> Parsed:
     if request.arm_urdf is not None:
         arm_path = locate(request.arm_urdf)
         arm_robot = read_source(arm_path)
-        make_tree(robot), make_tree(arm_robot)  # what is wrong with either is told as its own
+        for part in (robot, arm_robot):  # what is wrong with either is told as its own
+            make_tree(part)
         taken = {link.get("name") for link in robot.findall("link")}
         in_arm = {link.get("name") for link in arm_robot.findall("link")}
         tip = PREFIX + tip if tip in taken and tip in in_arm else tip
@@ -114,7 +115,11 @@ def parse(request: Request) -> Parsed:
     geometry = read_geometry(tree, path.parent)
     if not total_extent({name: geometry[name] for part in arm.segments for name in part}):
         raise RobotFileError(f"no link between {request.base!r} and {tip!r} has a shape")
-    wheels = find_wheels(tree, arm, geometry, request.wheels)
+    if request.wheel_radius is not None and request.half_track is not None:
+        r, b = request.wheel_radius, request.half_track
+        wheels = stated_wheels(tree, arm, path.parent, r, b)
+    else:
+        wheels = find_wheels(tree, arm, path.parent, request.wheels)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
     return Parsed(tree, path.parent, arm, geometry, wheels, inertias, read_limits(arm))
 

@@ -34,7 +34,9 @@ def bodies_png(robot: NewRobot) -> bytes:
     units = make_units(model, robot.parsed.arm, robot.parsed.geometry)
     with styled():
         figure = new_figure(4.6)
-        panels = figure.subplots(1, 3)
+        spans = np.ptp(np.vstack([_seen(placed[u.joint], p.corners) for u in units
+                                  for p in u.parts]), axis=0)  # fmt: skip
+        panels = figure.subplots(1, 3, width_ratios=[spans[x] for _, x, _ in _VIEWS])
         for axes, (title, x, y) in zip(panels, _VIEWS, strict=True):
             for unit in units:
                 for part in unit.parts:

@@ -69,9 +69,12 @@ def _lateral(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:
 
 
 def _front(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:
-    y = float(np.clip(mount[1], body.lower[1], body.upper[1])) + 0.1
-    for out in _OUT:
-        yield np.array([body.upper[0] + out, y]), np.array([-(out - _LEFT_OVER), 0.0])
+    """Starts and moves in plan, ahead of the mount or at either edge."""
+    low, high = float(body.lower[1]), float(body.upper[1])
+    beside = float(np.clip(mount[1], low, high)) + 0.1
+    for y in (min(beside, high), low + 0.05, high - 0.05):
+        for out in _OUT:
+            yield np.array([body.upper[0] + out, y]), np.array([-(out - _LEFT_OVER), 0.0])
 
 
 def _first(

@@ -27,6 +27,7 @@ class Request:
         tip_xyz: (3,) [m] the end-effector in the tip's frame.
         tip_rpy: (3,) [rad] how it is turned there; z points out of the hand.
         half_track: [m] b, or None to measure it between the wheels.
+        wheel_radius: [m] r of a base whose URDF has no wheels, with its half track; else None.
         ready: (n_m,) [rad or m] the ready pose, or None to choose one.
         bodies: How many bodies the arm gets, or None for the best number.
         assume_inertia: Whether an arm without masses gets assumed ones.
@@ -47,6 +48,7 @@ class Request:
     tip_xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
     tip_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
     half_track: float | None = None
+    wheel_radius: float | None = None
     ready: tuple[float, ...] | None = None
     bodies: int | None = None
     assume_inertia: bool = False

@@ -106,11 +106,22 @@ def _expanded(path: Path) -> str:
         raise RobotFileError(
             f"{path}: a xacro needs the package xacrodoc; try: pip install 'xacrodoc>=2,<3'"
         ) from None
-    packages.look_in(
-        [str(parent) for parent in path.parents[1:4]] + [str(s) for s in share_folders()]
-    )
+    packages.update_package_cache(_around(path))
     try:
         document = XacroDoc.from_file(str(path), resolve_packages=False)
     except Exception as error:  # xacro has no common base of its errors
-        raise RobotFileError(f"{path}: xacro cannot expand it: {error}") from None
+        why = " ".join(str(error).split())
+        raise RobotFileError(f"{path}: xacro cannot expand it: {why}") from None
     return document.to_urdf_string()
+
+
+def _around(path: Path) -> dict[str, str]:
+    """Folders that may be the packages a xacro names: those beside any folder above it."""
+    found: dict[str, str] = {}
+    for parent in list(path.parents)[1:5]:
+        for folder in sorted(parent.iterdir()):
+            if folder.is_dir() and not folder.name.startswith((".", "_")):
+                found.setdefault(folder.name, str(folder))
+    for share in share_folders():
+        found |= {each.name: str(each) for each in share.iterdir() if each.is_dir()} | found
+    return found

@@ -54,6 +54,9 @@ def _bodies(robot: NewRobot) -> list[str]:
     for pair, rate in zip(meetings.pairs, hits, strict=True):
         if pair in meetings.close and rate > 0:
             a, b = (meetings.units[unit].links[0] for unit in pair)
+            if rate >= 0.5:
+                told.append(f"{a} and {b} touch in {rate:.0%} of the poses: taken as nested")
+                continue
             told.append(
                 f"{a} and {b} are within {robot.request.d_b:g} m in most poses and touch in "
                 f"{rate:.1%}: no buffer can watch them; limit the joints between them"

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ import pinocchio as pin
 
 from app.errors import RobotFileError
 from app.onboarding.arm import Arm, rigid_to_base
-from app.onboarding.geometry import LinkGeometry
+from app.onboarding.geometry import looks, read_shapes
 from app.onboarding.tree import Joint, Tree
 
 Array = np.ndarray
@@ -50,10 +51,7 @@ class _Wheel(NamedTuple):
     how: str
 
 
-def find_wheels(
-    tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry],
-    given: tuple[str, str] | None = None,
-) -> Wheels:  # fmt: skip
+def find_wheels(tree: Tree, arm: Arm, folder: Path, given: tuple[str, str] | None = None) -> Wheels:
     """The wheels.
 
     Without `given`, they are the round links on level axles fixed to the base that stand on the
@@ -62,16 +60,16 @@ def find_wheels(
     Args:
         tree: The robot.
         arm: Its arm.
-        geometry: Of its links.
+        folder: Of the URDF, for meshes by a relative path.
         given: Joints or links of a left and a right wheel; those of the same shape on the same side
             and height go with them.
 
     Raises:
         RobotFileError: What was given is no wheel, or there are none or several to choose from.
     """
-    found = _candidates(tree, arm, geometry)
+    found = _candidates(tree, arm, folder)
     if given is not None:
-        sides = [_named(tree, arm, geometry, name, side) for name, side in
+        sides = [_named(tree, arm, folder, name, side) for name, side in
                  zip(given, ("left", "right"), strict=True)]  # fmt: skip
         left, right = sides
     else:
@@ -80,7 +78,8 @@ def find_wheels(
             reasons = "; ".join(str(w) for w in found if isinstance(w, str)) or "no joint turns"
             raise RobotFileError(
                 f"--wheels: no pair of wheels found under {arm.base!r} ({reasons}); "
-                "give --wheels LEFT RIGHT, their joints"
+                "give --wheels LEFT RIGHT, their joints; or --wheel-radius and --half-track if the "
+                "URDF has no wheels"
             )
         lowest = min(left.centre[2] - left.r for left, _ in pairs)
         pairs = [p for p in pairs if p[0].centre[2] - p[0].r < lowest + _SAME_PLACE]
@@ -99,6 +98,31 @@ def find_wheels(
     wheels = [w for w in found if isinstance(w, _Wheel)] + [left, right]
     forward = _forward(left, right)
     return _drive(tree, left, right, wheels, forward)
+
+
+def stated_wheels(tree: Tree, arm: Arm, folder: Path, r: float, b: float) -> Wheels:
+    """A base whose URDF has no wheels: the floor is below its shapes, ahead is its link's x.
+
+    Args:
+        tree: The robot.
+        arm: Its arm.
+        folder: Of the URDF, for meshes by a relative path.
+        r: [m] radius of the wheels.
+        b: [m] half track.
+
+    Raises:
+        RobotFileError: The base has no shapes.
+    """
+    lows = [
+        float((tree.pose(link, arm.base).act(corner))[2])
+        for link in arm.base_links
+        for shape in read_shapes(tree, link, folder)
+        for corner in np.asarray(shape.hull.bounding_box.vertices)
+    ]
+    if not lows:
+        raise RobotFileError(f"--base: no link of {arm.base!r} has a shape")
+    floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, min(lows)]))
+    return Wheels((), (), r, b, floor, None, "given: --wheel-radius")
 
 
 def _drive(
@@ -143,7 +167,7 @@ def _forward(left: _Wheel, right: _Wheel) -> Array:
     return np.cross(across, [0.0, 0.0, 1.0])
 
 
-def _candidates(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> list[_Wheel | str]:
+def _candidates(tree: Tree, arm: Arm, folder: Path) -> list[_Wheel | str]:
     """What turns on the base: wheels, and why the others are none."""
     rigid = set(rigid_to_base(tree, arm))
     taken = {joint.name for joint in arm.joints}
@@ -152,15 +176,13 @@ def _candidates(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> l
         if joint.parent not in rigid or joint.name in taken or not _turns_round(joint):
             continue
         try:
-            found.append(_wheel(tree, arm, geometry, joint))
+            found.append(_wheel(tree, arm, folder, joint))
         except RobotFileError as error:
             found.append(str(error))
     return found
 
 
-def _named(
-    tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], name: str, side: str
-) -> _Wheel:
+def _named(tree: Tree, arm: Arm, folder: Path, name: str, side: str) -> _Wheel:
     joint = tree.joints.get(name) or tree.joint_of.get(name)
     if joint is None:
         turning = [j.name for j in tree.joints.values() if _turns_round(j)]
@@ -175,7 +197,7 @@ def _named(
     if joint.parent not in rigid_to_base(tree, arm):
         raise RobotFileError(f"--wheels: {joint.name} is a caster's wheel: its fork turns too")
     try:
-        return _wheel(tree, arm, geometry, joint)
+        return _wheel(tree, arm, folder, joint)
     except RobotFileError as error:
         raise RobotFileError(f"--wheels: {error}") from None
 
@@ -187,18 +209,19 @@ def _turns_round(joint: Joint) -> bool:
     return joint.kind == "revolute" and span > 4 * np.pi
 
 
-def _wheel(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], joint: Joint) -> _Wheel:
+def _wheel(tree: Tree, arm: Arm, folder: Path, joint: Joint) -> _Wheel:
     T = tree.pose(joint.child, arm.base)
     axis = T.rotation @ joint.axis
     if np.linalg.norm(axis[:2]) < _LEVEL:
         raise RobotFileError(f"{joint.name} is no wheel: its axis is not level")
-    shapes = geometry[joint.child].shapes
-    links = [joint.child, *(c for c in tree.rigid(joint.child) if c != joint.child)]
-    if not shapes:
-        shapes = tuple(s for link in links[1:] for s in geometry[link].shapes)
-    if not shapes:
+    links = tree.rigid(joint.child)
+    touched = [s for link in links for s in read_shapes(tree, link, folder)]
+    if not touched:
         raise RobotFileError(f"{joint.name}: {joint.child} has no shape to read a radius from")
-    r, how = _radius(shapes, joint)
+    try:
+        r, how = _radius(touched, joint)
+    except RobotFileError:  # a wheel may collide as a box: then what is seen counts
+        r, how = _radius([s for link in links for s in looks(tree, link, folder).shapes], joint)
     return _Wheel(joint, T.translation.copy(), axis, r, how)
 
 

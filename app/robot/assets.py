@@ -21,8 +21,8 @@ ASSETS = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "robot_assets"
 SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
 """Folder of the borders that ship with the project; only read."""
 
-_WHEELS = dict.fromkeys(("example-robot-data", "rtbdata", "stretch_urdf"), "'.[robots]'")
-"""How packages are installed that belong to the project's extras or a wheel of another name."""
+_EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
+"""Packages of the optional robots, which are installed together."""
 
 
 def cache_folder() -> Path:
@@ -79,7 +79,7 @@ def resolve_package_uri(uri: str) -> Path:
         raise AssetError(f"{uri!r} is not of the form package://PACKAGE/PATH")
     roots = package_roots(package)
     if not roots:
-        wheel = _WHEELS.get(package, package)
+        wheel = "'.[robots]'" if package in _EXTRAS else package
         raise AssetError(
             f"{uri}: the package {package!r} is not installed; try: pip install {wheel}"
         )

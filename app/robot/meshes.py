@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import singledispatch
 
+import numpy as np
 import trimesh
 
 from app.robot.assets import resolve_package_uri
@@ -56,4 +57,4 @@ def _(shape: Superquadric) -> trimesh.Trimesh:
 
 @shape_mesh.register
 def _(shape: Hull) -> trimesh.Trimesh:
-    return trimesh.convex.convex_hull(shape.vertices_m)
+    return trimesh.convex.convex_hull(np.array(shape.vertices_m))
