@@ -35,6 +35,10 @@ class AssetError(DbbError):
     """A mesh or package that a description refers to is not there."""
 
 
+class RobotFileError(DbbError):
+    """A URDF that cannot become a robot description; names the part, and the option that helps."""
+
+
 class ConfigError(DbbError):
     """A parameter out of its range."""
 

@@ -14,8 +14,8 @@ PROJECT = Path(__file__).resolve().parent.parent
 
 ROOMS = (
     "errors", "strict", "compiled", "parameters", "config", "config_file",
-    "robot", "border", "avoidance", "control", "simulation", "reproduce", "study", "dashboard",
-    "cli",
+    "robot", "border", "avoidance", "control", "simulation", "reproduce", "study", "onboarding",
+    "dashboard", "cli",
     "__main__",
 )  # fmt: skip
 """In the order of the data's way; the first five and the last are single modules."""
@@ -28,7 +28,7 @@ ONLY_IN = {
     "tyro": {"cli"},
     "distributed": {"study"},
     "pyarrow": {"study"},
-    "matplotlib": {"reproduce", "study"},
+    "matplotlib": {"reproduce", "study", "onboarding"},
     "mpl_toolkits": {"reproduce", "study"},
 }
 """Libraries that belong to some rooms alone."""

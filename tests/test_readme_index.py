@@ -17,10 +17,11 @@ from app.robot.description import (
     ArmDescription,
     BaseDescription,
     BodyDescription,
+    LinePlace,
     ReachabilityDescription,
     RobotDescription,
 )
-from app.robot.shapes import Box, Capsule, ConvexMesh, Cylinder, Sphere
+from app.robot.shapes import Box, Capsule, ConvexMesh, Cylinder, Hull, Sphere
 from tests.readme import PROJECT, README, section
 
 EQUATIONS = range(1, 30)
@@ -131,14 +132,15 @@ def test_every_file_that_the_readme_names_exists() -> None:
         ("`[arm]`", ArmDescription),
         ("`[[bodies]]`", BodyDescription),
         ("`[reachability.BODY]`", ReachabilityDescription),
+        ("`[lines.SCENARIO]`", LinePlace),
     ],
 )
 def test_every_field_of_a_description_is_in_the_readme(heading: str, record: type) -> None:
     (row,) = re.findall(rf"^\| {re.escape(heading)} \| (.*) \|$", section("Another robot"), re.M)
     words = set(re.findall(r"[A-Za-z_]\w*", " ".join(re.findall(r"`([^`]*)`", row))))
-    tables = {"base", "arm", "bodies", "reachability"}
+    tables = {"base", "arm", "bodies", "reachability", "lines"}
     fields = set(record.model_fields) - (tables if record is RobotDescription else {"source"})
     if record is BodyDescription:
-        shapes = (Box, Sphere, Cylinder, Capsule, ConvexMesh)
+        shapes = (Box, Sphere, Cylinder, Capsule, ConvexMesh, Hull)
         fields |= {s.model_fields["type"].annotation.__args__[0] for s in shapes}
     assert fields <= words

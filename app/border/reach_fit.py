@@ -43,35 +43,40 @@ class ReachFit(NamedTuple):
         return self.C - self.A_per_m2 * (np.asarray(rho) - self.B_m) ** 2
 
 
-def fit_reachability(reach_map: ReachMap) -> ReachFit:
+def fit_reachability(reach_map: ReachMap, share: float = FLOOR) -> ReachFit:
     """A, B, C of (9) for a map.
+
+    Args:
+        reach_map: The map.
+        share: [-] of the peak, as `fit_parabola`.
 
     Raises:
         DescriptionError: The map does not rise and fall with the distance from the mount.
     """
     try:
-        return fit_parabola(reach_map.rho, reach_map.reach)
+        return fit_parabola(reach_map.rho, reach_map.reach, share)
     except ValueError as error:
         raise DescriptionError(f"{reach_map.body}: (9) does not fit its map: {error}") from None
 
 
-def fit_parabola(rho: Array, reach: Array) -> ReachFit:
+def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
     """Ordinary least squares of (9), each value counting the same.
 
     Paper: Eq. (9).
     It is fitted where it is meaningful: over the unbroken range of distances around the peak in
-    which the mean is at least 0.05 of the peak's, the share below which `score.reachability` bends
-    (9).
+    which the mean is at least a share of the peak's: 0.05, below which `score.reachability` bends
+    (9), unless another is asked for.
 
     Args:
         rho: (N,) [m] distances from the arm's mount.
         reach: (N,) [-] values there, those of zero included.
+        share: [-] of the peak above which the mean over a shell has to be.
 
     Raises:
         ValueError: There are too few values, or they are not concave.
     """
     rho, reach = np.asarray(rho, dtype=float), np.asarray(reach, dtype=float)
-    low, high = radial_profile(rho, reach).band(FLOOR)
+    low, high = radial_profile(rho, reach).band(share)
     slack = ROUNDING * SHELL
     chosen = (rho >= low - slack) & (rho < high - slack)
     x, y = rho[chosen], reach[chosen]

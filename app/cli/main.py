@@ -9,7 +9,9 @@ import sys
 import tyro
 
 from app.cli.border import border
+from app.cli.check_robot import check_robot
 from app.cli.config import config
+from app.cli.new_robot import new_robot
 from app.cli.pairs import pairs
 from app.cli.reach import reach
 from app.cli.replay import replay
@@ -37,6 +39,8 @@ _COMMANDS = {
     "sweep": sweep,
     "config": config,
     "robots": robots,
+    "new-robot": new_robot,
+    "check-robot": check_robot,
 }
 
 

@@ -28,8 +28,9 @@ from app.cli.options import (
 )
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError
+from app.robot.assets import load_robot
 from app.simulation.plants import PLANTS
-from app.simulation.scenario import scenario_by_name
+from app.simulation.scenario import SCENARIOS, scenario_of
 
 if TYPE_CHECKING:
     from app.simulation.run import RunResult
@@ -133,7 +134,8 @@ def run(
         )  # fmt: skip
         chosen, robot, seed = case.scenario(), case.robot, case.seed
     elif scenario is not None:
-        chosen = scenario_by_name(scenario)
+        check_name("scenario", scenario, SCENARIOS)
+        chosen = scenario_of(load_robot(robot), scenario)
     else:
         raise ConfigError("Required: a SCENARIO, or --replay-case FILE; see dbb run --help")
     controller = controller or (case.controller if case else "dbb")

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import re
+import sys
+import sysconfig
 from pathlib import Path
 
 import platformdirs
@@ -18,6 +21,9 @@ ASSETS = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "robot_assets"
 SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
 """Folder of the borders that ship with the project; only read."""
 
+_EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
+"""Packages of the optional robots, which are installed together."""
+
 
 def cache_folder() -> Path:
     """Folder where borders are kept: `dbb_cache/` in a checkout, else the user's cache folder."""
@@ -28,7 +34,8 @@ def cache_folder() -> Path:
 
 def robot_names() -> list[str]:
     """Names of the robots that have a description."""
-    return sorted(path.parent.name for path in ASSETS.glob("*/robot.toml"))
+    found = (path.parent.name for path in ASSETS.glob("*/robot.toml"))
+    return sorted(name for name in found if not name.startswith("."))  # one that is being made
 
 
 def load_robot(name: str) -> RobotDescription:
@@ -58,7 +65,9 @@ def urdf_path(description: RobotDescription) -> Path:
 
 
 def resolve_package_uri(uri: str) -> Path:
-    """The file behind `package://PACKAGE/PATH`, where PACKAGE is an installed Python package.
+    """The file behind `package://PACKAGE/PATH`, where PACKAGE is an installed package.
+
+    That is a Python package, or one that a wheel put under its `share` folder, as those of ROS are.
 
     Raises:
         AssetError: The address is of another form, the package is not installed, the file is not in
@@ -68,13 +77,30 @@ def resolve_package_uri(uri: str) -> Path:
     package, _, inner = rest.partition("/")
     if scheme != "package" or not inner:
         raise AssetError(f"{uri!r} is not of the form package://PACKAGE/PATH")
-    spec = importlib.util.find_spec(package) if package.isidentifier() else None
-    if spec is None or not spec.submodule_search_locations:
+    roots = package_roots(package)
+    if not roots:
+        wheel = "'.[robots]'" if package in _EXTRAS else package
         raise AssetError(
-            f"{uri}: the package {package!r} is not installed; try: pip install {package}"
+            f"{uri}: the package {package!r} is not installed; try: pip install {wheel}"
         )
-    for root in map(Path, spec.submodule_search_locations):
+    for root in roots:
         path = (root / inner).resolve()
         if path.is_file() and path.is_relative_to(root.resolve()):
             return path
     raise AssetError(f"{uri}: no such file in the installed package {package!r}")
+
+
+def package_roots(package: str) -> list[Path]:
+    """Folders of an installed package: a Python package's own, then those of its share."""
+    spec = importlib.util.find_spec(package) if package.isidentifier() else None
+    roots = [Path(root) for root in (spec.submodule_search_locations if spec else None) or ()]
+    if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", package):
+        roots += [share / package for share in share_folders() if (share / package).is_dir()]
+    return roots
+
+
+def share_folders() -> list[Path]:
+    """Folders in which wheels keep packages that are not Python's: `share` of their prefix."""
+    libraries = {Path(sysconfig.get_path(kind)) for kind in ("purelib", "platlib")}
+    prefixes = [*(library / "cmeel.prefix" for library in sorted(libraries)), Path(sys.prefix)]
+    return [share for prefix in prefixes if (share := prefix / "share").is_dir()]

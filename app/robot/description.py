@@ -158,6 +158,15 @@ class ReachabilityDescription(Sourced):
     """[-]"""
 
 
+class LinePlace(Sourced):
+    """Where a scenario on a line leads the hand of this robot."""
+
+    start_m: Vector3
+    """[m] where the hand starts, the base at the origin facing +x."""
+    move_m: Vector3
+    """[m] how far it is led."""
+
+
 class RobotDescription(Strict):
     """All that the method needs to know of a robot.
 
@@ -177,6 +186,8 @@ class RobotDescription(Strict):
     bodies: tuple[BodyDescription, ...] = Field(min_length=2)
     reachability: dict[str, ReachabilityDescription]
     """By the name of the body; every body that may come near l_m needs one."""
+    lines: dict[str, LinePlace] = Field(default_factory=dict)
+    """By the name of the scenario; the others keep the places that suit the paper's robot."""
 
     @model_validator(mode="after")
     def _names_agree(self) -> Self:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from functools import singledispatch
 
+import numpy as np
 import trimesh
 
 from app.robot.assets import resolve_package_uri
-from app.robot.shapes import Box, Capsule, ConvexMesh, Cylinder, Sphere, Superquadric
+from app.robot.shapes import Box, Capsule, ConvexMesh, Cylinder, Hull, Sphere, Superquadric
 
 
 @singledispatch
@@ -52,3 +53,8 @@ def _(shape: ConvexMesh) -> trimesh.Trimesh:
 @shape_mesh.register
 def _(shape: Superquadric) -> trimesh.Trimesh:
     return trimesh.convex.convex_hull(shape.vertices())
+
+
+@shape_mesh.register
+def _(shape: Hull) -> trimesh.Trimesh:
+    return trimesh.convex.convex_hull(np.array(shape.vertices_m))

@@ -110,6 +110,17 @@ class ConvexMesh(_Placed):
         return _convex_hull(shape_mesh(self).vertices)
 
 
+class Hull(_Placed):
+    """The convex hull of some points around `xyz_m`."""
+
+    type: Literal["hull"]
+    vertices_m: Annotated[tuple[Vector3, ...], Field(min_length=4)]
+    """[m] points in the shape's own frame; those inside of the others' hull do nothing."""
+
+    def coal_geometry(self) -> coal.CollisionGeometry:
+        return _convex_hull(np.array(self.vertices_m))
+
+
 class Superquadric(_Placed):
     """A hyper-ellipsoid with its centre at `xyz_m`: an ellipsoid, a pillow, almost a box.
 
@@ -142,5 +153,6 @@ def _convex_hull(points: np.ndarray) -> coal.CollisionGeometry:
 
 
 Shape = Annotated[
-    Box | Sphere | Cylinder | Capsule | ConvexMesh | Superquadric, Field(discriminator="type")
+    Box | Sphere | Cylinder | Capsule | ConvexMesh | Hull | Superquadric,
+    Field(discriminator="type"),
 ]

@@ -28,14 +28,14 @@ def body_contact_pairs(
 
     Args:
         description: The robot.
-        outer: Names of the arm's bodies that can come near l_m, as L_m has them; by default the
-            last two.
+        outer: Names of the arm's bodies that can come near l_m, as L_m has them; by default
+            those with a reachability, which every body that may come near l_m has.
 
     Raises:
         UnknownNameError: `outer` names a body that the arm does not have.
     """
     mobile, *arm = [body.name for body in description.bodies]
-    outer = arm[-2:] if outer is None else list(outer)
+    outer = [n for n in arm if n in description.reachability] if outer is None else list(outer)
     for name in outer:
         if name not in arm:
             raise UnknownNameError("body of the arm", name, arm)

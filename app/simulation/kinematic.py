@@ -36,7 +36,8 @@ class Kinematic:
         Args:
             model: The robot.
             dt: [s] one step.
-            outer: Names of the bodies of L_m on the arm; by default the last two.
+            outer: Names of the bodies of L_m on the arm; by default all
+                that have a reachability.
 
         Raises:
             UnknownNameError: `outer` names a body that the arm does not have.

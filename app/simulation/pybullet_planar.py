@@ -38,7 +38,8 @@ class PybulletPlanar:
         Args:
             model: The robot.
             dt: [s] one step.
-            outer: Names of the bodies of L_m on the arm; by default the last two.
+            outer: Names of the bodies of L_m on the arm; by default all that
+                have a reachability.
             door: A door that the hand holds from each reset on, or None.
 
         Raises:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from app.errors import UnknownNameError
+from app.robot.description import RobotDescription
 from app.simulation.leading import Scenario
 from app.simulation.line import LineScenario
 from app.simulation.refrigerator import RefrigeratorScenario
@@ -50,3 +51,13 @@ def scenario_by_name(name: str) -> Scenario:
     if name not in SCENARIOS:
         raise UnknownNameError("scenario", name, SCENARIOS)
     return SCENARIOS[name]
+
+
+def scenario_of(description: RobotDescription, name: str) -> Scenario:
+    """The scenario of that name, on the line that suits the robot if its description has one.
+
+    Raises:
+        UnknownNameError: Lists those that exist.
+    """
+    scenario, place = scenario_by_name(name), description.lines.get(name)
+    return scenario if place is None else scenario.changed(start=place.start_m, move=place.move_m)

@@ -23,6 +23,7 @@ _POSITION_TOLERANCE = 1e-5  # [m]
 _DIRECTION_TOLERANCE = 0.02  # [-] of a unit vector
 _BUFFER_MARGIN = 0.005  # [m] beyond the buffer
 _FLOOR_MARGIN = 0.01  # [m] between arm and floor
+_LOST = 1e-3  # [m/rad or -] singular value of a direction in which the hand cannot move
 _JOINT_MARGIN = 0.03  # [-] share of a joint's range kept from its limits
 
 OUT_OF_REACH = "out of the arm's reach"
@@ -40,7 +41,8 @@ class StartSolver:
     """Finds an arm configuration for a position of the hand, the base at the origin facing +x.
 
     The hand points away from the arm's mount and downwards where it can; every pair is outside its
-    buffer, the arm above the floor, each joint away from its limits.
+    buffer, the arm above the floor, each joint away from its limits. An arm that cannot point its
+    hand everywhere points it as it can where it cannot point it so.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
@@ -52,6 +54,9 @@ class StartSolver:
         self._floor = FloorDistance(self._state)
         self._range = model.q_upper - model.q_lower
         self._middle = (model.q_upper + model.q_lower) / 2
+        # Of less than six directions of motion some are lost: the hand points as it has to then.
+        J = self._state.J_ee[:, 2:]
+        self._points_anywhere = bool(np.linalg.matrix_rank(J, tol=_LOST) == 6)
 
     def solve(
         self, p_ee: tuple[float, float, float], *, seed: int = 0, turn: float = 0.0,
@@ -76,8 +81,12 @@ class StartSolver:
         rng = np.random.default_rng(seed)
         ready = np.array(self._model.description.arm.ready_position)
         flaws: dict[str, int] = {}
-        for pitch in _PITCHES:
-            direction = pin.utils.rotate("z", turn) @ self._direction(target, pitch)
+        directions: list[Array | None] = [
+            pin.utils.rotate("z", turn) @ self._direction(target, pitch) for pitch in _PITCHES
+        ]
+        if not self._points_anywhere:
+            directions.append(None)
+        for direction in directions:
             best, best_quality = None, 0.0
             for k in range(tries):
                 anywhere = self._middle + (rng.random(len(ready)) - 0.5) * self._range
@@ -164,12 +173,13 @@ class StartSolver:
         bounds = (self._model.q_lower + margin, self._model.q_upper - margin)
         return best_posture(residual, jacobian, guess, bounds)
 
-    def _judge(self, q: Array, target: Array, direction: Array) -> _Judgement:
+    def _judge(self, q: Array, target: Array, direction: Array | None) -> _Judgement:
         self._place(q)
         at = self._state.T_world_ee
         if np.linalg.norm(at.translation - target) > _POSITION_TOLERANCE:
             return _Judgement(0.0, OUT_OF_REACH)
-        if np.linalg.norm(at.rotation[:, 2] - direction) > _DIRECTION_TOLERANCE:
+        points = at.rotation[:, 2]
+        if direction is not None and np.linalg.norm(points - direction) > _DIRECTION_TOLERANCE:
             return _Judgement(0.0, "out of reach with the hand pointing away from the mount")
         if self._floor.least() < _FLOOR_MARGIN:
             return _Judgement(0.0, "the arm would touch the floor")

@@ -1,0 +1,143 @@
+"""`dbb new-robot`: a description, a border and a report from a URDF."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from app.cli.common import console, print_json
+from app.cli.options import Json, PointOption, check_parameter, check_point, check_range, check_seed
+from app.config import Config
+from app.errors import ConfigError
+
+if TYPE_CHECKING:
+    from app.border.cache import BorderData
+    from app.onboarding.new_robot import NewRobot
+
+
+def new_robot(
+    urdf: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="URDF")],
+    *,
+    base: str,
+    tip: str,
+    out: Path,
+    wheels: Annotated[tuple[str, str] | None, tyro.conf.arg(metavar="LEFT RIGHT")] = None,
+    arm_urdf: str | None = None,
+    mount_xyz: PointOption = None,
+    mount_rpy: PointOption = None,
+    mount: str | None = None,
+    tip_xyz: PointOption = None,
+    tip_rpy: PointOption = None,
+    half_track: float | None = None,
+    wheel_radius: float | None = None,
+    ready: Annotated[tuple[float, ...] | None, tyro.conf.arg(metavar="Q1 Q2 …")] = None,
+    bodies: int | None = None,
+    assume_inertia: bool = False,
+    title: str | None = None,
+    licence: str | None = None,
+    buffer_distance: float = Config().border.d_b,
+    seed: int = 0,
+    json: Json = False,
+) -> None:
+    """Make a robot's description from its URDF or xacro, build its border and report on it.
+
+    Finds the wheels, groups the arm's links into bodies, fits convex shapes to them, samples the
+    pairs, chooses a ready pose, counts the reachability, and writes each number with its source.
+    Nothing is written unless all of it is.
+
+    Args:
+        urdf: The file, or package://PACKAGE/PATH for one of an installed package.
+        base: Link that moves with the base, z up.
+        tip: Link that carries the end-effector.
+        out: Folder of the new description, such as robot_assets/NAME; its name is the robot's.
+        wheels: Joints (or links) of a left and a right driven wheel (default: found).
+        arm_urdf: Another URDF with the arm, to be fixed to --base; --tip is in it then.
+        mount_xyz: [m] where the root of --arm-urdf stands in --base (default: 0 0 0).
+        mount_rpy: [rad] how it is turned there (default: 0 0 0).
+        mount: Link at whose origin the arm stands (default: the one that carries its first joint).
+        tip_xyz: [m] the end-effector's origin in --tip (default: 0 0 0).
+        tip_rpy: [rad] how it is turned there; its z points out of the hand (default: 0 0 0).
+        half_track: [m] effective half track of the base (default: measured between the wheels).
+        wheel_radius: [m] of a base whose URDF has no wheels; needs --half-track too.
+        ready: [rad or m] the ready pose, one number a joint (default: chosen among random poses).
+        bodies: How many bodies the arm gets (default: four, others where four do not do).
+        assume_inertia: Take masses from volumes where the arm's URDF states none at all.
+        title: What people read (default: the name).
+        licence: Licences of the files that the URDF refers to.
+        buffer_distance: [m] d_b that the bodies and the ready pose have to suit.
+        seed: Of all random poses.
+        json: Print one JSON object on standard output and nothing else there.
+    """
+    # Imported here: matplotlib, scipy and trimesh would make every other command start later.
+    from app.onboarding.finish import finish
+    from app.onboarding.request import Request
+
+    check_seed(seed)
+    check_parameter("--buffer-distance", buffer_distance, "border.d_b")
+    for option, point in (("--mount-xyz", mount_xyz), ("--mount-rpy", mount_rpy),
+                          ("--tip-xyz", tip_xyz), ("--tip-rpy", tip_rpy)):  # fmt: skip
+        check_point(option, point)
+    if half_track is not None:
+        check_range("--half-track", half_track, 0.02, 3.0, "m")
+    if wheel_radius is not None:
+        check_range("--wheel-radius", wheel_radius, 0.01, 1.0, "m")
+        if half_track is None or wheels is not None:
+            raise ConfigError("--wheel-radius: needs --half-track, and no --wheels")
+    if bodies is not None:
+        check_range("--bodies", bodies, 1, 8)
+    zero = (0.0, 0.0, 0.0)
+    request = Request(
+        urdf, base, tip, out, wheels=wheels, arm_urdf=arm_urdf, mount_xyz=mount_xyz or zero,
+        mount_rpy=mount_rpy or zero, mount=mount, tip_xyz=tip_xyz or zero, tip_rpy=tip_rpy or zero,
+        half_track=half_track, wheel_radius=wheel_radius, ready=ready, bodies=bodies,
+        assume_inertia=assume_inertia, title=title, licence=licence, seed=seed, d_b=buffer_distance,
+    )  # fmt: skip
+    begin = perf_counter()
+    robot, data = finish(request, tell=lambda text: console.print(f"… {text}"))
+    result = _figures(robot, data) | {"elapsed_s": perf_counter() - begin}
+    if json:
+        print_json(result)
+        return
+    print(f"{result['robot']}: {result['folder']}/robot.toml, report.html")
+    for key in ("pairs", "bodies", "reachability"):
+        print(f"  {key}: {result[key]}")
+    for warning in robot.warnings:
+        print(f"  warning: {warning}")
+
+
+def _figures(robot: NewRobot, data: BorderData) -> dict[str, Any]:
+    base = robot.content["base"]
+    return {
+        "robot": robot.request.name,
+        "folder": str(robot.request.out),
+        "arm_joints": len(robot.parsed.arm.joints),
+        "wheel_radius_m": base["wheel_radius_m"],
+        "half_track_m": base["half_track_m"],
+        "mass_kg": base["mass_kg"],
+        "bodies": {
+            body.name: {
+                "links": list(body.links),
+                "shapes": [fit.shape.type for fit in body.fits],
+                "over_cover": [fit.over_cover for fit in body.fits],
+                "protrusion_m": max(fit.protrusion for fit in body.fits),
+            }
+            for body in robot.bodies
+        },
+        "pairs": [pair.name for pair in data.pairs.all],
+        "collision_rate": data.pairs.rates,
+        "least_distance_m": data.pairs.least_distance_m,
+        "missed_collisions": robot.verdict.missed,
+        "false_collisions": robot.verdict.false,
+        "reachability": {
+            name: {"A_per_m2": r.A, "B_m": r.B, "C": r.C, "counted": r.counted is not None}
+            for name, r in robot.reach.items()
+        },
+        "ready_position": robot.ready.q_m.tolist(),
+        "ready_clearance_m": robot.ready.clearance if data.pairs.all else None,
+        "lines": {name: list(place.start) for name, place in robot.places.items()},
+        "border_points": {name: len(cloud) for name, cloud in data.clouds.items()},
+        "warnings": robot.warnings,
+    }

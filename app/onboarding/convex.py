@@ -1,0 +1,236 @@
+"""Convex bodies around points: capsule, box or polytope, none of the points outside."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+import trimesh
+from scipy.optimize import minimize
+from scipy.spatial import ConvexHull, HalfspaceIntersection, QhullError
+
+from app.robot.shapes import Box, Capsule, Hull, Shape
+
+Array = np.ndarray
+
+_UNIT = 1e-4  # [m] to which sizes are rounded up
+_THINNEST = 0.002  # [m] of a box's side
+
+
+class Fit(NamedTuple):
+    """A convex shape around points.
+
+    Attributes:
+        shape: The shape, in the points' frame.
+        volume: [m³]
+        over_cover: [-] its volume over that of the points' hull.
+        protrusion: [m] how far it stands out of the points' hull at most.
+    """
+
+    shape: Shape
+    volume: float
+    over_cover: float
+    protrusion: float
+
+
+def fit_best(points: Array, weights: dict[str, float]) -> Fit:
+    """The shape of the least weighted volume around points.
+
+    Args:
+        points: (N, 3) [m].
+        weights: [-] by which a kind's volume counts: `capsule`, `box`, `hull`.
+    """
+    corners = hull_corners(points)
+    kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
+    fits = {kind: _judged(kinds[kind](corners), corners) for kind in weights}
+    return min(fits.items(), key=lambda item: weights[item[0]] * item[1].volume)[1]
+
+
+def hull_corners(points: Array) -> Array:
+    """(M, 3) corners of the convex hull; the points themselves where they are flat."""
+    points = np.asarray(points, dtype=float)
+    if len(points) < 5:
+        return points
+    try:
+        return points[ConvexHull(points).vertices]
+    except QhullError:
+        return np.unique(np.round(points, 6), axis=0)
+
+
+def fit_capsule(points: Array) -> Capsule:
+    """The capsule of least volume, as far as a search from the main axes finds it."""
+    some = _outermost(points)
+    centre = some.mean(axis=0)
+    axes = np.linalg.svd(some - centre, full_matrices=False)[2]
+
+    def volume(x: Array) -> float:
+        a, b = x[:3], x[3:]
+        r, length = _radius(some, a, b), float(np.linalg.norm(b - a))
+        return np.pi * r**2 * (length + 4 / 3 * r)
+
+    best = None
+    for axis in axes:
+        along = (some - centre) @ axis
+        r = _radius(some, centre - axis, centre + axis)
+        low, high = along.min() + 0.7 * r, along.max() - 0.7 * r
+        if low > high:
+            low = high = (low + high) / 2
+        start = np.concatenate([centre + (low - 1e-3) * axis, centre + (high + 1e-3) * axis])
+        found = minimize(
+            volume, start, method="Nelder-Mead",
+            options={"maxiter": 400, "xatol": 2e-4, "fatol": 1e-7, "adaptive": True,
+                     "initial_simplex": _simplex(start)},
+        )  # fmt: skip
+        if best is None or found.fun < best.fun:
+            best = found
+    assert best is not None
+    a, b = np.round(best.x[:3], 4), np.round(best.x[3:], 4)
+    return Capsule(
+        type="capsule", start_m=_three(a), end_m=_three(b), radius_m=_up(_radius(points, a, b))
+    )
+
+
+def fit_box(points: Array) -> Box:
+    """The smallest of the boxes with an edge along an axis of the frame or of the points.
+
+    It is turned only where that saves a tenth of the volume.
+    """
+    straight = _box(points, np.zeros(3))
+    main = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    best = straight
+    for axis in np.vstack([np.eye(3), main]):
+        turned = _box(points, np.round(pin.rpy.matrixToRpy(_tight_frame(points, axis)), 4))
+        if np.prod(turned.size_m) < 0.9 * np.prod(best.size_m):
+            best = turned
+    return best
+
+
+def fit_hull(points: Array) -> Hull | Box:
+    """A polytope of few faces: the points' support in evenly spread directions.
+
+    Its own frame stands in the middle, z along the points' longest axis.
+    """
+    middle = np.round((points.max(axis=0) + points.min(axis=0)) / 2, 4)
+    axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
+    R = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axes[0]).matrix()
+    rpy = np.round(pin.rpy.matrixToRpy(R), 4)
+    own = (points - middle) @ pin.rpy.rpyToMatrix(*rpy)
+    D = directions(1)
+    reach = np.maximum((own @ D.T).max(axis=0), _THINNEST / 2) + _UNIT
+    try:
+        corners = HalfspaceIntersection(np.column_stack([D, -reach]), np.zeros(3)).intersections
+    except QhullError:
+        return fit_box(points)
+    corners = _distinct(corners)
+    return Hull(
+        type="hull", vertices_m=tuple(_three(c) for c in corners), xyz_m=_three(middle),
+        rpy_rad=_three(rpy),
+    )  # fmt: skip
+
+
+def support(shape: Shape, D: Array) -> Array:
+    """(K,) [m] how far a capsule, box or hull reaches along unit vectors D (K, 3)."""
+    if isinstance(shape, Capsule):
+        ends = np.array([shape.start_m, shape.end_m])
+        return (D @ ends.T).max(axis=1) + shape.radius_m
+    if isinstance(shape, Box):
+        T = shape.placement()
+        return D @ T.translation + np.abs(D @ T.rotation) @ np.array(shape.size_m) / 2
+    if isinstance(shape, Hull):
+        T = shape.placement()
+        return D @ T.translation + (D @ T.rotation @ np.array(shape.vertices_m).T).max(axis=1)
+    raise TypeError(f"no support of a {type(shape).__name__}")
+
+
+def volume_of(shape: Shape) -> float:
+    """[m³] of a capsule, box or hull."""
+    if isinstance(shape, Capsule):
+        return np.pi * shape.radius_m**2 * (shape.length_m + 4 / 3 * shape.radius_m)
+    if isinstance(shape, Box):
+        return float(np.prod(shape.size_m))
+    if isinstance(shape, Hull):
+        return float(ConvexHull(np.array(shape.vertices_m)).volume)
+    raise TypeError(f"no volume of a {type(shape).__name__}")
+
+
+def hull_volume(points: Array) -> float:
+    """[m³] of the points' convex hull; 0 where they are flat."""
+    try:
+        return float(ConvexHull(points).volume) if len(points) > 4 else 0.0
+    except QhullError:
+        return 0.0
+
+
+@cache
+def directions(subdivisions: int) -> Array:
+    """(K, 3) unit vectors: 42, 162 or 642 spread evenly, those along the axes too; read-only."""
+    spread = np.asarray(trimesh.creation.icosphere(subdivisions=subdivisions).vertices)
+    D = np.vstack([spread, np.eye(3), -np.eye(3)])
+    D = np.unique(np.round(D / np.linalg.norm(D, axis=1)[:, None], 9), axis=0)
+    D.setflags(write=False)
+    return D
+
+
+def _tight_frame(points: Array, axis: Array) -> Array:
+    """(3, 3) rotation with an axis as its z and x, y along the least rectangle across it."""
+    R = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix()
+    try:
+        T, _ = trimesh.bounds.oriented_bounds_2D(points @ R[:, :2])
+    except (QhullError, ValueError, IndexError):
+        return R
+    turn = np.eye(3)
+    turn[:2, :2] = np.asarray(T)[:2, :2].T
+    return R @ turn
+
+
+def _judged(shape: Shape, corners: Array) -> Fit:
+    D = directions(2)
+    inner, volume = hull_volume(corners), volume_of(shape)
+    protrusion = float((support(shape, D) - (D @ corners.T).max(axis=1)).max())
+    return Fit(shape, volume, volume / inner if inner > 0 else np.inf, protrusion)
+
+
+def _distinct(corners: Array) -> Array:
+    """Corners of the hull that are not within a fraction of a millimetre of another."""
+    rounded = np.unique(np.round(corners, 4), axis=0)
+    return rounded[ConvexHull(rounded).vertices]
+
+
+def _simplex(start: Array) -> Array:
+    return np.vstack([start, start + 0.03 * np.eye(6)])
+
+
+def _radius(points: Array, a: Array, b: Array) -> float:
+    """[m] largest distance of points to the segment from a to b."""
+    along = b - a
+    share = np.clip((points - a) @ along / max(float(along @ along), 1e-12), 0.0, 1.0)
+    off = points - a - share[:, None] * along
+    return float(np.sqrt(np.einsum("ij,ij->i", off, off).max()))
+
+
+def _box(points: Array, rpy: Array) -> Box:
+    R = pin.rpy.rpyToMatrix(*rpy)
+    inside = points @ R
+    low = np.floor(inside.min(axis=0) / _UNIT) * _UNIT
+    high = np.ceil(inside.max(axis=0) / _UNIT) * _UNIT
+    size = np.maximum(high - low, _THINNEST) + 2 * _UNIT  # the centre is rounded too
+    centre = np.round(R @ ((low + high) / 2), 5)
+    return Box(
+        type="box", size_m=_three(np.round(size, 4)), xyz_m=_three(centre), rpy_rad=_three(rpy)
+    )
+
+
+def _outermost(points: Array) -> Array:
+    """The farthest point in each of many directions: enough to find a shape, not to size it."""
+    return points[np.unique((points @ directions(1).T).argmax(axis=0))]
+
+
+def _up(length: float) -> float:
+    return round(float(np.ceil(length / _UNIT + 1e-6) * _UNIT), 4)
+
+
+def _three(v: Array) -> tuple[float, float, float]:
+    x, y, z = (float(round(value, 5)) + 0.0 for value in v)
+    return x, y, z

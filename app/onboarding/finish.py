@@ -1,0 +1,42 @@
+"""The whole of `dbb new-robot`: made, bordered, reported on, and only then put in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from app.border.cache import BorderData, load_border_data
+from app.border.sampling_config import SamplingConfig
+from app.onboarding.new_robot import NewRobot, make_robot
+from app.onboarding.report import report_html
+from app.onboarding.request import Request
+from app.onboarding.write import whole_folder, write_robot
+
+
+def finish(
+    request: Request, *, tell: Callable[[str], None] = lambda _: None,
+    processes: int | None = None, sampling: SamplingConfig | None = None,
+) -> tuple[NewRobot, BorderData]:  # fmt: skip
+    """Make a robot and write its folder.
+
+    Args:
+        request: What is asked.
+        tell: Called with what is being done.
+        processes: How many to count and sample with; all cores if not given.
+        sampling: Of the border; by default as every command samples it.
+
+    Raises:
+        RobotFileError: The URDF cannot become a robot.
+        AssetError: A package is not installed.
+        DescriptionError: What came out is no robot that the core takes.
+        OutputError: The folder is there already or cannot be written.
+    """
+    request.name  # noqa: B018 - a wrong name is told before any work
+    with whole_folder(request.out) as folder:
+        robot = make_robot(request, folder, tell=tell, processes=processes)
+        tell("sampling the border")
+        data = load_border_data(robot.model, sampling=sampling, processes=processes)
+        tell("writing the report")
+        write_robot(robot, folder)
+        page = report_html(robot, robot.model, data)
+        (folder / "report.html").write_text(page, encoding="utf-8")
+    return robot, data

@@ -1,0 +1,72 @@
+"""What is asked of `dbb new-robot`."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from app.config import Config
+from app.errors import RobotFileError
+
+
+@dataclass(frozen=True)
+class Request:
+    """A robot to be made.
+
+    Attributes:
+        urdf: Path or `package://…` address of its URDF or xacro.
+        base: Link that moves with the base.
+        tip: Link that carries the end-effector.
+        out: Folder of the new description; its name is the robot's.
+        wheels: Joints of a left and a right wheel, or None to find them.
+        arm_urdf: Another file with the arm, to be put on the base, or None.
+        mount_xyz: (3,) [m] where the arm's root stands in the base's link.
+        mount_rpy: (3,) [rad] how it is turned there.
+        mount: Link at whose origin the arm stands, or None for the one with its first joint.
+        tip_xyz: (3,) [m] the end-effector in the tip's frame.
+        tip_rpy: (3,) [rad] how it is turned there; z points out of the hand.
+        half_track: [m] b, or None to measure it between the wheels.
+        wheel_radius: [m] r of a base whose URDF has no wheels, with its half track; else None.
+        ready: (n_m,) [rad or m] the ready pose, or None to choose one.
+        bodies: How many bodies the arm gets, or None for the best number.
+        assume_inertia: Whether an arm without masses gets assumed ones.
+        title, licence: As the description has them, or None.
+        seed: Of all random poses.
+        d_b: [m] buffer distance.
+    """
+
+    urdf: str
+    base: str
+    tip: str
+    out: Path
+    wheels: tuple[str, str] | None = None
+    arm_urdf: str | None = None
+    mount_xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mount_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    mount: str | None = None
+    tip_xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    tip_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    half_track: float | None = None
+    wheel_radius: float | None = None
+    ready: tuple[float, ...] | None = None
+    bodies: int | None = None
+    assume_inertia: bool = False
+    title: str | None = None
+    licence: str | None = None
+    seed: int = 0
+    d_b: float = Config().border.d_b
+
+    @property
+    def name(self) -> str:
+        """The robot's name.
+
+        Raises:
+            RobotFileError: The folder's name cannot be one.
+        """
+        name = self.out.resolve().name
+        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+            raise RobotFileError(
+                f"--out: the folder's name {name!r} becomes the robot's: letters, digits and _ only"
+            )
+        return name

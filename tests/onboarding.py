@@ -1,0 +1,84 @@
+"""A small robot as a URDF of boxes and cylinders, made in the test, to be taken apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+INERTIAL = (
+    '<inertial><mass value="{m}"/><inertia ixx="{i}" ixy="0" ixz="0" iyy="{i}" iyz="0" izz="{i}"/>'
+    "</inertial>"
+)
+
+
+def solid(shape: str, *, mass: float = 1.0, xyz: str = "0 0 0", rpy: str = "0 0 0") -> str:
+    """What stands in a link: a collision shape and an inertia."""
+    inertial = INERTIAL.format(m=mass, i=0.01 * mass) if mass else ""
+    return (
+        f'{inertial}<collision><origin xyz="{xyz}" rpy="{rpy}"/><geometry>{shape}</geometry>'
+        "</collision>"
+    )
+
+
+def link(name: str, content: str = "") -> str:
+    return f'<link name="{name}">{content}</link>\n'
+
+
+def joint(
+    name: str, kind: str, parent: str, child: str, *, xyz: str = "0 0 0", rpy: str = "0 0 0",
+    axis: str = "0 0 1", limit: str = 'lower="-2.5" upper="2.5" effort="60" velocity="2"',
+) -> str:  # fmt: skip
+    limits = f"<limit {limit}/>" if kind != "fixed" else ""
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>{limits}</joint>\n'
+    )
+
+
+WHEEL = '<cylinder radius="0.1" length="0.04"/>'
+ARM_JOINTS = ("pan", "lift", "elbow", "turn", "wrist", "roll")
+
+
+def cart(*, wheel: str = WHEEL, wheel_rpy: str = "1.5708 0 0") -> list[str]:
+    """The base: a box on two wheels 0.4 m apart, its link 0.15 m above the floor."""
+    parts = [link("base", solid('<box size="0.6 0.4 0.2"/>', mass=30))]
+    for name, y in (("left", 0.2), ("right", -0.2)):
+        parts.append(link(f"{name}_wheel", solid(wheel, rpy=wheel_rpy)))
+        parts.append(
+            joint(f"{name}_axle", "continuous", "base", f"{name}_wheel", axis="0 1 0",
+                  xyz=f"0.05 {y} -0.05", limit='effort="20" velocity="12"')
+        )  # fmt: skip
+    return parts
+
+
+def arm() -> list[str]:
+    """Six revolute joints on a column, the hand 0.8 m from the second at most."""
+    tube = '<cylinder radius="0.04" length="0.34"/>'
+    small = '<cylinder radius="0.035" length="0.08"/>'
+    names = ("column", "shoulder", "upper", "fore", "cuff", "wrist_link", "hand")
+    shapes = [
+        solid('<cylinder radius="0.06" length="0.2"/>', xyz="0 0 0.1", mass=3),
+        solid('<cylinder radius="0.055" length="0.08"/>', mass=2),
+        solid(tube, xyz="0 0 0.17", mass=2),
+        solid(tube, xyz="0 0 0.17", mass=1.5),
+        solid(small, xyz="0 0 0.02"),
+        solid(small, xyz="0 0 0.03"),
+        solid('<box size="0.08 0.12 0.08"/>', xyz="0 0 0.08", mass=0.7),
+    ]
+    offsets = ("0 0 0.24", "0 0 0.06", "0 0 0.34", "0 0 0.34", "0 0 0.07", "0 0 0.07")
+    axes = ("0 0 1", "0 1 0", "0 1 0", "0 0 1", "0 1 0", "0 0 1")
+    parts = [link(name, shape) for name, shape in zip(names, shapes, strict=True)]
+    parts.append(joint("mount", "fixed", "base", "column", xyz="0.15 0 0.1"))
+    for k, name in enumerate(ARM_JOINTS):
+        parts.append(joint(name, "revolute", names[k], names[k + 1], xyz=offsets[k], axis=axes[k]))
+    return parts
+
+
+def robot(parts: Sequence[str]) -> str:
+    return '<?xml version="1.0"?>\n<robot name="toy">\n' + "".join(parts) + "</robot>\n"
+
+
+def write(folder: Path, text: str, name: str = "toy.urdf") -> Path:
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path

@@ -1,0 +1,112 @@
+"""Bodies hold every point they are asked to hold, and little else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from app.onboarding.convex import (
+    fit_best,
+    fit_box,
+    fit_capsule,
+    fit_hull,
+    hull_corners,
+    hull_volume,
+    support,
+    volume_of,
+)
+from app.onboarding.sweep import swept
+from app.robot.meshes import shape_mesh
+from tests.robots import husky_panda
+
+FITS = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
+
+
+def cloud(seed: int, stretch: tuple[float, float, float] = (0.3, 0.1, 0.05)) -> np.ndarray:
+    """Points in a turned ellipsoid away from the origin."""
+    rng = np.random.default_rng(seed)
+    turn = pin.Quaternion(*(q / np.linalg.norm(q) for q in [rng.normal(size=4)])).matrix()
+    points = rng.normal(size=(300, 3))
+    points *= rng.uniform(0, 1, (300, 1)) / np.linalg.norm(points, axis=1)[:, None]
+    return points * stretch @ turn.T + rng.uniform(-0.5, 0.5, 3)
+
+
+def distance(shape, points: np.ndarray) -> np.ndarray:
+    """(N,) [m] signed distances, by the collision library."""
+    import coal
+
+    geometry, T = shape.coal_geometry(), shape.placement()
+    at = coal.Transform3s(T.rotation, T.translation)
+    request, result = coal.DistanceRequest(), coal.DistanceResult()
+    found = []
+    for p in points:
+        result.clear()
+        dot = coal.Transform3s(np.eye(3), p)
+        found.append(coal.distance(geometry, at, coal.Sphere(0.0), dot, request, result))
+    return np.array(found)
+
+
+@pytest.mark.parametrize("kind", FITS)
+@pytest.mark.parametrize("seed", range(3))
+def test_no_point_sticks_out_of_its_body(kind: str, seed: int) -> None:
+    points = cloud(seed)
+    assert distance(FITS[kind](points), points).max() < 2e-4  # [m]
+
+
+@pytest.mark.parametrize("kind", FITS)
+def test_volume_and_support_are_those_of_the_drawn_mesh(kind: str) -> None:
+    """Against trimesh, whose spheres are polyhedra: up to one per cent."""
+    shape = FITS[kind](cloud(3))
+    mesh = shape_mesh(shape).copy().apply_transform(shape.placement().homogeneous)
+    assert volume_of(shape) == pytest.approx(mesh.volume, rel=0.015)
+    D = np.random.default_rng(0).normal(size=(50, 3))
+    D /= np.linalg.norm(D, axis=1)[:, None]
+    np.testing.assert_allclose(support(shape, D), (D @ mesh.vertices.T).max(axis=1), atol=2e-3)
+
+
+def test_a_capsule_is_found_again_from_its_points() -> None:
+    """Points of a capsule of known size: the fit has its volume within 3 per cent."""
+    rng = np.random.default_rng(0)
+    D = rng.normal(size=(2000, 3))
+    D /= np.linalg.norm(D, axis=1)[:, None]
+    a, b, r = np.array([0.1, 0.2, 0.3]), np.array([0.3, 0.1, 0.7]), 0.06
+    points = np.where((D @ (b - a) > 0)[:, None], b, a) + r * D
+    fit = fit_capsule(points)
+    true = np.pi * r**2 * (np.linalg.norm(b - a) + 4 / 3 * r)
+    assert volume_of(fit) == pytest.approx(true, rel=0.03)
+    assert fit.radius_m == pytest.approx(r, rel=0.03)
+
+
+def test_a_turned_box_is_found_again_from_its_corners() -> None:
+    corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T * [0.2, 0.1, 0.05]
+    turned = corners @ pin.rpy.rpyToMatrix(0.0, 0.0, 0.6).T + [0.3, 0.0, 0.1]
+    assert volume_of(fit_box(turned)) == pytest.approx(0.4 * 0.2 * 0.1, rel=0.02)
+
+
+def test_the_least_weighted_volume_wins_and_is_reported_against_the_hull() -> None:
+    points = cloud(5)
+    fit = fit_best(points, {"capsule": 1.0, "box": 1.0, "hull": 1.0})
+    assert fit.volume == min(volume_of(f(hull_corners(points))) for f in FITS.values())
+    assert fit.over_cover == pytest.approx(fit.volume / hull_volume(points))
+    assert fit.over_cover >= 1.0
+    heavy = fit_best(points, {"capsule": 1.0, "box": 1e6, "hull": 1e6})
+    assert heavy.shape.type == "capsule"
+
+
+def test_what_is_swept_holds_the_links_in_every_position_of_the_joints_between() -> None:
+    """Hand and flange of the Panda, seen from link 6, joint 7 anywhere; and link 5 from there."""
+    model = husky_panda()
+    rng = np.random.default_rng(1)
+    points = {j: rng.uniform(-0.08, 0.08, (40, 3)) for j in (6, 7, 8)}  # joints 5, 6, 7
+    corners = swept(model, points, 7)
+    from scipy.spatial import ConvexHull
+
+    planes = ConvexHull(corners).equations
+    data = model.pin.createData()
+    for q_m in rng.uniform(model.q_lower, model.q_upper, (50, model.n_m)):
+        pin.forwardKinematics(model.pin, data, model.configuration((0, 0, 0), q_m))
+        for joint, own in points.items():
+            T = data.oMi[7].actInv(data.oMi[joint])
+            seen = own @ T.rotation.T + T.translation
+            assert (seen @ planes[:, :3].T + planes[:, 3]).max() < 1e-6

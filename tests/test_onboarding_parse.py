@@ -1,0 +1,220 @@
+"""What a URDF may be wrong in: one clear message each, before anything is written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.errors import DbbError, RobotFileError
+from app.onboarding.finish import finish
+from app.onboarding.new_robot import parse
+from app.onboarding.request import Request
+from tests.onboarding import ARM_JOINTS, arm, cart, joint, link, robot, solid, write
+
+TOY = robot([*cart(), *arm()])
+
+
+def request(tmp_path: Path, text: str, **changes: object) -> Request:
+    path = write(tmp_path, text)
+    given = {"urdf": str(path), "base": "base", "tip": "hand", "out": tmp_path / "made"}
+    return Request(**(given | changes))
+
+
+def refused(tmp_path: Path, text: str, **changes: object) -> str:
+    """The message with which a robot is refused; nothing may be left behind."""
+    with pytest.raises(DbbError) as caught:
+        finish(request(tmp_path, text, **changes))
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["toy.urdf"]
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_wheels_radius_track_and_the_point_on_the_floor_are_measured(tmp_path: Path) -> None:
+    parsed = parse(request(tmp_path, TOY))
+    wheels = parsed.wheels
+    assert (wheels.left, wheels.right) == (("left_axle",), ("right_axle",))
+    assert wheels.r == pytest.approx(0.1)
+    assert wheels.b == pytest.approx(0.2)
+    np.testing.assert_allclose(wheels.T_base_floor.translation, [0.05, 0.0, -0.15], atol=1e-9)
+    np.testing.assert_allclose(wheels.T_base_floor.rotation, np.eye(3), atol=1e-9)
+
+
+def test_a_base_whose_axle_lies_along_x_is_turned_so_that_it_faces_x(tmp_path: Path) -> None:
+    """The same robot with its base link turned by a quarter: the wheels say where ahead is."""
+    turned = TOY.replace('xyz="0.05 0.2 -0.05"', 'xyz="-0.2 0.05 -0.05"')
+    turned = turned.replace('xyz="0.05 -0.2 -0.05"', 'xyz="0.2 0.05 -0.05"')
+    turned = turned.replace('<axis xyz="0 1 0"/><limit effort="20"',
+                            '<axis xyz="1 0 0"/><limit effort="20"')  # fmt: skip
+    turned = turned.replace('rpy="1.5708 0 0"', 'rpy="0 1.5708 0"')
+    wheels = parse(request(tmp_path, turned)).wheels
+    np.testing.assert_allclose(wheels.T_base_floor.rotation @ [1, 0, 0], [0, 1, 0], atol=1e-9)
+    assert wheels.left == ("left_axle",)
+
+
+def test_the_arm_is_what_moves_between_base_and_tip(tmp_path: Path) -> None:
+    found = parse(request(tmp_path, TOY)).arm
+    assert tuple(j.name for j in found.joints) == ARM_JOINTS
+    assert found.mount == "column"
+    assert found.segments[0] == ("column",)
+    assert set(found.base_links) == {"base", "left_wheel", "right_wheel"}
+
+
+def test_fingers_beside_the_chain_belong_to_the_link_that_carries_them(tmp_path: Path) -> None:
+    finger = [link("finger", solid('<box size="0.01 0.01 0.05"/>', mass=0.05)),
+              joint("grip", "prismatic", "wrist_link", "finger", xyz="0 0.02 0.1")]  # fmt: skip
+    found = parse(request(tmp_path, robot([*cart(), *arm(), *finger]))).arm
+    assert tuple(j.name for j in found.joints) == ARM_JOINTS
+    assert "finger" in found.segments[5]
+
+
+def test_wheels_that_are_given_must_be_wheels(tmp_path: Path) -> None:
+    for given, why in (
+        (("lift", "right_axle"), "not on the base"),
+        (("nothing", "right_axle"), "no joint or link 'nothing'"),
+        (("left_axle", "left_axle"), "same place"),
+    ):
+        assert why in refused(tmp_path, TOY, wheels=given)
+
+
+def test_a_wheel_that_is_not_round_is_none(tmp_path: Path) -> None:
+    square = robot([*cart(wheel='<box size="0.2 0.05 0.1"/>', wheel_rpy="0 0 0"), *arm()])
+    told = refused(tmp_path, square, wheels=("left_axle", "right_axle"))
+    assert "left_axle is no wheel" in told
+    assert "not round" in told
+    assert "--wheels LEFT RIGHT" in refused(tmp_path, square)
+
+
+def test_a_wheel_whose_axle_stands_upright_is_none(tmp_path: Path) -> None:
+    upright = TOY.replace('<axis xyz="0 1 0"/><limit effort="20"',
+                          '<axis xyz="0 0 1"/><limit effort="20"')  # fmt: skip
+    assert "not level" in refused(tmp_path, upright, wheels=("left_axle", "right_axle"))
+
+
+def test_wheels_of_two_sizes_are_not_guessed_between(tmp_path: Path) -> None:
+    """A second pair, smaller, on the same floor: which of them drives has to be said."""
+    second = []
+    for name, y in (("fl", 0.2), ("fr", -0.2)):
+        second.append(link(name, solid('<cylinder radius="0.05" length="0.03"/>',
+                                       rpy="1.5708 0 0")))  # fmt: skip
+        second.append(joint(f"{name}_axle", "continuous", "base", name, axis="0 1 0",
+                            xyz=f"0.25 {y} -0.1", limit='effort="1" velocity="1"'))  # fmt: skip
+    text = robot([*cart(), *second, *arm()])
+    assert "pairs of different radius" in refused(tmp_path, text)
+    wheels = parse(request(tmp_path, text, wheels=("left_axle", "right_axle"))).wheels
+    assert wheels.left == ("left_axle",)
+
+
+def test_a_joint_named_twice_is_refused(tmp_path: Path) -> None:
+    twice = TOY.replace('<joint name="elbow"', '<joint name="lift"')
+    assert "the joint 'lift' stands 2 times" in refused(tmp_path, twice)
+
+
+def test_a_closed_chain_is_refused(tmp_path: Path) -> None:
+    rod = joint("rod", "revolute", "fore", "shoulder")
+    told = refused(tmp_path, robot([*cart(), *arm(), rod]))
+    assert "closed chain" in told
+    assert "'rod'" in told
+    ring = robot([*cart(), *arm(), joint("ring", "fixed", "hand", "base")])
+    assert "closed chain" in refused(tmp_path, ring)
+
+
+def test_a_missing_mesh_is_named(tmp_path: Path) -> None:
+    for file, why in (
+        ("meshes/none.stl", "there is no file"),
+        ("package://no_such_package/none.stl", "not installed"),
+        ("package://pybullet_data/husky/none.stl", "no such file"),
+    ):
+        text = TOY.replace('<box size="0.08 0.12 0.08"/>', f'<mesh filename="{file}"/>')
+        told = refused(tmp_path, text)
+        assert file in told
+        assert why in told
+
+
+def test_no_inertia_at_all_is_refused_unless_it_may_be_assumed(tmp_path: Path) -> None:
+    import re
+
+    bare = re.sub(r"<inertial>.*?</inertial>", "", TOY)
+    assert "--assume-inertia" in refused(tmp_path, bare)
+    parsed = parse(request(tmp_path, bare, assume_inertia=True))
+    hand = parsed.inertias["hand"]
+    assert hand.assumed
+    assert hand.inertia.mass == pytest.approx(1200.0 * 0.08 * 0.12 * 0.08, rel=1e-6)
+    np.testing.assert_allclose(hand.inertia.lever, [0.0, 0.0, 0.08], atol=1e-9)
+
+
+def test_millimetres_are_noticed(tmp_path: Path) -> None:
+    far = TOY.replace('xyz="0.15 0 0.1"', 'xyz="150 0 100"')
+    assert "millimetres" in refused(tmp_path, far)
+    large = TOY.replace('size="0.08 0.12 0.08"', 'size="80 120 80"')
+    assert "millimetres" in refused(tmp_path, large)
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"base": "bse"}, "--base: the URDF has no link 'bse' (did you mean 'base'?)"),
+        ({"tip": "hnd"}, "--tip: the URDF has no link 'hnd' (did you mean 'hand'?)"),
+        ({"base": "hand", "tip": "base"}, "--tip: 'base' does not hang on --base 'hand'"),
+        ({"tip": "column"}, "--tip: no joint moves 'column'"),
+        ({"mount": "upper"}, "--mount: 'upper' is not between"),
+        ({"urdf": "none.urdf"}, "none.urdf: no such file"),
+    ],
+)
+def test_links_that_are_not_there_are_named_with_their_option(
+    tmp_path: Path, changes: dict[str, object], why: str
+) -> None:
+    assert why in refused(tmp_path, TOY, **changes)
+
+
+def test_what_is_no_urdf_is_refused(tmp_path: Path) -> None:
+    assert "not well-formed" in refused(tmp_path, TOY[:-20])
+    assert "a URDF's is <robot>" in refused(tmp_path, "<sdf/>")
+    unknown = TOY.replace('<child link="hand"/>', '<child link="hnd"/>')
+    assert "its child is 'hnd', which is no link" in refused(tmp_path, unknown)
+
+
+def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
+    made = tmp_path / "made"
+    made.mkdir()
+    (made / "mine.txt").write_text("mine")
+    with pytest.raises(DbbError, match="there already"):
+        finish(request(tmp_path, TOY))
+    assert [p.name for p in made.iterdir()] == ["mine.txt"]
+
+
+def test_a_xacro_is_expanded(tmp_path: Path) -> None:
+    pytest.importorskip("xacrodoc")
+    text = TOY.replace('<robot name="toy">',
+                       '<robot name="toy" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+                       '<xacro:property name="r" value="0.1"/>')  # fmt: skip
+    text = text.replace('radius="0.1"', 'radius="${r}"')
+    path = write(tmp_path, text, "toy.urdf.xacro")
+    parsed = parse(Request(urdf=str(path), base="base", tip="hand", out=tmp_path / "made"))
+    assert parsed.wheels.r == pytest.approx(0.1)
+
+
+def test_an_arm_of_its_own_file_is_put_on_the_base(tmp_path: Path) -> None:
+    """The arm's root has the base's name too: it is renamed, and the tip found."""
+    alone = [part for part in arm() if 'name="mount"' not in part]
+    arm_file = write(tmp_path, robot(alone).replace('"column"', '"base"'), "arm.urdf")
+    base_file = write(tmp_path, robot(cart()), "cart.urdf")
+    parsed = parse(
+        Request(urdf=str(base_file), base="base", tip="hand", out=tmp_path / "made",
+                arm_urdf=str(arm_file), mount_xyz=(0.15, 0.0, 0.1))
+    )  # fmt: skip
+    assert parsed.arm.mount == "arm_base"
+    one = parse(request(tmp_path, TOY))
+    for made, whole in (("hand", "hand"), ("arm_base", "column")):
+        np.testing.assert_allclose(
+            parsed.tree.pose(made, "base").homogeneous, one.tree.pose(whole, "base").homogeneous,
+            atol=1e-12,
+        )  # fmt: skip
+
+
+def test_an_impossible_inertia_is_refused(tmp_path: Path) -> None:
+    bad = TOY.replace('<mass value="30"/><inertia ixx="0.3"', '<mass value="30"/><inertia ixx="-3"')
+    assert bad != TOY
+    with pytest.raises(RobotFileError, match="cannot be"):
+        parse(request(tmp_path, bad))

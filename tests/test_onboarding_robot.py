@@ -1,0 +1,198 @@
+"""From a URDF to a robot that the core takes, and checks that see what is wrong with one."""
+
+from __future__ import annotations
+
+import base64
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.border.reach_config import ReachConfig
+from app.border.sampling_config import SamplingConfig
+from app.onboarding import check_bodies, new_robot, reach
+from app.onboarding.bodies import ArmFitter, fit_base
+from app.onboarding.check_bodies import arm_row, base_row
+from app.onboarding.check_dynamics import dynamics_row, limits_row
+from app.onboarding.finish import finish
+from app.onboarding.grouping import find_grouping
+from app.onboarding.meetings import sample_meetings
+from app.onboarding.new_robot import NewRobot
+from app.onboarding.request import Request
+from app.onboarding.units import make_units
+from app.robot import assets
+from app.robot.assets import ASSETS, resolve_package_uri
+from app.robot.description import RobotDescription, load_description
+from app.robot.link_pairs import find_link_pairs
+from app.robot.model import RobotModel
+from app.simulation.contact_pairs import body_contact_pairs
+from app.simulation.scenario import scenario_by_name, scenario_of
+from tests.onboarding import ARM_JOINTS, arm, cart, robot, write
+from tests.robots import husky_panda
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> NewRobot:
+    """The toy, made with few samples, in a folder of its own with a cache of its own."""
+    folder = tmp_path_factory.mktemp("toy")
+    path = write(folder, robot([*cart(), *arm()]))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(assets, "cache_folder", lambda: folder)
+        patch.setattr(new_robot, "MEETING_SAMPLES", 1200)
+        patch.setattr(new_robot, "PAIR_SAMPLES", 2000)
+        coarse = ReachConfig(spacing_m=0.12, orientations=4, restart_spacing_m=0.3,
+                             restart_orientations=1, restarts=2)  # fmt: skip
+        patch.setattr(reach, "COUNTING", coarse)
+        sampling = SamplingConfig(pair_samples=2000, cloud_samples=2000, voxel_plan=0.05,
+                                  voxel_height=0.05, rounds=1, retries=1, sectors=2)  # fmt: skip
+        request = Request(urdf=str(path), base="base", tip="hand", out=folder / "toy")
+        return finish(request, processes=1, sampling=sampling)[0]
+
+
+def compiled(made: NewRobot, **changes: object) -> RobotModel:
+    """The model of what was written, with some fields of its description changed."""
+    folder = made.request.out
+    description = load_description(folder / "robot.toml")
+    content = description.model_dump() | {"urdf": str(folder / "robot.urdf")} | changes
+    return RobotModel(RobotDescription.model_validate(content))
+
+
+def test_a_whole_folder_is_written_and_nothing_beside_it(made: NewRobot) -> None:
+    folder = made.request.out
+    files = {path.name for path in folder.iterdir()}
+    assert files == {"robot.toml", "robot.urdf", "SOURCES.md", "report.html"}
+    assert not [p for p in folder.parent.iterdir() if p.name.startswith(".")]
+    text = (folder / "robot.toml").read_text()
+    assert "wheel_radius_m = 0.1 # measured" in text
+    assert "max_effort = [60.0, 60.0, 60.0, 60.0, 60.0, 60.0] # from the URDF" in text
+    assert "traction_limit_n" in text
+    assert "# assumed" in text
+
+
+def test_the_description_is_the_urdf_on_the_floor(made: NewRobot) -> None:
+    model = compiled(made)
+    assert model.description.arm.joints == ARM_JOINTS
+    np.testing.assert_allclose(model.p_base(), [0.1, 0.0, 0.25], atol=1e-9)
+    base = model.description.base
+    assert base.mass_kg == pytest.approx(30 + 2 + 3 + 2 + 2 + 1.5 + 1 + 1 + 0.7)
+    assert (base.wheel_radius_m, base.half_track_m) == (pytest.approx(0.1), pytest.approx(0.2))
+
+
+def test_the_checks_of_bodies_and_dynamics_pass(made: NewRobot) -> None:
+    model = compiled(made)
+    for check in (dynamics_row, limits_row, base_row, arm_row):
+        row = check(model)
+        assert row.outcome == "passed", row
+
+
+def test_a_base_that_is_too_small_for_its_meshes_fails(made: NewRobot) -> None:
+    bodies = [body.model_dump() for body in compiled(made).description.bodies]
+    size = bodies[0]["shapes"][0]["size_m"]
+    bodies[0]["shapes"][0]["size_m"] = (size[0] - 0.1, size[1], size[2])
+    row = base_row(compiled(made, bodies=bodies))
+    assert row.outcome == "failed"
+    assert row.numbers["sticks_out_m"] == pytest.approx(0.05, abs=2e-3)
+
+
+def test_a_hand_that_its_body_does_not_hold_fails(
+    made: NewRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(check_bodies, "_POSES", 1500)
+    bodies = [body.model_dump() for body in compiled(made).description.bodies]
+    bodies[-1]["shapes"] = [{"type": "sphere", "radius_m": 0.01}]
+    row = arm_row(compiled(made, bodies=bodies))
+    assert row.outcome == "failed"
+    assert row.numbers["missed"] > 0
+
+
+def test_the_ready_pose_is_outside_of_every_buffer(made: NewRobot) -> None:
+    assert made.ready.clearance > 0.05  # [m] beyond it
+    span = np.subtract(made.parsed.limits.upper, made.parsed.limits.lower)
+    left = np.minimum(made.ready.q_m - made.parsed.limits.lower,
+                      made.parsed.limits.upper - made.ready.q_m)  # fmt: skip
+    assert (left >= 0.09 * span).all()
+
+
+def test_the_report_shows_bodies_pairs_and_warnings(made: NewRobot) -> None:
+    page = (made.request.out / "report.html").read_text()
+    pictures = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
+    assert len(pictures) >= 2
+    assert all(base64.b64decode(each).startswith(b"\x89PNG") for each in pictures)
+    for pair in made.pairs.all:
+        assert pair.name in page
+    for warning in made.warnings:
+        assert warning.split("'")[0][:40] in page
+
+
+def test_each_line_starts_outside_and_leads_to_the_base(made: NewRobot) -> None:
+    model = compiled(made)
+    assert "guiding-front" in model.description.lines
+    place = model.description.lines["guiding-front"]
+    edge = model.description.bodies[0].shapes[0].size_m[0] / 2
+    centre = model.description.bodies[0].shapes[0].xyz_m[0]
+    end = np.add(place.start_m, place.move_m)
+    assert end[0] == pytest.approx(centre + edge + 0.125, abs=2e-3)
+    assert scenario_of(model.description, "guiding-front").start == place.start_m
+    paper = husky_panda().description
+    assert scenario_of(paper, "guiding-front") == scenario_by_name("guiding-front")
+
+
+@pytest.fixture(scope="module")
+def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
+    """Husky with a Panda, with bodies fitted to its URDF alone."""
+    out = tmp_path_factory.mktemp("fit") / "husky_fit"
+    urdf = str(ASSETS / "husky_panda" / "robot.urdf")
+    request = Request(urdf=urdf, base="base_link", tip="panda_hand", out=out)
+    parsed = new_robot.parse(request)
+    urdf = new_robot.rebased_urdf(
+        parsed.tree, parsed.arm, parsed.wheels.T_base_floor, parsed.geometry, parsed.inertias,
+        name="husky_fit", folder=parsed.folder, header="test",
+    )  # fmt: skip
+    path = write(request.out.parent, urdf)
+    bare = new_robot._compiled(new_robot._bare(request, parsed, parsed.limits), path)
+    units = make_units(bare, parsed.arm, parsed.geometry)
+    meetings = sample_meetings(bare, units, samples=4000, seed=1, d_b=0.15)
+    grouping = find_grouping(
+        bare, fit_base(units[0]), meetings, ArmFitter(bare, meetings), d_b=0.15
+    )
+    content = new_robot._bare(request, parsed, parsed.limits)
+    content["bodies"] = [new_robot._body_content(body) for body in grouping.bodies]
+    return new_robot._compiled(content, path)
+
+
+def test_from_its_urdf_alone_the_papers_robot_gets_the_pairs_of_1(husky: RobotModel) -> None:
+    pairs = find_link_pairs(husky, samples=10_000, seed=2)
+    assert {pair.name for pair in pairs.mobile} == {"lm-lEE", "lm-l3"}
+    assert {pair.name for pair in pairs.manipulator} == {"l1-lEE", "l1-l3", "l2-lEE"}
+
+
+def test_from_its_urdf_alone_the_papers_robot_has_the_same_dynamics(husky: RobotModel) -> None:
+    """The rebased URDF against the one that ships: equal mass matrices in random poses."""
+    import pinocchio as pin
+
+    ours = husky_panda()
+    rng = np.random.default_rng(3)
+    for q_m in rng.uniform(ours.q_lower, ours.q_upper, (5, 7)):
+        q = ours.configuration((0.3, -0.2, 0.7), q_m)
+        M, N = (np.triu(pin.crba(m.pin, m.pin.createData(), q)) for m in (husky, ours))
+        np.testing.assert_allclose(M, N, atol=1e-5)
+
+
+def test_contacts_are_watched_for_every_body_with_a_reachability() -> None:
+    description = husky_panda().description
+    pairs = body_contact_pairs(description)
+    assert pairs.arm_base == {("lm", "l3"), ("lm", "lEE")}
+
+
+def test_packages_of_a_wheels_share_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    mesh = tmp_path / "some-robot" / "meshes" / "a.stl"
+    mesh.parent.mkdir(parents=True)
+    mesh.write_text("solid")
+    monkeypatch.setattr(assets, "share_folders", lambda: [tmp_path])
+    assert resolve_package_uri("package://some-robot/meshes/a.stl") == mesh
+    for wrong in ("package://some-robot/../x", "package://../some-robot/meshes/a.stl"):
+        with pytest.raises(assets.AssetError):
+            resolve_package_uri(wrong)
