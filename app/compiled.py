@@ -30,9 +30,9 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
     """
 
     def compile_(function: Function) -> Function:
-        kernel = numba.njit(
-            list(signatures) or None, cache=bool(signatures), error_model="numpy"
-        )(function)
+        kernel = numba.njit(list(signatures) or None, cache=bool(signatures), error_model="numpy")(
+            function
+        )
         if signatures and not config.DISABLE_JIT and kernel.stats.cache_misses:
             _tell_once()
         return cast("Function", kernel)

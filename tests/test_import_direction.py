@@ -14,8 +14,8 @@ PROJECT = Path(__file__).resolve().parent.parent
 
 ROOMS = (
     "errors", "strict", "compiled", "parameters", "config", "config_file",
-    "robot", "border", "avoidance", "control", "simulation", "reproduce", "study", "onboarding",
-    "dashboard", "cli",
+    "robot", "border", "avoidance", "control", "simulation", "bench", "reproduce", "study",
+    "onboarding", "dashboard", "cli",
     "__main__",
 )  # fmt: skip
 """In the order of the data's way; the first five and the last are single modules."""

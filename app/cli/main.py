@@ -8,6 +8,7 @@ import sys
 
 import tyro
 
+from app.cli.bench import bench
 from app.cli.border import border
 from app.cli.check_robot import check_robot
 from app.cli.config import config
@@ -37,6 +38,7 @@ _COMMANDS = {
     "reproduce": reproduce,
     "study": study,
     "sweep": sweep,
+    "bench": bench,
     "config": config,
     "robots": robots,
     "new-robot": new_robot,

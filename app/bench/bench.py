@@ -1,0 +1,118 @@
+"""All figures of `dbb bench`, in one run."""
+
+from __future__ import annotations
+
+import os
+import resource
+from collections.abc import Callable, Sequence
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from app.bench.density import by_points
+from app.bench.floor import Floor
+from app.bench.paths import PATHS, Moment, Path, record
+from app.bench.rollouts import realtime_factor
+from app.bench.timing import time_stages, time_steps
+from app.border.cache import BorderData
+from app.border.sampling import sample_clouds
+from app.border.sampling_config import SamplingConfig
+from app.config import Config
+from app.control.controller import Controller, ControlOutput
+from app.robot.link_pairs import find_link_pairs
+from app.robot.model import RobotModel
+
+POINTS = (50_000, 500_000, 5_000_000)
+"""Points of the synthetic borders."""
+_PROCESSES = 2
+_RESELECTED = (0.10, 0.12, 0.18, 0.20, 0.15)  # [m] d_b that are asked for one after the other
+
+
+def bench(
+    model: RobotModel, data: BorderData, *, seed: int = 0, points: Sequence[int] = POINTS,
+    border: bool = True, on_stage: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:  # fmt: skip
+    """Measure all that `dbb bench` tells.
+
+    Args:
+        model: The robot.
+        data: Its pairs and clouds.
+        seed: Of the plant, and of what is synthetic.
+        points: Of the borders for `step_p50_us_by_points`.
+        border: Whether to sample a border anew, which takes half a minute.
+        on_stage: Called with what is measured next.
+    """
+    load = os.getloadavg()[0]
+    on_stage("recording hand paths")
+    paths = record(model, data, seed)
+    on_stage("control steps")
+    steps = _steps(model, data, paths, seed)
+    on_stage("stages of a step")
+    stages = time_stages(Controller(model, data, Config()), paths)
+    on_stage("another d_b")
+    reselect = _reselect(model, data)
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    on_stage("rollouts")
+    factors = {str(n): realtime_factor(model.description.name, n) for n in (1, _PROCESSES)}
+    on_stage("borders of many points")
+    by_count = by_points(model, data, paths[:2], points, seed)
+    if border:
+        on_stage("a border from nothing")
+    return {
+        "robot": model.description.name, "seed": seed, "cores": os.cpu_count(),
+        "load_before": load, **steps, "stages_p50_us": stages, "step_p50_us_by_points": by_count,
+        "border_build_s": _build(model) if border else None, "border_reselect_ms": reselect,
+        "rollout_realtime_factor": factors, "peak_memory_mb": memory,
+        "peak_memory_all_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }  # fmt: skip
+
+
+def _steps(model: RobotModel, data: BorderData, paths: Sequence[Path], seed: int) -> dict[str, Any]:
+    """The whole step, and after each active one the floor: side by side, in the same conditions."""
+    floor = Floor(model, data.pairs, seed)
+    floors: list[float] = []
+
+    def after(moment: Moment, output: ControlOutput) -> None:
+        if sum(pair.beta > 0.0 for pair in output.avoidance.mobile) >= 2:
+            floors.append(floor.time(moment))
+
+    alone = time_steps(Controller(model, data, Config()), paths)
+    time_steps(Controller(model, data, Config()), paths[:1], after)
+    active = alone.step[alone.both]
+    names = [pair.name for pair in data.pairs.all]
+    p50, bare = float(np.median(active)), float(np.median(floors))
+    return {
+        "paths": [{"name": p.name, "start_m": p.start, "move_m": p.move} for p in PATHS],
+        "steps": len(alone.step), "active_steps": len(active),
+        "active_steps_by_pair": dict(zip(names, alone.active.sum(axis=0).tolist(), strict=True)),
+        "border_points": {name: len(cloud) for name, cloud in data.clouds.items()},
+        "step_p50_us": p50, "step_p99_us": float(np.percentile(active, 99)),
+        "step_max_us": float(active.max()),
+        "step_all_p50_us": float(np.median(alone.step)),
+        "step_all_p99_us": float(np.percentile(alone.step, 99)),
+        "step_all_max_us": float(alone.step.max()),
+        "floor_p50_us": bare, "floor_ratio": p50 / bare,
+        "floor_qps": [dict(zip(("unknowns", "equalities", "inequalities"), size, strict=True))
+                      for size in floor.sizes],
+    }  # fmt: skip
+
+
+def _reselect(model: RobotModel, data: BorderData) -> float:
+    """[ms] median from another d_b to the first step with it."""
+    controller, times = Controller(model, data, Config()), []
+    for d_b in _RESELECTED:
+        config = Config().replace("border.d_b", d_b)
+        begin = perf_counter()
+        controller.configure(config)
+        times.append(1e3 * (perf_counter() - begin))
+    return float(np.median(times))
+
+
+def _build(model: RobotModel) -> float:
+    """[s] for pairs and clouds from nothing, with two processes; nothing is kept."""
+    sampling = SamplingConfig()
+    begin = perf_counter()
+    pairs = find_link_pairs(model, samples=sampling.pair_samples, seed=sampling.seed)
+    sample_clouds(model, pairs.mobile, sampling, progress=False, processes=_PROCESSES)
+    return perf_counter() - begin

@@ -1,0 +1,60 @@
+"""Borders of any number of points, for the cost of a search among them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from app.bench.paths import Path
+from app.bench.timing import time_steps
+from app.border.cache import BorderData
+from app.border.cloud import DISTANCE_UNIT, make_cloud, quantise_points
+from app.border.offset import RAYS, OffsetContours
+from app.config import Config
+from app.control.controller import Controller
+from app.robot.model import RobotModel
+
+Array = np.ndarray
+
+
+def by_points(
+    model: RobotModel, data: BorderData, paths: Sequence[Path], counts: Sequence[int], seed: int
+) -> dict[str, dict[str, float]]:
+    """[µs] median of a step with both pairs of L_m active, by kind of border and its points.
+
+    The points are synthetic, evenly spread on the exact offset of the mobile robot.
+    """
+    found: dict[str, dict[str, float]] = {"surface": {}, "points": {}}
+    offset = OffsetContours(model, Config().border.d_b)
+    for count in counts:
+        dense = _dense(data, offset, count, seed)
+        for kind, medians in found.items():
+            controller = Controller(model, dense, Config().replace("border.kind", kind))
+            times = time_steps(controller, paths)
+            medians[str(count)] = float(np.median(times.step[times.both]))
+            del controller
+    return found
+
+
+def _dense(data: BorderData, offset: OffsetContours, count: int, seed: int) -> BorderData:
+    """The same pairs with clouds of so many points each, all at d_b."""
+    points = quantise_points(points_on(offset, count, np.random.default_rng(seed)))
+    distance = np.full(count, round(offset.d_b / DISTANCE_UNIT), np.uint16)
+    clouds = {pair.name: make_cloud(pair.name, points, distance) for pair in data.pairs.mobile}
+    return replace(data, clouds=clouds)
+
+
+def points_on(offset: OffsetContours, count: int, rng: np.random.Generator) -> Array:
+    """(count, 3) [m] random points of the contours, and between them."""
+    level = rng.uniform(0.0, len(offset.heights) - 1.0, count)
+    k = level.astype(int)
+    up = (level - k)[:, None]
+    ray = rng.integers(0, RAYS, count)
+    along = rng.random((count, 1))
+    vertices = offset.vertices
+    below = vertices[k, ray] + along * (vertices[k, ray + 1] - vertices[k, ray])
+    above = vertices[k + 1, ray] + along * (vertices[k + 1, ray + 1] - vertices[k + 1, ray])
+    z = offset.heights[k] + up[:, 0] * (offset.heights[k + 1] - offset.heights[k])
+    return np.column_stack([below + up * (above - below), z])

@@ -1,0 +1,80 @@
+"""What controllers are given in each step of some hand paths, recorded once, to be timed again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.control.tasks import Reference
+from app.robot.model import RobotModel
+from app.robot.state import Measurement
+from app.simulation.begin import begin
+from app.simulation.line import LineScenario
+from app.simulation.scenario import LINES
+from app.simulation.session import DT
+
+Array = np.ndarray
+
+
+class Moment(NamedTuple):
+    """The arguments of `Controller.step`."""
+
+    measurement: Measurement
+    reference: Reference | None
+    base_acceleration: Array
+
+
+Path = list[Moment]
+
+_FOLD = LINES["guiding-fold"]
+PATHS: tuple[LineScenario, ...] = (
+    LINES["guiding-lateral"],  # both pairs of L_m
+    LINES["guiding-front"],
+    LINES["guiding-above"],
+    _FOLD,
+    _FOLD.changed(start=(0.30, 0.45, 0.90), move=(0.0, -0.50, -0.10)),  # all pairs of the arm
+    LINES["tracking"].changed(duration=8.0),
+)
+"""Hand paths of 48 s in which every pair is active at times; for the paper's robot."""
+
+
+def record(
+    model: RobotModel, data: BorderData, seed: int,
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> list[Path]:  # fmt: skip
+    """Run all `PATHS` and keep what the controller was given, one list a path.
+
+    Args:
+        model: The robot.
+        data: Its pairs and clouds.
+        seed: Of the plant.
+        on_progress: Called now and then with the simulated time so far [s].
+
+    Raises:
+        UnreachableError: No start of the arm for a path.
+    """
+    recorded: list[Path] = []
+    before = 0.0
+    for scenario in PATHS:
+        setting = scenario.setting(model, data, Config(), seed)
+        session = begin(setting, model, controller="dbb", physics="planar", seed=seed)
+        try:
+            leader = scenario.leader(session)
+            path: Path = []
+            for k in range(round(scenario.duration / DT)):
+                lead = leader(session)
+                step = session.step(*lead)
+                if step.output.workings is not None:
+                    given = step.output.workings.base_given
+                    path.append(Moment(step.measurement, lead.reference, given))
+                if k % 200 == 0:
+                    on_progress(before + session.t)
+        finally:
+            session.close()
+        recorded.append(path)
+        before += scenario.duration
+    return recorded

@@ -1,0 +1,88 @@
+"""`dbb bench` measures what it says: recorded paths, the floor, borders of many points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.bench import bench as bench_module
+from app.bench import paths as paths_module
+from app.bench.density import points_on
+from app.bench.floor import Floor
+from app.bench.rollouts import realtime_factor
+from app.bench.timing import time_stages, time_steps
+from app.border.cache import BorderData
+from app.border.mobile import MobileBody
+from app.border.offset import OffsetContours
+from app.config import Config
+from app.control.controller import Controller
+from app.robot.model import RobotModel
+
+KEYS = {
+    "step_p50_us", "step_p99_us", "step_max_us", "floor_p50_us", "step_all_p50_us",
+    "stages_p50_us", "step_p50_us_by_points", "border_build_s", "border_reselect_ms",
+    "rollout_realtime_factor", "peak_memory_mb",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def recorded(robot: RobotModel, border_data: BorderData) -> list[paths_module.Path]:
+    """The end of the lateral path's way in, where both pairs of L_m are active, and a fold."""
+    with pytest.MonkeyPatch.context() as patch:
+        lateral, *_, fold, tracking = paths_module.PATHS
+        chosen = (lateral.changed(duration=4.5), fold.changed(duration=0.3))
+        patch.setattr(paths_module, "PATHS", (*chosen, tracking.changed(duration=0.3)))
+        return paths_module.record(robot, border_data, seed=0)
+
+
+def test_a_recorded_path_is_answered_as_in_the_run(recorded, robot, border_data) -> None:
+    assert [len(path) for path in recorded] == [4500, 300, 300]
+    assert recorded[0][0].reference is None
+    assert recorded[2][0].reference is not None
+    times = time_steps(Controller(robot, border_data, Config()), recorded)
+    assert len(times.step) == 5100
+    assert times.both.any()
+    assert (times.step > 1.0).all()
+    np.testing.assert_array_equal(times.mobile, times.active[:, :2].sum(axis=1))
+
+
+def test_stages_are_parts_of_the_step(recorded, robot, border_data) -> None:
+    stages = time_stages(Controller(robot, border_data, Config()), recorded[:1])
+    assert set(stages) == {
+        "kinematics_dynamics", "distances", "acting_point", "task", "hierarchy", "proxqp", "rest",
+    }  # fmt: skip
+    named = {name: t for name, t in stages.items() if name != "proxqp"}  # seldom needed
+    assert min(named.values()) > 0.5
+
+
+def test_the_floor_is_the_bare_calls_with_three_qps(recorded, robot, border_data) -> None:
+    floor = Floor(robot, border_data.pairs, seed=0)
+    assert floor.sizes == ((11, 2, 18), (15, 8, 18), (9, 8, 18))
+    assert all(floor.time(moment) > 1.0 for moment in recorded[0][:50])
+    solved = [qp.results.info for qp in floor._qps]
+    assert all(info.pri_res < 1e-7 and info.dua_res < 1e-7 for info in solved)
+
+
+def test_synthetic_points_lie_on_the_offset(robot: RobotModel) -> None:
+    points = points_on(OffsetContours(robot, 0.15), 3000, np.random.default_rng(0))
+    distances = MobileBody(robot).distance(points)
+    assert np.abs(distances - 0.15).max() < 1.5e-3  # chords between heights
+
+
+def test_rollouts_are_told_in_multiples_of_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("app.bench.rollouts._RUNS", ("guiding-front",))
+    assert realtime_factor("husky_panda", 1) > 0.2
+
+
+def test_every_figure_is_there(monkeypatch, recorded, robot, border_data) -> None:
+    monkeypatch.setattr(bench_module, "record", lambda *_: recorded)
+    monkeypatch.setattr(bench_module, "realtime_factor", lambda _, processes: 3.0 * processes)
+    stages: list[str] = []
+    result = bench_module.bench(
+        robot, border_data, points=(1000, 3000), border=False, on_stage=stages.append
+    )
+    assert result.keys() > KEYS
+    assert result["border_build_s"] is None
+    assert set(result["step_p50_us_by_points"]["points"]) == {"1000", "3000"}
+    assert result["floor_ratio"] == pytest.approx(result["step_p50_us"] / result["floor_p50_us"])
+    assert len(stages) == 6
