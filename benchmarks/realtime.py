@@ -15,7 +15,7 @@ import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import psutil
@@ -46,6 +46,8 @@ class Realtime:
     """[s] measured."""
     client: Literal["browser", "websocket", "none"] = "browser"
     """A headless browser, a client that draws nothing, or nobody."""
+    clients: int = 1
+    """How many of that kind; the first one drags."""
     drag: bool = False
     """Whether the hand is dragged at the base and back, in the browser by the mouse."""
     loop: Literal["process", "thread"] = "process"
@@ -81,48 +83,75 @@ def measure(args: Realtime, record: Path) -> dict[str, Any]:
         server = serve_dashboard(loop, model, data.clouds, port=0)
         if args.ghosts:
             loop.send(Compare(("barrier", "none")[: args.ghosts]))
-        done, window, cpu, pictures = _observe(args, server, loop)
+        seen = _observe(args, server, loop)
         overruns, shown = loop.latest().overruns, loop.latest().realtime_factor
         server.stop()
     finally:
         loop.stop()
     if loop.error is not None:
         raise loop.error
-    found = figures(np.load(record), *window)
+    found = figures(np.load(record), seen.begin, seen.end)
     if args.drag and found["activation_max"] == 0.0:
         raise RuntimeError("the drag has not brought the hand into the buffer: no hard case")
     return {
-        "loop": args.loop, "client": args.client, "dragged": args.drag, "seconds": args.seconds,
+        "loop": args.loop, "client": args.client, "clients": args.clients, "dragged": args.drag,
+        "seconds": args.seconds,
         "cores": os.cpu_count(), "load_before": load, **found,
-        "layers": args.layers, "ghosts": args.ghosts, "pictures_per_s": pictures,
+        "layers": args.layers, "ghosts": args.ghosts, "pictures_per_s": seen.pictures_per_s,
         "shown_realtime_factor": shown, "overruns_since_reset": overruns,
-        "servers_cpu_percent": cpu, **done,
+        "servers_cpu_percent": seen.servers_cpu, "loop_cpu_percent": seen.loop_cpu,
+        **(seen.done[0] if seen.done else {}), "other_clients": list(seen.done[1:]),
     }  # fmt: skip
 
 
-def _observe(
-    args: Realtime, server: DashboardServer, loop: LoopHandle
-) -> tuple[dict[str, Any], tuple[float, float], float, float]:
-    """What the client has done, the span of time, the server's load [%] and its pictures [1/s]."""
+class Seen(NamedTuple):
+    """What was seen while the clients worked.
+
+    Attributes:
+        begin: [s] of the span of time.
+        end: [s] of it.
+        done: What each client says it has done, the first one first.
+        servers_cpu: [%] of a core that the server and the loop took.
+        loop_cpu: [%] of a core that the loop took; NaN if it has no process of its own.
+        pictures_per_s: How often the server has drawn.
+    """
+
+    begin: float
+    end: float
+    done: tuple[dict[str, Any], ...]
+    servers_cpu: float
+    loop_cpu: float
+    pictures_per_s: float
+
+
+def _observe(args: Realtime, server: DashboardServer, loop: LoopHandle) -> Seen:
+    """Let the clients work for the time, and look on."""
     servers = _servers()
-    kind = "drag" if args.client == "browser" and args.drag else args.client
-    client = None
-    if kind != "none":
-        command = [sys.executable, "-m", "benchmarks.client", kind, server.address]
-        whole = SETTLE + args.seconds
-        client = subprocess.Popen([*command, str(whole)], stdout=subprocess.PIPE, text=True)
-        assert client.stdout is not None
-        if client.stdout.readline() != "ready\n":
-            raise RuntimeError("the client could not connect")
+    clients = _clients(args, server.address)
     if args.layers:
         _show_all(server)
     time.sleep(SETTLE)
-    begin, begin_cpu, first = time.perf_counter(), _cpu(servers), server.pictures
+    begin, before, first = time.perf_counter(), _cpu(servers), server.pictures
     _pass_time(args, begin, loop)
-    end, end_cpu, last = time.perf_counter(), _cpu(servers), server.pictures
-    done = json_module.loads(client.communicate(timeout=60)[0]) if client else {}
-    load = 100.0 * (end_cpu - begin_cpu) / (end - begin)
-    return done, (begin, end), load, (last - first) / (end - begin)
+    end, after, last = time.perf_counter(), _cpu(servers), server.pictures
+    done = tuple(json_module.loads(client.communicate(timeout=60)[0]) for client in clients)
+    share = 100.0 * (np.array(after) - before) / (end - begin)
+    of_loop = float(share[1:].max()) if len(share) > 1 else float("nan")
+    return Seen(begin, end, done, float(share.sum()), of_loop, (last - first) / (end - begin))
+
+
+def _clients(args: Realtime, address: str) -> list[subprocess.Popen[str]]:
+    """The clients, each connected."""
+    clients: list[subprocess.Popen[str]] = []
+    for number in range(args.clients if args.client != "none" else 0):
+        drags = args.client == "browser" and args.drag and number == 0
+        kind, seconds = "drag" if drags else args.client, SETTLE + args.seconds
+        command = [sys.executable, "-m", "benchmarks.client", kind, address, str(seconds)]
+        clients.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
+        ready = clients[-1].stdout
+        if ready is None or ready.readline() != "ready\n":
+            raise RuntimeError("a client could not connect")
+    return clients
 
 
 def _show_all(server: DashboardServer) -> None:
@@ -140,9 +169,9 @@ def _servers() -> list[psutil.Process]:
     return [own, *own.children()]
 
 
-def _cpu(processes: list[psutil.Process]) -> float:
-    """[s] of work that the processes have done."""
-    return sum(sum(process.cpu_times()[:2]) for process in processes)
+def _cpu(processes: list[psutil.Process]) -> list[float]:
+    """[s] of work that each of the processes has done."""
+    return [sum(process.cpu_times()[:2]) for process in processes]
 
 
 def _pass_time(args: Realtime, begin: float, loop: LoopHandle) -> None:

@@ -160,8 +160,11 @@ def test_a_layer_is_seen_where_it_belongs_and_only_while_it_is_on(tab, served, l
     tab.wait_for_picture(before, most=layer.least // 4)
 
 
-@pytest.mark.parametrize("pair", ["lm-lEE", "lm-l3"])
-def test_a_border_can_be_hidden_or_coloured_by_each_quantity(tab, served, pair):
+TITLES = {"determinant": "det(J", "reachability": "reachability R", "score": "score S"}
+
+
+@pytest.mark.parametrize(("pair", "quantities"), [("lm-lEE", list(TITLES)), ("lm-l3", ["score"])])
+def test_a_border_can_be_hidden_or_coloured_by_each_quantity(tab, served, pair, quantities):
     first = served.page().view.borders[pair]
     tab.choose(pair, "hidden")
     wait_for(lambda: served.page().view.borders[pair] == "hidden")
@@ -170,12 +173,10 @@ def test_a_border_can_be_hidden_or_coloured_by_each_quantity(tab, served, pair):
     wait_for(lambda: not tab.is_shown(f"{ROOT}/border_lm-lEE"))
     picture = tab.picture()
     places = tab.pixels(ROOT, border(served, pair))
-    for quantity, title in (
-        ("determinant", "det(J"), ("reachability", "reachability R"), ("score", "score S"),
-        ("hidden", "no border drawn"),
-    ):  # fmt: skip
+    for quantity in (*quantities, "hidden"):
         tab.choose(pair, quantity)
         picture = tab.wait_for_change(picture, 1500, places, radius=10)
+        title = TITLES.get(quantity, "no border drawn")
         tab.page.get_by_text(title).filter(visible=True).first.wait_for(timeout=10_000)
     for name, quantity in ((pair, first), (other, "score" if other == "lm-lEE" else "hidden")):
         tab.choose(name, quantity)
