@@ -8,6 +8,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
+import trimesh
 
 from app.errors import RobotFileError
 from app.onboarding.arm import Arm
@@ -85,13 +86,19 @@ def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) 
 
 
 def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
-    """Of hulls filled evenly."""
+    """Of hulls filled evenly; where they overlap, of the hull around all of them if it is less."""
+    hulls = [shape.hull for shape in geometry.shapes]
+    around = trimesh.convex.convex_hull(geometry.corners)
+    if around.volume < sum(hull.volume for hull in hulls):
+        hulls = [around]
     total = pin.Inertia.Zero()
-    for shape in geometry.shapes:
-        hull = shape.hull.copy()
-        hull.density = density
-        total += pin.Inertia(float(hull.mass), np.asarray(hull.center_mass, dtype=float),
-                             np.asarray(hull.moment_inertia, dtype=float))  # fmt: skip
+    for hull in hulls:
+        solid = hull.copy()
+        solid.density = density
+        centre = np.asarray(solid.center_mass, dtype=float)
+        total += pin.Inertia(
+            float(solid.mass), centre, np.asarray(solid.moment_inertia, dtype=float)
+        )
     return total
 
 
