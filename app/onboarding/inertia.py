@@ -20,6 +20,9 @@ ARM_DENSITY = 1200.0
 BASE_DENSITY = 450.0
 """[kg/m³] of a base's link, in the volume of its hull; a Husky has 400, an Omron LD-60 480."""
 
+Array = np.ndarray
+
+_ROUNDING = 1e-5  # [-] by which two moments of inertia have to be more than the third
 _TINY = 1e-9  # [kg] or [kg m²] of nothing
 
 
@@ -123,4 +126,18 @@ def _stated(link: Element) -> pin.Inertia | None:
             "none may be below zero"
         )
     T = origin(element, where)
-    return T.act(pin.Inertia(mass, np.zeros(3), tensor))
+    return T.act(pin.Inertia(mass, np.zeros(3), _possible(tensor)))
+
+
+def _possible(tensor: Array) -> Array:
+    """The same moments where two of a body's are more than the third; else the least change to it.
+
+    No mass has others, and pybullet takes those that miss it by rounding for zero.
+    """
+    moments, axes = np.linalg.eigh(tensor)
+    moments = np.maximum(moments, 0.0)
+    short = moments[2] * (1 + _ROUNDING) - moments[0] - moments[1]
+    if short <= 0:
+        return tensor
+    moments[:2] += short / 2
+    return axes @ np.diag(moments) @ axes.T
