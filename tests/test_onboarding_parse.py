@@ -218,3 +218,13 @@ def test_an_impossible_inertia_is_refused(tmp_path: Path) -> None:
     assert bad != TOY
     with pytest.raises(RobotFileError, match="cannot be"):
         parse(request(tmp_path, bad))
+
+
+def test_moments_of_inertia_that_miss_the_triangle_by_rounding_are_mended(tmp_path: Path) -> None:
+    """In pybullet, ixx + iyy < izz counts as zero, be it by the last digit."""
+    flat = TOY.replace('<mass value="30"/><inertia ixx="0.3"', '<mass value="30"/><inertia ixx="1"')
+    flat = flat.replace('iyy="0.3" iyz="0" izz="0.3"', 'iyy="2" iyz="0" izz="3.00001"')
+    made = parse(request(tmp_path, flat)).inertias["base"].inertia.inertia
+    moments = np.linalg.eigvalsh(made)
+    assert moments[0] + moments[1] > moments[2]
+    np.testing.assert_allclose(moments, [1.0, 2.0, 3.00001], atol=1e-4)

@@ -10,6 +10,8 @@ from app.robot.model import RobotModel
 
 Array = np.ndarray
 
+_TRIALS = 4  # [-] configurations in which a chain is asked for its rank
+_SINGULAR = 1e-6  # [m/rad or -] singular value of a lost direction
 _LEAST_JOINTS = 3  # fewer do not fill a volume
 
 
@@ -25,8 +27,9 @@ class Chain:
     The body that carries the end-effector has the end-effector's pose; any other has the position
     of the middle of its first shape and the direction of that shape's z axis, which is a capsule's
     own. With k joints the pose has six numbers (k ≥ 6), five, the direction without the turn about
-    it (k = 5), or three, the position (k = 3, 4). What is not asked for is given to one or three
-    unlimited joints at the body's point, so that the chain always has to meet a full pose.
+    it (k = 5), or three, the position (k = 3, 4); fewer where the
+    joints lose a direction for good. What is not asked for is given to one or three unlimited
+    joints at the body's point, so that the chain always has to meet a full pose.
 
     Attributes:
         body: Name of the body.
@@ -53,11 +56,13 @@ class Chain:
         self.body = body
         self.joints = [joint - 2 for joint in joints]
         still = [j for j in range(1, model.pin.njoints) if j not in joints]
-        self.pin = pin.buildReducedModel(model.pin, still, pin.neutral(model.pin))
-        self.asked = 6 if len(joints) >= 6 else 5 if len(joints) == 5 else 3
+        for self.asked in [numbers for numbers in (6, 5, 3) if numbers <= len(joints)]:
+            self.pin = pin.buildReducedModel(model.pin, still, pin.neutral(model.pin))
+            self._end, self._placement = len(joints), _carrier(model, body)[1]
+            self._add_unlimited()
+            if self._meets_poses():
+                break
         self.free = len(joints) - self.asked
-        self._end, self._placement = len(joints), _carrier(model, body)[1]
-        self._add_unlimited()
         open_ends = np.full(6 - self.asked, np.inf)
         self.lower = np.concatenate([model.q_lower[self.joints], -open_ends])
         self.upper = np.concatenate([model.q_upper[self.joints], open_ends])
@@ -116,6 +121,15 @@ class Chain:
         slack = 1e-9  # [rad or m] of rounding
         inside = (q >= self.lower - slack) & (q <= self.upper + slack)
         return q[inside.all(axis=1)]
+
+    def _meets_poses(self) -> bool:
+        """Whether the chain moves its point in all six directions somewhere."""
+        data, rng = self.pin.createData(), np.random.default_rng(0)
+        for _ in range(_TRIALS):
+            J = pin.computeJointJacobians(self.pin, data, rng.uniform(-1, 1, self.pin.nq))
+            if np.linalg.matrix_rank(J, tol=_SINGULAR) == 6:
+                return True
+        return False
 
     def _add_unlimited(self) -> None:
         """One joint about the body's axis, or three about its point."""

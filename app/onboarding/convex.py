@@ -16,6 +16,7 @@ from app.robot.shapes import Box, Capsule, Hull, Shape
 Array = np.ndarray
 
 _UNIT = 1e-4  # [m] to which sizes are rounded up
+_SNAP, _SNAP_COST = 0.005, 1.05  # [m], [-] ends that near to a plane go onto it for that volume
 _THINNEST = 0.002  # [m] of a box's side
 
 
@@ -86,10 +87,11 @@ def fit_capsule(points: Array) -> Capsule:
         if best is None or found.fun < best.fun:
             best = found
     assert best is not None
-    a, b = np.round(best.x[:3], 4), np.round(best.x[3:], 4)
-    return Capsule(
-        type="capsule", start_m=_three(a), end_m=_three(b), radius_m=_up(_radius(points, a, b))
-    )
+    found = _capsule(points, np.round(best.x.reshape(2, 3), 4))
+    # Ends on the link's planes, where that costs little: an axis that meets a joint's has formulas.
+    ends = np.array([found.start_m, found.end_m])
+    snapped = _capsule(points, np.where((np.abs(ends) < _SNAP).all(axis=0), 0.0, ends))
+    return snapped if volume_of(snapped) < _SNAP_COST * volume_of(found) else found
 
 
 def fit_box(points: Array) -> Box:
@@ -196,6 +198,12 @@ def _distinct(corners: Array) -> Array:
     """Corners of the hull that are not within a fraction of a millimetre of another."""
     rounded = np.unique(np.round(corners, 4), axis=0)
     return rounded[ConvexHull(rounded).vertices]
+
+
+def _capsule(points: Array, ends: Array) -> Capsule:
+    """The capsule with given ends (2, 3) around points."""
+    radius = _up(_radius(points, *ends))
+    return Capsule(type="capsule", start_m=_three(ends[0]), end_m=_three(ends[1]), radius_m=radius)
 
 
 def _simplex(start: Array) -> Array:

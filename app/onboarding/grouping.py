@@ -28,6 +28,7 @@ _JUDGED = 1200  # [-] poses in which a fitted grouping is judged
 _BODY_COST = 0.03  # [-] of one body more
 _FALSE_COST = 2.0  # [-] of free poses in which a task is on for nothing
 _SPURIOUS_COST = 0.25  # [-] of a pair that can only meet as bodies, not as links
+_APART_COST = 0.1  # [-] of links of the arm that are close as they are built, and no neighbours
 _ALWAYS_COST = 1.0  # [-] of a pair that is always near
 
 
@@ -144,9 +145,10 @@ def judge(
     always = tuple(n for n in names if rates[n] > 0 and near[n] > ALWAYS)
     missed = float((real & ~seen).sum() / max(1, real.sum()))
     false = float((seen & ~real).sum() / max(1, (~real).sum()))
+    apart = sum(_apart(bodies, pair) for pair in meetings.close)
     cost = (
         missed + _FALSE_COST * false + _BODY_COST * len(bodies) + _SPURIOUS_COST * len(spurious)
-        + _ALWAYS_COST * len(always)
+        + _ALWAYS_COST * len(always) + _APART_COST * apart
     )  # fmt: skip
     return Verdict(missed, false, spurious, always, rates, near, cost)
 
@@ -188,6 +190,12 @@ def _add(geometry: pin.GeometryModel, model: RobotModel, body: FittedBody) -> li
     ]  # fmt: skip
 
 
+def _apart(bodies: Sequence[FittedBody], pair: tuple[int, int]) -> bool:
+    """Whether two units of the arm stand in bodies that are a pair."""
+    of = {unit: k for k, body in enumerate(bodies) for unit in body.units}
+    return pair[0] > 1 and abs(of[pair[0]] - of[pair[1]]) > 1
+
+
 def _truly(meetings: Meetings, hits: Array, a: FittedBody, b: FittedBody) -> int:
     """In how many poses links of both bodies meet."""
     columns = [
@@ -211,5 +219,8 @@ def _ranked(
             watched = [abs(of[u] - of[v]) > 1 for u, v in meetings.pairs]
             missed = (real & ~hits[:, watched].any(axis=1)).sum() / max(1, real.sum())
             uneven = sum(len(group) ** 2 for group in groups)
-            ranked.append((float(missed) + _BODY_COST * (count + 1), uneven, groups))
+            apart = _APART_COST * len([
+                1 for u, v in meetings.close if u > 1 and abs(of[u] - of[v]) > 1
+            ])  # fmt: skip
+            ranked.append((float(missed) + _BODY_COST * (count + 1) + apart, uneven, groups))
     return [(cost, groups) for cost, _, groups in sorted(ranked)]

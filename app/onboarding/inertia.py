@@ -8,6 +8,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
+import trimesh
 
 from app.errors import RobotFileError
 from app.onboarding.arm import Arm
@@ -19,6 +20,9 @@ ARM_DENSITY = 1200.0
 BASE_DENSITY = 450.0
 """[kg/m³] of a base's link, in the volume of its hull; a Husky has 400, an Omron LD-60 480."""
 
+Array = np.ndarray
+
+_ROUNDING = 1e-5  # [-] by which two moments of inertia have to be more than the third
 _TINY = 1e-9  # [kg] or [kg m²] of nothing
 
 
@@ -85,13 +89,19 @@ def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) 
 
 
 def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
-    """Of hulls filled evenly."""
+    """Of hulls filled evenly; where they overlap, of the hull around all of them if it is less."""
+    hulls = [shape.hull for shape in geometry.shapes]
+    around = trimesh.convex.convex_hull(geometry.corners)
+    if around.volume < sum(hull.volume for hull in hulls):
+        hulls = [around]
     total = pin.Inertia.Zero()
-    for shape in geometry.shapes:
-        hull = shape.hull.copy()
-        hull.density = density
-        total += pin.Inertia(float(hull.mass), np.asarray(hull.center_mass, dtype=float),
-                             np.asarray(hull.moment_inertia, dtype=float))  # fmt: skip
+    for hull in hulls:
+        solid = hull.copy()
+        solid.density = density
+        centre = np.asarray(solid.center_mass, dtype=float)
+        total += pin.Inertia(
+            float(solid.mass), centre, np.asarray(solid.moment_inertia, dtype=float)
+        )
     return total
 
 
@@ -116,4 +126,18 @@ def _stated(link: Element) -> pin.Inertia | None:
             "none may be below zero"
         )
     T = origin(element, where)
-    return T.act(pin.Inertia(mass, np.zeros(3), tensor))
+    return T.act(pin.Inertia(mass, np.zeros(3), _possible(tensor)))
+
+
+def _possible(tensor: Array) -> Array:
+    """The same moments where two of a body's are more than the third; else the least change to it.
+
+    No mass has others, and pybullet takes those that miss it by rounding for zero.
+    """
+    moments, axes = np.linalg.eigh(tensor)
+    moments = np.maximum(moments, 0.0)
+    short = moments[2] * (1 + _ROUNDING) - moments[0] - moments[1]
+    if short <= 0:
+        return tensor
+    moments[:2] += short / 2
+    return axes @ np.diag(moments) @ axes.T

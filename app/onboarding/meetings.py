@@ -94,9 +94,9 @@ def close_pairs(
     distances: Array, pairs: Sequence[tuple[int, int]], d_b: float
 ) -> frozenset[tuple[int, int]]:
     """Pairs that are within d_b [m] in most poses without a collision, as they are built."""
-    free = (distances > 0.0).all(axis=1)
-    if free.sum() < _FEWEST:
-        free[:] = True
+    free = np.asarray((distances > 0.0).all(axis=1))
+    if np.count_nonzero(free) < _FEWEST:
+        free = np.ones(len(distances), dtype=bool)
     near = (distances[free] < d_b).mean(axis=0)
     return frozenset(pair for pair, share in zip(pairs, near, strict=True) if share > ALWAYS)
 

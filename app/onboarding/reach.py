@@ -20,7 +20,7 @@ Array = np.ndarray
 SHARE = 0.5
 """[-] of the peak above which (9) is fitted: its upper part is a parabola, its tails are none."""
 COUNTING = ReachConfig(
-    spacing_m=0.08, orientations=12, restart_spacing_m=0.2, restart_orientations=1, restarts=8
+    spacing_m=0.08, orientations=12, restart_spacing_m=0.12, restart_orientations=1, restarts=6
 )
 """Coarser than `dbb reach`, a tenth of its time: the coefficients change by some per cent."""
 _SAMPLES = 2000

@@ -16,6 +16,7 @@ from app.errors import RobotFileError, did_you_mean
 Array = np.ndarray
 
 MOVING = ("revolute", "continuous", "prismatic")
+_MOST_NAMES = 40  # [-] that a message lists
 _FARTHEST = 20.0  # [m] between neighbouring links; a robot in millimetres has hundreds
 
 
@@ -72,7 +73,7 @@ class Tree:
         if name not in self.links:
             raise RobotFileError(
                 f"{option}: the URDF has no link {name!r}{did_you_mean(name, self.links)}; "
-                f"links: {', '.join(self.links)}"
+                f"links: {_some(self.links)}"
             )
         return name
 
@@ -114,6 +115,13 @@ class Tree:
         for joint in self.chain(base, link):
             T = T * joint.T_parent_child
         return T
+
+
+def _some(names: Iterable[str]) -> str:
+    """Names in a row, the first ones of many."""
+    names = list(names)
+    rest = len(names) - _MOST_NAMES
+    return ", ".join(names[:_MOST_NAMES]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def make_tree(robot: Element) -> Tree:

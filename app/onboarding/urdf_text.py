@@ -110,10 +110,10 @@ def _joint(old: Element) -> Element:
 def _add_inertial(link: Element, inertia: pin.Inertia) -> None:
     element = SubElement(link, "inertial")
     SubElement(element, "origin", xyz=_words(inertia.lever), rpy="0 0 0")
-    SubElement(element, "mass", value=f"{inertia.mass:.6g}")
+    SubElement(element, "mass", value=f"{inertia.mass:.9g}")
     names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     values = inertia.inertia[np.triu_indices(3)]
-    SubElement(element, "inertia", {n: f"{v:.6g}" for n, v in zip(names, values, strict=True)})
+    SubElement(element, "inertia", {n: f"{v:.9g}" for n, v in zip(names, values, strict=True)})
 
 
 def _add_origin(element: Element, T: pin.SE3) -> None:

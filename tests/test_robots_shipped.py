@@ -1,0 +1,68 @@
+"""The robots that ship: their descriptions hold, and with their package installed they load."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import pytest
+
+from app.errors import AssetError
+from app.onboarding.check_bodies import base_row
+from app.onboarding.check_dynamics import dynamics_row, limits_row
+from app.robot import assets
+from app.robot.assets import load_robot, package_roots, resolve_package_uri, robot_names
+from app.robot.model import RobotModel
+from app.robot.urdf import resolved_urdf
+
+PACKAGES = {
+    "husky_panda": "pybullet_data",
+    "husky_ur5": "example-robot-data",
+    "stretch_se3": "stretch_urdf",
+    "frankie": "rtbdata",
+}
+"""Where the meshes of each come from; all but the first belong to the extra `robots`."""
+
+
+def test_the_robots_that_were_made_ship() -> None:
+    assert set(PACKAGES) <= set(robot_names())
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_a_description_is_read_without_its_meshes_and_has_a_source_for_each_number(
+    name: str,
+) -> None:
+    description = load_robot(name)
+    assert description.name == name
+    assert description.licence
+    assert all(description.arm.source.values())
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_with_its_package_it_has_the_same_dynamics_in_both_libraries(name: str) -> None:
+    if not package_roots(PACKAGES[name]):
+        pytest.skip("pip install '.[robots]'")
+    model = RobotModel(load_robot(name))
+    for check in (dynamics_row, limits_row, base_row):
+        row = check(model)
+        assert row.outcome == "passed", row
+
+
+def test_a_missing_package_says_how_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(assets, "share_folders", list)
+    for name, how in (("husky_ur5", r"pip install '\.\[robots\]'|pybullet_data"),
+                      ("stretch_se3", r"pip install '\.\[robots\]'")):  # fmt: skip
+        with pytest.raises(AssetError, match=how):
+            resolved_urdf(load_robot(name))
+    with pytest.raises(AssetError, match="pip install something"):
+        resolve_package_uri("package://something/a.stl")
+
+
+@pytest.mark.parametrize("name", [n for n in PACKAGES if n != "husky_panda"])
+def test_no_mesh_is_copied_and_none_stands_by_a_path_of_one_machine(name: str) -> None:
+    folder = assets.ASSETS / name
+    assert not [p for p in folder.rglob("*") if p.suffix.lower() in {".stl", ".dae", ".obj"}]
+    text = (folder / "robot.urdf").read_text(encoding="utf-8")
+    files = [part.split('"')[0] for part in text.split('filename="')[1:]]
+    assert files
+    assert all(file.startswith("package://") for file in files)
