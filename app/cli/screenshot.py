@@ -18,8 +18,9 @@ from app.cli.options import (
     configured,
 )
 from app.control.controller import CONTROLLERS
+from app.robot.assets import load_robot
 from app.simulation.plants import PLANTS
-from app.simulation.scenario import scenario_by_name
+from app.simulation.scenario import SCENARIOS, scenario_of
 
 _SIZES = 64, 8192  # [px]
 _MOST_PICTURES = 12
@@ -70,7 +71,8 @@ def screenshot(
     from app.simulation.run import steps_of
     from app.simulation.tape import filmed
 
-    chosen = scenario_by_name(scenario)
+    check_name("scenario", scenario, SCENARIOS)
+    chosen = scenario_of(load_robot(robot), scenario)
     check_name("controller", controller, CONTROLLERS)
     check_name("physics", physics, PLANTS)
     check_range("--at", len(at), 1, _MOST_PICTURES, "times")

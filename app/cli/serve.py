@@ -5,13 +5,22 @@ from __future__ import annotations
 import sys
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from app.avoidance.self_collision import BORDERS
 from app.cli.common import load_robot_and_border
 from app.cli.options import PointOption, check_name, check_point, check_seed, configured, disturbed
 from app.control.controller import CONTROLLERS
+from app.robot.model import RobotModel
 from app.simulation.plants import PLANTS
 from app.simulation.scenario import LINES
+
+if TYPE_CHECKING:
+    from app.simulation.start import StartSolver
+
+_BEGIN = "guiding-front"  # where the hand stands when the page opens
 
 LOOPS = ("process", "thread")
 """Where the simulation may run."""
@@ -96,9 +105,8 @@ def serve(
         tuned, encoder_noise=encoder_noise, base_delay=base_delay, mass_error=mass_error, slip=slip
     )
     model, data = load_robot_and_border(robot)
-    p_start = start or LINES["guiding-front"].start
     if case is None:
-        q_start = StartSolver(model, data.pairs, tuned.border.d_b).solve(p_start, seed=seed)
+        q_start = _start(StartSolver(model, data.pairs, tuned.border.d_b), model, start, seed)
     else:
         q_start = case.scenario().setting(model, data, tuned, seed).q_m
     make_session = partial(
@@ -116,3 +124,12 @@ def serve(
         server.run_forever()
     finally:
         simulation.stop()
+
+
+def _start(solver: StartSolver, model: RobotModel, start: PointOption, seed: int) -> np.ndarray:
+    """(n_m,) the arm with the hand where it was asked for, before the base, or ready."""
+    own = model.description.lines
+    place = own.get(_BEGIN)
+    if start is None and own and place is None:  # a robot whose hand does not come there
+        return np.array(model.description.arm.ready_position)
+    return solver.solve(start or (place.start_m if place else LINES[_BEGIN].start), seed=seed)
