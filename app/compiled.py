@@ -13,7 +13,9 @@ from functools import lru_cache
 from typing import TypeVar, cast
 
 import numba
-from numba.core import config
+from numba import types
+from numba.core import config, sigutils
+from numba.core.typing.templates import Signature
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -21,7 +23,7 @@ Function = TypeVar("Function", bound=Callable[..., object])
 def compiled(*signatures: str) -> Callable[[Function], Function]:
     """Compile a function for the given types, when its module is imported for the first time.
 
-    So a control loop never waits for a compiler, and an array of another type is refused. A kernel
+    So a control loop never waits for a compiler, and an array of another dtype is refused. A kernel
     may call kernels of its own module only: what is kept knows nothing of changes elsewhere.
 
     Args:
@@ -30,14 +32,29 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
     """
 
     def compile_(function: Function) -> Function:
-        kernel = numba.njit(list(signatures) or None, cache=bool(signatures), error_model="numpy")(
-            function
-        )
+        known = [_any_array(signature) for signature in signatures]
+        kernel = numba.njit(known or None, cache=bool(known), error_model="numpy")(function)
         if signatures and not config.DISABLE_JIT and kernel.stats.cache_misses:
             _tell_once()
         return cast("Function", kernel)
 
     return compile_
+
+
+def _any_array(signature: str) -> Signature:
+    """The same with arrays as they come: of any strides, and read-only if need be.
+
+    What gives nothing back writes to its arguments: they stay as they are.
+    """
+    given, returned = sigutils.normalize_signature(signature)
+    if returned == types.void:
+        return Signature(returned, given, None)
+    as_they_come = tuple(
+        types.Array(each.dtype, each.ndim, "A", readonly=True)
+        if isinstance(each, types.Array) else each
+        for each in given
+    )  # fmt: skip
+    return Signature(returned, as_they_come, None)
 
 
 @lru_cache(maxsize=1)

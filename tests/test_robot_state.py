@@ -186,3 +186,20 @@ def test_kinematics_alone_are_those_of_a_whole_update(seed):
         for of in ("point_jacobian", "point_bias"):
             there, here = getattr(whole, of)(joint, p), getattr(state, of)(joint, p)
             np.testing.assert_allclose(here, there, atol=1e-11)
+
+
+def test_measurements_may_be_read_only_or_parts_of_larger_arrays():
+    """Those of snapshots are; what is measured is never written to."""
+    robot = husky_panda()
+    m = random_measurement(np.random.default_rng(5))
+    frozen = Measurement(*(np.repeat(values, 2)[::2] for values in m))
+    for values in frozen:
+        values.setflags(write=False)
+    state, same = RobotState(robot), RobotState(robot)
+    state.update(m)
+    same.update(frozen)
+    np.testing.assert_array_equal(same.M, state.M)
+    np.testing.assert_array_equal(same.J_ee, state.J_ee)
+    p = np.array([0.3, 0.2, 0.5])
+    p.setflags(write=False)
+    np.testing.assert_array_equal(same.point_jacobian(3, p), state.point_jacobian(3, p))

@@ -73,6 +73,7 @@ def serve(
         sweep: Folder of `dbb sweep` whose newest map is shown, and where a button writes new ones.
     """
     # Imported here: viser and scipy would make every other command start later.
+    from app.dashboard.robot import RobotParts
     from app.dashboard.server import check_address, serve_dashboard
     from app.simulation.loop import SimulationLoop
     from app.simulation.process_loop import ProcessLoop
@@ -114,12 +115,15 @@ def serve(
     )
     make_loop = ProcessLoop if loop == "process" else SimulationLoop
     simulation = make_loop(make_session, q_start)
-    simulation.start()
+    simulation.begin()
     try:
+        parts = RobotParts(model)  # while the simulation starts
+        simulation.start()
         played = case.scenario() if case else None
         server = serve_dashboard(
-            simulation, model, data.clouds, host=host, port=port, case=played, sweeps=sweep
-        )
+            simulation, model, data.clouds, host=host, port=port, case=played, sweeps=sweep,
+            parts=parts,
+        )  # fmt: skip
         print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
         server.run_forever()
     finally:

@@ -144,7 +144,7 @@ class Page:
         self._banner = gui.add_html("", visible=False)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Run"):
-            self._run = RunPanel(gui, shared.loop, notices)
+            self._run = RunPanel(gui, shared.loop, notices, shared.model.description)
             if shared.case is not None:
                 add_case_button(gui, shared.loop, notices, shared.case)
             self.main_panel = TuningPanel(gui, shared.tuning, notices, MAIN)

@@ -19,6 +19,7 @@ from app.dashboard.listening import close_server, open_server
 from app.dashboard.notices import Notices
 from app.dashboard.page import Page, show_failure
 from app.dashboard.panels.sweep import DEFAULT_FOLDER
+from app.dashboard.robot import RobotParts
 from app.dashboard.shared import Shared
 from app.dashboard.stage import set_theme
 from app.errors import LoopError, ServerError
@@ -160,6 +161,7 @@ def serve_dashboard(
     port: int = 8080,
     case: Scenario | None = None,
     sweeps: Path = DEFAULT_FOLDER,
+    parts: RobotParts | None = None,
 ) -> DashboardServer:
     """Open the page; it is drawn from the moment this returns.
 
@@ -172,13 +174,14 @@ def serve_dashboard(
         port: Port to listen at; 0 takes a free one.
         case: A scenario that begins where the loop does, for a button that plays it.
         sweeps: Folder of the maps of sweeps, where new ones are written too.
+        parts: The robot's meshes if they have been read already.
 
     Raises:
         ServerError: The address cannot be bound.
         AssetError: A mesh of the robot is not there.
     """
     check_address(host, port)
-    shared = Shared(loop, model, clouds, case, sweeps)
+    shared = Shared(loop, model, clouds, case, sweeps, parts)
     server = open_server(host, port)
     try:
         if port not in (0, server.get_port()):

@@ -38,7 +38,7 @@ class Shared:
 
     def __init__(
         self, loop: LoopHandle, model: RobotModel, clouds: Mapping[str, Cloud],
-        case: Scenario | None, sweeps: Path,
+        case: Scenario | None, sweeps: Path, parts: RobotParts | None = None,
     ) -> None:  # fmt: skip
         """Load what pages need.
 
@@ -48,6 +48,7 @@ class Shared:
             clouds: P_i of every pair of L_m, by the pair's name.
             case: A scenario that a button plays, or None.
             sweeps: Folder of the maps of sweeps.
+            parts: The robot's meshes if they have been read already.
         """
         first = loop.latest()
         self.loop, self.model, self.case, self.sweeps = loop, model, case, sweeps
@@ -56,7 +57,7 @@ class Shared:
         """Names of all link pairs, in the order of the snapshots."""
         self.mobile = [pair.name for pair in first.pairs if pair.mobile]
         """Names of those of L_m."""
-        self.parts = RobotParts(model)
+        self.parts = parts or RobotParts(model)
         self.borders = Borders(model, clouds)
         self.tuning = Tuning(loop, first.config)
         self.plans = plot_plans(model, self.pairs)

@@ -95,13 +95,18 @@ class SimulationLoop:
         self._paused, self._speed = False, 1.0
         self._refusal: Refusal | None = None
 
+    def begin(self) -> None:
+        """Begin to make the session; `start` waits for it."""
+        self._thread.start()
+
     def start(self) -> None:
-        """Begin, and wait for the first snapshot.
+        """Begin, if it has not begun, and wait for the first snapshot.
 
         Raises:
             LoopError: The session could not be made.
         """
-        self._thread.start()
+        if self._thread.ident is None:
+            self.begin()
         self._ready.wait()
         if self.error is not None:
             raise LoopError(f"the simulation could not start: {self.error}") from self.error

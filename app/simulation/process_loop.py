@@ -74,18 +74,23 @@ class ProcessLoop:
             for name, work in (("snapshots", self._receive), ("commands", self._post))
         ]
 
-    def start(self) -> None:
-        """Begin, and wait for the first snapshot.
-
-        Raises:
-            LoopError: The session could not be made.
-        """
+    def begin(self) -> None:
+        """Begin to make the session; `start` waits for it."""
         with interrupts_ignored():
             self._process.start()
         for connection in self._theirs:  # else the end of the child would not close the pipes
             connection.close()
         for thread in self._threads:
             thread.start()
+
+    def start(self) -> None:
+        """Begin, if it has not begun, and wait for the first snapshot.
+
+        Raises:
+            LoopError: The session could not be made.
+        """
+        if self._process.pid is None:
+            self.begin()
         self._ready.wait()
         if self.error is not None:
             raise LoopError(f"the simulation could not start: {self.error}") from self.error

@@ -59,5 +59,10 @@ def scenario_of(description: RobotDescription, name: str) -> Scenario:
     Raises:
         UnknownNameError: Lists those that exist.
     """
-    scenario, place = scenario_by_name(name), description.lines.get(name)
-    return scenario if place is None else scenario.changed(start=place.start_m, move=place.move_m)
+    return scenario_by_name(name).changed(**own_line(description, name))
+
+
+def own_line(description: RobotDescription, name: str) -> dict[str, object]:
+    """Start and move of a robot's own line for a scenario, as `Scenario.changed` takes them."""
+    place = description.lines.get(name)
+    return {} if place is None else {"start": place.start_m, "move": place.move_m}

@@ -11,9 +11,10 @@ from app.control.controller import CONTROLLERS
 from app.dashboard.colours import SERIES, css, distance_colour
 from app.dashboard.hand import Sink
 from app.dashboard.notices import Notices
+from app.robot.description import RobotDescription
 from app.simulation.command_check import SPEEDS
 from app.simulation.commands import Choose, Pause, PlayScenario, Reset, Restart, Speed
-from app.simulation.scenario import SCENARIOS
+from app.simulation.scenario import SCENARIOS, own_line
 from app.simulation.snapshot import PairReading, Snapshot
 
 FREE = "free: drag the hand"
@@ -26,9 +27,18 @@ GOOD, BAD = "#2f9e5b", css((222, 49, 40))
 class RunPanel:
     """Buttons and readings; what one viewer chooses, all see."""
 
-    def __init__(self, gui: viser.GuiApi, sink: Sink, notices: Notices) -> None:
-        """Build the tab in the GUI container that is now open."""
-        self._sink = sink
+    def __init__(
+        self, gui: viser.GuiApi, sink: Sink, notices: Notices, robot: RobotDescription
+    ) -> None:
+        """Build the tab in the GUI container that is now open.
+
+        Args:
+            gui: The viewer's.
+            sink: Where commands go.
+            notices: Where refusals are told.
+            robot: Whose own lines the scenarios take.
+        """
+        self._sink, self._robot = sink, robot
         self._shown: Snapshot | None = None
         self._scenario = gui.add_dropdown(
             "Scenario", (FREE, *SCENARIOS),
@@ -70,7 +80,10 @@ class RunPanel:
         Args:
             scenario: Its name, or `FREE`.
         """
-        self._sink.send(Reset() if scenario == FREE else PlayScenario(scenario))
+        if scenario == FREE:
+            self._sink.send(Reset())
+        else:
+            self._sink.send(PlayScenario(scenario, own_line(self._robot, scenario)))
 
     def update(self, newest: Snapshot, shown: Snapshot) -> None:
         """Renew the readings; what has not changed is not sent.
