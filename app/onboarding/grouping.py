@@ -16,6 +16,7 @@ import pinocchio as pin
 
 from app.errors import RobotFileError
 from app.onboarding.bodies import ArmFitter, FittedBody
+from app.onboarding.group_distances import group_distances
 from app.onboarding.meetings import ALWAYS, Meetings
 from app.robot.model import RobotModel
 
@@ -159,24 +160,7 @@ def body_distances(
     """(N, pairs) [m] signed distances between bodies at poses (N, n_m)."""
     geometry = pin.GeometryModel()
     ids = [_add(geometry, model, body) for body in bodies]
-    starts = []
-    for a, b in pairs:
-        starts.append(len(geometry.collisionPairs))
-        for i in ids[a]:
-            for j in ids[b]:
-                geometry.addCollisionPair(pin.CollisionPair(i, j))
-    placed, data = pin.GeometryData(geometry), model.pin.createData()
-    results = [placed.distanceResults[k] for k in range(len(geometry.collisionPairs))]
-    found = np.empty((len(q_m), len(pairs)))
-    q = model.configuration((0.0, 0.0, 0.0), model.q_lower)
-    for row, pose in zip(found, q_m, strict=True):
-        if not len(pairs):
-            break
-        q[4:] = pose
-        pin.updateGeometryPlacements(model.pin, data, geometry, placed, q)
-        pin.computeDistances(geometry, placed)
-        row[:] = np.minimum.reduceat([r.min_distance for r in results], starts)
-    return found
+    return group_distances(model, geometry, ids, pairs, q_m)
 
 
 def _add(geometry: pin.GeometryModel, model: RobotModel, body: FittedBody) -> list[int]:

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.onboarding.convex import directions
+from app.onboarding.group_distances import group_distances
 from app.onboarding.units import Unit, add_hulls, neighbours
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
@@ -116,24 +117,7 @@ def hull_distances(
     """(N, pairs) [m] signed distances between the hulls of units at poses (N, n_m)."""
     geometry = pin.GeometryModel()
     ids = add_hulls(geometry, units)
-    starts = []
-    for a, b in pairs:
-        starts.append(len(geometry.collisionPairs))
-        for i in ids[a]:
-            for j in ids[b]:
-                geometry.addCollisionPair(pin.CollisionPair(i, j))
-    placed, data = pin.GeometryData(geometry), model.pin.createData()
-    results = [placed.distanceResults[k] for k in range(len(geometry.collisionPairs))]
-    found = np.empty((len(q_m), len(pairs)))
-    q = model.configuration((0.0, 0.0, 0.0), model.q_lower)
-    for row, pose in zip(found, q_m, strict=True):
-        if not len(pairs):
-            break
-        q[4:] = pose
-        pin.updateGeometryPlacements(model.pin, data, geometry, placed, q)
-        pin.computeDistances(geometry, placed)
-        row[:] = np.minimum.reduceat([r.min_distance for r in results], starts)
-    return found
+    return group_distances(model, geometry, ids, pairs, q_m)
 
 
 def _met(
