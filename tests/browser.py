@@ -45,7 +45,7 @@ def chromium() -> Iterator[Any]:
         yield browser
 
 
-def wait_for(condition: Callable[[], Any], seconds: float = 30.0, what: str = "") -> None:
+def wait_for(condition: Callable[[], Any], seconds: float = 60.0, what: str = "") -> None:
     """Wait until a condition is true; fail after so many seconds."""
     deadline = time.monotonic() + seconds
     while not condition():
@@ -142,7 +142,7 @@ class DashboardTab:
 
     def wait_for_change(
         self, before: np.ndarray, least: int, places: np.ndarray | None = None, radius: int = 30,
-        seconds: float = 30.0,
+        seconds: float = 60.0,
     ) -> np.ndarray:  # fmt: skip
         """Wait until so many pixels of the scene differ from a picture.
 
@@ -165,7 +165,7 @@ class DashboardTab:
                 return after
             assert time.monotonic() < deadline, f"only {count} pixels changed, not {least}"
 
-    def wait_for_picture(self, wanted: np.ndarray, most: int, seconds: float = 30.0) -> None:
+    def wait_for_picture(self, wanted: np.ndarray, most: int, seconds: float = 60.0) -> None:
         """Wait until at most so many pixels of the scene differ from a picture."""
         deadline = time.monotonic() + seconds
         while (count := int(self.changed(wanted, self.picture()).sum())) > most:

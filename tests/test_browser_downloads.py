@@ -31,7 +31,7 @@ def tab(browser):
             wait_for(lambda t=3.0 - back: timeline.shown().t == pytest.approx(t))
             tab.click(mark)
         wait_for(lambda: timeline.end is not None)
-        tab.page.get_by_text(f"marked {BEGIN:.2f} to {END:.2f} s").wait_for(timeout=20_000)
+        tab.page.get_by_text(f"marked {BEGIN:.2f} to {END:.2f} s").wait_for(timeout=40_000)
         tab.open_tab("Save")
         yield tab
         tab.close()
@@ -44,7 +44,7 @@ def download(tab: DashboardTab, button: str, folder: Path) -> Path:
         tab.click(button)
     path = folder / coming.value.suggested_filename
     coming.value.save_as(path)
-    tab.page.get_by_text("is being made").wait_for(state="hidden", timeout=20_000)
+    tab.page.get_by_text("is being made").wait_for(state="hidden", timeout=40_000)
     return path
 
 

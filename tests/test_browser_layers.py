@@ -177,7 +177,7 @@ def test_a_border_can_be_hidden_or_coloured_by_each_quantity(tab, served, pair, 
         tab.choose(pair, quantity)
         picture = tab.wait_for_change(picture, 1500, places, radius=10)
         title = TITLES.get(quantity, "no border drawn")
-        tab.page.get_by_text(title).filter(visible=True).first.wait_for(timeout=10_000)
+        tab.page.get_by_text(title).filter(visible=True).first.wait_for(timeout=40_000)
     for name, quantity in ((pair, first), (other, "score" if other == "lm-lEE" else "hidden")):
         tab.choose(name, quantity)
 

@@ -64,8 +64,8 @@ def test_the_slider_shows_the_robot_as_it_was_while_the_simulation_goes_on(tab, 
     wait_for(lambda: loop.latest().t > now.t + 0.5, what="the simulation goes on")
     tab.render(2)
     assert shows(tab, then)
-    tab.page.get_by_text(f"t = {then.t:.2f} s").first.wait_for(timeout=10_000)
-    tab.page.get_by_text("s ago").first.wait_for(timeout=10_000)
+    tab.page.get_by_text(f"t = {then.t:.2f} s").first.wait_for(timeout=40_000)
+    tab.page.get_by_text("s ago").first.wait_for(timeout=40_000)
 
 
 def test_the_cursor_of_every_plot_stands_where_the_viewer_looks_and_goes_with_now(tab, served):
@@ -83,7 +83,7 @@ def test_the_cursor_of_every_plot_stands_where_the_viewer_looks_and_goes_with_no
     tab.click("Now")
     wait_for(lambda: cursors() == [], what="no cursor")
     wait_for(lambda: shows(tab, served.loop.latest()), what="the newest instant")
-    tab.page.get_by_text(f"t = {served.loop.latest().t:.2f} s, now").wait_for(timeout=10_000)
+    tab.page.get_by_text(f"t = {served.loop.latest().t:.2f} s, now").wait_for(timeout=40_000)
     assert tab.row("Back [s]").locator("input").last.input_value() == "0"
 
 

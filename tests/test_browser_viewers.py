@@ -46,7 +46,7 @@ def test_two_viewers_see_their_own_layers_and_times_of_one_simulation_and_both_p
         served.begin_anew()
         first.open_tab("Run")
         second.click("Pause")
-        first.page.get_by_role("button", name="Continue", exact=True).wait_for(timeout=20_000)
+        first.page.get_by_role("button", name="Continue", exact=True).wait_for(timeout=40_000)
         loop.send(Pause(False))
 
         hold(first, 1, 0.15)
@@ -79,7 +79,7 @@ def test_the_page_goes_on_with_a_server_that_comes_back_and_tells_how_the_simula
         wait_for(lambda: loop.pulls() and loop.pulls()[-1] is None, what="a pull, and its end")
 
         loop.error = RuntimeError("the plant is gone")
-        tab.page.get_by_text("the plant is gone").wait_for(timeout=20_000)
+        tab.page.get_by_text("the plant is gone").wait_for(timeout=40_000)
         tab.page.reload()
         tab.page.get_by_text("the plant is gone").wait_for(timeout=60_000)
     refused = [text for text in tab.errors if "ERR_CONNECTION_REFUSED" not in text]

@@ -93,10 +93,10 @@ def test_d_b_slider_shows_the_new_border_at_once(tab, served):
     tab.set_slider("d_b [m]", 0.25)
     wait_for(lambda: any(isinstance(c, Configure) for c in served.loop.commands))
     assert served.loop.commands[-1].config.border.d_b == 0.25
-    tab.page.get_by_text("= 0.250 m").wait_for(timeout=10_000)
+    tab.page.get_by_text("= 0.250 m").wait_for(timeout=40_000)
     tab.wait_for_change(before, 5000)
     tab.set_slider("d_b [m]", 0.15)
-    tab.page.get_by_text("= 0.150 m").wait_for(timeout=10_000)
+    tab.page.get_by_text("= 0.150 m").wait_for(timeout=40_000)
 
 
 def test_dragging_the_gizmo_pulls_the_hand_and_letting_go_releases_it(tab, served):
@@ -138,7 +138,7 @@ def test_a_link_dragged_by_the_mouse_is_pulled_there_by_a_band_with_its_newtons(
 
 def test_buttons_pause_go_on_and_restart(tab, served):
     tab.click("Pause")
-    tab.page.get_by_role("button", name="Continue", exact=True).wait_for(timeout=10_000)
+    tab.page.get_by_role("button", name="Continue", exact=True).wait_for(timeout=40_000)
     tab.click("Continue")
     wait_for(lambda: Pause(False) in served.loop.commands)
     tab.click("Restart")
@@ -199,7 +199,7 @@ def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served)
 
 def test_a_value_that_the_loop_refuses_is_told_to_who_has_sent_it(tab, served):
     tab.set_slider("d_b [m]", 7)
-    tab.page.get_by_text("must be within 0.06 to 0.3 m").wait_for(timeout=10_000)
+    tab.page.get_by_text("must be within 0.06 to 0.3 m").wait_for(timeout=40_000)
     wait_for(lambda: tab.row("d_b [m]").locator("input").last.input_value() == "0.15")
     assert served.loop.commands == []
 
@@ -207,7 +207,7 @@ def test_a_value_that_the_loop_refuses_is_told_to_who_has_sent_it(tab, served):
 def test_the_tour_opens_at_the_first_visit_only(browser, served):
     tab = DashboardTab(browser, served.server.address, (900, 600), first_visit=True)
     for i, (title, _) in enumerate(STEPS, 1):
-        tab.page.get_by_text(f"{i} of {len(STEPS)}: {title}").wait_for(timeout=20_000)
+        tab.page.get_by_text(f"{i} of {len(STEPS)}: {title}").wait_for(timeout=40_000)
         tab.click("Done" if i == len(STEPS) else "Next")
     tab.page.get_by_text(STEPS[-1][0]).wait_for(state="hidden")
     tab.page.reload()
