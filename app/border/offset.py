@@ -91,7 +91,6 @@ class OffsetContours:
             heights.append(z)
             rings.append(np.concatenate([ring, ring[:1]]))
         self.heights = np.array(heights)
-        self._heights: list[float] = self.heights.tolist()
         self.vertices = np.array(rings)
         corners = self.vertices[..., 0] + 1j * self.vertices[..., 1]
         # Beside upright walls polygons repeat and need no blending.

@@ -127,7 +127,7 @@ class People:
             return state.T_world_ee.translation, state.v_ee[:3]
         joint, p = held_point(self._model, hold.link, hold.point)
         p_world = state.data.oMi[joint].act(p)
-        return p_world, state.point_jacobian(joint, p_world) @ state.qd
+        return p_world, state.point_velocity(joint, p_world)
 
 
 def held_links(model: RobotModel) -> tuple[str, ...]:
