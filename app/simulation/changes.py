@@ -28,10 +28,10 @@ class Changes:
     def add(self, step: Step) -> None:
         """Take one control step."""
         if self._last is not None:
-            jump = np.abs(step.output.u_a - self._last.output.u_a)
-            self.torque_jump = max(self.torque_jump, float(jump.max()))
-            moved = step.truth.base_pose - self._last.truth.base_pose
-            self.path += math.hypot(*moved[:2].tolist())
+            jump = step.output.u_a - self._last.output.u_a
+            self.torque_jump = max(self.torque_jump, *map(abs, jump.tolist()))
+            x, y, _ = (step.truth.base_pose - self._last.truth.base_pose).tolist()
+            self.path += math.hypot(x, y)
         self._last = step
 
 
@@ -50,10 +50,12 @@ class Smoothness:
     def add(self, now: Array) -> None:
         """Take one control step's acceleration (2,)."""
         values = now.tolist()
+        last = values if self._last is None else self._last
         for i, value in enumerate(values):
-            if self._last is not None:
-                self._jump[i] = max(self._jump[i], abs(value - self._last[i]))
-            if abs(value) > _DEAD_BAND:
+            jump = abs(value - last[i])
+            if jump > self._jump[i]:
+                self._jump[i] = jump
+            if not -_DEAD_BAND <= value <= _DEAD_BAND:
                 sign = math.copysign(1.0, value)
                 self._changes[i] += sign * self._sign[i] < 0
                 self._sign[i] = sign

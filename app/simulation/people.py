@@ -99,15 +99,14 @@ class People:
         Raises:
             TargetError: A target lies below the floor, or is not three finite numbers.
         """
-        self._hands = {
-            key: self._hands.get(key) or PersonHand(self._config, self._dt)
-            for key in map(_grip, holds)
-        }
-        readings = []
+        hands, readings = {}, []
         for hold in holds:
+            grip = _grip(hold)
+            hand = hands[grip] = self._hands.get(grip) or PersonHand(self._config, self._dt)
             p, v = self._motion(state, hold)
-            force = self._hands[_grip(hold)].force(p, v, hold.target)
+            force = hand.force(p, v, hold.target)
             readings.append(PullReading(hold.who, hold.link, p.copy(), hold.target, force))
+        self._hands = hands
         return readings
 
     def forces(self, holds: Sequence[Hold], readings: Sequence[PullReading]) -> PersonForces:

@@ -26,11 +26,10 @@ def checked_target(target: Sequence[float] | Array) -> Array:
             numbers.
     """
     place = _finite_point(target, "the hand's target")
-    if place[2] < 0:
-        raise TargetError(
-            f"the hand's target is at z = {place[2]:.3f} m, below the floor, which is z = 0"
-        )
-    if np.abs(place).max() > _FARTHEST:
+    x, y, z = place.tolist()
+    if z < 0:
+        raise TargetError(f"the hand's target is at z = {z:.3f} m, below the floor, which is z = 0")
+    if max(abs(x), abs(y), z) > _FARTHEST:
         raise TargetError(f"the hand's target is farther away than {_FARTHEST:g} m: {target!r}")
     return place
 
@@ -54,7 +53,7 @@ def _finite_point(point: Sequence[float] | Array, what: str) -> Array:
         place = np.array(point, dtype=float)
     except (TypeError, ValueError):
         place = np.empty(0)
-    if place.shape != (3,) or not np.isfinite(place).all():
+    if place.shape != (3,) or not all(map(math.isfinite, place.tolist())):
         raise TargetError(f"{what} must be three finite numbers, was {point!r}")
     return place
 
@@ -103,7 +102,7 @@ class PersonHand:
         if self._p is None:
             self._p, self._v = np.array(p_ee, dtype=float), np.zeros(3)
         self._follow(checked_target(target))
-        pull = self.config.stiffness * (self._p - p_ee) - self.config.damping * np.asarray(v_ee)
+        pull = self.config.stiffness * (self._p - p_ee) - self.config.damping * v_ee
         return _limited(pull, self.config.f_max)
 
     def _follow(self, target: Array) -> None:

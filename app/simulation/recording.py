@@ -28,8 +28,8 @@ class Recorder:
         self._first: Step | None = None
         self._last: Step | None = None
         self._names: list[str] = []
-        self._least: dict[str, float] = {}
-        self._mobile: set[str] = set()
+        self._least: list[float] = []
+        self._mobile: list[bool] = []
         self._contacts = self._arm_contacts = self._floor_contacts = 0
         self._ee_error_max = self._activation_max = 0.0
         self._changes = Changes()
@@ -43,22 +43,20 @@ class Recorder:
     def add(self, step: Step) -> None:
         """Take one control step."""
         self._changes.add(step)
+        pairs = step.output.avoidance.pairs
         if self._first is None:
             self._first = step
-            self._names = [p.closest.pair.name for p in step.output.avoidance.pairs]
-            self._least = dict.fromkeys(self._names, math.inf)
-            self._mobile = {
-                p.closest.pair.name for p in step.output.avoidance.pairs
-                if p.closest.pair.a == self._mobile_body
-            }  # fmt: skip
-        for name, d in zip(self._names, step.distances, strict=True):
-            if d < self._least[name]:
-                self._least[name] = d
+            self._names = [p.closest.pair.name for p in pairs]
+            self._mobile = [p.closest.pair.a == self._mobile_body for p in pairs]
+            self._least = [math.inf] * len(pairs)
+        for i, d in enumerate(step.distances):
+            if d < self._least[i]:
+                self._least[i] = d
+            if pairs[i].beta >= 1.0:
+                self._near_until = step.t
         self._contacts += step.contacts.arm_base
         self._arm_contacts += step.contacts.arm_arm
         self._floor_contacts += step.contacts.arm_floor
-        if any(pair.beta >= 1.0 for pair in step.output.avoidance.pairs):
-            self._near_until = step.t
         self._ee_error_max = max(self._ee_error_max, step.ee_error)
         self._activation_max = max(self._activation_max, step.output.activation)
         force = math.sqrt(step.hand_force @ step.hand_force)
@@ -96,13 +94,12 @@ class Recorder:
         begin, end = self._first.truth.base_pose, self._last.truth.base_pose
         durations = np.array(self._durations) * 1e6
         needed = self.buffer.needed_max
-        mobile = {k: v for k, v in self._least.items() if k in self._mobile}
-        others = {k: v for k, v in self._least.items() if k not in self._mobile}
+        with_base = list(zip(self._least, self._mobile, strict=True))
         return {
-            "min_distance_m": self._least,
-            "min_clearance_m": min(mobile.values(), default=None),
+            "min_distance_m": dict(zip(self._names, self._least, strict=True)),
+            "min_clearance_m": min((d for d, mobile in with_base if mobile), default=None),
             "contacts": self._contacts,
-            "arm_min_clearance_m": min(others.values(), default=None),
+            "arm_min_clearance_m": min((d for d, mobile in with_base if not mobile), default=None),
             "arm_contacts": self._arm_contacts,
             "floor_contacts": self._floor_contacts,
             "ee_error_max_m": self._ee_error_max,
