@@ -5,58 +5,23 @@ from __future__ import annotations
 import logging
 import os
 import sys
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any
 
-import tyro
-
-from app.cli.bench import bench
-from app.cli.border import border
-from app.cli.check_robot import check_robot
-from app.cli.config import config
-from app.cli.new_robot import new_robot
-from app.cli.pairs import pairs
-from app.cli.reach import reach
-from app.cli.replay import replay
-from app.cli.report import report
-from app.cli.reproduce import reproduce
-from app.cli.robots import robots
-from app.cli.run import run
-from app.cli.screenshot import screenshot
-from app.cli.serve import serve
-from app.cli.study import study
-from app.cli.sweep import sweep
 from app.errors import DbbError
 
-_COMMANDS = {
-    "serve": serve,
-    "run": run,
-    "pairs": pairs,
-    "border": border,
-    "reach": reach,
-    "report": report,
-    "replay": replay,
-    "screenshot": screenshot,
-    "reproduce": reproduce,
-    "study": study,
-    "sweep": sweep,
-    "bench": bench,
-    "config": config,
-    "robots": robots,
-    "new-robot": new_robot,
-    "check-robot": check_robot,
-}
+_COMMANDS = (
+    "serve", "run", "pairs", "border", "reach", "report", "replay", "screenshot", "reproduce",
+    "study", "sweep", "bench", "config", "robots", "new-robot", "check-robot",
+)  # fmt: skip
 
 
 def main(args: list[str] | None = None) -> None:
     """Run the command line; ends the process with status 0 only if it did what was asked."""
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
-        tyro.extras.subcommand_cli_from_dict(
-            _COMMANDS,
-            prog="dbb",
-            description="Reactive self-collision avoidance for a mobile manipulator.",
-            args=args,
-            config=(tyro.conf.DisallowNone,),
-        )
+        _run(sys.argv[1:] if args is None else args)
         sys.stdout.flush()
     except DbbError as error:
         print(f"dbb: error: {error}", file=sys.stderr)
@@ -67,3 +32,26 @@ def main(args: list[str] | None = None) -> None:
     except KeyboardInterrupt:
         print("dbb: interrupted", file=sys.stderr)
         sys.exit(130)
+
+
+def _run(words: list[str]) -> None:
+    """Only the command that is asked for is imported: a process that is spawned begins here too."""
+    import tyro
+
+    config = (tyro.conf.DisallowNone,)
+    if words and words[0] in _COMMANDS:
+        tyro.cli(_command(words[0]), prog=f"dbb {words[0]}", args=words[1:], config=config)
+        return
+    tyro.extras.subcommand_cli_from_dict(
+        {name: _command(name) for name in _COMMANDS},
+        prog="dbb",
+        description="Reactive self-collision avoidance for a mobile manipulator.",
+        args=words,
+        config=config,
+    )
+
+
+def _command(name: str) -> Callable[..., Any]:
+    """The function of a command: it stands in the module of its own name."""
+    own = name.replace("-", "_")
+    return getattr(import_module(f"app.cli.{own}"), own)
