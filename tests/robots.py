@@ -8,6 +8,7 @@ import numpy as np
 
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
+from app.robot.shapes import Shape
 from app.robot.state import Measurement, RobotState
 
 
@@ -15,6 +16,14 @@ from app.robot.state import Measurement, RobotState
 def husky_panda() -> RobotModel:
     """The compiled model; treat it as frozen."""
     return RobotModel(load_robot("husky_panda"))
+
+
+def with_mobile_shapes(shapes: tuple[Shape, ...]) -> RobotModel:
+    """The paper's robot with another l_m."""
+    description = husky_panda().description
+    first, *others = description.bodies
+    bodies = (first.model_copy(update={"shapes": shapes}), *others)
+    return RobotModel(description.model_copy(update={"bodies": bodies}))
 
 
 def random_measurement(rng: np.random.Generator) -> Measurement:

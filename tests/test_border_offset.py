@@ -7,9 +7,8 @@ import pytest
 
 from app.border.mobile import MobileBody
 from app.border.offset import OffsetContours
-from app.robot.model import RobotModel
-from app.robot.shapes import Box, Capsule, Cylinder, Shape
-from tests.robots import husky_panda
+from app.robot.shapes import Box
+from tests.robots import husky_panda, with_mobile_shapes
 
 HALF, CENTRE = np.array([0.495, 0.345, 0.19015]), np.array([0.0, 0.0, 0.1902])  # [m]
 TOP = 0.38035  # [m]
@@ -119,26 +118,14 @@ def test_the_tangent_is_square_to_the_way_to_the_contour_beside_a_flat_side(offs
     np.testing.assert_allclose(tangent, [-1.0, 0.0], atol=1e-5)
 
 
-def with_mobile_shapes(shapes: tuple[Shape, ...]) -> RobotModel:
-    description = husky_panda().description
-    first, *others = description.bodies
-    bodies = (first.model_copy(update={"shapes": shapes}), *others)
-    return RobotModel(description.model_copy(update={"bodies": bodies}))
-
-
-def test_a_union_of_shapes_is_followed_at_its_outside():
-    """A box with a mast and a tilted bar: each vertex at d_b of the union."""
-    model = with_mobile_shapes(
-        (
-            Box(type="box", size_m=(0.8, 0.5, 0.3), xyz_m=(0.0, 0.0, 0.05)),
-            Cylinder(type="cylinder", radius_m=0.1, length_m=0.8, xyz_m=(-0.2, 0.1, 0.4)),
-            Capsule(type="capsule", start_m=(0.3, 0.2, 0.0), end_m=(0.5, 0.3, 0.2), radius_m=0.05),
-        )
-    )
-    body, offset = MobileBody(model), OffsetContours(model, 0.15)
-    for z, ring in zip(offset.heights, offset.vertices, strict=True):
-        np.testing.assert_allclose(body.distance(lifted(ring[:-1], z)), 0.15, atol=2e-6)
-    assert offset.heights[0] == 0.0
+def test_with_a_second_shape_hidden_in_the_first_nothing_changes():
+    whole, inner = Box(type="box", size_m=(0.9, 0.6, 0.4)), Box(type="box", size_m=(0.5, 0.4, 0.4))
+    one = OffsetContours(with_mobile_shapes((whole,)), 0.15)
+    two = OffsetContours(with_mobile_shapes((inner, whole)), 0.15)
+    np.testing.assert_array_equal(one.vertices, two.vertices)
+    p = np.array([0.1, 0.35])
+    for a, b in zip(one.nearest(p, 0.2), two.nearest(p, 0.2), strict=True):
+        np.testing.assert_array_equal(a, b)
 
 
 def test_the_distance_to_l_m_is_that_of_its_box():

@@ -96,7 +96,8 @@ def contour(served: Served) -> Array:
     snapshot = served.loop.latest()
     nearest = min((pair for pair in snapshot.pairs if pair.mobile), key=lambda pair: pair.d)
     borders = served.server.shared.borders
-    return borders.contour(nearest.name, snapshot.config.border, float(nearest.p_b[2]))[::5]
+    curves = borders.curves(nearest.name, snapshot.config.border, float(nearest.p_b[2]))
+    return np.concatenate(curves)[::5]
 
 
 def lines(snapshot: Snapshot) -> list[Array]:

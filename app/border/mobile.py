@@ -6,7 +6,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from app.border.ray_ends import measures
+from app.border.ray_ends import distances, measures
 from app.robot.model import RobotModel
 
 Array = np.ndarray
@@ -40,6 +40,19 @@ class ConvexPart:
     def distance_and_normal(self, point: Array) -> tuple[float, Array]:
         """The same, and the unit vector (3,) from the shape to the point, until the next call."""
         return self.distance(point), self._result.normal
+
+    def nearest(self, point: Array) -> Array:
+        """(3,) [m] the point of the shape's surface nearest to a point (3,) [m]."""
+        d, normal = self.distance_and_normal(point)
+        return point - d * normal
+
+    def distances(self, points: Array) -> Array:
+        """(N,) [m] signed distances of points (N, 3) [m]."""
+        if self.measures is None:
+            return np.array([self.distance(p) for p in points])
+        return distances(
+            *self.measures, self.placement.rotation, self.placement.translation, points
+        )
 
 
 class MobileBody:

@@ -6,22 +6,20 @@ zero force.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from app.border import contours
 from app.border.mobile import ConvexPart, MobileBody
-from app.border.ray_ends import ray_ends
+from app.border.rings import RAYS as RAYS
+from app.border.rings import Rings, Tables, trace_rings
+from app.border.union import BLOCK, nearest_of_union
 from app.robot.model import RobotModel
 
 Array = np.ndarray
 
-RAYS = 360
-_STEP = 0.01  # [m] between heights, and along the arc above the top
-_TOLERANCE = 1e-6  # [m] of the distance on a contour
-_MAX_NEWTON = 30
+_TOUCHING = 2e-6  # [m] by which flush shapes still count as outside of each other
 
 
 class OnContour(NamedTuple):
@@ -29,9 +27,10 @@ class OnContour(NamedTuple):
 
     Attributes:
         xy: (2,) [m] in the base's frame.
-        tangent: (2,) unit vector along the contour, counter-clockwise from above; turns
-            continuously along it.
-        ray: [-] where along the contour, in rays, from 0 to `RAYS`.
+        tangent: (2,) unit vector along the contour, with l_m on its left; turns continuously
+            along it.
+        ray: [-] where along the contour, in rays, from 0 to `RAYS`; with several shapes that of the
+            k-th begins at k `RAYS`.
     """
 
     xy: Array
@@ -39,82 +38,123 @@ class OnContour(NamedTuple):
     ray: float
 
 
-class Tables(NamedTuple):
-    """The contours as the kernels of `app.border.contours` take them.
+class Searched(NamedTuple):
+    """The first arguments of `app.border.union.nearest_of_union`, in their order."""
 
-    Attributes:
-        heights: (H,) [m], ascending.
-        same: (H - 1,) whether a contour equals the next one above.
-        vertices: (H, RAYS + 1) as x + iy [m].
-        tangents: (H, RAYS + 1) unit tangents at the vertices.
-    """
-
+    firsts: Array
     heights: Array
-    same: Array
     vertices: Array
     tangents: Array
+    shown: Array
+    reached: Array
+    clear: Array
+    spans: Array
+
+
+class Union(NamedTuple):
+    """The rings of several shapes as the kernel `app.border.union.nearest_of_union` takes them.
+
+    Attributes:
+        firsts: (K + 1,) row of each shape's first ring, and the number of rows.
+        heights: (N,) [m] of the rings, ascending for each shape.
+        vertices, tangents: (N, RAYS + 1) as x + iy.
+        shown: (N, RAYS + 1) [m] by how much the vertices lie outside of the other shapes' offsets.
+        spans: (N, RAYS / BLOCK) [m] from the middle vertex of a block of edges to its others.
+    """
+
+    firsts: Array
+    heights: Array
+    vertices: Array
+    tangents: Array
+    shown: Array
+    spans: Array
+
+    def searched(self, reached: Array) -> Searched:
+        """For the search, with (N, RAYS + 1) of what is reached."""
+        open_ = (self.shown > 0.0) & (reached > 0.0)
+        clear = open_[:, :-1] & open_[:, 1:]
+        return Searched(*self[:5], reached, clear, self.spans)
 
 
 class OffsetContours:
-    """Closed polygons around l_m, one a height, each vertex at the distance d_b.
+    """The contours of the offset of l_m, a union of convex shapes, at each height.
 
-    Vertices stand on rays from a centre of l_m. Where l_m is not star-shaped in plan, what the rays
-    do not see is bridged: the contour is then its outer hull along the rays. Between two heights
-    the polygons are blended vertex by vertex.
+    Each shape has a stack of rings around it, blended vertex by vertex between two heights. The
+    contours of one shape are its rings. Those of several are what of the rings lies outside of the
+    other shapes' offsets, which may be several islands, and holes.
 
     Attributes:
         d_b: [m] buffer distance.
-        heights: (H,) [m] of the polygons, ascending from the floor to l_m's top plus d_b.
-        vertices: (H, RAYS + 1, 2) [m] in the base's frame, counter-clockwise, the first one
-            repeated.
+        rings: Of each shape that is not hidden in the others, at least one.
+        union: The rings of several shapes; None if there is one.
+        heights: (H,) [m] of the first shape's rings, ascending, from the floor to its top plus d_b.
+        vertices: (H, RAYS + 1, 2) [m] its rings in the base's frame, counter-clockwise, the first
+            vertex repeated.
         tables: The same for the kernels.
     """
 
     def __init__(self, model: RobotModel, d_b: float) -> None:
         """Trace all contours for a buffer distance d_b [m]."""
         self.d_b = d_b
-        body = MobileBody(model)
-        angles = np.linspace(0.0, 2 * np.pi, RAYS, endpoint=False)
-        rays = np.column_stack([np.cos(angles), np.sin(angles)])
-        centre = self._centre = _centre(body)
-        heights, rings = [], []
-        ends = [None] * len(body.parts)
-        for z in _levels(float(body.upper[2]), d_b):
-            ends = [
-                _ray_ends(part, centre, rays, float(z), d_b, start)
-                for part, start in zip(body.parts, ends, strict=True)
-            ]
-            outermost = np.max(ends, axis=0)
-            if not np.isfinite(outermost).all():
-                continue
-            ring = centre + outermost[:, None] * rays
-            heights.append(z)
-            rings.append(np.concatenate([ring, ring[:1]]))
-        self.heights = np.array(heights)
-        self.vertices = np.array(rings)
-        corners = self.vertices[..., 0] + 1j * self.vertices[..., 1]
-        # Beside upright walls polygons repeat and need no blending.
-        same = (self.vertices[1:] == self.vertices[:-1]).all(axis=(1, 2))
-        self.tables = Tables(
-            self.heights, same, corners, _vertex_tangents(np.diff(corners, axis=1))
-        )
+        traced = [(part, trace_rings(part, d_b)) for part in MobileBody(model).parts]
+        traced = _outermost([each for each in traced if len(each[1].heights)], d_b)
+        self.rings: tuple[Rings, ...] = tuple(rings for _, rings, _ in traced)
+        self.union = None
+        if len(self.rings) > 1:
+            self.union = _union(self.rings, [shown for *_, shown in traced])
+        self._searched: Searched | None = None
+        if self.union is not None:
+            self._searched = self.union.searched(np.ones_like(self.union.shown))
+        first = self.rings[0] if self.rings else _NOTHING
+        self.tables, self.vertices, self.heights = first.tables, first.vertices, first.heights
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether l_m has no offset above the floor."""
+        return not self.rings
 
     def within(self, z: float) -> float:
         """[m] the height nearest to z that there is."""
-        return min(max(z, float(self.heights[0])), float(self.heights[-1]))
+        ends = (min(max(z, float(r.heights[0])), float(r.heights[-1])) for r in self.rings)
+        return min(ends, key=lambda end: abs(end - z))
+
+    def contours(self, z: float) -> list[Array]:
+        """(K, 2) [m] each, the polygons at a height z [m]: closed ones, or one piece a shape."""
+        if self.union is None:
+            ring = self.contour(z)
+            return [] if ring is None else [ring]
+        return self.pieces(z, np.ones_like(self.union.shown))
+
+    def pieces(self, z: float, reached: Array) -> list[Array]:
+        """(K, 2) [m] each, the pieces of several shapes' rings that are shown and reached.
+
+        Args:
+            z: [m] height.
+            reached: (N, RAYS + 1) negative where the arm never is, as the rows of `union`.
+        """
+        assert self.union is not None
+        found: list[Array] = []
+        for j, rings in enumerate(self.rings):
+            if not rings.heights[0] <= z <= rings.heights[-1]:
+                continue
+            k, share = contours.place(rings.heights, z)
+            rows = int(self.union.firsts[j]) + np.array([k, min(k + 1, len(rings.heights) - 1)])
+            weights = np.array([1.0 - share, share])
+            open_ = np.minimum(weights @ self.union.shown[rows], weights @ reached[rows])
+            found += _pieces(weights @ self.union.vertices[rows], open_)
+        return found
 
     def contour(self, z: float) -> Array | None:
-        """(RAYS + 1, 2) [m] closed polygon at a height z [m], or None where there is none."""
-        at = self.place(z)
-        if at is None:
+        """(RAYS + 1, 2) [m] the first shape's ring at a height z [m], None where it has none."""
+        if not self._has(z):
             return None
-        k, share = at
+        k, share = contours.place(self.heights, z)
         if share == 0.0:
             return self.vertices[k]
         return (1.0 - share) * self.vertices[k] + share * self.vertices[k + 1]
 
     def nearest(self, p_xy: Array, z: float) -> OnContour | None:
-        """The point of the contour at a height that is nearest to p.
+        """The point of the contours at a height that is nearest to p.
 
         It moves continuously with p, but where p has two nearest points (the medial axis).
 
@@ -125,99 +165,111 @@ class OffsetContours:
         Returns:
             None where there is no contour at that height.
         """
-        if not self._has(z):
+        if self.union is None:
+            if not self._has(z):
+                return None
+            x, y, t_x, t_y, ray = contours.nearest_point(*self.tables, p_xy[0], p_xy[1], z)
+            return OnContour(np.array([x, y]), np.array([t_x, t_y]), ray)
+        if self.within(z) != z:
             return None
-        x, y, t_x, t_y, ray = contours.nearest_point(*self.tables, p_xy[0], p_xy[1], z)
+        assert self._searched is not None
+        _, ray, x, y, t_x, t_y = nearest_of_union(*self._searched, p_xy[0], p_xy[1], z)
         return OnContour(np.array([x, y]), np.array([t_x, t_y]), ray)
 
     def at(self, ray: float, z: float) -> OnContour | None:
         """The contour's point at a place along it.
 
         Args:
-            ray: [-] in rays; whole turns do not matter.
+            ray: [-] in rays; whole turns do not matter, unless there are several shapes.
             z: [m] height above the floor.
 
         Returns:
             None where there is no contour at that height.
         """
-        if not self._has(z):
+        tables = self.tables if self.union is None else self.rings[int(ray // RAYS)].tables
+        if not len(tables.heights) or not tables.heights[0] <= z <= tables.heights[-1]:
             return None
-        x, y, t_x, t_y = contours.point_at(*self.tables, ray, z)
-        return OnContour(np.array([x, y]), np.array([t_x, t_y]), ray % RAYS)
+        x, y, t_x, t_y = contours.point_at(*tables, ray, z)
+        return OnContour(np.array([x, y]), np.array([t_x, t_y]), ray % (len(self.rings) * RAYS))
 
     def ray_of(self, points_xy: Array) -> Array:
-        """(N,) on which ray points (N, 2) [m] lie, from 0 to `RAYS`."""
-        out = points_xy - self._centre
-        return np.arctan2(out[:, 1], out[:, 0]) % (2 * np.pi) * (RAYS / (2 * np.pi))
-
-    def place(self, z: float) -> tuple[int, float] | None:
-        """Index of the polygon at or below a height [m], and how far up to the next one, [0, 1).
-
-        None where there is no contour.
-        """
-        return contours.place(self.heights, z) if self._has(z) else None
+        """(N,) on which ray of the first shape's lowest ring points (N, 2) [m] lie."""
+        return ray_from(points_xy, self.rings[0].centres[0])
 
     def _has(self, z: float) -> bool:
         return len(self.heights) > 0 and self.heights[0] <= z <= self.heights[-1]
 
 
-def _vertex_tangents(edges: Array) -> Array:
-    """Unit tangents at the vertices, as x + iy: between those of the two edges there.
-
-    Args:
-        edges: (H, RAYS).
-
-    Returns:
-        (H, RAYS + 1), the first one repeated.
-    """
-    directions = edges / np.abs(edges)
-    tangents = directions + np.roll(directions, 1, axis=1)
-    tangents /= np.abs(tangents)
-    return np.concatenate([tangents, tangents[:, :1]], axis=1)
+def ray_from(points_xy: Array, centre: Array) -> Array:
+    """(N,) on which ray from a centre (2,) [m] points (N, 2) [m] lie, from 0 to `RAYS`."""
+    out = points_xy - centre
+    return np.arctan2(out[:, 1], out[:, 0]) % (2 * np.pi) * (RAYS / (2 * np.pi))
 
 
-def _centre(body: MobileBody) -> Array:
-    """(2,) [m] the point in plan from which the rays start: inside of the largest part's box."""
-    part = max(body.parts, key=lambda p: float(np.prod((p.upper - p.lower)[:2])))
-    return (part.lower[:2] + part.upper[:2]) / 2
+_NOTHING = Rings(
+    np.empty((0, 2)), np.empty((0, RAYS + 1, 2)),
+    Tables(np.empty(0), np.empty(0, bool), *np.empty((2, 0, RAYS + 1), complex)),
+)  # fmt: skip
 
 
-def _levels(top: float, d_b: float) -> Array:
-    """(H,) [m] heights: every 10 mm beside l_m, then every 10 mm of arc over its upper edge."""
-    beside = np.linspace(0.0, top, max(2, int(np.ceil(top / _STEP)) + 1))
-    arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]
-    # At the very end the contour lies on the flat of the offset, where rays graze: stop just short.
-    arc[-1] -= 1e-3
-    return np.concatenate([beside, top + d_b * np.sin(arc)])
+def _outermost(
+    traced: list[tuple[ConvexPart, Rings]], d_b: float
+) -> list[tuple[ConvexPart, Rings, Array]]:
+    """The shapes that the others do not hide, the largest in plan first, and how far they show."""
+    traced = sorted(traced, key=lambda each: -float(np.prod((each[0].upper - each[0].lower)[:2])))
+    kept = list(range(len(traced)))
+    for k in reversed(range(len(traced))):  # a shape that hides in the others hides none of them
+        others = [traced[j][0] for j in kept if j != k]
+        if others and (_shown(traced[k][1], others, d_b) <= 0.0).all():
+            kept.remove(k)
+    return [
+        (*traced[k], _shown(traced[k][1], [traced[j][0] for j in kept if j != k], d_b))
+        for k in kept
+    ]
 
 
-def _ray_ends(
-    part: ConvexPart, centre: Array, rays: Array, z: float, d_b: float, start: Array | None
-) -> Array:
-    """(RAYS,) [m] how far along each ray the offset of one part ends; −inf where it misses it."""
-    outside = float(np.abs(np.concatenate([part.lower, part.upper])[[0, 1, 3, 4]]).max())
-    beyond = 2 * (outside + d_b + float(np.abs(centre).max()))
-    first = np.full(len(rays), beyond)
-    if start is not None:
-        first = np.where(np.isfinite(start), start, beyond)
-    origin = np.array([centre[0], centre[1], z])
-    if part.measures is not None:
-        at = part.placement
-        return ray_ends(*part.measures, at.rotation, at.translation, rays, origin, first, d_b)
-    pairs = zip(rays.tolist(), first.tolist(), strict=True)
-    return np.array([_newton(part, origin, ray, s, d_b) for ray, s in pairs])
+def _shown(rings: Rings, others: list[ConvexPart], d_b: float) -> Array:
+    """(H, RAYS + 1) [m] by how much the vertices lie outside of the other shapes' offsets."""
+    H, V, _ = rings.vertices.shape
+    points = np.concatenate(
+        [rings.vertices, np.broadcast_to(rings.heights[:, None, None], (H, V, 1))], axis=2
+    ).reshape(-1, 3)
+    least = np.full(len(points), np.inf)
+    for other in others:
+        np.minimum(least, other.distances(points), out=least)
+    return least.reshape(H, V) - d_b + _TOUCHING
 
 
-def _newton(part: ConvexPart, origin: Array, ray: Sequence[float], s: float, d_b: float) -> float:
-    """`app.border.ray_ends.ray_ends` for one ray and any convex part."""
-    point = origin.copy()
-    for _ in range(_MAX_NEWTON):
-        point[0], point[1] = origin[0] + s * ray[0], origin[1] + s * ray[1]
-        d, normal = part.distance_and_normal(point)
-        slope = normal[0] * ray[0] + normal[1] * ray[1]
-        if abs(d - d_b) < _TOLERANCE:
-            return s if slope >= 0.0 else -np.inf
-        if slope <= 1e-9:
-            return -np.inf
-        s -= (d - d_b) / slope
-    return s
+def _union(rings: tuple[Rings, ...], shown: list[Array]) -> Union:
+    vertices = np.concatenate([r.tables.vertices for r in rings])
+    blocks = np.arange(0, RAYS, BLOCK)[:, None] + np.arange(BLOCK + 1)
+    middles = vertices[:, blocks[:, BLOCK // 2]]
+    return Union(
+        np.cumsum([0, *(len(r.heights) for r in rings)]),
+        np.concatenate([r.heights for r in rings]),
+        vertices,
+        np.concatenate([r.tables.tangents for r in rings]),
+        np.concatenate(shown),
+        np.abs(vertices[:, blocks] - middles[:, :, None]).max(axis=2),
+    )
+
+
+def _pieces(ring: Array, open_: Array) -> list[Array]:
+    """(K, 2) [m] each, where a closed ring (RAYS + 1,) as x + iy has a value of zero or more."""
+    if (open_ >= 0.0).all():
+        return [np.column_stack([ring.real, ring.imag])]
+    turned = int(np.argmin(open_[:-1]))  # begin where it is cut
+    ring, open_ = (np.append(np.roll(a[:-1], -turned), a[turned]) for a in (ring, open_))
+    found: list[Array] = []
+    piece: list[complex] = []
+    for i in range(len(ring) - 1):
+        a, b = open_[i], open_[i + 1]
+        if (a < 0.0) != (b < 0.0):
+            crossing = ring[i] + a / (a - b) * (ring[i + 1] - ring[i])
+            piece.append(complex(crossing))
+        if b >= 0.0:
+            piece.append(complex(ring[i + 1]))
+        elif piece:
+            found.append(np.array([[v.real, v.imag] for v in piece]))
+            piece = []
+    return found

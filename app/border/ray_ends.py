@@ -67,6 +67,20 @@ def signed_distance(
     return far, s_x * a / far, s_y * b / far, s_z * c / far
 
 
+@compiled("f8[::1](i8, f8[:], f8[:,:], f8[:], f8[:,:])")
+def distances(kind: int, size: Array, R: Array, p: Array, points: Array) -> Array:
+    """(N,) [m] signed distances of points (N, 3) [m] to a shape; the others as of `ray_ends`."""
+    found = np.empty(len(points))
+    at = np.empty(3)  # in the shape's frame
+    for k in range(len(points)):
+        for i in range(3):
+            at[i] = 0.0
+            for j in range(3):
+                at[i] += R[j, i] * (points[k, j] - p[j])
+        found[k] = signed_distance(kind, size, at[0], at[1], at[2])[0]
+    return found
+
+
 @compiled("f8[::1](i8, f8[:], f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8)")
 def ray_ends(
     kind: int, size: Array, R: Array, p: Array, rays: Array, origin: Array, start: Array,

@@ -13,15 +13,19 @@ import numpy as np
 
 from app.border import contours
 from app.border.dbb import Border
+from app.border.gaps import (
+    LEAST_GAP,
+    LEAST_POINTS,
+    MARGIN,
+    NEAR_CONTOUR,
+    NEAR_HEIGHT,
+    widest_gaps,
+)
 from app.border.offset import RAYS, OffsetContours, OnContour
+from app.border.reached import find_reached
+from app.border.union import nearest_of_union
 
 Array = np.ndarray
-
-_NEAR_HEIGHT = 0.015  # [m] points that far above and below tell where a contour is reached
-_NEAR_CONTOUR = 0.05  # [m] from a contour; over the top, points of other heights lie inside of it
-_LEAST_POINTS = 20  # [-] fewer tell nothing
-_LEAST_GAP = 40.0  # [rays] narrower gaps are chance
-_MARGIN = 10.0  # [rays] by which a gap is kept narrower on either side: samples are not everywhere
 
 
 class Foot(NamedTuple):
@@ -57,7 +61,11 @@ class Gap(NamedTuple):
 
 
 class BorderSurface:
-    """DBB_i as a surface, for nearest points at a height."""
+    """DBB_i as a surface, for nearest points at a height.
+
+    Attributes:
+        gap: Where the contours of a single shape are open.
+    """
 
     def __init__(self, border: Border, offset: OffsetContours) -> None:
         """Open the offset's contours where the border has no points.
@@ -68,12 +76,16 @@ class BorderSurface:
         """
         self._offset = offset
         self.gap = find_gap(border, offset)
+        self._reached = self._searched = None
+        if offset.union is not None:
+            self._reached = find_reached(border, offset)
+            self._searched = offset.union.searched(self._reached)
 
     def nearest(self, p: Array) -> Foot | None:
         """The surface's point at p's height that is nearest to p.
 
         Heights beyond the surface are taken as its lowest or its highest. In a gap it is the end of
-        the contour that is nearer along it.
+        the contour that is nearer along it; with several shapes the nearest one of all contours.
 
         Args:
             p: (3,) [m] in the base's frame.
@@ -81,53 +93,62 @@ class BorderSurface:
         Returns:
             None only if l_m has no offset at all.
         """
-        if not len(self._offset.heights):
+        if self._offset.is_empty:
             return None
-        x, y, t_x, t_y = contours.nearest_in_reach(*self._offset.tables, *self.gap, p)
+        if self._searched is not None:
+            _, _, x, y, t_x, t_y = nearest_of_union(*self._searched, p[0], p[1], p[2])
+        else:
+            x, y, t_x, t_y = contours.nearest_in_reach(*self._offset.tables, *self.gap, p)
         return Foot(np.array([x, y, p[2]]), np.array([t_x, t_y, 0.0]))
 
-    def contour(self, z: float) -> Array | None:
-        """The surface's curve at a height, closed or open in the gap.
+    def curves(self, z: float) -> list[Array]:
+        """The surface's curves at a height, closed, or open where the arm never is.
 
         Args:
-            z: [m] in the base's frame; beyond the surface its lowest or highest curve is given.
+            z: [m] in the base's frame; beyond the surface its lowest or highest curves are given.
 
         Returns:
-            (K, 3) [m] in the base's frame, at that height; None if l_m has no offset at all.
+            (K, 3) [m] each, in the base's frame, at that height; none if l_m has no offset at all.
         """
-        if not len(self._offset.heights):
-            return None
+        if self._offset.is_empty:
+            return []
         level = self._offset.within(z)
+        if self._reached is not None:
+            flat = self._offset.pieces(level, self._reached)
+        else:
+            flat = [self._open_ring(level)]
+        return [np.column_stack([curve, np.full(len(curve), z)]) for curve in flat]
+
+    def _open_ring(self, level: float) -> Array:
+        """(K, 2) [m] the contour at a height that there is, without its gap."""
         ring = self._offset.contour(level)
         assert ring is not None
-        centre, half = self._gap_at(level)
+        centre, half = contours.gap_at(self._offset.heights, *self.gap, level)
         if half > 0.0:
             first, last = np.ceil(centre + half), np.floor(centre - half + RAYS)
             ring = ring[np.arange(int(first), int(last) + 1) % RAYS]
-        return np.column_stack([ring, np.full(len(ring), z)])
-
-    def _gap_at(self, z: float) -> tuple[float, float]:
-        """[rays] middle and half width of the gap at a height that the offset has."""
-        return contours.gap_at(self._offset.heights, *self.gap, z)
+        return ring
 
 
 def on_surface(offset: OffsetContours, p: Array) -> OnContour | None:
     """The nearest point of the exact offset at p's height, or at the nearest height it has."""
-    return offset.nearest(p[:2], offset.within(float(p[2]))) if len(offset.heights) else None
+    return offset.nearest(p[:2], offset.within(float(p[2]))) if not offset.is_empty else None
 
 
 def find_gap(border: Border, offset: OffsetContours) -> Gap:
     """The widest part of each contour near which the border has no points."""
     heights = offset.heights
-    first = border.heights.searchsorted(heights - _NEAR_HEIGHT, "left")
-    last = border.heights.searchsorted(heights + _NEAR_HEIGHT, "right")
+    if not len(heights):
+        return Gap(np.zeros(0), np.zeros(0))
+    first = border.heights.searchsorted(heights - NEAR_HEIGHT, "left")
+    last = border.heights.searchsorted(heights + NEAR_HEIGHT, "right")
     points = border.points
-    centre, width = contours.widest_gaps(
+    centre, width = widest_gaps(
         points[:, 0].copy(), points[:, 1].copy(), offset.ray_of(points[:, :2]), first, last,
-        offset.tables.vertices, _NEAR_CONTOUR, _LEAST_POINTS,
+        offset.tables.vertices, NEAR_CONTOUR, LEAST_POINTS,
     )  # fmt: skip
-    found = width >= _LEAST_GAP
-    half = np.where(found, width / 2 - _MARGIN, 0.0)
+    found = width >= LEAST_GAP
+    half = np.where(found, width / 2 - MARGIN, 0.0)
     centre[~found] = np.nan
     known = np.flatnonzero(np.isfinite(centre))
     if not len(known):

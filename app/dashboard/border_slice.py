@@ -7,7 +7,7 @@ import viser
 
 from app.dashboard.borders import Borders
 from app.dashboard.colours import Rgb
-from app.dashboard.lines import hidden_line, set_polyline
+from app.dashboard.lines import hidden_line, set_polylines
 from app.dashboard.robot import ROOT
 from app.dashboard.view import View
 from app.simulation.snapshot import Snapshot
@@ -50,9 +50,9 @@ class BorderSlice:
         wanted = (round(z / _GRAIN), border.d_b, border.eps, view.dark)
         if pair in self._drawn and self._drawn[pair][0] == wanted:
             return self._drawn[pair][1]
-        contour = self._borders.contour(pair, border, z)
-        self._drawn[pair] = wanted, contour is not None
-        if contour is not None:
-            kept = np.concatenate([contour[:-1:_EVERY], contour[-1:]])
-            set_polyline(self._lines[pair], kept, _ON_DARK if view.dark else _ON_LIGHT)
-        return contour is not None
+        curves = self._borders.curves(pair, border, z)
+        self._drawn[pair] = wanted, bool(curves)
+        if curves:
+            kept = [np.concatenate([curve[:-1:_EVERY], curve[-1:]]) for curve in curves]
+            set_polylines(self._lines[pair], kept, _ON_DARK if view.dark else _ON_LIGHT)
+        return bool(curves)

@@ -77,15 +77,15 @@ class Borders:
             self._coloured[key] = self._colour(pair, quantity, border, whole=whole)
         return self._coloured[key]
 
-    def contour(self, pair: str, border: BorderConfig, z: float) -> Array | None:
-        """(K, 3) [m] the border's slice at a height z [m], in the base's frame; None if empty."""
+    def curves(self, pair: str, border: BorderConfig, z: float) -> list[Array]:
+        """(K, 3) [m] each, the border's slice at a height z [m], in the base's frame."""
         key = (pair, border.d_b, border.eps)
         if key not in self._surfaces:
             _make_room(self._surfaces)
             selected = construct_dbb(self._clouds[pair], border.d_b, border.eps)
             offset = OffsetContours(self._model, border.d_b)
             self._surfaces[key] = BorderSurface(selected, offset)
-        return self._surfaces[key].contour(z)
+        return self._surfaces[key].curves(z)
 
     def _colour(
         self, pair: str, quantity: str, border: BorderConfig, *, whole: bool

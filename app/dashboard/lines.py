@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import viser
 
@@ -28,11 +30,17 @@ def hidden_line(
 
 
 def set_polyline(line: viser.LineSegmentsHandle, points: Array, colour: Rgb) -> None:
-    """Draw a line through points (K, 3) [m], K ≥ 2.
+    """Draw a line through points (K, 3) [m], K ≥ 2; `set_polylines` of one."""
+    set_polylines(line, [points], colour)
+
+
+def set_polylines(line: viser.LineSegmentsHandle, lines: Sequence[Array], colour: Rgb) -> None:
+    """Draw lines through points (K, 3) [m] each, K ≥ 2.
 
     One colour for all of it: viser takes colours of single segments for linear ones, which washes
     them out, and a line that goes over to them stays white now and then.
     """
     if not np.array_equal(line.colors, colour):
         line.colors = np.array(colour, np.uint8)
-    line.points = np.stack([points[:-1], points[1:]], axis=1).astype(np.float32)
+    segments = [np.stack([points[:-1], points[1:]], axis=1) for points in lines]
+    line.points = np.concatenate(segments).astype(np.float32)

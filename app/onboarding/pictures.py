@@ -69,9 +69,9 @@ def border_png(robot: NewRobot, model: RobotModel, data: BorderData) -> bytes | 
         for axes, z in zip(figure.subplots(1, 2), heights, strict=True):
             for corners in body_corners(model, placed, model.body_names[0]):
                 _fill(axes, corners, 0, 1, SOFT, 0.5)
-            ring = offset.contour(z)
-            if ring is not None:
-                axes.plot(*ring.T, color=INK, linewidth=1.0, label="exact offset")
+            for k, piece in enumerate(offset.contours(z)):
+                label = "exact offset" if k == 0 else None
+                axes.plot(*piece.T, color=INK, linewidth=1.0, label=label)
             for k, cloud in enumerate(clouds):
                 points = construct_dbb(cloud, d_b, eps).same_height(z)
                 axes.plot(

@@ -1,0 +1,64 @@
+"""Kernel that finds where a contour has no points of the border: the arm is never there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from app.compiled import compiled
+
+Array = np.ndarray
+
+NEAR_HEIGHT = 0.015
+"""[m] points that far above and below tell where a contour is reached."""
+NEAR_CONTOUR = 0.05
+"""[m] from a contour; over the top, points of other heights lie inside of it."""
+LEAST_POINTS = 20
+"""[-] fewer tell nothing."""
+LEAST_GAP = 40.0
+"""[rays] narrower gaps are chance."""
+MARGIN = 10.0
+"""[rays] by which a gap is kept narrower on either side: samples are not everywhere."""
+
+
+@compiled("Tuple((f8[::1], f8[::1]))(f8[:], f8[:], f8[:], i8[:], i8[:], c16[:,:], f8, i8)")
+def widest_gaps(
+    x: Array, y: Array, ray: Array, first: Array, last: Array, vertices: Array, near: float,
+    least_points: int,
+) -> tuple[Array, Array]:  # fmt: skip
+    """The widest part of each contour near which there is no point.
+
+    Args:
+        x: (N,) [m] of the points in plan.
+        y: (N,) [m] of the points in plan.
+        ray: (N,) on which ray each of them lies.
+        first: (H,) index of the first point of each contour's height.
+        last: (H,) index after the last one.
+        vertices: (H, R + 1) as x + iy [m].
+        near: [m] within which of the contour's vertex on its ray a point counts.
+        least_points: Fewer tell nothing.
+
+    Returns:
+        (H,) middle and (H,) width of each gap [rays]; the width is 0 where nothing is told.
+    """
+    H, rays = len(first), vertices.shape[1] - 1
+    middle, width = np.zeros(H), np.zeros(H)
+    lowest, highest = np.empty(rays), np.empty(rays)  # ray of a point, by whole rays
+    for k in range(H):
+        lowest[:], highest[:] = np.inf, -np.inf
+        count = 0
+        for i in range(first[k], last[k]):
+            v = vertices[k, round(ray[i]) % rays]
+            if (x[i] - v.real) ** 2 + (y[i] - v.imag) ** 2 < near**2:
+                cell = int(ray[i]) % rays
+                lowest[cell] = min(lowest[cell], ray[i])
+                highest[cell] = max(highest[cell], ray[i])
+                count += 1
+        if count < least_points:
+            continue
+        before = np.max(highest) - rays  # the last point, a turn ago
+        for cell in range(rays):
+            if lowest[cell] <= highest[cell]:
+                if lowest[cell] - before > width[k]:
+                    middle[k], width[k] = (before + lowest[cell]) / 2, lowest[cell] - before
+                before = highest[cell]
+    return middle, width

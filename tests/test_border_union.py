@@ -1,0 +1,229 @@
+"""The border around an l_m of several shapes, against distances written down here."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.border.cache import load_border_data
+from app.border.cloud import make_cloud
+from app.border.dbb import Border
+from app.border.mobile import MobileBody
+from app.border.offset import OffsetContours
+from app.border.rings import RAYS
+from app.border.surface import BorderSurface
+from app.config import Config
+from app.robot.model import RobotModel
+from app.robot.shapes import Box, Capsule, Cylinder, Hull
+from app.simulation.run import run_scenario
+from app.simulation.scenario import scenario_by_name
+from tests.robots import husky_panda, with_mobile_shapes
+
+D_B = 0.15  # [m]
+FLOOR = 0.1323  # [m] of the link's origin, in which the shapes are given, above the floor
+# Centre and half sides [m] of a deck and of a tower behind the arm; radius and axis of a post
+# beside it. In the base's frame, whose origin is on the floor.
+DECK = np.array([0.0, 0.0, 0.19]), np.array([0.495, 0.345, 0.19])
+TOWER = np.array([-0.37, 0.02, 0.6]), np.array([0.10, 0.20, 0.5])
+POST_AT, POST_RADIUS, POST_TOP = np.array([0.15, 0.28]), 0.05, 1.0
+FLATS = [0.38 + D_B, 1.1 + D_B, POST_TOP + D_B]  # [m] where a shape's offset ends at once
+
+
+def distance(p: np.ndarray) -> np.ndarray:
+    """(…) [m] of points (…, 3) outside of deck, tower and post."""
+    out = [np.linalg.norm(np.maximum(np.abs(p - c) - h, 0.0), axis=-1) for c, h in (DECK, TOWER)]
+    aside = np.maximum(np.linalg.norm(p[..., :2] - POST_AT, axis=-1) - POST_RADIUS, 0.0)
+    return np.min([*out, np.hypot(aside, np.maximum(p[..., 2] - POST_TOP, 0.0))], axis=0)
+
+
+def box(centre: np.ndarray, half: np.ndarray) -> Box:
+    x, y, z = centre - [0.0, 0.0, FLOOR]
+    a, b, c = 2 * half
+    return Box(type="box", size_m=(a, b, c), xyz_m=(x, y, z))
+
+
+@pytest.fixture(scope="module")
+def towered() -> RobotModel:
+    post = Cylinder(type="cylinder", radius_m=POST_RADIUS, length_m=POST_TOP,
+                    xyz_m=(*POST_AT, POST_TOP / 2 - FLOOR))  # fmt: skip
+    return with_mobile_shapes((box(*DECK), box(*TOWER), post))
+
+
+@pytest.fixture(scope="module")
+def offset(towered: RobotModel) -> OffsetContours:
+    return OffsetContours(towered, D_B)
+
+
+@pytest.fixture(scope="module")
+def surface(offset: OffsetContours) -> BorderSurface:
+    return BorderSurface(Border("lm-lEE", D_B, 0.01, np.zeros((0, 3)), np.zeros(0)), offset)
+
+
+def dense_border(z: float) -> np.ndarray:
+    """(N, 2) [m] where the distance crosses D_B on the lines of a 4 mm grid at a height."""
+    x, y = np.arange(-0.9, 0.9, 0.004), np.arange(-0.7, 0.7, 0.004)
+    X, Y = np.meshgrid(x, y, indexing="ij")
+    D = distance(np.stack([X, Y, np.full_like(X, z)], axis=-1)) - D_B
+    found = []
+    for low, high, d_low, d_high in (
+        ((X[:-1], Y[:-1]), (X[1:], Y[1:]), D[:-1], D[1:]),
+        ((X[:, :-1], Y[:, :-1]), (X[:, 1:], Y[:, 1:]), D[:, :-1], D[:, 1:]),
+    ):
+        at = np.sign(d_low) != np.sign(d_high)
+        share = d_low[at] / (d_low[at] - d_high[at])
+        found.append([a[at] + share * (b[at] - a[at]) for a, b in zip(low, high, strict=True)])
+    return np.concatenate([np.transpose(each) for each in found])
+
+
+@pytest.mark.parametrize("z", [0.05, 0.2, 0.41, 0.5, 0.525, 0.56, 0.9, 1.06, 1.13, 1.2])
+def test_the_nearest_point_is_as_near_as_a_dense_search_finds(surface: BorderSurface, z: float):
+    """At heights of one contour, of two islands, and of the tower alone."""
+    border = dense_border(z)
+    for p in np.random.default_rng(0).uniform([-0.8, -0.6], [0.8, 0.6], (150, 2)):
+        foot = surface.nearest(np.array([*p, z]))
+        away = np.linalg.norm(foot.p[:2] - p)
+        assert away == pytest.approx(np.linalg.norm(border - p, axis=1).min(), abs=0.002)
+
+
+def test_all_points_lie_on_the_exact_offset(surface: BorderSurface, offset: OffsetContours):
+    rng = np.random.default_rng(1)
+    points = rng.uniform([-0.8, -0.6, 0.0], [0.8, 0.6, 1.3], (3000, 3))
+    feet = np.array([surface.nearest(p).p for p in points])
+    feet[:, 2] = [offset.within(z) for z in points[:, 2]]
+    assert np.abs(distance(feet) - D_B).max() < 0.001
+
+
+def test_the_tangent_is_square_to_the_way_with_the_base_on_its_left(surface: BorderSurface):
+    for p in np.random.default_rng(2).uniform([-0.8, -0.6, 0.0], [0.8, 0.6, 1.2], (500, 3)):
+        foot = surface.nearest(p)
+        assert np.linalg.norm(foot.t) == pytest.approx(1.0)
+        assert (p - foot.p) @ foot.t == pytest.approx(0.0, abs=1e-8)
+        left = foot.p + 1e-3 * np.array([-foot.t[1], foot.t[0], 0.0])
+        if np.abs(np.subtract(FLATS, p[2])).min() > 0.01:
+            assert distance(left) < D_B + 2e-4
+
+
+def test_the_way_to_the_border_never_changes_faster_than_the_hand_moves(surface: BorderSurface):
+    """The law of a nearest point: its place may jump on the medial axis, its distance may not.
+
+    But where a lower shape's offset ends: it has a horizontal piece there.
+    """
+    rng = np.random.default_rng(3)
+    for _ in range(40):
+        z = rng.choice([0.1, 0.3, 0.45, 0.52, 0.6, 1.1]) + rng.uniform(-0.004, 0.004)
+        begin, end = rng.uniform([-0.7, -0.5], [0.7, 0.5], (2, 2))
+        path = begin + np.linspace(0.0, 1.0, 1500)[:, None] * (end - begin)
+        feet = np.array([surface.nearest(np.array([*p, z])).p[:2] for p in path])
+        ways = np.linalg.norm(feet - path, axis=1)
+        step = np.linalg.norm(end - begin) / 1499
+        assert np.abs(np.diff(ways)).max() < 1.05 * step + 2e-6
+
+
+@pytest.mark.parametrize("z", [0.2, 0.45, 0.8])
+def test_foot_and_tangent_walk_through_a_corner_without_a_jump(surface: BorderSurface, z: float):
+    """Past the place where two shapes' offsets meet, inside of the border."""
+    depth = 0.05
+    outline = {0.2: None, 0.45: (0.495, 0.0), 0.8: (-0.37, 0.02)}[z]
+    turn = np.linspace(0.0, 2 * np.pi, 40001)
+    centre = np.array(outline) if outline is not None else np.zeros(2)
+    reach = (0.06 if z == 0.45 else 0.12) if outline is not None else 0.25
+    path = centre + reach * np.column_stack([np.cos(turn), np.sin(turn)])
+    feet = [surface.nearest(np.array([*p, z])) for p in path]
+    p = np.array([f.p[:2] for f in feet])
+    t = np.array([f.t[:2] for f in feet])
+    ways = np.linalg.norm(p - path, axis=1)
+    moved, turned = (np.linalg.norm(np.diff(a, axis=0), axis=1) for a in (p, t))
+    medial = moved > 0.01  # two nearest points
+    assert medial.sum() < 8
+    assert np.abs(np.diff(ways))[medial].max(initial=0.0) < 1e-4
+    calm = ~medial & (ways[1:] > depth)
+    assert moved[calm].max() < 40 * reach * (turn[1] - turn[0])
+    assert turned[calm].max() < 40 * (turn[1] - turn[0])
+
+
+def test_two_towers_without_a_deck_are_two_islands_and_a_frame_has_a_hole():
+    half = np.array([0.1, 0.1, 0.3])
+    towers = (box(np.array([0.6, 0.0, 0.3]), half), box(np.array([-0.6, 0.0, 0.3]), half))
+    offset = OffsetContours(with_mobile_shapes(towers), D_B)
+    assert len(offset.contours(0.2)) == 2
+    for x in (0.4, -0.4):
+        found = offset.nearest(np.array([x, 0.0]), 0.2)
+        assert found.xy == pytest.approx([np.sign(x) * 0.35, 0.0], abs=1e-3)
+    sides = [((0.5, 0.0), (0.05, 0.55)), ((0.0, 0.5), (0.55, 0.05))]
+    frame = [box(np.array([*(s * np.array(c)), 0.3]), np.array([*h, 0.3]))
+             for c, h in sides for s in (1.0, -1.0)]  # fmt: skip
+    offset = OffsetContours(with_mobile_shapes(tuple(frame)), D_B)
+    within = offset.nearest(np.array([0.25, 0.1]), 0.2)
+    assert within.xy == pytest.approx([0.3, 0.1], abs=1e-3)  # 0.45 m less d_b
+    assert within.tangent == pytest.approx([0.0, -1.0], abs=1e-3)
+
+
+def test_slanted_and_hanging_shapes_and_those_of_corners_are_followed():
+    """A leaning capsule, a plate high above the floor, a polytope: no vertex is off d_b."""
+    shapes = (
+        Box(type="box", size_m=(0.8, 0.5, 0.3), xyz_m=(0.0, 0.0, 0.05)),
+        Capsule(type="capsule", start_m=(0.3, 0.2, 0.1), end_m=(-0.4, 0.3, 1.0), radius_m=0.05),
+        Box(type="box", size_m=(0.3, 0.3, 0.05), xyz_m=(-0.2, -0.3, 0.8)),
+        Hull(type="hull", xyz_m=(0.5, 0.0, 0.3),
+             vertices_m=((0.1, 0.0, 0.0), (-0.1, 0.1, 0.0), (-0.1, -0.1, 0.0), (0.0, 0.0, 0.4))),
+    )  # fmt: skip
+    model = with_mobile_shapes(shapes)
+    body, offset = MobileBody(model), OffsetContours(model, D_B)
+    assert len(offset.rings) == 4
+    rows = [(z, ring) for r in offset.rings for z, ring in zip(r.heights, r.vertices, strict=True)]
+    assert offset.union is not None
+    for (z, ring), shown in list(zip(rows, offset.union.shown, strict=True))[::5]:
+        d = body.distance(np.column_stack([ring, np.full(len(ring), z)])[::4])
+        np.testing.assert_allclose(d[shown[::4] > 4e-6], D_B, atol=2e-6)
+        assert (d[shown[::4] < 0.0] < D_B + 4e-6).all()
+    points = np.random.default_rng(4).uniform([-0.7, -0.6, 0.0], [0.7, 0.6, 1.2], (400, 3))
+    feet = [offset.nearest(p[:2], p[2]) for p in points]
+    lifted = np.array([[*f.xy, p[2]] for f, p in zip(feet, points, strict=True)])
+    assert np.abs(body.distance(lifted) - D_B).max() < 0.002
+
+
+def test_where_the_arm_never_is_the_contours_are_open(offset: OffsetContours):
+    """Points around the tower's front only: behind it there is nothing to be nearest to."""
+    z = np.repeat(np.arange(0.6, 1.0, 0.004), 120)
+    y = np.tile(np.linspace(-0.19, 0.23, 120), len(z) // 120)
+    points = np.column_stack([np.full(len(z), -0.27 + D_B), y, z])
+    surface = BorderSurface(Border("lm-lEE", D_B, 0.01, points, z), offset)
+    behind = surface.nearest(np.array([-0.6, 0.02, 0.8]))
+    assert behind.p[0] > -0.5
+    front = surface.nearest(np.array([-0.2, 0.02, 0.8]))
+    assert front.p[:2] == pytest.approx([-0.12, 0.02], abs=1e-3)
+
+
+def test_pieces_are_what_of_the_rings_lies_on_the_offset(offset: OffsetContours):
+    for z, islands in ((0.2, 1), (0.45, 3), (0.8, 2), (1.2, 1)):
+        pieces = offset.contours(z)
+        ends = {tuple(np.round(piece[0], 2)) for piece in pieces}
+        assert len(pieces) >= islands or z == 0.45
+        assert len(ends) == len(pieces)
+        for piece in pieces:
+            at = np.column_stack([piece, np.full(len(piece), z)])
+            assert np.abs(distance(at) - D_B).max() < 0.001
+    assert all(rings.vertices.shape[1] == RAYS + 1 for rings in offset.rings)
+
+
+@pytest.mark.parametrize("controller", ["none", "dbb"])
+def test_a_hand_pulled_at_the_tower_meets_it_only_without_avoidance(controller: str):
+    """The arm bends backwards over the deck, towards a tower that stands behind it."""
+    tower = box(np.array([-0.42, 0.0, 0.7]), np.array([0.07, 0.15, 0.5]))
+    model = with_mobile_shapes((box(*DECK), tower))
+    data = load_border_data(husky_panda(), progress=False)
+    nothing = {name: make_cloud(name, np.empty((0, 3), np.int16), np.empty(0, np.uint16))
+               for name in data.clouds}  # fmt: skip
+    data = type(data)(data.pairs, nothing, data.origin)
+    line = scenario_by_name("guiding-above").changed(
+        start=(0.05, 0.35, 0.95), move=(-0.45, -0.25, 0.0), duration=4.0
+    )
+    figures = run_scenario(model, data, line, Config(), controller=controller).figures
+    clearance = figures["min_clearance_m"]
+    assert isinstance(clearance, float)
+    if controller == "none":
+        assert clearance < 0.0
+    else:
+        assert clearance > 0.03
+        assert figures["contacts"] == 0
+        assert figures["solver_failures"] == 0
