@@ -2,8 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+
+import pytest
+import trimesh
+
+from app.border.reach_config import ReachConfig
+from app.border.sampling_config import SamplingConfig
+from app.onboarding import new_robot, reach, ready
+from app.robot import assets
 
 INERTIAL = (
     '<inertial><mass value="{m}"/><inertia ixx="{i}" ixy="0" ixz="0" iyy="{i}" iyz="0" izz="{i}"/>'
@@ -63,7 +73,7 @@ def arm() -> list[str]:
         solid(tube, xyz="0 0 0.17", mass=1.5),
         solid(small, xyz="0 0 0.02"),
         solid(small, xyz="0 0 0.03"),
-        solid('<box size="0.08 0.12 0.08"/>', xyz="0 0 0.08", mass=0.7),
+        solid(BOX, xyz="0 0 0.08", mass=0.7),
     ]
     offsets = ("0 0 0.24", "0 0 0.06", "0 0 0.34", "0 0 0.34", "0 0 0.07", "0 0 0.07")
     axes = ("0 0 1", "0 1 0", "0 1 0", "0 0 1", "0 1 0", "0 0 1")
@@ -82,3 +92,44 @@ def write(folder: Path, text: str, name: str = "toy.urdf") -> Path:
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
+
+
+BOX = '<box size="0.08 0.12 0.08"/>'
+"""The hand."""
+
+
+def with_mesh(text: str, reference: str) -> str:
+    """The robot with a mesh as its hand."""
+    return text.replace(BOX, f'<mesh filename="{reference}"/>')
+
+
+def cube() -> bytes:
+    """A mesh of the hand's box, as STL."""
+    mesh = trimesh.creation.box(extents=(0.08, 0.12, 0.08))
+    stl = mesh.export(file_type="stl")
+    assert isinstance(stl, bytes)
+    return stl
+
+
+def zipped(folder: Path, files: Mapping[str, str | bytes]) -> Path:
+    """`toy.zip` in a folder."""
+    path = folder / "toy.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+    return path
+
+
+@contextmanager
+def few_samples(cache: Path) -> Iterator[SamplingConfig]:
+    """A robot is made with few samples, its border kept in a folder; gives how to sample it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(assets, "cache_folder", lambda: cache)
+        patch.setattr(new_robot, "MEETING_SAMPLES", 1200)
+        patch.setattr(new_robot, "PAIR_SAMPLES", 2000)
+        patch.setattr(ready, "_SAMPLES", 800)
+        coarse = ReachConfig(spacing_m=0.12, orientations=4, restart_spacing_m=0.4,
+                             restart_orientations=1, restarts=2)  # fmt: skip
+        patch.setattr(reach, "COUNTING", coarse)
+        yield SamplingConfig(pair_samples=2000, cloud_samples=2000, voxel_plan=0.05,
+                             voxel_height=0.05, rounds=1, retries=1, sectors=2)  # fmt: skip

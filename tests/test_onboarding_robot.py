@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import base64
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from app.border.reach_config import ReachConfig
-from app.border.sampling_config import SamplingConfig
-from app.onboarding import check_bodies, new_robot, reach, ready
+from app.errors import AssetError
+from app.onboarding import check_bodies, new_robot
 from app.onboarding.bodies import ArmFitter, fit_base
 from app.onboarding.check_bodies import arm_row, base_row
 from app.onboarding.check_dynamics import dynamics_row, limits_row
@@ -22,31 +22,34 @@ from app.onboarding.new_robot import NewRobot
 from app.onboarding.request import Request
 from app.onboarding.units import make_units
 from app.robot import assets
-from app.robot.assets import ASSETS, resolve_package_uri
+from app.robot.assets import ASSETS, load_robot, resolve_package_uri, robot_names
 from app.robot.description import RobotDescription, load_description
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
+from app.robot.urdf import resolved_urdf
 from app.simulation.contact_pairs import body_contact_pairs
 from app.simulation.scenario import scenario_by_name, scenario_of
-from tests.onboarding import ARM_JOINTS, arm, cart, robot, write
+from tests.onboarding import (
+    ARM_JOINTS,
+    arm,
+    cart,
+    cube,
+    few_samples,
+    robot,
+    with_mesh,
+    write,
+    zipped,
+)
 from tests.robots import husky_panda
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> NewRobot:
-    """The toy, made with few samples, in a folder of its own with a cache of its own."""
+    """The toy from a zip, made with few samples, in a folder of its own with a cache of its own."""
     folder = tmp_path_factory.mktemp("toy")
-    path = write(folder, robot([*cart(), *arm()]))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(assets, "cache_folder", lambda: folder)
-        patch.setattr(new_robot, "MEETING_SAMPLES", 1200)
-        patch.setattr(new_robot, "PAIR_SAMPLES", 2000)
-        patch.setattr(ready, "_SAMPLES", 800)
-        coarse = ReachConfig(spacing_m=0.12, orientations=4, restart_spacing_m=0.4,
-                             restart_orientations=1, restarts=2)  # fmt: skip
-        patch.setattr(reach, "COUNTING", coarse)
-        sampling = SamplingConfig(pair_samples=2000, cloud_samples=2000, voxel_plan=0.05,
-                                  voxel_height=0.05, rounds=1, retries=1, sectors=2)  # fmt: skip
+    text = with_mesh(robot([*cart(), *arm()]), "package://toy/meshes/m.stl")
+    path = zipped(folder, {"toy/u/toy.urdf": text, "toy/meshes/m.stl": cube(), "toy/LICENSE": ""})
+    with few_samples(folder) as sampling:
         request = Request(urdf=str(path), base="base", tip="hand", out=folder / "toy")
         return finish(request, processes=1, sampling=sampling)[0]
 
@@ -62,13 +65,34 @@ def compiled(made: NewRobot, **changes: object) -> RobotModel:
 def test_a_whole_folder_is_written_and_nothing_beside_it(made: NewRobot) -> None:
     folder = made.request.out
     files = {path.name for path in folder.iterdir()}
-    assert files == {"robot.toml", "robot.urdf", "SOURCES.md", "report.html"}
+    assert files == {"robot.toml", "robot.urdf", "SOURCES.md", "report.html", "package"}
     assert not [p for p in folder.parent.iterdir() if p.name.startswith(".")]
     text = (folder / "robot.toml").read_text()
     assert "wheel_radius_m = 0.1 # measured" in text
     assert "max_effort = [60.0, 60.0, 60.0, 60.0, 60.0, 60.0] # from the URDF" in text
     assert "traction_limit_n" in text
     assert "# assumed" in text
+
+
+def test_a_robot_from_a_zip_takes_its_meshes_along_and_may_be_moved(
+    made: NewRobot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Once it is in the user's folder it is one of the robots."""
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    assert "toy" not in robot_names()
+    shutil.copytree(made.request.out, tmp_path / "toy")
+    assert {"toy", "husky_panda"} <= set(robot_names())
+    mesh = tmp_path / "toy" / "package" / "toy" / "meshes" / "m.stl"
+    assert f'filename="{mesh}"' in resolved_urdf(load_robot("toy"))
+    assert (tmp_path / "toy" / "package" / "toy" / "LICENSE").is_file()
+    sources = (tmp_path / "toy" / "SOURCES.md").read_text()
+    assert "toy.zip: toy/u/toy.urdf" in sources
+    for text in (sources, (tmp_path / "toy" / "robot.urdf").read_text()):
+        assert str(made.request.out.parent) not in text
+    assert not any("absolute path" in warning for warning in made.warnings)
+    mesh.unlink()
+    with pytest.raises(AssetError, match="no mesh 'package/toy/meshes/m"):
+        resolved_urdf(load_robot("toy"))
 
 
 def test_the_description_is_the_urdf_on_the_floor(made: NewRobot) -> None:

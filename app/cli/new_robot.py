@@ -24,6 +24,7 @@ def new_robot(
     base: str,
     tip: str,
     out: Path,
+    file: str | None = None,
     wheels: Annotated[tuple[str, str] | None, tyro.conf.arg(metavar="LEFT RIGHT")] = None,
     arm_urdf: str | None = None,
     mount_xyz: PointOption = None,
@@ -49,10 +50,12 @@ def new_robot(
     Nothing is written unless all of it is.
 
     Args:
-        urdf: The file, or package://PACKAGE/PATH for one of an installed package.
+        urdf: The file, package://PACKAGE/PATH for one of an installed package, or a zip with a URDF
+            and its meshes, of which nothing is executed.
         base: Link that moves with the base, z up.
         tip: Link that carries the end-effector.
         out: Folder of the new description, such as robot_assets/NAME; its name is the robot's.
+        file: Path of the URDF in a zip that holds several.
         wheels: Joints (or links) of a left and a right driven wheel (default: found).
         arm_urdf: Another URDF with the arm, to be fixed to --base; --tip is in it then.
         mount_xyz: [m] where the root of --arm-urdf stands in --base (default: 0 0 0).
@@ -94,6 +97,7 @@ def new_robot(
         mount_rpy=mount_rpy or zero, mount=mount, tip_xyz=tip_xyz or zero, tip_rpy=tip_rpy or zero,
         half_track=half_track, wheel_radius=wheel_radius, ready=ready, bodies=bodies,
         assume_inertia=assume_inertia, title=title, licence=licence, seed=seed, d_b=buffer_distance,
+        file=file,
     )  # fmt: skip
     begin = perf_counter()
     robot, data = finish(request, tell=lambda text: console.print(f"… {text}"))

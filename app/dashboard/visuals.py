@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import NamedTuple
 
 import coal
@@ -69,7 +70,9 @@ def read_mesh(path: str) -> trimesh.Trimesh:
         AssetError: The file cannot be read, or its format needs a package that is not installed.
     """
     try:
-        mesh = trimesh.load(path, force="mesh", skip_materials=True)
+        with open(path, "rb") as file:  # a file, not a path: then no texture beside it is read
+            kind = Path(path).suffix[1:].lower()
+            mesh = trimesh.load(file, file_type=kind, force="mesh", skip_materials=True)
     except (ImportError, NotImplementedError, ValueError, OSError) as error:
         raise AssetError(f"{path}: trimesh cannot read it: {error}") from None
     assert isinstance(mesh, trimesh.Trimesh)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 
 from app.border.cache import BorderData, load_border_data
 from app.border.sampling_config import SamplingConfig
 from app.onboarding.new_robot import NewRobot, make_robot
+from app.onboarding.package import FOLDER, is_package, open_package
 from app.onboarding.report import report_html
 from app.onboarding.request import Request
 from app.onboarding.write import whole_folder, write_robot
@@ -32,6 +35,11 @@ def finish(
     """
     request.name  # noqa: B018 - a wrong name is told before any work
     with whole_folder(request.out) as folder:
+        if is_package(request.urdf):
+            tell("unpacking the zip")
+            path = open_package(Path(request.urdf), folder, request.file)
+            name = f"{Path(request.urdf).name}: {path.relative_to((folder / FOLDER).resolve())}"
+            request = replace(request, urdf=str(path), source=name)
         robot = make_robot(request, folder, tell=tell, processes=processes)
         tell("sampling the border")
         data = load_border_data(robot.model, sampling=sampling, processes=processes)

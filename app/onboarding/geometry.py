@@ -156,8 +156,11 @@ def _mesh_of(shape: Element, where: str, folder: Path) -> tuple[trimesh.Trimesh,
 @lru_cache(maxsize=64)
 def _load(path: Path, where: str) -> trimesh.Trimesh:
     try:
-        mesh = trimesh.load(path, force="mesh", skip_materials=True)
-    except (ImportError, NotImplementedError, ValueError, OSError) as error:
+        with path.open("rb") as file:  # a file, not a path: then no texture beside it is read
+            mesh = trimesh.load(
+                file, file_type=path.suffix[1:].lower(), force="mesh", skip_materials=True
+            )
+    except Exception as error:  # the readers of the many formats have no common base of errors
         raise RobotFileError(f"{where}: mesh {path}: it cannot be read: {error}") from None
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.vertices):
         raise RobotFileError(f"{where}: mesh {path}: it has no triangles")

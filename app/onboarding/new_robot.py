@@ -143,11 +143,12 @@ def make_robot(
     tell("reading the URDF")
     parsed = parse(request)
     arm = parsed.arm
-    header = f"Made by dbb new-robot from {request.urdf}; its sources and licences: SOURCES.md"
+    header = f"Made by dbb new-robot from {request.told}; its sources and licences: SOURCES.md"
     urdf = rebased_urdf(
         parsed.tree, arm, parsed.wheels.T_base_floor, parsed.geometry, parsed.inertias,
         name=request.name, folder=parsed.folder, header=header,
     )  # fmt: skip
+    urdf = urdf.replace(f'filename="{folder.resolve()}/', 'filename="')  # the folder will move
     path = folder / "robot.urdf"
     path.write_text(urdf, encoding="utf-8")
     bare = _compiled(_bare(request, parsed, parsed.limits), path)

@@ -20,7 +20,7 @@ def report_html(robot: NewRobot, model: RobotModel, data: BorderData) -> str:
         model: The compiled robot.
         data: Its border.
     """
-    parts = [f"<p class='lead'>Made by dbb new-robot from {escape(robot.request.urdf)}.</p>"]
+    parts = [f"<p class='lead'>Made by dbb new-robot from {escape(robot.request.told)}.</p>"]
     parts += ["<h2>Warnings</h2>", _list(robot.warnings or ["none"])]
     parts += ["<h2>Bodies over meshes, in the ready pose</h2>",
               picture_html("bodies over meshes", bodies_png(robot)), _bodies(robot)]  # fmt: skip

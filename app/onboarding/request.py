@@ -15,7 +15,8 @@ class Request:
     """A robot to be made.
 
     Attributes:
-        urdf: Path or `package://…` address of its URDF or xacro.
+        urdf: Path or `package://…` address of its URDF or xacro, or of a zip with it.
+        file: The URDF's path in a zip, or None if it is the only one there.
         base: Link that moves with the base.
         tip: Link that carries the end-effector.
         out: Folder of the new description; its name is the robot's.
@@ -34,6 +35,7 @@ class Request:
         title, licence: As the description has them, or None.
         seed: Of all random poses.
         d_b: [m] buffer distance.
+        source: What people read as the robot's source where it is not `urdf`, or None.
     """
 
     urdf: str
@@ -56,6 +58,13 @@ class Request:
     licence: str | None = None
     seed: int = 0
     d_b: float = Config().border.d_b
+    file: str | None = None
+    source: str | None = None
+
+    @property
+    def told(self) -> str:
+        """What people read as the robot's source: the URDF, or the zip that it came in."""
+        return self.source or self.urdf
 
     @property
     def name(self) -> str:

@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from app.errors import AssetError, RobotFileError
+from app.onboarding.entities import refuse_entities
 from app.robot.assets import package_roots, resolve_package_uri, share_folders
 
 
@@ -20,7 +21,9 @@ def locate(source: str) -> Path:
     """
     path = resolve_package_uri(source) if source.startswith("package://") else Path(source)
     if not path.is_file():
-        raise RobotFileError(f"{source}: no such file; give a URDF, a xacro or package://PACKAGE/…")
+        raise RobotFileError(
+            f"{source}: no such file; give a URDF, a xacro, a zip or package://PACKAGE/…"
+        )
     return path.resolve()
 
 
@@ -28,12 +31,14 @@ def read_source(path: Path) -> Element:
     """The `<robot>` of a URDF or xacro file.
 
     Raises:
-        RobotFileError: It is not well-formed XML, not a robot, or its macros cannot be expanded.
+        RobotFileError: It is not well-formed XML, declares entities, is not a robot, or its macros
+            cannot be expanded.
     """
-    text = _expanded(path) if path.suffix == ".xacro" else path.read_text(encoding="utf-8")
+    refuse_entities(path.read_bytes(), path)
     try:
+        text = _expanded(path) if path.suffix == ".xacro" else path.read_text(encoding="utf-8")
         robot = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, UnicodeDecodeError) as error:
         raise RobotFileError(f"{path}: not well-formed: {error}") from None
     if robot.tag != "robot":
         raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")

@@ -11,6 +11,7 @@ from pathlib import Path
 from app.errors import OutputError
 from app.onboarding.description_text import description_text
 from app.onboarding.new_robot import NewRobot
+from app.onboarding.package import FOLDER
 from app.robot.description import load_description
 
 
@@ -47,7 +48,7 @@ def write_robot(robot: NewRobot, folder: Path) -> None:
         folder: A temporary one.
     """
     (folder / "robot.urdf").write_text(robot.urdf, encoding="utf-8")
-    title = f"{robot.content['title']}, from {robot.request.urdf}"
+    title = f"{robot.content['title']}, from {robot.request.told}"
     text = description_text(robot.content, title)
     (folder / "robot.toml").write_text(text, encoding="utf-8")
     load_description(folder / "robot.toml")
@@ -57,7 +58,8 @@ def write_robot(robot: NewRobot, folder: Path) -> None:
 def sources_text(robot: NewRobot) -> str:
     """`SOURCES.md`: which files the robot is made of."""
     request, lines = robot.request, []
-    for what, path in (("robot", request.urdf), ("arm", request.arm_urdf)):
+    copied = "No mesh is copied: `robot.urdf` names the files of the installed packages."
+    for what, path in (("robot", request.told), ("arm", request.arm_urdf)):
         if path is not None:
             lines.append(f"- URDF of the {what}: `{path}`")
     meshes = sorted(set(_meshes(robot.urdf)))
@@ -66,14 +68,17 @@ def sources_text(robot: NewRobot) -> str:
     if packages:
         lines.append(f"- Meshes of the installed packages: {', '.join(f'`{p}`' for p in packages)}")
     loose = [mesh for mesh in meshes if not mesh.startswith("package://")]
-    lines += [f"- Mesh by its path on this machine: `{mesh}`" for mesh in loose]
+    lines += [f"- Mesh by its path on this machine: `{mesh}`" for mesh in loose if mesh[0] == "/"]
+    if any(mesh[0] != "/" for mesh in loose):
+        lines.append(f"- Meshes of that package, in the folder `{FOLDER}` beside this file")
+        copied = "Meshes of installed packages are not copied."
     licence = request.licence or (
         "Not stated by `--licence`: look it up in the packages before passing this folder on."
     )
     warnings = "\n".join(f"- {warning}" for warning in robot.warnings) or "- none"
     return (
         f"# Where {robot.content['title']} comes from\n\n" + "\n".join(lines)
-        + f"\n\nNo mesh is copied: `robot.urdf` names the files of the installed packages.\n\n"
+        + f"\n\n{copied}\n\n"
         f"Licence: {licence}\n\n## Warnings of `dbb new-robot`\n\n{warnings}\n"
     )  # fmt: skip
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import re
 import sys
 import sysconfig
@@ -32,10 +33,26 @@ def cache_folder() -> Path:
     return platformdirs.user_cache_path("dbb", appauthor=False)
 
 
+def user_robots() -> Path:
+    """Folder of the user's own robots: `$DBB_ROBOTS`, else `robots` in the user's data folder."""
+    named = os.environ.get("DBB_ROBOTS")
+    return Path(named) if named else platformdirs.user_data_path("dbb", appauthor=False) / "robots"
+
+
 def robot_names() -> list[str]:
-    """Names of the robots that have a description."""
-    found = (path.parent.name for path in ASSETS.glob("*/robot.toml"))
+    """Names of the robots that have a description, those of the user included."""
+    found = {path.parent.name for top in _tops() for path in top.glob("*/robot.toml")}
     return sorted(name for name in found if not name.startswith("."))  # one that is being made
+
+
+def robot_folder(name: str) -> Path:
+    """Folder of a robot's description; of two of the same name, the one that ships."""
+    folders = [top / name for top in _tops()]
+    return next((each for each in folders if (each / "robot.toml").is_file()), folders[0])
+
+
+def _tops() -> tuple[Path, Path]:
+    return ASSETS, user_robots()
 
 
 def load_robot(name: str) -> RobotDescription:
@@ -47,7 +64,7 @@ def load_robot(name: str) -> RobotDescription:
     """
     if name not in robot_names():
         raise UnknownNameError("robot", name, robot_names())
-    return load_description(ASSETS / name / "robot.toml")
+    return load_description(robot_folder(name) / "robot.toml")
 
 
 def urdf_path(description: RobotDescription) -> Path:
@@ -58,7 +75,7 @@ def urdf_path(description: RobotDescription) -> Path:
     """
     if description.urdf.startswith("package://"):
         return resolve_package_uri(description.urdf)
-    path = ASSETS / description.name / description.urdf
+    path = robot_folder(description.name) / description.urdf
     if not path.is_file():
         raise AssetError(f"{description.name}: the URDF {path} does not exist")
     return path

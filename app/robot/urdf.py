@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from xml.etree import ElementTree
 
-from app.errors import DescriptionError
+from app.errors import AssetError, DescriptionError
 from app.robot.assets import resolve_package_uri, urdf_path
 from app.robot.description import RobotDescription
 
@@ -49,10 +50,20 @@ def resolved_urdf(description: RobotDescription) -> str:
     except ElementTree.ParseError as error:
         raise DescriptionError(f"{path}: not well-formed: {error}") from None
     return re.sub(
-        r'filename\s*=\s*"(package://[^"]+)"',
-        lambda match: f'filename="{resolve_package_uri(match[1])}"',
+        r'filename\s*=\s*"([^"/][^"]*)"',
+        lambda match: f'filename="{_mesh(match[1], path.parent)}"',
         text,
     )
+
+
+def _mesh(reference: str, folder: Path) -> Path:
+    """A mesh of an installed package, or one in the URDF's own folder."""
+    if "://" in reference:
+        return resolve_package_uri(reference)
+    path = (folder / reference).resolve()
+    if not path.is_file() or not path.is_relative_to(folder.resolve()):
+        raise AssetError(f"{folder.name}: no mesh {reference!r} in the folder of the URDF")
+    return path
 
 
 def planar_urdf(description: RobotDescription) -> str:

@@ -1,0 +1,212 @@
+"""A robot as a zip: what is taken, and what a stranger's zip cannot do."""
+
+from __future__ import annotations
+
+import re
+import stat
+import struct
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from app.errors import DbbError, RobotFileError
+from app.onboarding import unpack as unpacking
+from app.onboarding.finish import finish
+from app.onboarding.new_robot import parse
+from app.onboarding.package import FOLDER, open_package
+from app.onboarding.request import Request
+from tests.onboarding import arm, cart, cube, joint, robot, with_mesh, zipped
+
+TOY = robot([*cart(), *arm()])
+LAUGHS = (
+    '<!DOCTYPE robot [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;&a;">'
+    '<!ENTITY c "&b;&b;&b;&b;&b;&b;&b;&b;&b;&b;">]>'
+)
+XACRO = '<robot name="x" xmlns:xacro="http://www.ros.org/wiki/xacro">${open("/tmp/x", "w")}</robot>'
+
+
+def special(kind: int) -> zipfile.ZipInfo:
+    info = zipfile.ZipInfo("toy/meshes")
+    info.external_attr = (kind | 0o777) << 16
+    return info
+
+
+def bad_zip(tmp_path: Path, case: str) -> Path:
+    """A zip that is wrong in one way."""
+    files: dict[str, str | bytes] = {"toy/toy.urdf": TOY}
+    path = zipped(tmp_path, files)
+    if case == "no zip":
+        path.write_bytes(b"%PDF-1.7" * 100)
+    elif case == "cut":
+        path.write_bytes(path.read_bytes()[:-40])
+    elif case == "broken":  # its list is whole, what it lists is not
+        content = bytearray(path.read_bytes())
+        content[60:90] = bytes(30)
+        path.write_bytes(content)
+    elif case == "list":  # says that its list has more than it may
+        content = bytearray(path.read_bytes())
+        at = content.rfind(b"PK\x05\x06")
+        struct.pack_into("<H", content, at + 10, 60_000)
+        path.write_bytes(content)
+    elif case in ("link", "device"):
+        with zipfile.ZipFile(path, "a") as archive:
+            archive.writestr(special(stat.S_IFLNK if case == "link" else stat.S_IFCHR), "/etc")
+    elif case == "password":
+        content = bytearray(path.read_bytes())
+        content[content.rfind(b"PK\x01\x02") + 8] |= 1
+        path.write_bytes(content)
+    elif case == "lying bomb":  # megabytes of zeros, of which the list says one byte
+        zipped(tmp_path, {"toy/toy.urdf": bytes(3_000_000)})
+        content = bytearray(path.read_bytes())
+        struct.pack_into("<I", content, content.rfind(b"PK\x01\x02") + 24, 1)
+        path.write_bytes(content)
+    return path
+
+
+WRONG_FILES: dict[str, tuple[dict[str, str | bytes], str]] = {
+    "..": ({"../toy.urdf": TOY}, "leads out of the zip"),
+    ".. inside": ({"toy/../../toy.urdf": TOY}, "leads out of the zip"),
+    "absolute": ({"/tmp/toy.urdf": TOY}, "an absolute path"),
+    "drive": ({"C:/toy.urdf": TOY}, "a path of Windows"),
+    "backslash": ({"..\\toy.urdf": TOY}, "a path of Windows"),
+    "control": ({"toy/a\nb.urdf": TOY}, "no name of a file"),
+    "long name": ({"a" * 300 + ".urdf": TOY}, "no name of a file"),
+    "bomb": ({"toy.urdf": TOY, "m.stl": bytes(2_000_000)}, "expands to 2 MB; at most 1 MB"),
+    "many": ({f"{i}.urdf": "" for i in range(30)}, "a list of 30 files"),
+    "file and folder": ({"toy.urdf": TOY, "a.stl": b"", "a.stl/b.stl": b""}, "not a zip that can"),
+    "nothing": ({"readme.txt": "hello"}, "no .urdf in it"),
+    "two": ({"a.urdf": TOY, "b.urdf": TOY}, "name one by --file: a.urdf, b.urdf"),
+    "xacro": ({"a.urdf.xacro": XACRO}, "a xacro can hold Python"),
+    "laughs": ({"toy.urdf": TOY.replace("<robot", LAUGHS + "<robot")}, "the XML entity 'a'"),
+    "file entity": (
+        {"toy.urdf": TOY.replace("<robot", '<!DOCTYPE r [<!ENTITY p SYSTEM "file:///etc/passwd">]>'
+                                 "<robot")},
+        "the XML entity 'p'",
+    ),
+    "laughing mesh": (
+        {"toy.urdf": with_mesh(TOY, "m.dae"), "m.dae": LAUGHS + "<COLLADA/>"}, "m.dae: it declares"
+    ),
+    "mesh outside": ({"u/toy.urdf": with_mesh(TOY, "../../m.stl")}, "outside of the package"),
+    "mesh of the machine": ({"toy.urdf": with_mesh(TOY, "/etc/passwd")}, "outside of the package"),
+    "mesh by file": ({"toy.urdf": with_mesh(TOY, "file:///etc/passwd")}, "outside of the package"),
+    "mesh of a package": (
+        {"toy.urdf": with_mesh(TOY, "package://pybullet_data/a.stl")}, "no such file in the zip"
+    ),
+    "mesh of the net": ({"toy.urdf": with_mesh(TOY, "http://a.b/m.stl")}, "outside of the package"),
+    "mesh missing": ({"toy.urdf": with_mesh(TOY, "meshes/m.stl")}, "no such file in the zip"),
+    "mesh no mesh": ({"toy.urdf": with_mesh(TOY, "m.stl"), "m.stl": b"solid"}, "m.stl"),
+}  # fmt: skip
+
+
+BAD_URDFS = {
+    "no inertia": (re.sub(r"<inertial>.*?</inertial>", "", TOY), "--assume-inertia"),
+    "mesh missing": (with_mesh(TOY, "meshes/none.stl"), "mesh meshes/none.stl: there is no"),
+    "joint twice": (TOY.replace('<joint name="elbow"', '<joint name="lift"'),
+                    "the joint 'lift' stands 2 times"),
+    "square wheel": (robot([*cart(wheel='<box size="0.2 0.05 0.1"/>', wheel_rpy="0 0 0"), *arm()]),
+                     "left_axle is no wheel"),
+    "millimetres": (TOY.replace('size="0.08 0.12 0.08"', 'size="80 120 80"'), "millimetres"),
+    "millimetres between": (TOY.replace('xyz="0.15 0 0.1"', 'xyz="150 0 100"'), "millimetres"),
+    "two parents": (robot([*cart(), *arm(), joint("rod", "revolute", "fore", "shoulder")]),
+                    "closed chain"),
+    "a ring": (robot([*cart(), *arm(), joint("ring", "fixed", "hand", "base")]), "closed chain"),
+    "no number": (TOY.replace('xyz="0.15 0 0.1"', 'xyz="0.15 nan 0.1"'), "should be 3 numbers"),
+    "not XML": (TOY[:-20], "not well-formed"),
+    "another format": ("<sdf/>", "a URDF's is <robot>"),
+    "laughs": (TOY.replace("<robot", LAUGHS + "<robot"), "the XML entity 'a'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD_URDFS)
+def test_a_bad_urdf_is_refused_alike_by_itself_and_in_a_zip(case: str, tmp_path: Path) -> None:
+    text, why = BAD_URDFS[case]
+    assert text != TOY
+    path = zipped(tmp_path, {"toy.urdf": text})
+    assert why in refused(tmp_path, path)
+    path.unlink()
+    (tmp_path / "toy.urdf").write_text(text, encoding="utf-8")
+    with pytest.raises(DbbError) as caught:
+        finish(Request(str(tmp_path / "toy.urdf"), base="base", tip="hand", out=tmp_path / "made"))
+    assert why in str(caught.value)
+    assert [p.name for p in tmp_path.iterdir()] == ["toy.urdf"]
+
+
+def refused(tmp_path: Path, archive: Path) -> str:
+    """The message with which a zip is refused; nothing is left behind, in no place."""
+    with pytest.raises(DbbError) as caught:
+        finish(Request(urdf=str(archive), base="base", tip="hand", out=tmp_path / "made"))
+    assert [p.name for p in tmp_path.iterdir()] == ["toy.zip"]
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("case", WRONG_FILES)
+def test_a_zip_with_wrong_files_is_refused_and_leaves_nothing(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files, why = WRONG_FILES[case]
+    monkeypatch.setattr(unpacking, "LARGEST_CONTENT", 1_000_000)
+    monkeypatch.setattr(unpacking, "MOST_FILES", 20)
+    inner = tmp_path / "inner"  # where a path that leads out would be seen
+    inner.mkdir()
+    assert why in refused(inner, zipped(inner, files))
+    assert [p.name for p in tmp_path.iterdir()] == ["inner"]
+
+
+@pytest.mark.parametrize(
+    ("case", "why"),
+    [
+        ("no zip", "not a zip"),
+        ("cut", "not a zip"),
+        ("broken", "not a zip that can be read"),
+        ("list", "a list of 60000 files"),
+        ("link", "a link or a device"),
+        ("device", "a link or a device"),
+        ("password", "locked by a password"),
+        ("lying bomb", "not a zip that can be read"),
+    ],
+)
+def test_a_zip_that_is_none_or_lies_is_refused(case: str, why: str, tmp_path: Path) -> None:
+    assert why in refused(tmp_path, bad_zip(tmp_path, case))
+
+
+def test_a_zip_that_is_too_large_is_not_even_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = zipped(tmp_path, {"toy.urdf": TOY})
+    monkeypatch.setattr(unpacking, "LARGEST_ARCHIVE", path.stat().st_size - 1)
+    assert "a zip may have" in refused(tmp_path, path)
+
+
+@pytest.mark.parametrize(
+    ("urdf", "mesh", "reference"),
+    [
+        ("toy.urdf", "meshes/m.stl", "meshes/m.stl"),
+        ("toy/urdf/toy.urdf", "toy/meshes/m.stl", "../meshes/m.stl"),
+        ("toy/urdf/toy.urdf", "toy/meshes/m.stl", "package://toy/meshes/m.stl"),
+        ("ws/src/toy/toy.urdf", "ws/src/other/m.stl", "package://other/m.stl"),
+        ("urdf/toy.urdf", "meshes/m.stl", "package://whatever/meshes/m.stl"),
+    ],
+)
+def test_a_package_is_the_robot_of_its_urdf_wherever_its_meshes_lie(
+    urdf: str, mesh: str, reference: str, tmp_path: Path
+) -> None:
+    """Also where the zip was made inside of the package's folder, so that its name is lost."""
+    path = zipped(
+        tmp_path, {urdf: with_mesh(TOY, reference), mesh: cube(), "setup.py": "raise SystemExit"}
+    )
+    found = open_package(path, tmp_path / "made")
+    parsed = parse(Request(urdf=str(found), base="base", tip="hand", out=tmp_path / "toy"))
+    assert parsed.geometry["hand"].volume == pytest.approx(0.08 * 0.12 * 0.08, rel=1e-5)
+    assert not list(tmp_path.rglob("setup.py"))
+
+
+def test_the_urdf_that_is_asked_for_is_taken(tmp_path: Path) -> None:
+    path = zipped(tmp_path, {"a.urdf": TOY, "b/b.urdf": TOY.replace('name="toy"', 'name="b"')})
+    found = open_package(path, tmp_path / "made", "b/b.urdf")
+    assert found.relative_to(tmp_path / "made" / FOLDER) == Path("b/b.urdf")
+    with pytest.raises(
+        RobotFileError, match=r"no URDF 'c\.urdf' in it; there are: a\.urdf, b/b\.urdf"
+    ):
+        open_package(path, tmp_path / "other", "c.urdf")
