@@ -52,15 +52,33 @@ def _explain(
     model: type[BaseModel],
     wanted: Callable[[tuple[int | str, ...], str], str | None],
 ) -> str:
-    path = _path(problem["loc"])
+    path = _path(_without_kinds(model, problem["loc"]))
     if problem["type"] == "missing":
         return f"{path}: missing"
+    if problem["type"] in ("union_tag_invalid", "union_tag_not_found"):
+        told = problem.get("ctx", {})
+        name = str(told["discriminator"]).strip("'")
+        given = repr(told["tag"]) if "tag" in told else "missing"
+        return f"{path}.{name}: {_one_of(model, problem, name)} (was {given})"
     if problem["type"] == "extra_forbidden":
         names = _siblings(model, problem["loc"])
         hint = did_you_mean(str(problem["loc"][-1]), names)
         return f"{path}: unknown field{hint}; known: {', '.join(sorted(names))}"
     right = wanted(problem["loc"], problem["type"]) or problem["msg"]
     return f"{path}: {right} (was {_short(problem['input'])})"
+
+
+def _one_of(model: type[BaseModel], problem: ErrorDetails, name: str) -> str:
+    """The values that tell the records of a union apart."""
+    told = problem.get("ctx", {}).get("expected_tags")
+    if told is None:
+        records = _records_at(model, problem["loc"])
+        told = ", ".join(
+            repr(tag)
+            for r in records
+            for tag in getattr(r.model_fields[name].annotation, "__args__", ())
+        )
+    return f"one of {told}"
 
 
 def _path(loc: tuple[int | str, ...]) -> str:
@@ -80,8 +98,13 @@ def _cut(text: str) -> str:
 
 def _siblings(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
     """Field names of the record in which the last part of `loc` stands."""
+    return sorted({name for c in _records_at(model, loc[:-1]) for name in c.model_fields})
+
+
+def _records_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[type[BaseModel]]:
+    """The records that may stand at a place."""
     candidates: list[type[BaseModel]] = [model]
-    for part in loc[:-1]:
+    for part in loc:
         annotations = [
             c.model_fields[part].annotation for c in candidates if part in c.model_fields
         ]
@@ -90,12 +113,24 @@ def _siblings(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
         elif isinstance(part, str):  # the tag of a union: keep the record that carries it
             tagged = [c for c in candidates if part in _tags(c)]
             candidates = tagged or candidates
-    return sorted({name for c in candidates for name in c.model_fields})
+    return candidates
 
 
-def _tags(model: type[BaseModel]) -> tuple[object, ...]:
-    field = model.model_fields.get("type")
-    return getattr(field.annotation, "__args__", ()) if field else ()
+def _without_kinds(model: type[BaseModel], loc: tuple[int | str, ...]) -> tuple[int | str, ...]:
+    """A place without the parts that are values of a field `kind`, not names of fields."""
+    return tuple(
+        part
+        for i, part in enumerate(loc)
+        if not any(
+            part not in c.model_fields and part in _tags(c, ("kind",))
+            for c in _records_at(model, loc[:i])
+        )
+    )
+
+
+def _tags(model: type[BaseModel], names: tuple[str, ...] = ("type", "kind")) -> tuple[object, ...]:
+    fields = (model.model_fields.get(name) for name in names)
+    return tuple(tag for f in fields if f for tag in getattr(f.annotation, "__args__", ()))
 
 
 def _records_in(annotation: object) -> list[type[BaseModel]]:

@@ -105,7 +105,7 @@ def test_the_desired_acceleration_jumps_twenty_times_less_than_with_the_points(
             n = np.array([0.0, np.sign(p_b[1]), 0.0])
             f = avoidance_force(p_b, acting.p_act, d, n, f_max=FORCE.f_max, d_b=D_B)
             forces = [PairForce(f, acting.p_act)]
-            accelerations.append(generate_mob_acc(forces, m=base.mass_kg, I=base.inertia_kgm2))
+            accelerations.append(generate_mob_acc(forces, base))
         largest[shape] = largest_step(np.array(accelerations))
     assert largest[BorderSurface] * 20.0 < largest[BorderPoints]
 

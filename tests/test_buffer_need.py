@@ -16,7 +16,7 @@ from app.control.admittance import AdmittanceLaw
 from app.control.buffer_need import RESERVE, Approach, buffer_need, least_distance
 from app.control.buffer_watch import BufferReading, BufferWatch, approach_of, buffer_warning
 from app.control.drive import Drive
-from app.robot.description import BaseDescription
+from app.robot.bases.kind import BaseKind
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 
@@ -27,7 +27,7 @@ DT = 0.001  # [s]
 
 
 @pytest.fixture(scope="module")
-def base(robot: RobotModel) -> BaseDescription:
+def base(robot: RobotModel) -> BaseKind:
     return robot.description.base
 
 
@@ -101,7 +101,7 @@ def test_the_need_is_where_the_least_distance_is_the_reserve(base):
         assert near[0] < RESERVE <= near[1] < RESERVE + 0.01
 
 
-def simulated(v: float, d_b: float, base: BaseDescription, config: Config) -> float:
+def simulated(v: float, d_b: float, base: BaseKind, config: Config) -> float:
     """[m] least distance of a hand that comes from straight ahead at v, step by step.
 
     The base's own admittance law and drive, and a queue for the delay; only the law's force is

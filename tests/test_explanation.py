@@ -223,7 +223,9 @@ def test_rows_that_contradict_each_other_give_up_half_of_their_difference_each(r
     arm = ArmSolve(above, stack, limits, solution, np.zeros(7))
     inserted = output.inserted._replace(rows_m=None, rows_arm=(), rows_links=tuple(rows))
     output = output._replace(inserted=inserted)
-    links, free = level_readings(output, Workings(np.zeros(2), np.zeros(2), arm))
+    links, free = level_readings(
+        robot.description.base, output, Workings(np.zeros(2), np.zeros(2), arm)
+    )
     assert links == ("links", pytest.approx(np.sqrt(2.0) * gap / 2.0, abs=1e-7), None)
     assert free.angular == pytest.approx(1.0 + gap / 2.0, abs=1e-7)
 

@@ -9,8 +9,13 @@ from app.avoidance.mobile_acceleration import (
     generate_mob_acc,
     resultant_force,
 )
-from app.border.score import control_point_jacobian
-from app.robot.model import mobile_jacobian
+from app.robot.bases.differential import (
+    control_point_jacobian,
+    free_acceleration,
+    mobile_jacobian,
+)
+from app.robot.bases.kind import BaseForce
+from tests.robots import husky_panda
 
 SIDE = np.array([0.0, 1.0, 0.0])
 
@@ -51,7 +56,10 @@ def test_the_accelerations_do_the_same_work_as_the_forces() -> None:
     rng = np.random.default_rng(0)
     m, inertia, r, b = 60.0, 8.0, 0.165, 0.51
     forces = [PairForce(np.append(rng.normal(size=2), 0.0), rng.normal(size=3)) for _ in range(3)]
-    v_dot, w_dot = generate_mob_acc(forces, m=m, I=inertia)
+    base = husky_panda().description.base.model_copy(
+        update={"mass_kg": m, "inertia_kgm2": inertia, "wheel_radius_m": r, "half_track_m": b}
+    )
+    v_dot, w_dot = generate_mob_acc(forces, base)
     for wheels in np.eye(2):
         v, w = mobile_jacobian(r, b) @ wheels
         power = sum(
@@ -64,7 +72,13 @@ def test_the_resultant_is_the_sum() -> None:
     forces = [PairForce(np.array([1.0, 2.0, 0.0]), np.zeros(3))] * 3
     np.testing.assert_allclose(resultant_force(forces), [3.0, 6.0, 0.0])
     np.testing.assert_array_equal(resultant_force([]), np.zeros(3))
-    np.testing.assert_array_equal(generate_mob_acc([], m=1.0, I=1.0), np.zeros(2))
+    np.testing.assert_array_equal(generate_mob_acc([], husky_panda().description.base), np.zeros(2))
+
+
+def test_17_18_a_force_accelerates_along_x_and_its_torque_about_the_centre() -> None:
+    np.testing.assert_allclose(
+        free_acceleration(BaseForce(6.0, 99.0, 4.0), m=3.0, I=8.0), [2.0, 0.5]
+    )
 
 
 def test_J_m_agrees_with_the_control_points_jacobian_and_has_full_rank() -> None:

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import pytest
 
 import app
+from app.robot.bases.differential import DifferentialBase
 from app.robot.description import (
     ArmDescription,
-    BaseDescription,
     BodyDescription,
     LinePlace,
     ReachabilityDescription,
@@ -128,7 +128,7 @@ def test_every_file_that_the_readme_names_exists() -> None:
     ("heading", "record"),
     [
         ("top", RobotDescription),
-        ("`[base]`", BaseDescription),
+        ("`[base]`", DifferentialBase),
         ("`[arm]`", ArmDescription),
         ("`[[bodies]]`", BodyDescription),
         ("`[reachability.BODY]`", ReachabilityDescription),

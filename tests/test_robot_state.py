@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app.robot.model import mobile_jacobian
+from app.robot.bases.differential import mobile_jacobian
 from app.robot.state import Measurement, RobotState
 from tests.finite_differences import derivative, jacobian
 from tests.robots import husky_panda, random_measurement, random_state

@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.border.score import (
-    ScoreField,
+from app.border.score import ScoreField, reachability, score
+from app.errors import DescriptionError
+from app.robot.bases.differential import (
     control_point_jacobian,
-    reachability,
-    score,
+    mobile_jacobian,
     singularity_measure,
 )
-from app.errors import DescriptionError
-from app.robot.model import mobile_jacobian
 from tests.finite_differences import jacobian
 from tests.robots import husky_panda
 
@@ -138,12 +136,11 @@ def test_score_and_gradient_at_one_point_are_those_of_many(field):
 
 
 def test_the_field_holds_the_papers_numbers(field):
-    assert (field.r, field.b) == (0.165, 0.51)
+    base = husky_panda().description.base
+    assert field.base == base
     assert (field.A, field.B, field.C) == (525.9, 0.575, 100.0)
     p = points(10)
-    np.testing.assert_allclose(
-        field.score(p), score(p, R, B_TRACK, field.p_base, **REACH), rtol=1e-14
-    )
+    np.testing.assert_allclose(field.score(p), score(p, base, field.p_base, **REACH), rtol=1e-14)
 
 
 def test_a_body_without_coefficients_is_named():

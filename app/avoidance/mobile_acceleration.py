@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from app.robot.bases.kind import BaseForce, BaseKind
+
 Array = np.ndarray
 
 
@@ -63,26 +65,23 @@ def resultant_force(forces: Iterable[PairForce]) -> Array:
     return sum((force.f for force in forces), np.zeros(3))
 
 
-def generate_mob_acc(forces: Iterable[PairForce], *, m: float, I: float) -> Array:
-    """ẍ_m = (v̇_d, ω̇_d): what the forces do to a base of mass m and inertia I that cannot slip.
+def generate_mob_acc(forces: Iterable[PairForce], base: BaseKind) -> Array:
+    """ẍ_m: what the forces do to the base as it can move, with its frame's origin as the centre.
 
-    m v̇_d = f_m · e_x and I ω̇_d = Σ (p_act,i × f_m,i) · e_z, with the base's centre as the origin.
-
-    Paper: Eq. (16), (17), (18).
+    Paper: Eq. (16).
 
     Args:
         forces: Force and acting point of each pair of L_m, in the base's frame.
-        m: [kg] mass of the base.
-        I: [kg m²] moment of inertia of the base.
+        base: The base.
 
     Returns:
-        (2,) v̇_d [m/s²] and ω̇_d [rad/s²].
+        (n_b,) [m/s² or rad/s²] along the base's axes.
     """
     forces = tuple(forces)
     if not forces:
-        return np.zeros(2)
+        return np.zeros(base.n_b)
     f_m, torque = resultant_force(forces), 0.0
     for f, p_act in forces:
         (f_x, f_y, _), (x, y, _) = f.tolist(), p_act.tolist()
         torque += x * f_y - y * f_x
-    return np.array([f_m[0] / m, torque / I])
+    return base.acceleration(BaseForce(float(f_m[0]), float(f_m[1]), torque))

@@ -27,7 +27,7 @@ def generate_rep_force_acc(
     """
     joint = state.model.body_joint(closest.pair.b)
     J = state.point_jacobian(joint, closest.p_b)
-    J[:, :2] = 0.0
+    J[:, : state.model.n_b] = 0.0
     velocity = J @ state.qd  # relative to the base
     return TaskRows(
         J,

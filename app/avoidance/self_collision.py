@@ -59,7 +59,7 @@ class Avoidance(NamedTuple):
     Attributes:
         pairs: All pairs, those of L_m first.
         n_mobile: How many of them are of L_m.
-        xdd_m: (2,) v̇_d [m/s²] and ω̇_d [rad/s²] of (16), not yet multiplied by β_m.
+        xdd_m: (n_b,) [m/s² or rad/s²] of (16), v̇_d and ω̇_d, not yet multiplied by β_m.
         beta_m: [-] activation of the base's rows, (28).
         rows_m: The base's rows, or None while β_m = 0.
         rows_arm: The arm's active rows against the base, from above or as the last resort.
@@ -122,7 +122,7 @@ class SelfCollisionAvoidance:
         others = [PairState(c, self._beta(c.d), None, np.zeros(3)) for c in closest[n_mobile:]]
         base = self._state.model.description.base
         forces = [PairForce(p.f, p.acting.p_act) for p in mobile if p.acting is not None]
-        xdd_m = generate_mob_acc(forces, m=base.mass_kg, I=base.inertia_kgm2)
+        xdd_m = generate_mob_acc(forces, base)
         beta_m = mobile_activation([p.beta for p in mobile])
         rows_m = None
         if beta_m > 0.0:

@@ -36,13 +36,14 @@ class TaskRows(NamedTuple):
 
 
 def mobile_rows(J_m: Array, n: int, xdd_m: Array, beta_m: float) -> TaskRows:
-    """The two rows of the base, [J_m O] q̈ = ẍ_m; J̇_m = 0.
+    """The rows of the base, one an axis, [J_m O] q̈ = ẍ_m; J̇_m = 0.
 
     Paper: Eq. (16), (19).
     """
-    J = np.zeros((2, n))
-    J[:, :2] = J_m
-    return TaskRows(J, np.zeros(2), np.asarray(xdd_m, dtype=float), beta_m)
+    n_b = len(J_m)
+    J = np.zeros((n_b, n))
+    J[:, :n_b] = J_m
+    return TaskRows(J, np.zeros(n_b), np.asarray(xdd_m, dtype=float), beta_m)
 
 
 def repulsive_rows(row: RepulsiveRow, beta: float) -> TaskRows:
@@ -56,8 +57,8 @@ def generate_avoidance_task(rows: Sequence[TaskRows]) -> tuple[Array, Array, Arr
     Paper: Eq. (22), (23), (24), (25), (27).
 
     Returns:
-        ẍ_sca - J̇_sca q̇ (2 + k,), J_sca (2 + k, n), and the diagonal of B (2 + k,),
-        in which the two rows of the base share β_m.
+        ẍ_sca - J̇_sca q̇ (n_b + k,), J_sca (n_b + k, n), and the diagonal of B (n_b + k,),
+        in which the rows of the base share β_m.
     """
     return (
         np.concatenate([r.b for r in rows]),

@@ -37,7 +37,8 @@ class Floor:
         self._joints = [model.body_joint(body) for body in sorted(bodies)]
         self._axes = pin.LOCAL_WORLD_ALIGNED
         n, limits = model.n, 2 * model.n
-        self.sizes = ((n + 2, 2, limits), (n + 6, 2 + 6, limits), (n, 2 + 6, limits))
+        b = model.n_b
+        self.sizes = ((n + b, b, limits), (n + 6, b + 6, limits), (n, b + 6, limits))
         rng = np.random.default_rng(seed)
         self._qps = [_make_qp(*size, rng) for size in self.sizes]
         self._gradients = [

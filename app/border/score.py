@@ -12,49 +12,13 @@ import numpy as np
 
 from app.compiled import compiled
 from app.errors import DescriptionError
+from app.robot.bases.kind import BaseKind
 from app.robot.model import RobotModel
 
 Array = np.ndarray
 
 FLOOR = 0.05
 """[-] share of C below which the reachability of (9) is bent to stay positive."""
-
-
-def control_point_jacobian(x: float, y: float, phi: float, r: float, b: float) -> Array:
-    """J_c, from the wheels' speeds to the velocity of the control point, ṗ_c = J_c q̇_b.
-
-    Paper: Eq. (5), (6).
-
-    Args:
-        x: [m] from the base's centre to the control point, along the world's x axis.
-        y: [m] the same along the world's y axis.
-        phi: [rad] heading of the base.
-        r: [m] radius of the wheels.
-        b: [m] distance between a wheel and the base's centre.
-
-    Returns:
-        (2, 2) [m/rad], columns right and left wheel.
-    """
-    c = r / (2 * b)
-    cos, sin = np.cos(phi), np.sin(phi)
-    return c * np.array([[b * cos - y, b * cos + y], [b * sin + x, b * sin - x]])
-
-
-def singularity_measure(p: Array, r: float, b: float) -> Array:
-    """det(J_c J_cᵀ) at q_c = (x, y, 0): zero on the wheels' axis.
-
-    Paper: Eq. (7), (8).
-
-    Args:
-        p: (…, 3) [m] points in the base's frame.
-        r: [m] radius of the wheels.
-        b: [m] distance between a wheel and the base's centre.
-
-    Returns:
-        (…) [m⁴/rad⁴].
-    """
-    c = r / (2 * b)
-    return 4 * b**2 * c**4 * np.asarray(p)[..., 0] ** 2
 
 
 def reachability(p: Array, p_base: Array, A: float, B: float, C: float) -> Array:
@@ -79,45 +43,42 @@ def reachability(p: Array, p_base: Array, A: float, B: float, C: float) -> Array
     return _bend(C - A * (rho - B) ** 2, FLOOR * C)[0]
 
 
-def score(p: Array, r: float, b: float, p_base: Array, A: float, B: float, C: float) -> Array:
-    """S, positive in front of the wheels' axis and negative behind it.
+def score(p: Array, base: BaseKind, p_base: Array, A: float, B: float, C: float) -> Array:
+    """S, positive where the base moves the point well; for the paper's base in front of the axis.
 
     Paper: Eq. (10).
     Paper: Eq. (11).
 
-    Args and units as `singularity_measure` and `reachability`.
+    Args:
+        p: (…, 3) [m] points in the base's frame.
+        base: What stands in for the determinant of (7), with its sign.
+        p_base: As `reachability`.
+        A: As `reachability`.
+        B: As `reachability`.
+        C: As `reachability`.
 
     Returns:
-        (…) [m⁴/rad⁴].
+        (…) [unit of the base's measure; m⁴/rad⁴ of a differential one].
     """
-    return (
-        _sign(np.asarray(p)[..., 0])
-        * singularity_measure(p, r, b)
-        * reachability(p, p_base, A, B, C)
-    )
+    return base.singularity(p)[0] * reachability(p, p_base, A, B, C)
 
 
-def score_gradient(
-    p: Array, r: float, b: float, p_base: Array, A: float, B: float, C: float
-) -> Array:
-    """∇S, the gradient of (10) by the point; zero on the wheels' axis.
+def score_gradient(p: Array, base: BaseKind, p_base: Array, A: float, B: float, C: float) -> Array:
+    """∇S, the gradient of (10) by the point; zero on the axis of a differential base's wheels.
 
-    Args and units as `score`.
+    Args as `score`.
 
     Returns:
-        (…, 3) [m³/rad⁴].
+        (…, 3) [unit of the score per metre].
     """
     p = np.asarray(p, dtype=float)
-    x = p[..., 0]
     out = p - p_base
     rho = np.linalg.norm(out, axis=-1)
     R, slope = _bend(C - A * (rho - B) ** 2, FLOOR * C)
     # At the mount itself the distance has no direction; out = 0 there makes the term vanish.
     along = -2 * A * (rho - B) * slope / np.where(rho > 0, rho, 1.0)
-    signed = _sign(x) * singularity_measure(p, r, b)
-    gradient = (signed * along)[..., None] * out
-    gradient[..., 0] += 8 * b**2 * (r / (2 * b)) ** 4 * np.abs(x) * R
-    return gradient
+    signed, by_point = base.singularity(p)
+    return (signed * along)[..., None] * out + by_point * R[..., None]
 
 
 @compiled("f8[::1](f8[:])")
@@ -132,11 +93,11 @@ def uphill(gradient: Array) -> Array:
     return direction
 
 
-@compiled("Tuple((f8, f8[::1]))(f8[:], f8, f8, f8[:], f8, f8, f8)")
+@compiled("Tuple((f8, f8[::1]))(f8[:], UniTuple(f8, 3), f8[:], f8, f8, f8)")
 def _score_at(
-    p: Array, r: float, b: float, p_base: Array, A: float, B: float, C: float
+    p: Array, measure: tuple[float, float, float], p_base: Array, A: float, B: float, C: float
 ) -> tuple[float, Array]:
-    """`score` and `score_gradient` of one point (3,) together."""
+    """`score` and `score_gradient` of one point (3,) together, from the base's measure there."""
     gradient = np.empty(3)
     gradient[:] = p[0] - p_base[0], p[1] - p_base[1], p[2] - p_base[2]
     rho = math.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
@@ -145,11 +106,10 @@ def _score_at(
     if R < R_1:  # bent as in `reachability`
         low = R_1 / (2 * R_1 - R)
         R, slope = R_1 * low, low**2
-    per_x = 4 * b**2 * (r / (2 * b)) ** 4  # det(J_c J_cᵀ) = per_x x²
-    x = p[0]
-    signed = per_x * x * abs(x)
+    signed, by_x, by_y = measure
     gradient *= signed * (-2 * A * (rho - B) * slope / rho if rho > 0.0 else 0.0)
-    gradient[0] += 2 * per_x * abs(x) * R
+    gradient[0] += by_x * R
+    gradient[1] += by_y * R
     return signed * R, gradient
 
 
@@ -158,13 +118,12 @@ class ScoreField:
     """The score for one robot and one of its bodies.
 
     Attributes:
-        r, b: [m] of (6).
+        base: What stands in for the determinant of (7).
         p_base: (3,) [m] of (9).
         A: [1/m²], B: [m], C: [-] of (9).
     """
 
-    r: float
-    b: float
+    base: BaseKind
     p_base: Array
     A: float
     B: float
@@ -183,14 +142,11 @@ class ScoreField:
                 f"{model.description.name}/robot.toml: reachability.{body}: missing; "
                 "the body can meet the mobile robot"
             )
-        return cls(
-            base.wheel_radius_m, base.half_track_m, model.p_base(),
-            reach.A_per_m2, reach.B_m, reach.C,
-        )  # fmt: skip
+        return cls(base, model.p_base(), reach.A_per_m2, reach.B_m, reach.C)
 
     def singularity(self, p: Array) -> Array:
-        """(…) det(J_c J_cᵀ) of (7) at points (…, 3)."""
-        return singularity_measure(p, self.r, self.b)
+        """(…) det(J_c J_cᵀ) of (7), or what stands in for it, at points (…, 3); without a sign."""
+        return np.abs(self.base.singularity(p)[0])
 
     def reachability(self, p: Array) -> Array:
         """(…) R of (9) at points (…, 3)."""
@@ -198,23 +154,19 @@ class ScoreField:
 
     def score(self, p: Array) -> Array:
         """(…) S of (10) at points (…, 3)."""
-        return score(p, self.r, self.b, self.p_base, self.A, self.B, self.C)
+        return score(p, self.base, self.p_base, self.A, self.B, self.C)
 
     def gradient(self, p: Array) -> Array:
         """(…, 3) ∇S at points (…, 3)."""
-        return score_gradient(p, self.r, self.b, self.p_base, self.A, self.B, self.C)
+        return score_gradient(p, self.base, self.p_base, self.A, self.B, self.C)
 
     def at_point(self, p: Array) -> tuple[float, Array]:
         """S and ∇S (3,) at one point (3,): `score` and `gradient` together, at little cost."""
-        return _score_at(p, self.r, self.b, self.p_base, self.A, self.B, self.C)
+        return _score_at(p, self.base.singularity_at(p), self.p_base, self.A, self.B, self.C)
 
     def direction(self, p: Array) -> Array:
         """(3,) ∇S/‖∇S‖ at a point (3,); on the wheels' axis its limit from both sides, e_x."""
         return uphill(self.gradient(p))
-
-
-def _sign(x: Array) -> Array:
-    return np.where(x >= 0, 1.0, -1.0)
 
 
 def _bend(R: Array, R_1: float) -> tuple[Array, Array]:

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from app.config import Config
+from app.control.admittance import largest_command
 from app.control.controller import ControlOutput
 from app.control.hqp import Limits
 from app.control.limits import position_bounds, velocity_bounds
@@ -60,10 +61,14 @@ def active_bounds(
             bounds.append(Bound(joints[i], "torque", upper))
         elif i < 2 * n_m:
             bounds.append(Bound(joints[i - n_m], _joint_kind(state, config, i - n_m, upper), upper))
-        elif i >= 2 * n_m + 2:
-            pair = output.avoidance.pairs[i - 2 * n_m - 2].closest.pair
+        elif i >= 2 * n_m + state.model.n_b:
+            pair = output.avoidance.pairs[i - 2 * n_m - state.model.n_b].closest.pair
             bounds.append(Bound(pair.name, "barrier", upper))
-    return [*bounds, *_rate_bounds(joints, output, workings), *_base_bounds(output, workings)]
+    return [
+        *bounds,
+        *_rate_bounds(joints, output, workings),
+        *_base_bounds(state.model, output, workings),
+    ]
 
 
 def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list[Bound]:
@@ -72,14 +77,13 @@ def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list
     Args:
         model: The robot.
         config: v_max and ω_max.
-        command: (2,) v [m/s] and ω [rad/s].
+        command: (n_b,) [m/s or rad/s].
     """
-    law = config.admittance
-    largest = np.minimum(model.description.base.max_velocity, [law.v_max, law.omega_max])
-    kinds: tuple[BoundKind, BoundKind] = ("speed", "turning speed")
+    base = model.description.base
+    largest = largest_command(base, config.admittance)
     return [
-        Bound("base", kind, bool(value > 0))
-        for kind, value, most in zip(kinds, command, largest, strict=True)
+        Bound("base", "turning speed" if axis.angular else "speed", bool(value > 0))
+        for axis, value, most in zip(base.axes, command, largest, strict=True)
         if abs(value) >= most - 1e-9
     ]
 
@@ -107,12 +111,11 @@ def _rate_bounds(joints: tuple[str, ...], output: ControlOutput, workings: Worki
     ]
 
 
-def _base_bounds(output: ControlOutput, workings: Workings) -> list[Bound]:
+def _base_bounds(model: RobotModel, output: ControlOutput, workings: Workings) -> list[Bound]:
     """Whether the base was asked for more acceleration than it is allowed."""
     missing = workings.base_wanted - output.base_acceleration
-    kinds: tuple[BoundKind, BoundKind] = ("acceleration", "angular acceleration")
     return [
-        Bound("base", kind, bool(m > 0))
-        for kind, m in zip(kinds, missing, strict=True)
+        Bound("base", "angular acceleration" if axis.angular else "acceleration", bool(m > 0))
+        for axis, m in zip(model.description.base.axes, missing, strict=True)
         if abs(m) > TOLERANCE
     ]

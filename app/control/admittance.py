@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from app.config import AdmittanceConfig
-from app.robot.description import BaseDescription
+from app.robot.bases.kind import BaseKind
 
 Array = np.ndarray
 
@@ -18,30 +18,30 @@ class AdmittanceLaw:
     that nothing that the 1 kHz controller asks is lost between two commands.
 
     Attributes:
-        command: (2,) v [m/s] and ω [rad/s], as last sent.
+        command: (n_b,) [m/s or rad/s] along the base's axes, as last sent.
     """
 
-    def __init__(self, base: BaseDescription, config: AdmittanceConfig) -> None:
-        self._v_max = np.array(base.max_velocity)
+    def __init__(self, base: BaseKind, config: AdmittanceConfig) -> None:
+        self._base = base
         self._a_max = np.array(base.max_acceleration)
         self.config = config
         self.reset()
 
     def reset(self) -> None:
         """Command rest and forget what was asked."""
-        self.command = np.zeros(2)
-        self._sum = np.zeros(2)
+        self.command = np.zeros(self._base.n_b)
+        self._sum = np.zeros(self._base.n_b)
         self._time = 0.0
 
     def update(self, acceleration: Array, dt: float) -> Array:
         """Take the desired acceleration of one control step; renew the command when it is due.
 
         Args:
-            acceleration: (2,) v̇ [m/s²] and ω̇ [rad/s²] of the controller.
+            acceleration: (n_b,) [m/s² or rad/s²] of the controller.
             dt: [s] control step.
 
         Returns:
-            (2,) the velocity command in force.
+            (n_b,) the velocity command in force.
         """
         self._sum += acceleration * dt
         self._time += dt
@@ -54,13 +54,24 @@ class AdmittanceLaw:
     def _next_command(self, acceleration: Array, period: float) -> Array:
         """The law's exact solution after one period of constant F, within the base's limits."""
         c = self.config
-        mass = np.array([c.mass, c.inertia])
-        damping = np.array([c.damping, c.angular_damping])
+        mass = by_axis(self._base, c.mass, c.inertia)
+        damping = by_axis(self._base, c.damping, c.angular_damping)
         decay = damping / mass * period
         # (1 - e^{-x}) / x, which is 1 at x = 0
         gain = np.where(decay > 1e-12, -np.expm1(-decay) / np.maximum(decay, 1e-12), 1.0)
         F = mass * acceleration
         change = gain * (F - damping * self.command) / mass * period
         change = np.clip(change, -self._a_max * period, self._a_max * period)
-        v_max = np.minimum(self._v_max, [c.v_max, c.omega_max])
-        return np.clip(self.command + change, -v_max, v_max)
+        v_max = largest_command(self._base, c)
+        wanted = np.clip(self.command + change, -v_max, v_max)
+        return self._base.admissible(wanted, self.command)
+
+
+def largest_command(base: BaseKind, config: AdmittanceConfig) -> Array:
+    """(n_b,) [m/s or rad/s] up to which the law commands each axis."""
+    return np.minimum(base.max_velocity, by_axis(base, config.v_max, config.omega_max))
+
+
+def by_axis(base: BaseKind, linear: float, angular: float) -> Array:
+    """(n_b,) one of two numbers for each axis of a base."""
+    return np.array([angular if axis.angular else linear for axis in base.axes])

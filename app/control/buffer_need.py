@@ -6,7 +6,7 @@ it get? Three things hold the base back:
 - Dead time t_0 = period + delay + τ. What the controller asks is averaged over a command's period
   and reaches the drive later by the delay; the drive's lag of first order delays by another τ.
 - The law asks the more the deeper the hand is. At the distance d it accelerates the base along -n,
-  in each of its channels k (v and ω), by
+  in each of its channels k (v and ω of a differential one), by
   a_k = β(d) f_max (1 - d/d_b) (1 - n_z²) J_k (J · u)_k / m_k, with J = (n_x, n_y x - n_x y) at the
   hand's place (x, y) and m_k = m, I. The force comes from the acting point, which stands aside by
   α_min while the hand is d_b - d inside the border: u lies between the normal and the tangent with
@@ -31,12 +31,14 @@ drives the base along its own flank, until there is a lever.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from app.config import Config
-from app.robot.description import BaseDescription
+from app.config import AdmittanceConfig, Config
+from app.robot.bases.kind import BaseKind, Channel
 
 Array = np.ndarray
 
@@ -61,7 +63,7 @@ class Approach(NamedTuple):
     p_b: Array
 
 
-def buffer_need(approach: Approach, base: BaseDescription, config: Config) -> float:
+def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
     """[m] the smallest d_b for which the arm stays away from the base by the reserve.
 
     See the module for what is assumed. The delay and the slip are those of the configuration.
@@ -88,7 +90,7 @@ def buffer_need(approach: Approach, base: BaseDescription, config: Config) -> fl
     return float(sizes[min(low, len(sizes) - 1)])
 
 
-def least_distance(d_b: Array, approach: Approach, base: BaseDescription, config: Config) -> Array:
+def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
     """How near the arm comes at most, by the bound of the module.
 
     Args:
@@ -100,10 +102,18 @@ def least_distance(d_b: Array, approach: Approach, base: BaseDescription, config
     Returns:
         (k,) [m], minus infinity where the base does not reach the speed at all.
     """
+    ways = [_least_distance(d_b, approach, base, way, config) for way in base.retreats()]
+    return np.max(ways, axis=0)
+
+
+def _least_distance(
+    d_b: Array, approach: Approach, base: BaseKind, way: Sequence[Channel], config: Config
+) -> Array:
+    """The same for one of the base's ways to give way."""
     d_b = np.asarray(d_b, dtype=float)[:, None]
     d = d_b * (1.0 - _DEPTHS)  # (k, depths)
-    a, w = _retreat(d, d_b, approach, base, config)
-    T = _time_constants(config)
+    a, w = _retreat(d, d_b, approach, base, way, config)
+    T = _time_constants(way, config)
     v = approach.v - w.clip(max=0.0).sum(axis=0)  # a channel that goes the wrong way adds to it
     share, total = w.clip(min=0.0), w.clip(min=0.0).sum(axis=0)
     fast = total > v
@@ -112,35 +122,35 @@ def least_distance(d_b: Array, approach: Approach, base: BaseDescription, config
     return np.where(fast, d - gained, -np.inf).max(axis=1)
 
 
-def dead_time(base: BaseDescription, config: Config) -> float:
+def dead_time(base: BaseKind, config: Config) -> float:
     """[s] from a demand of the controller to the base's motion."""
     return config.admittance.period + config.disturbance.base_delay + base.drive_time_constant_s
 
 
 def _retreat(
-    d: Array, d_b: Array, approach: Approach, base: BaseDescription, config: Config
+    d: Array, d_b: Array, approach: Approach, base: BaseKind, way: Sequence[Channel], config: Config
 ) -> tuple[Array, Array]:
-    """(2, k, depths) acceleration [m/s²] and final speed [m/s] along n, of the channels v and ω."""
+    """(c, k, depths) acceleration [m/s²] and final speed [m/s] along n, of each channel."""
     admittance, kept = config.admittance, 1.0 - config.disturbance.slip
     n, p = approach.n, approach.p_b
     flat = float(np.hypot(n[0], n[1]))
     if flat < 1e-6:
-        return np.zeros((2, *d.shape)), np.zeros((2, *d.shape))
+        return np.zeros((len(way), *d.shape)), np.zeros((len(way), *d.shape))
     lever = n[1] * p[0] - n[0] * p[1]
     lever = np.copysign(max(abs(lever), _LEVER * abs(n[1])), lever)
-    J = np.array([n[0], lever])[:, None, None]
-    J_t = np.array([-n[1], n[0] * p[0] + n[1] * p[1]])[:, None, None]
+    twists = np.array([channel.twist for channel in way])
+    J = (twists @ [n[0], n[1], lever])[:, None, None]
+    J_t = (twists @ [-n[1], n[0], n[0] * p[0] + n[1] * p[1]])[:, None, None]
     below = d_b - d
     aside = np.hypot(below, config.force.alpha_min)
     c, s = below / aside, config.force.alpha_min / aside
     rise = (below / (d_b - config.activation.d_full)).clip(0.0, 1.0)
     beta = rise * rise * (3.0 - 2.0 * rise)
     f = beta * config.force.f_max * (1.0 - d / d_b) * flat
-    mass = np.array([base.mass_kg, base.inertia_kgm2])[:, None, None]
-    a_max = np.array(base.max_acceleration)[:, None, None] * np.abs(J)
-    top = np.minimum(base.max_velocity, [admittance.v_max, admittance.omega_max])
-    w_max = top[:, None, None] * np.abs(J)
-    T = _time_constants(config)
+    mass = _by_channel(way, base.mass_kg, base.inertia_kgm2)
+    a_max = np.array([channel.a_max for channel in way])[:, None, None] * np.abs(J)
+    w_max = np.array([_top(channel, admittance) for channel in way])[:, None, None] * np.abs(J)
+    T = _time_constants(way, config)
     found = []
     for side in (1.0, -1.0):
         a = kept * (f * J / mass * (c * J + side * s * J_t)).clip(-a_max, a_max)
@@ -150,11 +160,31 @@ def _retreat(
     return np.where(worse, a1, a2), np.where(worse, w1, w2)
 
 
-def _time_constants(config: Config) -> Array:
-    """(2, 1, 1) [s] M_a / D_a of the admittance law."""
+def _time_constants(way: Sequence[Channel], config: Config) -> Array:
+    """(c, 1, 1) [s] M_a / D_a of the admittance law."""
     c = config.admittance
-    mass, damping = np.array([c.mass, c.inertia]), np.array([c.damping, c.angular_damping])
-    return np.minimum(mass / np.maximum(damping, 1e-9), _LONGEST)[:, None, None]
+    mass, damping = (
+        _by_channel(way, c.mass, c.inertia),
+        _by_channel(way, c.damping, c.angular_damping),
+    )
+    return np.minimum(mass / np.maximum(damping, 1e-9), _LONGEST)
+
+
+def _by_channel(way: Sequence[Channel], linear: float, angular: float) -> Array:
+    """(c, 1, 1) what resists each channel, from what resists a linear and an angular motion."""
+    squares = np.square([channel.twist for channel in way])
+    return (squares @ [linear, linear, angular])[:, None, None]
+
+
+def _top(channel: Channel, config: AdmittanceConfig) -> float:
+    """[m/s or rad/s] the largest speed of a channel that the law commands."""
+    x, y, turn = channel.twist
+    linear, angular = math.hypot(x, y), abs(turn)
+    return min(
+        channel.v_max,
+        config.v_max / linear if linear > 0.0 else math.inf,
+        config.omega_max / angular if angular > 0.0 else math.inf,
+    )
 
 
 def _gain(v: Array, a: Array, T: Array) -> Array:

@@ -11,7 +11,7 @@ from app.avoidance.activation import share_from_above
 from app.avoidance.distances import ClosestPoints
 from app.config import Config, parameter
 from app.control.buffer_need import Approach, buffer_need
-from app.robot.description import BaseDescription
+from app.robot.bases.kind import BaseKind
 from app.robot.state import RobotState
 
 _SAMPLE = 10  # control steps between two readings of the speed
@@ -106,7 +106,7 @@ class BufferWatch:
             v, closing = (sum(column) / len(speeds) for column in zip(*speeds, strict=True))
             self._judge(approach._replace(v=v), closing, pair.d, state.model.description.base)
 
-    def _judge(self, approach: Approach, closing: float, d: float, base: BaseDescription) -> None:
+    def _judge(self, approach: Approach, closing: float, d: float, base: BaseKind) -> None:
         if min(approach.v, closing) < _SLOW:  # at rest, or no nearer
             return
         needed = buffer_need(approach, base, self.config)
@@ -125,8 +125,8 @@ def approach_of(state: RobotState, pair: ClosestPoints) -> tuple[Approach, float
         motion alone.
     """
     J = state.point_jacobian(state.model.body_joint(pair.pair.b), pair.p_b)
-    along = -(pair.n @ J)  # (n,)
-    v, closing = float(along @ state.qd), float(along[2:] @ state.qd[2:])
+    along, n_b = -(pair.n @ J), state.model.n_b  # (n,)
+    v, closing = float(along @ state.qd), float(along[n_b:] @ state.qd[n_b:])
     return Approach(v, state.R_world_base.T @ pair.n, state.to_base(pair.p_b)), closing
 
 

@@ -42,7 +42,7 @@ class ControlOutput(NamedTuple):
 
     Attributes:
         u_a: (n_m,) [N m or N] torques of the arm.
-        base_acceleration: (2,) v̇ [m/s²] and ω̇ [rad/s²] for the base's admittance law.
+        base_acceleration: (n_b,) [m/s² or rad/s²] for the base's admittance law: v̇ and ω̇.
         avoidance: The avoidance task of this step, whether or not the method inserts it.
         inserted: What the method put above the stack or among its limits.
         solved: False if a QP had no solution and this is the safe command.
@@ -104,7 +104,6 @@ class Controller:
         self._slow = slowed(config.task, config.repulsion)
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
         self._transition = TaskTransition(HierarchicalQP(model.n))
-        self._J_m_inv = np.linalg.inv(model.J_m)
         self._dt = dt
         self.reset()
 
@@ -145,8 +144,8 @@ class Controller:
         Args:
             measurement: The sensors' readings.
             reference: Where the end-effector shall be, or None while it is guided by hand.
-            base_acceleration: (2,) v̇ [m/s²] and ω̇ [rad/s²] that the base really has now; None means
-                that it does what is asked.
+            base_acceleration: (n_b,) [m/s² or rad/s²] that the base really has now; None means that
+                it does what is asked.
 
         Returns:
             Torques of the arm and acceleration of the base; never without an answer.
@@ -179,17 +178,17 @@ class Controller:
         return self._avoidance.field(pair)
 
     def _base_acceleration(self, inserted: Inserted, reference: Reference | None) -> Array:
-        """The base's part of (29), (2,): its rows fix it once the solution without them is known.
+        """The base's part of (29), (n_b,): its rows fix it once the solution without them is known.
 
-        Paper: Eq. (29), first two rows; the base's own limits are not yet applied.
+        Paper: Eq. (29), the base's rows; the base's own limits are not yet applied.
         """
         rows_m = inserted.rows_m
         if rows_m is not None and rows_m.beta >= 1.0:
-            free = np.zeros(2)  # weighs nothing
+            free = np.zeros(self._model.n_b)  # weighs nothing
         elif reference is None and not inserted.barriers:
             free = base_rest_acceleration(self.state, self._config.task)
         else:
-            free = self._model.J_m @ self._slow_solution(inserted, reference)[:2]
+            free = self._model.J_m @ self._slow_solution(inserted, reference)[: self._model.n_b]
         if rows_m is None:
             return free
         return rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
@@ -211,7 +210,7 @@ class Controller:
             stack = Stack((), guided_arm_objective(state, base))
         else:
             stack = self._tracking_stack(reference, task)
-        limits = robot_limits(state, self._config.limit, np.zeros(2))
+        limits = robot_limits(state, self._config.limit, np.zeros(self._model.n_b))
         limits = with_barriers(limits, inserted.barriers)
         return self._transition.solve(rows, *self._weighted(stack), limits, slot="slow").qdd
 
@@ -226,11 +225,12 @@ class Controller:
             if reference is None
             else self._tracking_stack(reference, self._config.task)
         )
-        wheels = self._J_m_inv @ base_acceleration
+        wheels = self._model.J_m_inv @ base_acceleration
         limits = with_barriers(robot_limits(state, self._config.limit, wheels), inserted.barriers)
         rows = (given, *inserted.rows_arm, *inserted.rows_links)
         solution = self._transition.solve(rows, *self._weighted(stack), limits, slot="arm")
-        u_a = state.M[2:] @ solution.qdd + state.h[2:]
+        n_b = self._model.n_b
+        u_a = state.M[n_b:] @ solution.qdd + state.h[n_b:]
         u_a = _clipped(u_a, self._model.tau_max)
         return ArmSolve(rows, stack, limits, solution, u_a)
 

@@ -1,4 +1,4 @@
-"""The base's drive: how the wheels follow a velocity command.
+"""The base's drive: how the base follows a velocity command.
 
 The same model stands in every plant and in the controller, which may assume no more of the drive
 than `expected_acceleration` says.
@@ -6,83 +6,67 @@ than `expected_acceleration` says.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
-from app.robot.description import BaseDescription
+from app.robot.bases.kind import BaseKind
 
 Array = np.ndarray
 
 
 class Drive:
-    """A first-order response to the commanded (v, ω), with limits of velocity and acceleration.
+    """The drive of a base of some kind, which says how it follows commands.
+
+    A differential one has a first-order response to the commanded (v, ω), with limits of velocity
+    and acceleration.
 
     Attributes:
-        velocity: (2,) the velocity that the wheels are set to now: v [m/s], ω [rad/s].
+        velocity: (n_b,) [m/s or rad/s] the velocity that the base is set to now, along its axes.
+        state: (n_d,) what the drive has besides, such as a steering angle [rad].
     """
 
-    def __init__(self, base: BaseDescription, dt: float) -> None:
+    def __init__(self, base: BaseKind, dt: float) -> None:
         """A drive at rest.
 
         Args:
             base: Time constant and limits.
             dt: [s] between two steps.
         """
-        self._max_velocity = base.max_velocity
-        self._max_acceleration = base.max_acceleration
-        self._tau = base.drive_time_constant_s
+        self._base = base
         self._dt = dt
-        # Exact for a command held over the step, so that any dt is stable.
-        self._gain = -math.expm1(-dt / self._tau)
-        self.velocity = np.zeros(2)
+        self.reset()
 
     def reset(self) -> None:
         """Stand still."""
-        self.velocity = np.zeros(2)
+        self.velocity = np.zeros(self._base.n_b)
+        self.state = self._base.drive_at_rest()
 
     def step(self, v_cmd: Sequence[float] | Array) -> Array:
         """Follow a command for one period.
 
         Args:
-            v_cmd: (2,) commanded v [m/s] and ω [rad/s]; clamped to the velocity limits.
+            v_cmd: (n_b,) the commanded velocity; clamped to the velocity limits.
 
         Returns:
-            (2,) v [m/s] and ω [rad/s] at the end of the period.
+            (n_b,) the velocity at the end of the period.
         """
-        self.velocity = np.array(
-            [
-                v + _clamp((_clamp(float(cmd), v_max) - v) * self._gain, a_max * self._dt)
-                for v, cmd, v_max, a_max in zip(
-                    self.velocity.tolist(), v_cmd, self._max_velocity, self._max_acceleration,
-                    strict=True,
-                )
-            ]
-        )  # fmt: skip
+        after = self._base.driven(self.velocity, self.state, v_cmd, self._dt)
+        self.velocity, self.state = after[: self._base.n_b], after[self._base.n_b :]
         return self.velocity
 
     def expected_acceleration(
-        self, v_cmd: Sequence[float] | Array, v: Sequence[float] | Array
+        self, v_cmd: Sequence[float] | Array, v: Sequence[float] | Array, state: Array | None = None
     ) -> Array:
-        """What the drive does now with a command: clip((v_cmd - v)/τ, ±limits).
+        """What the drive does now with a command.
 
         Args:
-            v_cmd: (2,) commanded v [m/s] and ω [rad/s].
-            v: (2,) measured v [m/s] and ω [rad/s].
+            v_cmd: (n_b,) the commanded velocity.
+            v: (n_b,) the measured velocity.
+            state: (n_d,) the measured state of the drive; None means the one it would have at rest.
 
         Returns:
-            (2,) v̇ [m/s²] and ω̇ [rad/s²].
+            (n_b,) [m/s² or rad/s²].
         """
-        return np.array(
-            [
-                _clamp((_clamp(float(cmd), v_max) - float(now)) / self._tau, a_max)
-                for cmd, now, v_max, a_max in zip(
-                    v_cmd, v, self._max_velocity, self._max_acceleration, strict=True
-                )
-            ]
-        )
-
-
-def _clamp(value: float, limit: float) -> float:
-    return min(max(value, -limit), limit)
+        known = self._base.drive_at_rest() if state is None else state
+        return self._base.drive_acceleration(v, known, v_cmd)

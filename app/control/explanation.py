@@ -16,9 +16,12 @@ from app.config import Config
 from app.control.active_bounds import Bound, active_bounds, admittance_bounds
 from app.control.controller import Controller, ControlOutput
 from app.control.levels import Level, level_readings
+from app.robot.bases.kind import Axis
 
 Array = np.ndarray
 Planar = tuple[float, float]
+ByAxis = tuple[float, ...]
+"""[m/s² or rad/s²] along the base's axes."""
 
 Controlled = Literal["guiding", "tracking"]
 
@@ -30,7 +33,7 @@ class ForceSplit(NamedTuple):
         f: [N] f_m,i of (14), the sum of the next two.
         away: [N] its part along -n: it moves the base away from the arm.
         turn: [N] its part across: what the step (12), (13) towards a better score adds.
-        away_acceleration: v̇ [m/s²] and ω̇ [rad/s²] of (16) by `away` alone, times β_m.
+        away_acceleration: [m/s² or rad/s²] of (16) by `away` alone, times β_m.
         turn_acceleration: The same by `turn`.
         determinant: [m⁴/rad⁴] det(J_c J_cᵀ) of (7) at p_act.
         reachability: [-] R of (9) at p_act.
@@ -41,8 +44,8 @@ class ForceSplit(NamedTuple):
     f: Planar
     away: Planar
     turn: Planar
-    away_acceleration: Planar
-    turn_acceleration: Planar
+    away_acceleration: ByAxis
+    turn_acceleration: ByAxis
     determinant: float
     reachability: float
     score: float
@@ -87,7 +90,8 @@ class Explanation(NamedTuple):
         chain: Names of all bodies, the mobile robot first, then outwards.
         near: Pairs inside a buffer, the most active first.
         nearest: Body names and distance [m] of the nearest pair of L_m, near or not.
-        base_avoidance: v̇ [m/s²] and ω̇ [rad/s²] of (16), times β_m; 0 without the base's rows.
+        axes: The base's axes, along which its accelerations are.
+        base_avoidance: [m/s² or rad/s²] of (16), times β_m; 0 without the base's rows.
         base_asked: The same that the step asks of the base.
         base_given: The same that the base has.
         levels: What each level of the hierarchy gave up, highest priority first.
@@ -100,9 +104,10 @@ class Explanation(NamedTuple):
     chain: tuple[str, ...]
     near: tuple[NearPair, ...]
     nearest: tuple[str, str, float]
-    base_avoidance: Planar
-    base_asked: Planar
-    base_given: Planar
+    axes: tuple[Axis, ...]
+    base_avoidance: ByAxis
+    base_asked: ByAxis
+    base_given: ByAxis
     levels: tuple[Level, ...]
     bounds: tuple[Bound, ...]
 
@@ -126,7 +131,7 @@ def explain(
         controller: Still in the state of that step.
         output: What it answered.
         config: The parameters of the step.
-        base_command: (2,) v [m/s] and ω [rad/s], the admittance law's command in force.
+        base_command: (n_b,) [m/s or rad/s] the admittance law's command in force.
     """
     state, avoidance, workings = controller.state, output.avoidance, output.workings
     bounds = [] if workings is None else active_bounds(state, output, workings, config)
@@ -144,10 +149,13 @@ def explain(
         chain=tuple(state.model.body_names),
         near=tuple(sorted((p for p in near if p is not None), key=_weight, reverse=True)),
         nearest=(closest.pair.a, closest.pair.b, float(closest.d)),
-        base_avoidance=_pair_of(output.inserted.base_acceleration),
-        base_asked=_pair_of(asked),
-        base_given=_pair_of(asked if workings is None else workings.base_given),
-        levels=() if workings is None else level_readings(output, workings),
+        axes=state.model.description.base.axes,
+        base_avoidance=_tuple_of(output.inserted.base_acceleration),
+        base_asked=_tuple_of(asked),
+        base_given=_tuple_of(asked if workings is None else workings.base_given),
+        levels=()
+        if workings is None
+        else level_readings(state.model.description.base, output, workings),
         bounds=(*bounds, *admittance_bounds(state.model, config, base_command)),
     )
 
@@ -211,12 +219,11 @@ def _force_split(
     base = state.model.description.base
     away, turn = split(pair.f, state.R_world_base.T @ pair.closest.n)
     away_acc, turn_acc = (
-        rows_m.beta
-        * generate_mob_acc([PairForce(f, acting.p_act)], m=base.mass_kg, I=base.inertia_kgm2)
-        for f in (away, turn)
+        rows_m.beta * generate_mob_acc([PairForce(f, acting.p_act)], base) for f in (away, turn)
     )
     return ForceSplit(
-        *(_pair_of(v[:2]) for v in (pair.f, away, turn, away_acc, turn_acc)),
+        *(_pair_of(v) for v in (pair.f, away, turn)),
+        *(_tuple_of(v) for v in (away_acc, turn_acc)),
         determinant=float(field.singularity(acting.p_act)),
         reachability=float(field.reachability(acting.p_act)),
         score=score,
@@ -230,3 +237,7 @@ def _weight(pair: NearPair) -> tuple[bool, float, float]:
 
 def _pair_of(v: Array) -> Planar:
     return float(v[0]), float(v[1])
+
+
+def _tuple_of(v: Array) -> ByAxis:
+    return tuple(v.tolist())

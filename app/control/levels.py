@@ -9,6 +9,7 @@ import numpy as np
 from app.control.controller import ControlOutput
 from app.control.hqp import Objective
 from app.control.workings import ArmSolve, Workings
+from app.robot.bases.kind import BaseKind
 
 Array = np.ndarray
 LevelName = Literal["base", "arm", "links", "hand", "posture", "free"]
@@ -30,16 +31,21 @@ class Level(NamedTuple):
     angular: float | None
 
 
-def level_readings(output: ControlOutput, workings: Workings) -> tuple[Level, ...]:
+def level_readings(base: BaseKind, output: ControlOutput, workings: Workings) -> tuple[Level, ...]:
     """The levels that are in the stack of a step, highest priority first.
 
     They are w_sca* and w_2 of (29).
+
+    Args:
+        base: The robot's base.
+        output: What the controller answered.
+        workings: How it came about.
     """
     arm, inserted = workings.arm, output.inserted
     levels = []
     if inserted.rows_m is not None:
-        v, w = np.abs(workings.base_wanted - output.base_acceleration).tolist()
-        levels.append(Level("base", v, w))
+        missing = workings.base_wanted - output.base_acceleration
+        levels.append(Level("base", *linear_and_angular(base, missing)))
     _, *avoiding = _row_slacks(arm)
     count = len(inserted.rows_arm)
     if inserted.rows_arm:
@@ -50,17 +56,23 @@ def level_readings(output: ControlOutput, workings: Workings) -> tuple[Level, ..
     for J, b in arm.stack.levels:
         w = b - J @ qdd
         levels.append(Level("hand", _norm(w[:3]), _norm(w[3:])))
-    lowest = _norm(objective_slack(arm.stack.objective, qdd))
+    lowest = _norm(objective_slack(arm.stack.objective, qdd, base.n_b))
     return (*levels, Level("posture" if output.tracking else "free", None, lowest))
 
 
-def objective_slack(objective: Objective, qdd: Array) -> Array:
+def objective_slack(objective: Objective, qdd: Array, n_b: int) -> Array:
     """(n_m,) [rad/s² or m/s²] the arm's q̈ less the one that the objective alone would choose.
 
-    The base's q̈ is taken as it is.
+    The base's q̈, the first n_b, is taken as it is.
     """
     H, c = objective
-    return qdd[2:] + np.linalg.solve(H[2:, 2:], c[2:] + H[2:, :2] @ qdd[:2])
+    return qdd[n_b:] + np.linalg.solve(H[n_b:, n_b:], c[n_b:] + H[n_b:, :n_b] @ qdd[:n_b])
+
+
+def linear_and_angular(base: BaseKind, values: Array) -> tuple[float, float]:
+    """Norms of what an axis-by-axis vector (n_b,) has along the base's linear and angular axes."""
+    angular = np.array([axis.angular for axis in base.axes])
+    return float(np.linalg.norm(values[~angular])), float(np.linalg.norm(values[angular]))
 
 
 def _row_slacks(arm: ArmSolve) -> list[Array]:

@@ -51,7 +51,7 @@ def robot_limits(state: RobotState, config: LimitConfig, qdd_b: Array) -> Limits
     Args:
         state: The robot's state.
         config: How fast limits may be approached.
-        qdd_b: (2,) [rad/s²] the wheels' acceleration with which that is judged.
+        qdd_b: (n_b,) the base's reduced acceleration with which that is judged.
     """
     model, m = state.model, state.measurement
     return Limits(

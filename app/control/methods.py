@@ -25,12 +25,14 @@ class Inserted(NamedTuple):
         rows_links: The arm's rows that bear on the base's free part and on the arm's torques.
         rows_arm: The arm's rows that bear on its torques only.
         barriers: Rows that hold whatever the stack asks, for the base and the arm.
+        n_b: How many velocity axes the base has.
     """
 
     rows_m: TaskRows | None = None
     rows_links: tuple[TaskRows, ...] = ()
     rows_arm: tuple[TaskRows, ...] = ()
     barriers: tuple[BarrierRow, ...] = ()
+    n_b: int = 2
 
     @property
     def rows(self) -> tuple[TaskRows, ...]:
@@ -40,8 +42,8 @@ class Inserted(NamedTuple):
 
     @property
     def base_acceleration(self) -> Array:
-        """(2,) v̇ [m/s²] and ω̇ [rad/s²] that avoidance inserts, times its activation."""
-        return np.zeros(2) if self.rows_m is None else self.rows_m.beta * self.rows_m.xdd
+        """(n_b,) [m/s² or rad/s²] that avoidance inserts, times its activation; 0 without rows."""
+        return np.zeros(self.n_b) if self.rows_m is None else self.rows_m.beta * self.rows_m.xdd
 
     @property
     def activation(self) -> float:
@@ -66,8 +68,8 @@ def dbb(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
 
     Paper: Algorithm 2, line 14 (UpdateSoT).
     """
-    del state, config
-    return Inserted(avoidance.rows_m, avoidance.rows_links, avoidance.rows_arm)
+    del config
+    return Inserted(avoidance.rows_m, avoidance.rows_links, avoidance.rows_arm, n_b=state.model.n_b)
 
 
 def repulsive(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
@@ -81,7 +83,7 @@ def repulsive(state: RobotState, avoidance: Avoidance, config: Config) -> Insert
         for pair in avoidance.mobile
         if pair.beta > 0.0
     )
-    return Inserted(None, avoidance.rows_links, rows)
+    return Inserted(None, avoidance.rows_links, rows, n_b=state.model.n_b)
 
 
 def barrier(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
@@ -91,14 +93,17 @@ def barrier(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted
     base takes part in all of it.
     """
     return Inserted(
-        barriers=tuple(barrier_row(state, pair.closest, config.barrier) for pair in avoidance.pairs)
+        barriers=tuple(
+            barrier_row(state, pair.closest, config.barrier) for pair in avoidance.pairs
+        ),
+        n_b=state.model.n_b,
     )
 
 
 def none(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
     """The same stack without avoidance."""
-    del state, avoidance, config
-    return Inserted()
+    del avoidance, config
+    return Inserted(n_b=state.model.n_b)
 
 
 METHODS: dict[str, Method] = {

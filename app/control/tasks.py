@@ -70,7 +70,7 @@ def softened(stack: Stack, weight: float) -> Stack:
 
 
 def base_rest_acceleration(state: RobotState, config: TaskConfig) -> Array:
-    """-k (v, ω): what the base does while nothing moves it, (2,) [m/s², rad/s²]."""
+    """-k ν: what the base does while nothing moves it, (n_b,) [m/s² or rad/s²]."""
     return -config.base_damping * state.measurement.base_velocity
 
 
@@ -84,23 +84,24 @@ def posture_objective(state: RobotState, q_posture: Array, config: TaskConfig) -
         q_posture: (n_m,) the arm's posture.
         config: Gains and the base's weight.
     """
-    c = np.empty(state.model.n)
-    c[:2] = config.base_weight * config.base_damping * state.qd[:2]
-    c[2:] = config.posture_damping * state.measurement.qd_m - config.posture_stiffness * (
+    n, n_b = state.model.n, state.model.n_b
+    c = np.empty(n)
+    c[:n_b] = config.base_weight * config.base_damping * state.qd[:n_b]
+    c[n_b:] = config.posture_damping * state.measurement.qd_m - config.posture_stiffness * (
         q_posture - state.measurement.q_m
     )
-    return Objective(_posture_hessian(state.model.n, config.base_weight), c)
+    return Objective(_posture_hessian(n, n_b, config.base_weight), c)
 
 
 @lru_cache(maxsize=8)
-def _posture_hessian(n: int, base_weight: float) -> Array:
+def _posture_hessian(n: int, n_b: int, base_weight: float) -> Array:
     """(n, n), not to be written to."""
-    return np.diag([base_weight] * 2 + [1.0] * (n - 2))
+    return np.diag([base_weight] * n_b + [1.0] * (n - n_b))
 
 
 def free_arm_torque(state: RobotState) -> Array:
     """u_0 = g_a - D q̇_a: gravity compensation and joint damping, (n_m,)."""
-    return state.g[2:] - state.model.joint_damping * state.measurement.qd_m
+    return state.g[state.model.n_b :] - state.model.joint_damping * state.measurement.qd_m
 
 
 def guided_arm_objective(state: RobotState, base: Objective | None = None) -> Objective:
@@ -111,25 +112,27 @@ def guided_arm_objective(state: RobotState, base: Objective | None = None) -> Ob
 
     Args:
         state: The robot's state.
-        base: (2, 2) and (2,), what the base's acceleration costs; None where a level above
+        base: (n_b, n_b) and (n_b,), what the base's acceleration costs; None where a level above
             gives it.
     """
+    n_b = state.model.n_b
     c = np.zeros(state.model.n)
-    c[2:] = state.h[2:] - free_arm_torque(state)
+    c[n_b:] = state.h[n_b:] - free_arm_torque(state)
     if base is None:
         return Objective(state.M, c)
     H_b, c_b = base
-    M_ab = state.M[2:, :2]
-    right = np.empty((state.model.n_m, 3))
-    right[:, :2], right[:, 2] = M_ab, c[2:]
-    share = np.linalg.solve(state.M[2:, 2:], right)  # M_aa⁻¹ (M_ab, c_a)
+    M_ab = state.M[n_b:, :n_b]
+    right = np.empty((state.model.n_m, n_b + 1))
+    right[:, :n_b], right[:, n_b] = M_ab, c[n_b:]
+    share = np.linalg.solve(state.M[n_b:, n_b:], right)  # M_aa⁻¹ (M_ab, c_a)
     H = state.M.copy()
-    H[:2, :2] = H_b + M_ab.T @ share[:, :2]
-    c[:2] = c_b + M_ab.T @ share[:, 2]
+    H[:n_b, :n_b] = H_b + M_ab.T @ share[:, :n_b]
+    c[:n_b] = c_b + M_ab.T @ share[:, n_b]
     return Objective(H, c)
 
 
 def base_rest_objective(state: RobotState, config: TaskConfig) -> Objective:
-    """What it costs the base not to come to rest, in the wheels' accelerations, (2, 2) and (2,)."""
-    wanted = -config.base_damping * state.qd[:2]
-    return Objective(config.base_weight * np.eye(2), -config.base_weight * wanted)
+    """What it costs the base not to come to rest, in q̈_b, (n_b, n_b) and (n_b,)."""
+    n_b = state.model.n_b
+    wanted = -config.base_damping * state.qd[:n_b]
+    return Objective(config.base_weight * np.eye(n_b), -config.base_weight * wanted)

@@ -35,20 +35,22 @@ class LinkPoses:
         self._q = pin.neutral(self.model)
         base, arm = robot.description.base, robot.description.arm
         self._arm = [self.model.joints[self.model.getJointId(name)] for name in arm.joints]
-        self._right = [self.model.joints[self.model.getJointId(n)] for n in base.right_wheel_joints]
-        self._left = [self.model.joints[self.model.getJointId(n)] for n in base.left_wheel_joints]
+        self._wheels = [
+            [self.model.joints[self.model.getJointId(name)] for name in wheels.joints]
+            for wheels in base.wheels
+        ]
 
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
         """T_root_joint of every joint.
 
         Args:
             q_m: (n_m,) [rad or m] arm joints.
-            wheel_angles: (2,) [rad] right and left.
+            wheel_angles: (n_w,) [rad] of the base's wheels, right and left.
         """
         for joint, position in zip(self._arm, q_m, strict=True):
             self._set(joint, position)
-        for side, angle in zip((self._right, self._left), wheel_angles, strict=True):
-            for joint in side:
+        for wheels, angle in zip(self._wheels, wheel_angles, strict=True):
+            for joint in wheels:
                 self._set(joint, angle)
         pin.forwardKinematics(self.model, self._data, self._q)
         return [T.copy() for T in self._data.oMi]
@@ -119,7 +121,7 @@ class RobotScene:
         Args:
             base_pose: (3,) x, y [m] and heading [rad] in the world.
             q_m: (n_m,) [rad or m] arm joints.
-            wheel_angles: (2,) [rad] right and left.
+            wheel_angles: (n_w,) [rad] of the base's wheels, right and left.
         """
         x, y, phi = base_pose
         self._root.position = (x, y, 0.0)

@@ -26,13 +26,13 @@ def dynamics_row(model: RobotModel) -> Row:
     from app.simulation.bullet_dynamics import BulletDynamics
 
     rng, state = np.random.default_rng(0), RobotState(model)
-    bullet = BulletDynamics(model)
+    bullet, n_b = BulletDynamics(model), model.n_b
     worst_M = worst_h = 0.0
     try:
         for q_m in sample_joints(model, _POSES, rng):
-            qd = np.concatenate([rng.uniform(-1, 1, 2), rng.uniform(-0.5, 0.5, model.n_m)])
-            base_velocity = model.J_m @ qd[:2]
-            state.update(Measurement(np.zeros(3), base_velocity, q_m, qd[2:]))
+            qd = np.concatenate([rng.uniform(-1, 1, n_b), rng.uniform(-0.5, 0.5, model.n_m)])
+            base_velocity = model.J_m @ qd[:n_b]
+            state.update(Measurement(np.zeros(3), base_velocity, q_m, qd[n_b:]))
             M, h = bullet.mass_and_bias(q_m, qd)
             worst_M = max(worst_M, float(np.abs(M - state.M).max() / np.abs(state.M).max()))
             worst_h = max(worst_h, float(np.abs(h - state.h).max() / np.abs(state.h).max()))

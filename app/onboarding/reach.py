@@ -13,7 +13,7 @@ from app.border.reach_map import PEAK, ReachMap, load_reach_map
 from app.errors import DescriptionError
 from app.robot.link_pairs import LinkPairs, sample_joints
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState
+from app.robot.state import RobotState, at_rest
 
 Array = np.ndarray
 
@@ -89,10 +89,9 @@ def _assumed(model: RobotModel, body: str, why: str) -> Reach:
     """A parabola about the middle of the distances that the body's shape has from the mount."""
     state, mount = RobotState(model), model.p_base()
     shape = model.geometry.geometryObjects[model.shape_ids[body][0]]
-    zero = np.zeros(model.n_m)
     rho = []
     for q in sample_joints(model, _SAMPLES, np.random.default_rng(0)):
-        state.update_kinematics(Measurement(np.zeros(3), np.zeros(2), q, zero))
+        state.update_kinematics(at_rest(model, q))
         at = state.data.oMi[shape.parentJoint] * shape.placement
         rho.append(float(np.linalg.norm(at.translation - mount)))
     B, width = float(np.mean(rho)), max(_WIDTH * float(np.std(rho)), _LEAST_WIDTH)

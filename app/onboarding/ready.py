@@ -9,7 +9,7 @@ import numpy as np
 from app.avoidance.distances import DistanceMonitor
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState
+from app.robot.state import RobotState, at_rest
 from app.simulation.posture import manipulability
 from app.simulation.start import FloorDistance
 
@@ -83,16 +83,15 @@ class _Judge:
         self._names = [pair.name for pair in pairs.all]
         self._floor = FloorDistance(self._state)
         self._mount = model.p_base()
-        self._zero = np.zeros(model.n_m)
 
     def look(self, q: Array) -> tuple[Ready, float]:
         """A pose, and how well the hand is placed: up to 1, below 0 where it cannot be used."""
         state = self._state
-        state.update_kinematics(Measurement(np.zeros(3), np.zeros(2), q, self._zero))
+        state.update_kinematics(at_rest(state.model, q))
         distances = self._monitor.distances()
         i = int(np.argmin(distances)) if distances else -1
         clearance = distances[i] - self._d_b if distances else np.inf
-        J = state.J_ee[:, 2:]
+        J = state.J_ee[:, state.model.n_b :]
         m = manipulability(J) if len(q) >= 6 else float(np.sqrt(np.linalg.det(J[:3] @ J[:3].T)))
         ready = Ready(q, float(clearance), self._names[i] if distances else "", m)
         return ready, self._placed()

@@ -153,9 +153,7 @@ def acting_path(sources: Sources, finder: ActingPointFinder, t: Array, path: lis
             closest.p_b, acting.p_act, closest.d, closest.normal, f_max=force.f_max, d_b=d_b
         )
         p_act.append(acting.p_act)
-        xdd_m.append(
-            generate_mob_acc([PairForce(f, acting.p_act)], m=base.mass_kg, I=base.inertia_kgm2)
-        )
+        xdd_m.append(generate_mob_acc([PairForce(f, acting.p_act)], base))
     p_b = np.array([closest.p_b for closest in path])
     return Path(t, p_b, np.array(p_act), np.array(xdd_m))
 

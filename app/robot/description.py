@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Union, get_args
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, SerializeAsAny, ValidationError, model_validator
 from typing_extensions import Self
 
 from app.errors import DescriptionError
+from app.robot.bases.differential import DifferentialBase
+from app.robot.bases.kind import BaseKind
 from app.robot.shapes import Shape
+from app.robot.sourced import Sourced
 from app.strict import Finite, NonNegative, Positive, Strict, Vector3, explain
 
 if sys.version_info >= (3, 11):
@@ -21,74 +24,8 @@ else:
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
-class Sourced(Strict):
-    """A record in which every number that is stated must have a line in `source`."""
-
-    source: dict[str, str] = Field(default_factory=dict)
-    """Where each number comes from: one entry per numeric field, by the field's name."""
-
-    @model_validator(mode="after")
-    def _every_number_has_a_source(self) -> Self:
-        stated = {
-            name
-            for name in self.model_fields_set
-            if name != "source" and _holds_a_number(getattr(self, name))
-        }
-        if missing := stated - self.source.keys():
-            raise ValueError(
-                f"give the source of {', '.join(sorted(missing))} in the table `source`"
-            )
-        if unknown := self.source.keys() - type(self).model_fields.keys():
-            raise ValueError(f"`source` names unknown fields: {', '.join(sorted(unknown))}")
-        return self
-
-
-def _holds_a_number(value: object) -> bool:
-    if isinstance(value, tuple | list):
-        return any(_holds_a_number(item) for item in value)
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-class BaseDescription(Sourced):
-    """The differentially driven base: r, b, m, I of the paper, its limits and its drive."""
-
-    kind: Literal["differential"]
-    link: str
-    """URDF link that moves with the base and in whose frame the base is described, x forward."""
-    wheel_radius_m: Positive
-    """[m] r of (6)."""
-    half_track_m: Positive
-    """[m] b of (6), distance between a wheel and the base's centre."""
-    mass_kg: Positive
-    """[kg] m of (17)."""
-    inertia_kgm2: Positive
-    """[kg m²] I of (18)."""
-    max_linear_velocity_mps: Positive
-    """[m/s]"""
-    max_angular_velocity_radps: Positive
-    """[rad/s]"""
-    max_linear_acceleration_mps2: Positive
-    """[m/s²]"""
-    max_angular_acceleration_radps2: Positive
-    """[rad/s²]"""
-    traction_limit_n: Positive
-    """[N] largest force of the wheels on the floor."""
-    drive_time_constant_s: Positive
-    """[s] of the drive's first-order response to a velocity command."""
-    left_wheel_joints: tuple[str, ...]
-    """Wheel joints of the URDF turning with the left side; drawn only, the drive is at r and b."""
-    right_wheel_joints: tuple[str, ...]
-    """The same for the right side."""
-
-    @property
-    def max_velocity(self) -> tuple[float, float]:
-        """Largest v [m/s] and ω [rad/s]."""
-        return self.max_linear_velocity_mps, self.max_angular_velocity_radps
-
-    @property
-    def max_acceleration(self) -> tuple[float, float]:
-        """Largest v̇ [m/s²] and ω̇ [rad/s²]."""
-        return self.max_linear_acceleration_mps2, self.max_angular_acceleration_radps2
+KINDS: dict[str, type[BaseKind]] = {}
+"""Kinds of base that a description may have, by the name that stands in `kind`."""
 
 
 class ArmDescription(Sourced):
@@ -181,7 +118,8 @@ class RobotDescription(Strict):
     """The robot's URDF: a file beside the description, or a `package://…` address."""
     licence: str
     """Licences of the assets that the URDF refers to."""
-    base: BaseDescription
+    base: SerializeAsAny[BaseKind]
+    """Of one of `KINDS`."""
     arm: ArmDescription
     bodies: tuple[BodyDescription, ...] = Field(min_length=2)
     reachability: dict[str, ReachabilityDescription]
@@ -209,6 +147,43 @@ class RobotDescription(Strict):
     def body(self, name: str) -> BodyDescription:
         """The body of that name."""
         return next(body for body in self.bodies if body.name == name)
+
+
+def register_base_kind(kind: type[BaseKind]) -> None:
+    """Let descriptions have another kind of base from now on.
+
+    Args:
+        kind: Its record; the field `kind` is a `Literal` of its name.
+
+    Raises:
+        DescriptionError: The name is not a single one, or another kind has it.
+    """
+    names = get_args(kind.model_fields["kind"].annotation)
+    if len(names) != 1:
+        raise DescriptionError(f"{kind.__name__}.kind must be a Literal of one name")
+    if KINDS.setdefault(names[0], kind) is not kind:
+        raise DescriptionError(f"another kind of base is named {names[0]!r}")
+    field = RobotDescription.model_fields["base"]
+    field.annotation = Union[tuple(KINDS.values())]  # type: ignore[assignment]  # noqa: UP007
+    field.discriminator = "kind"
+    RobotDescription.model_rebuild(force=True)
+
+
+for _kind in (DifferentialBase,):
+    register_base_kind(_kind)
+
+
+def differential(description: RobotDescription) -> DifferentialBase:
+    """The base of a robot with a differential one.
+
+    Raises:
+        DescriptionError: It has another kind.
+    """
+    if not isinstance(description.base, DifferentialBase):
+        raise DescriptionError(
+            f"{description.name} has a {description.base.kind} base, not a differential one"
+        )
+    return description.base
 
 
 def load_description(path: Path) -> RobotDescription:

@@ -1,4 +1,4 @@
-"""The compiled robot: pinocchio's model on a planar base, reduced to q̇ = (θ̇_r, θ̇_l, q̇_m).
+"""The compiled robot: pinocchio's model on a planar base, reduced to q̇ = (q̇_b, q̇_m).
 
 The planar joint of pinocchio has its velocity in the base's own frame, so the map from the reduced
 velocity to pinocchio's is the constant matrix S, and M_r = Sᵀ M S without a term in Ṡ.
@@ -19,38 +19,22 @@ from app.robot.urdf import resolved_urdf
 Array = np.ndarray
 
 
-def mobile_jacobian(r: float, b: float) -> Array:
-    """J_m of the differential base: (v, ω) = J_m (θ̇_r, θ̇_l).
-
-    Paper: Eq. (19), with the signs of the second column mended: the printed matrix has rank 1 and
-    contradicts (6).
-
-    Args:
-        r: [m] radius of the wheels.
-        b: [m] distance between a wheel and the base's centre.
-
-    Returns:
-        (2, 2) in m/rad and 1.
-    """
-    return np.array([[r / 2, r / 2], [r / (2 * b), -r / (2 * b)]])
-
-
 class RobotModel:
     """What does not change while the robot moves.
 
-    The base cannot move sideways: the row of S for the velocity along the wheels' axis is zero.
-
-    Paper: Eq. (4).
+    The base moves only as its kind can: the first columns of S are its T J_m.
 
     Attributes:
         description: The description it was compiled from.
         pin: pinocchio's model: a planar joint, then the arm's; all other joints are locked at zero.
         geometry: pinocchio's geometry model with the convex shapes of all bodies.
-        n: Degrees of freedom of the reduced velocity, 2 + n_m.
+        n: Degrees of freedom of the reduced velocity, n_b + n_m.
+        n_b: Degrees of freedom of the base.
         n_m: Degrees of freedom of the arm.
-        J_m: (2, 2) the base's Jacobian of (19).
+        J_m: (n_b, n_b) the base's Jacobian, (19) of a differential one.
+        J_m_inv: (n_b, n_b) its inverse.
         S: (3 + n_m, n) from the reduced velocity to pinocchio's.
-        base_acceleration_max: (2,) [m/s² and rad/s²] of v and ω.
+        base_acceleration_max: (n_b,) [m/s² or rad/s²] of the base's axes.
         joint_damping: (n_m,) [N m s/rad or N s/m] of the arm.
         q_lower, q_upper: (n_m,) [rad or m] joint limits of the arm.
         q_limits, qd_limits: (2, n_m) the lower and the upper ones of position and velocity.
@@ -68,12 +52,14 @@ class RobotModel:
         self.description = description
         self.pin = _planar_model(description)
         self.n_m = len(description.arm.joints)
-        self.n = 2 + self.n_m
         base = description.base
-        self.J_m = mobile_jacobian(base.wheel_radius_m, base.half_track_m)
+        self.n_b = base.n_b
+        self.n = self.n_b + self.n_m
+        self.J_m = base.J_m
+        self.J_m_inv = np.linalg.inv(self.J_m)
         self.S = np.zeros((3 + self.n_m, self.n))
-        self.S[0, :2], self.S[2, :2] = self.J_m
-        self.S[3:, 2:] = np.eye(self.n_m)
+        self.S[:3, : self.n_b] = base.T @ self.J_m
+        self.S[3:, self.n_b :] = np.eye(self.n_m)
         self._read_limits()
         self._add_end_effector()
         self.mount_frame = self._frame(description.arm.mount_link, "arm.mount_link")
@@ -188,9 +174,8 @@ def _planar_model(description: RobotDescription) -> pin.Model:
     except (ValueError, RuntimeError) as error:
         raise DescriptionError(f"{where}: urdf: pinocchio cannot read it: {error}") from None
     names = list(full.names)[2:]  # after "universe" and the root joint
-    wanted = {"arm.joints": description.arm.joints,
-              "base.left_wheel_joints": description.base.left_wheel_joints,
-              "base.right_wheel_joints": description.base.right_wheel_joints}  # fmt: skip
+    wanted = {"arm.joints": description.arm.joints}
+    wanted |= {f"base.{wheels.field}": wheels.joints for wheels in description.base.wheels}
     for field, joints in wanted.items():
         for name in joints:
             if name not in names:

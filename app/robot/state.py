@@ -18,23 +18,33 @@ class Measurement(NamedTuple):
 
     Attributes:
         base_pose: (3,) x, y [m] and heading φ [rad] of the base's centre in the world.
-        base_velocity: (2,) v [m/s] along the base's x axis and ω [rad/s].
+        base_velocity: (n_b,) [m/s or rad/s] along the base's axes: v and ω of a differential one.
         q_m: (n_m,) [rad or m] the arm's joint positions.
         qd_m: (n_m,) [rad/s or m/s] the arm's joint velocities.
+        drive: (n_d,) what the base's drive has besides, such as a steering angle [rad].
     """
 
     base_pose: Array
     base_velocity: Array
     q_m: Array
     qd_m: Array
+    drive: Array = np.zeros(0)
+
+
+def at_rest(model: RobotModel, q_m: Array, base_pose: Array | None = None) -> Measurement:
+    """What the sensors of a robot at rest give, its base at the origin if no pose is given."""
+    pose = np.zeros(3) if base_pose is None else base_pose
+    base = model.description.base
+    return Measurement(pose, np.zeros(model.n_b), q_m, np.zeros(model.n_m), base.drive_at_rest())
 
 
 class RobotState:
-    """Kinematics and dynamics at one instant, in the reduced coordinates q̇ = (θ̇_r, θ̇_l, q̇_m).
+    """Kinematics and dynamics at one instant, in the reduced coordinates q̇ = (q̇_b, q̇_m).
 
     Attributes:
         measurement: What it was updated with.
-        qd: (n,) reduced velocity q̇: wheel speeds [rad/s], then the arm's joints.
+        qd: (n,) reduced velocity q̇: the base's, wheel speeds [rad/s] of a differential one, then
+            the arm's joints.
         M: (n, n) inertia matrix M of (26).
         h: (n,) C q̇ + g of (26).
         g: (n,) g of (26).
@@ -50,15 +60,10 @@ class RobotState:
         self.model = model
         self.data = model.pin.createData()
         self._pin = model.pin
-        self._J_m_inv = np.linalg.inv(model.J_m)
-        self._B = np.ascontiguousarray(model.S[:3, : model.n - model.n_m])
+        self._B = np.ascontiguousarray(model.S[:3, : model.n_b])
         self.R_world_base = np.eye(3)
         self.p_o = np.zeros(3)
-        at_rest = Measurement(
-            np.zeros(3), np.zeros(2), np.array(model.description.arm.ready_position),
-            np.zeros(model.n_m),
-        )  # fmt: skip
-        self.update(at_rest)
+        self.update(at_rest(model, np.array(model.description.arm.ready_position)))
 
     def scale_arm_inertias(self, factor: float) -> None:
         """Compute with other masses and inertias of the arm from the next update on.
@@ -94,7 +99,7 @@ class RobotState:
     def _take(self, measurement: Measurement) -> tuple[Array, Array]:
         """Pinocchio's configuration and velocity."""
         self.measurement = measurement
-        self.qd, q, v = motion.coordinates(*measurement, self._B, self._J_m_inv)
+        self.qd, q, v = motion.coordinates(*measurement[:4], self._B, self.model.J_m_inv)
         return q, v
 
     def _update_motion(self, v: Array) -> None:

@@ -55,9 +55,9 @@ class BulletDynamics:
                 physicsClientId=world.client,
             )
         )  # fmt: skip
-        # The world's axes stand still while the base turns: v̇ = S q̈ + (0, ω v, 0).
+        # The world's axes stand still while the base turns: v̇ = S q̈ + (-ω v_y, ω v_x, 0).
         turning = np.zeros(len(q))
-        turning[1] = v[2] * v[0]
+        turning[0], turning[1] = -v[2] * v[1], v[2] * v[0]
         M = M[np.ix_(self._order, self._order)]
         return S.T @ M @ S, S.T @ (nle[self._order] + M @ turning)
 

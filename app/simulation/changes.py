@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
+from app.robot.bases.kind import BaseKind
 from app.simulation.session import Step
 
 Array = np.ndarray
@@ -38,17 +40,19 @@ class Changes:
 class Smoothness:
     """Largest change a step and number of sign changes of an acceleration of the base.
 
-    A sign counts once the acceleration has left the dead band of ±0.01 m/s² and ±0.01 rad/s².
+    A sign counts once the acceleration has left the dead band of ±0.01 m/s² and ±0.01 rad/s². Of
+    several axes of a kind, linear or angular, the worst one counts.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, base: BaseKind) -> None:
+        self._angular = [axis.angular for axis in base.axes]
         self._last: list[float] | None = None
-        self._sign = [0.0, 0.0]
-        self._jump = [0.0, 0.0]
-        self._changes = [0, 0]
+        self._sign = [0.0] * base.n_b
+        self._jump = [0.0] * base.n_b
+        self._changes = [0] * base.n_b
 
     def add(self, now: Array) -> None:
-        """Take one control step's acceleration (2,)."""
+        """Take one control step's acceleration (n_b,)."""
         values = now.tolist()
         last = values if self._last is None else self._last
         for i, value in enumerate(values):
@@ -64,17 +68,21 @@ class Smoothness:
     @property
     def jumps(self) -> tuple[float, float]:
         """[m/s²] and [rad/s²] largest change in one step."""
-        return self._jump[0], self._jump[1]
+        return self._worst(self._jump, angular=False), self._worst(self._jump, angular=True)
+
+    def _worst(self, values: Sequence[float], *, angular: bool) -> float:
+        sides = zip(values, self._angular, strict=True)
+        return max((value for value, turns in sides if turns == angular), default=0.0)
 
     def figures(self, name: str) -> dict[str, object]:
         """Both, by linear and angular part."""
         return {
             f"{name}_jump_max": {
-                "linear_mps2": self._jump[0],
-                "angular_radps2": self._jump[1],
+                "linear_mps2": self.jumps[0],
+                "angular_radps2": self.jumps[1],
             },
             f"{name}_sign_changes": {
-                "linear": self._changes[0],
-                "angular": self._changes[1],
+                "linear": int(self._worst(self._changes, angular=False)),
+                "angular": int(self._worst(self._changes, angular=True)),
             },
         }

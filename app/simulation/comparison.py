@@ -66,7 +66,7 @@ class ScoreKeeper:
         self._base = session.model.body_names[0]
         self._least = self._now = float("inf")
         self._error = self._error_max = 0.0
-        self._changes, self._asked = Changes(), Smoothness()
+        self._changes, self._asked = Changes(), Smoothness(session.model.description.base)
         self._contacts = 0
 
     def add(self, step: Step) -> None:

@@ -63,15 +63,15 @@ class Disturbances:
         return truth._replace(q_m=q_m, qd_m=self._tracking.update(q_m))
 
     def arriving(self, command: Array) -> Array:
-        """(2,) v [m/s] and ω [rad/s] of the command that takes effect, less what slips.
+        """(n_b,) [m/s or rad/s] the command that takes effect, less what slips.
 
         Args:
-            command: (2,) the command in force at this control step. Before the first there was
+            command: (n_b,) the command in force at this control step. Before the first there was
                 rest.
         """
         self._commands.append(command.copy())
         steps = round(self.config.base_delay / self._dt)
-        late = self._commands[-1 - steps] if steps < len(self._commands) else np.zeros(2)
+        late = self._commands[-1 - steps] if steps < len(self._commands) else np.zeros_like(command)
         return (1.0 - self.config.slip) * late
 
 

@@ -12,7 +12,7 @@ from app.border.mobile import MobileBody
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState
+from app.robot.state import RobotState, at_rest
 from app.simulation.door import Door
 from app.simulation.posture import best_posture, manipulability
 
@@ -120,15 +120,15 @@ class GraspSolver:
 
     def _error(self, base_pose: Array, target: pin.SE3, q_m: Array) -> Array:
         """(6,) from the end-effector to the target, in the end-effector's frame."""
-        zero = np.zeros(len(q_m))
-        self._state.update(Measurement(base_pose, np.zeros(2), q_m, zero))
+        self._state.update(at_rest(self._state.model, q_m, base_pose))
         return pin.log6(self._state.T_world_ee.actInv(target)).vector
 
     def _linearised(self, base_pose: Array, target: pin.SE3, q_m: Array) -> tuple[Array, Array]:
         """(6,) the error, and (6, n_m) its derivative by the joints."""
         error = self._error(base_pose, target, q_m)
         R = self._state.T_world_ee.rotation.T
-        J = np.vstack([R @ self._state.J_ee[:3, 2:], R @ self._state.J_ee[3:, 2:]])
+        J_m = self._state.J_ee[:, self._state.model.n_b :]
+        J = np.vstack([R @ J_m[:3], R @ J_m[3:]])
         return error, -pin.Jlog6(pin.exp6(-error)) @ J
 
     def _corrected(self, base_pose: Array, target: pin.SE3, q_m: Array, q_start: Array) -> Array:
@@ -172,7 +172,7 @@ class GraspSolver:
         left = np.minimum(q_m - self._model.q_lower, self._model.q_upper - q_m)
         if (left < _JOINT_MARGIN * self._range).any():
             return 0.0
-        J = self._state.J_ee[:, 2:]
+        J = self._state.J_ee[:, self._state.model.n_b :]
         joints = float(np.min(left / self._range))
         return (
             min(joints, 0.15) + 2 * min(manipulability(J), 0.05) + 5 * min(beyond - clearance, 0.1)

@@ -7,7 +7,6 @@ only. For tests, and an independent check of pybullet.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import coal
@@ -19,6 +18,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.contact_pairs import body_contact_pairs
 from app.simulation.physics import Contacts, Push
+from app.simulation.planar import world_twist
 
 Array = np.ndarray
 
@@ -47,12 +47,12 @@ class Kinematic:
         self._state = RobotState(model)
         self._overlaps = _Overlaps(model, outer)
         self._drive = Drive(model.description.base, dt)
-        self._rolling = np.linalg.inv(model.J_m)
+        self._base, self._T = model.description.base, model.description.base.T
         self.reset(np.zeros(3), np.array(model.description.arm.ready_position))
 
     @property
     def wheel_angles(self) -> Array:
-        """(2,) [rad] of the right and the left side."""
+        """(n_w,) [rad] of the base's `wheels`, as the right and the left side."""
         return self._wheel_angles.copy()
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
@@ -60,13 +60,17 @@ class Kinematic:
         self._drive.reset()
         self._base_pose = np.array(base_pose, dtype=float)
         self._q, self._qd = np.array(q_m, dtype=float), np.zeros(self._model.n_m)
-        self._wheel_angles = np.zeros(2)
+        self._wheel_angles = np.zeros(len(self._base.wheels))
         self._stepped = False
 
     def measure(self) -> Measurement:
         """See `Physics.measure`."""
         return Measurement(
-            self._base_pose.copy(), self._drive.velocity.copy(), self._q.copy(), self._qd.copy()
+            self._base_pose.copy(),
+            self._drive.velocity.copy(),
+            self._q.copy(),
+            self._qd.copy(),
+            self._drive.state.copy(),
         )
 
     def step(
@@ -75,13 +79,15 @@ class Kinematic:
         """See `Physics.step`."""
         self._state.update(self.measure())
         before = self._drive.velocity
-        v, w = self._drive.step(base_velocity)
-        qdd_b = self._rolling @ (self._drive.velocity - before) / self.dt
+        now = self._drive.step(base_velocity)
+        rolling = self._model.J_m_inv
+        qdd_b = rolling @ (now - before) / self.dt
         self._qd += self._arm_acceleration(u_a + self._felt(hand_force, pushes), qdd_b) * self.dt
         self._q += self._qd * self.dt
-        phi = self._base_pose[2] + 0.5 * w * self.dt  # the middle of the step, exact on a circle
-        self._base_pose += np.array([v * math.cos(phi), v * math.sin(phi), w]) * self.dt
-        self._wheel_angles += self._rolling @ (v, w) * self.dt
+        self._base_pose += world_twist(self._T @ now, self._base_pose[2], self.dt) * self.dt
+        self._wheel_angles = self._base.turned(
+            self._wheel_angles, rolling @ now, self._drive.state, self.dt
+        )
         self._stepped = True
 
     def contacts(self) -> Contacts:
@@ -95,18 +101,19 @@ class Kinematic:
 
     def _felt(self, hand_force: Array, pushes: Sequence[Push]) -> Array:
         """(n_m,) Σ J_aᵀ f: the joints' share of the forces on the arm."""
-        state, felt = self._state, self._state.J_ee[:3, 2:].T @ np.asarray(hand_force)
+        state, n_b = self._state, self._model.n_b
+        felt = state.J_ee[:3, n_b:].T @ np.asarray(hand_force)
         for push in pushes:
             joint = self._model.pin.getJointId(push.joint)
             p_world = state.data.oMi[joint].act(push.p)
-            felt = felt + state.point_jacobian(joint, p_world)[:, 2:].T @ push.force
+            felt = felt + state.point_jacobian(joint, p_world)[:, n_b:].T @ push.force
         return felt
 
     def _arm_acceleration(self, u_a: Array, qdd_b: Array) -> Array:
         """(n_m,) q̈_a from the arm's rows of the equation of motion, joint limits included."""
-        M, h = self._state.M, self._state.h
-        u = u_a - h[2:] - M[2:, :2] @ qdd_b
-        M_aa = M[2:, 2:]
+        M, h, n_b = self._state.M, self._state.h, self._model.n_b
+        u = u_a - h[n_b:] - M[n_b:, :n_b] @ qdd_b
+        M_aa = M[n_b:, n_b:]
         qdd = np.linalg.solve(M_aa, u)
         held = np.zeros(len(qdd), dtype=bool)
         while (stopped := self._beyond_limits(qdd) & ~held).any():

@@ -29,6 +29,12 @@ class LogMeta(Strict):
     """The arm's joints, in the order of q_m."""
     joint_units: tuple[Literal["rad", "m"], ...]
     """Unit of the position of each of them."""
+    velocities: tuple[str, ...] = ("v_mps", "w_radps")
+    """Names of the base's velocities in the columns, in the order of its axes."""
+    accelerations: tuple[str, ...] = ("a_mps2", "aw_radps2")
+    """Names of their derivatives."""
+    wheels: tuple[str, ...] = ("right", "left")
+    """Names of the angles of the base's wheels."""
     pairs: tuple[str, ...]
     """All link pairs, in the order of the snapshots."""
     mobile_pairs: tuple[str, ...]
@@ -56,11 +62,14 @@ class LogMeta(Strict):
             physics: Kind of plant.
             seed: Of everything random in the run.
         """
-        arm = model.description.arm
+        arm, base = model.description.arm, model.description.base
         kinds = (model.pin.joints[model.pin.getJointId(name)].shortname() for name in arm.joints)
         return cls(
             robot=model.description.name, joints=tuple(arm.joints),
             joint_units=tuple("m" if "JointModelP" in kind else "rad" for kind in kinds),
+            velocities=tuple(axis.velocity for axis in base.axes),
+            accelerations=tuple(axis.acceleration for axis in base.axes),
+            wheels=tuple(wheels.name for wheels in base.wheels),
             pairs=tuple(pair.name for pair in first.pairs),
             mobile_pairs=tuple(pair.name for pair in first.pairs if pair.mobile),
             scenario=scenario, physics=physics, seed=seed, config=first.config,

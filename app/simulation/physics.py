@@ -88,8 +88,8 @@ class Physics(Protocol):
 
         Args:
             u_a: (n_m,) [N m or N] torques of the arm, held for the step.
-            base_velocity: (2,) commanded v [m/s] and ω [rad/s]; the drive follows with the
-                description's time constant and acceleration limits.
+            base_velocity: (n_b,) [m/s or rad/s] commanded along the base's axes; the drive
+                follows with the description's time constant and limits.
             hand_force: (3,) [N] force of the person on the end-effector's origin, in the world.
             pushes: Forces on other points of the arm.
         """

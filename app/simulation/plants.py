@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from app.errors import ConfigError, UnknownNameError
+from app.robot.bases.differential import DifferentialBase
 from app.robot.model import RobotModel
 from app.simulation.door import OpenDoor
 from app.simulation.physics import Physics
@@ -25,7 +26,7 @@ def make_physics(
 
     Raises:
         UnknownNameError: No such plant.
-        ConfigError: That plant has no doors.
+        ConfigError: That plant has no doors, or does not suit the kind of base.
         AssetError: pybullet cannot load the robot.
     """
     del seed
@@ -35,6 +36,12 @@ def make_physics(
 
         return PybulletPlanar(model, dt=dt, door=door)
     if kind == "contact":
+        base = model.description.base
+        if not isinstance(base, DifferentialBase):
+            raise ConfigError(
+                "the plant contact drives two wheels, and takes differential bases only; "
+                f"{model.description.name} is {base.kind}: choose planar or kinematic"
+            )
         from app.simulation.pybullet_contact import PybulletContact
 
         return PybulletContact(model, dt=dt, door=door)

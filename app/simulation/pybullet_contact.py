@@ -15,6 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.control.drive import Drive
+from app.robot.description import differential
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.bullet_world import GRAVITY, BulletWorld, pybullet
@@ -58,9 +59,10 @@ class PybulletContact:
             UnknownNameError: `outer` names a body that the arm does not have.
         """
         description, self.dt = model.description, dt
+        base = differential(description)
         contacts = link_contact_pairs(description, outer)
         self.world = BulletWorld(contact_plant_urdf(model), dt, fixed_root=False)
-        wheels = {*description.base.left_wheel_joints, *description.base.right_wheel_joints}
+        wheels = {*base.left_wheel_joints, *base.right_wheel_joints}
         hull = set(description.mobile_body.covers) - self._children(wheels)
         self.world.allow_contacts(contacts, on_floor=(*DRIVE_SPHERES, *CASTERS, *hull))
         self.arm = BulletArm(self.world, model)
@@ -68,8 +70,7 @@ class PybulletContact:
         self._spheres = [self.world.joints[name] for name in DRIVE_SPHERES]
         self._joints = [*self._spheres, *self.arm.joints]
         self._drive = Drive(description.base, dt)
-        self._rolling = np.linalg.inv(model.J_m)
-        base = description.base
+        self._rolling = model.J_m_inv
         self._torque_limits = [0.5 * base.traction_limit_n * base.wheel_radius_m] * 2  # [N m]
         weight = GRAVITY * pin.computeTotalMass(model.pin)  # [N]
         self._set_friction(_LOAD_RESERVE * base.traction_limit_n / weight)

@@ -6,7 +6,6 @@ the wheels themselves are only animated. The base cannot tip.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -19,6 +18,7 @@ from app.simulation.bullet_world import BulletWorld, pybullet
 from app.simulation.contact_pairs import link_contact_pairs
 from app.simulation.door import OpenDoor
 from app.simulation.physics import Contacts, Push
+from app.simulation.planar import base_twist, world_twist
 from app.simulation.pybullet_arm import BulletArm
 from app.simulation.pybullet_door import BulletDoor
 from app.simulation.pybullet_urdf import planar_plant_urdf
@@ -55,14 +55,15 @@ class PybulletPlanar:
         self._planar = [self.world.joints[name] for name in PLANAR_JOINTS]
         self._joints = [*self._planar, *self.arm.joints]
         self._drive = Drive(description.base, dt)
-        self._rolling = np.linalg.inv(model.J_m)
+        self._base, self._T = description.base, description.base.T
+        self._rolling = model.J_m_inv
         traction = description.base.traction_limit_n
-        self._limits = [traction, traction, traction * description.base.half_track_m]
+        self._limits = [traction, traction, description.base.yaw_limit_nm]
         self.reset(np.zeros(3), np.array(description.arm.ready_position))
 
     @property
     def wheel_angles(self) -> Array:
-        """(2,) [rad] of the right and the left side."""
+        """(n_w,) [rad] of the base's `wheels`, as the right and the left side."""
         return self._wheel_angles.copy()
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
@@ -76,7 +77,7 @@ class PybulletPlanar:
             )
         self.arm.reset(q_m)
         self._drive.reset()
-        self._wheel_angles = np.zeros(2)
+        self._wheel_angles = np.zeros(len(self._base.wheels))
         if self.door is not None:
             self.door.reset()
 
@@ -87,24 +88,26 @@ class PybulletPlanar:
         )
         q = np.array([state[0] for state in states])
         qd = np.array([state[1] for state in states])
-        c, s = math.cos(q[2]), math.sin(q[2])
-        return Measurement(q[:3], np.array([c * qd[0] + s * qd[1], qd[2]]), q[3:], qd[3:])
+        velocity = self._T.T @ base_twist(qd[:3], q[2])
+        return Measurement(q[:3], velocity, q[3:], qd[3:], self._drive.state.copy())
 
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
         """See `Physics.step`."""
-        v, w = self._drive.step(base_velocity).tolist()
-        phi = self._heading() + 0.5 * w * self.dt  # the middle of the step: no drift in a curve
+        velocity = self._drive.step(base_velocity)
+        twist = world_twist(self._T @ velocity, self._heading(), self.dt)
         pybullet.setJointMotorControlArray(
             self.world.robot, self._planar, pybullet.VELOCITY_CONTROL,
-            targetVelocities=[v * math.cos(phi), v * math.sin(phi), w], forces=self._limits,
+            targetVelocities=twist.tolist(), forces=self._limits,
             physicsClientId=self.world.client,
         )  # fmt: skip
         self.arm.drive(u_a)
         self.arm.push(hand_force, pushes)
         self.world.step()
-        self._wheel_angles += self._rolling @ (v, w) * self.dt
+        self._wheel_angles = self._base.turned(
+            self._wheel_angles, self._rolling @ velocity, self._drive.state, self.dt
+        )
 
     def contacts(self) -> Contacts:
         """See `Physics.contacts`."""

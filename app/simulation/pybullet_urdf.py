@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement
 import numpy as np
 import pinocchio as pin
 
-from app.robot.description import RobotDescription
+from app.robot.description import RobotDescription, differential
 from app.robot.meshes import shape_mesh
 from app.robot.model import RobotModel
 from app.robot.urdf import PLANAR_JOINTS, planar_urdf, resolved_urdf, root_link
@@ -43,7 +43,8 @@ def contact_plant_urdf(model: RobotModel) -> str:
     root = root_link(text)
     tree = ElementTree.fromstring(text)
     inertia = model.pin.inertias[1]  # of the root joint: the base and all that is fixed to it
-    r, b = description.base.wheel_radius_m, description.base.half_track_m
+    base = differential(description)
+    r, b = base.wheel_radius_m, base.half_track_m
     mass = _SPHERE_SHARE * inertia.mass
     sphere = pin.Inertia.FromSphere(mass, r)
     for name, y in zip(DRIVE_SPHERES, (-b, b), strict=True):
@@ -64,7 +65,7 @@ def caster_places(model: RobotModel) -> Array:
     with two wheels and casters of its own), the corners of l_m's footprint are taken, a wheel's
     radius inwards.
     """
-    base = model.description.base
+    base = differential(model.description)
     full = pin.buildModelFromXML(resolved_urdf(model.description))
     data = full.createData()
     pin.forwardKinematics(full, data, pin.neutral(full))

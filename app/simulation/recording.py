@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from app.control.buffer_watch import BufferReading
+from app.robot.bases.kind import Axis
 from app.robot.model import RobotModel
 from app.simulation.changes import Changes, Smoothness
 from app.simulation.door_record import DoorRecord, door_columns
@@ -33,7 +35,8 @@ class Recorder:
         self._contacts = self._arm_contacts = self._floor_contacts = 0
         self._ee_error_max = self._activation_max = 0.0
         self._changes = Changes()
-        self._asked, self._inserted = Smoothness(), Smoothness()
+        self._axes = model.description.base.axes
+        self._asked, self._inserted = (Smoothness(model.description.base) for _ in range(2))
         self._door: DoorRecord | None = None
         self._hand_force_max = 0.0
         self._failures = 0
@@ -69,7 +72,7 @@ class Recorder:
             self._door.add(step)
         self._durations.append(step.duration)
         if (len(self._durations) - 1) % _LOG_EVERY == 0:
-            self._rows.append(_log_row(step))
+            self._rows.append(_log_row(step, self._axes))
         self._last = step
 
     @property
@@ -135,13 +138,13 @@ class Recorder:
             writer.writerows(self._rows)
 
 
-def _log_row(step: Step) -> dict[str, float]:
+def _log_row(step: Step, axes: Sequence[Axis]) -> dict[str, float]:
     m, out = step.truth, step.output
     row: dict[str, float] = {"t_s": step.t}
     row |= dict(zip(("base_x_m", "base_y_m", "base_yaw_rad"), m.base_pose.tolist(), strict=True))
-    row |= {"base_v_mps": float(m.base_velocity[0]), "base_w_radps": float(m.base_velocity[1])}
-    v, w = step.base_command.tolist()
-    row |= {"command_v_mps": v, "command_w_radps": w}
+    for name, values in (("base", m.base_velocity), ("command", step.base_command)):
+        at = zip(axes, values.tolist(), strict=True)
+        row |= {f"{name}_{axis.velocity}": value for axis, value in at}
     row |= {f"q{i}_rad": float(q) for i, q in enumerate(m.q_m, start=1)}
     row |= {f"qd{i}_radps": float(q) for i, q in enumerate(m.qd_m, start=1)}
     row |= {f"u{i}_nm": float(u) for i, u in enumerate(out.u_a, start=1)}
@@ -150,8 +153,9 @@ def _log_row(step: Step) -> dict[str, float]:
         row |= {f"d_{name}_m": d, f"beta_{name}": pair.beta}
     row["beta_m"] = out.avoidance.beta_m
     asked, avoid = out.base_acceleration, out.inserted.base_acceleration
-    row |= {"base_a_mps2": float(asked[0]), "base_aw_radps2": float(asked[1])}
-    row |= {"avoidance_a_mps2": float(avoid[0]), "avoidance_aw_radps2": float(avoid[1])}
+    for name, values in (("base", asked), ("avoidance", avoid)):
+        at = zip(axes, values.tolist(), strict=True)
+        row |= {f"{name}_{axis.acceleration}": value for axis, value in at}
     force = step.hand_force.tolist()
     row |= dict(zip(("hand_fx_n", "hand_fy_n", "hand_fz_n"), force, strict=True))
     row["ee_error_m"] = step.ee_error

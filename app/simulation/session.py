@@ -40,7 +40,7 @@ class Step(NamedTuple):
         t: [s] simulated time at the step's begin.
         measurement: The sensors' readings.
         output: The controller's answer.
-        base_command: (2,) v [m/s] and ω [rad/s] in force; what arrives at the drive may be late.
+        base_command: (n_b,) [m/s or rad/s] in force; what arrives at the drive may be late.
         hand_target: (3,) [m] where the (first) person at the end-effector pulls it, or None.
         hand_force: (3,) [N] force on the end-effector in the world: the person's, or what the hand
             exerts on a door that it holds.
@@ -86,7 +86,7 @@ class Session:
         door: The door that the hand holds, and how far it is open at the start, or None.
         controller: The controller under test.
         physics: The plant.
-        wheel_angles: (2,) [rad] how far the right and the left wheels have turned, for drawing.
+        wheel_angles: (n_w,) [rad] of the base's `wheels`, for drawing.
     """
 
     def __init__(
@@ -121,9 +121,9 @@ class Session:
         self.kind, self.seed, self.door = physics, seed, door
         self.controller = Controller(model, data, config, name=controller)
         self.physics: Physics = make_physics(physics, plant or model, dt=DT, seed=seed, door=door)
-        base = model.description.base
-        self._drive = Drive(base, DT)
-        self._admittance = AdmittanceLaw(base, config.admittance)
+        self._base = model.description.base
+        self._drive = Drive(self._base, DT)
+        self._admittance = AdmittanceLaw(self._base, config.admittance)
         self._disturbances = Disturbances(config.disturbance, DT, seed)
         self._truth = Truth(model, data, self.controller)
         self._watch = BufferWatch(config)
@@ -143,7 +143,7 @@ class Session:
         self._admittance.reset()
         self._disturbances.reset()
         self._people = People(self.model, self.config.hand, DT)
-        self.wheel_angles = np.zeros(2)
+        self.wheel_angles = np.zeros(len(self._base.wheels))
         self.controller.state.update(self.physics.measure())
         self._truth.reset()
         self._watch.reset()
@@ -189,7 +189,7 @@ class Session:
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
         expected = self._drive.expected_acceleration(
-            self._admittance.command, measurement.base_velocity
+            self._admittance.command, measurement.base_velocity, measurement.drive
         )
         begin = perf_counter()
         output = self.controller.step(measurement, reference, base_acceleration=expected)
@@ -206,7 +206,9 @@ class Session:
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = float(np.linalg.norm(p_ee - aim))
         self.physics.step(output.u_a, self._disturbances.arriving(command), *person)
-        self.wheel_angles = self.wheel_angles + state.qd[:2] * DT
+        self.wheel_angles = self._base.turned(
+            self.wheel_angles, state.qd[: self.model.n_b], truth.drive, DT
+        )
         felt = person.hand if door is None else door.force
         step = Step(
             self.t, measurement, output, command.copy(), target, felt, error,

@@ -77,16 +77,16 @@ class Snapshot:
     base_pose: Array
     """(3,) x, y [m], φ [rad]."""
     base_velocity: Array
-    """(2,) measured v [m/s], ω [rad/s]."""
+    """(n_b,) [m/s or rad/s] measured along the base's axes: v, ω of a differential one."""
     base_velocity_command: Array
-    """(2,) commanded v [m/s], ω [rad/s], renewed at 10 Hz."""
+    """(n_b,) [m/s or rad/s] commanded, renewed at 10 Hz."""
     base_acceleration: Array
-    """(2,) v̇ [m/s²], ω̇ [rad/s²] that the HQP asks of the base."""
+    """(n_b,) [m/s² or rad/s²] that the HQP asks of the base."""
     avoidance_acceleration: Array
-    """(2,) β times the desired accelerations of (16), as in Figure 15; 0 if the controller does not
-    insert them."""
+    """(n_b,) β times the desired accelerations of (16), as in Figure 15; 0 if the controller does
+    not insert them."""
     wheel_angles: Array
-    """(2,) [rad] of the right and the left side, for drawing."""
+    """(n_w,) [rad] of the base's `wheels`, for drawing: the right and the left side."""
     q_m: Array
     """(n_m,) arm joints."""
     u_a: Array

@@ -12,7 +12,7 @@ from app.avoidance.distances import DistanceMonitor
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState
+from app.robot.state import RobotState, at_rest
 from app.simulation.posture import best_posture, manipulability
 
 Array = np.ndarray
@@ -55,7 +55,7 @@ class StartSolver:
         self._range = model.q_upper - model.q_lower
         self._middle = (model.q_upper + model.q_lower) / 2
         # Of less than six directions of motion some are lost: the hand points as it has to then.
-        J = self._state.J_ee[:, 2:]
+        J = self._state.J_ee[:, self._model.n_b :]
         self._points_anywhere = bool(np.linalg.matrix_rank(J, tol=_LOST) == 6)
 
     def solve(
@@ -132,8 +132,7 @@ class StartSolver:
         return np.array([*(np.cos(pitch) * outwards), -np.sin(pitch)])
 
     def _place(self, q: Array) -> None:
-        zero = np.zeros(len(q))
-        self._state.update(Measurement(np.zeros(3), np.zeros(2), q, zero))
+        self._state.update(at_rest(self._model, q))
 
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
         """Whether the hand comes to `p_ee` [m] within the joints' limits, however it points."""
@@ -165,7 +164,7 @@ class StartSolver:
 
         def jacobian(q: Array) -> Array:
             self._place(q)
-            J = state.J_ee[:, 2:]
+            J = state.J_ee[:, self._model.n_b :]
             pointing = -pointed * pin.skew(state.T_world_ee.rotation[:, 2]) @ J[3:]
             return np.vstack([10.0 * J[:3], pointing, 1e-5 * np.diag(1 / self._range)])
 
@@ -190,7 +189,7 @@ class StartSolver:
             clearance = min(clearance, closest.d - self._d_b)
         left = np.minimum(q - self._model.q_lower, self._model.q_upper - q)
         joints = float(np.min(left / self._range))
-        J = self._state.J_ee[:, 2:]
+        J = self._state.J_ee[:, self._model.n_b :]
         return _Judgement(min(joints, 0.15) + min(manipulability(J), 0.1) + min(clearance, 0.1), "")
 
     @staticmethod

@@ -14,7 +14,7 @@ from app.config import Config
 from app.errors import ConfigError, UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState
+from app.robot.state import RobotState, at_rest
 from app.simulation.leading import Lead, Leader, Scenario, Setting
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ class TroubledStarts:
         model = self._model
         for _ in range(_TRIES):
             q_m = rng.uniform(model.q_lower, model.q_upper)
-            self._state.update(Measurement(np.zeros(3), np.zeros(2), q_m, np.zeros(model.n_m)))
+            self._state.update(at_rest(model, q_m))
             if wanted(self._monitor.find_closest_points()) and self._floor.least() > _FLOOR_MARGIN:
                 return q_m
         return None

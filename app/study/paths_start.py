@@ -14,7 +14,7 @@ from app.border.cache import BorderData
 from app.border.mobile import MobileBody
 from app.errors import UnreachableError
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState
+from app.robot.state import RobotState, at_rest
 from app.simulation.start import OUT_OF_REACH, StartSolver
 from app.study.paths import Approach, outline_distance
 
@@ -191,14 +191,13 @@ class StartFinder:
                 q_m = self._solver.slide(_point(p_ee), q_m)
             else:  # finer than the posture's own search: the shortest step of the joints
                 joint = self._state.model.body_joint(closest.pair.b)
-                along = self._state.point_jacobian(joint, closest.p_b)[0, 2:]
+                along = self._state.point_jacobian(joint, closest.p_b)[0, self._state.model.n_b :]
                 q_m = q_m - along * off / (along @ along)
         raise UnreachableError(f"p_b comes no nearer to the asked place than {nearest:.1e} m")
 
     def _closest(self, q_m: Array) -> ClosestPoints:
         """The nearest pair of L_m; leaves the state at that posture."""
-        zero = np.zeros(len(q_m))
-        self._state.update(Measurement(np.zeros(3), np.zeros(2), q_m, zero))
+        self._state.update(at_rest(self._state.model, q_m))
         return min(self._monitor.find_closest_points(), key=lambda closest: closest.d)
 
 

@@ -11,7 +11,7 @@ from app.border.cache import BorderData, load_border_data
 from app.border.mobile import MobileBody
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState
+from app.robot.state import RobotState, at_rest
 
 Array = np.ndarray
 
@@ -86,15 +86,15 @@ def load_sources(robot: str) -> StudySources:
 
 def _measure(model: RobotModel) -> Reach:
     """From random postures whose hand points outwards and not up, as the start solver wants it."""
-    state, rng, zero = RobotState(model), np.random.default_rng(0), np.zeros(model.n_m)
+    state, rng = RobotState(model), np.random.default_rng(0)
     joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
     ready = np.array(model.description.arm.ready_position)
-    state.update(Measurement(np.zeros(3), np.zeros(2), ready, zero))
+    state.update(at_rest(model, ready))
     shoulder, mount = state.data.oMi[joint].translation.copy(), model.p_base()[:2]
     distances = []
     for _ in range(_SAMPLES):
         q = rng.uniform(model.q_lower, model.q_upper)
-        state.update(Measurement(np.zeros(3), np.zeros(2), q, zero))
+        state.update(at_rest(model, q))
         p, z = state.T_world_ee.translation, state.T_world_ee.rotation[:, 2]
         out = (p[:2] - mount) / max(float(np.hypot(*(p[:2] - mount))), 1e-6)
         sideways = abs(z[1] * out[0] - z[0] * out[1])

@@ -1,0 +1,166 @@
+"""The paper's base: two sides of wheels with speeds of their own, no motion sideways."""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from app.robot.bases.kind import FORWARD, TURN, Axis, BaseForce, BaseKind, Wheels
+from app.strict import Positive
+
+Array = np.ndarray
+
+
+def mobile_jacobian(r: float, b: float) -> Array:
+    """J_m of the differential base: (v, ω) = J_m (θ̇_r, θ̇_l).
+
+    Paper: Eq. (19), with the signs of the second column mended: the printed matrix has rank 1 and
+    contradicts (6).
+
+    Args:
+        r: [m] radius of the wheels.
+        b: [m] distance between a wheel and the base's centre.
+
+    Returns:
+        (2, 2) in m/rad and 1.
+    """
+    return np.array([[r / 2, r / 2], [r / (2 * b), -r / (2 * b)]])
+
+
+def control_point_jacobian(x: float, y: float, phi: float, r: float, b: float) -> Array:
+    """J_c, from the wheels' speeds to the velocity of the control point, ṗ_c = J_c q̇_b.
+
+    Paper: Eq. (5), (6).
+
+    Args:
+        x: [m] from the base's centre to the control point, along the world's x axis.
+        y: [m] the same along the world's y axis.
+        phi: [rad] heading of the base.
+        r: [m] radius of the wheels.
+        b: [m] distance between a wheel and the base's centre.
+
+    Returns:
+        (2, 2) [m/rad], columns right and left wheel.
+    """
+    c = r / (2 * b)
+    cos, sin = np.cos(phi), np.sin(phi)
+    return c * np.array([[b * cos - y, b * cos + y], [b * sin + x, b * sin - x]])
+
+
+def singularity_measure(p: Array, r: float, b: float) -> Array:
+    """det(J_c J_cᵀ) at q_c = (x, y, 0): zero on the wheels' axis.
+
+    Paper: Eq. (7), (8).
+
+    Args:
+        p: (…, 3) [m] points in the base's frame.
+        r: [m] radius of the wheels.
+        b: [m] distance between a wheel and the base's centre.
+
+    Returns:
+        (…) [m⁴/rad⁴].
+    """
+    c = r / (2 * b)
+    return 4 * b**2 * c**4 * np.asarray(p)[..., 0] ** 2
+
+
+def free_acceleration(force: BaseForce, m: float, I: float) -> Array:
+    """ẍ_m = (v̇_d, ω̇_d) of a base that cannot slip sideways: m v̇_d = f_x, I ω̇_d = τ.
+
+    Paper: Eq. (17), (18).
+
+    Args:
+        force: What acts on the base, in its frame.
+        m: [kg] mass of the base.
+        I: [kg m²] moment of inertia of the base.
+
+    Returns:
+        (2,) v̇_d [m/s²] and ω̇_d [rad/s²].
+    """
+    return np.array([force.x / m, force.torque / I])
+
+
+class DifferentialBase(BaseKind):
+    """The differentially driven base: r, b, m, I of the paper, its limits and its drive.
+
+    It cannot move sideways: its twist has no v_y.
+
+    Paper: Eq. (4).
+    """
+
+    axes: ClassVar[tuple[Axis, ...]] = (FORWARD, TURN)
+
+    kind: Literal["differential"]
+    wheel_radius_m: Positive
+    """[m] r of (6)."""
+    half_track_m: Positive
+    """[m] b of (6), distance between a wheel and the base's centre."""
+    max_angular_velocity_radps: Positive
+    """[rad/s]"""
+    max_angular_acceleration_radps2: Positive
+    """[rad/s²]"""
+    left_wheel_joints: tuple[str, ...]
+    """Wheel joints of the URDF turning with the left side; drawn only, the drive is at r and b."""
+    right_wheel_joints: tuple[str, ...]
+    """The same for the right side."""
+
+    @property
+    def T(self) -> Array:
+        """See `BaseKind`."""
+        return np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
+
+    @property
+    def J_m(self) -> Array:
+        """See `BaseKind`; q̇_b are the speeds (θ̇_r, θ̇_l) of the wheels [rad/s]."""
+        return mobile_jacobian(self.wheel_radius_m, self.half_track_m)
+
+    @property
+    def max_velocity(self) -> tuple[float, float]:
+        """Largest v [m/s] and ω [rad/s]."""
+        return self.max_linear_velocity_mps, self.max_angular_velocity_radps
+
+    @property
+    def max_acceleration(self) -> tuple[float, float]:
+        """Largest v̇ [m/s²] and ω̇ [rad/s²]."""
+        return self.max_linear_acceleration_mps2, self.max_angular_acceleration_radps2
+
+    @property
+    def yaw_limit_nm(self) -> float:
+        """See `BaseKind`."""
+        return self.traction_limit_n * self.half_track_m
+
+    @property
+    def wheels(self) -> tuple[Wheels, ...]:
+        """The right side, then the left, as q̇_b."""
+        return (
+            Wheels("right", "right_wheel_joints", self.right_wheel_joints),
+            Wheels("left", "left_wheel_joints", self.left_wheel_joints),
+        )
+
+    def singularity(self, p: Array) -> tuple[Array, Array]:
+        """Sign(x) det(J_c J_cᵀ) [m⁴/rad⁴]; see `BaseKind`."""
+        x = np.asarray(p, dtype=float)[..., 0]
+        measure = singularity_measure(p, self.wheel_radius_m, self.half_track_m)
+        gradient = np.zeros(np.shape(p))
+        gradient[..., 0] = 2 * self._per_square_metre * np.abs(x)
+        return np.where(x >= 0, measure, -measure), gradient
+
+    def singularity_at(self, p: Array) -> tuple[float, float, float]:
+        """See `BaseKind`."""
+        per, x = self._per_square_metre, float(p[0])
+        return per * x * abs(x), 2 * per * abs(x), 0.0
+
+    def acceleration(self, force: BaseForce) -> Array:
+        """See `BaseKind`."""
+        return free_acceleration(force, self.mass_kg, self.inertia_kgm2)
+
+    def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:
+        """See `BaseKind`."""
+        del drive
+        return angles + qd_b * dt
+
+    @property
+    def _per_square_metre(self) -> float:
+        r, b = self.wheel_radius_m, self.half_track_m
+        return 4 * b**2 * (r / (2 * b)) ** 4

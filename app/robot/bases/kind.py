@@ -1,0 +1,241 @@
+"""What a kind of mobile base says of itself: all that the method needs to know of it.
+
+A base has velocity axes ν (n_b,). `T` makes its twist (v_x, v_y, ω_z) of them, in its own frame:
+origin on the floor, x forward. `J_m` makes ν of the reduced coordinates q̇_b (n_b,), the wheels'
+speeds or whatever moves it. Nothing else of the project knows one kind from another.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+
+from app.robot.sourced import Sourced
+from app.strict import Positive
+
+Array = np.ndarray
+
+
+class Axis(NamedTuple):
+    """One of the velocity axes ν.
+
+    Attributes:
+        symbol: As people read it, such as "v".
+        angular: Whether it turns the base; its unit is rad/s then, else m/s.
+        velocity: Its name in logs, which ends in its unit.
+        acceleration: The name of its derivative there.
+    """
+
+    symbol: str
+    angular: bool
+    velocity: str
+    acceleration: str
+
+
+FORWARD = Axis("v", False, "v_mps", "a_mps2")
+TURN = Axis("ω", True, "w_radps", "aw_radps2")
+
+
+class BaseForce(NamedTuple):
+    """What acts on a base in the plane, in its own frame.
+
+    Attributes:
+        x, y: [N] sum of the forces.
+        torque: [N m] about the vertical through the frame's origin.
+    """
+
+    x: float
+    y: float
+    torque: float
+
+
+class Channel(NamedTuple):
+    """One of the motions by which a base gives way, independent of those beside it.
+
+    Attributes:
+        twist: v_x, v_y [m/s] and ω [rad/s] at unit speed.
+        a_max: [m/s² or rad/s²] its largest acceleration.
+        v_max: [m/s or rad/s] its largest speed.
+    """
+
+    twist: tuple[float, float, float]
+    a_max: float
+    v_max: float
+
+
+class Wheels(NamedTuple):
+    """Wheels that turn by one angle; drawn only.
+
+    Attributes:
+        name: Of the angle in logs.
+        field: Of the description, that names the joints.
+        joints: Of the URDF.
+    """
+
+    name: str
+    field: str
+    joints: tuple[str, ...]
+
+
+class BaseKind(Sourced, ABC):
+    """A base: its numbers, its limits and its drive; a kind derives from it.
+
+    A kind states `axes`, its fields and the abstract methods; the others suit a base whose axes
+    follow their commands independently of each other.
+    """
+
+    axes: ClassVar[tuple[Axis, ...]]
+    """The velocity axes ν, in order."""
+
+    kind: str
+    """Which kind it is."""
+    link: str
+    """URDF link that moves with the base and in whose frame the base is described, x forward."""
+    mass_kg: Positive
+    """[kg] m of (17)."""
+    inertia_kgm2: Positive
+    """[kg m²] I of (18), about the frame's origin."""
+    max_linear_velocity_mps: Positive
+    """[m/s]"""
+    max_linear_acceleration_mps2: Positive
+    """[m/s²]"""
+    traction_limit_n: Positive
+    """[N] largest force of the wheels on the floor."""
+    drive_time_constant_s: Positive
+    """[s] of the drive's first-order response to a velocity command."""
+
+    @property
+    def n_b(self) -> int:
+        """How many velocity axes it has."""
+        return len(self.axes)
+
+    @property
+    @abstractmethod
+    def T(self) -> Array:
+        """(3, n_b) from ν to the twist (v_x, v_y, ω_z) in the base's frame; TᵀT = I."""
+
+    @property
+    @abstractmethod
+    def J_m(self) -> Array:
+        """(n_b, n_b) from q̇_b to ν, invertible and constant."""
+
+    @property
+    @abstractmethod
+    def max_velocity(self) -> tuple[float, ...]:
+        """(n_b,) [m/s or rad/s] the largest of each axis."""
+
+    @property
+    @abstractmethod
+    def max_acceleration(self) -> tuple[float, ...]:
+        """(n_b,) [m/s² or rad/s²] the largest of each axis."""
+
+    @property
+    @abstractmethod
+    def yaw_limit_nm(self) -> float:
+        """[N m] largest torque of the wheels about the frame's origin."""
+
+    @property
+    def wheels(self) -> tuple[Wheels, ...]:
+        """What is drawn turning, in the order of the angles."""
+        return ()
+
+    @property
+    def score_unit(self) -> float:
+        """What `singularity` is counted in where (13) takes its size, which fits the paper's."""
+        return 1.0
+
+    @abstractmethod
+    def singularity(self, p: Array) -> tuple[Array, Array]:
+        """How well the base moves a point, with the sign of the side that is better.
+
+        It stands in (10) in the place of sign(x) det(J_c J_cᵀ).
+
+        Args:
+            p: (…, 3) [m] points in the base's frame.
+
+        Returns:
+            (…) the measure and (…, 3) its gradient by the point.
+        """
+
+    def singularity_at(self, p: Array) -> tuple[float, float, float]:
+        """The measure at one point (3,), and its derivatives by x and y."""
+        value, gradient = self.singularity(p)
+        return float(value), float(gradient[0]), float(gradient[1])
+
+    @abstractmethod
+    def acceleration(self, force: BaseForce) -> Array:
+        """ẍ_m: what a force does to the base as it can move, (n_b,) [m/s² or rad/s²].
+
+        It stands in the place of (17) and (18).
+        """
+
+    def retreats(self) -> tuple[tuple[Channel, ...], ...]:
+        """Ways to give way, one of which is taken; each is made of independent channels."""
+        limits = zip(self.T.T.tolist(), self.max_acceleration, self.max_velocity, strict=True)
+        return (tuple(Channel((x, y, w), a, v) for (x, y, w), a, v in limits),)
+
+    def admissible(self, wanted: Array, before: Array) -> Array:
+        """The velocity nearest to the wanted one that the base can have.
+
+        Args:
+            wanted: (n_b,) within the limits of each axis.
+            before: (n_b,) the velocity command so far.
+        """
+        del before
+        return wanted
+
+    def drive_at_rest(self) -> Array:
+        """(n_d,) what the drive has beside its velocity, such as a steering angle, at a reset."""
+        return np.zeros(0)
+
+    def driven(self, v: Array, drive: Array, v_cmd: Sequence[float] | Array, dt: float) -> Array:
+        """Follow a command for one period.
+
+        Args:
+            v: (n_b,) the velocity so far.
+            drive: (n_d,) as `drive_at_rest`.
+            v_cmd: (n_b,) the velocity command; clamped to the limits.
+            dt: [s] the period.
+
+        Returns:
+            (n_b + n_d,) velocity and drive at its end.
+        """
+        del drive
+        # Exact for a command held over the step, so that any dt is stable.
+        gain = -math.expm1(-dt / self.drive_time_constant_s)
+        return np.array(
+            [
+                now + clamp((clamp(float(cmd), v_max) - now) * gain, a_max * dt)
+                for now, cmd, v_max, a_max in zip(
+                    v.tolist(), v_cmd, self.max_velocity, self.max_acceleration, strict=True
+                )
+            ]
+        )
+
+    def drive_acceleration(
+        self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
+    ) -> Array:
+        """What the drive does now with a command, (n_b,): clip((v_cmd - v)/τ, ±limits)."""
+        del drive
+        return np.array(
+            [
+                clamp((clamp(float(cmd), v_max) - float(now)) / self.drive_time_constant_s, a_max)
+                for cmd, now, v_max, a_max in zip(
+                    v_cmd, v, self.max_velocity, self.max_acceleration, strict=True
+                )
+            ]
+        )
+
+    def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:
+        """The angles [rad] of `wheels` after a step with reduced velocities q̇_b (n_b,)."""
+        del qd_b, drive, dt
+        return angles
+
+
+def clamp(value: float, limit: float) -> float:
+    """The value within ±limit."""
+    return min(max(value, -limit), limit)

@@ -1,0 +1,35 @@
+"""The motion of a base in the plane of the floor."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+Array = np.ndarray
+
+
+def world_twist(twist: Array, heading: float, dt: float) -> Array:
+    """A base's twist in the world that moves it as it moves in its own frame, for one step.
+
+    The direction is that of the middle of the step, which is exact on a circle.
+
+    Args:
+        twist: (3,) v_x, v_y [m/s] and ω [rad/s] in the base's frame.
+        heading: [rad] of the base at the step's begin.
+        dt: [s] the step.
+
+    Returns:
+        (3,) [m/s, m/s, rad/s] in the world.
+    """
+    x, y, w = twist.tolist()
+    phi = heading + 0.5 * w * dt
+    c, s = math.cos(phi), math.sin(phi)
+    return np.array([x * c - y * s, x * s + y * c, w])
+
+
+def base_twist(velocity: Array, heading: float) -> Array:
+    """(3,) v_x, v_y [m/s] and ω [rad/s] in the base's frame, from those in the world (3,)."""
+    c, s = math.cos(heading), math.sin(heading)
+    x, y, w = velocity.tolist()
+    return np.array([c * x + s * y, c * y - s * x, w])
