@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -37,7 +38,7 @@ class BorderData:
 
 def load_border_data(
     model: RobotModel, *, sampling: SamplingConfig | None = None, progress: bool = True,
-    processes: int | None = None,
+    processes: int | None = None, on_progress: Callable[[float], None] | None = None,
 ) -> BorderData:  # fmt: skip
     """Pairs and clouds of a robot.
 
@@ -49,23 +50,44 @@ def load_border_data(
         sampling: How to sample; the default is what the shipped file was made with.
         progress: Whether to draw a bar on stderr while sampling.
         processes: How many to sample with; all cores if not given.
+        on_progress: Called with the share that is sampled, 0 to 1.
 
     Raises:
         AssetError: The URDF or a mesh is not there.
         DescriptionError: The mobile robot is too large to be kept.
     """
     sampling = sampling or SamplingConfig()
+    if (found := kept_border_data(model, sampling)) is not None:
+        return found
+    pairs = find_link_pairs(model, samples=sampling.pair_samples, seed=sampling.seed)
+    clouds = sample_clouds(
+        model, pairs.mobile, sampling, progress=progress, processes=processes,
+        on_progress=on_progress,
+    )  # fmt: skip
     key = border_key(model.description, sampling)
-    name = f"{model.description.name}-{key}.npz"
-    kept = assets.cache_folder() / name
-    if content := _read(kept, key):
+    _write(assets.cache_folder() / _name(model, key), archive.Content(pairs, clouds), key)
+    return BorderData(pairs, clouds, "sampled")
+
+
+def kept_border_data(
+    model: RobotModel, sampling: SamplingConfig | None = None
+) -> BorderData | None:  # fmt: skip
+    """Pairs and clouds of a robot if they need not be sampled, else None.
+
+    Raises:
+        AssetError: The URDF or a mesh is not there.
+    """
+    key = border_key(model.description, sampling or SamplingConfig())
+    name = _name(model, key)
+    if content := _read(assets.cache_folder() / name, key):
         return BorderData(content.pairs, content.clouds, "cache")
     if content := _read(assets.SHIPPED_CACHE / name, key):
         return BorderData(content.pairs, content.clouds, "shipped")
-    pairs = find_link_pairs(model, samples=sampling.pair_samples, seed=sampling.seed)
-    clouds = sample_clouds(model, pairs.mobile, sampling, progress=progress, processes=processes)
-    _write(kept, archive.Content(pairs, clouds), key)
-    return BorderData(pairs, clouds, "sampled")
+    return None
+
+
+def _name(model: RobotModel, key: str) -> str:
+    return f"{model.description.name}-{key}.npz"
 
 
 def _read(path: Path, key: str) -> archive.Content | None:

@@ -22,6 +22,7 @@ _SEED_JOBS = 16  # a fixed number, so that the samples do not depend on the numb
 def sample_clouds(
     model: RobotModel, pairs: Sequence[Pair], config: SamplingConfig, *,
     progress: bool = True, processes: int | None = None,
+    on_progress: Callable[[float], None] | None = None,
 ) -> dict[str, Cloud]:  # fmt: skip
     """P_i of Algorithm 1 for each pair: closest points on the arm's body, one a voxel.
 
@@ -35,6 +36,7 @@ def sample_clouds(
         config: How to sample.
         progress: Whether to draw a bar on stderr.
         processes: How many; all cores if not given.
+        on_progress: Called with the share that is done, 0 to 1.
 
     Returns:
         By the name of the pair.
@@ -44,7 +46,16 @@ def sample_clouds(
     with _bar(progress) as bar, Workers(make_context, processes) as workers:
         total = len(pairs) * (_SEED_JOBS + config.sectors)  # later rounds are short and not counted
         task = bar.add_task("sampling the border", total=total)
-        sampler = _Sampler(Context(model.description, config), workers, partial(bar.advance, task))
+        done = 0
+
+        def advance() -> None:
+            nonlocal done
+            done += 1
+            bar.advance(task)
+            if on_progress is not None:
+                on_progress(min(done / max(total, 1), 1.0))
+
+        sampler = _Sampler(Context(model.description, config), workers, advance)
         return sampler.run(pairs, seeds)
 
 

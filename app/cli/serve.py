@@ -12,12 +12,16 @@ import numpy as np
 from app.avoidance.self_collision import BORDERS
 from app.cli.common import load_robot_and_border
 from app.cli.options import PointOption, check_name, check_point, check_seed, configured, disturbed
+from app.config import Config
 from app.control.controller import CONTROLLERS
 from app.robot.model import RobotModel
 from app.simulation.plants import PLANTS
 from app.simulation.scenario import LINES
 
 if TYPE_CHECKING:
+    from app.border.cache import BorderData
+    from app.simulation.loop import SimulationLoop
+    from app.simulation.process_loop import ProcessLoop
     from app.simulation.start import StartSolver
 
 _BEGIN = "guiding-front"  # where the hand stands when the page opens
@@ -106,23 +110,34 @@ def serve(
         tuned, encoder_noise=encoder_noise, base_delay=base_delay, mass_error=mass_error, slip=slip
     )
     model, data = load_robot_and_border(robot)
+    make_loop = ProcessLoop if loop == "process" else SimulationLoop
+
+    def begin_loop(
+        model: RobotModel, data: BorderData, config: Config, controller: str,
+        q_start: np.ndarray | None = None,
+    ) -> ProcessLoop | SimulationLoop:  # fmt: skip
+        if q_start is None:  # of a robot that a viewer has chosen
+            solver = StartSolver(model, data.pairs, config.border.d_b)
+            q_start = _start(solver, model, None, seed)
+        make_session = partial(
+            Session, model, data, config, controller=controller, physics=physics, seed=seed
+        )
+        made = make_loop(make_session, q_start)
+        made.begin()
+        return made
+
     if case is None:
         q_start = _start(StartSolver(model, data.pairs, tuned.border.d_b), model, start, seed)
     else:
         q_start = case.scenario().setting(model, data, tuned, seed).q_m
-    make_session = partial(
-        Session, model, data, tuned, controller=controller, physics=physics, seed=seed
-    )
-    make_loop = ProcessLoop if loop == "process" else SimulationLoop
-    simulation = make_loop(make_session, q_start)
-    simulation.begin()
+    simulation = begin_loop(model, data, tuned, controller, q_start)
     try:
         parts = RobotParts(model)  # while the simulation starts
         simulation.start()
         played = case.scenario() if case else None
         server = serve_dashboard(
             simulation, model, data.clouds, host=host, port=port, case=played, sweeps=sweep,
-            parts=parts,
+            parts=parts, start_loop=begin_loop,
         )  # fmt: skip
         print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
         server.run_forever()

@@ -32,6 +32,20 @@ class Preset(NamedTuple):
     of_hand: bool = False
 
 
+class Framing(NamedTuple):
+    """What of a robot has to be in the picture, in the base's frame.
+
+    Attributes:
+        centre: (3,) [m] of the box around it in its ready pose.
+        radius: [m] of the sphere around that box.
+    """
+
+    centre: Array
+    radius: float
+
+
+SUITED = Framing(np.array([0.08, 0.0, 0.585]), 0.887)
+"""Of the paper's robot, for which the presets were chosen; other robots shift and scale them."""
 _MIDDLE = np.array([0.20, 0.0, 0.40])  # [m] between the base and the hand before it
 PRESETS = {
     "iso": Preset(np.array([1.85, 1.85, 1.40]), np.array([0.32, 0.0, 0.40])),
@@ -54,10 +68,15 @@ class Camera:
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
+        self._framing = SUITED
         self._followed: Array | None = None
         self._set: Array | None = None
         self._set_at = 0.0
         client.camera.on_update(self._hear)
+
+    def fit(self, framing: Framing) -> None:
+        """From now on show a robot of this size."""
+        self._framing = framing
 
     def use(self, name: str, snapshot: Snapshot) -> None:
         """Look from a preset at the robot as it is in a snapshot.
@@ -66,7 +85,7 @@ class Camera:
             name: A key of `PRESETS`.
             snapshot: Where base and hand are.
         """
-        eye, target = placed(PRESETS[name], snapshot)
+        eye, target = placed(PRESETS[name], snapshot, self._framing)
         camera = self._client.camera
         with self._client.atomic():
             camera.up_direction = np.array([0.0, 0.0, 1.0])
@@ -104,13 +123,29 @@ class Camera:
             self._set = None
 
 
-def placed(preset: Preset, snapshot: Snapshot) -> tuple[Array, Array]:
-    """Eye and target of a preset (3,) [m] in the world, turned with the base."""
+def placed(
+    preset: Preset, snapshot: Snapshot, framing: Framing = SUITED
+) -> tuple[Array, Array]:  # fmt: skip
+    """Eye and target of a preset (3,) [m] in the world, turned with the base.
+
+    Args:
+        preset: The view.
+        snapshot: Where base and hand are.
+        framing: Of the robot.
+    """
+    preset = fitted(preset, framing)
     x, y, phi = snapshot.base_pose
     c, s = np.cos(phi), np.sin(phi)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     origin = snapshot.p_ee if preset.of_hand else np.array([x, y, 0.0])
     return origin + R @ preset.eye, origin + R @ preset.target
+
+
+def fitted(preset: Preset, framing: Framing) -> Preset:
+    """A preset that shows of a robot what it shows of the paper's."""
+    scale = framing.radius / SUITED.radius
+    target = preset.target if preset.of_hand else preset.target + framing.centre - SUITED.centre
+    return Preset(target + scale * (preset.eye - preset.target), target, preset.of_hand)
 
 
 def set_first_look(server: viser.ViserServer, eye: Array, target: Array) -> None:

@@ -23,6 +23,10 @@ class Notices:
         """Something was refused; goes away by itself."""
         self._show(client, "Not possible", text, "orange", 6.0)
 
+    def tell(self, text: str) -> None:
+        """Something that all viewers should know; goes away by itself."""
+        self._show(None, "Robot", text, "blue", 6.0)
+
     def fail(self, client: viser.ClientHandle | None, error: BaseException) -> None:
         """A defect of the program: stays until it is closed, and goes to the log."""
         logger.error("the dashboard failed", exc_info=error)

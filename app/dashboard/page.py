@@ -12,6 +12,7 @@ from app.dashboard.notices import Notices
 from app.dashboard.panels.case import add_case_button
 from app.dashboard.panels.compare import ComparePanel
 from app.dashboard.panels.help import add_help
+from app.dashboard.panels.robot import RobotPanel, change_html
 from app.dashboard.panels.run import FREE, RunPanel
 from app.dashboard.panels.save import SavePanel
 from app.dashboard.panels.sweep import SweepPanel
@@ -43,22 +44,30 @@ class Page:
         closed: Whether the viewer is gone.
     """
 
-    def __init__(self, client: viser.ClientHandle, shared: Shared, notices: Notices) -> None:
+    def __init__(
+        self, client: viser.ClientHandle, shared: Shared, notices: Notices,
+        before: Page | None = None,
+    ) -> None:  # fmt: skip
         """Fill the page of a client.
 
         Args:
             client: The viewer.
             shared: What all viewers share.
             notices: For what goes wrong.
+            before: The same viewer's page of another robot, now empty.
         """
         self._client, self._shared, self._notices = client, shared, notices
-        self.view = View.first(shared.mobile, [plan.title for plan in shared.plans])
+        plots = [plan.title for plan in shared.plans]
+        self.view = before.view.of_robot(shared.mobile, plots) if before else View.first(
+            shared.mobile, plots
+        )  # fmt: skip
         self.timeline = Timeline(shared.loop)
         self.grip = Grip(shared.loop, notices, client.client_id)
         self.closed = False
         refusal = shared.loop.latest().refusal
         self._refusals = 0 if refusal is None else refusal.number  # of before this viewer came
-        self._camera = Camera(client)
+        self._camera = before._camera if before else Camera(client)
+        self._camera.fit(shared.parts.framing)
         self._dark: bool | None = None
         self._key: tuple[float, float] | None = None
         set_theme(client.gui, dark=self.view.dark)
@@ -72,7 +81,7 @@ class Page:
         arm = {kinematics.getJointId(name): name for name in shared.model.description.arm.joints}
         self.hand = Hand(client.scene, self._scene.robot, self.grip, notices, arm)
         add_shortcuts(client.gui, self._shortcuts(), notices)
-        self.tour = Tour(client, notices)
+        self.tour = before.tour if before else Tour(client, notices)
         self.look("iso")
 
     def draw(self, *, texts: bool) -> None:
@@ -100,6 +109,9 @@ class Page:
                 self._renew_key(newest.config)
                 self._tell_refusal(newest)
         if texts:
+            self._tell_change()
+            if self.robot_panel is not None:
+                self.robot_panel.update()
             self.sweep_panel.update()
             self.main_panel.update()
             self.tuning_panel.update()
@@ -116,6 +128,17 @@ class Page:
         """Show, for good, that the simulation or the drawing has ended."""
         self._banner.content = _failure_html(title, error)
         self._banner.visible = True
+
+    def with_robot(self, shared: Shared) -> Page:
+        """The page of the same viewer with another robot, in place of this one."""
+        if self.closed:
+            return self
+        self.close()
+        self.tour.end()
+        with self._client.atomic():
+            self._client.scene.reset()
+            self._client.gui.reset()
+        return Page(self._client, shared, self._notices, self)
 
     def close(self) -> None:
         """Let go of what the viewer held who is gone; nothing is drawn any more."""
@@ -142,6 +165,7 @@ class Page:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_WIDTH)
         self._banner = gui.add_html("", visible=False)
+        self._change = gui.add_html("", visible=False)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Run"):
             self._run = RunPanel(gui, shared.loop, notices, shared.model.description)
@@ -156,6 +180,10 @@ class Page:
             self.tuning_panel = TuningPanel(
                 gui, shared.tuning, notices, robot=shared.model.description
             )
+        self.robot_panel: RobotPanel | None = None
+        if shared.change.possible:
+            with tabs.add_tab("Robot"):
+                self.robot_panel = RobotPanel(gui, shared, notices)
         with tabs.add_tab("Save"):
             SavePanel(gui, shared, self.timeline, self.view, notices)
         with tabs.add_tab("Help"):
@@ -192,6 +220,13 @@ class Page:
         if newest.refusal is not None and number > self._refusals:
             self._notices.warn(self._client, newest.refusal.message)
         self._refusals = number
+
+    def _tell_change(self) -> None:
+        """Above all tabs: that another robot is being made ready."""
+        html = change_html(self._shared.change.progress)
+        if self._change.content != html:
+            self._change.content = html
+            self._change.visible = bool(html)
 
     def _renew_key(self, config: Config) -> None:
         wanted = (config.border.d_b, config.activation.d_full)

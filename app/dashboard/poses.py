@@ -17,3 +17,8 @@ def to_viser(T: pin.SE3) -> tuple[Array, Array]:
 def from_viser(position: Array, wxyz: Array) -> pin.SE3:
     """The pose of a position (3,) [m] and a quaternion wxyz (4,)."""
     return pin.XYZQUATToSE3(np.concatenate([position, wxyz[1:], wxyz[:1]]))
+
+
+def moved(T: pin.SE3, points: np.ndarray) -> np.ndarray:
+    """(N, 3) points of one frame in another."""
+    return points @ T.rotation.T + T.translation

@@ -6,8 +6,9 @@ import numpy as np
 import pinocchio as pin
 import viser
 
+from app.dashboard.camera import Framing
 from app.dashboard.colours import Rgb
-from app.dashboard.poses import from_viser, to_viser
+from app.dashboard.poses import from_viser, moved, to_viser
 from app.dashboard.visuals import Visual, load_visuals
 from app.robot.meshes import shape_mesh
 from app.robot.model import RobotModel
@@ -68,12 +69,24 @@ class RobotParts:
         kinematics: Poses of what moves; used by the one thread that draws.
         visuals: What the robot looks like.
         bodies: The convex bodies that distances are measured to.
+        framing: What of it a camera has to show.
     """
 
     def __init__(self, robot: RobotModel) -> None:
         self.kinematics = LinkPoses(robot)
         self.visuals = load_visuals(robot.description, self.kinematics.model)
         self.bodies = _bodies(robot, self.kinematics.model)
+        self.framing = self._framing(np.array(robot.description.arm.ready_position))
+
+    def _framing(self, q_m: Array) -> Framing:
+        poses = self.kinematics.update(q_m, np.zeros(2))
+        seen = [
+            moved(poses[visual.joint] * visual.placement, np.asarray(visual.mesh.vertices))
+            for visual in self.visuals or self.bodies
+        ]
+        low = np.min([points.min(axis=0) for points in seen], axis=0)
+        high = np.max([points.max(axis=0) for points in seen], axis=0)
+        return Framing((low + high) / 2, float(np.linalg.norm(high - low)) / 2)
 
     def joint_name(self, joint: int) -> str:
         """Name of a joint of the model; empty for the root."""

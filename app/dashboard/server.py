@@ -14,7 +14,7 @@ from pathlib import Path
 import viser
 
 from app.border.cloud import Cloud
-from app.dashboard.camera import PRESETS, set_first_look
+from app.dashboard.camera import PRESETS, fitted, set_first_look
 from app.dashboard.listening import close_server, open_server
 from app.dashboard.notices import Notices
 from app.dashboard.page import Page, show_failure
@@ -22,6 +22,7 @@ from app.dashboard.panels.sweep import DEFAULT_FOLDER
 from app.dashboard.robot import RobotParts
 from app.dashboard.shared import Shared
 from app.dashboard.stage import set_theme
+from app.dashboard.stage_change import StageChange, StartLoop
 from app.errors import LoopError, ServerError
 from app.robot.model import RobotModel
 from app.simulation.leading import Scenario
@@ -83,7 +84,7 @@ class DashboardServer:
             raise LoopError(f"the simulation ended: {type(error).__name__}: {error}") from error
 
     def stop(self) -> None:
-        """End the drawing thread and close all pages; the loop is not touched."""
+        """End the drawing thread and close all pages; of the loops only those begun here end."""
         self._stopping.set()
         if self._thread is not threading.current_thread():
             self._thread.join(timeout=5.0)
@@ -116,6 +117,7 @@ class DashboardServer:
         while not self._stopping.wait(max(0.0, due - time.monotonic())):
             begin = time.monotonic()
             self._open_and_close_pages()
+            self._change_robot()
             self.shared.update()
             for page in self.pages.values():
                 if not page.closed:
@@ -138,6 +140,20 @@ class DashboardServer:
                 page.fail(*self._failure)
         while not self._gone.empty():
             self.pages.pop(self._gone.get(), None)
+
+    def _change_robot(self) -> None:
+        """If another robot has become ready, give every viewer a page of it."""
+        change = self.shared.change
+        stage = change.take()
+        if stage is None:
+            return
+        self.shared = self.shared.followed_by(stage)
+        self._failure = None
+        for number, page in list(self.pages.items()):
+            self.pages[number] = page.with_robot(self.shared)
+        change.shown()
+        note = f": {stage.note}" if stage.note else "; parameters stay as they were set"
+        self._notices.tell(f"{stage.model.description.title} is here{note}.")
 
     def _fail(self, title: str, error: BaseException) -> None:
         """Show, for good and to later viewers too, that something has ended."""
@@ -162,6 +178,7 @@ def serve_dashboard(
     case: Scenario | None = None,
     sweeps: Path = DEFAULT_FOLDER,
     parts: RobotParts | None = None,
+    start_loop: StartLoop | None = None,
 ) -> DashboardServer:
     """Open the page; it is drawn from the moment this returns.
 
@@ -175,28 +192,31 @@ def serve_dashboard(
         case: A scenario that begins where the loop does, for a button that plays it.
         sweeps: Folder of the maps of sweeps, where new ones are written too.
         parts: The robot's meshes if they have been read already.
+        start_loop: Begins the simulation of another robot that a viewer chooses; without, the robot
+            cannot be changed.
 
     Raises:
         ServerError: The address cannot be bound.
         AssetError: A mesh of the robot is not there.
     """
     check_address(host, port)
-    shared = Shared(loop, model, clouds, case, sweeps, parts)
+    change = StageChange(start_loop)
+    shared = Shared(loop, model, clouds, case, sweeps, parts, change=change)
     server = open_server(host, port)
     try:
         if port not in (0, server.get_port()):
             raise ServerError(f"port {port} was taken while the server started; try --port 0")
-        _set_first_picture(server)
+        _set_first_picture(server, shared.parts)
         return DashboardServer(server, shared)
     except BaseException:
         close_server(server)
         raise
 
 
-def _set_first_picture(server: viser.ViserServer) -> None:
+def _set_first_picture(server: viser.ViserServer, parts: RobotParts) -> None:
     """What is to be seen until a viewer's own page is there."""
     set_theme(server.gui, dark=True)
-    first = PRESETS["iso"]
+    first = fitted(PRESETS["iso"], parts.framing)
     set_first_look(server, first.eye, first.target)
 
 

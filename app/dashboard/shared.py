@@ -7,9 +7,11 @@ from pathlib import Path
 
 from app.border.cloud import Cloud
 from app.dashboard.borders import Borders
+from app.dashboard.making import Making
 from app.dashboard.plots import plot_plans
 from app.dashboard.record import Record
 from app.dashboard.robot import RobotParts
+from app.dashboard.stage_change import NewStage, StageChange
 from app.dashboard.trails import Tracks
 from app.dashboard.tuning import Tuning
 from app.robot.model import RobotModel
@@ -34,11 +36,14 @@ class Shared:
         case: A scenario that begins where the loop does, for a button that plays it, or None.
         sweeps: Folder of the maps of sweeps.
         sweep_job: A sweep that a viewer has begun.
+        change: Of the robot.
+        making: Of a new robot from an uploaded zip.
     """
 
     def __init__(
         self, loop: LoopHandle, model: RobotModel, clouds: Mapping[str, Cloud],
         case: Scenario | None, sweeps: Path, parts: RobotParts | None = None,
+        *, change: StageChange | None = None, before: Shared | None = None,
     ) -> None:  # fmt: skip
         """Load what pages need.
 
@@ -49,6 +54,9 @@ class Shared:
             case: A scenario that a button plays, or None.
             sweeps: Folder of the maps of sweeps.
             parts: The robot's meshes if they have been read already.
+            change: Of the robot; without, it cannot be changed.
+            before: What was shared with another robot: of it stay the parameters, with their
+                history, and what is under way for new robots.
         """
         first = loop.latest()
         self.loop, self.model, self.case, self.sweeps = loop, model, case, sweeps
@@ -59,15 +67,28 @@ class Shared:
         """Names of those of L_m."""
         self.parts = parts or RobotParts(model)
         self.borders = Borders(model, clouds)
-        self.tuning = Tuning(loop, first.config)
+        self.tuning = Tuning(loop, first.config) if before is None else before.tuning
+        self.change = before.change if before else change or StageChange(None)
+        self.making = before.making if before else Making(self.change)
         self.plans = plot_plans(model, self.pairs)
         self.record = Record(curve for plan in self.plans for curve in plan.curves)
         self.tracks = Tracks()
         self.sweep_job = SweepJob()
 
+    def followed_by(self, stage: NewStage) -> Shared:
+        """The same with another robot; what was started for this one ends."""
+        self.sweep_job.stop()
+        after = Shared(
+            stage.loop, stage.model, stage.clouds, None, self.sweeps, stage.parts, before=self
+        )  # fmt: skip
+        self.tuning.move_to(stage.loop, stage.config)
+        return after
+
     def close(self) -> None:
         """End what was started beside the simulation."""
         self.sweep_job.stop()
+        self.making.close()
+        self.change.close()
 
     def update(self) -> None:
         """Take in what is new."""

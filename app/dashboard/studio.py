@@ -63,7 +63,8 @@ class Studio:
             preset: A key of `app.dashboard.camera.PRESETS`.
             snapshot: Where base and hand are.
         """
-        set_first_look(self.server, *placed(PRESETS[preset], snapshot))
+        framing = self._shared.parts.framing
+        set_first_look(self.server, *placed(PRESETS[preset], snapshot, framing))
 
     def draw(self, t: float, *, texts: bool = True) -> Snapshot:
         """Draw the film's snapshot at a time [s]; trails lead up to it.

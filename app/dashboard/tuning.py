@@ -104,6 +104,20 @@ class Tuning:
         with self._lock:
             self._step(self._future, self._past, "nothing to do again")
 
+    def move_to(self, sink: Sink, config: Config) -> None:
+        """Go on with another simulation, which has a configuration already.
+
+        Args:
+            sink: Where configurations go from now on.
+            config: The one that holds there; if it is another than here, that is one step.
+        """
+        with self._lock:
+            self._sink = sink
+            if self._config != config:
+                self._burst = None
+                self._remember()
+                self._config = config
+
     def _step(self, source: list[Config], target: list[Config], nothing: str) -> None:
         if not source:
             raise ConfigError(nothing)

@@ -49,6 +49,22 @@ class View:
         for each in fields(self):
             setattr(self, each.name, copy(getattr(other, each.name)))
 
+    def of_robot(self, pairs: list[str], plots: list[str]) -> View:
+        """The same choices for another robot, as far as it has the pairs and plots.
+
+        Args:
+            pairs: Names of its pairs of L_m.
+            plots: Titles of its plots.
+        """
+        new, shown = View.first(pairs, plots), self.plots & set(plots)
+        borders, first = new.borders, copy(new.borders)
+        new.take_over(self)
+        new.borders = {pair: self.borders.get(pair, HIDDEN) for pair in borders}
+        if set(new.borders.values()) <= {HIDDEN} and set(self.borders.values()) > {HIDDEN}:
+            new.borders = first
+        new.plots = shown
+        return new
+
     @classmethod
     def first(cls, pairs: list[str], plots: list[str]) -> View:
         """What a new viewer sees: the score of the first pair's border, and the first three plots.

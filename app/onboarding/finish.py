@@ -17,7 +17,8 @@ from app.onboarding.write import whole_folder, write_robot
 
 def finish(
     request: Request, *, tell: Callable[[str], None] = lambda _: None,
-    processes: int | None = None, sampling: SamplingConfig | None = None,
+    processes: int | None = None, sampling: SamplingConfig | None = None, progress: bool = True,
+    on_progress: Callable[[float], None] | None = None,
 ) -> tuple[NewRobot, BorderData]:  # fmt: skip
     """Make a robot and write its folder.
 
@@ -26,6 +27,8 @@ def finish(
         tell: Called with what is being done.
         processes: How many to count and sample with; all cores if not given.
         sampling: Of the border; by default as every command samples it.
+        progress: Whether to draw a bar on stderr while the border is sampled.
+        on_progress: Called with the share of the border that is sampled, 0 to 1.
 
     Raises:
         RobotFileError: The URDF cannot become a robot.
@@ -42,7 +45,10 @@ def finish(
             request = replace(request, urdf=str(path), source=name)
         robot = make_robot(request, folder, tell=tell, processes=processes)
         tell("sampling the border")
-        data = load_border_data(robot.model, sampling=sampling, processes=processes)
+        data = load_border_data(
+            robot.model, sampling=sampling, processes=processes, progress=progress,
+            on_progress=on_progress,
+        )  # fmt: skip
         tell("writing the report")
         write_robot(robot, folder)
         page = report_html(robot, robot.model, data)

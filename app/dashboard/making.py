@@ -1,0 +1,171 @@
+"""A new robot from an uploaded zip, made in a process of its own; the same for all viewers."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from app.dashboard.apart import Stopped, Tell, cores, run_apart
+from app.dashboard.stage_change import Progress, StageChange
+from app.errors import ConfigError, DbbError
+from app.onboarding.contents import Contents, look_into
+from app.onboarding.request import Request
+from app.onboarding.unpack import LARGEST_ARCHIVE
+from app.robot.assets import robot_names
+
+logger = logging.getLogger(__name__)
+
+_PATIENCE = 10.0  # [s] for a thread to end
+
+
+class Package(NamedTuple):
+    """A zip that was uploaded and looked into.
+
+    Attributes:
+        archive: Where it is kept until the server ends or another one comes.
+        urdfs: Its URDFs, by their path in it.
+    """
+
+    archive: Path
+    urdfs: Mapping[str, Contents]
+
+
+class Making:
+    """At most one zip, and one robot that is being made of it.
+
+    Attributes:
+        package: What was uploaded last and can be used, or None.
+        progress: Of what is under way, or None.
+        problem: Why the last step failed, or an empty string.
+        made: Name of the robot that was made last, or an empty string.
+    """
+
+    def __init__(self, change: StageChange) -> None:
+        """Nothing uploaded yet.
+
+        Args:
+            change: Told that there is another robot to choose.
+        """
+        self.package: Package | None = None
+        self.progress: Progress | None = None
+        self.problem = self.made = ""
+        self._change = change
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._stopping = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._lock = threading.Lock()
+
+    def receive(self, name: str, content: bytes) -> None:
+        """Take a zip, and look into it in a thread of its own.
+
+        Args:
+            name: Of the file, for people.
+            content: Its bytes.
+
+        Raises:
+            ConfigError: It is too large, or something is under way.
+        """
+        if len(content) > LARGEST_ARCHIVE:
+            raise ConfigError(f"a zip may have {LARGEST_ARCHIVE / 1e6:.0f} MB")
+
+        def work() -> None:
+            self._forget()
+            self._folder = tempfile.TemporaryDirectory(prefix="dbb-upload-")
+            archive = Path(self._folder.name) / _file_name(name)
+            archive.write_bytes(content)
+            self.package = Package(archive, look_into(archive))
+
+        self._begin(Progress(_file_name(name), "is being looked into"), work)
+
+    def make(self, request: Request) -> None:
+        """Make the robot in a process of its own.
+
+        Raises:
+            ConfigError: There is a robot of that name already, or something is under way.
+            RobotFileError: The name cannot be one.
+        """
+        if request.name in robot_names():
+            raise ConfigError(f"there is a robot {request.name!r} already; give another name")
+
+        def work() -> None:
+            run_apart(make_new, request, tell=self._tell(request.name), stopping=self._stopping)
+            self.made = request.name
+            self._change.look_again()
+
+        self._begin(Progress(request.name, "begins"), work)
+
+    def cancel(self) -> None:
+        """Stop what is under way; nothing of it is left."""
+        self._stopping.set()
+
+    def close(self) -> None:
+        """Stop, and remove what was uploaded."""
+        self.cancel()
+        if self._thread is not None:
+            self._thread.join(_PATIENCE)
+        self._forget()
+
+    def _begin(self, progress: Progress, work: Callable[[], None]) -> None:
+        with self._lock:
+            if self.progress is not None:
+                raise ConfigError(f"{self.progress.title} {self.progress.text}; cancel that first")
+            self.progress = progress
+        self.problem = self.made = ""
+        self._stopping.clear()
+        self._thread = threading.Thread(target=self._work, args=(work,), name="new robot")
+        self._thread.daemon = True
+        self._thread.start()
+
+    def _work(self, work: Callable[[], None]) -> None:
+        title = self.progress.title if self.progress is not None else ""
+        try:
+            work()
+        except Stopped:
+            self.problem = f"{title}: cancelled"
+        except (DbbError, OSError) as error:
+            self.problem = f"{title}: {error}"
+        except Exception as error:  # nobody joins this thread: the viewers have to learn of it
+            logger.exception("%s could not be made", title)
+            self.problem = f"{title}: {type(error).__name__}: {error}"
+        finally:
+            self.progress = None
+
+    def _tell(self, title: str) -> Tell:
+        def tell(text: str, share: float) -> None:
+            self.progress = Progress(title, text, share)
+
+        return tell
+
+    def _forget(self) -> None:
+        self.package = None
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+
+def make_new(tell: Tell, request: Request) -> None:
+    """Description, border and report, in the folder that is asked for."""
+    # Imported here: matplotlib is needed in this process alone.
+    from app.onboarding.finish import finish
+
+    text = ""
+
+    def say(what: str) -> None:
+        nonlocal text
+        text = what
+        tell(text, -1.0)
+
+    finish(
+        request, tell=say, processes=cores(), progress=False,
+        on_progress=lambda share: tell(text, share),
+    )  # fmt: skip
+
+
+def _file_name(name: str) -> str:
+    """A name for the file that a browser calls so, which may say anything."""
+    kept = "".join(c for c in name if c.isascii() and (c.isalnum() or c in "._-"))
+    return f"{kept.lower().removesuffix('.zip').strip('.')[:60] or 'robot'}.zip"

@@ -1,0 +1,188 @@
+"""Folder "Your own robot": a zip is uploaded, asked about, and becomes a robot."""
+
+from __future__ import annotations
+
+import re
+from html import escape
+from typing import Any
+
+import viser
+
+from app.dashboard.making import Making, Package
+from app.dashboard.notices import Notices
+from app.dashboard.upload_guard import guard_uploads
+from app.errors import ConfigError
+from app.onboarding.request import Request
+from app.onboarding.unpack import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
+from app.robot.assets import user_robots
+
+FIND = "(find them)"
+"""Choice of no wheels: they are looked for."""
+_LARGEST_HALF_TRACK, _LARGEST_RADIUS = 3.0, 1.0  # [m]
+
+
+class NewRobotPanel:
+    """Upload, the questions that a URDF leaves open, and how far the work is."""
+
+    def __init__(self, gui: viser.GuiApi, making: Making, notices: Notices) -> None:
+        """Build the folder in the GUI container that is now open.
+
+        Args:
+            gui: Of the viewer.
+            making: What was uploaded and is made, common to all viewers.
+            notices: For what goes wrong.
+        """
+        self._making, self._package = making, None
+        self._shown_urdf = ""
+        guard_uploads(gui, notices, LARGEST_ARCHIVE)
+        with gui.add_folder("Your own robot", expand_by_default=False):
+            gui.add_html(about_html())
+            self._upload = gui.add_upload_button(
+                "Upload a zip", icon=viser.Icon.UPLOAD, mime_type=".zip,application/zip"
+            )
+            self._status = gui.add_html("")
+            self._bar = gui.add_progress_bar(0.0, animated=True, visible=False)
+            self._fields = self._questions(gui)
+            self._make = gui.add_button("Make it", icon=viser.Icon.HAMMER, visible=False)
+            self._cancel = gui.add_button("Cancel", icon=viser.Icon.X, color="gray", visible=False)
+        self._upload.on_upload(notices.guard(self._receive))  # type: ignore[arg-type]
+        self._make.on_click(notices.guard(lambda _: making.make(self._request())))  # type: ignore[arg-type]
+        self._cancel.on_click(notices.guard(lambda _: making.cancel()))  # type: ignore[arg-type]
+        self.update()
+
+    @staticmethod
+    def _questions(gui: viser.GuiApi) -> dict[str, Any]:
+        return {
+            "file": gui.add_dropdown("URDF", ("",), hint="Which of the zip's URDFs"),
+            "name": gui.add_text("Name", "", hint="Letters, digits and _"),
+            "base": gui.add_dropdown("Base link", ("",), hint="Moves with the base, z up"),
+            "tip": gui.add_dropdown("Tip link", ("",), hint="Carries the end-effector"),
+            "left": gui.add_dropdown("Left wheel", (FIND,), hint="Joint of a driven wheel"),
+            "right": gui.add_dropdown("Right wheel", (FIND,), hint="Joint of a driven wheel"),
+            "half_track": gui.add_number(
+                "Half track [m]", 0.0, min=0.0, max=_LARGEST_HALF_TRACK, step=0.001,
+                hint="Effective; 0 measures it between the wheels",
+            ),
+            "radius": gui.add_number(
+                "Wheel radius [m]", 0.0, min=0.0, max=_LARGEST_RADIUS, step=0.001,
+                hint="Only for a base whose URDF has no wheels, with its half track; else 0",
+            ),
+            "assume": gui.add_checkbox(
+                "Assume masses", False,
+                hint="From volumes, where the arm's URDF states none at all",
+            ),
+        }  # fmt: skip
+
+    def update(self) -> None:
+        """Renew questions, texts and progress; what has not changed is not sent."""
+        making = self._making
+        package, progress = making.package, making.progress
+        if package is not self._package:
+            self._package = package
+            if package is not None:
+                self._ask(package)
+        if package is not None and self._fields["file"].value != self._shown_urdf:
+            self._ask_of_urdf(package)
+        asks = package is not None and progress is None
+        for field in self._fields.values():
+            _set(field, "visible", asks)
+        _set(self._make, "visible", asks)
+        _set(self._upload, "disabled", progress is not None)
+        _set(self._cancel, "visible", progress is not None)
+        known = progress is not None and progress.share >= 0.0
+        _set(self._bar, "visible", known)
+        if progress is not None and known:
+            _set(self._bar, "value", round(100.0 * progress.share, 1))
+        _set(self._status, "content", making_html(making))
+
+    def _receive(self, event: viser.GuiEvent) -> None:
+        file = event.target.value
+        self._making.receive(file.name, file.content)
+
+    def _ask(self, package: Package) -> None:
+        self._fields["file"].options = tuple(package.urdfs)
+        self._fields["name"].value = robot_name(package.archive.stem)
+
+    def _ask_of_urdf(self, package: Package) -> None:
+        """The links of the URDF that is chosen; the first guess is to be confirmed."""
+        fields = self._fields
+        self._shown_urdf = fields["file"].value
+        contents = package.urdfs.get(self._shown_urdf)
+        if contents is None:  # a program may send any word
+            return
+        for name, guess in (("base", contents.root), ("tip", contents.last)):
+            fields[name].options = contents.links
+            fields[name].value = guess
+        for name in ("left", "right"):
+            fields[name].options = (FIND, *contents.endless)
+            fields[name].value = FIND
+
+    def _request(self) -> Request:
+        """What the fields say.
+
+        Raises:
+            ConfigError: They do not go together.
+        """
+        package = self._package
+        if package is None:
+            raise ConfigError("upload a zip first")
+        value = {name: field.value for name, field in self._fields.items()}
+        wheels = (value["left"], value["right"])
+        given = [wheel for wheel in wheels if wheel != FIND]
+        if len(given) == 1:
+            raise ConfigError("choose both wheels, or let both be found")
+        half_track, radius = float(value["half_track"]), float(value["radius"])
+        if not 0.0 <= half_track <= _LARGEST_HALF_TRACK or not 0.0 <= radius <= _LARGEST_RADIUS:
+            raise ConfigError("half track and wheel radius: in metres, within their range")
+        if radius and (not half_track or given):
+            raise ConfigError("a wheel radius needs a half track, and no wheels")
+        return Request(
+            str(package.archive), value["base"], value["tip"], user_robots() / value["name"],
+            wheels=wheels if given else None, half_track=half_track or None,
+            wheel_radius=radius or None, assume_inertia=value["assume"], file=value["file"],
+        )  # fmt: skip
+
+
+def robot_name(stem: str) -> str:
+    """A name that a robot may have, from that of a file."""
+    name = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_").lower()
+    return name if name[:1].isalpha() else f"robot_{name}".rstrip("_")
+
+
+def about_html() -> str:
+    """What may be uploaded, and where the robot will be."""
+    return _small(
+        f"A zip with a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, "
+        f"{MOST_FILES} files, {LARGEST_CONTENT / 1e6:.0f} MB expanded. Nothing in it is executed; "
+        "a xacro has to be expanded first. What is made of it, a description, its border and a "
+        f"report, is kept in<br><code>{escape(str(user_robots()))}</code>"
+    )
+
+
+def making_html(making: Making) -> str:
+    """What is going on, how it ended, or what to do next."""
+    progress = making.progress
+    if progress is not None:
+        share = f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else ""
+        return _small(f"<b>{escape(progress.title)}</b>: {escape(progress.text)}{share} …")
+    if making.problem:
+        return _small(f'<span style="color:#e03131">{escape(making.problem)}</span>')
+    if making.made:
+        return _small(
+            f"<b>{escape(making.made)}</b> is made: choose it in the list above, where its report "
+            "is too."
+        )
+    if making.package is not None:
+        count = len(making.package.urdfs)
+        what = "a URDF" if count == 1 else f"{count} URDFs"
+        return _small(f"<b>{escape(making.package.archive.name)}</b> holds {what}. Which links?")
+    return ""
+
+
+def _small(html: str) -> str:
+    return f'<div style="padding:.2em .7em;font-size:.82em;line-height:1.5">{html}</div>'
+
+
+def _set(handle: Any, name: str, value: object) -> None:
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)

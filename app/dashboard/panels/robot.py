@@ -1,0 +1,142 @@
+"""Tab "Robot": which robot is simulated, and one of the user's own."""
+
+from __future__ import annotations
+
+from html import escape
+
+import viser
+
+from app.dashboard.notices import Notices
+from app.dashboard.panels.new_robot import NewRobotPanel
+from app.dashboard.panels.report import show_report
+from app.dashboard.robot_list import RobotEntry
+from app.dashboard.shared import Shared
+from app.dashboard.stage_change import Progress
+from app.errors import ConfigError
+
+
+class RobotPanel:
+    """A list of the robots; what one viewer chooses, all see."""
+
+    def __init__(self, gui: viser.GuiApi, shared: Shared, notices: Notices) -> None:
+        """Build the tab in the GUI container that is now open.
+
+        Args:
+            gui: Of the viewer.
+            shared: Simulation, parameters and the change of the robot.
+            notices: For what goes wrong.
+        """
+        self._shared, self._change = shared, shared.change
+        self._entries: list[RobotEntry] = []
+        self._list = gui.add_dropdown(
+            "Robot", ("",), hint="Those in robot_assets and in your own folder; what one viewer "
+            "chooses, all see.",
+        )  # fmt: skip
+        self._about = gui.add_html("")
+        self._use = gui.add_button("Use this robot", icon=viser.Icon.ROBOT)
+        self._cancel = gui.add_button("Cancel", icon=viser.Icon.X, color="gray", visible=False)
+        self._report = gui.add_button("Report", icon=viser.Icon.REPORT, color="gray")
+        self._bar = gui.add_progress_bar(0.0, animated=True, visible=False)
+        self._status = gui.add_html("")
+        for handle, callback in (
+            (self._use, lambda _: self._begin()),
+            (self._cancel, lambda _: self._change.cancel()),
+            (self._report, lambda event: show_report(event.client, self._name(), notices)),
+        ):
+            handle.on_click(notices.guard(callback))  # type: ignore[arg-type]
+        self._renew_list()
+        self._choose(shared.model.description.name)
+        self._own = NewRobotPanel(gui, shared.making, notices)
+        self.update()
+
+    def update(self) -> None:
+        """Renew list, texts and progress; what has not changed is not sent."""
+        if self._change.entries is not self._entries:
+            self._renew_list()
+        progress, chosen = self._change.progress, self._chosen()
+        here = chosen is not None and chosen.name == self._shared.model.description.name
+        ended = self._shared.loop.error is not None  # then the same robot can be had again
+        usable = chosen is not None and chosen.problem is None and (ended or not here)
+        _set(self._about, "content", about_html(chosen, here=here) if chosen else "")
+        _set(self._use, "disabled", progress is not None or not usable)
+        _set(self._cancel, "visible", progress is not None)
+        _set(self._report, "visible", chosen is not None and chosen.report)
+        known = progress is not None and progress.share >= 0.0
+        _set(self._bar, "visible", known)
+        if progress is not None and known:
+            _set(self._bar, "value", round(100.0 * progress.share, 1))
+        _set(self._status, "content", status_html(progress, self._change.problem))
+        self._own.update()
+
+    def _begin(self) -> None:
+        shared = self._shared
+        self._change.begin(
+            self._name(), shared.tuning.config, shared.loop.latest().controller, shared.loop
+        )
+
+    def _name(self) -> str:
+        """Of the robot that is chosen in the list.
+
+        Raises:
+            ConfigError: A program has sent a word that is not in it.
+        """
+        chosen = self._chosen()
+        if chosen is None:
+            raise ConfigError("choose a robot from the list")
+        return chosen.name
+
+    def _chosen(self) -> RobotEntry | None:
+        return next((each for each in self._entries if each.label == self._list.value), None)
+
+    def _choose(self, name: str) -> None:
+        for entry in self._entries:
+            if entry.name == name:
+                self._list.value = entry.label
+
+    def _renew_list(self) -> None:
+        chosen = next((e.name for e in self._entries if e.label == self._list.value), "")
+        self._entries = self._change.entries
+        self._list.options = tuple(entry.label for entry in self._entries) or ("",)
+        self._choose(chosen)
+
+
+def change_html(progress: Progress | None) -> str:
+    """What stands above all tabs while another robot is being made ready; empty if none is."""
+    if progress is None:
+        return ""
+    share = f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else ""
+    return (
+        '<div style="margin:.5em .7em;padding:.5em .7em;border-radius:4px;background:#1971c2;'
+        f'color:white;font-size:.85em"><b>{escape(progress.title)} is being made ready</b><br>'
+        f"{escape(progress.text)}{share}. The robot that is shown goes on until then.</div>"
+    )
+
+
+def about_html(entry: RobotEntry, *, here: bool) -> str:
+    """A robot in two lines, and why it cannot be chosen."""
+    lines = [f"<b>{escape(entry.title)}</b>: {escape(entry.about) or 'no description'}"]
+    if here:
+        lines.append("This one is shown.")
+    if entry.own:
+        lines.append("One of your own.")
+    if entry.problem is not None:
+        lines.append(f'<span style="color:#e8590c">{escape(entry.problem)}</span>')
+    return _small("<br>".join(lines))
+
+
+def status_html(progress: Progress | None, problem: str) -> str:
+    """What is going on, or why the last change failed."""
+    if progress is not None:
+        return _small(f"{escape(progress.title)}: {escape(progress.text)} …")
+    if problem:
+        return _small(f'<span style="color:#e03131">{escape(problem)}.</span> Nothing has changed.')
+    return ""
+
+
+def _small(html: str) -> str:
+    return f'<div style="padding:.2em .7em;font-size:.82em;line-height:1.5">{html}</div>'
+
+
+def _set(handle: object, name: str, value: object) -> None:
+    if getattr(handle, name) != value:
+        setattr(handle, name, value)
