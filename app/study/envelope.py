@@ -131,22 +131,25 @@ def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
     """The largest speeds below which no case failed or came nearer than 10 mm, less a margin.
 
     In each band of delay and v_max, v* is 0.9 of the speed of the slowest such case whose delay is
-    not above the band and whose v_max is not below it, rounded down to 0.01 m/s: what fails with
-    less delay or a faster base fails there too. Without such a case it is the largest speed that
-    was drawn.
+    not above the band and whose v_max is not below it: what fails with less delay or a faster base
+    fails there too. It is never above the fastest case that went well and is as hard as the band's
+    easiest or harder, and 0 without one. Both are rounded down to 0.01 m/s.
     """
     delay, base_speed = _edges(ranges.delay, DELAY_STEP), _edges(ranges.base_speed, BASE_STEP)
     bad = [row for row in rows if failed(row) or _near(row)]
+    good = [row for row in rows if not (failed(row) or _near(row))]
 
     def limit(i: int, j: int) -> float:
-        harder = (
+        easier = (
             row["speed_mps"] for row in bad
             if row["delay_s"] <= delay[i + 1] and row["base_speed_mps"] >= base_speed[j]
         )  # fmt: skip
-        slowest = min(harder, default=math.inf)
-        if slowest == math.inf:
-            return ranges.speed[1]
-        return math.floor(MARGIN * slowest / _GRAIN + 1e-9) * _GRAIN
+        as_hard = (
+            row["speed_mps"] for row in good
+            if row["delay_s"] >= delay[i] and row["base_speed_mps"] <= base_speed[j + 1]
+        )  # fmt: skip
+        safe = min(MARGIN * min(easier, default=math.inf), max(as_hard, default=0.0))
+        return math.floor(safe / _GRAIN + 1e-9) * _GRAIN
 
     speed = tuple(
         tuple(round(limit(i, j), 6) for j in range(len(base_speed) - 1))
