@@ -27,7 +27,7 @@ MOVE = 0.05  # [s] between two moves of the mouse
 def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
     """Show the page in headless Chromium, and drag the hand at the base and back all the time."""
     with chromium() as browser:
-        tab = DashboardTab(browser, address)
+        tab = DashboardTab(browser, address, dpr=1.0)
         begin_frame = _frame(tab)
         print("ready", flush=True)
         begin = time.monotonic()

@@ -29,7 +29,7 @@ def main() -> None:
             address = _address(server)
             urllib.request.urlopen(address, timeout=30).read()
             answered = time.perf_counter() - begin
-            tab = DashboardTab(browser, address)
+            tab = DashboardTab(browser, address, dpr=1.0)
             drawn = time.perf_counter() - begin
             errors = tab.errors
             tab.close()

@@ -72,7 +72,7 @@ class DashboardTab:
 
     def __init__(
         self, browser: Any, address: str, size: tuple[int, int] = (1280, 720),
-        *, first_visit: bool = False,
+        *, first_visit: bool = False, dpr: float = 0.5,
     ) -> None:  # fmt: skip
         """Open the page and wait until the first picture with the robot is drawn.
 
@@ -81,6 +81,7 @@ class DashboardTab:
             address: Of the server.
             size: [px] of the window.
             first_visit: Whether the page shows its tour.
+            dpr: Drawn pixels a pixel of the window; drawing in software takes most of the time.
         """
         context = browser_of_app.new_context(browser, size)
         context.add_init_script(_HELPERS)
@@ -90,7 +91,7 @@ class DashboardTab:
         self.errors: list[str] = []
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.on("console", self._listen)
-        self.page.goto(f"{address}/?fixedDpr=1")
+        self.page.goto(f"{address}/?fixedDpr={dpr:g}")
         self.wait_for_scene()
 
     def wait_for_scene(self) -> None:
@@ -120,6 +121,15 @@ class DashboardTab:
         self.render(2)
         data = self.page.screenshot(path=path)
         return np.array(Image.open(BytesIO(data)).convert("RGB"))
+
+    def picture_at_rest(self) -> np.ndarray:
+        """The same once nothing changes any more, where time stands still."""
+        before, after = self.picture(), self.picture()
+        deadline = time.monotonic() + 60.0
+        while self.changed(before, after).any():
+            assert time.monotonic() < deadline, "the picture goes on changing"
+            before, after = after, self.picture()
+        return after
 
     def canvas_box(self) -> tuple[int, int, int, int]:
         """Left, top, right and bottom [px] of the scene between the panels."""

@@ -151,7 +151,7 @@ LAYERS = (
 @pytest.mark.parametrize("layer", LAYERS, ids=lambda layer: layer.box)
 def test_a_layer_is_seen_where_it_belongs_and_only_while_it_is_on(tab, served, layer):
     is_on = tab.row(layer.box).locator("input[type=checkbox]").is_checked()
-    before, places = tab.picture(), tab.pixels(layer.node, layer.places(served))
+    before, places = tab.picture_at_rest(), tab.pixels(layer.node, layer.places(served))
     tab.check(layer.box, on=not is_on)
     after = tab.wait_for_change(before, layer.least, places, layer.radius)
     changed = tab.changed(before, after)
