@@ -19,6 +19,7 @@ from app.control.levels import Level
 from app.dashboard import words
 from app.dashboard.explain import LONGEST, sentence
 from app.dashboard.panels.why import WhyPanel, why_html
+from app.robot.bases.kind import FORWARD, TURN
 from app.simulation.snapshot import Snapshot
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
@@ -60,8 +61,9 @@ def blank() -> Snapshot:
 def explanation(near: tuple[NearPair, ...] = (), **fields: object) -> Explanation:
     why = Explanation(
         controller="dbb", mode="guiding", solved=True, chain=CHAIN, near=near,
-        nearest=("lm", "lEE", near[0].d if near else 0.23), base_avoidance=(0.0, 0.0),
-        base_asked=(0.0, 0.0), base_given=(0.0, 0.0), levels=(), bounds=(),
+        nearest=("lm", "lEE", near[0].d if near else 0.23), axes=(FORWARD, TURN),
+        base_avoidance=(0.0, 0.0), base_asked=(0.0, 0.0), base_given=(0.0, 0.0), levels=(),
+        bounds=(),
     )  # fmt: skip
     return why._replace(**fields)
 

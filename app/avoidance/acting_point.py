@@ -85,7 +85,7 @@ class ActingPointFinder:
             return None
         p_n, t = foot
         score, gradient = self.field.at_point(p_n)
-        alpha = step_size(d, score, force)
+        alpha = step_size(d, score / self.field.base.score_unit, force)
         p_t = p_n + tangential_step(gradient, t, alpha)
         nearest = self._border.nearest(p_t)
         assert nearest is not None

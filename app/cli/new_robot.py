@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -34,6 +34,10 @@ def new_robot(
     tip_rpy: PointOption = None,
     half_track: float | None = None,
     wheel_radius: float | None = None,
+    kind: Literal["differential", "holonomic", "car-like"] = "differential",
+    wheelbase: float | None = None,
+    steering_limit: float | None = None,
+    steering_rate: float | None = None,
     ready: Annotated[tuple[float, ...] | None, tyro.conf.arg(metavar="Q1 Q2 …")] = None,
     bodies: int | None = None,
     assume_inertia: bool = False,
@@ -65,6 +69,11 @@ def new_robot(
         tip_rpy: [rad] how it is turned there; its z points out of the hand (default: 0 0 0).
         half_track: [m] effective half track of the base (default: measured between the wheels).
         wheel_radius: [m] of a base whose URDF has no wheels; needs --half-track too.
+        kind: Of the base. A holonomic one needs no wheels; --wheels of a car-like one are the rear
+            ones.
+        wheelbase: [m] of a car-like base (default: measured to its steered wheels).
+        steering_limit: [rad] of its steering to either side (default: the URDF's).
+        steering_rate: [rad/s] how fast it steers (default: the URDF's, or 1.5).
         ready: [rad or m] the ready pose, one number a joint (default: chosen among random poses).
         bodies: How many bodies the arm gets (default: four, others where four do not do).
         assume_inertia: Take masses from volumes where the arm's URDF states none at all.
@@ -89,13 +98,27 @@ def new_robot(
         check_range("--wheel-radius", wheel_radius, 0.01, 1.0, "m")
         if half_track is None or wheels is not None:
             raise ConfigError("--wheel-radius: needs --half-track, and no --wheels")
+    for option, value, low, high, unit in (
+        ("--wheelbase", wheelbase, 0.05, 10.0, "m"),
+        ("--steering-limit", steering_limit, 0.02, 1.5, "rad"),
+        ("--steering-rate", steering_rate, 0.01, 20.0, "rad/s"),
+    ):
+        if value is not None:
+            check_range(option, value, low, high, unit)
+            if kind != "car-like":
+                raise ConfigError(f"{option}: a {kind} base has no steering; add --kind car-like")
+    if kind != "differential" and (half_track is not None or wheel_radius is not None):
+        raise ConfigError(f"--half-track and --wheel-radius: a {kind} base has neither")
+    if kind == "holonomic" and wheels is not None:
+        raise ConfigError("--wheels: a holonomic base is described without them")
     if bodies is not None:
         check_range("--bodies", bodies, 1, 8)
     zero = (0.0, 0.0, 0.0)
     request = Request(
         urdf, base, tip, out, wheels=wheels, arm_urdf=arm_urdf, mount_xyz=mount_xyz or zero,
         mount_rpy=mount_rpy or zero, mount=mount, tip_xyz=tip_xyz or zero, tip_rpy=tip_rpy or zero,
-        half_track=half_track, wheel_radius=wheel_radius, ready=ready, bodies=bodies,
+        half_track=half_track, wheel_radius=wheel_radius, kind=kind, wheelbase=wheelbase,
+        steering_limit=steering_limit, steering_rate=steering_rate, ready=ready, bodies=bodies,
         assume_inertia=assume_inertia, title=title, licence=licence, seed=seed, d_b=buffer_distance,
         file=file,
     )  # fmt: skip
@@ -112,14 +135,17 @@ def new_robot(
         print(f"  warning: {warning}")
 
 
+_GEOMETRY = ("wheel_radius_m", "half_track_m", "wheelbase_m", "steering_limit_rad")
+
+
 def _figures(robot: NewRobot, data: BorderData) -> dict[str, Any]:
     base = robot.content["base"]
     return {
         "robot": robot.request.name,
         "folder": str(robot.request.out),
         "arm_joints": len(robot.parsed.arm.joints),
-        "wheel_radius_m": base["wheel_radius_m"],
-        "half_track_m": base["half_track_m"],
+        "base": base["kind"],
+        **{key: base[key] for key in _GEOMETRY if key in base},
         "mass_kg": base["mass_kg"],
         "bodies": {
             body.name: {

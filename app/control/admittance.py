@@ -64,7 +64,10 @@ class AdmittanceLaw:
         change = np.clip(change, -self._a_max * period, self._a_max * period)
         v_max = largest_command(self._base, c)
         wanted = np.clip(self.command + change, -v_max, v_max)
-        return self._base.admissible(wanted, self.command)
+        found = self._base.admissible(wanted, self.command)
+        # A base whose axes depend on each other may get more of one; its direction stays.
+        over = float(np.max(np.abs(found) / v_max))
+        return found / over if over > 1.0 else found
 
 
 def largest_command(base: BaseKind, config: AdmittanceConfig) -> Array:

@@ -118,7 +118,8 @@ def _least_distance(
     share, total = w.clip(min=0.0), w.clip(min=0.0).sum(axis=0)
     fast = total > v
     v_k = share * np.where(fast, v / np.where(fast, total, 1.0), 0.0)
-    gained = approach.v * dead_time(base, config) + _gain(v_k, a, T).sum(axis=0)
+    late = dead_time(base, config) + max(channel.delay for channel in way)
+    gained = approach.v * late + _gain(v_k, a, T).sum(axis=0)
     return np.where(fast, d - gained, -np.inf).max(axis=1)
 
 

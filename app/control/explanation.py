@@ -96,6 +96,7 @@ class Explanation(NamedTuple):
         base_given: The same that the base has.
         levels: What each level of the hierarchy gave up, highest priority first.
         bounds: What limited the step.
+        measure_unit: Of the determinant and the score.
     """
 
     controller: str
@@ -110,6 +111,7 @@ class Explanation(NamedTuple):
     base_given: ByAxis
     levels: tuple[Level, ...]
     bounds: tuple[Bound, ...]
+    measure_unit: str = "m⁴/rad⁴"
 
     @property
     def forces(self) -> tuple[ForceSplit, ...]:
@@ -156,6 +158,7 @@ def explain(
         levels=()
         if workings is None
         else level_readings(state.model.description.base, output, workings),
+        measure_unit=state.model.description.base.measure_unit,
         bounds=(*bounds, *admittance_bounds(state.model, config, base_command)),
     )
 

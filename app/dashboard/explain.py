@@ -5,6 +5,7 @@ from __future__ import annotations
 from app.config import Config
 from app.control.explanation import Explanation, NearPair
 from app.dashboard import words
+from app.robot.bases.kind import planar
 from app.simulation.snapshot import Snapshot
 
 LONGEST = 280
@@ -66,7 +67,7 @@ def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
     if why.controller == "none":
         return f"{text}. Avoidance is off."
     text += f" (buffer {buffer}), so nothing has to give way"
-    moves = words.motion(*snapshot.base_velocity, ahead=False)
+    moves = _motion(snapshot, why, ahead=False)
     if moves is None:
         return f"{text}."
     if why.mode == "tracking":
@@ -135,12 +136,18 @@ def _cause(pair: NearPair, why: Explanation, config: Config | None) -> str:
 def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
     """What the base does now, or is about to do; None if nothing."""
     ahead = pair.n[0] > _BEHIND
-    moves = words.motion(*snapshot.base_velocity, ahead=ahead)
+    moves = _motion(snapshot, why, ahead=ahead)
     if moves is not None:
         top = any(bound.kind == "speed" for bound in why.bounds)
         return f"the base {moves}" + (", as fast as it may" if top else "")
-    will = words.intention(*why.base_asked, ahead=ahead)
+    asked = planar(why.axes, why.base_asked)
+    will = words.intention(asked.forward, asked.turn, ahead=ahead, left=asked.left)
     return None if will is None else f"the base is about to {will}"
+
+
+def _motion(snapshot: Snapshot, why: Explanation, *, ahead: bool) -> str | None:
+    v = planar(why.axes, snapshot.base_velocity)
+    return words.motion(v.forward, v.turn, ahead=ahead, left=v.left)
 
 
 def _hand(why: Explanation, *, held: bool = False) -> str:

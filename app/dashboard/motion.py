@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import viser
 
@@ -11,6 +13,7 @@ from app.dashboard.lines import hidden_line, set_polyline
 from app.dashboard.robot import ROOT
 from app.dashboard.scales import LEAST_FORCE, METRES_PER_ACCELERATION, RADIANS_PER_ACCELERATION
 from app.dashboard.view import View
+from app.robot.bases.kind import Axis, planar
 from app.simulation.snapshot import Snapshot
 
 Array = np.ndarray
@@ -25,13 +28,15 @@ _ARC_POINTS = 24
 class Motion:
     """Arrows of forces in the world and of accelerations over the base."""
 
-    def __init__(self, scene: viser.SceneApi, top: float) -> None:
+    def __init__(self, scene: viser.SceneApi, top: float, axes: Sequence[Axis]) -> None:
         """Hidden arrows.
 
         Args:
             scene: Where to draw.
             top: [m] height of the base's top.
+            axes: Of the base, along which its accelerations are.
         """
+        self._axes = axes
         self._z = top + _LIFT
         self._person = hidden_arrow(scene, "/person", PERSON)
         self._v = hidden_arrow(scene, f"{ROOT}/v", ACCELERATION)
@@ -45,11 +50,11 @@ class Motion:
         self._person.visible = view.motion and pulls
         if self._person.visible:
             self._person.points = arrow(snapshot.p_ee, force)
-        v, w = (float(value) for value in snapshot.base_acceleration)
-        self._v.visible = view.motion and abs(v) > _LEAST
+        forward, left, w = planar(self._axes, snapshot.base_acceleration)
+        self._v.visible = view.motion and np.hypot(forward, left) > _LEAST
         if self._v.visible:
-            tip = METRES_PER_ACCELERATION * v
-            self._v.points = np.array([[[0.0, 0.0, self._z], [tip, 0.0, self._z]]])
+            x, y = METRES_PER_ACCELERATION * forward, METRES_PER_ACCELERATION * left
+            self._v.points = np.array([[[0.0, 0.0, self._z], [x, y, self._z]]])
         turns = view.motion and abs(w) > _LEAST
         self._w_arc.visible = self._w_head.visible = turns
         if turns:

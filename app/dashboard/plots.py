@@ -13,6 +13,7 @@ from app.dashboard.colours import ACTING, PERSON, SERIES, css
 from app.dashboard.record import Curve, Record
 from app.dashboard.timeline import Timeline
 from app.dashboard.view import View
+from app.robot.bases.kind import Axis, acceleration_symbol
 from app.robot.model import RobotModel
 from app.simulation.snapshot import Snapshot
 
@@ -57,6 +58,7 @@ def plot_plans(model: RobotModel, names: list[str]) -> list[PlotPlan]:
         model: The robot, for the limits of its torques.
         names: Link pairs, in the order of the snapshots.
     """
+    axes = model.description.base.axes
     distances = [Curve(name, lambda s, name=name: distance(s, name)) for name in names]
     distances.append(Curve("d_b", lambda s: s.config.border.d_b))
     torques = [
@@ -74,11 +76,9 @@ def plot_plans(model: RobotModel, names: list[str]) -> list[PlotPlan]:
         ),
         PlotPlan(
             "base acceleration of avoidance, β ẍ",
-            (
-                Curve("v̇ [m/s²]", lambda s: float(s.avoidance_acceleration[0])),
-                Curve("ω̇ [rad/s²]", lambda s: float(s.avoidance_acceleration[1])),
-            ),
-            (css(PERSON), css(ACTING)), _soft(-1.0, 1.0), 125,
+            tuple(_avoidance(i, axis) for i, axis in enumerate(axes)),
+            (*_series(len(axes) - 2), css(PERSON), css(ACTING))[-len(axes) :],
+            _soft(-1.0, 1.0), 125,
         ),
         PlotPlan(
             "torque of joint / its limit", tuple(torques), _series(len(torques)), (-1.05, 1.05), 140
@@ -178,6 +178,14 @@ def _line(label: str, colour: str, **more: Any) -> uplot.Series:
 
 def _series(count: int) -> tuple[str, ...]:
     return tuple(SERIES[i % len(SERIES)] for i in range(count))
+
+
+def _avoidance(i: int, axis: Axis) -> Curve:
+    """The acceleration of avoidance along an axis of the base."""
+    unit = "rad/s²" if axis.angular else "m/s²"
+    return Curve(
+        f"{acceleration_symbol(axis)} [{unit}]", lambda s: float(s.avoidance_acceleration[i])
+    )
 
 
 def _soft(low: float, high: float) -> dict[str, dict[str, float]]:

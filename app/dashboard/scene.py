@@ -38,7 +38,7 @@ class Scene:
         self._slice = BorderSlice(scene, shared.borders, shared.mobile)
         self._lines = PairLines(scene, shared.pairs)
         self._acting = ActingPoints(scene, shared.mobile, shared.borders.top)
-        self._motion = Motion(scene, shared.borders.top)
+        self._motion = Motion(scene, shared.borders.top, shared.model.description.base.axes)
         self._trails = Trails(scene, shared.tracks)
         self._ghosts = Ghosts(scene, shared.parts)
         self._door = DoorScene(scene)

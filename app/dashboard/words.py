@@ -96,16 +96,20 @@ def length(d: float) -> str:
     return f"{1000 * d:.0f} mm" if abs(d) < 0.01 else f"{100 * d:.0f} cm"
 
 
-def motion(v: float, w: float, *, ahead: bool) -> str | None:
+def motion(v: float, w: float, *, ahead: bool, left: float = 0.0) -> str | None:
     """What a base does, as in "backs away at 0.21 m/s and turns left"; None if it stands still.
 
     Args:
         v: [m/s].
         w: [rad/s], left positive.
         ahead: Whether what it avoids is not behind it.
+        left: [m/s] to the left, of a base that moves sideways.
     """
     parts = []
-    if abs(v) >= AT_REST[0]:
+    if abs(left) >= AT_REST[0]:
+        way = direction(v, left)
+        parts.append(f"drives {way} at {math.hypot(v, left):.2f} m/s")
+    elif abs(v) >= AT_REST[0]:
         back = "backs away" if ahead else "drives backward"
         parts.append(f"{back if v < 0 else 'drives forward'} at {abs(v):.2f} m/s")
     if abs(w) >= AT_REST[1]:
@@ -114,16 +118,19 @@ def motion(v: float, w: float, *, ahead: bool) -> str | None:
     return " and ".join(parts) or None
 
 
-def intention(v_dot: float, w_dot: float, *, ahead: bool) -> str | None:
+def intention(v_dot: float, w_dot: float, *, ahead: bool, left: float = 0.0) -> str | None:
     """What a base at rest is about to do, as in "back away and turn left"; None if nothing.
 
     Args:
         v_dot: [m/s²] asked for.
         w_dot: [rad/s²] asked for, left positive.
         ahead: Whether what it avoids is not behind it.
+        left: [m/s²] to the left, of a base that moves sideways.
     """
     parts = []
-    if abs(v_dot) >= AT_REST[0]:
+    if abs(left) >= AT_REST[0]:
+        parts.append(f"drive {direction(v_dot, left)}")
+    elif abs(v_dot) >= AT_REST[0]:
         back = "back away" if ahead else "drive backward"
         parts.append(back if v_dot < 0 else "drive forward")
     if abs(w_dot) >= AT_REST[1]:

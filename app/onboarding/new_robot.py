@@ -14,6 +14,7 @@ from app.onboarding.arm import Arm, find_arm
 from app.onboarding.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.compose import PREFIX, compose
 from app.onboarding.drive_numbers import base_numbers
+from app.onboarding.drives import Steering, drive_fields, find_drive
 from app.onboarding.geometry import LinkGeometry, read_geometry, total_extent
 from app.onboarding.grouping import Verdict, find_grouping
 from app.onboarding.inertia import LinkInertia, read_inertias
@@ -28,8 +29,8 @@ from app.onboarding.tree import Tree, make_tree
 from app.onboarding.units import make_units
 from app.onboarding.urdf_text import ROOT, rebased_urdf
 from app.onboarding.warn import warnings_of
-from app.onboarding.wheels import Wheels, find_wheels, stated_wheels
-from app.robot.description import RobotDescription
+from app.onboarding.wheels import Wheels
+from app.robot.description import KINDS, RobotDescription
 from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.model import RobotModel
 
@@ -52,6 +53,7 @@ class Parsed:
     wheels: Wheels
     inertias: dict[str, LinkInertia]
     limits: Limits
+    steering: Steering | None = None
 
 
 @dataclass(frozen=True)
@@ -115,13 +117,10 @@ def parse(request: Request) -> Parsed:
     geometry = read_geometry(tree, path.parent)
     if not total_extent({name: geometry[name] for part in arm.segments for name in part}):
         raise RobotFileError(f"no link between {request.base!r} and {tip!r} has a shape")
-    if request.wheel_radius is not None and request.half_track is not None:
-        r, b = request.wheel_radius, request.half_track
-        wheels = stated_wheels(tree, arm, path.parent, r, b)
-    else:
-        wheels = find_wheels(tree, arm, path.parent, request.wheels)
+    wheels, steering = find_drive(request, tree, arm, path.parent)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
-    return Parsed(tree, path.parent, arm, geometry, wheels, inertias, read_limits(arm))
+    limits = read_limits(arm)
+    return Parsed(tree, path.parent, arm, geometry, wheels, inertias, limits, steering)
 
 
 def make_robot(
@@ -196,11 +195,9 @@ def _bare(request: Request, parsed: Parsed, limits: Limits) -> dict[str, Any]:
     arm, wheels = parsed.arm, parsed.wheels
     n = len(arm.joints)
     middle = tuple((a + b) / 2 for a, b in zip(limits.lower, limits.upper, strict=True))
-    ones = dict.fromkeys(
-        ("wheel_radius_m", "half_track_m", "mass_kg", "inertia_kgm2", "max_linear_velocity_mps",
-         "max_angular_velocity_radps", "max_linear_acceleration_mps2",
-         "max_angular_acceleration_radps2", "traction_limit_n", "drive_time_constant_s"), 1.0,
-    )  # fmt: skip
+    joints = drive_fields(request.kind, wheels, parsed.steering)
+    fields = KINDS[request.kind].model_fields.keys() - {"source", "kind", "link", *joints}
+    ones = dict.fromkeys(sorted(fields), 1.0)
     dot = {"type": "sphere", "radius_m": 0.01}
     sourced = dict.fromkeys(
         ("end_effector_xyz_m", "end_effector_rpy_rad", "position_lower", "position_upper",
@@ -212,8 +209,7 @@ def _bare(request: Request, parsed: Parsed, limits: Limits) -> dict[str, Any]:
         "urdf": "robot.urdf",
         "licence": request.licence or "Of the files that the URDF refers to: see SOURCES.md.",
         "base": {
-            "kind": "differential", "link": ROOT, **ones,
-            "left_wheel_joints": wheels.left, "right_wheel_joints": wheels.right,
+            "kind": request.kind, "link": ROOT, **ones, **joints,
             "source": dict.fromkeys(ones, "assumed"),
         },
         "arm": {
@@ -236,8 +232,13 @@ def _fill(
     content: dict[str, Any], request: Request, parsed: Parsed, model: RobotModel, ready: Ready
 ) -> None:
     """Put the real numbers of base and arm in place."""
-    values, sources = base_numbers(model, parsed.wheels, ready.q_m, request.half_track)
-    content["base"] |= values | {"source": sources}
+    values, sources = base_numbers(
+        model, parsed.wheels, ready.q_m, request.half_track, parsed.steering
+    )
+    old = content["base"]
+    joints = drive_fields(request.kind, parsed.wheels, parsed.steering)
+    content["base"] = {"kind": old["kind"], "link": old["link"], **values, **joints}
+    content["base"]["source"] = sources
     tip = (
         "given: --tip-xyz, --tip-rpy"
         if any((*request.tip_xyz, *request.tip_rpy))

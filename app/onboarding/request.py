@@ -29,6 +29,10 @@ class Request:
         tip_rpy: (3,) [rad] how it is turned there; z points out of the hand.
         half_track: [m] b, or None to measure it between the wheels.
         wheel_radius: [m] r of a base whose URDF has no wheels, with its half track; else None.
+        kind: Of the base: differential, holonomic or car-like.
+        wheelbase: [m] of a car-like base, or None to measure it.
+        steering_limit: [rad] of its steering, or None for the URDF's.
+        steering_rate: [rad/s] of it, or None for the URDF's.
         ready: (n_m,) [rad or m] the ready pose, or None to choose one.
         bodies: How many bodies the arm gets, or None for the best number.
         assume_inertia: Whether an arm without masses gets assumed ones.
@@ -51,6 +55,10 @@ class Request:
     tip_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
     half_track: float | None = None
     wheel_radius: float | None = None
+    kind: str = "differential"
+    wheelbase: float | None = None
+    steering_limit: float | None = None
+    steering_rate: float | None = None
     ready: tuple[float, ...] | None = None
     bodies: int | None = None
     assume_inertia: bool = False

@@ -113,12 +113,15 @@ def _inertias(robot: NewRobot) -> list[str]:
 
 def _base(robot: NewRobot) -> list[str]:
     told, wheels = [], robot.parsed.wheels
-    if len(wheels.left) > 1 and robot.request.half_track is None:
+    skids = robot.request.kind == "differential" and len(wheels.left) > 1
+    if skids and robot.request.half_track is None:
         told.append(
             f"{2 * len(wheels.left)} driven wheels skid when the base turns: its effective half "
             f"track is wider than the {wheels.b:.3f} m between the wheels; give it by --half-track"
         )
-    if wheels.joint_velocity is None:
+    if robot.request.kind == "holonomic":
+        told.append("the base's speed, acceleration and traction are assumed")
+    elif wheels.joint_velocity is None:
         told.append("the wheels have no velocity limit: the base's speed is assumed")
     joints = [robot.parsed.tree.joints[name] for name in (*wheels.left, *wheels.right)]
     if any(not joint.effort for joint in joints):

@@ -113,6 +113,16 @@ def stated_wheels(tree: Tree, arm: Arm, folder: Path, r: float, b: float) -> Whe
     Raises:
         RobotFileError: The base has no shapes.
     """
+    floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, floor_below(tree, arm, folder)]))
+    return Wheels((), (), r, b, floor, None, "given: --wheel-radius")
+
+
+def floor_below(tree: Tree, arm: Arm, folder: Path) -> float:
+    """[m] the height of the lowest point of the base's shapes in its link's frame.
+
+    Raises:
+        RobotFileError: The base has no shapes.
+    """
     lows = [
         float((tree.pose(link, arm.base).act(corner))[2])
         for link in arm.base_links
@@ -121,8 +131,7 @@ def stated_wheels(tree: Tree, arm: Arm, folder: Path, r: float, b: float) -> Whe
     ]
     if not lows:
         raise RobotFileError(f"--base: no link of {arm.base!r} has a shape")
-    floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, min(lows)]))
-    return Wheels((), (), r, b, floor, None, "given: --wheel-radius")
+    return min(lows)
 
 
 def _drive(

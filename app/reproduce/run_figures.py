@@ -58,13 +58,17 @@ def distances_figure(log: Log, track: Track) -> Figure:
 def base_figure(track: Track) -> Figure:
     """What is asked of the base, and what it does."""
     figure = new_figure(6.4)
-    grid = figure.subplots(2, 2, sharex=True)
-    for k, (rate, unit) in enumerate(((r"\dot v", "m/s²"), (r"\dot\omega", "rad/s²"))):
+    linear = track.asked.shape[1] - 1  # the last axis turns
+    grid = figure.subplots(2, linear + 1, sharex=True)
+    names = {1: ["v"], 2: ["v_x", "v_y"]}.get(linear, [f"v_{i}" for i in range(linear)])
+    rates = [(rf"\dot {name}", "m/s²") for name in names] + [(r"\dot\omega", "rad/s²")]
+    for k, (rate, unit) in enumerate(rates):
         ax = grid[0][k]
         ax.plot(track.t, track.asked[:, k], color=PATH, label="asked by the HQP")
         ax.plot(track.t, track.avoidance[:, k], color=ACTING, label=r"avoidance, $\beta\,\ddot x$")
         ax.set_ylabel(f"${rate}$ [{unit}]")
-    for k, (speed, unit) in enumerate((("v", "m/s"), (r"\omega", "rad/s"))):
+    speeds = [(name, "m/s") for name in names] + [(r"\omega", "rad/s")]
+    for k, (speed, unit) in enumerate(speeds):
         ax = grid[1][k]
         ax.step(track.t, track.command[:, k], where="post", color=SOFT, label="commanded")
         ax.plot(track.t, track.velocity[:, k], color=PATH, label="measured")

@@ -10,7 +10,9 @@ from pydantic import Field, SerializeAsAny, ValidationError, model_validator
 from typing_extensions import Self
 
 from app.errors import DescriptionError
+from app.robot.bases.car_like import CarLikeBase
 from app.robot.bases.differential import DifferentialBase
+from app.robot.bases.holonomic import HolonomicBase
 from app.robot.bases.kind import BaseKind
 from app.robot.shapes import Shape
 from app.robot.sourced import Sourced
@@ -169,7 +171,7 @@ def register_base_kind(kind: type[BaseKind]) -> None:
     RobotDescription.model_rebuild(force=True)
 
 
-for _kind in (DifferentialBase,):
+for _kind in (DifferentialBase, HolonomicBase, CarLikeBase):
     register_base_kind(_kind)
 
 

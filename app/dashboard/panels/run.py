@@ -127,7 +127,8 @@ def _choice(snapshot: Snapshot) -> str:
 
 def status_html(snapshot: Snapshot) -> str:
     """The state of the simulation as a table of HTML; what should worry is red."""
-    v, w = snapshot.base_velocity
+    *linear, w = snapshot.base_velocity
+    speed = ", ".join(_signed(v) for v in linear)
     contact = "arm on base" if snapshot.in_contact else ""
     contact += (" and " if contact else "") + "within arm" if snapshot.arm_in_contact else ""
     state = "paused" if snapshot.paused else "running"
@@ -144,7 +145,7 @@ def status_html(snapshot: Snapshot) -> str:
         ("solver failures", f"{snapshot.solver_failures}", snapshot.solver_failures > 0),
         ("person pulls", pull if snapshot.pulls else "no", None),
         ("hand off target", f"{1000 * snapshot.ee_error:.0f} mm", None),
-        ("base", f"{_signed(v)} m/s, {_signed(w)} rad/s", None),
+        ("base", f"{speed} m/s, {_signed(w)} rad/s", None),
     ]  # fmt: skip
     body = "".join(_status_row(*row) for row in rows)
     return (

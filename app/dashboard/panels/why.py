@@ -11,6 +11,7 @@ from app.control.levels import Level, LevelName
 from app.dashboard import words
 from app.dashboard.colours import FULL, REST, css, distance_colour
 from app.dashboard.explain import sentence
+from app.robot.bases.kind import Axis, acceleration_symbol
 from app.simulation.snapshot import Snapshot
 
 BOUNDS_SHOWN = 3
@@ -25,8 +26,6 @@ _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
     ("posture, or arm left alone",
      "the lowest level: what the arm's joints would do by themselves", ("posture", "free")),
 )  # fmt: skip
-_COLUMNS = (("N", "13%"), ("v̇ [m/s²]", "19%"), ("ω̇ [rad/s²]", "23%"))
-"""Of the table of forces, with widths that do not follow the numbers."""
 _ZERO = ForceSplit((0, 0), (0, 0), (0, 0), (0, 0), (0, 0), 0, 0, 0, 0)
 
 
@@ -69,7 +68,7 @@ def _colour(snapshot: Snapshot) -> str:
 def _tables(snapshot: Snapshot, why: Explanation) -> str:
     return (
         _table("Near", _near_rows(snapshot, why))
-        + _table("Force on the base", _force_rows(why), _COLUMNS)
+        + _table("Force on the base", _force_rows(why), _columns(why.axes))
         + _table("Where it acts, p_act", _score_rows(why))
         + _table("Given up, highest priority first", _level_rows(why.levels))
         + _table("Limited by", _bound_rows(why))
@@ -94,16 +93,26 @@ def _near_rows(snapshot: Snapshot, why: Explanation) -> list[str]:
     ]
 
 
+def _columns(axes: Sequence[Axis]) -> list[tuple[str, str]]:
+    """Of the table of forces, with widths that do not follow the numbers."""
+    if len(axes) == 2:
+        return [("N", "13%"), ("v̇ [m/s²]", "19%"), ("ω̇ [rad/s²]", "23%")]
+    share = f"{46 / len(axes):.0f}%"  # narrower, and without units
+    return [("N", "10%"), *((acceleration_symbol(axis), share) for axis in axes)]
+
+
 def _force_rows(why: Explanation) -> list[str]:
     """The resultant (15), its two parts as in Figure 7, and the base's accelerations."""
     forces, on = why.forces, bool(why.forces)
     f = _sum([force.f for force in forces])
     away, turn = _sum([force.away for force in forces]), _sum([force.turn for force in forces])
-    away_acc = _sum([force.away_acceleration for force in forces])
-    turn_acc = _sum([force.turn_acceleration for force in forces])
-    towards = f"{words.direction(*f)}, {words.angle(*f)}" if _size(f) > 0.05 else _NONE
+    still = [(0.0,) * len(why.axes)]
+    away_acc = _sum([force.away_acceleration for force in forces] or still)
+    turn_acc = _sum([force.turn_acceleration for force in forces] or still)
+    x, y = f
+    towards = f"{words.direction(x, y)}, {words.angle(x, y)}" if _size(f) > 0.05 else _NONE
     return [
-        _row("direction", towards, "from forward, as the base sees it", span=3),
+        _row("direction", towards, "from forward, as the base sees it", span=1 + len(why.axes)),
         _acceleration("moving away", away, away_acc, "the part along −n, Figure 7b", on=on),
         _acceleration(
             "to the better score", turn, turn_acc, "the part across, by (12) and (13), Figure 7c",
@@ -118,13 +127,13 @@ def _force_rows(why: Explanation) -> list[str]:
 
 
 def _score_rows(why: Explanation) -> list[str]:
-    first = why.forces[0] if why.forces else _ZERO
+    first, unit = why.forces[0] if why.forces else _ZERO, f" {why.measure_unit}"
     values = (
-        ("far from singular, det", words.scientific(first.determinant) + " m⁴/rad⁴",
+        ("far from singular, det", words.scientific(first.determinant) + unit,
          "(7): 0 on the wheels' axis, where the base cannot move the point sideways"),
         ("reachability R", f"{first.reachability:.0f}", "(9): how well the arm reaches the point"),
-        ("score S", words.scientific(first.score) + " m⁴/rad⁴", "(10): sign · det · R"),
-        ("score without the step, p_n", words.scientific(first.score_near) + " m⁴/rad⁴",
+        ("score S", words.scientific(first.score) + unit, "(10): sign · det · R"),
+        ("score without the step, p_n", words.scientific(first.score_near) + unit,
          "S where the force would act without (12)"),
     )  # fmt: skip
     return [_row(label, text if why.forces else _NONE, hint) for label, text, hint in values]
@@ -172,19 +181,20 @@ def _row(label: str, value: str, hint: str, *, span: int = 1) -> str:
 
 
 def _acceleration(
-    label: str, f: tuple[float, float] | None, acceleration: tuple[float, float], hint: str,
+    label: str, f: Sequence[float] | None, acceleration: Sequence[float], hint: str,
     *, on: bool = True,
 ) -> str:  # fmt: skip
     """A row of newtons, m/s² and rad/s²; dashes where there is no force at all."""
     newtons = "" if f is None else f"{_size(f):.0f}"
-    values = (newtons, *(words.signed(a) for a in acceleration)) if on else (_NONE,) * 3
+    values = [newtons, *(words.signed(a) for a in acceleration)]
+    values = values if on else [_NONE] * len(values)
     cells = "".join(f'<td style="text-align:right">{value}</td>' for value in values)
     return f'<tr title="{hint}"><td style="opacity:.65;white-space:nowrap">{label}</td>{cells}</tr>'
 
 
-def _sum(vectors: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    return sum(v[0] for v in vectors), sum(v[1] for v in vectors)
+def _sum(vectors: Sequence[Sequence[float]]) -> tuple[float, ...]:
+    return tuple(sum(parts) for parts in zip(*vectors, strict=True)) or (0.0, 0.0)
 
 
-def _size(v: tuple[float, float]) -> float:
+def _size(v: Sequence[float]) -> float:
     return (v[0] ** 2 + v[1] ** 2) ** 0.5

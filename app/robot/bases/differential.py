@@ -90,6 +90,7 @@ class DifferentialBase(BaseKind):
     """
 
     axes: ClassVar[tuple[Axis, ...]] = (FORWARD, TURN)
+    measure_unit: ClassVar[str] = "m⁴/rad⁴"
 
     kind: Literal["differential"]
     wheel_radius_m: Positive

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -28,16 +28,39 @@ class Axis(NamedTuple):
         angular: Whether it turns the base; its unit is rad/s then, else m/s.
         velocity: Its name in logs, which ends in its unit.
         acceleration: The name of its derivative there.
+        way: Along which the base moves by it in its own frame, if it is not angular.
     """
 
     symbol: str
     angular: bool
     velocity: str
     acceleration: str
+    way: Literal["forward", "left"] = "forward"
 
 
 FORWARD = Axis("v", False, "v_mps", "a_mps2")
 TURN = Axis("ω", True, "w_radps", "aw_radps2")
+
+
+def acceleration_symbol(axis: Axis) -> str:
+    """As in v̇, v̇_x, ω̇: the dot stands over the first letter."""
+    return axis.symbol[:1] + "\u0307" + axis.symbol[1:]
+
+
+class Planar(NamedTuple):
+    """A motion of the base in its own frame: forward, to the left, and turning left."""
+
+    forward: float
+    left: float
+    turn: float
+
+
+def planar(axes: Sequence[Axis], values: Sequence[float] | Array) -> Planar:
+    """What values along the axes (n_b,) come to in the base's frame."""
+    sums = {"forward": 0.0, "left": 0.0, "turn": 0.0}
+    for axis, value in zip(axes, values, strict=True):
+        sums["turn" if axis.angular else axis.way] += float(value)
+    return Planar(**sums)
 
 
 class BaseForce(NamedTuple):
@@ -53,6 +76,10 @@ class BaseForce(NamedTuple):
     torque: float
 
 
+PAPERS_MEASURE = 4 * 0.51**2 * (0.165 / (2 * 0.51)) ** 4
+"""[m²/rad⁴] (7) of the paper's robot 1 m ahead of its axis: what the gain of (13) goes with."""
+
+
 class Channel(NamedTuple):
     """One of the motions by which a base gives way, independent of those beside it.
 
@@ -60,11 +87,13 @@ class Channel(NamedTuple):
         twist: v_x, v_y [m/s] and ω [rad/s] at unit speed.
         a_max: [m/s² or rad/s²] its largest acceleration.
         v_max: [m/s or rad/s] its largest speed.
+        delay: [s] until it can begin.
     """
 
     twist: tuple[float, float, float]
     a_max: float
     v_max: float
+    delay: float = 0.0
 
 
 class Wheels(NamedTuple):
@@ -90,6 +119,8 @@ class BaseKind(Sourced, ABC):
 
     axes: ClassVar[tuple[Axis, ...]]
     """The velocity axes ν, in order."""
+    measure_unit: ClassVar[str] = ""
+    """Unit of `singularity`."""
 
     kind: str
     """Which kind it is."""

@@ -1,0 +1,248 @@
+"""A base with a driven rear axle and steered front wheels (Ackermann): it moves along arcs.
+
+The frame's origin is the middle of the rear axle on the floor, the front axle is L ahead of it. The
+velocity (w_x, w_y) of the front axle's middle, in the base's frame, gives v = w_x and ω = w_y / L.
+The front wheels point along it, so it stays in the double cone |w_y| ≤ tan δ_max |w_x|: the
+curvature κ = ω / v is within ±κ_max, κ_max = tan δ_max / L. The base cannot turn on the spot.
+
+A force wants (v, ω) of its own, as that of a differential base. Of the velocities in the cone the
+base takes the one nearest to that, in the metric of its kinetic energy m v² + I ω². Outside of the
+cone that is one on its edge, where v = (m v + I κ ω) / (m + I κ²): the base moves along its
+tightest arc as a force F_x + κ τ moves an inertia m + I κ², ahead with κ towards τ, or backwards
+with -κ.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Literal
+
+import numpy as np
+from pydantic import Field
+
+from app.robot.bases.differential import free_acceleration
+from app.robot.bases.kind import (
+    FORWARD,
+    PAPERS_MEASURE,
+    TURN,
+    Axis,
+    BaseForce,
+    BaseKind,
+    Channel,
+    Wheels,
+    clamp,
+)
+from app.strict import Positive
+
+Array = np.ndarray
+
+_STEADY = 1.5
+"""[-] how much more energy the opposite direction must have before the base turns back."""
+_HELD = 0.005  # [m/s] of the front axle below which the steering stays where it is
+
+
+def control_point_jacobian(x: float, y: float, L: float) -> Array:
+    """J_c, from the front axle's velocity (w_x, w_y) to that of a point, in the base's frame.
+
+    It stands in the place of (6).
+
+    Args:
+        x: [m] of the point, ahead of the rear axle.
+        y: [m] of the point, to the left.
+        L: [m] wheelbase.
+
+    Returns:
+        (2, 2) [-].
+    """
+    return np.array([[1.0, -y / L], [0.0, x / L]])
+
+
+def nearest_in_cone(
+    v: float, w: float, kappa: float, radius: float, before: float
+) -> tuple[float, float]:
+    """The velocity in the cone |ω| ≤ κ_max |v| nearest to (v, ω), by v² + ρ² ω².
+
+    Where both edges of the cone are about as near, the base keeps its direction of motion; at rest
+    it rather backs up, which brings the arm ahead of the rear axle, where the score is better.
+
+    Args:
+        v: [m/s] wanted.
+        w: [rad/s] wanted.
+        kappa: [1/m] κ_max.
+        radius: [m] ρ, √(I/m).
+        before: [m/s] the base's speed so far, whose sign is its direction of motion.
+
+    Returns:
+        [m/s] and [rad/s].
+    """
+    if abs(w) <= kappa * abs(v):
+        return v, w
+    side = math.copysign(kappa, w)  # the curvature ahead; backwards it is the opposite
+    inertia = 1.0 + (radius * kappa) ** 2
+    ahead = max((v + radius**2 * side * w) / inertia, 0.0)
+    back = min((v - radius**2 * side * w) / inertia, 0.0)
+    favour = _STEADY if before > 0.0 else 1.0 / _STEADY if before < 0.0 else 1.0
+    if favour * ahead**2 > back**2:
+        return ahead, side * ahead
+    return back, -side * back
+
+
+class CarLikeBase(BaseKind):
+    """An Ackermann base: ν = (v, ω) of the rear axle's middle, q̇_b = (w_x, w_y) of the front's.
+
+    The measure in (10) is the square of the area that the velocities of a point on the two tightest
+    arcs span, at unit speed: 2 κ_max x, with the sign of x. It is 0 on the rear axle's line, where
+    all arcs move a point the same way, positive ahead of it and negative behind.
+
+    The drive follows a command with its speed v and its steering angle δ: δ goes to that of the
+    command's arc, v to the speed nearest to the command along the arc of the present δ.
+    """
+
+    axes: ClassVar[tuple[Axis, ...]] = (FORWARD, TURN)
+
+    kind: Literal["car-like"]
+    wheelbase_m: Positive
+    """[m] L, from the rear axle to the front one."""
+    steering_limit_rad: Annotated[Positive, Field(lt=math.pi / 2)]
+    """[rad] δ_max of the wheel in the middle of the front axle."""
+    steering_rate_radps: Positive
+    """[rad/s] how fast it can be steered, at standstill too."""
+    wheel_radius_m: Positive
+    """[m] of the wheels; drawn only."""
+    wheel_joints: tuple[str, ...]
+    """Joints of the URDF that roll; drawn only."""
+    steering_joints: tuple[str, ...]
+    """Joints of the URDF that turn with the steering; drawn only."""
+
+    @property
+    def T(self) -> Array:
+        """See `BaseKind`."""
+        return np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
+
+    @property
+    def J_m(self) -> Array:
+        """See `BaseKind`."""
+        return np.diag([1.0, 1.0 / self.wheelbase_m])
+
+    @property
+    def curvature_max(self) -> float:
+        """[1/m] κ_max."""
+        return math.tan(self.steering_limit_rad) / self.wheelbase_m
+
+    @property
+    def max_velocity(self) -> tuple[float, float]:
+        """Largest v [m/s] and ω [rad/s]."""
+        v = self.max_linear_velocity_mps
+        return v, v * self.curvature_max
+
+    @property
+    def max_acceleration(self) -> tuple[float, float]:
+        """Largest v̇ [m/s²] and ω̇ [rad/s²], on the tightest arc while it is steered."""
+        turning = self.steering_rate_radps / math.cos(self.steering_limit_rad) ** 2
+        a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
+        return a, a * self.curvature_max + v * turning / self.wheelbase_m
+
+    @property
+    def yaw_limit_nm(self) -> float:
+        """See `BaseKind`; the traction at the front axle."""
+        return self.traction_limit_n * self.wheelbase_m
+
+    @property
+    def wheels(self) -> tuple[Wheels, ...]:
+        """What rolls, and what is steered."""
+        return (
+            Wheels("rolling", "wheel_joints", self.wheel_joints),
+            Wheels("steering", "steering_joints", self.steering_joints),
+        )
+
+    @property
+    def score_unit(self) -> float:
+        """See `BaseKind`."""
+        return 4.0 * self.curvature_max**2 / PAPERS_MEASURE
+
+    def singularity(self, p: Array) -> tuple[Array, Array]:
+        """Sign(x) (2 κ_max x)² [-]; see `BaseKind`."""
+        x = np.asarray(p, dtype=float)[..., 0]
+        per, gradient = 4.0 * self.curvature_max**2, np.zeros(np.shape(p))
+        gradient[..., 0] = 2.0 * per * np.abs(x)
+        return per * x * np.abs(x), gradient
+
+    def singularity_at(self, p: Array) -> tuple[float, float, float]:
+        """See `BaseKind`."""
+        per, x = 4.0 * self.curvature_max**2, float(p[0])
+        return per * x * abs(x), 2.0 * per * abs(x), 0.0
+
+    def acceleration(self, force: BaseForce) -> Array:
+        """What the force wants, before the cone; see `admissible`."""
+        return free_acceleration(force, self.mass_kg, self.inertia_kgm2)
+
+    def retreats(self) -> tuple[tuple[Channel, ...], ...]:
+        """Straight, or along either of the tightest arcs once the wheels are steered."""
+        kappa, a, v = self.curvature_max, *self._along
+        late = self.steering_limit_rad / self.steering_rate_radps
+        arcs = ((Channel((1.0, 0.0, side), a, v, late),) for side in (kappa, -kappa))
+        return ((Channel((1.0, 0.0, 0.0), a, v),), *arcs)
+
+    def admissible(self, wanted: Array, before: Array) -> Array:
+        """See `nearest_in_cone`."""
+        v, w = wanted.tolist()
+        return np.array(self._in_cone(v, w, float(before[0])))
+
+    def drive_at_rest(self) -> Array:
+        """The steering angle δ [rad], straight ahead."""
+        return np.zeros(1)
+
+    def driven(self, v: Array, drive: Array, v_cmd: Sequence[float] | Array, dt: float) -> Array:
+        """See `BaseKind`."""
+        speed, angle = float(v[0]), float(drive[0])
+        speed_to, angle_to = self._goal(speed, angle, v_cmd)
+        gain = -math.expm1(-dt / self.drive_time_constant_s)
+        angle += clamp((angle_to - angle) * gain, self.steering_rate_radps * dt)
+        speed += clamp((speed_to - speed) * gain, self.max_linear_acceleration_mps2 * dt)
+        return np.array([speed, speed * math.tan(angle) / self.wheelbase_m, angle])
+
+    def drive_acceleration(
+        self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
+    ) -> Array:
+        """See `BaseKind`: v̇, and ω̇ = v̇ tan δ / L + v δ̇ / (L cos² δ)."""
+        speed, angle, tau = float(v[0]), float(drive[0]), self.drive_time_constant_s
+        speed_to, angle_to = self._goal(speed, angle, v_cmd)
+        a = clamp((speed_to - speed) / tau, self.max_linear_acceleration_mps2)
+        rate = clamp((angle_to - angle) / tau, self.steering_rate_radps)
+        slope = math.tan(angle)
+        return np.array([a, (a * slope + speed * rate * (1.0 + slope**2)) / self.wheelbase_m])
+
+    def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:
+        """See `BaseKind`."""
+        return np.array([angles[0] + qd_b[0] / self.wheel_radius_m * dt, drive[0]])
+
+    @property
+    def _along(self) -> tuple[float, float]:
+        return self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
+
+    @property
+    def _radius(self) -> float:
+        return math.sqrt(self.inertia_kgm2 / self.mass_kg)
+
+    def _in_cone(self, v: float, w: float, before: float) -> tuple[float, float]:
+        return nearest_in_cone(v, w, self.curvature_max, self._radius, before)
+
+    def _goal(
+        self, speed: float, angle: float, v_cmd: Sequence[float] | Array
+    ) -> tuple[float, float]:
+        """Speed [m/s] and steering angle [rad] that a command asks for now.
+
+        While the wheels are still steered the speed is the one nearest to the command, in the
+        metric of kinetic energy, along the present arc; never one against the command, and the less
+        the more that arc bends to the other side than the command's.
+        """
+        top = self.max_linear_velocity_mps
+        v, w = self._in_cone(clamp(float(v_cmd[0]), top), float(v_cmd[1]), speed)
+        angle_to, L = angle, self.wheelbase_m
+        if math.hypot(v, L * w) > _HELD:
+            angle_to = clamp(math.atan(L * w / v), self.steering_limit_rad)
+        turn = self._radius**2 * math.tan(angle) / L  # ρ² κ
+        along = (v + turn * w) / (1.0 + turn * math.tan(angle) / L)
+        against = max(-math.tan(angle) * math.tan(angle_to), 0.0) / (L * self.curvature_max) ** 2
+        return clamp(along * (1.0 - against) if along * v > 0.0 else 0.0, top), angle_to

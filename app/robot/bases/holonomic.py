@@ -1,0 +1,74 @@
+"""A base that moves in every direction, on mecanum, omni or steered wheels."""
+
+from __future__ import annotations
+
+import math
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from app.robot.bases.kind import TURN, Axis, BaseForce, BaseKind
+from app.strict import Positive
+
+Array = np.ndarray
+
+AHEAD = Axis("v_x", False, "vx_mps", "ax_mps2")
+SIDEWAYS = Axis("v_y", False, "vy_mps", "ay_mps2", way="left")
+
+
+class HolonomicBase(BaseKind):
+    """A base with three velocities of its own: no place of it is singular, the arm's reach is all.
+
+    ν = q̇_b = (v_x, v_y, ω). In (10) the measure is 1 everywhere and so S = R. In the place of (17)
+    and (18) stand m v̇_x = f_x, m v̇_y = f_y, I ω̇ = τ.
+    """
+
+    axes: ClassVar[tuple[Axis, ...]] = (AHEAD, SIDEWAYS, TURN)
+
+    kind: Literal["holonomic"]
+    max_angular_velocity_radps: Positive
+    """[rad/s]"""
+    max_angular_acceleration_radps2: Positive
+    """[rad/s²]"""
+
+    @property
+    def T(self) -> Array:
+        """See `BaseKind`."""
+        return np.eye(3)
+
+    @property
+    def J_m(self) -> Array:
+        """See `BaseKind`."""
+        return np.eye(3)
+
+    @property
+    def max_velocity(self) -> tuple[float, float, float]:
+        """Largest v_x, v_y [m/s] and ω [rad/s]."""
+        v = self.max_linear_velocity_mps
+        return v, v, self.max_angular_velocity_radps
+
+    @property
+    def max_acceleration(self) -> tuple[float, float, float]:
+        """Largest v̇_x, v̇_y [m/s²] and ω̇ [rad/s²]."""
+        a = self.max_linear_acceleration_mps2
+        return a, a, self.max_angular_acceleration_radps2
+
+    @property
+    def yaw_limit_nm(self) -> float:
+        """See `BaseKind`; the traction at the radius of gyration."""
+        return self.traction_limit_n * math.sqrt(self.inertia_kgm2 / self.mass_kg)
+
+    def singularity(self, p: Array) -> tuple[Array, Array]:
+        """1 [-]; see `BaseKind`."""
+        p = np.asarray(p, dtype=float)
+        return np.ones(p.shape[:-1]), np.zeros(p.shape)
+
+    def singularity_at(self, p: Array) -> tuple[float, float, float]:
+        """See `BaseKind`."""
+        del p
+        return 1.0, 0.0, 0.0
+
+    def acceleration(self, force: BaseForce) -> Array:
+        """See `BaseKind`."""
+        m = self.mass_kg
+        return np.array([force.x / m, force.y / m, force.torque / self.inertia_kgm2])

@@ -1,0 +1,240 @@
+"""Laws that every kind of base keeps, and those of each."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from app.avoidance.mobile_acceleration import PairForce, generate_mob_acc
+from app.border.score import ScoreField
+from app.config import AdmittanceConfig
+from app.control.admittance import AdmittanceLaw, largest_command
+from app.control.drive import Drive
+from app.robot.bases.car_like import CarLikeBase, control_point_jacobian, nearest_in_cone
+from app.robot.bases.kind import BaseForce, planar
+from app.robot.state import Measurement, RobotState
+from app.simulation.bullet_dynamics import BulletDynamics
+from app.simulation.kinematic import Kinematic
+from app.simulation.pybullet_planar import PybulletPlanar
+from tests.bases import KINDS, base_of, robot_on
+from tests.finite_differences import jacobian
+
+KAPPA, RADIUS = 0.7, 0.5  # [1/m], [m] of a car
+
+
+def car() -> CarLikeBase:
+    base = base_of("car-like")
+    assert isinstance(base, CarLikeBase)
+    return base
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_twists_of_the_axes_are_orthonormal_and_the_jacobian_is_invertible(kind: str) -> None:
+    base = base_of(kind)
+    np.testing.assert_allclose(base.T.T @ base.T, np.eye(base.n_b), atol=1e-15)
+    assert np.linalg.matrix_rank(base.J_m) == base.n_b == len(base.max_velocity)
+    for axis, twist in zip(base.axes, base.T.T, strict=True):
+        assert planar((axis,), [1.0]) == tuple(twist)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_gradient_of_the_score_is_that_of_finite_differences(kind: str) -> None:
+    field = ScoreField.of(robot_on(kind), "lEE")
+    p = np.random.default_rng(0).uniform([-1, -0.8, 0], [1, 0.8, 1.2], (200, 3))
+    numeric = jacobian(lambda step: field.score(p + step), 3)
+    np.testing.assert_allclose(field.gradient(p), numeric, atol=1e-7 * np.abs(numeric).max())
+    for point, S, gradient in zip(p, field.score(p), field.gradient(p), strict=True):
+        at, by_point = field.at_point(point)
+        assert at == pytest.approx(S, rel=1e-12)
+        np.testing.assert_allclose(by_point, gradient, rtol=1e-9, atol=1e-9 * abs(S))
+
+
+def test_the_score_on_a_holonomic_base_is_the_reachability() -> None:
+    field = ScoreField.of(robot_on("holonomic"), "lEE")
+    p = np.random.default_rng(0).uniform(-1, 1, (100, 3))
+    np.testing.assert_array_equal(field.score(p), field.reachability(p))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_force_does_positive_work_by_the_acceleration_that_it_asks_for(kind: str) -> None:
+    base, rng = base_of(kind), np.random.default_rng(0)
+    for _ in range(50):
+        p, f = rng.uniform(-1, 1, 3), np.append(rng.normal(size=2), 0.0)
+        x, y, w = base.T @ generate_mob_acc([PairForce(f, p)], base)
+        assert f[0] * (x - w * p[1]) + f[1] * (y + w * p[0]) >= 0.0
+
+
+def test_a_holonomic_base_moves_along_any_force() -> None:
+    base = base_of("holonomic")
+    a = base.acceleration(BaseForce(6.0, -12.0, 8.0))
+    np.testing.assert_allclose(a, [0.1, -0.2, 0.5])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_reduced_dynamics_are_those_of_pybullet(kind: str) -> None:
+    model, rng = robot_on(kind), np.random.default_rng(0)
+    bullet, state = BulletDynamics(model), RobotState(model)
+    for _ in range(3):
+        q_m, qd = rng.uniform(model.q_lower, model.q_upper), rng.uniform(-0.5, 0.5, model.n)
+        n_b = model.n_b
+        state.update(Measurement(np.zeros(3), model.J_m @ qd[:n_b], q_m, qd[n_b:]))
+        M, h = bullet.mass_and_bias(q_m, qd)
+        np.testing.assert_allclose(state.M, M, atol=1e-8)
+        np.testing.assert_allclose(state.h, h, atol=1e-7)
+    bullet.close()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("plant", [Kinematic, PybulletPlanar])
+def test_a_plant_moves_as_its_drive_says_and_measures_it(kind: str, plant: type) -> None:
+    model, command = robot_on(kind), np.array([0.2, 0.15, -0.3])[-robot_on(kind).n_b :]
+    physics, u_a = plant(model), RobotState(model).g[model.n_b :]
+    drive = Drive(model.description.base, 0.001)
+    start = physics.measure().base_pose
+    way = np.zeros(3)
+    for _ in range(300):
+        velocity = drive.step(command)
+        x, y, w = model.description.base.T @ velocity
+        phi = way[2] + 0.5e-3 * w
+        way += 1e-3 * np.array(
+            [x * np.cos(phi) - y * np.sin(phi), x * np.sin(phi) + y * np.cos(phi), w]
+        )
+        physics.step(u_a, command, np.zeros(3))
+    measured = physics.measure()
+    physics.close()
+    np.testing.assert_allclose(measured.base_pose - start, way, atol=2e-4)
+    np.testing.assert_allclose(measured.base_velocity, velocity, atol=2e-3)
+    np.testing.assert_allclose(measured.drive, drive.state, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_expected_acceleration_is_what_the_drive_then_does(kind: str) -> None:
+    base, dt, rng = base_of(kind), 1e-5, np.random.default_rng(1)
+    drive = Drive(base, dt)
+    for _ in range(30):
+        command, before = rng.normal(0, 0.6, base.n_b), drive.velocity
+        expected = drive.expected_acceleration(command, before, drive.state)
+        np.testing.assert_allclose(
+            (drive.step(command) - before) / dt, expected, rtol=1e-3, atol=2e-3
+        )
+        for _ in range(300):
+            drive.step(command)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_whatever_is_asked_commands_and_drive_keep_the_limits_and_are_finite(kind: str) -> None:
+    base, rng = base_of(kind), np.random.default_rng(2)
+    config = AdmittanceConfig()
+    law, drive = AdmittanceLaw(base, config), Drive(base, 0.01)
+    top = np.array(base.max_velocity) + 1e-9
+    for k in range(3000):
+        size = rng.choice([0.0, 1e-300, 1e-12, 1e-3, 1.0, 1e3])
+        if k % 7 == 0:
+            asked = size * rng.normal(size=base.n_b) * rng.integers(0, 2, base.n_b)
+        command = law.update(asked, 0.01)
+        before = drive.velocity
+        after = drive.step(command)
+        assert np.isfinite(command).all()
+        assert np.isfinite(after).all()
+        assert (np.abs(command) <= largest_command(base, config) + 1e-9).all()
+        assert (np.abs(after) <= top).all()
+        assert np.abs(after[0] - before[0]) <= 0.01 * base.max_linear_acceleration_mps2 + 1e-9
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_asked_is_rest(kind: str) -> None:
+    base = base_of(kind)
+    law = AdmittanceLaw(base, AdmittanceConfig())
+    for _ in range(300):
+        np.testing.assert_array_equal(law.update(np.zeros(base.n_b), 0.001), np.zeros(base.n_b))
+
+
+def test_a_cars_point_moves_by_its_jacobian() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        (x, y), w_x, w_y, L = rng.uniform(-1, 1, 2), *rng.normal(size=2), rng.uniform(0.2, 2)
+        v, w = w_x, w_y / L
+        expected = [v - w * y, w * x]
+        np.testing.assert_allclose(control_point_jacobian(x, y, L) @ [w_x, w_y], expected)
+
+
+def test_a_cars_measure_is_the_square_of_the_area_between_its_tightest_arcs() -> None:
+    base, rng = car(), np.random.default_rng(0)
+    for x, y, z in rng.uniform(-1, 1, (50, 3)):
+        edge = math.tan(base.steering_limit_rad)
+        J = control_point_jacobian(x, y, base.wheelbase_m)
+        right, left = J @ [1.0, -edge], J @ [1.0, edge]
+        area = right[0] * left[1] - right[1] * left[0]
+        measure, _ = base.singularity(np.array([x, y, z]))
+        assert measure == pytest.approx(np.sign(x) * area**2, rel=1e-9, abs=1e-15)
+
+
+def test_the_nearest_velocity_in_the_cone_is_the_nearest_of_many() -> None:
+    rng = np.random.default_rng(0)
+    speeds = np.linspace(-3, 3, 6001)
+    for v, w in rng.normal(size=(200, 2)):
+        found = nearest_in_cone(v, w, KAPPA, RADIUS, 0.0)
+        assert abs(found[1]) <= KAPPA * abs(found[0]) + 1e-12
+        cost = (found[0] - v) ** 2 + RADIUS**2 * (found[1] - w) ** 2
+        edges = [(speeds - v) ** 2 + RADIUS**2 * (s * KAPPA * speeds - w) ** 2 for s in (1, -1)]
+        inside = abs(w) <= KAPPA * abs(v)
+        assert cost <= (0.0 if inside else np.min(edges)) + 1e-6
+
+
+def test_what_is_in_the_cone_stays_and_the_map_is_mirrored() -> None:
+    rng = np.random.default_rng(1)
+    for v, w, before in rng.normal(size=(300, 3)):
+        found = nearest_in_cone(v, w, KAPPA, RADIUS, before)
+        np.testing.assert_allclose(nearest_in_cone(*found, KAPPA, RADIUS, before), found)
+        left = nearest_in_cone(v, -w, KAPPA, RADIUS, before)
+        np.testing.assert_allclose(left, (found[0], -found[1]))
+
+
+@pytest.mark.parametrize("before", [0.2, -0.2])
+def test_a_moving_car_does_not_turn_back_for_a_small_advantage(before: float) -> None:
+    for v in (-0.01, 0.0, 0.01):
+        found, _ = nearest_in_cone(v, 1.0, KAPPA, RADIUS, before)
+        assert np.sign(found) == np.sign(before)
+
+
+@pytest.mark.parametrize("w_dot", [1.0, -1.0])
+def test_a_wish_to_turn_on_the_spot_moves_a_car_along_its_tightest_arc(w_dot: float) -> None:
+    """A pure torque does not deadlock, and does not chatter."""
+    base = car()
+    law, drive = AdmittanceLaw(base, AdmittanceConfig()), Drive(base, 0.001)
+    noise, commands = np.random.default_rng(0), []
+    turned = 0.0
+    for _ in range(3000):
+        asked = np.array([1e-3 * noise.normal(), w_dot])
+        commands.append(law.update(asked, 0.001))
+        turned += 0.001 * drive.step(commands[-1])[1]
+    v, w = np.array(commands).T
+    assert turned * np.sign(w_dot) > 0.05
+    assert len(set(np.sign(v[v != 0.0]))) == 1
+    assert (np.diff(np.abs(w)) >= -1e-3).all()
+    assert abs(w[-1]) == pytest.approx(base.curvature_max * abs(v[-1]))
+
+
+def test_a_car_steers_before_it_moves_the_other_way() -> None:
+    """From ahead and left to backwards and left: it must not turn right on its way."""
+    base = car()
+    drive = Drive(base, 0.001)
+    arc = np.array([0.3, 0.3 * base.curvature_max])
+    for _ in range(1500):
+        drive.step(arc)
+    right = 0.0
+    for _ in range(1500):
+        right -= 0.001 * min(drive.step(arc * [-1.0, 1.0])[1], 0.0)
+    assert right < 0.02  # [rad]
+    np.testing.assert_allclose(drive.velocity, arc * [-1.0, 1.0], rtol=1e-3)
+
+
+def test_a_car_steers_at_standstill() -> None:
+    base = car()
+    drive = Drive(base, 0.001)
+    creeping = np.array([0.006, 0.006 * base.curvature_max])
+    for _ in range(1000):
+        drive.step(creeping)
+    assert drive.state[0] == pytest.approx(base.steering_limit_rad, abs=1e-3)
