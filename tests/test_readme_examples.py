@@ -78,4 +78,5 @@ def test_there_is_an_example_of_every_command() -> None:
     assert {example.split()[1] for example in examples()} == {
         "serve", "run", "report", "replay", "screenshot", "pairs", "border", "reproduce", "reach",
         "robots", "study", "sweep", "config", "new-robot", "check-robot", "bench",
+        "compare-robots",
     }  # fmt: skip

@@ -19,6 +19,7 @@ PACKAGES = {
     "husky_ur5": "example-robot-data",
     "stretch_se3": "stretch_urdf",
     "frankie": "rtbdata",
+    "tiago": "example-robot-data",
 }
 """Where the meshes of each come from; all but the first belong to the extra `robots`."""
 
@@ -62,6 +63,9 @@ def test_a_missing_package_says_how_it_is_installed(monkeypatch: pytest.MonkeyPa
 def test_no_mesh_is_copied_and_none_stands_by_a_path_of_one_machine(name: str) -> None:
     folder = assets.ASSETS / name
     assert not [p for p in folder.rglob("*") if p.suffix.lower() in {".stl", ".dae", ".obj"}]
+    if load_robot(name).urdf.startswith("package://"):
+        assert not list(folder.glob("*.urdf"))
+        return
     text = (folder / "robot.urdf").read_text(encoding="utf-8")
     files = [part.split('"')[0] for part in text.split('filename="')[1:]]
     assert files

@@ -14,6 +14,7 @@ from app.errors import DbbError
 _COMMANDS = (
     "serve", "run", "pairs", "border", "reach", "report", "replay", "screenshot", "reproduce",
     "study", "sweep", "bench", "config", "robots", "new-robot", "check-robot",
+    "compare-robots",
 )  # fmt: skip
 
 

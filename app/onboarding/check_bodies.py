@@ -115,7 +115,7 @@ def _collisions(model: RobotModel) -> _Seen:
     q_m = sample_joints(model, _POSES, np.random.default_rng(2))
     pairs = [
         (a.index, b.index) for a, b in combinations(units, 2)
-        if a.parts and b.parts and not neighbours(a, b)
+        if a.parts and b.parts and not neighbours(model, a, b)
     ]  # fmt: skip
     hulls = hull_distances(model, units, pairs, q_m)
     close = close_pairs(hulls, pairs, Config().border.d_b)

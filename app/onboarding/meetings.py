@@ -83,7 +83,7 @@ def sample_meetings(
     q_m = sample_joints(model, samples, rng)
     pairs = tuple(
         (a.index, b.index) for a, b in combinations(units, 2)
-        if a.parts and b.parts and not neighbours(a, b)
+        if a.parts and b.parts and not neighbours(model, a, b)
     )  # fmt: skip
     distances = hull_distances(model, units, pairs, q_m)
     close = close_pairs(distances, pairs, d_b)

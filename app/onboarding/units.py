@@ -17,6 +17,7 @@ from app.robot.model import RobotModel
 
 Array = np.ndarray
 
+_ALONG = 0.999  # [-] cosine between two lines that count as parallel
 _THIN_OUT = 500  # [-] points on a unit's surface that are looked at
 
 
@@ -84,9 +85,22 @@ def units_of_links(
     return found
 
 
-def neighbours(a: Unit, b: Unit) -> bool:
-    """Whether one joint or none lies between two units, so that they may touch by design."""
-    return abs(b.joint - a.joint) <= 1
+def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
+    """Whether two units may touch by design.
+
+    One joint or none lies between them, or only joints that slide along one line: the parts of a
+    telescope stand in each other, and only its joints' limits can keep them apart.
+    """
+    first, last = sorted((a.joint, b.joint))
+    return last - first <= 1 or _telescope(model, range(first + 1, last + 1))
+
+
+def _telescope(model: RobotModel, joints: Sequence[int]) -> bool:
+    """Whether joints all slide, along parallel lines."""
+    data = model.pin.createData()
+    pin.computeJointJacobians(model.pin, data, pin.neutral(model.pin))
+    columns = data.J[:, [model.pin.joints[k].idx_v for k in joints]]
+    return not columns[3:].any() and bool((np.abs(columns[:3].T @ columns[:3, 0]) > _ALONG).all())
 
 
 def add_hulls(geometry: pin.GeometryModel, units: Sequence[Unit]) -> list[list[int]]:

@@ -37,7 +37,9 @@ _ZERO_INERTIAL = (
 
 
 def resolved_urdf(description: RobotDescription) -> str:
-    """The robot's URDF with every mesh by its absolute path.
+    """The robot's URDF with every mesh by its absolute path, and an inertia for each link.
+
+    A link without one has none: pybullet would take it for 1 kg.
 
     Raises:
         AssetError: The URDF or a mesh that it refers to is not there.
@@ -46,12 +48,14 @@ def resolved_urdf(description: RobotDescription) -> str:
     path = urdf_path(description)
     text = path.read_text(encoding="utf-8")
     try:
-        ElementTree.fromstring(text)
+        tree = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
         raise DescriptionError(f"{path}: not well-formed: {error}") from None
+    if any(link.find("inertial") is None for link in tree.iterfind("link")):
+        text = _with_inertias(tree)
     return re.sub(
-        r'filename\s*=\s*"([^"/][^"]*)"',
-        lambda match: f'filename="{_mesh(match[1], path.parent)}"',
+        r'(<mesh\b[^>]*?filename\s*=\s*)"([^"/][^"]*)"',
+        lambda match: f'{match[1]}"{_mesh(match[2], path.parent)}"',
         text,
     )
 
@@ -64,6 +68,13 @@ def _mesh(reference: str, folder: Path) -> Path:
     if not path.is_file() or not path.is_relative_to(folder.resolve()):
         raise AssetError(f"{folder.name}: no mesh {reference!r} in the folder of the URDF")
     return path
+
+
+def _with_inertias(tree: ElementTree.Element) -> str:
+    for link in tree.iterfind("link"):
+        if link.find("inertial") is None:
+            link.append(ElementTree.fromstring(_ZERO_INERTIAL))
+    return ElementTree.tostring(tree, encoding="unicode")
 
 
 def planar_urdf(description: RobotDescription) -> str:
