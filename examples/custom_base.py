@@ -1,0 +1,58 @@
+"""A kind of base of one's own: a carriage on a rail, which can only drive along its x axis.
+
+Run it: python examples/custom_base.py
+"""
+
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from app.border.cache import load_border_data
+from app.config import Config
+from app.robot.assets import load_robot
+from app.robot.bases.kind import FORWARD, Axis, BaseForce, BaseKind
+from app.robot.description import register_base_kind
+from app.robot.model import RobotModel
+from app.simulation.run import run_scenario
+from app.simulation.scenario import LINES
+
+
+class RailBase(BaseKind):
+    """One velocity, v. Nothing is singular, so its score (10) is the arm's reachability."""
+
+    axes: ClassVar[tuple[Axis, ...]] = (FORWARD,)
+    kind: Literal["rail"]
+
+    T = property(lambda self: np.array([[1.0], [0.0], [0.0]]))  # v → (v_x, v_y, ω)
+    J_m = property(lambda self: np.eye(1))  # q̇_b → v
+    max_velocity = property(lambda self: (self.max_linear_velocity_mps,))
+    max_acceleration = property(lambda self: (self.max_linear_acceleration_mps2,))
+    yaw_limit_nm = property(lambda self: 1e4)  # [N m] the rail holds it
+
+    def singularity(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The measure at points (…, 3), and its gradient."""
+        return np.ones(p.shape[:-1]), np.zeros(p.shape)
+
+    def acceleration(self, force: BaseForce) -> np.ndarray:
+        """What moves it is the force along the rail."""
+        return np.array([force.x / self.mass_kg])
+
+
+def main(duration: float = 8.0) -> dict[str, object]:
+    """Guide the hand of the paper's arm towards the carriage from the front; the run's figures."""
+    register_base_kind(RailBase)  # from now on robot.toml may say: kind = "rail"
+    base = {
+        "kind": "rail", "link": "base_link", "mass_kg": 60.0, "inertia_kgm2": 16.0,
+        "max_linear_velocity_mps": 1.0, "max_linear_acceleration_mps2": 3.0,
+        "traction_limit_n": 300.0, "drive_time_constant_s": 0.05,
+    }  # fmt: skip
+    base["source"] = {name: "an example" for name, value in base.items() if isinstance(value, float)}
+    paper = load_robot("husky_panda")
+    robot = RobotModel(paper.model_copy(update={"base": RailBase.model_validate(base)}))
+    scenario = LINES["guiding-front"].changed(duration=duration)
+    return run_scenario(robot, load_border_data(robot), scenario, Config()).figures
+
+
+if __name__ == "__main__":
+    figures = main()
+    print({name: figures[name] for name in ("min_clearance_m", "base_displacement_m")})

@@ -1,0 +1,56 @@
+"""Holonomic and car-like bases give way: guided and tracked towards them, from both sides and
+the front, no contact, and a tracked hand stays on its path."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.border.cache import load_border_data
+from app.config import Config
+from app.errors import ConfigError
+from app.simulation.plants import make_physics
+from app.simulation.run import run_scenario
+from app.simulation.scenario import LINES
+from tests.bases import robot_on
+
+PATHS = {
+    "left": ((0.30, 0.72, 0.30), (0.0, -0.25, 0.0)),
+    "right": ((0.35, -0.70, 0.30), (0.0, 0.20, 0.0)),
+    "front": ((0.92, 0.10, 0.30), (-0.30, 0.0, 0.0)),
+}
+
+
+def figures(kind: str, path: str, mode: str, physics: str = "kinematic") -> dict[str, object]:
+    start, move = PATHS[path]
+    scenario = LINES["guiding-lateral"].changed(start=start, move=move, mode=mode, duration=4.5)
+    model = robot_on(kind)
+    data = load_border_data(model)
+    return run_scenario(model, data, scenario, Config(), physics=physics).figures
+
+
+@pytest.mark.parametrize("kind", ["holonomic", "car-like"])
+@pytest.mark.parametrize(
+    ("path", "mode"),
+    [("left", "guiding"), ("right", "tracking"), ("front", "tracking")],
+)
+def test_the_base_gives_way_without_contact(kind: str, path: str, mode: str) -> None:
+    result = figures(kind, path, mode)
+    assert result["min_clearance_m"] >= 0.03
+    assert result["contacts"] == result["solver_failures"] == 0
+    assert result["base_displacement_m"] > 0.05
+    if mode == "tracking":
+        assert result["ee_error_max_m"] < 1e-3
+    else:
+        assert result["ee_error_final_m"] < 0.03
+
+
+def test_a_holonomic_base_gives_way_sideways_in_pybullet_as_in_the_stand_in() -> None:
+    one, other = (figures("holonomic", "left", "tracking", p) for p in ("planar", "kinematic"))
+    assert one["min_clearance_m"] == pytest.approx(other["min_clearance_m"], abs=2e-3)
+    assert one["base_displacement_m"] == pytest.approx(other["base_displacement_m"], abs=5e-3)
+
+
+@pytest.mark.parametrize("kind", ["holonomic", "car-like"])
+def test_the_contact_plant_takes_no_other_kind_and_names_the_plants_that_do(kind: str) -> None:
+    with pytest.raises(ConfigError, match=rf"{kind}: choose planar or kinematic"):
+        make_physics("contact", robot_on(kind))

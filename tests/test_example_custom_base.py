@@ -1,0 +1,44 @@
+"""The example of a kind of base of one's own does what it says."""
+
+from __future__ import annotations
+
+import runpy
+
+import pytest
+
+from app.errors import DescriptionError
+from app.robot.bases.kind import BaseKind
+from app.robot.description import KINDS, RobotDescription, register_base_kind
+from tests.readme import PROJECT
+
+
+@pytest.fixture(scope="module")
+def example():
+    known = dict(KINDS)
+    yield runpy.run_path(str(PROJECT / "examples" / "custom_base.py"))
+    KINDS.clear()
+    for kind in known.values():
+        register_base_kind(kind)
+
+
+def test_the_carriage_gives_way_along_its_rail_and_the_arm_does_not_touch_it(example) -> None:
+    figures = example["main"](duration=4.0)
+    assert figures["min_clearance_m"] > 0.05
+    assert figures["contacts"] == 0
+    assert figures["base_displacement_m"] > 0.1
+    assert figures["base_yaw_rad"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_registered_kind_is_one_that_a_description_may_have(example) -> None:
+    example["main"](duration=0.001)
+    own: type[BaseKind] = example["RailBase"]
+    assert KINDS["rail"] is own
+    field = RobotDescription.model_fields["base"]
+    assert own in field.annotation.__args__
+
+
+def test_another_kind_cannot_take_a_name_that_there_is(example) -> None:
+    example["main"](duration=0.001)
+    taken = type("Taken", (example["RailBase"],), {"__module__": __name__})
+    with pytest.raises(DescriptionError, match="'rail'"):
+        register_base_kind(taken)
