@@ -46,7 +46,9 @@ def main(duration: float = 8.0) -> dict[str, object]:
         "max_linear_velocity_mps": 1.0, "max_linear_acceleration_mps2": 3.0,
         "traction_limit_n": 300.0, "drive_time_constant_s": 0.05,
     }  # fmt: skip
-    base["source"] = {name: "an example" for name, value in base.items() if isinstance(value, float)}
+    base["source"] = {
+        name: "an example" for name, value in base.items() if isinstance(value, float)
+    }
     paper = load_robot("husky_panda")
     robot = RobotModel(paper.model_copy(update={"base": RailBase.model_validate(base)}))
     scenario = LINES["guiding-front"].changed(duration=duration)

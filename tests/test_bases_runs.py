@@ -1,5 +1,6 @@
 """Holonomic and car-like bases give way: guided and tracked towards them, from both sides and
-the front, no contact, and a tracked hand stays on its path."""
+the front, no contact, and a tracked hand stays on its path.
+"""
 
 from __future__ import annotations
 
