@@ -146,6 +146,12 @@ class RobotDescription(Strict):
         """l_m."""
         return self.bodies[0]
 
+    def with_mobile_shapes(self, *shapes: Shape) -> Self:
+        """The same robot with more on its base, such as cargo: shapes in the frame of l_m."""
+        first, *others = self.bodies
+        loaded = first.model_copy(update={"shapes": (*first.shapes, *shapes)})
+        return self.model_copy(update={"bodies": (loaded, *others)})
+
     def body(self, name: str) -> BodyDescription:
         """The body of that name."""
         return next(body for body in self.bodies if body.name == name)

@@ -25,6 +25,7 @@ class Case:
         directions: [deg] from which the hand may come, counter-clockwise from the front, best
             first.
         on_axis: Whether p_b begins on the wheel axis, x = 0, and moves along it.
+        length: [m] of the path, which begins 0.02 m outside of the buffer.
         speed: [m/s] mean speed of the hand.
     """
 
@@ -32,6 +33,7 @@ class Case:
     mode: Mode
     directions: tuple[float, ...]
     on_axis: bool = False
+    length: float = 0.2
     speed: float = 0.025
 
     def approaches(self, body: MobileBody) -> Iterator[Approach]:
@@ -43,8 +45,8 @@ class Case:
 
 
 CASES = (
-    Case("guiding-lateral", "guiding", _SIDES, speed=0.05),
-    Case("guiding-front", "guiding", _FRONTS, speed=0.05),
+    Case("guiding-lateral", "guiding", _SIDES, length=0.3, speed=0.05),
+    Case("guiding-front", "guiding", _FRONTS, length=0.3, speed=0.05),
     Case("tracking", "tracking", _SIDES),
     Case("wheel-axis", "tracking", _LEFT_RIGHT, on_axis=True),
 )

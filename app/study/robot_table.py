@@ -130,4 +130,6 @@ def _passes(row: Row, case: Case) -> bool:
 
 
 def _plan(job: _Job) -> SweepPlan:
-    return SweepPlan(robot=job.robot, mode=job.case.mode, seed=job.seed)
+    return SweepPlan(
+        robot=job.robot, mode=job.case.mode, length=job.case.length, seed=job.seed
+    )  # fmt: skip

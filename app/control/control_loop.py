@@ -1,0 +1,79 @@
+"""All of the control at 1 kHz in one object: what a robot's own loop calls."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from app.border.cache import BorderData, load_border_data
+from app.config import Config
+from app.control.admittance import AdmittanceLaw
+from app.control.controller import Controller, ControlOutput
+from app.control.drive import Drive
+from app.control.tasks import Reference
+from app.robot.model import RobotModel
+from app.robot.state import Measurement
+
+Array = np.ndarray
+
+
+class Command(NamedTuple):
+    """What the robot is told in one step.
+
+    Attributes:
+        u_a: (n_m,) [N m or N] torques of the arm.
+        base_velocity: (n_b,) [m/s or rad/s] along the base's axes: v and ω of a differential one;
+            renewed at the base's own slow rate.
+        output: The controller's own output, such as the distances and how they came about.
+    """
+
+    u_a: Array
+    base_velocity: Array
+    output: ControlOutput
+
+
+class ControlLoop:
+    """The controller with the base's admittance law, for one's own loop at 1/dt.
+
+    Attributes:
+        controller: Algorithm 2.
+        admittance: Makes velocity commands of the accelerations that the base is asked for.
+    """
+
+    def __init__(
+        self, model: RobotModel, data: BorderData | None = None, config: Config | None = None, *,
+        name: str = "dbb", dt: float = 0.001,
+    ) -> None:  # fmt: skip
+        """Prepare.
+
+        Args:
+            model: The robot.
+            data: Its link pairs and border; from the cache, or sampled now, if not given.
+            config: Parameters; the defaults if not given.
+            name: One of `app.control.controller.CONTROLLERS`.
+            dt: [s] between two steps.
+
+        Raises:
+            UnknownNameError: No controller has that name.
+        """
+        config, base = config or Config(), model.description.base
+        self._dt = dt
+        data = data or load_border_data(model)
+        self.controller = Controller(model, data, config, name=name, dt=dt)
+        self.admittance = AdmittanceLaw(base, config.admittance)
+        self._drive = Drive(base, dt)
+
+    def step(self, measured: Measurement, reference: Reference | None = None) -> Command:
+        """One control step.
+
+        Args:
+            measured: The sensors' readings.
+            reference: Where the end-effector shall be, or None while it is guided by hand.
+        """
+        coming = self._drive.expected_acceleration(
+            self.admittance.command, measured.base_velocity, measured.drive
+        )
+        output = self.controller.step(measured, reference, base_acceleration=coming)
+        velocity = self.admittance.update(output.base_acceleration, self._dt)
+        return Command(output.u_a, velocity, output)

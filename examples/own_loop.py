@@ -1,0 +1,45 @@
+"""The controller in your own 1 kHz loop: put your robot in the place of `robot`.
+
+A person pulls the hand from the front towards the base, and the base drives backwards.
+Run it: python examples/own_loop.py
+"""
+
+import numpy as np
+
+from app.border.cache import load_border_data
+from app.config import Config
+from app.control.control_loop import ControlLoop
+from app.robot.assets import load_robot
+from app.robot.model import RobotModel
+from app.simulation.plants import make_physics
+from app.simulation.start import StartSolver
+
+DT = 0.001  # [s]
+PULL = np.array([-12.0, 0.0, 0.0])  # [N] of the person, in the world
+
+
+def main(duration: float = 2.0) -> float:
+    """Run for some simulated seconds; gives how far the base drove [m], forwards positive."""
+    model, config = RobotModel(load_robot("husky_panda")), Config()
+    data = load_border_data(model)  # pairs and border: from the cache, or sampled once
+    loop = ControlLoop(model, data, config)
+
+    robot = make_physics("kinematic", model)  # yours needs the same: measure() and step()
+    start = StartSolver(model, data.pairs, config.border.d_b).solve((0.92, 0.10, 0.30))
+    robot.reset(np.zeros(3), start)
+
+    for k in range(round(duration / DT)):
+        measured = robot.measure()  # base pose and velocity, joint positions and velocities
+        command = loop.step(measured)  # a Reference as second argument makes the hand track it
+        robot.step(command.u_a, command.base_velocity, hand_force=PULL)
+        if k % 500 == 0:
+            near = min(command.output.avoidance.mobile, key=lambda pair: pair.closest.d)
+            print(
+                f"{k * DT:.1f} s: {near.closest.pair.name} {near.closest.d:.3f} m apart, "
+                f"base at x = {measured.base_pose[0]:.3f} m"
+            )
+    return float(robot.measure().base_pose[0])
+
+
+if __name__ == "__main__":
+    main()

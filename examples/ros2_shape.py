@@ -1,0 +1,60 @@
+"""The shape of a ROS 2 node: subscribers, publishers and timers around the control loop.
+
+It takes ROS as `ros`, so that it runs without: in rclpy its three calls are create_subscription,
+create_publisher(…).publish and create_timer. Run it: python examples/ros2_shape.py
+"""
+
+from functools import partial
+from types import SimpleNamespace as Message
+from typing import Any
+
+import numpy as np
+
+from app.control.control_loop import ControlLoop
+from app.robot.assets import load_robot
+from app.robot.model import RobotModel
+from app.robot.state import Measurement
+from app.simulation.plants import make_physics
+
+
+class AvoidanceNode:
+    """Reads /joint_states and /odom, writes /arm/effort at 1 kHz and /cmd_vel at 10 Hz."""
+
+    def __init__(self, loop: ControlLoop, ros: Any) -> None:
+        self.loop, self.joints, self.odom = loop, None, None
+        self.send_effort, self.send_velocity = map(ros.publisher, ("/arm/effort", "/cmd_vel"))
+        ros.subscribe("/joint_states", partial(setattr, self, "joints"))
+        ros.subscribe("/odom", partial(setattr, self, "odom"))
+        ros.timer(0.001, self.control)
+        ros.timer(0.1, self.drive)
+
+    def control(self) -> None:
+        """One control step, once both sensors have spoken."""
+        if (joints := self.joints) and (odom := self.odom):
+            measured = Measurement(odom.pose, odom.velocity, joints.position, joints.velocity)
+            self.send_effort(Message(effort=self.loop.step(measured).u_a))
+
+    def drive(self) -> None:
+        """Send the base's command in force."""
+        self.send_velocity(Message(velocity=self.loop.admittance.command))
+
+
+def main(steps: int = 300) -> dict[str, Any]:
+    """The node beside a simulated robot, without ROS; gives the last message of each topic."""
+    model, sent, callbacks, timers = RobotModel(load_robot("husky_panda")), {}, {}, {}
+    robot = make_physics("kinematic", model)
+    topics = Message(subscribe=callbacks.__setitem__, timer=timers.__setitem__,
+                     publisher=lambda topic: partial(sent.__setitem__, topic))  # fmt: skip
+    AvoidanceNode(ControlLoop(model), topics)
+    for k in range(steps):
+        now = robot.measure()
+        callbacks["/joint_states"](Message(position=now.q_m, velocity=now.qd_m))
+        callbacks["/odom"](Message(pose=now.base_pose, velocity=now.base_velocity))
+        for callback in (timers[s] for s in timers if k % round(1000 * s) == 0):
+            callback()
+        robot.step(sent["/arm/effort"].effort, sent["/cmd_vel"].velocity, np.zeros(3))
+    return sent
+
+
+if __name__ == "__main__":
+    print(main())

@@ -1,0 +1,54 @@
+"""The examples run as they stand, short ones of them, and are short enough to be read."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from app.control.control_loop import ControlLoop
+from app.robot.state import at_rest
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+
+
+def example(name: str) -> ModuleType:
+    """The module of an example."""
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.py")), ids=lambda path: path.stem)
+def test_an_example_has_at_most_sixty_lines_and_says_how_it_is_run(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= 60
+    assert f"python examples/{path.name}" in text
+
+
+def test_in_ones_own_loop_the_base_gives_way_to_the_pulled_hand(capsys) -> None:
+    assert example("own_loop").main(duration=1.0) < -0.05
+    assert "lm-lEE" in capsys.readouterr().out
+
+
+def test_a_node_sends_what_the_loop_gives_for_its_messages(robot, border_data) -> None:
+    sent = example("ros2_shape").main(steps=5)
+    ready = np.array(robot.description.arm.ready_position)
+    expected = ControlLoop(robot, border_data).step(at_rest(robot, ready))
+    np.testing.assert_allclose(sent["/arm/effort"].effort, expected.u_a, atol=0.05)
+    np.testing.assert_allclose(sent["/cmd_vel"].velocity, 0.0, atol=1e-9)
+
+
+def test_a_body_that_is_put_on_the_base_is_kept_clear_of() -> None:
+    module = example("obstacle_body")
+    hit, kept = module.main("none"), module.main("dbb")
+    assert hit["min_clearance_m"] < 0.0
+    assert kept["min_clearance_m"] > 0.03
+    assert kept["contacts"] == 0
+    assert kept["base_path_m"] > 0.05

@@ -1,0 +1,59 @@
+"""Every robot through the same cases: what a row says, and that it is what a run gives."""
+
+from __future__ import annotations
+
+import pytest
+
+from app.cli.main import main
+from app.robot import assets
+from app.study import robot_table as table
+from app.study.robot_cases import CASES, Case
+from tests.robots import husky_panda
+
+SHORT = Case("short", "guiding", (10.0,), length=0.04, speed=0.1)
+
+
+def test_paths_keep_to_the_heights_of_the_base_and_those_on_the_axis_lead_along_it():
+    body = table.MobileBody(husky_panda())
+    for case in CASES:
+        paths = list(case.approaches(body))
+        assert paths
+        assert all(0.1 < path.height <= body.upper[2] for path in paths)
+        if case.on_axis:
+            assert {path.kind for path in paths} == {"wheel_axis"}
+            assert all(abs(path.inwards[0]) < 1e-9 and path.offset == 0.0 for path in paths)
+
+
+def test_a_row_for_each_controller_with_avoidance_farther_away():
+    rows = table.robot_table(["husky_panda"], cases=[SHORT])["rows"]
+    none, dbb = rows
+    assert (none["controller"], dbb["controller"]) == table.CONTROLLERS
+    assert dbb["clearance_m"] > none["clearance_m"] > 0.1
+    assert none["base_path_m"] < 1e-6 < dbb["base_path_m"]
+    assert none["direction_deg"] == dbb["direction_deg"] == 10.0
+    assert none["passed"] is True
+
+
+def test_a_robot_that_cannot_be_loaded_has_a_row_that_says_why(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(assets, "share_folders", list)
+    (row,) = table.robot_table(["tiago"], cases=[SHORT])["rows"]
+    assert row["robot"] == "tiago"
+    assert "pip install" in row["reason"]
+
+
+@pytest.mark.parametrize(
+    ("change", "passes"),
+    [({}, True), ({"clearance_m": 0.029}, False), ({"clearance_m": None}, False),
+     ({"hand_error_m": 0.0011}, False), ({"contacts": 1}, False), ({"solver_failures": 1}, False)],
+)  # fmt: skip
+def test_a_tracking_row_passes_within_all_limits_only(change: dict, passes: bool):
+    row = {"clearance_m": 0.03, "hand_error_m": 0.001, "contacts": 0, "solver_failures": 0}
+    assert table._passes(row | change, CASES[2]) is passes
+
+
+@pytest.mark.parametrize("words", [["--robots", "r2d2"], ["--case", "dancing"]])
+def test_a_name_that_does_not_exist_is_refused(words: list[str], capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["compare-robots", *words])
+    assert end.value.code == 2
+    assert words[1] in capsys.readouterr().err
