@@ -86,7 +86,7 @@ class RobotParts:
         ]
         low = np.min([points.min(axis=0) for points in seen], axis=0)
         high = np.max([points.max(axis=0) for points in seen], axis=0)
-        return Framing((low + high) / 2, float(np.linalg.norm(high - low)) / 2)
+        return Framing((low + high) / 2, (high - low) / 2)
 
     def joint_name(self, joint: int) -> str:
         """Name of a joint of the model; empty for the root."""
