@@ -11,7 +11,6 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 import pytest
-import trimesh
 import viser
 from viser import _messages
 

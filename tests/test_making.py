@@ -7,6 +7,7 @@ import os
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from viser import _messages
 from app.dashboard import making as making_module
 from app.dashboard.apart import Stopped, Tell, run_apart
 from app.dashboard.making import Making
+from app.dashboard.page import Page
 from app.dashboard.panels.new_robot import FIND, making_html, robot_name
 from app.dashboard.panels.report import report_html
 from app.dashboard.server import DashboardServer, serve_dashboard
@@ -69,13 +71,14 @@ def test_work_apart_tells_and_returns() -> None:
 
 def test_work_apart_that_fails_says_why() -> None:
     stopping = threading.Event()
-    for args, error, words in (
-        ((fail_with, RobotFileError("no wheel")), RobotFileError, "no wheel"),
-        ((fail_with, ZeroDivisionError("a defect")), LoopError, "ZeroDivisionError: a defect"),
-        ((vanish,), LoopError, "status 7"),
+    for raised, error, words in (
+        (RobotFileError("no wheel"), RobotFileError, "no wheel"),
+        (ZeroDivisionError("a defect"), LoopError, "ZeroDivisionError: a defect"),
     ):
         with pytest.raises(error, match=words):
-            run_apart(*args, tell=lambda *_: None, stopping=stopping)
+            run_apart(fail_with, raised, tell=lambda *_: None, stopping=stopping)
+    with pytest.raises(LoopError, match="status 7"):
+        run_apart(vanish, tell=lambda *_: None, stopping=stopping)
 
 
 def test_work_apart_ends_when_it_is_told_to_with_all_that_it_has_started(tmp_path: Path) -> None:
@@ -178,13 +181,21 @@ def server() -> Iterator[DashboardServer]:
     loop.stop()
 
 
+@contextmanager
+def visitor(server: DashboardServer) -> Iterator[tuple[RawClient, Page]]:
+    """A program that has come as a viewer, and the page that was made for it."""
+    known = set(server.pages)
+    with RawClient(server.address) as client:
+        wait_for(lambda: set(server.pages) - known, what="a page")
+        yield client, server.pages[max(server.pages)]
+
+
 def test_an_upload_is_asked_about_and_its_answers_make_the_request(
     server: DashboardServer, tmp_path: Path
 ) -> None:
     content = zipped(tmp_path, {"toy/toy.urdf": TOY}).read_bytes()
-    with RawClient(server.address) as client:
-        wait_for(lambda: server.pages, what="a page")
-        panel = server.pages[max(server.pages)].robot_panel
+    with visitor(server) as (client, page):
+        panel = page.robot_panel
         assert panel is not None
         own = panel._own
         upload(client, own._upload._impl.uuid, "Toy-1.zip", content)
@@ -201,15 +212,16 @@ def test_an_upload_is_asked_about_and_its_answers_make_the_request(
         wait_for(lambda: own._fields["radius"].value == 0.1)
         with pytest.raises(ConfigError, match="needs a half track"):
             own._request()
+        client.set_widget(own._fields["kind"], "holonomic")
+        wait_for(lambda: own._fields["kind"].value == "holonomic")
+        with pytest.raises(ConfigError, match="a holonomic base has neither half track"):
+            own._request()
 
 
 def test_an_upload_that_is_too_large_or_too_many_is_refused_before_it_is_kept(
     server: DashboardServer,
 ) -> None:
-    with RawClient(server.address) as client:
-        known = len(server.pages)
-        wait_for(lambda: len(server.pages) >= known and server.pages, what="a page")
-        page = server.pages[max(server.pages)]
+    with visitor(server) as (client, page):
         assert page.robot_panel is not None
         uuid, gui = page.robot_panel._own._upload._impl.uuid, page._client.gui
         states = gui._current_file_upload_states
