@@ -216,7 +216,7 @@ def test_the_page_is_dark_or_light(tab):
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_preset_looks_from_where_it_says(tab, served, name):
     tab.click(name)
-    eye, target = placed(PRESETS[name], served.loop.latest())
+    eye, target = placed(PRESETS[name], served.loop.latest(), served.server.shared.parts.framing)
     wait_for(lambda: np.linalg.norm(tab.camera() - eye) < 5e-3, what=f"{eye}, not {tab.camera()}")
     tab.render(2)
     left, top, right, bottom = tab.canvas_box()
@@ -227,7 +227,7 @@ def test_a_preset_looks_from_where_it_says(tab, served, name):
 def test_the_camera_goes_with_the_base_if_asked(tab, served):
     tab.click("iso")
     start = served.loop.latest().base_pose.copy()
-    eye, _ = placed(PRESETS["iso"], served.loop.latest())
+    eye, _ = placed(PRESETS["iso"], served.loop.latest(), served.server.shared.parts.framing)
     wait_for(lambda: np.linalg.norm(tab.camera() - eye) < 5e-3)
     step = np.array([0.4, -0.3, 0.0])
     served.loop.place(start + step)

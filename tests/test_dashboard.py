@@ -21,18 +21,20 @@ from app.config import BorderConfig
 from app.dashboard.arrows import arrow
 from app.dashboard.border_cloud import BorderCloud
 from app.dashboard.borders import MAX_POINTS, Borders, subsample
+from app.dashboard.camera import PRESETS, SUITED, Framing, fitted
 from app.dashboard.colours import FULL, NEAR, REST, distance_colour, viridis
 from app.dashboard.hand import Grip, Hold
 from app.dashboard.legend import legend_html, make_legend, normalised, tick_texts
 from app.dashboard.notices import Notices
 from app.dashboard.pair_lines import segments
 from app.dashboard.panels.run import buffer_text, pairs_html, status_html
-from app.dashboard.robot import LinkPoses
+from app.dashboard.robot import LinkPoses, RobotParts
 from app.dashboard.scales import METRES_PER_NEWTON
 from app.dashboard.server import check_address, serve_dashboard
 from app.dashboard.view import View
-from app.dashboard.visuals import MAX_FACES, load_visuals, read_mesh
+from app.dashboard.visuals import MAX_FACES, MOST_FACES, for_display, load_visuals, read_mesh
 from app.errors import AssetError, ConfigError, ServerError
+from app.robot.assets import package_roots, resolve_package_uri
 from app.robot.urdf import resolved_urdf
 from app.simulation.commands import Pull, Release
 from app.simulation.snapshot import PairReading
@@ -292,6 +294,33 @@ def test_decimated_meshes_keep_their_extent():
         if item.meshPath.endswith((".stl", ".obj")):
             original = read_mesh(item.meshPath).apply_scale(item.meshScale)
             np.testing.assert_allclose(visual.mesh.bounds, original.bounds, atol=0.003)
+            assert visual.mesh.area == pytest.approx(original.area, rel=0.1)  # no corners are off
+
+
+def test_decimation_takes_no_corners_off_meshes_of_many_parts():
+    """Such as UR5's tubes: shells within shells and caps."""
+    if not package_roots("example-robot-data"):
+        pytest.skip("the optional robots are not installed")
+    for part in ("upperarm", "forearm", "wrist2"):
+        uri = f"package://example-robot-data/robots/ur_description/meshes/ur5/visual/{part}.dae"
+        whole = read_mesh(str(resolve_package_uri(uri)))
+        light = for_display(whole)
+        assert len(light.faces) <= MOST_FACES
+        assert light.area == pytest.approx(whole.area, rel=0.05)  # 0.74 to 0.9 when it is hasty
+
+
+def test_a_preset_shows_of_any_robot_what_it_shows_of_the_papers():
+    parts = RobotParts(husky_panda())
+    np.testing.assert_allclose(parts.framing.centre, SUITED.centre, atol=0.02)
+    np.testing.assert_allclose(parts.framing.half, SUITED.half, atol=0.02)
+    preset = PRESETS["front"]
+    tall = Framing(SUITED.centre + np.array([0.0, 0.0, 0.3]), SUITED.half * [0.5, 0.5, 1.5])
+    made = fitted(preset, tall)
+    np.testing.assert_allclose(made.target - preset.target, [0.0, 0.0, 0.3])
+    # The camera's angle is fixed: 1.5 times as tall is seen from 1.5 times as far.
+    np.testing.assert_allclose(made.eye - made.target, 1.5 * (preset.eye - preset.target))
+    hand = fitted(PRESETS["hand"], tall)
+    np.testing.assert_allclose(hand.target, 0.0)
 
 
 def test_an_unreadable_mesh_is_named(tmp_path):

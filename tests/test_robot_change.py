@@ -215,11 +215,11 @@ def test_if_it_fails_the_old_robot_goes_on_and_the_page_says_why(
         choose(server, OTHER)
         assert server.shared.loop is first
         assert title(server) == husky_panda().description.title
-        page = next(iter(server.pages.values()))
-        assert page.robot_panel is not None
+        panel = next(iter(server.pages.values())).robot_panel
+        assert panel is not None
         expected = {"refused": "does not come there", "crashed": "ZeroDivisionError: a defect",
                     "cancelled": "cancelled"}[why]  # fmt: skip
-        wait_for(lambda: expected in page.robot_panel._status.content, what="the reason")
+        wait_for(lambda: expected in panel._status.content, what="the reason")
         t = first.latest().t
         wait_for(lambda: first.latest().t > t, what="time to go on")
         loops.refuses = None

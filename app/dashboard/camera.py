@@ -37,14 +37,14 @@ class Framing(NamedTuple):
 
     Attributes:
         centre: (3,) [m] of the box around it in its ready pose.
-        radius: [m] of the sphere around that box.
+        half: (3,) [m] half of that box's size.
     """
 
     centre: Array
-    radius: float
+    half: Array
 
 
-SUITED = Framing(np.array([0.08, 0.0, 0.585]), 0.887)
+SUITED = Framing(np.array([0.08, 0.0, 0.585]), np.array([0.57, 0.34, 0.585]))
 """Of the paper's robot, for which the presets were chosen; other robots shift and scale them."""
 _MIDDLE = np.array([0.20, 0.0, 0.40])  # [m] between the base and the hand before it
 PRESETS = {
@@ -142,8 +142,9 @@ def placed(
 
 
 def fitted(preset: Preset, framing: Framing) -> Preset:
-    """A preset that shows of a robot what it shows of the paper's."""
-    scale = framing.radius / SUITED.radius
+    """A preset that shows of a robot what it shows of the paper's; a mast is not cut."""
+    size = np.linalg.norm(framing.half) / np.linalg.norm(SUITED.half)
+    scale = max(size, framing.half[2] / SUITED.half[2])
     target = preset.target if preset.of_hand else preset.target + framing.centre - SUITED.centre
     return Preset(target + scale * (preset.eye - preset.target), target, preset.of_hand)
 

@@ -10,6 +10,7 @@ from app.dashboard.camera import Framing
 from app.dashboard.colours import Rgb
 from app.dashboard.poses import from_viser, moved, to_viser
 from app.dashboard.visuals import Visual, load_visuals
+from app.robot.description import RobotDescription
 from app.robot.meshes import shape_mesh
 from app.robot.model import RobotModel
 from app.robot.urdf import resolved_urdf
@@ -76,17 +77,18 @@ class RobotParts:
         self.kinematics = LinkPoses(robot)
         self.visuals = load_visuals(robot.description, self.kinematics.model)
         self.bodies = _bodies(robot, self.kinematics.model)
-        self.framing = self._framing(np.array(robot.description.arm.ready_position))
+        self.framing = self._framing(robot.description)
 
-    def _framing(self, q_m: Array) -> Framing:
-        poses = self.kinematics.update(q_m, np.zeros(2))
+    def _framing(self, robot: RobotDescription) -> Framing:
+        ready = np.array(robot.arm.ready_position)
+        poses = self.kinematics.update(ready, np.zeros(len(robot.base.wheels)))
         seen = [
             moved(poses[visual.joint] * visual.placement, np.asarray(visual.mesh.vertices))
             for visual in self.visuals or self.bodies
         ]
         low = np.min([points.min(axis=0) for points in seen], axis=0)
         high = np.max([points.max(axis=0) for points in seen], axis=0)
-        return Framing((low + high) / 2, float(np.linalg.norm(high - low)) / 2)
+        return Framing((low + high) / 2, (high - low) / 2)
 
     def joint_name(self, joint: int) -> str:
         """Name of a joint of the model; empty for the root."""

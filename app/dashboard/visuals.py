@@ -19,6 +19,11 @@ Array = np.ndarray
 
 MAX_FACES = 2500
 """Faces a mesh may have on the page; the Panda's links come with 12,000 to 22,000."""
+MOST_FACES = 4 * MAX_FACES
+"""Faces that are borne where fewer would show; what cannot be decimated at all keeps more."""
+AGGRESSIONS = (3, 5, 7)
+"""Of the decimation, the first that gets below `MOST_FACES`. More of it takes corners off meshes of
+many parts, such as UR5's tubes; with less such meshes stay too heavy."""
 CREASE = np.deg2rad(35.0)  # [rad] sharper edges are drawn as edges, not shaded over
 GREY: Rgb = (150, 150, 155)
 """Colour of a visual for which the URDF states none."""
@@ -99,14 +104,22 @@ def mesh_of(geometry: coal.CollisionGeometry) -> trimesh.Trimesh:
 
 
 def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """A mesh of at most about `MAX_FACES`, with the vertices of sharp edges doubled.
+    """A mesh of about `MAX_FACES`, with the vertices of sharp edges doubled.
 
     The browser averages normals over shared vertices, so without the doubling every edge of a box
     would look like a pillow.
     """
     if len(mesh.faces) > MAX_FACES:
-        mesh = mesh.simplify_quadric_decimation(face_count=MAX_FACES)
+        mesh = _decimated(mesh)
     return trimesh.graph.smooth_shade(mesh, angle=CREASE)
+
+
+def _decimated(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    for aggression in AGGRESSIONS:
+        light = mesh.simplify_quadric_decimation(face_count=MAX_FACES, aggression=aggression)
+        if len(light.faces) <= MOST_FACES:
+            break
+    return light
 
 
 def _colour(item: pin.GeometryObject) -> Rgb:

@@ -21,8 +21,8 @@ sideways) and how well the arm reaches it (R of (9)). When the arm comes nearer 
    d_full, so nothing jumps. Torques go to the arm at 1 kHz, velocities to the base at 10 Hz.
 
 **Tabs.** *Why* says in words what happens now. *Plots* shows the last 20 s. *View* has layers and
-cameras, *Compare* other controllers on the same input, *Tune* all parameters, *Save* pictures,
-logs and replays.
+cameras, *Compare* other controllers on the same input, *Tune* all parameters, *Robot* other
+robots and yours, *Save* pictures, logs and replays.
 
 **Keys** (outside of text fields): {keys}. `Ctrl K` opens the list of commands.
 

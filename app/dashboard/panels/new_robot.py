@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -18,7 +19,9 @@ from app.robot.assets import user_robots
 
 FIND = "(find them)"
 """Choice of no wheels: they are looked for."""
-_LARGEST_HALF_TRACK, _LARGEST_RADIUS = 3.0, 1.0  # [m]
+KINDS = ("differential", "holonomic", "car-like")
+"""Of bases."""
+_LARGEST = {"half_track": 3.0, "radius": 1.0, "wheelbase": 10.0}  # [m]
 
 
 class NewRobotPanel:
@@ -57,15 +60,20 @@ class NewRobotPanel:
             "name": gui.add_text("Name", "", hint="Letters, digits and _"),
             "base": gui.add_dropdown("Base link", ("",), hint="Moves with the base, z up"),
             "tip": gui.add_dropdown("Tip link", ("",), hint="Carries the end-effector"),
+            "kind": gui.add_dropdown("Base", KINDS, hint="How the base drives"),
             "left": gui.add_dropdown("Left wheel", (FIND,), hint="Joint of a driven wheel"),
             "right": gui.add_dropdown("Right wheel", (FIND,), hint="Joint of a driven wheel"),
             "half_track": gui.add_number(
-                "Half track [m]", 0.0, min=0.0, max=_LARGEST_HALF_TRACK, step=0.001,
+                "Half track [m]", 0.0, min=0.0, max=_LARGEST["half_track"], step=0.001,
                 hint="Effective; 0 measures it between the wheels",
             ),
             "radius": gui.add_number(
-                "Wheel radius [m]", 0.0, min=0.0, max=_LARGEST_RADIUS, step=0.001,
+                "Wheel radius [m]", 0.0, min=0.0, max=_LARGEST["radius"], step=0.001,
                 hint="Only for a base whose URDF has no wheels, with its half track; else 0",
+            ),
+            "wheelbase": gui.add_number(
+                "Wheelbase [m]", 0.0, min=0.0, max=_LARGEST["wheelbase"], step=0.001,
+                hint="Of a car-like base; 0 measures it to its steered wheels",
             ),
             "assume": gui.add_checkbox(
                 "Assume masses", False,
@@ -131,16 +139,35 @@ class NewRobotPanel:
         given = [wheel for wheel in wheels if wheel != FIND]
         if len(given) == 1:
             raise ConfigError("choose both wheels, or let both be found")
-        half_track, radius = float(value["half_track"]), float(value["radius"])
-        if not 0.0 <= half_track <= _LARGEST_HALF_TRACK or not 0.0 <= radius <= _LARGEST_RADIUS:
-            raise ConfigError("half track and wheel radius: in metres, within their range")
-        if radius and (not half_track or given):
-            raise ConfigError("a wheel radius needs a half track, and no wheels")
+        numbers = {name: float(value[name]) for name in _LARGEST}
+        if not all(0.0 <= number <= _LARGEST[name] for name, number in numbers.items()):
+            raise ConfigError("half track, wheel radius and wheelbase: [m], within their range")
+        _check_kind(value["kind"], numbers, given)
+        half_track, radius, wheelbase = (number or None for number in numbers.values())
         return Request(
             str(package.archive), value["base"], value["tip"], user_robots() / value["name"],
-            wheels=wheels if given else None, half_track=half_track or None,
-            wheel_radius=radius or None, assume_inertia=value["assume"], file=value["file"],
+            wheels=wheels if given else None, half_track=half_track, wheel_radius=radius,
+            kind=value["kind"], wheelbase=wheelbase, assume_inertia=value["assume"],
+            file=value["file"],
         )  # fmt: skip
+
+
+def _check_kind(kind: str, numbers: Mapping[str, float], wheels: Sequence[str]) -> None:
+    """Whether the numbers and wheels that were given are those of such a base.
+
+    Raises:
+        ConfigError: They are not; says which.
+    """
+    if kind not in KINDS:
+        raise ConfigError(f"a base is one of: {', '.join(KINDS)}")
+    if kind != "differential" and (numbers["half_track"] or numbers["radius"]):
+        raise ConfigError(f"a {kind} base has neither half track nor wheel radius; leave them at 0")
+    if kind != "car-like" and numbers["wheelbase"]:
+        raise ConfigError(f"a {kind} base has no wheelbase; leave it at 0")
+    if kind == "holonomic" and wheels:
+        raise ConfigError("a holonomic base needs no wheels; let them be found")
+    if numbers["radius"] and (not numbers["half_track"] or wheels):
+        raise ConfigError("a wheel radius needs a half track, and no wheels")
 
 
 def robot_name(stem: str) -> str:

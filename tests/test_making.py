@@ -1,0 +1,268 @@
+"""A zip that is uploaded becomes a robot, in a process of its own that can be stopped."""
+
+from __future__ import annotations
+
+import multiprocessing as mp
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from viser import _messages
+
+from app.dashboard import making as making_module
+from app.dashboard.apart import Stopped, Tell, run_apart
+from app.dashboard.making import Making
+from app.dashboard.page import Page
+from app.dashboard.panels.new_robot import FIND, making_html, robot_name
+from app.dashboard.panels.report import report_html
+from app.dashboard.server import DashboardServer, serve_dashboard
+from app.dashboard.stage_change import StageChange
+from app.errors import ConfigError, LoopError, RobotFileError
+from app.onboarding.contents import look_into
+from app.onboarding.request import Request
+from tests.browser import wait_for
+from tests.dashboards import clouds
+from tests.fakes import ScriptedLoop
+from tests.onboarding import arm, cart, robot, zipped
+from tests.raw_client import RawClient
+from tests.robots import husky_panda
+
+pytestmark = pytest.mark.alone
+
+TOY = robot([*cart(), *arm()])
+
+
+def count_up(tell: Tell, most: int) -> int:
+    for k in range(most):
+        tell("counting", k / most)
+    return os.getpid()
+
+
+def fail_with(tell: Tell, error: Exception) -> None:
+    raise error
+
+
+def vanish(tell: Tell) -> None:
+    os._exit(7)
+
+
+def wait_for_ever(tell: Tell, file: str) -> None:
+    """With a child of its own, whose number is told."""
+    child = mp.get_context("spawn").Process(target=time.sleep, args=(600,))
+    child.start()
+    Path(file).write_text(str(child.pid))
+    tell("waiting", 0.5)
+    time.sleep(600)
+
+
+def test_work_apart_tells_and_returns() -> None:
+    told: list[float] = []
+    pid = run_apart(
+        count_up, 4, tell=lambda _, share: told.append(share), stopping=threading.Event()
+    )
+    assert told == [0.0, 0.25, 0.5, 0.75]
+    assert pid != os.getpid()
+    assert gone(pid)
+
+
+def test_work_apart_that_fails_says_why() -> None:
+    stopping = threading.Event()
+    for raised, error, words in (
+        (RobotFileError("no wheel"), RobotFileError, "no wheel"),
+        (ZeroDivisionError("a defect"), LoopError, "ZeroDivisionError: a defect"),
+    ):
+        with pytest.raises(error, match=words):
+            run_apart(fail_with, raised, tell=lambda *_: None, stopping=stopping)
+    with pytest.raises(LoopError, match="status 7"):
+        run_apart(vanish, tell=lambda *_: None, stopping=stopping)
+
+
+def test_work_apart_ends_when_it_is_told_to_with_all_that_it_has_started(tmp_path: Path) -> None:
+    stopping, file = threading.Event(), tmp_path / "child"
+    with pytest.raises(Stopped):
+        run_apart(wait_for_ever, str(file), tell=lambda *_: stopping.set(), stopping=stopping)
+    wait_for(lambda: gone(int(file.read_text())), what="the end of the child's child")
+
+
+def gone(pid: int) -> bool:
+    """Whether a process has ended; one that nobody has asked for its status has, too."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+@pytest.fixture
+def making(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Making]:
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path / "user"))
+    made = Making(StageChange(None))
+    yield made
+    made.close()
+
+
+def ended(making: Making) -> None:
+    wait_for(lambda: making.progress is None, what="the end of it")
+
+
+def test_what_a_zip_holds_is_told_before_anything_is_made(tmp_path: Path) -> None:
+    found = look_into(zipped(tmp_path, {"b/toy.urdf": TOY, "a/broken.urdf": "<robot>"}))
+    ((name, contents),) = found.items()
+    assert name == "b/toy.urdf"
+    assert (contents.root, contents.last) == ("base", "hand")
+    assert contents.endless == ("left_axle", "right_axle")
+    assert "column" in contents.links
+
+
+def test_a_zip_is_kept_until_another_comes_or_the_server_ends(
+    making: Making, tmp_path: Path
+) -> None:
+    content = zipped(tmp_path, {"toy.urdf": TOY}).read_bytes()
+    making.receive("../My Robot (2).ZIP", content)
+    ended(making)
+    assert making.package is not None, making.problem
+    first = making.package.archive
+    assert first.name == "myrobot2.zip"
+    assert first.read_bytes() == content
+    making.receive("no.zip", b"nothing")
+    ended(making)
+    assert making.package is None
+    assert "not a zip" in making.problem
+    assert "not a zip" in making_html(making)
+    assert not first.exists()
+
+
+def test_a_robot_is_made_once_and_can_be_stopped(
+    making: Making, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    request = Request("toy.zip", "base", "hand", tmp_path / "user" / "toy")
+    monkeypatch.setattr(making_module, "make_new", wait_for_ever_for_a_request)
+    making.make(request)
+    wait_for(lambda: making.progress is None or making.progress.text == "waiting", what="work")
+    with pytest.raises(ConfigError, match="cancel that first"):
+        making.make(request)
+    making.cancel()
+    ended(making)
+    assert "cancelled" in making.problem
+    with pytest.raises(ConfigError, match="there is a robot 'husky_panda' already"):
+        making.make(Request("toy.zip", "base", "hand", tmp_path / "user" / "husky_panda"))
+    with pytest.raises(RobotFileError, match="letters, digits"):
+        making.make(Request("toy.zip", "base", "hand", tmp_path / "user" / "a b"))
+
+
+def wait_for_ever_for_a_request(tell: Tell, request: Request) -> None:
+    tell("waiting", -1.0)
+    time.sleep(600)
+
+
+def test_what_new_robot_refuses_is_told_and_nothing_is_left(making: Making, tmp_path: Path) -> None:
+    """The whole way, in its own process."""
+    making.receive("toy.zip", zipped(tmp_path, {"toy.urdf": TOY}).read_bytes())
+    ended(making)
+    assert making.package is not None
+    making.make(Request(str(making.package.archive), "bse", "hand", tmp_path / "user" / "toy"))
+    ended(making)
+    assert "the URDF has no link 'bse' (did you mean 'base'?)" in making.problem
+    assert list((tmp_path / "user").iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[DashboardServer]:
+    loop = ScriptedLoop(husky_panda())
+    loop.start()
+    made = serve_dashboard(
+        loop, husky_panda(), clouds(), port=0, start_loop=lambda *_: ScriptedLoop(husky_panda())
+    )
+    yield made
+    made.stop()
+    loop.stop()
+
+
+@contextmanager
+def visitor(server: DashboardServer) -> Iterator[tuple[RawClient, Page]]:
+    """A program that has come as a viewer, and the page that was made for it."""
+    known = set(server.pages)
+    with RawClient(server.address) as client:
+        wait_for(lambda: set(server.pages) - known, what="a page")
+        yield client, server.pages[max(server.pages)]
+
+
+def test_an_upload_is_asked_about_and_its_answers_make_the_request(
+    server: DashboardServer, tmp_path: Path
+) -> None:
+    content = zipped(tmp_path, {"toy/toy.urdf": TOY}).read_bytes()
+    with visitor(server) as (client, page):
+        panel = page.robot_panel
+        assert panel is not None
+        own = panel._own
+        upload(client, own._upload._impl.uuid, "Toy-1.zip", content)
+        wait_for(lambda: own._fields["tip"].value == "hand", what="the questions")
+        assert own._fields["base"].value == "base"
+        request = own._request()
+        assert (request.name, request.wheels, request.file) == ("toy_1", None, "toy/toy.urdf")
+        client.set_widget(own._fields["left"], "left_axle")
+        wait_for(lambda: own._fields["left"].value == "left_axle")
+        with pytest.raises(ConfigError, match="both wheels"):
+            own._request()
+        client.set_widget(own._fields["left"], FIND)
+        client.set_widget(own._fields["radius"], 0.1)
+        wait_for(lambda: own._fields["radius"].value == 0.1)
+        with pytest.raises(ConfigError, match="needs a half track"):
+            own._request()
+        client.set_widget(own._fields["kind"], "holonomic")
+        wait_for(lambda: own._fields["kind"].value == "holonomic")
+        with pytest.raises(ConfigError, match="a holonomic base has neither half track"):
+            own._request()
+
+
+def test_an_upload_that_is_too_large_or_too_many_is_refused_before_it_is_kept(
+    server: DashboardServer,
+) -> None:
+    with visitor(server) as (client, page):
+        assert page.robot_panel is not None
+        uuid, gui = page.robot_panel._own._upload._impl.uuid, page._client.gui
+        states = gui._current_file_upload_states
+        begin(client, uuid, "a", 10**9, 1000)
+        begin(client, uuid, "b", 100, 10**12)
+        begin(client, uuid, "c", 100, 2)
+        wait_for(lambda: "c" in states, what="an upload that may be")
+        assert set(states) == {"c"}
+        begin(client, uuid, "d", 100, 2)
+        begin(client, uuid, "e", 100, 2)
+        wait_for(lambda: "d" in states)
+        time.sleep(0.2)
+        assert set(states) == {"c", "d"}
+        client.send(_messages.FileTransferPart(uuid, "c", 0, b"x" * 10))
+        wait_for(lambda: states["c"]["transferred_bytes"] == 10, what="a part")
+    wait_for(lambda: not states, what="the end of what was begun")
+
+
+def begin(client: RawClient, uuid: str, name: str, size: int, parts: int) -> None:
+    client.send(
+        _messages.FileTransferStartUpload(uuid, name, f"{name}.zip", "application/zip", parts, size)
+    )
+
+
+def upload(client: RawClient, uuid: str, name: str, content: bytes) -> None:
+    client.send(
+        _messages.FileTransferStartUpload(uuid, "t1", name, "application/zip", 1, len(content))
+    )
+    client.send(_messages.FileTransferPart(uuid, "t1", 0, content))
+
+
+@pytest.mark.parametrize(
+    ("stem", "name"), [("toy", "toy"), ("My Robot-2", "my_robot_2"), ("7dof", "robot_7dof"),
+                       ("é", "robot")],
+)  # fmt: skip
+def test_a_file_gives_a_name_that_a_robot_may_have(stem: str, name: str) -> None:
+    assert robot_name(stem) == name
+    assert Request("", "", "", Path("/x") / name).name == name
+
+
+def test_of_a_report_the_page_takes_the_content_alone() -> None:
+    page = "<html><head><style>body{margin:9px}</style></head><body class=x><p>hi</p></body></html>"
+    assert report_html(page).endswith('<div class="dbb-report"><p>hi</p></div>')
+    assert "margin:9px" not in report_html(page)
