@@ -1,0 +1,70 @@
+"""The README's picture of the robots: bodies over the hulls of their links, and their borders.
+
+python tools/robots_picture.py docs/pictures/robots.png husky_panda tiago …
+"""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+
+from app.border.mobile import MobileBody
+from app.border.offset import OffsetContours
+from app.onboarding.geometry import read_geometry
+from app.onboarding.pictures import BODY_COLOURS, _fill, _placements, _seen, body_corners
+from app.onboarding.source import read_source
+from app.onboarding.tree import make_tree
+from app.onboarding.units import units_of_links
+from app.reproduce.style import SOFT, new_figure, png_of, styled
+from app.robot.assets import load_robot, urdf_path
+from app.robot.model import RobotModel
+
+D_B = 0.15  # [m]
+ALONG, ACROSS, UP = (-0.7, 1.1), (-0.85, 0.65), (-0.05, 1.6)  # [m] what is seen
+HEIGHTS = 9  # [-] contours from the floor up
+
+
+def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
+    """The ready pose seen along an axis: hulls of the links in grey, bodies over them."""
+    placed = _placements(model, np.array(model.description.arm.ready_position))
+    path = urdf_path(model.description)
+    geometry = read_geometry(make_tree(read_source(path)), path.parent)
+    for units in units_of_links(model, geometry).values():
+        for unit in units:
+            for part in unit.parts:
+                _fill(axes, _seen(placed[unit.joint], part.corners), x, y, SOFT, 0.5)
+    for k, name in enumerate(model.body_names):
+        for corners in body_corners(model, placed, name):
+            _fill(axes, corners, x, y, BODY_COLOURS[k % len(BODY_COLOURS)], 0.3)
+    axes.set_aspect("equal")
+    axes.autoscale()
+
+
+def draw_border(axes: Axes, model: RobotModel) -> None:
+    """The contours of l_m's exact offset, coloured by height."""
+    offset, top = OffsetContours(model, D_B), float(MobileBody(model).upper[2]) + D_B
+    for k, z in enumerate(np.linspace(0.02, top - 0.005, HEIGHTS)):
+        for piece in offset.contours(float(z)):
+            axes.plot(*piece.T, color=colormaps["viridis"](k / (HEIGHTS - 1)), linewidth=1.2)
+    axes.autoscale()
+
+
+def main(out: Path, names: list[str]) -> None:
+    """One column a robot: from the side, and from above with its border."""
+    with styled():
+        figure = new_figure(5.4)
+        for column, name in zip(figure.subplots(2, len(names)).T, names, strict=True):
+            model = RobotModel(load_robot(name))
+            draw(column[0], model, 0, 2)
+            draw(column[1], model, 0, 1)
+            draw_border(column[1], model)
+            column[0].set_title(model.description.title.replace(" (", "\n("), fontsize=10)
+            column[0].set(xlim=ALONG, ylim=UP)
+            column[1].set(xlim=ALONG, ylim=ACROSS, xlabel="x [m]")
+        out.write_bytes(png_of(figure))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), sys.argv[2:])
