@@ -20,7 +20,9 @@ from app.onboarding.grouping import find_grouping
 from app.onboarding.meetings import sample_meetings
 from app.onboarding.new_robot import NewRobot
 from app.onboarding.request import Request
+from app.onboarding.source import mesh_address
 from app.onboarding.units import make_units
+from app.onboarding.urdf_text import relative_to
 from app.robot import assets
 from app.robot.assets import ASSETS, load_robot, resolve_package_uri, robot_names
 from app.robot.description import RobotDescription, load_description
@@ -93,6 +95,20 @@ def test_a_robot_from_a_zip_takes_its_meshes_along_and_may_be_moved(
     mesh.unlink()
     with pytest.raises(AssetError, match="no mesh 'package/toy/meshes/m"):
         resolved_urdf(load_robot("toy"))
+
+
+def test_a_folder_that_python_takes_for_a_package_is_still_the_robots_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    mesh = tmp_path / "some_robots" / ".toy-x" / "package" / "m.stl"
+    mesh.parent.mkdir(parents=True)
+    mesh.touch()
+    address = mesh_address(str(mesh), tmp_path)
+    assert address == "package://some_robots/.toy-x/package/m.stl"
+    for reference in (address, str(mesh)):
+        text = relative_to(f'<mesh filename="{reference}"/>', mesh.parent.parent)
+        assert text == '<mesh filename="package/m.stl"/>'
 
 
 def test_the_description_is_the_urdf_on_the_floor(made: NewRobot) -> None:

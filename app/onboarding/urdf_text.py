@@ -14,7 +14,7 @@ import pinocchio as pin
 from app.onboarding.arm import Arm
 from app.onboarding.geometry import LinkGeometry
 from app.onboarding.inertia import LinkInertia
-from app.onboarding.source import mesh_address
+from app.onboarding.source import installed_address, mesh_address
 from app.onboarding.tree import Tree
 
 ROOT = "floor_point"
@@ -58,6 +58,18 @@ def rebased_urdf(
         robot.append(_link(tree.links[link], geometry[link], inertias[link], folder))
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
+
+
+def relative_to(urdf: str, folder: Path) -> str:
+    """A URDF's text with the meshes below a folder by their paths in it: the folder will move.
+
+    Python takes any folder beside the program for a package, so these meshes may be named by one.
+    """
+    place = folder.resolve() / "mesh"
+    for address in (str(place), installed_address(place)):
+        if address is not None:
+            urdf = urdf.replace(f'filename="{address.removesuffix("mesh")}', 'filename="')
+    return urdf
 
 
 def _find(robot: Element, tag: str, name: str) -> Element:

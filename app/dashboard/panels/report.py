@@ -15,6 +15,7 @@ _STYLE = (
     ".dbb-report th,.dbb-report td{text-align:left;vertical-align:top;padding:.2em .7em .2em 0;"
     "border-bottom:1px solid rgba(128,138,150,.3)}"
     ".dbb-report img{width:100%;height:auto;background:#fff;border-radius:4px}"
+    ".mantine-Modal-content:has(.dbb-report){flex:0 0 min(62rem,92vw)!important}"
     ".dbb-report h2{font-size:1.05em;margin:1.2em 0 .3em}.dbb-report .scroll{overflow-x:auto}"
     ".dbb-report ul{padding-left:1.2em}</style>"
 )

@@ -97,7 +97,7 @@ class RobotPanel:
         chosen = next((e.name for e in self._entries if e.label == self._list.value), "")
         self._entries = self._change.entries
         self._list.options = tuple(entry.label for entry in self._entries) or ("",)
-        self._choose(chosen)
+        self._choose(self._shared.making.made or chosen)
 
 
 def change_html(progress: Progress | None) -> str:
