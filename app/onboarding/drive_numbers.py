@@ -42,7 +42,7 @@ def base_numbers(
     geometry, how = _geometry(kind, wheels, half_track, steering)
     values = geometry | {
         "mass_kg": round(mass, 2),
-        "inertia_kgm2": round(_YAW_FACTOR * yaw, 3),
+        "inertia_kgm2": round(yaw if steering else _YAW_FACTOR * yaw, 3),
         "max_linear_velocity_mps": round(v, 3),
         "max_linear_acceleration_mps2": _ACCELERATION[0],
         "traction_limit_n": round(_FRICTION * _GRAVITY * mass, 1),
@@ -50,8 +50,11 @@ def base_numbers(
     }
     sources = how | {
         "mass_kg": "measured: sum of the URDF's masses",
-        "inertia_kgm2": f"measured: {_YAW_FACTOR:g} times the yaw inertia of the whole robot in "
-        "its ready pose, as for the paper's robot",
+        "inertia_kgm2": "measured: the yaw inertia of the whole robot in its ready pose, about the "
+        "rear axle"
+        if steering
+        else f"measured: {_YAW_FACTOR:g} times the yaw inertia of the whole robot in its ready "
+        "pose, as for the paper's robot",
         "max_linear_velocity_mps": "from the URDF: the wheels' velocity limit"
         if v == fastest
         else "assumed: as the paper's robot",
