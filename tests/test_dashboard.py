@@ -410,8 +410,10 @@ def test_ticks_times_their_power_of_ten_are_the_values(scale):
 
 
 def test_legend_says_how_many_points_are_drawn():
-    legend = make_legend("lm-lEE", "score", 0.15, np.linspace(-1, 2, 50_000), 20_000, 0.38)
+    base = husky_panda().description.base
+    legend = make_legend("lm-lEE", "score", base, 0.15, np.linspace(-1, 2, 50_000), 20_000, 0.38)
     html = legend_html([legend])
+    assert "m⁴/rad⁴" in html
     assert "20,000 of the 50,000 points" in html
     assert "0.150 m" in html
     np.testing.assert_allclose(normalised(np.array([-1.0, 0.5, 2.0]), legend), [0.0, 0.5, 1.0])

@@ -64,7 +64,7 @@ class Borders:
 
         Args:
             pair: Name of a pair of L_m.
-            quantity: A key of `app.dashboard.legend.QUANTITIES`.
+            quantity: One of `app.dashboard.legend.QUANTITIES`.
             border: d_b and ε.
             whole: Also what lies above the base's top.
 
@@ -98,7 +98,8 @@ class Borders:
         values = self._values(quantity, pair, points)
         keep = subsample(len(points), MAX_POINTS)
         top = None if whole else self.top
-        legend = make_legend(pair, quantity, border.d_b, values, len(keep), top)
+        base = self._model.description.base
+        legend = make_legend(pair, quantity, base, border.d_b, values, len(keep), top)
         return ColouredCloud(points[keep], viridis(normalised(values[keep], legend)), legend)
 
     def _values(self, quantity: str, pair: str, points: Array) -> Array:

@@ -21,25 +21,14 @@ from app.dashboard.colours import (
     viridis_css,
 )
 from app.dashboard.scales import METRES_PER_ACCELERATION, METRES_PER_NEWTON
+from app.robot.bases.kind import BaseKind
 
 Array = np.ndarray
 
 _BOX = "padding:.3em .8em .4em;font-size:.8em;line-height:1.5"
 
-
-class Quantity(NamedTuple):
-    """What the border can be coloured by."""
-
-    title: str
-    unit: str
-    """Empty if it has none."""
-
-
-QUANTITIES = {
-    "determinant": Quantity("det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>), (7)", "m⁴/rad⁴"),
-    "reachability": Quantity("reachability R, (9)", ""),
-    "score": Quantity("score S, (10)", "m⁴/rad⁴"),
-}
+QUANTITIES = ("determinant", "reachability", "score")
+"""What the border can be coloured by."""
 
 
 class Legend(NamedTuple):
@@ -47,15 +36,17 @@ class Legend(NamedTuple):
 
     Attributes:
         pair: The link pair of the border.
-        quantity: A key of `QUANTITIES`.
+        title: What is shown, as HTML.
+        unit: Of it, empty if it has none.
         d_b: [m] buffer distance.
-        low, high: Least and largest value on the border, in the quantity's unit.
+        low, high: Least and largest value on the border, in that unit.
         drawn, total: Points drawn, and points of the border.
         top: [m] height up to which it is drawn, None if all of it.
     """
 
     pair: str
-    quantity: str
+    title: str
+    unit: str
     d_b: float
     low: float
     high: float
@@ -65,20 +56,27 @@ class Legend(NamedTuple):
 
 
 def make_legend(
-    pair: str, quantity: str, d_b: float, values: Array, drawn: int, top: float | None
-) -> Legend:
+    pair: str, quantity: str, base: BaseKind, d_b: float, values: Array, drawn: int,
+    top: float | None,
+) -> Legend:  # fmt: skip
     """The legend of a border from the values of all its points.
 
     Args:
         pair: The link pair.
-        quantity: A key of `QUANTITIES`.
+        quantity: One of `QUANTITIES`.
+        base: Whose measure stands in the score.
         d_b: [m] buffer distance.
         values: (N,) values of all points, N ≥ 1.
         drawn: How many of the N points are drawn.
         top: [m] height up to which it is drawn, None if all of it.
     """
     low, high = float(values.min()), float(values.max())
-    return Legend(pair, quantity, d_b, low, high, drawn, len(values), top)
+    title, unit = {
+        "determinant": (base.measure_title, base.measure_unit),
+        "reachability": ("reachability R, (9)", ""),
+        "score": ("score S, (10)", base.measure_unit),
+    }[quantity]
+    return Legend(pair, title, unit, d_b, low, high, drawn, len(values), top)
 
 
 def normalised(values: Array, legend: Legend) -> Array:
@@ -121,15 +119,14 @@ def key_html(d_b: float, d_full: float) -> str:
 
 
 def _bar_html(legend: Legend) -> str:
-    quantity = QUANTITIES[legend.quantity]
     texts, factor = tick_texts(legend.low, legend.high)
     ticks = "".join(f"<span>{text}</span>" for text in texts)
     share = "all" if legend.drawn == legend.total else f"{legend.drawn:,} of the"
     part = "" if legend.top is None else f" up to z = {legend.top:.2f} m"
-    unit = f" [{factor}{quantity.unit}]" if factor or quantity.unit else ""
+    unit = f" [{factor}{legend.unit}]" if factor or legend.unit else ""
     return (
         f'<div style="{_BOX}">'
-        f'<div style="display:flex;justify-content:space-between"><b>{quantity.title}{unit}</b>'
+        f'<div style="display:flex;justify-content:space-between"><b>{legend.title}{unit}</b>'
         f"<span>{legend.pair}</span></div>"
         f'<div style="height:.9em;border-radius:3px;margin:.2em 0;'
         f'background:linear-gradient(to right,{viridis_css()})"></div>'

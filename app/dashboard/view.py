@@ -10,7 +10,7 @@ from app.dashboard.legend import QUANTITIES
 
 HIDDEN = "hidden"
 """Instead of a quantity: the border is not drawn."""
-CHOICES = (*reversed(tuple(QUANTITIES)), HIDDEN)
+CHOICES = (*reversed(QUANTITIES), HIDDEN)
 """What a border may be coloured by."""
 
 
@@ -19,7 +19,7 @@ class View:
     """Layers of the scene; each field is one assignment of a callback."""
 
     borders: dict[str, str]
-    """What the border of each pair of L_m is coloured by: a key of `QUANTITIES`, or `HIDDEN`."""
+    """What the border of each pair of L_m is coloured by: one of `QUANTITIES`, or `HIDDEN`."""
     whole_border: bool = False
     """Also the part of the border above the base's top, which hides the arm."""
     slice: bool = True

@@ -90,6 +90,7 @@ class DifferentialBase(BaseKind):
     """
 
     axes: ClassVar[tuple[Axis, ...]] = (FORWARD, TURN)
+    measure_title: ClassVar[str] = "det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>), (7)"
     measure_unit: ClassVar[str] = "m⁴/rad⁴"
 
     kind: Literal["differential"]

@@ -119,6 +119,8 @@ class BaseKind(Sourced, ABC):
 
     axes: ClassVar[tuple[Axis, ...]]
     """The velocity axes ν, in order."""
+    measure_title: ClassVar[str] = "measure of the base"
+    """Of `singularity`, as HTML."""
     measure_unit: ClassVar[str] = ""
     """Unit of `singularity`."""
 
