@@ -186,7 +186,8 @@ class OffsetContours:
         Returns:
             None where there is no contour at that height.
         """
-        tables = self.tables if self.union is None else self.rings[int(ray // RAYS)].tables
+        shape = 0 if self.union is None else min(int(ray // RAYS), len(self.rings) - 1)
+        tables = self.rings[shape].tables if self.rings else self.tables
         if not len(tables.heights) or not tables.heights[0] <= z <= tables.heights[-1]:
             return None
         x, y, t_x, t_y = contours.point_at(*tables, ray, z)

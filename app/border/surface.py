@@ -96,10 +96,20 @@ class BorderSurface:
         if self._offset.is_empty:
             return None
         if self._searched is not None:
-            _, _, x, y, t_x, t_y = nearest_of_union(*self._searched, p[0], p[1], p[2])
+            d, _, x, y, t_x, t_y = nearest_of_union(*self._searched, p[0], p[1], p[2])
+            if not np.isfinite(d):  # nothing is reached at this height: as if all of it were
+                return self._on_exact(p)
         else:
             x, y, t_x, t_y = contours.nearest_in_reach(*self._offset.tables, *self.gap, p)
         return Foot(np.array([x, y, p[2]]), np.array([t_x, t_y, 0.0]))
+
+    def _on_exact(self, p: Array) -> Foot | None:
+        found = on_surface(self._offset, p)
+        return (
+            None
+            if found is None
+            else Foot(np.append(found.xy, p[2]), np.append(found.tangent, 0.0))
+        )
 
     def curves(self, z: float) -> list[Array]:
         """The surface's curves at a height, closed, or open where the arm never is.

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from app.cli.common import print_json, progress_bar
 from app.cli.options import Json, check_name, check_range, check_seed
-from app.robot.assets import load_robot, robot_names
+from app.robot.assets import robot_names
 
 _MOST_PROCESSES = 64
 
@@ -64,13 +64,14 @@ def _text(rows: list[dict[str, Any]]) -> str:
     table = Table("robot", "case", "from", "controller", "clearance", "hand off", "base drove",
                   "contacts", "")  # fmt: skip
     for row in rows:
-        title = load_robot(row["robot"]).title
+        title, clearance = row["title"], row.get("clearance_m")
         if "reason" in row:
             table.add_row(title, row["case"], "", "", row["reason"])
             continue
         where = f"{row['direction_deg']:g}°, {row['height_m']:.2f} m"
         table.add_row(
-            title, row["case"], where, row["controller"], f"{row['clearance_m']:.3f} m",
+            title, row["case"], where, row["controller"],
+            "–" if clearance is None else f"{clearance:.3f} m",
             f"{1000 * row['hand_error_m']:.3g} mm", f"{row['base_path_m']:.2f} m",
             str(row["contacts"]), "✓" if row["passed"] else "✗",
         )  # fmt: skip

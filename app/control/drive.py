@@ -63,10 +63,11 @@ class Drive:
         Args:
             v_cmd: (n_b,) the commanded velocity.
             v: (n_b,) the measured velocity.
-            state: (n_d,) the measured state of the drive; None means the one it would have at rest.
+            state: (n_d,) the measured state of the drive; None or an empty one means the one it
+                would have at rest.
 
         Returns:
             (n_b,) [m/s² or rad/s²].
         """
-        known = self._base.drive_at_rest() if state is None else state
+        known = self._base.drive_at_rest() if state is None or not len(state) else state
         return self._base.drive_acceleration(v, known, v_cmd)

@@ -21,7 +21,8 @@ class Measurement(NamedTuple):
         base_velocity: (n_b,) [m/s or rad/s] along the base's axes: v and ω of a differential one.
         q_m: (n_m,) [rad or m] the arm's joint positions.
         qd_m: (n_m,) [rad/s or m/s] the arm's joint velocities.
-        drive: (n_d,) what the base's drive has besides, such as a steering angle [rad].
+        drive: (n_d,) what the base's drive has besides, such as a steering angle [rad]; if it is
+            left out, it counts as at rest.
     """
 
     base_pose: Array

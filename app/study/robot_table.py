@@ -69,7 +69,8 @@ def robot_table(
         on_progress: Called now and then with the share of the work that is done, 0 to 1.
 
     Returns:
-        `rows`, and the limits by which they passed; keys end in their unit.
+        `rows`, and the limits by which they passed; keys end in their unit. A robot that cannot be
+        loaded has its name as `title`.
     """
     jobs = [_Job(robot, case, seed) for robot in robots for case in cases]
     rows: list[Row] = []
@@ -82,9 +83,10 @@ def robot_table(
 
 
 def _rows(context: _Context, job: _Job) -> list[Row]:
-    told: Row = {"robot": job.robot, "case": job.case.name}
+    told: Row = {"robot": job.robot, "title": job.robot, "case": job.case.name}
     try:
         loaded = context.robot(job.robot)
+        told["title"] = loaded.model.description.title
         start = _start(loaded, job)
         if start.reason:
             return [told | {"reason": start.reason}]
