@@ -21,6 +21,8 @@ from app.study.sweep_result import CLEARANCE_LIMIT, ERROR_LIMIT, Row
 
 CONTROLLERS = ("none", "dbb")
 """Without avoidance and with it."""
+GUIDED_LIMIT = 0.02
+"""[m] farthest that a guided hand may be from the person's at the end."""
 _TOUCHED = ("contacts", "arm_contacts", "floor_contacts")
 
 
@@ -78,7 +80,10 @@ def robot_table(
         for k, found in enumerate(workers.map(_rows, jobs), start=1):
             rows += found
             on_progress(k / len(jobs))
-    limits = {"clearance_limit_m": CLEARANCE_LIMIT, "hand_error_limit_m": ERROR_LIMIT}
+    limits = {
+        "clearance_limit_m": CLEARANCE_LIMIT, "hand_error_limit_m": ERROR_LIMIT,
+        "guided_hand_error_limit_m": GUIDED_LIMIT,
+    }  # fmt: skip
     return {"seed": seed, "d_b_m": Config().border.d_b, **limits, "rows": rows}
 
 
@@ -125,9 +130,9 @@ def _run(loaded: _Loaded, job: _Job, start: Start, controller: str) -> Row:
 
 
 def _passes(row: Row, case: Case) -> bool:
-    """Nothing touched or came too near, and a hand that tracks arrived."""
+    """Nothing touched or came too near, and the hand arrived."""
     clear = row["clearance_m"] is not None and row["clearance_m"] >= CLEARANCE_LIMIT
-    arrived = case.mode == "guiding" or row["hand_error_m"] <= ERROR_LIMIT
+    arrived = row["hand_error_m"] <= (GUIDED_LIMIT if case.mode == "guiding" else ERROR_LIMIT)
     return clear and arrived and not row["contacts"] and not row["solver_failures"]
 
 
