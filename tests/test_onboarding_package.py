@@ -61,6 +61,18 @@ def bad_zip(tmp_path: Path, case: str) -> Path:
         content = bytearray(path.read_bytes())
         struct.pack_into("<I", content, content.rfind(b"PK\x01\x02") + 24, 1)
         path.write_bytes(content)
+    elif case in ("bzip2", "lzma"):
+        method = zipfile.ZIP_BZIP2 if case == "bzip2" else zipfile.ZIP_LZMA
+        with zipfile.ZipFile(path, "a") as archive:
+            archive.writestr("toy/m.stl", bytes(3_000_000), method)
+    elif case == "zip64":  # its own record could name a longer list than the one that is read
+        content = bytearray(path.read_bytes())
+        at = content.rfind(b"PK\x05\x06")
+        content[at:at] = struct.pack("<4sIQI", b"PK\x06\x07", 0, 0, 1)
+        path.write_bytes(content)
+    elif case == "name":  # said to be UTF-8, which it is not
+        zipped(tmp_path, files | {"toy/\u00e4.stl": b""})
+        path.write_bytes(path.read_bytes().replace("\u00e4".encode(), b"\xff\xff"))
     return path
 
 
@@ -77,6 +89,7 @@ WRONG_FILES: dict[str, tuple[dict[str, str | bytes], str]] = {
     "file and folder": ({"toy.urdf": TOY, "a.stl": b"", "a.stl/b.stl": b""}, "not a zip that can"),
     "nothing": ({"readme.txt": "hello"}, "no .urdf in it"),
     "two": ({"a.urdf": TOY, "b.urdf": TOY}, "name one by --file: a.urdf, b.urdf"),
+    "hidden": ({"toy/.urdf": TOY, "__MACOSX/toy/a.urdf": TOY}, "no .urdf in it"),
     "xacro": ({"a.urdf.xacro": XACRO}, "a xacro can hold Python"),
     "laughs": ({"toy.urdf": TOY.replace("<robot", LAUGHS + "<robot")}, "the XML entity 'a'"),
     "file entity": (
@@ -86,6 +99,20 @@ WRONG_FILES: dict[str, tuple[dict[str, str | bytes], str]] = {
     ),
     "laughing mesh": (
         {"toy.urdf": with_mesh(TOY, "m.dae"), "m.dae": LAUGHS + "<COLLADA/>"}, "m.dae: it declares"
+    ),
+    "mesh of another encoding": (
+        {"toy.urdf": with_mesh(TOY, "m.dae"),
+         "m.dae": '<?xml version="1.0" encoding="UTF-16"?>' + LAUGHS + "<COLLADA/>"},
+        "m.dae: not well-formed",
+    ),
+    "mesh of no encoding": (
+        {"toy.urdf": with_mesh(TOY, "m.dae"), "m.dae": '<?xml version="1.0" encoding="foo"?><C/>'},
+        "m.dae: not well-formed",
+    ),
+    "mesh of many bytes": (
+        {"toy.urdf": with_mesh(TOY, "m.dae"),
+         "m.dae": '<?xml version="1.0" encoding="shift_jis"?><C/>'},
+        "m.dae: not well-formed",
     ),
     "mesh outside": ({"u/toy.urdf": with_mesh(TOY, "../../m.stl")}, "outside of the package"),
     "mesh of the machine": ({"toy.urdf": with_mesh(TOY, "/etc/passwd")}, "outside of the package"),
@@ -115,6 +142,12 @@ BAD_URDFS = {
     "not XML": (TOY[:-20], "not well-formed"),
     "another format": ("<sdf/>", "a URDF's is <robot>"),
     "laughs": (TOY.replace("<robot", LAUGHS + "<robot"), "the XML entity 'a'"),
+    **{
+        f"laughs in {encoding}": (
+            TOY.replace('"1.0"?>', f'"1.0" encoding="{encoding}"?>' + LAUGHS), "the XML entity 'a'"
+        )
+        for encoding in ("UTF-16", "foo", "shift_jis")
+    },
 }  # fmt: skip
 
 
@@ -165,6 +198,10 @@ def test_a_zip_with_wrong_files_is_refused_and_leaves_nothing(
         ("device", "a link or a device"),
         ("password", "locked by a password"),
         ("lying bomb", "not a zip that can be read"),
+        ("bzip2", "another method than deflate"),
+        ("lzma", "another method than deflate"),
+        ("zip64", "a ZIP64"),
+        ("name", "not a zip that can be read"),
     ],
 )
 def test_a_zip_that_is_none_or_lies_is_refused(case: str, why: str, tmp_path: Path) -> None:
@@ -200,6 +237,14 @@ def test_a_package_is_the_robot_of_its_urdf_wherever_its_meshes_lie(
     parsed = parse(Request(urdf=str(found), base="base", tip="hand", out=tmp_path / "toy"))
     assert parsed.geometry["hand"].volume == pytest.approx(0.08 * 0.12 * 0.08, rel=1e-5)
     assert not list(tmp_path.rglob("setup.py"))
+
+
+def test_what_macos_adds_to_a_zip_is_no_second_urdf(tmp_path: Path) -> None:
+    path = zipped(
+        tmp_path,
+        {"toy/toy.urdf": TOY, "toy/._toy.urdf": b"\x00", "__MACOSX/toy/._toy.urdf": b"\x00"},
+    )
+    assert open_package(path, tmp_path / "made").name == "toy.urdf"
 
 
 def test_the_urdf_that_is_asked_for_is_taken(tmp_path: Path) -> None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Callable
+from xml.etree import ElementTree
 
 import pytest
 
 from app.errors import AssetError, DescriptionError, UnknownNameError
-from app.robot import assets
+from app.robot import assets, urdf
 from app.robot.assets import load_robot, resolve_package_uri, robot_names
 from app.robot.description import load_description, tomllib
 from app.robot.model import RobotModel
@@ -277,3 +278,18 @@ def test_a_package_address_finds_its_file():
 
 def test_no_package_address_is_left_in_a_resolved_urdf():
     assert "package://" not in resolved_urdf(load_robot("husky_panda"))
+
+
+def test_meshes_are_resolved_whatever_their_quotes_and_escapes(tmp_path, monkeypatch):
+    folder = tmp_path / "you & me"
+    folder.mkdir()
+    (folder / "a & b.stl").touch()
+    (folder / "robot.urdf").write_text(
+        "<robot name='r'><!-- <mesh filename=\"none.stl\"/> --><link name='a'><visual><geometry>"
+        "<mesh filename='a &amp; b.stl'/></geometry></visual></link></robot>",
+        encoding="utf-8",
+    )
+    monkeypatch.setattr(urdf, "urdf_path", lambda description: folder / "robot.urdf")
+    tree = ElementTree.fromstring(resolved_urdf(load_robot("husky_panda")))
+    assert [mesh.get("filename") for mesh in tree.iter("mesh")] == [str(folder / "a & b.stl")]
+    assert tree.find("link/inertial/mass") is not None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from xml.parsers import expat
 
@@ -13,21 +12,26 @@ class _PrologRead(Exception):  # noqa: N818 - the way out of expat, not an error
     """The root element has begun: no entity can be declared any more."""
 
 
-def refuse_entities(content: bytes, path: Path) -> None:
-    """Read up to the root element; what is not well-formed is left to whoever reads the rest.
+def refuse_entities(content: bytes | str, path: Path) -> None:
+    """Read up to the root element; what is not well-formed after it is left to who reads the rest.
 
     Args:
-        content: Of an XML file.
+        content: Of an XML file, as it is parsed afterwards: of a text, the encoding that it
+            declares does not count.
         path: Named in the message.
 
     Raises:
-        RobotFileError: It declares an entity, as a billion laughs do.
+        RobotFileError: It declares an entity, as a billion laughs do, or cannot be read so far.
     """
-    parser = expat.ParserCreate()
+    parser = expat.ParserCreate("utf-8" if isinstance(content, str) else None)
     parser.EntityDeclHandler = lambda name, *_: _refuse(name, path)
     parser.StartElementHandler = _stop
-    with suppress(expat.ExpatError, _PrologRead):
+    try:
         parser.Parse(content, True)
+    except _PrologRead:
+        pass
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter of its encoding
+        raise RobotFileError(f"{path}: not well-formed: {error}") from None
 
 
 def _stop(*_: object) -> None:

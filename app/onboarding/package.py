@@ -6,7 +6,7 @@ Nothing of a package is executed: a xacro, whose expressions are Python, is refu
 from __future__ import annotations
 
 import os
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
 from app.errors import RobotFileError
@@ -84,8 +84,13 @@ def chosen_urdf(names: list[str], where: str, file: str | None) -> str:
 
 
 def urdfs(names: list[str]) -> list[str]:
-    """Those of some files that are URDFs."""
-    return sorted(name for name in names if name.lower().endswith(".urdf"))
+    """Those of some files that are URDFs; hidden files and what macOS adds to a zip are none."""
+    return sorted(name for name in names if name.lower().endswith(".urdf") and not _hidden(name))
+
+
+def _hidden(name: str) -> bool:
+    path = PurePosixPath(name)
+    return path.name.startswith(".") or "__MACOSX" in path.parts[:-1]
 
 
 def tie_meshes(path: Path, root: Path) -> None:

@@ -34,9 +34,9 @@ def read_source(path: Path) -> Element:
         RobotFileError: It is not well-formed XML, declares entities, is not a robot, or its macros
             cannot be expanded.
     """
-    refuse_entities(path.read_bytes(), path)
     try:
         text = _expanded(path) if path.suffix == ".xacro" else path.read_text(encoding="utf-8")
+        refuse_entities(text, path)
         robot = ElementTree.fromstring(text)
     except (ElementTree.ParseError, UnicodeDecodeError) as error:
         raise RobotFileError(f"{path}: not well-formed: {error}") from None
@@ -111,6 +111,7 @@ def _expanded(path: Path) -> str:
         raise RobotFileError(
             f"{path}: a xacro needs the package xacrodoc; try: pip install 'xacrodoc>=2,<3'"
         ) from None
+    refuse_entities(path.read_bytes(), path)
     packages.update_package_cache(_around(path))
     try:
         document = XacroDoc.from_file(str(path), resolve_packages=False)

@@ -24,6 +24,12 @@ _NOTES = re.compile(r"(licen[cs]e|copying|notice)(\.[a-z]+)?", re.IGNORECASE)
 _LARGEST_DIRECTORY = 500 * MOST_FILES  # [bytes] of a zip's list of files; each takes 46 and a name
 _LONGEST_NAME = 200  # [characters]
 _CHUNK = 1 << 20  # [bytes]
+_BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+# Of these a chunk is expanded at a time; bzip2 and LZMA expand all that they read.
+_UNREADABLE = (
+    zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError,
+    ValueError,  # a name that is not UTF-8
+)  # fmt: skip
 
 
 def unpack(archive: Path, folder: Path) -> list[str]:
@@ -37,8 +43,8 @@ def unpack(archive: Path, folder: Path) -> list[str]:
         Names of all files in the zip, also of those that were not written.
 
     Raises:
-        RobotFileError: It is no zip, too large, or holds a path that leads elsewhere, a link, a
-            password, or a name twice; says which.
+        RobotFileError: It is no plain zip, too large, or holds a path that leads elsewhere, a link,
+            a password, a file packed by another method than deflate, or a name twice; says which.
     """
     where = archive.name
     _check_size(archive)
@@ -52,7 +58,7 @@ def unpack(archive: Path, folder: Path) -> list[str]:
                     target.parent.mkdir(parents=True, exist_ok=True)
                     with opened.open(info) as source, target.open("xb") as sink:
                         left -= _copy(source, sink, left, where)
-    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError) as error:
+    except _UNREADABLE as error:
         raise RobotFileError(f"{where}: not a zip that can be read: {error}") from None
     return [str(path) for _, path in infos]
 
@@ -65,11 +71,15 @@ def _check_size(archive: Path) -> None:
             f"{archive.name}: {size / 1e6:.0f} MB; a zip may have {LARGEST_ARCHIVE / 1e6:.0f} MB"
         )
     with archive.open("rb") as file:
-        file.seek(max(0, size - (1 << 16) - 22))
+        file.seek(max(0, size - (1 << 16) - 22 - 20))
         tail = file.read()
     at = tail.rfind(b"PK\x05\x06")
     if at < 0 or len(tail) < at + 22:
         raise RobotFileError(f"{archive.name}: not a zip: it has no list of files at its end")
+    if tail[:at][-20:].startswith(b"PK\x06\x07"):  # it would stand in for the record that is read
+        raise RobotFileError(
+            f"{archive.name}: a ZIP64, the form for archives of over 4 GB; zip it as a plain zip"
+        )
     count, directory = struct.unpack_from("<HI", tail, at + 10)
     if count > MOST_FILES or directory > _LARGEST_DIRECTORY:
         raise RobotFileError(
@@ -117,6 +127,8 @@ def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
         problem = "is a link or a device, not a file"
     elif info.flag_bits & 1:
         problem = "is locked by a password"
+    elif info.compress_type not in _BOUNDED:
+        problem = "is packed by another method than deflate"
     if problem is not None:
         raise RobotFileError(
             f"{where}: {name[:_LONGEST_NAME]!r} {problem}; "

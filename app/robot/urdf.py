@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -46,18 +45,18 @@ def resolved_urdf(description: RobotDescription) -> str:
         DescriptionError: The URDF is not well-formed XML.
     """
     path = urdf_path(description)
-    text = path.read_text(encoding="utf-8")
     try:
-        tree = ElementTree.fromstring(text)
+        tree = ElementTree.fromstring(path.read_text(encoding="utf-8"))
     except ElementTree.ParseError as error:
         raise DescriptionError(f"{path}: not well-formed: {error}") from None
-    if any(link.find("inertial") is None for link in tree.iterfind("link")):
-        text = _with_inertias(tree)
-    return re.sub(
-        r'(<mesh\b[^>]*?filename\s*=\s*)"([^"/][^"]*)"',
-        lambda match: f'{match[1]}"{_mesh(match[2], path.parent)}"',
-        text,
-    )
+    for link in tree.iterfind("link"):
+        if link.find("inertial") is None:
+            link.append(ElementTree.fromstring(_ZERO_INERTIAL))
+    for mesh in tree.iter("mesh"):
+        reference = mesh.get("filename", "")
+        if reference and not reference.startswith("/"):
+            mesh.set("filename", str(_mesh(reference, path.parent)))
+    return ElementTree.tostring(tree, encoding="unicode")
 
 
 def _mesh(reference: str, folder: Path) -> Path:
@@ -68,13 +67,6 @@ def _mesh(reference: str, folder: Path) -> Path:
     if not path.is_file() or not path.is_relative_to(folder.resolve()):
         raise AssetError(f"{folder.name}: no mesh {reference!r} in the folder of the URDF")
     return path
-
-
-def _with_inertias(tree: ElementTree.Element) -> str:
-    for link in tree.iterfind("link"):
-        if link.find("inertial") is None:
-            link.append(ElementTree.fromstring(_ZERO_INERTIAL))
-    return ElementTree.tostring(tree, encoding="unicode")
 
 
 def planar_urdf(description: RobotDescription) -> str:
