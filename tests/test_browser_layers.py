@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -130,9 +131,10 @@ def pushed(snapshot: Snapshot) -> list[Array]:
 
 
 def passed(served: Served) -> Array:
-    """Where base and hand have been."""
+    """Along where base and hand have been."""
     tracks = served.server.shared.tracks
-    return np.concatenate([tracks.base.until(np.inf), tracks.hand.until(np.inf)])
+    ways = (tracks.base.until(np.inf), tracks.hand.until(np.inf))
+    return np.array([p for way in ways for a, b in pairwise(way) for p in between(a, b)])
 
 
 LAYERS = (
