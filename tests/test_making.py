@@ -203,6 +203,13 @@ def test_an_upload_is_asked_about_and_its_answers_make_the_request(
         assert own._fields["base"].value == "base"
         request = own._request()
         assert (request.name, request.wheels, request.file) == ("toy_1", None, "toy/toy.urdf")
+        for name in ("/tmp/evil", "../../evil", "toy/", ""):
+            client.set_widget(own._fields["name"], name)
+            wait_for(lambda name=name: own._fields["name"].value == name)
+            with pytest.raises(ConfigError, match="letters, digits"):
+                own._request()
+        client.set_widget(own._fields["name"], "toy_1")
+        wait_for(lambda: own._fields["name"].value == "toy_1")
         client.set_widget(own._fields["left"], "left_axle")
         wait_for(lambda: own._fields["left"].value == "left_axle")
         with pytest.raises(ConfigError, match="both wheels"):
@@ -216,6 +223,20 @@ def test_an_upload_is_asked_about_and_its_answers_make_the_request(
         wait_for(lambda: own._fields["kind"].value == "holonomic")
         with pytest.raises(ConfigError, match="a holonomic base has neither half track"):
             own._request()
+
+
+def test_a_second_upload_is_asked_about_its_own_links(
+    server: DashboardServer, tmp_path: Path
+) -> None:
+    other = TOY.replace('"hand"', '"gripper"')
+    with visitor(server) as (client, page):
+        assert page.robot_panel is not None
+        own = page.robot_panel._own
+        for urdf, tip in ((other, "gripper"), (TOY, "hand")):
+            content = zipped(tmp_path, {"toy/toy.urdf": urdf}).read_bytes()
+            upload(client, own._upload._impl.uuid, "toy.zip", content)
+            wait_for(lambda tip=tip: own._fields["tip"].value == tip, what="the questions")
+            wait_for(lambda: server.shared.making.progress is None)
 
 
 def test_an_upload_that_is_too_large_or_too_many_is_refused_before_it_is_kept(
