@@ -24,6 +24,7 @@ from app.dashboard.stage_change import StageChange
 from app.errors import ConfigError, LoopError, RobotFileError
 from app.onboarding.contents import look_into
 from app.onboarding.request import Request
+from app.onboarding.write import whole_folder
 from tests.browser import wait_for
 from tests.dashboards import clouds
 from tests.fakes import ScriptedLoop
@@ -88,6 +89,22 @@ def test_work_apart_ends_when_it_is_told_to_with_all_that_it_has_started(tmp_pat
     wait_for(lambda: gone(int(file.read_text())), what="the end of the child's child")
 
 
+def wait_in_a_folder(tell: Tell, out: str) -> None:
+    with whole_folder(Path(out)):
+        tell("waiting", 0.5)
+        time.sleep(600)
+
+
+def test_work_apart_that_is_stopped_leaves_by_its_finally(tmp_path: Path) -> None:
+    stopping = threading.Event()
+    with pytest.raises(Stopped):
+        run_apart(
+            wait_in_a_folder, str(tmp_path / "toy"), tell=lambda *_: stopping.set(),
+            stopping=stopping,
+        )  # fmt: skip
+    assert list(tmp_path.iterdir()) == []
+
+
 def gone(pid: int) -> bool:
     """Whether a process has ended; one that nobody has asked for its status has, too."""
     try:
@@ -147,6 +164,7 @@ def test_a_robot_is_made_once_and_can_be_stopped(
     making.cancel()
     ended(making)
     assert "cancelled" in making.problem
+    assert list((tmp_path / "user").iterdir()) == []
     with pytest.raises(ConfigError, match="there is a robot 'husky_panda' already"):
         making.make(Request("toy.zip", "base", "hand", tmp_path / "user" / "husky_panda"))
     with pytest.raises(RobotFileError, match="letters, digits"):
@@ -154,6 +172,9 @@ def test_a_robot_is_made_once_and_can_be_stopped(
 
 
 def wait_for_ever_for_a_request(tell: Tell, request: Request) -> None:
+    """With a folder that it has no time to remove."""
+    request.out.parent.mkdir(exist_ok=True)
+    (request.out.parent / f".{request.name}-abcd").mkdir()
     tell("waiting", -1.0)
     time.sleep(600)
 
@@ -203,6 +224,13 @@ def test_an_upload_is_asked_about_and_its_answers_make_the_request(
         assert own._fields["base"].value == "base"
         request = own._request()
         assert (request.name, request.wheels, request.file) == ("toy_1", None, "toy/toy.urdf")
+        for name in ("/tmp/evil", "../../evil", "toy/", ""):
+            client.set_widget(own._fields["name"], name)
+            wait_for(lambda name=name: own._fields["name"].value == name)
+            with pytest.raises(ConfigError, match="letters, digits"):
+                own._request()
+        client.set_widget(own._fields["name"], "toy_1")
+        wait_for(lambda: own._fields["name"].value == "toy_1")
         client.set_widget(own._fields["left"], "left_axle")
         wait_for(lambda: own._fields["left"].value == "left_axle")
         with pytest.raises(ConfigError, match="both wheels"):
@@ -216,6 +244,20 @@ def test_an_upload_is_asked_about_and_its_answers_make_the_request(
         wait_for(lambda: own._fields["kind"].value == "holonomic")
         with pytest.raises(ConfigError, match="a holonomic base has neither half track"):
             own._request()
+
+
+def test_a_second_upload_is_asked_about_its_own_links(
+    server: DashboardServer, tmp_path: Path
+) -> None:
+    other = TOY.replace('"hand"', '"gripper"')
+    with visitor(server) as (client, page):
+        assert page.robot_panel is not None
+        own = page.robot_panel._own
+        for urdf, tip in ((other, "gripper"), (TOY, "hand")):
+            content = zipped(tmp_path, {"toy/toy.urdf": urdf}).read_bytes()
+            upload(client, own._upload._impl.uuid, "toy.zip", content)
+            wait_for(lambda tip=tip: own._fields["tip"].value == tip, what="the questions")
+            wait_for(lambda: server.shared.making.progress is None)
 
 
 def test_an_upload_that_is_too_large_or_too_many_is_refused_before_it_is_kept(

@@ -113,6 +113,7 @@ def _work(sender: Connection, work: Callable[..., Any], args: tuple[Any, ...]) -
     """What the process does."""
     os.setsid()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is answered by who started it
+    signal.signal(signal.SIGTERM, _leave)
     os.nice(_NICENESS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
@@ -123,6 +124,12 @@ def _work(sender: Connection, work: Callable[..., Any], args: tuple[Any, ...]) -
         end = _End(None, LoopError(f"{type(error).__name__}: {error}"))
     sender.send(end)
     sender.close()
+
+
+def _leave(*_: object) -> None:
+    """End by way of every `finally`, which a second signal does not interrupt."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise SystemExit(128 + signal.SIGTERM)
 
 
 def _end_with_parent() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shutil
 import tempfile
 import threading
 from collections.abc import Callable, Mapping
@@ -92,7 +93,13 @@ class Making:
             raise ConfigError(f"there is a robot {request.name!r} already; give another name")
 
         def work() -> None:
-            run_apart(make_new, request, tell=self._tell(request.name), stopping=self._stopping)
+            tell = self._tell(request.name)
+            try:
+                run_apart(make_new, request, tell=tell, stopping=self._stopping)
+            except Stopped:  # it may have had no time to tidy up
+                for begun in request.out.resolve().parent.glob(f".{request.name}-*"):
+                    shutil.rmtree(begun, ignore_errors=True)
+                raise
             self.made = request.name
             self._change.look_again()
 

@@ -9,6 +9,9 @@ from pathlib import Path
 from app.config import Config
 from app.errors import RobotFileError
 
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+"""What a robot's name matches as a whole."""
+
 
 @dataclass(frozen=True)
 class Request:
@@ -82,7 +85,7 @@ class Request:
             RobotFileError: The folder's name cannot be one.
         """
         name = self.out.resolve().name
-        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        if not NAME.fullmatch(name):
             raise RobotFileError(
                 f"--out: the folder's name {name!r} becomes the robot's: letters, digits and _ only"
             )

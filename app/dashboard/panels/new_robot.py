@@ -13,7 +13,7 @@ from app.dashboard.making import Making, Package
 from app.dashboard.notices import Notices
 from app.dashboard.upload_guard import guard_uploads
 from app.errors import ConfigError
-from app.onboarding.request import Request
+from app.onboarding.request import NAME, Request
 from app.onboarding.unpack import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
 from app.robot.assets import user_robots
 
@@ -108,6 +108,7 @@ class NewRobotPanel:
         self._making.receive(file.name, file.content)
 
     def _ask(self, package: Package) -> None:
+        self._shown_urdf = ""  # one of the same path may have other links
         self._fields["file"].options = tuple(package.urdfs)
         self._fields["name"].value = robot_name(package.archive.stem)
 
@@ -135,6 +136,8 @@ class NewRobotPanel:
         if package is None:
             raise ConfigError("upload a zip first")
         value = {name: field.value for name, field in self._fields.items()}
+        if not NAME.fullmatch(value["name"]):  # before it becomes a part of a path
+            raise ConfigError("a name is a letter, then letters, digits and _ only")
         wheels = (value["left"], value["right"])
         given = [wheel for wheel in wheels if wheel != FIND]
         if len(given) == 1:
