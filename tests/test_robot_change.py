@@ -20,6 +20,7 @@ from app.dashboard.robot import RobotParts
 from app.dashboard.robot_list import RobotEntry
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.dashboard.stage_change import StageChange
+from app.dashboard.view import HIDDEN, View
 from app.dashboard.visuals import Visual
 from app.errors import LoopError, UnreachableError
 from app.robot.model import RobotModel
@@ -238,6 +239,15 @@ def test_a_list_that_is_looked_for_again_meanwhile_is_a_list() -> None:
             super().__setattr__(name, None if name == "_entries" else value)
 
     assert Restless(None).entries == entries
+
+
+@pytest.mark.parametrize(("before", "after"), [("score", "score"), (HIDDEN, HIDDEN)])
+def test_of_a_robot_without_the_shown_pairs_the_first_border_is_shown(
+    before: str, after: str
+) -> None:
+    view = View.first(["a", "b"], [])
+    view.borders = dict.fromkeys(view.borders, before)
+    assert view.of_robot(["c", "d"], []).borders == {"c": after, "d": HIDDEN}
 
 
 def test_a_page_that_cannot_be_made_does_not_hold_up_the_change(
