@@ -19,6 +19,9 @@ from app.control.levels import Level
 from app.dashboard import words
 from app.dashboard.explain import LONGEST, sentence
 from app.dashboard.panels.why import WhyPanel, why_html
+from app.robot.bases.car_like import CarLikeBase
+from app.robot.bases.differential import DifferentialBase
+from app.robot.bases.holonomic import HolonomicBase
 from app.robot.bases.kind import FORWARD, TURN
 from app.simulation.snapshot import Snapshot
 from tests.fakes import ScriptedLoop
@@ -261,6 +264,16 @@ def test_the_panel_shows_the_numbers_of_the_explanation(blank):
     assert re.search(r"moving away\s+80\s+−0.40\s+\+0.00", text)
     assert re.search(r"to the better score\s+60\s+\+0.00\s+−0.20", text)
     assert re.search(r"together, times β\s+100\s+−0.40\s+−0.20", text)
+
+
+@pytest.mark.parametrize("base", [DifferentialBase, HolonomicBase, CarLikeBase])
+def test_the_panel_names_the_measure_of_the_base(blank, base):
+    why = explanation(
+        NEAR["base"], measure_title=base.measure_title, measure_unit=base.measure_unit
+    )
+    html, paper = why_html(replace(blank, explanation=why)), base is DifferentialBase
+    assert ("far from singular, det" in html) == ("sign · det · R" in html) == paper
+    assert ("measure of the base" in html) == ("(10): measure · R" in html) == (not paper)
 
 
 def test_the_text_inherits_its_colour_from_the_theme(blank):

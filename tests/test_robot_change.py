@@ -19,6 +19,8 @@ from app.dashboard.hand import Hold
 from app.dashboard.robot import RobotParts
 from app.dashboard.robot_list import RobotEntry
 from app.dashboard.server import DashboardServer, serve_dashboard
+from app.dashboard.stage_change import StageChange
+from app.dashboard.view import HIDDEN, View
 from app.dashboard.visuals import Visual
 from app.errors import LoopError, UnreachableError
 from app.robot.model import RobotModel
@@ -225,6 +227,46 @@ def test_if_it_fails_the_old_robot_goes_on_and_the_page_says_why(
         wait_for(lambda: first.latest().t > t, what="time to go on")
         loops.refuses = None
         monkeypatch.undo()
+
+
+def test_a_list_that_is_looked_for_again_meanwhile_is_a_list() -> None:
+    entries = stage_change.robot_entries()
+
+    class Restless(StageChange):
+        """Another thread looks again as soon as the list is kept."""
+
+        def __setattr__(self, name: str, value: object) -> None:
+            super().__setattr__(name, None if name == "_entries" else value)
+
+    assert Restless(None).entries == entries
+
+
+@pytest.mark.parametrize(("before", "after"), [("score", "score"), (HIDDEN, HIDDEN)])
+def test_of_a_robot_without_the_shown_pairs_the_first_border_is_shown(
+    before: str, after: str
+) -> None:
+    view = View.first(["a", "b"], [])
+    view.borders = dict.fromkeys(view.borders, before)
+    assert view.of_robot(["c", "d"], []).borders == {"c": after, "d": HIDDEN}
+
+
+def test_a_page_that_cannot_be_made_does_not_hold_up_the_change(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    loop = ScriptedLoop(husky_panda())
+    loop.start()
+    server = serve_dashboard(loop, husky_panda(), clouds(), port=0, start_loop=Loops())
+
+    def fails(*_: object) -> None:
+        raise ZeroDivisionError("a defect")
+
+    try:
+        monkeypatch.setattr(server.shared, "followed_by", fails)
+        choose(server, OTHER)
+        wait_for(lambda: server.error is not None, what="the end of drawing")
+    finally:
+        server.stop()
+        loop.stop()
 
 
 def test_a_robot_that_is_not_there_or_not_whole_is_refused_at_once() -> None:

@@ -96,7 +96,8 @@ class Explanation(NamedTuple):
         base_given: The same that the base has.
         levels: What each level of the hierarchy gave up, highest priority first.
         bounds: What limited the step.
-        measure_unit: Of the determinant and the score.
+        measure_title: Of the determinant, or of what stands in its place, as HTML.
+        measure_unit: Of it and the score.
     """
 
     controller: str
@@ -111,6 +112,7 @@ class Explanation(NamedTuple):
     base_given: ByAxis
     levels: tuple[Level, ...]
     bounds: tuple[Bound, ...]
+    measure_title: str = "det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>), (7)"
     measure_unit: str = "m⁴/rad⁴"
 
     @property
@@ -158,6 +160,7 @@ def explain(
         levels=()
         if workings is None
         else level_readings(state.model.description.base, output, workings),
+        measure_title=state.model.description.base.measure_title,
         measure_unit=state.model.description.base.measure_unit,
         bounds=(*bounds, *admittance_bounds(state.model, config, base_command)),
     )

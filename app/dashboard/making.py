@@ -118,17 +118,19 @@ class Making:
 
     def _begin(self, progress: Progress, work: Callable[[], None]) -> None:
         with self._lock:
-            if self.progress is not None:
-                raise ConfigError(f"{self.progress.title} {self.progress.text}; cancel that first")
+            running = self.progress  # read once: its thread may end
+            if running is not None:
+                raise ConfigError(f"{running.title} {running.text}; cancel that first")
             self.progress = progress
         self.problem = self.made = ""
         self._stopping.clear()
-        self._thread = threading.Thread(target=self._work, args=(work,), name="new robot")
+        self._thread = threading.Thread(
+            target=self._work, args=(progress.title, work), name="new robot"
+        )
         self._thread.daemon = True
         self._thread.start()
 
-    def _work(self, work: Callable[[], None]) -> None:
-        title = self.progress.title if self.progress is not None else ""
+    def _work(self, title: str, work: Callable[[], None]) -> None:
         try:
             work()
         except Stopped:

@@ -147,11 +147,13 @@ class DashboardServer:
         stage = change.take()
         if stage is None:
             return
-        self.shared = self.shared.followed_by(stage)
-        self._failure = None
-        for number, page in list(self.pages.items()):
-            self.pages[number] = page.with_robot(self.shared)
-        change.shown()
+        try:
+            self.shared = self.shared.followed_by(stage)
+            self._failure = None
+            for number, page in list(self.pages.items()):
+                self.pages[number] = page.with_robot(self.shared)
+        finally:
+            change.shown()  # even if drawing ends here: its thread waits for this
         note = f": {stage.note}" if stage.note else "; parameters stay as they were set"
         self._notices.tell(f"{stage.model.description.title} is here{note}.")
 

@@ -110,9 +110,10 @@ class StageChange:
     @property
     def entries(self) -> list[RobotEntry]:
         """All robots, as they were found when they were looked for last."""
-        if self._entries is None:
-            self._entries = robot_entries()
-        return self._entries
+        entries = self._entries  # read once: another thread may look again
+        if entries is None:
+            entries = self._entries = robot_entries()
+        return entries
 
     def look_again(self) -> None:
         """There may be another robot now."""
@@ -136,8 +137,9 @@ class StageChange:
         if entry.problem is not None:
             raise ConfigError(f"{entry.title}: {entry.problem}")
         with self._lock:
-            if self.progress is not None:
-                raise ConfigError(f"{self.progress.title} is still being loaded; cancel that first")
+            progress = self.progress  # read once: its thread may end
+            if progress is not None:
+                raise ConfigError(f"{progress.title} is still being loaded; cancel that first")
             self.progress = Progress(entry.title, "begins")
         self.problem = ""
         self._stopping.clear()

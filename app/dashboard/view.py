@@ -60,7 +60,7 @@ class View:
         borders, first = new.borders, copy(new.borders)
         new.take_over(self)
         new.borders = {pair: self.borders.get(pair, HIDDEN) for pair in borders}
-        if set(new.borders.values()) <= {HIDDEN} and set(self.borders.values()) > {HIDDEN}:
+        if set(new.borders.values()) <= {HIDDEN} and set(self.borders.values()) - {HIDDEN}:
             new.borders = first
         new.plots = shown
         return new
