@@ -11,6 +11,7 @@ import viser
 
 from app.dashboard.making import Making, Package
 from app.dashboard.notices import Notices
+from app.dashboard.panels.widgets import renew, renew_bar, small
 from app.dashboard.upload_guard import guard_uploads
 from app.errors import ConfigError
 from app.onboarding.request import NAME, Request
@@ -93,15 +94,12 @@ class NewRobotPanel:
             self._ask_of_urdf(package)
         asks = package is not None and progress is None
         for field in self._fields.values():
-            _set(field, "visible", asks)
-        _set(self._make, "visible", asks)
-        _set(self._upload, "disabled", progress is not None)
-        _set(self._cancel, "visible", progress is not None)
-        known = progress is not None and progress.share >= 0.0
-        _set(self._bar, "visible", known)
-        if progress is not None and known:
-            _set(self._bar, "value", round(100.0 * progress.share, 1))
-        _set(self._status, "content", making_html(making))
+            renew(field, "visible", asks)
+        renew(self._make, "visible", asks)
+        renew(self._upload, "disabled", progress is not None)
+        renew(self._cancel, "visible", progress is not None)
+        renew_bar(self._bar, progress)
+        renew(self._status, "content", making_html(making))
 
     def _receive(self, event: viser.GuiEvent) -> None:
         file = event.target.value
@@ -181,7 +179,7 @@ def robot_name(stem: str) -> str:
 
 def about_html() -> str:
     """What may be uploaded, and where the robot will be."""
-    return _small(
+    return small(
         f"A zip with a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, "
         f"{MOST_FILES} files, {LARGEST_CONTENT / 1e6:.0f} MB expanded. Nothing in it is executed; "
         "a xacro has to be expanded first. What is made of it, a description, its border and a "
@@ -194,25 +192,16 @@ def making_html(making: Making) -> str:
     progress = making.progress
     if progress is not None:
         share = f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else ""
-        return _small(f"<b>{escape(progress.title)}</b>: {escape(progress.text)}{share} …")
+        return small(f"<b>{escape(progress.title)}</b>: {escape(progress.text)}{share} …")
     if making.problem:
-        return _small(f'<span style="color:#e03131">{escape(making.problem)}</span>')
+        return small(f'<span style="color:#e03131">{escape(making.problem)}</span>')
     if making.made:
-        return _small(
+        return small(
             f"<b>{escape(making.made)}</b> is made: choose it in the list above, where its report "
             "is too."
         )
     if making.package is not None:
         count = len(making.package.urdfs)
         what = "a URDF" if count == 1 else f"{count} URDFs"
-        return _small(f"<b>{escape(making.package.archive.name)}</b> holds {what}. Which links?")
+        return small(f"<b>{escape(making.package.archive.name)}</b> holds {what}. Which links?")
     return ""
-
-
-def _small(html: str) -> str:
-    return f'<div style="padding:.2em .7em;font-size:.82em;line-height:1.5">{html}</div>'
-
-
-def _set(handle: Any, name: str, value: object) -> None:
-    if getattr(handle, name) != value:
-        setattr(handle, name, value)

@@ -9,6 +9,7 @@ import viser
 from app.dashboard.notices import Notices
 from app.dashboard.panels.new_robot import NewRobotPanel
 from app.dashboard.panels.report import show_report
+from app.dashboard.panels.widgets import renew, renew_bar, small
 from app.dashboard.robot_list import RobotEntry
 from app.dashboard.shared import Shared
 from app.dashboard.stage_change import Progress
@@ -57,15 +58,12 @@ class RobotPanel:
         here = chosen is not None and chosen.name == self._shared.model.description.name
         ended = self._shared.loop.error is not None  # then the same robot can be had again
         usable = chosen is not None and chosen.problem is None and (ended or not here)
-        _set(self._about, "content", about_html(chosen, here=here) if chosen else "")
-        _set(self._use, "disabled", progress is not None or not usable)
-        _set(self._cancel, "visible", progress is not None)
-        _set(self._report, "visible", chosen is not None and chosen.report)
-        known = progress is not None and progress.share >= 0.0
-        _set(self._bar, "visible", known)
-        if progress is not None and known:
-            _set(self._bar, "value", round(100.0 * progress.share, 1))
-        _set(self._status, "content", status_html(progress, self._change.problem))
+        renew(self._about, "content", about_html(chosen, here=here) if chosen else "")
+        renew(self._use, "disabled", progress is not None or not usable)
+        renew(self._cancel, "visible", progress is not None)
+        renew(self._report, "visible", chosen is not None and chosen.report)
+        renew_bar(self._bar, progress)
+        renew(self._status, "content", status_html(progress, self._change.problem))
         self._own.update()
 
     def _begin(self) -> None:
@@ -121,22 +119,13 @@ def about_html(entry: RobotEntry, *, here: bool) -> str:
         lines.append("One of your own.")
     if entry.problem is not None:
         lines.append(f'<span style="color:#e8590c">{escape(entry.problem)}</span>')
-    return _small("<br>".join(lines))
+    return small("<br>".join(lines))
 
 
 def status_html(progress: Progress | None, problem: str) -> str:
     """What is going on, or why the last change failed."""
     if progress is not None:
-        return _small(f"{escape(progress.title)}: {escape(progress.text)} …")
+        return small(f"{escape(progress.title)}: {escape(progress.text)} …")
     if problem:
-        return _small(f'<span style="color:#e03131">{escape(problem)}.</span> Nothing has changed.')
+        return small(f'<span style="color:#e03131">{escape(problem)}.</span> Nothing has changed.')
     return ""
-
-
-def _small(html: str) -> str:
-    return f'<div style="padding:.2em .7em;font-size:.82em;line-height:1.5">{html}</div>'
-
-
-def _set(handle: object, name: str, value: object) -> None:
-    if getattr(handle, name) != value:
-        setattr(handle, name, value)
