@@ -1,0 +1,55 @@
+"""A hand led from above the base over its edge to the side and back: no jump, no contact."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.robot.model import RobotModel
+from app.simulation.session import DT, Session, Step
+from app.simulation.start import StartSolver
+
+ABOVE, OUT, DOWN = (-0.10, 0.20, 0.60), (0.05, 0.60, 0.52), (0.15, 0.53, 0.28)
+"""[m] over the deck, beside its edge, and at the flank inside the buffer; the base is at the origin
+facing +x at the start, its flank at y = 0.29 and its top at z = 0.38."""
+LEG = 2.0  # [s] from one place to the next
+
+
+@pytest.fixture(scope="module", params=[1.0, -1.0], ids=["left", "right"])
+def steps(request, robot: RobotModel, border_data: BorderData) -> list[Step]:
+    """Over the edge and down to the side, and the same way back."""
+    side = np.array([1.0, request.param, 1.0])
+    places = [side * place for place in (ABOVE, OUT, DOWN, OUT, ABOVE)]
+    q_m = StartSolver(robot, border_data.pairs, Config().border.d_b).solve(tuple(places[0]))
+    session = Session(robot, border_data, Config())
+    session.reset(q_m)
+    ways = [(a, b, s) for a, b in pairwise(places) for s in np.linspace(0, 1, round(LEG / DT))]
+    taken = [session.step(pull=a + s * s * (3 - 2 * s) * (b - a)) for a, b, s in ways]
+    session.close()
+    return taken
+
+
+def test_nothing_touches_and_every_qp_has_a_solution(steps):
+    assert not any(any(step.contacts) or not step.output.solved for step in steps)
+    assert min(min(step.distances[:2]) for step in steps) > 0.03
+
+
+def test_the_normal_turns_from_upwards_to_sideways_and_back(steps):
+    """Else the way would not have led over the edge inside of the buffer."""
+    nearest = [min(step.output.avoidance.mobile, key=lambda p: p.closest.d) for step in steps]
+    inside = np.array([p.closest.n[2] for p in nearest if p.beta > 0.0])
+    assert inside.min() < 0.65
+    assert inside.max() > 0.8
+
+
+def test_neither_torques_nor_the_base_jump(steps):
+    """A torque changes by its rate limit at most; what is asked of the base stays in its limits."""
+    for before, after in pairwise(steps):
+        jump = np.abs(after.output.u_a - before.output.u_a).max()
+        assert jump <= Config().limit.torque_rate * DT + 1e-9
+        asked = after.output.base_acceleration - before.output.base_acceleration
+        assert np.abs(asked).max() < 0.1
