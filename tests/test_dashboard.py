@@ -358,7 +358,7 @@ def test_the_border_is_drawn_anew_only_when_it_has_changed(scene, borders):
     view.borders["lm-l3"] = "determinant"
     assert cloud.update(view, config)
     assert [legend.pair for legend in cloud.legends] == ["lm-lEE", "lm-l3"]
-    assert [legend.quantity for legend in cloud.legends] == ["score", "determinant"]
+    assert [legend.title[:3] for legend in cloud.legends] == ["sco", "det"]
 
 
 @pytest.mark.parametrize("quantity", ["determinant", "reachability", "score"])
