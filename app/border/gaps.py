@@ -18,6 +18,8 @@ LEAST_GAP = 40.0
 """[rays] narrower gaps are chance."""
 MARGIN = 10.0
 """[rays] by which a gap is kept narrower on either side: samples are not everywhere."""
+STEEPEST_GAP = 1500.0
+"""[rays/m] by which the half of a gap's width may grow from height to height."""
 
 
 @compiled("Tuple((f8[::1], f8[::1]))(f8[:], f8[:], f8[:], i8[:], i8[:], c16[:,:], f8, i8)")

@@ -19,6 +19,7 @@ from app.border.gaps import (
     MARGIN,
     NEAR_CONTOUR,
     NEAR_HEIGHT,
+    STEEPEST_GAP,
     widest_gaps,
 )
 from app.border.offset import RAYS, OffsetContours, OnContour
@@ -164,4 +165,7 @@ def find_gap(border: Border, offset: OffsetContours) -> Gap:
     if not len(known):
         return Gap(np.zeros(len(heights)), half)
     turns = np.unwrap(centre[known], period=RAYS)
+    # Where the border begins a gap would open within one height, and the foot move as fast.
+    apart = np.abs(heights[:, None] - heights)
+    half = (half + STEEPEST_GAP * apart).min(axis=1)
     return Gap(np.interp(np.arange(len(heights)), known, turns), half)
