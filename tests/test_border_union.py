@@ -194,6 +194,29 @@ def test_where_the_arm_never_is_the_contours_are_open(offset: OffsetContours):
     assert front.p[:2] == pytest.approx([-0.12, 0.02], abs=1e-3)
 
 
+def test_a_gap_that_begins_at_a_height_opens_no_faster_than_the_foot_may_move(
+    offset: OffsetContours,
+) -> None:
+    """All around the tower below 0.8 m, around its front only above."""
+    turn = np.linspace(0.0, 2 * np.pi, 400, endpoint=False)
+    around = np.array([offset.nearest(TOWER[0][:2] + 0.5 * np.array([np.cos(a), np.sin(a)]), 0.7).xy
+                       for a in turn])  # fmt: skip
+    layers = [
+        np.column_stack([xy, np.full(len(xy), z)])
+        for z in np.arange(0.6, 1.0, 0.004)
+        for xy in [around if z < 0.8 else around[around[:, 0] > TOWER[0][0]]]
+    ]
+    points = np.concatenate(layers)
+    surface = BorderSurface(Border("lm-lEE", D_B, 0.01, points, points[:, 2].copy()), offset)
+    climb = np.linspace(0.7, 0.9, 20001)
+    for beside in ([-0.52, 0.0], [-0.5, 0.15], [-0.49, -0.2]):
+        feet = np.array([surface.nearest(np.array([*beside, z])).p for z in climb])
+        assert feet[0, 0] < -0.55  # behind the tower, then at the gap's end
+        assert feet[-1, 0] > -0.45
+        steps = np.linalg.norm(np.diff(feet, axis=0), axis=1)
+        assert steps.max() < 40 * (climb[1] - climb[0])
+
+
 def test_pieces_are_what_of_the_rings_lies_on_the_offset(offset: OffsetContours):
     for z, islands in ((0.2, 1), (0.45, 3), (0.8, 2), (1.2, 1)):
         pieces = offset.contours(z)

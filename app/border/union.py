@@ -18,6 +18,7 @@ Array = np.ndarray
 
 _MOST_CORNERS = 64
 _SAME_CORNER = 0.01  # [m] between the two ends that meet in one corner, at most
+_SAGITTA = 1e-4  # [m] by which an edge's inside is nearer than its vertices, at most
 _TOUCHING = 1e-9  # [m] nearer to a corner than that a way to it has no direction
 
 BLOCK = 24
@@ -105,9 +106,14 @@ def _visible(
 
 
 @compiled()
-def _take(best: Array, p: complex, at: complex, tangent: complex, place: float) -> None:
-    """Keep a point of the contours if it is the nearest so far: `best` is distance, place, x, …"""
-    away = abs(p - at)
+def _take(
+    best: Array, p: complex, at: complex, tangent: complex, place: float, further: float = 0.0
+) -> None:
+    """Keep a point of the contours if it is the nearest so far: `best` is distance, place, x, …
+
+    It counts as `further` [m] away than it is.
+    """
+    away = abs(p - at) + further
     if away < best[0]:
         tangent /= abs(tangent)
         best[0], best[1] = away, place
@@ -148,7 +154,7 @@ def _search_block(
                     continue
                 at, turn = start + along * (end - start), t + along * (t_next - t)
                 if along != (hidden_low if side == 0 else hidden_high):  # the reach ends there
-                    _take(best, p, at, turn, first + i + along)
+                    _take(best, p, at, turn, first + i + along, _SAGITTA)  # after a foot
                 elif count < len(corners):
                     turn /= abs(turn)
                     corners[count, 0], corners[count, 1] = at.real, at.imag
