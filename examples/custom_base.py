@@ -23,7 +23,6 @@ class RailBase(BaseKind):
     axes: ClassVar[tuple[Axis, ...]] = (FORWARD,)
     kind: Literal["rail"]
 
-    T = property(lambda self: np.array([[1.0], [0.0], [0.0]]))  # v → (v_x, v_y, ω)
     J_m = property(lambda self: np.eye(1))  # q̇_b → v
     max_velocity = property(lambda self: (self.max_linear_velocity_mps,))
     max_acceleration = property(lambda self: (self.max_linear_acceleration_mps2,))

@@ -116,11 +116,6 @@ class CarLikeBase(BaseKind):
     """Joints of the URDF that turn with the steering; drawn only."""
 
     @property
-    def T(self) -> Array:
-        """See `BaseKind`."""
-        return np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
-
-    @property
     def J_m(self) -> Array:
         """See `BaseKind`."""
         return np.diag([1.0, 1.0 / self.wheelbase_m])

@@ -108,11 +108,6 @@ class DifferentialBase(BaseKind):
     """The same for the right side."""
 
     @property
-    def T(self) -> Array:
-        """See `BaseKind`."""
-        return np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
-
-    @property
     def J_m(self) -> Array:
         """See `BaseKind`; q̇_b are the speeds (θ̇_r, θ̇_l) of the wheels [rad/s]."""
         return mobile_jacobian(self.wheel_radius_m, self.half_track_m)

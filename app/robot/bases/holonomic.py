@@ -32,11 +32,6 @@ class HolonomicBase(BaseKind):
     """[rad/s²]"""
 
     @property
-    def T(self) -> Array:
-        """See `BaseKind`."""
-        return np.eye(3)
-
-    @property
     def J_m(self) -> Array:
         """See `BaseKind`."""
         return np.eye(3)

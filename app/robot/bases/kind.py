@@ -57,10 +57,14 @@ class Planar(NamedTuple):
 
 def planar(axes: Sequence[Axis], values: Sequence[float] | Array) -> Planar:
     """What values along the axes (n_b,) come to in the base's frame."""
-    sums = {"forward": 0.0, "left": 0.0, "turn": 0.0}
-    for axis, value in zip(axes, values, strict=True):
-        sums["turn" if axis.angular else axis.way] += float(value)
-    return Planar(**sums)
+    return Planar(*(twist_map(axes) @ np.asarray(values, dtype=float)).tolist())
+
+
+def twist_map(axes: Sequence[Axis]) -> Array:
+    """(3, n_b) from values along the axes to forward, left and turn; each axis has one of them."""
+    rows = ("forward", "left", "turn")
+    columns = [rows.index("turn" if axis.angular else axis.way) for axis in axes]
+    return np.eye(3)[:, columns]
 
 
 class BaseForce(NamedTuple):
@@ -147,9 +151,9 @@ class BaseKind(Sourced, ABC):
         return len(self.axes)
 
     @property
-    @abstractmethod
     def T(self) -> Array:
         """(3, n_b) from ν to the twist (v_x, v_y, ω_z) in the base's frame; TᵀT = I."""
+        return twist_map(self.axes)
 
     @property
     @abstractmethod
