@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from app.compiled import compiled
 from app.config import HandConfig
 from app.errors import TargetError
 
@@ -58,6 +59,47 @@ def _finite_point(point: Sequence[float] | Array, what: str) -> Array:
     return place
 
 
+@compiled()
+def _shorten(vector: Array, longest: float) -> None:
+    """Make a vector (3,) no longer than this."""
+    length = math.sqrt(vector[0] ** 2 + vector[1] ** 2 + vector[2] ** 2)
+    if length > longest:
+        for i in range(3):
+            vector[i] *= longest / length
+
+
+@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8)")
+def _pull(
+    hand: Array, target: Array, p_ee: Array, v_ee: Array, stiffness: float, damping: float,
+    f_max: float, dt: float,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Move the person's hand for one period: p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
+
+    Args:
+        hand: (2, 3) p [m] and ṗ [m/s].
+        target: (3,) [m]
+        p_ee: (3,) [m]
+        v_ee: (3,) [m/s]
+        stiffness: [N/m]
+        damping: [N s/m]
+        f_max: [N]
+        dt: [s]
+
+    Returns:
+        The hand a period later, and (3,) [N] what the person does then.
+    """
+    moved, force = np.empty((2, 3)), np.empty(3)
+    for i in range(3):
+        a = _QUICKNESS**2 * (target[i] - hand[0, i]) - 2 * _QUICKNESS * hand[1, i]
+        moved[1, i] = hand[1, i] + a * dt
+    _shorten(moved[1], _TOP_SPEED)
+    for i in range(3):
+        moved[0, i] = hand[0, i] + moved[1, i] * dt
+        force[i] = stiffness * (moved[0, i] - p_ee[i]) - damping * v_ee[i]
+    _shorten(force, f_max)
+    return moved, force
+
+
 class PersonHand:
     """F = K (p - p_ee) - D v_ee, no stronger than f_max, where p follows the target smoothly.
 
@@ -75,12 +117,12 @@ class PersonHand:
         """
         self.config = config
         self._dt = dt
-        self._p: Array | None = None
+        self._hand: Array | None = None  # (2, 3) place [m] and velocity [m/s]
 
     @property
     def place(self) -> Array | None:
         """(3,) [m] where the person's hand is, in the world; None if it does not hold the robot."""
-        return None if self._p is None else self._p.copy()
+        return None if self._hand is None else self._hand[0].copy()
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array | None) -> Array:
         """The person's force on the end-effector for one period.
@@ -97,22 +139,23 @@ class PersonHand:
             TargetError: The target lies below the floor, or is not three finite numbers.
         """
         if target is None:
-            self._p = None
+            self._hand = None
             return np.zeros(3)
-        if self._p is None:
-            self._p, self._v = np.array(p_ee, dtype=float), np.zeros(3)
-        self._follow(checked_target(target))
-        pull = self.config.stiffness * (self._p - p_ee) - self.config.damping * v_ee
-        return _limited(pull, self.config.f_max)
+        place = np.asarray(target)
+        if not _allowed(place):
+            place = checked_target(target)
+        if self._hand is None:
+            self._hand = np.array([p_ee, np.zeros(3)], dtype=float)
+        config = self.config
+        self._hand, force = _pull(
+            self._hand, place, p_ee, v_ee, config.stiffness, config.damping, config.f_max, self._dt
+        )
+        return force
 
-    def _follow(self, target: Array) -> None:
-        """Move p: p̈ = ω² (target - p) - 2 ω ṗ, with limited speed."""
-        a = _QUICKNESS**2 * (target - self._p) - 2 * _QUICKNESS * self._v
-        self._v = _limited(self._v + a * self._dt, _TOP_SPEED)
-        self._p = self._p + self._v * self._dt
 
-
-def _limited(vector: Array, longest: float) -> Array:
-    """The vector, shortened to a length."""
-    length = math.sqrt(vector @ vector)
-    return vector if length <= longest else vector * (longest / length)
+def _allowed(place: Array) -> bool:
+    """Whether a target needs no closer look; each step has one, so this has to be quick."""
+    if place.shape != (3,) or place.dtype != np.float64:
+        return False
+    x, y, z = place.tolist()
+    return -_FARTHEST <= x <= _FARTHEST and -_FARTHEST <= y <= _FARTHEST and 0.0 <= z <= _FARTHEST
