@@ -163,6 +163,21 @@ def test_when_worker_processes_die_the_work_is_done_without_them(caplog):
     assert "one process" in caplog.text
 
 
+class Made:
+    """Counts how often it is made."""
+
+    count = 0
+
+    def __init__(self) -> None:
+        Made.count += 1
+
+
+def test_within_one_process_the_context_is_made_once_for_all_work():
+    with Workers(Made, processes=1) as workers:
+        first, second = (list(workers.map(lambda made, _: made, [1, 2])) for _ in range(2))
+    assert len({*first, *second}) == Made.count == 1
+
+
 CTRL_C = """
 import time
 from functools import partial

@@ -86,6 +86,18 @@ def test_a_reset_begins_the_same_run_again(make):
     assert np.abs(angles).max() > 0.01
 
 
+@pytest.mark.parametrize("physics", ["kinematic", "planar"])
+def test_the_wheels_roll_as_far_as_the_base_goes(make, physics):
+    session = make(physics)
+    last = pulled(session, 1200)[-1]
+    base = session.model.description.base
+    right, left = session.wheel_angles * base.wheel_radius_m
+    turned = session.physics.measure().base_pose[2]
+    assert abs(turned) > 0.01
+    assert right - left == pytest.approx(2 * base.half_track_m * turned, abs=1e-3)
+    assert last.truth.base_velocity.any()
+
+
 def test_a_reset_forgets_the_persons_hold_and_the_count_of_failures(make, q_start):
     session = make()
     pulled(session, 300)

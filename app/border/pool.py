@@ -35,6 +35,7 @@ class Workers:
         self._make_context = make_context
         self._processes = processes or os.cpu_count() or 1
         self._executor: ProcessPoolExecutor | None = None
+        self._own: Any = None  # the context within this process, once it is needed
 
     def __enter__(self) -> Workers:
         self._others = set(mp.active_children())
@@ -68,9 +69,10 @@ class Workers:
                 self._executor.shutdown(wait=False, cancel_futures=True)
                 self._executor = None
         if done < len(jobs):
-            context = self._make_context()
+            if self._own is None:
+                self._own = self._make_context()
             for job in jobs[done:]:
-                yield function(context, job)
+                yield function(self._own, job)
 
 
 def _start_worker(make_context: Callable[[], Any]) -> None:

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Iterable
 from itertools import combinations
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from app.errors import AssetError
 from app.simulation.contact_pairs import ContactPairs
@@ -81,13 +81,20 @@ class BulletWorld:
 
     def contacts(self) -> Contacts:
         """Contacts found in the last step."""
-        among_robot = pybullet.getContactPoints(self.robot, self.robot, physicsClientId=self.client)
-        on_floor = pybullet.getContactPoints(self.robot, self.floor, physicsClientId=self.client)
-        groups = {self._contact_of.get((c[3], c[4])) for c in among_robot if _touches(c)}
+        found = pybullet.getContactPoints(self.robot, physicsClientId=self.client)
+        touching = [c for c in found if _touches(c)]
+        groups = {self._contact_of.get((c[3], c[4])) for c in touching if c[1] == c[2]}
         return Contacts(
             arm_base="arm_base" in groups,
             arm_arm="arm_arm" in groups,
-            arm_floor=any(c[3] in self._reach_floor for c in on_floor if _touches(c)),
+            arm_floor=any(self._on_floor(c) for c in touching),
+        )
+
+    def _on_floor(self, contact: tuple[Any, ...]) -> bool:
+        """Whether it is one of the floor with a link that must not touch it."""
+        _, a, b, link_a, link_b = contact[:5]
+        return (b == self.floor and link_a in self._reach_floor) or (
+            a == self.floor and link_b in self._reach_floor
         )
 
     def rewind(self) -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -12,7 +11,33 @@ from app.simulation.session import Step
 
 Array = np.ndarray
 
+_TOGETHER = 100  # control steps
 _DEAD_BAND = 0.01  # [m/s², rad/s²] within which an acceleration has no sign
+
+
+class Batch:
+    """Steps that wait until there are enough to be looked at together, which is far quicker."""
+
+    def __init__(self, take: Callable[[Sequence[Step]], None]) -> None:
+        """Nothing waits.
+
+        Args:
+            take: Called with some steps, never none, in their order.
+        """
+        self._take = take
+        self._waiting: list[Step] = []
+
+    def add(self, step: Step) -> None:
+        """Take one control step."""
+        self._waiting.append(step)
+        if len(self._waiting) >= _TOGETHER:
+            self.flush()
+
+    def flush(self) -> None:
+        """Nothing waits any longer."""
+        if self._waiting:
+            waiting, self._waiting = self._waiting, []
+            self._take(waiting)
 
 
 class Changes:
@@ -27,14 +52,14 @@ class Changes:
         self.path = self.torque_jump = 0.0
         self._last: Step | None = None
 
-    def add(self, step: Step) -> None:
-        """Take one control step."""
-        if self._last is not None:
-            jump = step.output.u_a - self._last.output.u_a
-            self.torque_jump = max(self.torque_jump, *map(abs, jump.tolist()))
-            x, y, _ = (step.truth.base_pose - self._last.truth.base_pose).tolist()
-            self.path += math.hypot(x, y)
-        self._last = step
+    def add(self, steps: Sequence[Step]) -> None:
+        """Take the next control steps."""
+        row = steps if self._last is None else [self._last, *steps]
+        jumps = np.abs(np.diff([step.output.u_a for step in row], axis=0))
+        self.torque_jump = _largest(jumps.ravel(), self.torque_jump)
+        x, y, _ = np.diff([step.truth.base_pose for step in row], axis=0).T
+        self.path += float(np.hypot(x, y).sum())
+        self._last = steps[-1]
 
 
 class Smoothness:
@@ -46,24 +71,21 @@ class Smoothness:
 
     def __init__(self, base: BaseKind) -> None:
         self._angular = [axis.angular for axis in base.axes]
-        self._last: list[float] | None = None
+        self._last: Array | None = None
         self._sign = [0.0] * base.n_b
         self._jump = [0.0] * base.n_b
         self._changes = [0] * base.n_b
 
-    def add(self, now: Array) -> None:
-        """Take one control step's acceleration (n_b,)."""
-        values = now.tolist()
-        last = values if self._last is None else self._last
-        for i, value in enumerate(values):
-            jump = abs(value - last[i])
-            if jump > self._jump[i]:
-                self._jump[i] = jump
-            if not -_DEAD_BAND <= value <= _DEAD_BAND:
-                sign = math.copysign(1.0, value)
-                self._changes[i] += sign * self._sign[i] < 0
-                self._sign[i] = sign
-        self._last = values
+    def add(self, values: Array) -> None:
+        """Take the accelerations (k, n_b) of the next control steps."""
+        row = values if self._last is None else np.vstack([self._last, values])
+        self._last = values[-1]
+        for i, jumps in enumerate(np.abs(np.diff(row, axis=0)).T):
+            self._jump[i] = _largest(jumps, self._jump[i])
+            column = values[:, i]
+            signs = np.append(self._sign[i], np.sign(column[np.abs(column) > _DEAD_BAND]))
+            self._changes[i] += int(np.count_nonzero(signs[1:] * signs[:-1] < 0.0))
+            self._sign[i] = float(signs[-1])
 
     @property
     def jumps(self) -> tuple[float, float]:
@@ -86,3 +108,8 @@ class Smoothness:
                 "angular": int(self._worst(self._changes, angular=True)),
             },
         }
+
+
+def _largest(values: Array, so_far: float) -> float:
+    """What is not a number is not the largest."""
+    return float(np.fmax.reduce(values, initial=so_far))

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from app.simulation.changes import Changes, Smoothness
+from app.simulation.changes import Batch, Changes, Smoothness
 from app.simulation.leading import Lead, Leader
 from app.simulation.people import Hold, PersonForces
 from app.simulation.session import Session, Step
@@ -64,31 +65,40 @@ class ScoreKeeper:
         """Begin to count."""
         self._session = session
         self._base = session.model.body_names[0]
-        self._least = self._now = float("inf")
-        self._error = self._error_max = 0.0
+        self._least, self._error_max = float("inf"), 0.0
+        self._last: Step | None = None
+        self._batch = Batch(self._take)
         self._changes, self._asked = Changes(), Smoothness(session.model.description.base)
         self._contacts = 0
 
     def add(self, step: Step) -> None:
         """Take one control step."""
+        self._last = step
+        self._batch.add(step)
+
+    def _take(self, steps: Sequence[Step]) -> None:
+        self._least = min(self._least, *map(self._clearance, steps))
+        self._error_max = max(self._error_max, *(step.ee_error for step in steps))
+        self._contacts += sum(step.contacts.arm_base for step in steps)
+        self._changes.add(steps)
+        self._asked.add(np.array([step.output.base_acceleration for step in steps]))
+
+    def _clearance(self, step: Step) -> float:
         pairs = zip(step.output.avoidance.pairs, step.distances, strict=True)
         mobile = (d for pair, d in pairs if pair.closest.pair.a == self._base)
-        self._now = min(mobile, default=float("inf"))
-        self._least = min(self._least, self._now)
-        self._error, self._error_max = step.ee_error, max(self._error_max, step.ee_error)
-        self._contacts += step.contacts.arm_base
-        self._changes.add(step)
-        self._asked.add(step.output.base_acceleration)
+        return min(mobile, default=float("inf"))
 
     @property
     def clearance(self) -> float:
         """[m] least distance of the pairs of L_m at the last step."""
-        return self._now
+        return float("inf") if self._last is None else self._clearance(self._last)
 
     def score(self) -> Score:
         """The score so far."""
+        self._batch.flush()
         return Score(
-            self._session.controller.name, self._least, self._error, self._error_max,
+            self._session.controller.name, self._least,
+            0.0 if self._last is None else self._last.ee_error, self._error_max,
             self._changes.path, *self._asked.jumps, self._changes.torque_jump, self._contacts,
         )  # fmt: skip
 

@@ -47,20 +47,14 @@ class Kinematic:
         self._state = RobotState(model)
         self._overlaps = _Overlaps(model, outer)
         self._drive = Drive(model.description.base, dt)
-        self._base, self._T = model.description.base, model.description.base.T
+        self._T = model.description.base.T
         self.reset(np.zeros(3), np.array(model.description.arm.ready_position))
-
-    @property
-    def wheel_angles(self) -> Array:
-        """(n_w,) [rad] of the base's `wheels`, as the right and the left side."""
-        return self._wheel_angles.copy()
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
         """See `Physics.reset`."""
         self._drive.reset()
         self._base_pose = np.array(base_pose, dtype=float)
         self._q, self._qd = np.array(q_m, dtype=float), np.zeros(self._model.n_m)
-        self._wheel_angles = np.zeros(len(self._base.wheels))
         self._stepped = False
 
     def measure(self) -> Measurement:
@@ -85,9 +79,6 @@ class Kinematic:
         self._qd += self._arm_acceleration(u_a + self._felt(hand_force, pushes), qdd_b) * self.dt
         self._q += self._qd * self.dt
         self._base_pose += world_twist(self._T @ now, self._base_pose[2], self.dt) * self.dt
-        self._wheel_angles = self._base.turned(
-            self._wheel_angles, rolling @ now, self._drive.state, self.dt
-        )
         self._stepped = True
 
     def contacts(self) -> Contacts:

@@ -55,16 +55,10 @@ class PybulletPlanar:
         self._planar = [self.world.joints[name] for name in PLANAR_JOINTS]
         self._joints = [*self._planar, *self.arm.joints]
         self._drive = Drive(description.base, dt)
-        self._base, self._T = description.base, description.base.T
-        self._rolling = model.J_m_inv
+        self._T = description.base.T
         traction = description.base.traction_limit_n
         self._limits = [traction, traction, description.base.yaw_limit_nm]
         self.reset(np.zeros(3), np.array(description.arm.ready_position))
-
-    @property
-    def wheel_angles(self) -> Array:
-        """(n_w,) [rad] of the base's `wheels`, as the right and the left side."""
-        return self._wheel_angles.copy()
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
         """See `Physics.reset`."""
@@ -77,7 +71,6 @@ class PybulletPlanar:
             )
         self.arm.reset(q_m)
         self._drive.reset()
-        self._wheel_angles = np.zeros(len(self._base.wheels))
         if self.door is not None:
             self.door.reset()
 
@@ -105,9 +98,6 @@ class PybulletPlanar:
         self.arm.drive(u_a)
         self.arm.push(hand_force, pushes)
         self.world.step()
-        self._wheel_angles = self._base.turned(
-            self._wheel_angles, self._rolling @ velocity, self._drive.state, self.dt
-        )
 
     def contacts(self) -> Contacts:
         """See `Physics.contacts`."""

@@ -92,8 +92,11 @@ def _footprint(model: RobotModel) -> tuple[Array, Array]:
 
 
 def _lock_joints(urdf: str, moving: Sequence[str]) -> str:
-    """The URDF with every joint fixed at zero that is not among `moving`."""
+    """The URDF with every joint fixed at zero that is not among `moving`, and nothing to draw."""
     tree = ElementTree.fromstring(urdf)
+    for link in tree.iterfind("link"):
+        for visual in link.findall("visual"):  # pybullet would load its mesh
+            link.remove(visual)
     for joint in tree.iterfind("joint"):
         if joint.get("name") not in moving:
             joint.set("type", "fixed")

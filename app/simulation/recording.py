@@ -12,7 +12,7 @@ import numpy as np
 from app.control.buffer_watch import BufferReading
 from app.robot.bases.kind import Axis
 from app.robot.model import RobotModel
-from app.simulation.changes import Changes, Smoothness
+from app.simulation.changes import Batch, Changes, Smoothness
 from app.simulation.door_record import DoorRecord, door_columns
 from app.simulation.session import Step
 
@@ -29,6 +29,7 @@ class Recorder:
         self._rows: list[dict[str, float]] = []
         self._first: Step | None = None
         self._last: Step | None = None
+        self._batch = Batch(self._take)
         self._names: list[str] = []
         self._least: list[float] = []
         self._mobile: list[bool] = []
@@ -45,39 +46,45 @@ class Recorder:
 
     def add(self, step: Step) -> None:
         """Take one control step."""
-        self._changes.add(step)
-        pairs = step.output.avoidance.pairs
         if self._first is None:
             self._first = step
-            self._names = [p.closest.pair.name for p in pairs]
-            self._mobile = [p.closest.pair.a == self._mobile_body for p in pairs]
+            pairs = [pair.closest.pair for pair in step.output.avoidance.pairs]
+            self._names = [pair.name for pair in pairs]
+            self._mobile = [pair.a == self._mobile_body for pair in pairs]
             self._least = [math.inf] * len(pairs)
-        for i, d in enumerate(step.distances):
-            if d < self._least[i]:
-                self._least[i] = d
-            if pairs[i].beta >= 1.0:
-                self._near_until = step.t
-        self._contacts += step.contacts.arm_base
-        self._arm_contacts += step.contacts.arm_arm
-        self._floor_contacts += step.contacts.arm_floor
-        self._ee_error_max = max(self._ee_error_max, step.ee_error)
-        self._activation_max = max(self._activation_max, step.output.activation)
-        force = math.sqrt(step.hand_force @ step.hand_force)
-        self._hand_force_max = max(self._hand_force_max, force)
-        self._failures += not step.output.solved
-        self._asked.add(step.output.base_acceleration)
-        self._inserted.add(step.output.inserted.base_acceleration)
-        if step.door is not None:
-            self._door = self._door or DoorRecord()
-            self._door.add(step)
-        self._durations.append(step.duration)
-        if (len(self._durations) - 1) % _LOG_EVERY == 0:
-            self._rows.append(_log_row(step, self._axes))
         self._last = step
+        self._batch.add(step)
+
+    def _take(self, steps: Sequence[Step]) -> None:
+        outputs = [step.output for step in steps]
+        until_row = -len(self._durations) % _LOG_EVERY
+        self._rows += [_log_row(step, self._axes) for step in steps[until_row::_LOG_EVERY]]
+        self._durations += [step.duration for step in steps]
+        by_pair = zip(*(step.distances for step in steps), strict=True)
+        self._least = [min(least, *now) for least, now in zip(self._least, by_pair, strict=True)]
+        for step in steps:
+            if any(pair.beta >= 1.0 for pair in step.output.avoidance.pairs):
+                self._near_until = step.t
+        self._contacts += sum(step.contacts.arm_base for step in steps)
+        self._arm_contacts += sum(step.contacts.arm_arm for step in steps)
+        self._floor_contacts += sum(step.contacts.arm_floor for step in steps)
+        self._failures += sum(not output.solved for output in outputs)
+        self._ee_error_max = max(self._ee_error_max, *(step.ee_error for step in steps))
+        self._activation_max = max(self._activation_max, *(out.activation for out in outputs))
+        forces = np.linalg.norm([step.hand_force for step in steps], axis=1)
+        self._hand_force_max = max(self._hand_force_max, float(forces.max()))
+        self._changes.add(steps)
+        self._asked.add(np.array([out.base_acceleration for out in outputs]))
+        self._inserted.add(np.array([out.inserted.base_acceleration for out in outputs]))
+        for step in steps:
+            if step.door is not None:
+                self._door = self._door or DoorRecord()
+                self._door.add(step)
 
     @property
     def rows(self) -> list[dict[str, float]]:
         """The log, one row a hundredth of a second; read it only."""
+        self._batch.flush()
         return self._rows
 
     @property
@@ -94,6 +101,7 @@ class Recorder:
         """
         assert self._first is not None, "no step was recorded"
         assert self._last is not None
+        self._batch.flush()
         begin, end = self._first.truth.base_pose, self._last.truth.base_pose
         durations = np.array(self._durations) * 1e6
         needed = self.buffer.needed_max
@@ -133,9 +141,9 @@ class Recorder:
     def write_log(self, path: Path) -> None:
         """Write the log, one row a hundredth of a second, as CSV; columns end in their unit."""
         with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, fieldnames=list(self._rows[0]))
+            writer = csv.DictWriter(file, fieldnames=list(self.rows[0]))
             writer.writeheader()
-            writer.writerows(self._rows)
+            writer.writerows(self.rows)
 
 
 def _log_row(step: Step, axes: Sequence[Axis]) -> dict[str, float]:

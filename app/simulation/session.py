@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from time import perf_counter
 from typing import NamedTuple
@@ -204,7 +205,7 @@ class Session:
         person = self._people.forces(holds, pulls) if forces is None else forces
         target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
-        error = float(np.linalg.norm(p_ee - aim))
+        error = math.dist(p_ee, aim)
         self.physics.step(output.u_a, self._disturbances.arriving(command), *person)
         self.wheel_angles = self._base.turned(
             self.wheel_angles, state.qd[: self.model.n_b], truth.drive, DT

@@ -50,6 +50,7 @@ class StartSolver:
         self._model = model
         self._d_b = d_b
         self._state = RobotState(model)
+        self._placed = np.array(model.description.arm.ready_position)  # (n_m,) of the state
         self._monitor = DistanceMonitor(self._state, [*pairs.mobile, *pairs.manipulator])
         self._floor = FloorDistance(self._state)
         self._range = model.q_upper - model.q_lower
@@ -132,7 +133,8 @@ class StartSolver:
         return np.array([*(np.cos(pitch) * outwards), -np.sin(pitch)])
 
     def _place(self, q: Array) -> None:
-        self._state.update(at_rest(self._model, q))
+        self._state.update_kinematics(at_rest(self._model, q))
+        self._placed = q.copy()
 
     def reaches(self, p_ee: tuple[float, float, float], *, seed: int = 0, tries: int = 4) -> bool:
         """Whether the hand comes to `p_ee` [m] within the joints' limits, however it points."""
@@ -163,7 +165,8 @@ class StartSolver:
             )
 
         def jacobian(q: Array) -> Array:
-            self._place(q)
+            if not np.array_equal(q, self._placed):  # mostly the residual was asked just there
+                self._place(q)
             J = state.J_ee[:, self._model.n_b :]
             pointing = -pointed * pin.skew(state.T_world_ee.rotation[:, 2]) @ J[3:]
             return np.vstack([10.0 * J[:3], pointing, 1e-5 * np.diag(1 / self._range)])

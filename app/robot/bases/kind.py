@@ -244,27 +244,23 @@ class BaseKind(Sourced, ABC):
         del drive
         # Exact for a command held over the step, so that any dt is stable.
         gain = -math.expm1(-dt / self.drive_time_constant_s)
-        return np.array(
-            [
-                now + clamp((clamp(float(cmd), v_max) - now) * gain, a_max * dt)
-                for now, cmd, v_max, a_max in zip(
-                    v.tolist(), v_cmd, self.max_velocity, self.max_acceleration, strict=True
-                )
-            ]
-        )
+        return v + self._response(v, v_cmd, gain, dt)
 
     def drive_acceleration(
         self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
     ) -> Array:
         """What the drive does now with a command, (n_b,): clip((v_cmd - v)/τ, ±limits)."""
         del drive
+        return self._response(v, v_cmd, 1.0 / self.drive_time_constant_s, 1.0)
+
+    def _response(
+        self, v: Sequence[float] | Array, v_cmd: Sequence[float] | Array, gain: float, dt: float
+    ) -> Array:
+        """(n_b,) gain times what a command is off, no more than the accelerations do in dt [s]."""
+        limits = zip(self.max_velocity, self.max_acceleration, strict=True)
+        axes = zip(np.asarray(v).tolist(), np.asarray(v_cmd).tolist(), limits, strict=True)
         return np.array(
-            [
-                clamp((clamp(float(cmd), v_max) - float(now)) / self.drive_time_constant_s, a_max)
-                for cmd, now, v_max, a_max in zip(
-                    v_cmd, v, self.max_velocity, self.max_acceleration, strict=True
-                )
-            ]
+            [clamp((clamp(cmd, top) - now) * gain, a_max * dt) for now, cmd, (top, a_max) in axes]
         )
 
     def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:
