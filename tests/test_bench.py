@@ -84,5 +84,7 @@ def test_every_figure_is_there(monkeypatch, recorded, robot, border_data) -> Non
     assert result.keys() > KEYS
     assert result["border_build_s"] is None
     assert set(result["step_p50_us_by_points"]["points"]) == {"1000", "3000"}
+    assert result["step_own_p50_us"] <= result["step_p50_us"]
+    assert result["step_own_p99_us"] <= result["step_p99_us"]
     assert result["floor_ratio"] == pytest.approx(result["step_p50_us"] / result["floor_p50_us"])
     assert len(stages) == 6
