@@ -37,6 +37,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from app.compiled import compiled
 from app.config import AdmittanceConfig, Config
 from app.robot.bases.kind import BaseKind, Channel
 
@@ -47,6 +48,71 @@ _LEVER = 0.25  # [m] that ω has at least at the flank
 _LONGEST = 100.0  # [s] time constant that stands for no damping
 _DEPTHS = np.linspace(0.04, 1.0, 25)  # [-] where d_* is tried, as a share of d_b from the border on
 _SIZES = np.geomspace(0.05, 2.0, 25)  # [m] d_b tried
+
+
+@compiled()
+def _gain(v: float, a: float, T: float) -> float:
+    """[m] by how much a point of speed v gets ahead of one that starts with a and reaches a T."""
+    final = max(a * T, 1e-12)
+    return v * T + max(final - v, 0.0) * T * math.log1p(-min(v / final, 1.0 - 1e-9))
+
+
+@compiled()
+def _sum(values: Array) -> float:
+    total = 0.0
+    for value in values:
+        total += value
+    return total
+
+
+@compiled("f8[::1](f8[:], f8[:,:], f8, f8, f8, f8, f8, f8, f8)")
+def _least_distance(
+    d_b: Array, channels: Array, v: float, late: float, kept: float, flat: float, f_max: float,
+    alpha_min: float, d_full: float,
+) -> Array:  # fmt: skip
+    """[m] the largest d_* - x(d_*) of the module for each d_b (k,); minus infinity without any.
+
+    Args:
+        d_b: (k,) [m]
+        channels: (c, 6) J · n, J · t, m_k [kg], a_k and w_k at most, along n, and T_k [s].
+        v: [m/s] of the approach.
+        late: [s] t_0.
+        kept: [-] of a speed that does not slip.
+        flat: [-] horizontal part of n.
+        f_max: [N]
+        alpha_min: [m]
+        d_full: [m] distance of full activation.
+    """
+    count = len(channels)
+    found = np.full(len(d_b), -np.inf)
+    a, w, a_worse, w_worse = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    for i in range(len(d_b)):
+        for depth in _DEPTHS:
+            below = d_b[i] * depth
+            aside = math.hypot(below, alpha_min)
+            rise = min(max(below / (d_b[i] - d_full), 0.0), 1.0)
+            f = rise * rise * (3.0 - 2.0 * rise) * f_max * below / d_b[i] * flat
+            least = np.inf
+            for side in (1.0, -1.0):
+                for k in range(count):
+                    J, J_t, mass, a_max, w_max, T = channels[k]
+                    asked = f * J / mass * (below * J + side * alpha_min * J_t) / aside
+                    a[k] = kept * min(max(asked, -a_max), a_max)
+                    w[k] = min(max(a[k] * T, -kept * w_max), kept * w_max)
+                if _sum(w) <= least:
+                    least = _sum(w)
+                    a_worse[:], w_worse[:] = a, w
+            total = against = 0.0
+            for k in range(count):
+                total += max(w_worse[k], 0.0)
+                against += max(-w_worse[k], 0.0)  # a channel that goes the wrong way
+            if total > v + against:
+                gained = v * late
+                for k in range(count):
+                    share = max(w_worse[k], 0.0) * (v + against) / total
+                    gained += _gain(share, a_worse[k], channels[k, 5])
+                found[i] = max(found[i], d_b[i] - below - gained)
+    return found
 
 
 class Approach(NamedTuple):
@@ -102,25 +168,19 @@ def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Confi
     Returns:
         (k,) [m], minus infinity where the base does not reach the speed at all.
     """
-    ways = [_least_distance(d_b, approach, base, way, config) for way in base.retreats()]
+    flat = float(np.hypot(approach.n[0], approach.n[1]))
+    if flat < 1e-6:
+        return np.full(len(d_b), -np.inf)
+    lead, force = dead_time(base, config), config.force
+    ways = [
+        _least_distance(
+            d_b, _channels(way, approach, base, config), approach.v,
+            lead + max(channel.delay for channel in way), 1.0 - config.disturbance.slip, flat,
+            force.f_max, force.alpha_min, config.activation.d_full,
+        )
+        for way in base.retreats()
+    ]  # fmt: skip
     return np.max(ways, axis=0)
-
-
-def _least_distance(
-    d_b: Array, approach: Approach, base: BaseKind, way: Sequence[Channel], config: Config
-) -> Array:
-    """The same for one of the base's ways to give way."""
-    d_b = np.asarray(d_b, dtype=float)[:, None]
-    d = d_b * (1.0 - _DEPTHS)  # (k, depths)
-    a, w = _retreat(d, d_b, approach, base, way, config)
-    T = _time_constants(way, config)
-    v = approach.v - w.clip(max=0.0).sum(axis=0)  # a channel that goes the wrong way adds to it
-    share, total = w.clip(min=0.0), w.clip(min=0.0).sum(axis=0)
-    fast = total > v
-    v_k = share * np.where(fast, v / np.where(fast, total, 1.0), 0.0)
-    late = dead_time(base, config) + max(channel.delay for channel in way)
-    gained = approach.v * late + _gain(v_k, a, T).sum(axis=0)
-    return np.where(fast, d - gained, -np.inf).max(axis=1)
 
 
 def dead_time(base: BaseKind, config: Config) -> float:
@@ -128,53 +188,28 @@ def dead_time(base: BaseKind, config: Config) -> float:
     return config.admittance.period + config.disturbance.base_delay + base.drive_time_constant_s
 
 
-def _retreat(
-    d: Array, d_b: Array, approach: Approach, base: BaseKind, way: Sequence[Channel], config: Config
-) -> tuple[Array, Array]:
-    """(c, k, depths) acceleration [m/s²] and final speed [m/s] along n, of each channel."""
-    admittance, kept = config.admittance, 1.0 - config.disturbance.slip
-    n, p = approach.n, approach.p_b
-    flat = float(np.hypot(n[0], n[1]))
-    if flat < 1e-6:
-        return np.zeros((len(way), *d.shape)), np.zeros((len(way), *d.shape))
+def _channels(way: Sequence[Channel], approach: Approach, base: BaseKind, config: Config) -> Array:
+    """(c, 6) of one of the base's ways to give way, as `_least_distance` takes them."""
+    admittance, n, p = config.admittance, approach.n, approach.p_b
     lever = n[1] * p[0] - n[0] * p[1]
-    lever = np.copysign(max(abs(lever), _LEVER * abs(n[1])), lever)
-    twists = np.array([channel.twist for channel in way])
-    J = (twists @ [n[0], n[1], lever])[:, None, None]
-    J_t = (twists @ [-n[1], n[0], n[0] * p[0] + n[1] * p[1]])[:, None, None]
-    below = d_b - d
-    aside = np.hypot(below, config.force.alpha_min)
-    c, s = below / aside, config.force.alpha_min / aside
-    rise = (below / (d_b - config.activation.d_full)).clip(0.0, 1.0)
-    beta = rise * rise * (3.0 - 2.0 * rise)
-    f = beta * config.force.f_max * (1.0 - d / d_b) * flat
-    mass = _by_channel(way, base.mass_kg, base.inertia_kgm2)
-    a_max = np.array([channel.a_max for channel in way])[:, None, None] * np.abs(J)
-    w_max = np.array([_top(channel, admittance) for channel in way])[:, None, None] * np.abs(J)
-    T = _time_constants(way, config)
-    found = []
-    for side in (1.0, -1.0):
-        a = kept * (f * J / mass * (c * J + side * s * J_t)).clip(-a_max, a_max)
-        found.append((a, (a * T).clip(-kept * w_max, kept * w_max)))
-    worse = found[0][1].sum(axis=0) < found[1][1].sum(axis=0)
-    (a1, w1), (a2, w2) = found
-    return np.where(worse, a1, a2), np.where(worse, w1, w2)
+    lever = math.copysign(max(abs(lever), _LEVER * abs(n[1])), lever)
+    rows = []
+    for channel in way:
+        J = float(np.dot(channel.twist, [n[0], n[1], lever]))
+        J_t = float(np.dot(channel.twist, [-n[1], n[0], n[0] * p[0] + n[1] * p[1]]))
+        mass = _resisting(channel, base.mass_kg, base.inertia_kgm2)
+        virtual = _resisting(channel, admittance.mass, admittance.inertia)
+        damping = _resisting(channel, admittance.damping, admittance.angular_damping)
+        T = min(virtual / max(damping, 1e-9), _LONGEST)
+        top = _top(channel, admittance)
+        rows.append((J, J_t, mass, channel.a_max * abs(J), top * abs(J), T))
+    return np.array(rows)
 
 
-def _time_constants(way: Sequence[Channel], config: Config) -> Array:
-    """(c, 1, 1) [s] M_a / D_a of the admittance law."""
-    c = config.admittance
-    mass, damping = (
-        _by_channel(way, c.mass, c.inertia),
-        _by_channel(way, c.damping, c.angular_damping),
-    )
-    return np.minimum(mass / np.maximum(damping, 1e-9), _LONGEST)
-
-
-def _by_channel(way: Sequence[Channel], linear: float, angular: float) -> Array:
-    """(c, 1, 1) what resists each channel, from what resists a linear and an angular motion."""
-    squares = np.square([channel.twist for channel in way])
-    return (squares @ [linear, linear, angular])[:, None, None]
+def _resisting(channel: Channel, linear: float, angular: float) -> float:
+    """What resists a channel, from what resists a linear and an angular motion."""
+    x, y, turn = channel.twist
+    return (x * x + y * y) * linear + turn * turn * angular
 
 
 def _top(channel: Channel, config: AdmittanceConfig) -> float:
@@ -186,10 +221,3 @@ def _top(channel: Channel, config: AdmittanceConfig) -> float:
         config.v_max / linear if linear > 0.0 else math.inf,
         config.omega_max / angular if angular > 0.0 else math.inf,
     )
-
-
-def _gain(v: Array, a: Array, T: Array) -> Array:
-    """[m] by how much a point of speed v gets ahead of one that starts with a and reaches a T."""
-    final = np.maximum(a * T, 1e-12)
-    ratio = np.minimum(v / final, 1.0 - 1e-9)
-    return v * T + (final - v).clip(min=0.0) * T * np.log1p(-ratio)
