@@ -23,7 +23,7 @@ def activation(d: float, d_b: float, d_full: float) -> float:
     Returns:
         β in [0, 1], with a continuous derivative in d.
     """
-    return _cubic((d_b - d) / (d_b - d_full))
+    return cubic((d_b - d) / (d_b - d_full))
 
 
 def share_from_above(n_z: float) -> float:
@@ -35,7 +35,7 @@ def share_from_above(n_z: float) -> float:
     Args:
         n_z: [-] vertical component of the pair's unit normal.
     """
-    return _cubic((abs(n_z) - _ONSET) / (1.0 - _ONSET))
+    return cubic((abs(n_z) - _ONSET) / (1.0 - _ONSET))
 
 
 def arm_activation(d: float, n_z: float, config: ActivationConfig) -> float:
@@ -79,7 +79,7 @@ def distance_to_come(d: float, speed: float, config: ActivationConfig) -> float:
     return d + config.ahead * min(max(speed, -_FASTEST), 0.0)
 
 
-def _cubic(s: float) -> float:
+def cubic(s: float) -> float:
     """0 below 0, 1 above 1, a cubic with flat ends between."""
     s = min(max(s, 0.0), 1.0)
     return s * s * (3.0 - 2.0 * s)

@@ -15,6 +15,7 @@ from app.avoidance.activation import (
     mobile_activation,
 )
 from app.avoidance.distances import ClosestPoints, DistanceMonitor
+from app.avoidance.holding import HELD, Holding, arm_holding
 from app.avoidance.mobile_acceleration import PairForce, avoidance_force, generate_mob_acc
 from app.avoidance.repulsion import distance_speed, generate_rep_acc
 from app.avoidance.task import TaskRows, mobile_rows, repulsive_rows
@@ -64,6 +65,7 @@ class Avoidance(NamedTuple):
         rows_m: The base's rows, or None while β_m = 0.
         rows_arm: The arm's active rows against the base, from above or as the last resort.
         rows_links: The arm's active rows between its own links, (22) and (23).
+        holding: How far the arm keeps the hand's place while the base gives way.
     """
 
     pairs: tuple[PairState, ...]
@@ -73,6 +75,7 @@ class Avoidance(NamedTuple):
     rows_m: TaskRows | None
     rows_arm: tuple[TaskRows, ...]
     rows_links: tuple[TaskRows, ...]
+    holding: Holding = HELD
 
     @property
     def mobile(self) -> tuple[PairState, ...]:
@@ -118,7 +121,8 @@ class SelfCollisionAvoidance:
         """
         closest = self._monitor.find_closest_points()
         n_mobile = len(self._pairs.mobile)
-        mobile = [self._mobile_pair(c) for c in closest[:n_mobile]]
+        holding = self._holding(closest[:n_mobile])
+        mobile = [self._mobile_pair(c, holding.share) for c in closest[:n_mobile]]
         others = [PairState(c, self._beta(c.d), None, np.zeros(3)) for c in closest[n_mobile:]]
         base = self._state.model.description.base
         forces = [PairForce(p.f, p.acting.p_act) for p in mobile if p.acting is not None]
@@ -128,19 +132,25 @@ class SelfCollisionAvoidance:
         if beta_m > 0.0:
             rows_m = mobile_rows(self._state.model.J_m, self._state.model.n, xdd_m, beta_m)
         own, links = self._rows_against_base(mobile), self._rows_between_links(others)
-        return Avoidance((*mobile, *others), n_mobile, xdd_m, beta_m, rows_m, own, links)
+        return Avoidance((*mobile, *others), n_mobile, xdd_m, beta_m, rows_m, own, links, holding)
 
     def _beta(self, d: float) -> float:
         return activation(d, self._config.border.d_b, self._config.activation.d_full)
 
-    def _mobile_pair(self, closest: ClosestPoints) -> PairState:
+    def _holding(self, mobile: list[ClosestPoints]) -> Holding:
+        """How far the arm holds its hand; only where a pair of L_m is inside the buffer."""
+        if all(c.d >= self._config.border.d_b for c in mobile):
+            return HELD
+        return arm_holding(self._state, self._config.admittance.v_max)
+
+    def _mobile_pair(self, closest: ClosestPoints, share: float) -> PairState:
         """Lines 4 to 6 for one pair of L_m."""
         beta, arm_beta = self._beta(closest.d), self._arm_beta(closest)
         if beta == 0.0:
             return PairState(closest, 0.0, None, np.zeros(3), arm_beta)
         p_b = self._state.to_base(closest.p_b)
         finder = self._finders[closest.pair.name]
-        acting = finder.find_acting_point(p_b, closest.d, self._config.force)
+        acting = finder.find_acting_point(p_b, closest.d, self._config.force, share=share)
         if acting is None:
             return PairState(closest, beta, None, np.zeros(3), arm_beta)
         f = avoidance_force(

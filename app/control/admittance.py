@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from app.config import AdmittanceConfig
@@ -56,9 +58,7 @@ class AdmittanceLaw:
         c = self.config
         mass = by_axis(self._base, c.mass, c.inertia)
         damping = by_axis(self._base, c.damping, c.angular_damping)
-        decay = damping / mass * period
-        # (1 - e^{-x}) / x, which is 1 at x = 0
-        gain = np.where(decay > 1e-12, -np.expm1(-decay) / np.maximum(decay, 1e-12), 1.0)
+        gain = _gain(damping / mass * period)
         F = mass * acceleration
         change = gain * (F - damping * self.command) / mass * period
         change = np.clip(change, -self._a_max * period, self._a_max * period)
@@ -68,6 +68,29 @@ class AdmittanceLaw:
         # A base whose axes depend on each other may get more of one; its direction stays.
         over = float(np.max(np.abs(found) / v_max))
         return found / over if over > 1.0 else found
+
+
+class Response(NamedTuple):
+    """How the law answers an acceleration a: the velocity changes by gain (a - drag ν) on average.
+
+    Attributes:
+        gain: (n_b,) [-]
+        drag: (n_b,) [1/s]
+    """
+
+    gain: Array
+    drag: Array
+
+
+def response(base: BaseKind, config: AdmittanceConfig) -> Response:
+    """The law's response of each axis, within its limits."""
+    drag = by_axis(base, config.damping / config.mass, config.angular_damping / config.inertia)
+    return Response(_gain(drag * config.period), drag)
+
+
+def _gain(decay: Array) -> Array:
+    """(1 - e^{-x}) / x, which is 1 at x = 0."""
+    return np.where(decay > 1e-12, -np.expm1(-decay) / np.maximum(decay, 1e-12), 1.0)
 
 
 def largest_command(base: BaseKind, config: AdmittanceConfig) -> Array:

@@ -11,6 +11,7 @@ from app.avoidance.task import mobile_rows
 from app.border.cache import BorderData
 from app.border.score import ScoreField
 from app.config import Config, TaskConfig, slowed
+from app.control.hand_held import base_with_hand_held
 from app.control.hqp import HierarchicalQP, NoSolutionError
 from app.control.limits import robot_limits, with_barriers
 from app.control.methods import METHODS, Inserted
@@ -183,7 +184,8 @@ class Controller:
         Paper: Eq. (29), the base's rows; the base's own limits are not yet applied.
         """
         rows_m = inserted.rows_m
-        if rows_m is not None and rows_m.beta >= 1.0:
+        kept = inserted.holding.share < 1.0  # then what the hand needs counts, whatever β
+        if rows_m is not None and rows_m.beta >= 1.0 and not kept:
             free = np.zeros(self._model.n_b)  # weighs nothing
         elif reference is None and not inserted.barriers:
             free = base_rest_acceleration(self.state, self._config.task)
@@ -191,7 +193,12 @@ class Controller:
             free = self._model.J_m @ self._slow_solution(inserted, reference)[: self._model.n_b]
         if rows_m is None:
             return free
-        return rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
+        wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
+        if not kept:
+            return wanted
+        return base_with_hand_held(
+            self.state, wanted, free, inserted.holding, rows_m.beta, self._config.admittance
+        )
 
     def _slow_solution(self, inserted: Inserted, reference: Reference | None) -> Array:
         """q̈ of (29) without the base's rows, (n,), its loops as slow as the base is.

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from app.avoidance.barrier import BarrierRow, barrier_row
+from app.avoidance.holding import HELD, Holding
 from app.avoidance.repulsive_force import generate_rep_force_acc
 from app.avoidance.self_collision import Avoidance
 from app.avoidance.task import TaskRows
@@ -26,6 +27,7 @@ class Inserted(NamedTuple):
         rows_arm: The arm's rows that bear on its torques only.
         barriers: Rows that hold whatever the stack asks, for the base and the arm.
         n_b: How many velocity axes the base has.
+        holding: How far the arm keeps the hand's place while the base's rows move it.
     """
 
     rows_m: TaskRows | None = None
@@ -33,6 +35,7 @@ class Inserted(NamedTuple):
     rows_arm: tuple[TaskRows, ...] = ()
     barriers: tuple[BarrierRow, ...] = ()
     n_b: int = 2
+    holding: Holding = HELD
 
     @property
     def rows(self) -> tuple[TaskRows, ...]:
@@ -69,7 +72,10 @@ def dbb(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
     Paper: Algorithm 2, line 14 (UpdateSoT).
     """
     del config
-    return Inserted(avoidance.rows_m, avoidance.rows_links, avoidance.rows_arm, n_b=state.model.n_b)
+    return Inserted(
+        avoidance.rows_m, avoidance.rows_links, avoidance.rows_arm, n_b=state.model.n_b,
+        holding=avoidance.holding,
+    )  # fmt: skip
 
 
 def repulsive(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
