@@ -51,6 +51,7 @@ def check_robot(
     from app.onboarding.check_bodies import arm_row, base_row, pairs_row
     from app.onboarding.check_border import border_row
     from app.onboarding.check_dynamics import dynamics_row, limits_row, ready_row
+    from app.onboarding.check_holding import holding_row
     from app.onboarding.check_run import run_row
 
     tell("compiling")
@@ -63,7 +64,8 @@ def check_robot(
         "pinocchio", "passed", f"loads: {model.n_m} joints, {len(model.body_names)} bodies", {}
     )
     for name, check in (("pybullet", dynamics_row), ("limits", limits_row),
-                        ("base's body", base_row), ("arm's bodies", arm_row)):  # fmt: skip
+                        ("base's body", base_row), ("arm's bodies", arm_row),
+                        ("hand held", holding_row)):  # fmt: skip
         tell(name)
         yield _done(name, check, model)
     tell("sampling pairs and border")

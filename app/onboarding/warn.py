@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from app.onboarding.check_holding import carried_hand, holding_warnings
 from app.onboarding.meetings import ALWAYS
 
 if TYPE_CHECKING:
@@ -18,7 +19,10 @@ _FREE = 0.02  # [-] share of random poses outside of all buffers
 
 def warnings_of(robot: NewRobot) -> list[str]:
     """One sentence each, the gravest first."""
-    return [*_poses(robot), *_bodies(robot), *_joints(robot), *_inertias(robot), *_base(robot)]
+    held = holding_warnings(carried_hand(robot.model, seed=robot.request.seed))
+    return [
+        *_poses(robot), *held, *_bodies(robot), *_joints(robot), *_inertias(robot), *_base(robot)
+    ]  # fmt: skip
 
 
 def _poses(robot: NewRobot) -> list[str]:
