@@ -257,3 +257,23 @@ def test_an_unknown_controller_lists_those_that_exist(
 ) -> None:
     with pytest.raises(UnknownNameError, match="dbb, none"):
         Controller(robot, border_data, Config(), name="dbbb")
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_base_stays_where_an_arm_too_slow_to_hold_its_hand_would_go_along(
+    robot: RobotModel, border_data: BorderData, controller: Controller, seed: int
+) -> None:
+    """The same robot and pose, the joints with a fiftieth of their speed."""
+    m = in_buffer(robot, controller, seed, "lm-lEE")
+    m = measured(robot, m.q_m)
+    arm = robot.description.arm.model_copy(
+        update={"max_velocity": tuple(float(v) for v in robot.qd_max / 50)}
+    )
+    slow = RobotModel(robot.description.model_copy(update={"arm": arm}))
+    held, taken = (c.step(m) for c in (controller, Controller(slow, border_data, AT_ONCE)))
+    assert held.avoidance.holding.share == 1.0
+    assert taken.avoidance.holding.share == 0.0
+    assert held.avoidance.beta_m == taken.avoidance.beta_m > 0.05
+    asked = np.linalg.norm(held.base_acceleration)
+    assert asked > 0.005
+    assert np.linalg.norm(taken.base_acceleration) < 0.15 * asked

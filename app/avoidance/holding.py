@@ -54,13 +54,13 @@ def arm_holding(state: RobotState, v_max: float) -> Holding:
         state: The robot's state.
         v_max: [m/s] largest speed of the base.
     """
-    speeds, along = hand_speeds(state)
+    xx, xy, yy = _ellipse(state)
+    if 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy) >= (_ALL * v_max) ** 2:
+        return HELD  # as it is nearly always, without the directions, which cost time
+    speeds, along = _axes(xx, xy, yy)
     shares = [cubic((s / v_max - _NONE) / (_ALL - _NONE)) for s in speeds]
-    share = min(shares)
-    if share >= 1.0:
-        return HELD
     weight = np.array([(1.0 - s) / (s + 1.0 / _HARDEST) for s in shares])
-    return Holding(share, (along * weight) @ along.T)
+    return Holding(min(shares), (along * weight) @ along.T)
 
 
 def hand_speeds(state: RobotState) -> tuple[tuple[float, float], Array]:
@@ -76,10 +76,15 @@ def hand_speeds(state: RobotState) -> tuple[tuple[float, float], Array]:
     Returns:
         [m/s] the smaller and the larger one, and (2, 2) their directions as columns, in the world.
     """
+    return _axes(*_ellipse(state))
+
+
+def _ellipse(state: RobotState) -> tuple[float, float, float]:
     model = state.model
-    xx, xy, yy = _speed_squares(
-        state.J_ee, state.qd, state.measurement.q_m, model.q_limits, model.qd_max
-    )
+    return _speed_squares(state.J_ee, state.qd, state.measurement.q_m, model.q_limits, model.qd_max)
+
+
+def _axes(xx: float, xy: float, yy: float) -> tuple[tuple[float, float], Array]:
     mean, half = 0.5 * (xx + yy), math.hypot(0.5 * (xx - yy), xy)
     angle = 0.5 * math.atan2(2.0 * xy, xx - yy)  # of the larger one
     c, s = math.cos(angle), math.sin(angle)
