@@ -86,22 +86,28 @@ def holding_row(model: RobotModel) -> Row:
         f"{what}_lost_{each.axis.velocity.rpartition('_')[0]}_share": getattr(each, what)
         for each in carried for what in ("place", "pose")
     }  # fmt: skip
-    told = holding_warnings(carried)
+    told = holding_warning(carried)
     if told:
-        return Row("hand held", "warned", "; ".join(told), numbers)
+        return Row("hand held", "warned", told, numbers)
     worst = max(each.place for each in carried)
     text = f"the arm holds its hand's place in {1 - worst:.0%} of poses, however the base moves"
     return Row("hand held", "passed", text, numbers)
 
 
-def holding_warnings(carried: tuple[Carried, ...]) -> list[str]:
-    """One sentence for each axis of the base along which the arm often cannot hold its hand."""
-    return [
-        f"the arm cannot hold its hand's place while the base {each.text} in {each.place:.0%} of "
-        f"poses near it (with its orientation: {each.pose:.0%}): the base gives way only along "
-        "paths that leave the hand where it is"
-        for each in carried if each.place > _OFTEN
-    ]  # fmt: skip
+def holding_warning(carried: tuple[Carried, ...]) -> str:
+    """A sentence on the base's axes along which the arm often cannot hold its hand, or nothing."""
+    often = [each for each in carried if each.place > _OFTEN]
+    if not often:
+        return ""
+    ways = ", or while it ".join(
+        f"{each.text} (in {each.place:.0%} of poses near it; with its orientation too in "
+        f"{each.pose:.0%})"
+        for each in often
+    )
+    return (
+        f"the arm cannot hold its hand's place while the base {ways}: there the base gives way "
+        "only along paths that leave the hand where it is"
+    )
 
 
 def _near_poses(model: RobotModel, rng: np.random.Generator) -> Array:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from app.onboarding.check_holding import carried_hand, holding_warnings
+from app.onboarding.check_holding import carried_hand, holding_warning
 from app.onboarding.meetings import ALWAYS
 
 if TYPE_CHECKING:
@@ -19,9 +19,10 @@ _FREE = 0.02  # [-] share of random poses outside of all buffers
 
 def warnings_of(robot: NewRobot) -> list[str]:
     """One sentence each, the gravest first."""
-    held = holding_warnings(carried_hand(robot.model, seed=robot.request.seed))
+    held = holding_warning(carried_hand(robot.model, seed=robot.request.seed))
     return [
-        *_poses(robot), *held, *_bodies(robot), *_joints(robot), *_inertias(robot), *_base(robot)
+        *_poses(robot), *filter(None, [held]), *_bodies(robot), *_joints(robot),
+        *_inertias(robot), *_base(robot),
     ]  # fmt: skip
 
 
