@@ -16,6 +16,7 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.dashboard import robot, stage_change
 from app.dashboard.hand import Hold
+from app.dashboard.memory import give_back
 from app.dashboard.robot import RobotParts
 from app.dashboard.robot_list import RobotEntry
 from app.dashboard.server import DashboardServer, serve_dashboard
@@ -168,6 +169,42 @@ def test_ten_changes_leave_nothing_behind() -> None:
         assert max(threads[2:]) <= threads[1]  # fewer, once the tour has asked the browser
         gc.collect()
         assert [ref() is None for ref in models] == [True] * 9 + [False]
+
+
+def test_nothing_of_a_replaced_robot_waits_for_the_next_collection() -> None:
+    """Python might not look for its cycles before several more robots have come."""
+    loops = Loops()
+    with served(loops) as server, viewer(server):
+        choose(server, OTHER)
+        shared, (page,) = server.shared, server.pages.values()
+        old = {
+            type(each).__name__: weakref.ref(each)
+            for each in (shared, shared.model, shared.parts, shared.borders, shared.record,
+                         shared.loop, page, page._scene, page.hand, page.timeline)
+        }  # fmt: skip
+        del shared, page
+        gc.disable()
+        try:
+            choose(server, "husky_panda")
+            assert [name for name, ref in old.items() if ref() is not None] == []
+        finally:
+            gc.enable()
+
+
+def test_memory_is_given_back() -> None:
+    class Node:
+        """Holds itself, and much."""
+
+        def __init__(self) -> None:
+            self.itself, self.held = self, bytearray(1000)
+
+    gc.disable()
+    try:
+        ref = weakref.ref(Node())
+        give_back()
+        assert ref() is None
+    finally:
+        gc.enable()
 
 
 def test_what_a_viewer_held_is_let_go_of() -> None:

@@ -22,7 +22,7 @@ from app.dashboard.panels.sweep import DEFAULT_FOLDER
 from app.dashboard.robot import RobotParts
 from app.dashboard.shared import Shared
 from app.dashboard.stage import set_theme
-from app.dashboard.stage_change import StageChange, StartLoop
+from app.dashboard.stage_change import NewStage, StageChange, StartLoop
 from app.errors import LoopError, ServerError
 from app.robot.model import RobotModel
 from app.simulation.leading import Scenario
@@ -119,9 +119,7 @@ class DashboardServer:
             self._open_and_close_pages()
             self._change_robot()
             self.shared.update()
-            for page in self.pages.values():
-                if not page.closed:
-                    page.draw(texts=self.pictures % TEXTS_EVERY == 0)
+            self._draw_pages(texts=self.pictures % TEXTS_EVERY == 0)
             self.pictures += 1
             error = self.shared.loop.error
             if error is not None and self._failure is None:
@@ -131,6 +129,11 @@ class DashboardServer:
             # hold-up go on from now: a burst of late pictures would only delay more.
             now = time.monotonic()
             due = max(due + FRAME, now, begin + (now - begin) / LARGEST_SHARE)
+
+    def _draw_pages(self, *, texts: bool) -> None:
+        for page in self.pages.values():
+            if not page.closed:
+                page.draw(texts=texts)
 
     def _open_and_close_pages(self) -> None:
         while not self._arrived.empty():
@@ -148,14 +151,17 @@ class DashboardServer:
         if stage is None:
             return
         try:
-            self.shared = self.shared.followed_by(stage)
-            self._failure = None
-            for number, page in list(self.pages.items()):
-                self.pages[number] = page.with_robot(self.shared)
+            self._show(stage)
         finally:
             change.shown()  # even if drawing ends here: its thread waits for this
         note = f": {stage.note}" if stage.note else "; parameters stay as they were set"
         self._notices.tell(f"{stage.model.description.title} is here{note}.")
+
+    def _show(self, stage: NewStage) -> None:
+        self.shared = self.shared.followed_by(stage)
+        self._failure = None
+        for number, page in list(self.pages.items()):
+            self.pages[number] = page.with_robot(self.shared)
 
     def _fail(self, title: str, error: BaseException) -> None:
         """Show, for good and to later viewers too, that something has ended."""

@@ -12,6 +12,7 @@ from app.border.cache import BorderData, kept_border_data, load_border_data
 from app.border.cloud import Cloud
 from app.config import Config
 from app.dashboard.apart import Stopped, Tell, cores, run_apart
+from app.dashboard.memory import give_back
 from app.dashboard.robot import RobotParts
 from app.dashboard.robot_list import RobotEntry, robot_entries
 from app.errors import ConfigError, DbbError
@@ -99,6 +100,7 @@ class StageChange:
         self._ready: NewStage | None = None
         self._taken, self._stopping = threading.Event(), threading.Event()
         self._loop: OwnLoop | None = None
+        self._running: LoopHandle | None = None
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
 
@@ -144,8 +146,9 @@ class StageChange:
         self.problem = ""
         self._stopping.clear()
         self._taken.clear()
+        self._running = running  # no argument of the thread, which would hold it to its end
         self._thread = threading.Thread(
-            target=self._work, args=(entry, config, controller, running), name="robot", daemon=True
+            target=self._work, args=(entry, config, controller), name="robot", daemon=True
         )
         self._thread.start()
 
@@ -171,11 +174,9 @@ class StageChange:
         if self._loop is not None:
             self._loop.stop()
 
-    def _work(
-        self, entry: RobotEntry, config: Config, controller: str, running: LoopHandle
-    ) -> None:
+    def _work(self, entry: RobotEntry, config: Config, controller: str) -> None:
         try:
-            stage = self._prepare(entry, config, controller)
+            self._replace(self._prepare(entry, config, controller))
         except Stopped:
             self.problem = f"{entry.title}: loading was cancelled"
         except DbbError as error:
@@ -183,14 +184,18 @@ class StageChange:
         except Exception as error:  # nobody joins this thread: the viewers have to learn of it
             logger.exception("%s could not be loaded", entry.name)
             self.problem = f"{entry.title}: {type(error).__name__}: {error}"
-        else:
-            self._loop = stage.loop
-            self._ready = stage
-            self._taken.wait()  # until nobody draws the old one any more
-            if isinstance(running, OwnLoop):
-                running.stop()
         finally:
+            self._running = None
+            give_back()
             self.progress = None
+
+    def _replace(self, stage: NewStage) -> None:
+        """Have a robot shown, and end the simulation of the one before."""
+        self._loop = stage.loop
+        self._ready = stage
+        self._taken.wait()  # until nobody draws the old one any more
+        if isinstance(self._running, OwnLoop):
+            self._running.stop()
 
     def _prepare(self, entry: RobotEntry, config: Config, controller: str) -> NewStage:
         def tell(text: str, share: float = -1.0) -> None:
