@@ -269,8 +269,9 @@ def test_the_panel_shows_the_numbers_of_the_explanation(blank):
 @pytest.mark.parametrize("base", [DifferentialBase, HolonomicBase, CarLikeBase])
 def test_the_panel_names_the_measure_of_the_base(blank, base):
     why = explanation(
-        NEAR["base"], measure_title=base.measure_title, measure_unit=base.measure_unit
-    )
+        NEAR["base"], measure_label=base.measure_label, measure_hint=base.measure_hint,
+        measure_unit=base.measure_unit, score_formula=base.score_formula,
+    )  # fmt: skip
     html, paper = why_html(replace(blank, explanation=why)), base is DifferentialBase
     assert ("far from singular, det" in html) == ("sign · det · R" in html) == paper
     assert ("measure of the base" in html) == ("(10): measure · R" in html) == (not paper)

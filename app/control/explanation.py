@@ -16,6 +16,7 @@ from app.config import Config
 from app.control.active_bounds import Bound, active_bounds, admittance_bounds
 from app.control.controller import Controller, ControlOutput
 from app.control.levels import Level, level_readings
+from app.robot.bases.differential import DifferentialBase
 from app.robot.bases.kind import Axis
 
 Array = np.ndarray
@@ -96,8 +97,10 @@ class Explanation(NamedTuple):
         base_given: The same that the base has.
         levels: What each level of the hierarchy gave up, highest priority first.
         bounds: What limited the step.
-        measure_title: Of the determinant, or of what stands in its place, as HTML.
+        measure_label: Of the determinant, or of what stands in its place, as HTML.
+        measure_hint: What it says of a point.
         measure_unit: Of it and the score.
+        score_formula: How the score is made of it.
     """
 
     controller: str
@@ -112,8 +115,10 @@ class Explanation(NamedTuple):
     base_given: ByAxis
     levels: tuple[Level, ...]
     bounds: tuple[Bound, ...]
-    measure_title: str = "det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>), (7)"
-    measure_unit: str = "m⁴/rad⁴"
+    measure_label: str = DifferentialBase.measure_label
+    measure_hint: str = DifferentialBase.measure_hint
+    measure_unit: str = DifferentialBase.measure_unit
+    score_formula: str = DifferentialBase.score_formula
 
     @property
     def forces(self) -> tuple[ForceSplit, ...]:
@@ -145,7 +150,7 @@ def explain(
         for pair in avoidance.pairs
     ]
     closest = min((pair.closest for pair in avoidance.mobile), key=lambda c: c.d)
-    asked = output.base_acceleration
+    asked, base = output.base_acceleration, state.model.description.base
     return Explanation(
         controller=controller.name,
         mode="tracking" if output.tracking else "guiding",
@@ -153,15 +158,15 @@ def explain(
         chain=tuple(state.model.body_names),
         near=tuple(sorted((p for p in near if p is not None), key=_weight, reverse=True)),
         nearest=(closest.pair.a, closest.pair.b, float(closest.d)),
-        axes=state.model.description.base.axes,
+        axes=base.axes,
         base_avoidance=_tuple_of(output.inserted.base_acceleration),
         base_asked=_tuple_of(asked),
         base_given=_tuple_of(asked if workings is None else workings.base_given),
-        levels=()
-        if workings is None
-        else level_readings(state.model.description.base, output, workings),
-        measure_title=state.model.description.base.measure_title,
-        measure_unit=state.model.description.base.measure_unit,
+        levels=() if workings is None else level_readings(base, output, workings),
+        measure_label=base.measure_label,
+        measure_hint=base.measure_hint,
+        measure_unit=base.measure_unit,
+        score_formula=base.score_formula,
         bounds=(*bounds, *admittance_bounds(state.model, config, base_command)),
     )
 

@@ -128,27 +128,14 @@ def _force_rows(why: Explanation) -> list[str]:
 
 def _score_rows(why: Explanation) -> list[str]:
     first, unit = why.forces[0] if why.forces else _ZERO, f" {why.measure_unit}"
-    label, hint, product = _measure_words(why.measure_title)
     values = (
-        (label, words.scientific(first.determinant) + unit, hint),
+        (why.measure_label, words.scientific(first.determinant) + unit, why.measure_hint),
         ("reachability R", f"{first.reachability:.0f}", "(9): how well the arm reaches the point"),
-        ("score S", words.scientific(first.score) + unit, f"(10): {product}"),
+        ("score S", words.scientific(first.score) + unit, f"(10): {why.score_formula}"),
         ("score without the step, p_n", words.scientific(first.score_near) + unit,
          "S where the force would act without (12)"),
     )  # fmt: skip
     return [_row(label, text if why.forces else _NONE, hint) for label, text, hint in values]
-
-
-def _measure_words(title: str) -> tuple[str, str, str]:
-    """Label and hint of the base's measure, and the score made of it.
-
-    Args:
-        title: Of the measure, as HTML; it names (7) if it is the paper's.
-    """
-    if "(7)" in title:
-        hint = "(7): 0 on the wheels' axis, where the base cannot move the point sideways"
-        return "far from singular, det", hint, "sign · det · R"
-    return title, "how well the base moves the point; in the place of (7)", "measure · R"
 
 
 def _level_rows(levels: Sequence[Level]) -> list[str]:

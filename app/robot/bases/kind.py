@@ -127,6 +127,12 @@ class BaseKind(Sourced, ABC):
     """Of `singularity`, as HTML."""
     measure_unit: ClassVar[str] = ""
     """Unit of `singularity`."""
+    measure_label: ClassVar[str] = "measure of the base"
+    """Of `singularity`, short, as HTML."""
+    measure_hint: ClassVar[str] = "how well the base moves the point; in the place of (7)"
+    """What it says of a point."""
+    score_formula: ClassVar[str] = "measure · R"
+    """How (10) makes the score of it."""
 
     kind: str
     """Which kind it is."""
