@@ -22,7 +22,7 @@ from app.onboarding.new_robot import NewRobot
 from app.onboarding.request import Request
 from app.onboarding.source import mesh_address
 from app.onboarding.units import make_units
-from app.onboarding.urdf_text import relative_to
+from app.onboarding.urdf_text import mesh_name
 from app.robot import assets
 from app.robot.assets import ASSETS, load_robot, resolve_package_uri, robot_names
 from app.robot.description import RobotDescription, load_description
@@ -107,8 +107,33 @@ def test_a_folder_that_python_takes_for_a_package_is_still_the_robots_own(
     address = mesh_address(str(mesh), tmp_path)
     assert address == "package://some_robots/.toy-x/package/m.stl"
     for reference in (address, str(mesh)):
-        text = relative_to(f'<mesh filename="{reference}"/>', mesh.parent.parent)
-        assert text == '<mesh filename="package/m.stl"/>'
+        assert mesh_name(reference, tmp_path, mesh.parent.parent) == "package/m.stl"
+
+
+@pytest.mark.parametrize("folder", ["a & b", 'a"b', "toy", "link", "../toy-other/../toy"])
+def test_meshes_below_the_robots_own_folder_are_named_by_the_path_in_it(
+    tmp_path: Path, folder: str
+) -> None:
+    """Whatever the folder is called, and by whichever way it is reached."""
+    beside = tmp_path / "toy-other" / "m.stl"
+    beside.parent.mkdir()
+    beside.touch()
+    (tmp_path / "toy").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "toy")
+    home = beside.parent / folder if folder.startswith("..") else tmp_path / folder
+    (home / "package").mkdir(parents=True)
+    (home / "package" / "m.stl").touch()
+    real = home.resolve()
+    mesh = Path("package") / "m.stl"
+    for reference in (
+        mesh,
+        Path("..") / "toy-other" / ".." / real.name / mesh,
+        home / mesh,
+        real / mesh,
+    ):
+        assert mesh_name(str(reference), home, home) == "package/m.stl"
+    assert mesh_name(str(beside), home, home) == str(beside)
+    assert mesh_name("../toy-other/m.stl", real, home) == str(beside)
 
 
 def test_the_description_is_the_urdf_on_the_floor(made: NewRobot) -> None:

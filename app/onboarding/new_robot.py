@@ -27,7 +27,7 @@ from app.onboarding.request import Request
 from app.onboarding.source import locate, read_source
 from app.onboarding.tree import Tree, make_tree
 from app.onboarding.units import make_units
-from app.onboarding.urdf_text import ROOT, rebased_urdf, relative_to
+from app.onboarding.urdf_text import ROOT, rebased_urdf
 from app.onboarding.warn import warnings_of
 from app.onboarding.wheels import Wheels
 from app.robot.description import KINDS, RobotDescription
@@ -146,8 +146,8 @@ def make_robot(
     urdf = rebased_urdf(
         parsed.tree, arm, parsed.wheels.T_base_floor, parsed.geometry, parsed.inertias,
         name=request.name, folder=parsed.folder, header=header,
+        home=folder,
     )  # fmt: skip
-    urdf = relative_to(urdf, folder)
     path = folder / "robot.urdf"
     path.write_text(urdf, encoding="utf-8")
     bare = _compiled(_bare(request, parsed, parsed.limits), path)

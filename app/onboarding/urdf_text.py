@@ -14,7 +14,7 @@ import pinocchio as pin
 from app.onboarding.arm import Arm
 from app.onboarding.geometry import LinkGeometry
 from app.onboarding.inertia import LinkInertia
-from app.onboarding.source import installed_address, mesh_address
+from app.onboarding.source import mesh_address, mesh_path
 from app.onboarding.tree import Tree
 
 ROOT = "floor_point"
@@ -25,6 +25,7 @@ _ENDLESS = "1e6"  # [rad] limit of a joint that turns without end
 def rebased_urdf(
     tree: Tree, arm: Arm, T_base_floor: pin.SE3, geometry: Mapping[str, LinkGeometry],
     inertias: Mapping[str, LinkInertia], *, name: str, folder: Path, header: str,
+    home: Path | None = None,
 ) -> str:  # fmt: skip
     """The text of the new URDF.
 
@@ -41,6 +42,7 @@ def rebased_urdf(
         name: Of the robot.
         folder: Of the old URDF, for meshes by a relative path.
         header: A comment at the top.
+        home: Of the new URDF, for meshes that lie below it.
     """
     robot = Element("robot", name=name, version="1.2")
     robot.append(ElementTree.Comment(f" {header.replace('--', '- -')} "))
@@ -55,28 +57,39 @@ def rebased_urdf(
     for link in tree.below(arm.base):
         if (above := tree.joint_of.get(link)) is not None and link != arm.base:
             robot.append(_joint(_find(tree.robot, "joint", above.name)))
-        robot.append(_link(tree.links[link], geometry[link], inertias[link], folder))
+        robot.append(_link(tree.links[link], geometry[link], inertias[link], folder, home))
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
-def relative_to(urdf: str, folder: Path) -> str:
-    """A URDF's text with the meshes below a folder by their paths in it: the folder will move.
+def mesh_name(reference: str, folder: Path, home: Path | None) -> str:
+    """How the new URDF names a mesh: below its own folder, which will move, by the path in it.
 
-    Python takes any folder beside the program for a package, so these meshes may be named by one.
+    That comes first, also where Python takes a folder above for a package.
+
+    Args:
+        reference: What the old URDF says.
+        folder: The old URDF's own.
+        home: The new one's own, or None if it has no meshes.
+
+    Raises:
+        RobotFileError: There is no such file.
     """
-    place = folder.resolve() / "mesh"
-    for address in (str(place), installed_address(place)):
-        if address is not None:
-            urdf = urdf.replace(f'filename="{address.removesuffix("mesh")}', 'filename="')
-    return urdf
+    address = mesh_address(reference, folder)
+    if home is not None:
+        path, home = mesh_path(address).resolve(), home.resolve()
+        if path.is_relative_to(home):
+            return path.relative_to(home).as_posix()
+    return address
 
 
 def _find(robot: Element, tag: str, name: str) -> Element:
     return next(each for each in robot.findall(tag) if each.get("name") == name)
 
 
-def _link(old: Element, geometry: LinkGeometry, inertia: LinkInertia, folder: Path) -> Element:
+def _link(
+    old: Element, geometry: LinkGeometry, inertia: LinkInertia, folder: Path, home: Path | None
+) -> Element:
     link = Element("link", name=str(old.get("name")))
     if inertia.assumed:
         link.append(ElementTree.Comment(f" inertia assumed: {inertia.assumed} "))
@@ -89,7 +102,7 @@ def _link(old: Element, geometry: LinkGeometry, inertia: LinkInertia, folder: Pa
                 if (found := each.find(child)) is not None:
                     part.append(deepcopy(found))
             for mesh in part.iter("mesh"):
-                mesh.set("filename", mesh_address(str(mesh.get("filename")), folder))
+                mesh.set("filename", mesh_name(str(mesh.get("filename")), folder, home))
             if tag == "visual" and (material := each.find("material")) is not None:
                 part.append(_colour_only(material))
     return link

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from xml.etree import ElementTree
 
 from app.errors import OutputError
 from app.onboarding.description_text import description_text
@@ -84,4 +85,4 @@ def sources_text(robot: NewRobot) -> str:
 
 
 def _meshes(urdf: str) -> list[str]:
-    return [part.split('"')[0] for part in urdf.split('filename="')[1:]]
+    return [str(mesh.get("filename")) for mesh in ElementTree.fromstring(urdf).iter("mesh")]
