@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import AllowInfNan, BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
-from app.errors import did_you_mean
+from app.errors import ConfigError, did_you_mean
 
 Finite = Annotated[float, AllowInfNan(False)]
 Positive = Annotated[float, AllowInfNan(False), Field(gt=0)]
@@ -137,3 +137,15 @@ def _records_in(annotation: object) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [r for a in getattr(annotation, "__args__", ()) for r in _records_in(a)]
+
+
+def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:
+    """Refuse a number outside of [low, high], not-a-number included.
+
+    Raises:
+        ConfigError: Names the option and its range.
+    """
+    if not low <= value <= high:
+        given, least, most = (n if isinstance(n, int) else f"{n:g}" for n in (value, low, high))
+        space = f" {unit}" if unit else ""
+        raise ConfigError(f"{option}: {given}{space} is not within {least} to {most}{space}")

@@ -17,7 +17,7 @@ from app.dashboard import making as making_module
 from app.dashboard.apart import Stopped, Tell, run_apart
 from app.dashboard.making import Making
 from app.dashboard.page import Page
-from app.dashboard.panels.new_robot import FIND, making_html, robot_name
+from app.dashboard.panels.new_robot import FIND, in_words, making_html, robot_name
 from app.dashboard.panels.report import report_html
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.dashboard.stage_change import StageChange
@@ -179,6 +179,10 @@ def wait_for_ever_for_a_request(tell: Tell, request: Request) -> None:
     time.sleep(600)
 
 
+def nothing_for_a_request(tell: Tell, request: Request) -> None:
+    tell(request.name, 1.0)
+
+
 def test_what_new_robot_refuses_is_told_and_nothing_is_left(making: Making, tmp_path: Path) -> None:
     """The whole way, in its own process."""
     making.receive("toy.zip", zipped(tmp_path, {"toy.urdf": TOY}).read_bytes())
@@ -236,14 +240,72 @@ def test_an_upload_is_asked_about_and_its_answers_make_the_request(
         with pytest.raises(ConfigError, match="both wheels"):
             own._request()
         client.set_widget(own._fields["left"], FIND)
-        client.set_widget(own._fields["radius"], 0.1)
-        wait_for(lambda: own._fields["radius"].value == 0.1)
-        with pytest.raises(ConfigError, match="needs a half track"):
-            own._request()
-        client.set_widget(own._fields["kind"], "holonomic")
-        wait_for(lambda: own._fields["kind"].value == "holonomic")
-        with pytest.raises(ConfigError, match="a holonomic base has neither half track"):
-            own._request()
+        wait_for(lambda: own._fields["left"].value == FIND)
+        for number, words in ((0.1, "needs “Half track”, and no “Left wheel”"),
+                              (0.001, "0.001 m is not within 0.01 to 1 m"),
+                              (-1.0, "not within"), (float("nan"), "not within")):  # fmt: skip
+            client.set_widget(own._fields["wheel_radius"], number)
+            wait_for(lambda n=number: repr(own._fields["wheel_radius"].value) == repr(n))
+            with pytest.raises(ConfigError, match=words):
+                own._request()
+
+
+def test_only_what_suits_the_kind_of_base_is_asked_and_answers_to_the_rest_do_not_count(
+    server: DashboardServer, tmp_path: Path
+) -> None:
+    content = zipped(tmp_path, {"toy/toy.urdf": TOY}).read_bytes()
+    with visitor(server) as (client, page):
+        assert page.robot_panel is not None
+        own = page.robot_panel._own
+        upload(client, own._upload._impl.uuid, "toy.zip", content)
+        wait_for(lambda: own._fields["tip"].visible, what="the questions")
+        client.set_widget(own._fields["half_track"], 0.2)
+        wait_for(lambda: own._request().half_track == 0.2)
+        for kind, asked in (
+            ("holonomic", set()),
+            ("car-like", {"left", "right", "wheelbase", "steering_limit"}),
+            ("differential", {"left", "right", "half_track", "wheel_radius"}),
+        ):
+            client.set_widget(own._fields["kind"], kind)
+            wait_for(lambda kind=kind: own._fields["kind"].value == kind)
+            wait_for(
+                lambda asked=asked: (
+                    {n for n, field in own._fields.items() if field.visible}
+                    == {"name", "base", "tip", "kind", "assume", *asked}
+                ),
+                what="its questions",
+            )
+            assert own._request().half_track == (0.2 if kind == "differential" else None)
+
+
+def test_an_upload_is_not_kept_by_the_page_and_not_at_all_once_it_is_a_robot(
+    server: DashboardServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(making_module, "make_new", nothing_for_a_request)
+    with visitor(server) as (client, page):
+        assert page.robot_panel is not None
+        own, made = page.robot_panel._own, server.shared.making
+        before = made.package
+        content = zipped(tmp_path, {"toy/toy.urdf": TOY}).read_bytes()
+        upload(client, own._upload._impl.uuid, "toy.zip", content)
+        wait_for(lambda: made.package is not before and made.progress is None, what="the package")
+        assert made.package is not None
+        archive = made.package.archive
+        assert archive.read_bytes() == content
+        assert own._upload.value.content == b""
+        made.make(Request(str(archive), "base", "hand", tmp_path / "toy"))
+        ended(made)
+        assert made.made == "toy", made.problem
+        assert made.package is None
+        assert not archive.exists()
+        wait_for(lambda: "is made" in own._status.content, what="the good news")
+
+
+def test_of_options_the_page_speaks_as_of_its_questions() -> None:
+    assert in_words("--wheelbase: give --wheelbase, or --wheels") == (
+        "“Wheelbase”: give “Wheelbase”, or “Left wheel” and “Right wheel”"
+    )
+    assert in_words("give --mount and --base-x") == "give --mount and --base-x"
 
 
 def test_a_second_upload_is_asked_about_its_own_links(

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from app.cli.common import console, print_json
-from app.cli.options import Json, PointOption, check_parameter, check_point, check_range, check_seed
+from app.cli.options import Json, PointOption, check_parameter, check_point, check_seed
 from app.config import Config
-from app.errors import ConfigError
+from app.robot.description import KINDS
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -34,7 +34,7 @@ def new_robot(
     tip_rpy: PointOption = None,
     half_track: float | None = None,
     wheel_radius: float | None = None,
-    kind: Literal["differential", "holonomic", "car-like"] = "differential",
+    kind: Annotated[str, tyro.conf.arg(metavar="{" + ",".join(KINDS) + "}")] = "differential",
     wheelbase: float | None = None,
     steering_limit: float | None = None,
     steering_rate: float | None = None,
@@ -86,33 +86,13 @@ def new_robot(
     # Imported here: matplotlib, scipy and trimesh would make every other command start later.
     from app.onboarding.finish import finish
     from app.onboarding.request import Request
+    from app.onboarding.request_check import check_request
 
     check_seed(seed)
     check_parameter("--buffer-distance", buffer_distance, "border.d_b")
     for option, point in (("--mount-xyz", mount_xyz), ("--mount-rpy", mount_rpy),
                           ("--tip-xyz", tip_xyz), ("--tip-rpy", tip_rpy)):  # fmt: skip
         check_point(option, point)
-    if half_track is not None:
-        check_range("--half-track", half_track, 0.02, 3.0, "m")
-    if wheel_radius is not None:
-        check_range("--wheel-radius", wheel_radius, 0.01, 1.0, "m")
-        if half_track is None or wheels is not None:
-            raise ConfigError("--wheel-radius: needs --half-track, and no --wheels")
-    for option, value, low, high, unit in (
-        ("--wheelbase", wheelbase, 0.05, 10.0, "m"),
-        ("--steering-limit", steering_limit, 0.02, 1.5, "rad"),
-        ("--steering-rate", steering_rate, 0.01, 20.0, "rad/s"),
-    ):
-        if value is not None:
-            check_range(option, value, low, high, unit)
-            if kind != "car-like":
-                raise ConfigError(f"{option}: a {kind} base has no steering; add --kind car-like")
-    if kind != "differential" and (half_track is not None or wheel_radius is not None):
-        raise ConfigError(f"--half-track and --wheel-radius: a {kind} base has neither")
-    if kind == "holonomic" and wheels is not None:
-        raise ConfigError("--wheels: a holonomic base is described without them")
-    if bodies is not None:
-        check_range("--bodies", bodies, 1, 8)
     zero = (0.0, 0.0, 0.0)
     request = Request(
         urdf, base, tip, out, wheels=wheels, arm_urdf=arm_urdf, mount_xyz=mount_xyz or zero,
@@ -122,6 +102,7 @@ def new_robot(
         assume_inertia=assume_inertia, title=title, licence=licence, seed=seed, d_b=buffer_distance,
         file=file,
     )  # fmt: skip
+    check_request(request)
     begin = perf_counter()
     robot, data = finish(request, tell=lambda text: console.print(f"… {text}"))
     result = _figures(robot, data) | {"elapsed_s": perf_counter() - begin}

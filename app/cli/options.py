@@ -11,6 +11,7 @@ import tyro
 from app.config import Config, parameter
 from app.config_file import read_config
 from app.errors import ConfigError, OutputError, UnknownNameError
+from app.strict import check_range
 
 Point = tuple[float, float, float]
 PointOption = Annotated[Point | None, tyro.conf.arg(metavar="X Y Z")]
@@ -31,18 +32,6 @@ def check_name(kind: str, name: str, choices: Iterable[str]) -> None:
     """
     if name not in (existing := tuple(choices)):
         raise UnknownNameError(kind, name, existing)
-
-
-def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:
-    """Refuse a number outside of [low, high], not-a-number included.
-
-    Raises:
-        ConfigError: Names the option and its range.
-    """
-    if not low <= value <= high:
-        given, least, most = (n if isinstance(n, int) else f"{n:g}" for n in (value, low, high))
-        space = f" {unit}" if unit else ""
-        raise ConfigError(f"{option}: {given}{space} is not within {least} to {most}{space}")
 
 
 def check_parameter(option: str, value: float, path: str) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from app.dashboard.apart import Stopped, Tell, cores, run_apart
+from app.dashboard.memory import give_back
 from app.dashboard.stage_change import Progress, StageChange
 from app.errors import ConfigError, DbbError
 from app.onboarding.contents import Contents, look_into
@@ -27,7 +28,7 @@ class Package(NamedTuple):
     """A zip that was uploaded and looked into.
 
     Attributes:
-        archive: Where it is kept until the server ends or another one comes.
+        archive: Where it is kept until it has become a robot or another one comes.
         urdfs: Its URDFs, by their path in it.
     """
 
@@ -102,6 +103,7 @@ class Making:
                 raise
             self.made = request.name
             self._change.look_again()
+            self._forget()  # what it needs of the zip is in its own folder now
 
         self._begin(Progress(request.name, "begins"), work)
 
@@ -141,6 +143,7 @@ class Making:
             logger.exception("%s could not be made", title)
             self.problem = f"{title}: {type(error).__name__}: {error}"
         finally:
+            give_back()
             self.progress = None
 
     def _tell(self, title: str) -> Tell:

@@ -64,3 +64,9 @@ def guard_uploads(gui: viser.GuiApi, notices: Notices, most: int) -> None:
     interface.register_handler(_messages.FileTransferStartUpload, guarded_start)
     interface.unregister_handler(_messages.FileTransferPart, part)
     interface.register_handler(_messages.FileTransferPart, guarded_part)
+
+
+def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
+    """What was uploaded by a button, which would keep it until the next one."""
+    file, button._impl.value = button.value, viser.UploadedFile("", b"")
+    return file

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any
 
@@ -12,17 +11,24 @@ import viser
 from app.dashboard.making import Making, Package
 from app.dashboard.notices import Notices
 from app.dashboard.panels.widgets import renew, renew_bar, small
-from app.dashboard.upload_guard import guard_uploads
+from app.dashboard.upload_guard import guard_uploads, taken_upload
 from app.errors import ConfigError
 from app.onboarding.request import NAME, Request
+from app.onboarding.request_check import BOUNDS, OF_KIND, check_request, option
 from app.onboarding.unpack import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
 from app.robot.assets import user_robots
+from app.robot.description import KINDS
 
 FIND = "(find them)"
 """Choice of no wheels: they are looked for."""
-KINDS = ("differential", "holonomic", "car-like")
-"""Of bases."""
-_LARGEST = {"half_track": 3.0, "radius": 1.0, "wheelbase": 10.0}  # [m]
+_NUMBERS = ("half_track", "wheel_radius", "wheelbase", "steering_limit")
+"""Fields of `Request` that are asked for as a number; 0 leaves them to the URDF."""
+_LABELS = {
+    "file": "URDF", "name": "Name", "base": "Base link", "tip": "Tip link", "kind": "Base",
+    "left": "Left wheel", "right": "Right wheel", "half_track": "Half track [m]",
+    "wheel_radius": "Wheel radius [m]", "wheelbase": "Wheelbase [m]",
+    "steering_limit": "Steering limit [rad]", "assume": "Assume masses",
+}  # fmt: skip
 
 
 class NewRobotPanel:
@@ -56,28 +62,29 @@ class NewRobotPanel:
 
     @staticmethod
     def _questions(gui: viser.GuiApi) -> dict[str, Any]:
+        hints = {
+            "half_track": "Effective; 0 measures it between the wheels",
+            "wheel_radius": "Only for a base whose URDF has no wheels, with its half track; else 0",
+            "wheelbase": "0 measures it to the steered wheels",
+            "steering_limit": "To either side; 0 takes the URDF's",
+        }
+        wheel = "Joint of a driven wheel; of a car-like base, of a rear one"
         return {
-            "file": gui.add_dropdown("URDF", ("",), hint="Which of the zip's URDFs"),
-            "name": gui.add_text("Name", "", hint="Letters, digits and _"),
-            "base": gui.add_dropdown("Base link", ("",), hint="Moves with the base, z up"),
-            "tip": gui.add_dropdown("Tip link", ("",), hint="Carries the end-effector"),
-            "kind": gui.add_dropdown("Base", KINDS, hint="How the base drives"),
-            "left": gui.add_dropdown("Left wheel", (FIND,), hint="Joint of a driven wheel"),
-            "right": gui.add_dropdown("Right wheel", (FIND,), hint="Joint of a driven wheel"),
-            "half_track": gui.add_number(
-                "Half track [m]", 0.0, min=0.0, max=_LARGEST["half_track"], step=0.001,
-                hint="Effective; 0 measures it between the wheels",
-            ),
-            "radius": gui.add_number(
-                "Wheel radius [m]", 0.0, min=0.0, max=_LARGEST["radius"], step=0.001,
-                hint="Only for a base whose URDF has no wheels, with its half track; else 0",
-            ),
-            "wheelbase": gui.add_number(
-                "Wheelbase [m]", 0.0, min=0.0, max=_LARGEST["wheelbase"], step=0.001,
-                hint="Of a car-like base; 0 measures it to its steered wheels",
-            ),
+            "file": gui.add_dropdown(_LABELS["file"], ("",), hint="Which of the zip's URDFs"),
+            "name": gui.add_text(_LABELS["name"], "", hint="Letters, digits and _"),
+            "base": gui.add_dropdown(_LABELS["base"], ("",), hint="Moves with the base, z up"),
+            "tip": gui.add_dropdown(_LABELS["tip"], ("",), hint="Carries the end-effector"),
+            "kind": gui.add_dropdown(_LABELS["kind"], tuple(KINDS), hint="How the base drives"),
+            "left": gui.add_dropdown(_LABELS["left"], (FIND,), hint=wheel),
+            "right": gui.add_dropdown(_LABELS["right"], (FIND,), hint=wheel),
+            **{
+                name: gui.add_number(
+                    _LABELS[name], 0.0, min=0.0, max=BOUNDS[name].high, step=0.001, hint=hint
+                )
+                for name, hint in hints.items()
+            },
             "assume": gui.add_checkbox(
-                "Assume masses", False,
+                _LABELS["assume"], False,
                 hint="From volumes, where the arm's URDF states none at all",
             ),
         }  # fmt: skip
@@ -93,8 +100,8 @@ class NewRobotPanel:
         if package is not None and self._fields["file"].value != self._shown_urdf:
             self._ask_of_urdf(package)
         asks = package is not None and progress is None
-        for field in self._fields.values():
-            renew(field, "visible", asks)
+        for name, field in self._fields.items():
+            renew(field, "visible", asks and self._suits(name))
         renew(self._make, "visible", asks)
         renew(self._upload, "disabled", progress is not None)
         renew(self._cancel, "visible", progress is not None)
@@ -102,8 +109,17 @@ class NewRobotPanel:
         renew(self._status, "content", making_html(making))
 
     def _receive(self, event: viser.GuiEvent) -> None:
-        file = event.target.value
+        file = taken_upload(event.target)
         self._making.receive(file.name, file.content)
+
+    def _suits(self, name: str) -> bool:
+        """Whether a question is one for the kind of base, and the zip, that is chosen."""
+        kind = self._fields["kind"].value
+        if name in ("left", "right"):
+            return kind != "holonomic"
+        if name == "file":
+            return self._package is not None and len(self._package.urdfs) > 1
+        return OF_KIND.get(name, kind) == kind
 
     def _ask(self, package: Package) -> None:
         self._shown_urdf = ""  # one of the same path may have other links
@@ -136,39 +152,39 @@ class NewRobotPanel:
         value = {name: field.value for name, field in self._fields.items()}
         if not NAME.fullmatch(value["name"]):  # before it becomes a part of a path
             raise ConfigError("a name is a letter, then letters, digits and _ only")
-        wheels = (value["left"], value["right"])
-        given = [wheel for wheel in wheels if wheel != FIND]
-        if len(given) == 1:
+        left, right = (
+            value[name] if self._suits(name) and value[name] != FIND else ""
+            for name in ("left", "right")
+        )
+        if bool(left) != bool(right):
             raise ConfigError("choose both wheels, or let both be found")
-        numbers = {name: float(value[name]) for name in _LARGEST}
-        if not all(0.0 <= number <= _LARGEST[name] for name, number in numbers.items()):
-            raise ConfigError("half track, wheel radius and wheelbase: [m], within their range")
-        _check_kind(value["kind"], numbers, given)
-        half_track, radius, wheelbase = (number or None for number in numbers.values())
-        return Request(
+        numbers: dict[str, Any] = {
+            name: float(value[name]) for name in _NUMBERS if self._suits(name) and value[name]
+        }
+        request = Request(
             str(package.archive), value["base"], value["tip"], user_robots() / value["name"],
-            wheels=wheels if given else None, half_track=half_track, wheel_radius=radius,
-            kind=value["kind"], wheelbase=wheelbase, assume_inertia=value["assume"],
-            file=value["file"],
+            wheels=(left, right) if left else None, kind=value["kind"],
+            assume_inertia=value["assume"], file=value["file"], **numbers,
         )  # fmt: skip
+        try:
+            check_request(request)
+        except ConfigError as error:
+            raise ConfigError(in_words(str(error))) from None
+        return request
 
 
-def _check_kind(kind: str, numbers: Mapping[str, float], wheels: Sequence[str]) -> None:
-    """Whether the numbers and wheels that were given are those of such a base.
-
-    Raises:
-        ConfigError: They are not; says which.
-    """
-    if kind not in KINDS:
-        raise ConfigError(f"a base is one of: {', '.join(KINDS)}")
-    if kind != "differential" and (numbers["half_track"] or numbers["radius"]):
-        raise ConfigError(f"a {kind} base has neither half track nor wheel radius; leave them at 0")
-    if kind != "car-like" and numbers["wheelbase"]:
-        raise ConfigError(f"a {kind} base has no wheelbase; leave it at 0")
-    if kind == "holonomic" and wheels:
-        raise ConfigError("a holonomic base needs no wheels; let them be found")
-    if numbers["radius"] and (not numbers["half_track"] or wheels):
-        raise ConfigError("a wheel radius needs a half track, and no wheels")
+def in_words(text: str) -> str:
+    """What is said of options, said of the questions that stand for them here."""
+    named = {option(name): f"“{_LABELS[name].partition(' [')[0]}”" for name in _NUMBERS}
+    named |= {
+        "--wheels LEFT RIGHT": "“Left wheel” and “Right wheel”",
+        "--wheels": "“Left wheel” and “Right wheel”", "--kind": "“Base”",
+        "--assume-inertia": "“Assume masses”", "--base": "“Base link”", "--tip": "“Tip link”",
+        "--file": "“URDF”", "--out": "“Name”",
+    }  # fmt: skip
+    longest = sorted(named, key=len, reverse=True)
+    pattern = "|".join(rf"{re.escape(name)}(?![\w-])" for name in longest)
+    return re.sub(pattern, lambda found: named[found[0]], text)
 
 
 def robot_name(stem: str) -> str:
@@ -194,7 +210,7 @@ def making_html(making: Making) -> str:
         share = f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else ""
         return small(f"<b>{escape(progress.title)}</b>: {escape(progress.text)}{share} …")
     if making.problem:
-        return small(f'<span style="color:#e03131">{escape(making.problem)}</span>')
+        return small(f'<span style="color:#e03131">{escape(in_words(making.problem))}</span>')
     if making.made:
         return small(
             f"<b>{escape(making.made)}</b> is made: choose it in the list above, where its report "

@@ -1,0 +1,43 @@
+"""What is asked of `dbb new-robot`: one check of its numbers, for the command and for the page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from app.errors import ConfigError, UnknownNameError
+from app.onboarding.request import Request
+from app.onboarding.request_check import BOUNDS, OF_KIND, check_request
+
+
+def asked(**fields: object) -> Request:
+    return Request("toy.urdf", "base", "hand", Path("toy"), **fields)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("field", BOUNDS)
+def test_a_number_is_taken_within_its_bounds_and_by_its_kind_alone(field: str) -> None:
+    bounds, kind = BOUNDS[field], OF_KIND.get(field, "differential")
+    others = {"half_track": 0.3} if field == "wheel_radius" else {}
+    for value in (bounds.low, bounds.high):
+        check_request(asked(kind=kind, **others, **{field: value}))
+    option = "--" + field.replace("_", "-")
+    for value in (bounds.low * 0.99, bounds.high * 1.01, float("nan"), 0.0):
+        with pytest.raises(ConfigError, match=f"{option}: .* is not within"):
+            check_request(asked(kind=kind, **others, **{field: value}))
+    if field in OF_KIND:
+        with pytest.raises(ConfigError, match=f"{option}: a holonomic base has none.*{kind}"):
+            check_request(asked(kind="holonomic", **{field: bounds.high}))
+
+
+def test_what_does_not_go_together_is_refused() -> None:
+    for words, fields in (
+        ("--wheels: a holonomic base", {"kind": "holonomic", "wheels": ("l", "r")}),
+        ("--wheel-radius: needs --half-track", {"wheel_radius": 0.1}),
+        ("and no --wheels",
+         {"wheel_radius": 0.1, "half_track": 0.3, "wheels": ("l", "r")}),
+    ):  # fmt: skip
+        with pytest.raises(ConfigError, match=words):
+            check_request(asked(**fields))
+    with pytest.raises(UnknownNameError, match="choose from: car-like, differential, holonomic"):
+        check_request(asked(kind="hovering"))
