@@ -215,10 +215,16 @@ def test_the_page_is_dark_or_light(tab):
     tab.wait_for_picture(dark, most=3000)
 
 
+def looked(served: Served, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Eye and target of a preset in the viewer's window."""
+    window = served.page()._camera.window
+    return placed(PRESETS[name], served.loop.latest(), served.server.shared.parts.extent, window)
+
+
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_preset_looks_from_where_it_says(tab, served, name):
     tab.click(name)
-    eye, target = placed(PRESETS[name], served.loop.latest(), served.server.shared.parts.framing)
+    eye, target = looked(served, name)
     wait_for(lambda: np.linalg.norm(tab.camera() - eye) < 5e-3, what=f"{eye}, not {tab.camera()}")
     tab.render(2)
     left, top, right, bottom = tab.canvas_box()
@@ -229,7 +235,7 @@ def test_a_preset_looks_from_where_it_says(tab, served, name):
 def test_the_camera_goes_with_the_base_if_asked(tab, served):
     tab.click("iso")
     start = served.loop.latest().base_pose.copy()
-    eye, _ = placed(PRESETS["iso"], served.loop.latest(), served.server.shared.parts.framing)
+    eye, _ = looked(served, "iso")
     wait_for(lambda: np.linalg.norm(tab.camera() - eye) < 5e-3)
     step = np.array([0.4, -0.3, 0.0])
     served.loop.place(start + step)

@@ -12,6 +12,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import viser
+from hypothesis import given
+from hypothesis import strategies as st
 from viser import _messages
 
 from app.border.dbb import construct_dbb
@@ -21,14 +23,13 @@ from app.config import BorderConfig
 from app.dashboard.arrows import arrow
 from app.dashboard.border_cloud import BorderCloud
 from app.dashboard.borders import MAX_POINTS, Borders, subsample
-from app.dashboard.camera import PRESETS, SUITED, Framing, fitted
 from app.dashboard.colours import FULL, NEAR, REST, distance_colour, viridis
 from app.dashboard.hand import Grip, Hold
 from app.dashboard.legend import legend_html, make_legend, normalised, tick_texts
 from app.dashboard.notices import Notices
-from app.dashboard.pair_lines import segments
+from app.dashboard.pair_lines import TOGETHER, beside, segments
 from app.dashboard.panels.run import buffer_text, pairs_html, status_html
-from app.dashboard.robot import LinkPoses, RobotParts
+from app.dashboard.robot import LinkPoses
 from app.dashboard.scales import METRES_PER_NEWTON
 from app.dashboard.server import check_address, serve_dashboard
 from app.dashboard.view import View
@@ -309,18 +310,25 @@ def test_decimation_takes_no_corners_off_meshes_of_many_parts():
         assert light.area == pytest.approx(whole.area, rel=0.05)  # 0.74 to 0.9 when it is hasty
 
 
-def test_a_preset_shows_of_any_robot_what_it_shows_of_the_papers():
-    parts = RobotParts(husky_panda())
-    np.testing.assert_allclose(parts.framing.centre, SUITED.centre, atol=0.02)
-    np.testing.assert_allclose(parts.framing.half, SUITED.half, atol=0.02)
-    preset = PRESETS["front"]
-    tall = Framing(SUITED.centre + np.array([0.0, 0.0, 0.3]), SUITED.half * [0.5, 0.5, 1.5])
-    made = fitted(preset, tall)
-    np.testing.assert_allclose(made.target - preset.target, [0.0, 0.0, 0.3])
-    # The camera's angle is fixed: 1.5 times as tall is seen from 1.5 times as far.
-    np.testing.assert_allclose(made.eye - made.target, 1.5 * (preset.eye - preset.target))
-    hand = fitted(PRESETS["hand"], tall)
-    np.testing.assert_allclose(hand.target, 0.0)
+@given(st.lists(st.tuples(st.floats(-0.3, 0.3), st.sampled_from("abcd")), max_size=9))
+def test_labels_stand_far_apart_or_at_one_point_on_sides_of_their_own(labels):
+    """But for those whose side is taken, which stand where they belong."""
+    places, sides = [], []
+    for x, side in labels:
+        place = np.array([x, 0.0, 0.0])
+        there = beside(place, side, places, sides)
+        assert np.linalg.norm(there - place) < TOGETHER
+        near = [k for k, p in enumerate(places) if np.linalg.norm(p - place) < TOGETHER]
+        if not any(there is places[k] for k in near):
+            assert there is place
+            taken = [{s for p, s in zip(places, sides, strict=True) if p is places[k]}
+                     for k in near]  # fmt: skip
+            assert all(side in each for each in taken)
+        else:
+            same = [s for p, s in zip(places, sides, strict=True) if p is there]
+            assert side not in same
+        places.append(there)
+        sides.append(side)
 
 
 def test_an_unreadable_mesh_is_named(tmp_path):

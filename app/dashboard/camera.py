@@ -8,54 +8,42 @@ from typing import NamedTuple
 import numpy as np
 import viser
 
+from app.dashboard.framing import ANY_WINDOW, FIELD_OF_VIEW, UP, Window, fit
 from app.simulation.snapshot import Snapshot
 
 Array = np.ndarray
 
-FIELD_OF_VIEW = np.deg2rad(42.0)  # [rad] vertical; longer than viser's 75°, so less distortion
 _LEAST_STEP = 1e-3  # [m] nobody sees less
 _ECHO = 0.3  # [s] after which what comes back from a browser holds what was set
 _PATIENCE = 2.0  # [s] after which nothing is waited for any more
+_SETTLING = 8.0  # [s] in which a page still takes its shape
+_COVERED = 168.0  # [px] of the scene, from below, that the time line lies over
 
 
 class Preset(NamedTuple):
-    """A place of the camera, in the base's frame; for the hand, from the hand on.
+    """A way to look at the robot, in the base's frame.
 
     Attributes:
-        eye: (3,) [m] where the camera is.
-        target: (3,) [m] what it looks at.
-        of_hand: Whether both are relative to the hand instead of the base.
+        away: (3,) from what is looked at towards the camera.
+        of_hand: Whether the hand alone is looked at, instead of the whole robot.
     """
 
-    eye: Array
-    target: Array
+    away: Array
     of_hand: bool = False
 
 
-class Framing(NamedTuple):
-    """What of a robot has to be in the picture, in the base's frame.
-
-    Attributes:
-        centre: (3,) [m] of the box around it in its ready pose.
-        half: (3,) [m] half of that box's size.
-    """
-
-    centre: Array
-    half: Array
-
-
-SUITED = Framing(np.array([0.08, 0.0, 0.585]), np.array([0.57, 0.34, 0.585]))
-"""Of the paper's robot, for which the presets were chosen; other robots shift and scale them."""
-_MIDDLE = np.array([0.20, 0.0, 0.40])  # [m] between the base and the hand before it
 PRESETS = {
-    "iso": Preset(np.array([1.85, 1.85, 1.40]), np.array([0.32, 0.0, 0.40])),
+    "iso": Preset(np.array([1.5, 1.8, 1.0])),
     # Not quite from above: the camera's up direction has to be seen.
-    "top": Preset(np.array([0.19, 0.0, 3.3]), np.array([0.20, 0.0, 0.0])),
-    "front": Preset(np.array([3.1, 0.0, 0.62]), _MIDDLE),
-    "side": Preset(np.array([0.20, -3.1, 0.62]), _MIDDLE),
-    "hand": Preset(np.array([0.55, 0.75, 0.45]), np.zeros(3), of_hand=True),
+    "top": Preset(np.array([-0.01, 0.0, 3.3])),
+    "front": Preset(np.array([2.9, 0.0, 0.22])),
+    "side": Preset(np.array([0.0, -3.1, 0.22])),
+    "hand": Preset(np.array([0.55, 0.75, 0.45]), of_hand=True),
 }
 """Views by name."""
+_CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
+_HAND = 0.12 * _CORNERS  # [m] what has to be seen around the hand
+_NEAR_HAND = 0.22 * _CORNERS  # [m] the same if the hand alone is looked at
 
 
 class Camera:
@@ -68,15 +56,22 @@ class Camera:
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
-        self._framing = SUITED
+        self._extent = np.zeros((1, 3))
+        self._looked: tuple[str, Window, float] | None = None
         self._followed: Array | None = None
         self._set: Array | None = None
         self._set_at = 0.0
         client.camera.on_update(self._hear)
 
-    def fit(self, framing: Framing) -> None:
-        """From now on show a robot of this size."""
-        self._framing = framing
+    @property
+    def window(self) -> Window:
+        """Where the viewer's scene is drawn, as far as that is known."""
+        state = self._client.camera._state  # its `aspect` divides by a height that may be 0
+        return Window.of(state.image_width, state.image_height, _COVERED)
+
+    def fit(self, extent: Array) -> None:
+        """From now on show a robot of this extent (N, 3) [m], in the base's frame."""
+        self._extent = extent
 
     def use(self, name: str, snapshot: Snapshot) -> None:
         """Look from a preset at the robot as it is in a snapshot.
@@ -85,15 +80,30 @@ class Camera:
             name: A key of `PRESETS`.
             snapshot: Where base and hand are.
         """
-        eye, target = placed(PRESETS[name], snapshot, self._framing)
-        camera = self._client.camera
+        window, camera = self.window, self._client.camera
+        eye, target = placed(PRESETS[name], snapshot, self._extent, window)
         with self._client.atomic():
-            camera.up_direction = np.array([0.0, 0.0, 1.0])
+            camera.up_direction = UP
             camera.position = eye
             camera.look_at = target
             camera.fov = FIELD_OF_VIEW
         self._followed = np.array(snapshot.base_pose[:2])
         self._set, self._set_at = eye, monotonic()
+        self._looked = name, window, self._set_at
+
+    def settle(self, snapshot: Snapshot) -> None:
+        """Look again if the page has taken another shape since; call it until it has settled.
+
+        A page's panels come with its first picture, and narrow the scene only then.
+        """
+        if self._looked is None:
+            return
+        name, window, at = self._looked
+        if monotonic() > at + _SETTLING:
+            self._looked = None
+        elif window != self.window:
+            self.use(name, snapshot)
+            self._looked = name, self.window, at
 
     def follow(self, base_position: Array, *, on: bool) -> None:
         """Carry the camera along by what the base has moved since the last step.
@@ -124,29 +134,24 @@ class Camera:
 
 
 def placed(
-    preset: Preset, snapshot: Snapshot, framing: Framing = SUITED
+    preset: Preset, snapshot: Snapshot, extent: Array, window: Window = ANY_WINDOW
 ) -> tuple[Array, Array]:  # fmt: skip
     """Eye and target of a preset (3,) [m] in the world, turned with the base.
 
     Args:
         preset: The view.
         snapshot: Where base and hand are.
-        framing: Of the robot.
+        extent: (N, 3) [m] of the robot in its ready pose, in the base's frame.
+        window: Where the picture is drawn.
     """
-    preset = fitted(preset, framing)
     x, y, phi = snapshot.base_pose
     c, s = np.cos(phi), np.sin(phi)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    origin = snapshot.p_ee if preset.of_hand else np.array([x, y, 0.0])
-    return origin + R @ preset.eye, origin + R @ preset.target
-
-
-def fitted(preset: Preset, framing: Framing) -> Preset:
-    """A preset that shows of a robot what it shows of the paper's; a mast is not cut."""
-    size = np.linalg.norm(framing.half) / np.linalg.norm(SUITED.half)
-    scale = max(size, framing.half[2] / SUITED.half[2])
-    target = preset.target if preset.of_hand else preset.target + framing.centre - SUITED.centre
-    return Preset(target + scale * (preset.eye - preset.target), target, preset.of_hand)
+    origin = np.array([x, y, 0.0])
+    hand = R.T @ (snapshot.p_ee - origin)
+    seen = hand + _NEAR_HAND if preset.of_hand else np.vstack([extent, hand + _HAND])
+    eye, target = fit(seen, preset.away, window)
+    return origin + R @ eye, origin + R @ target
 
 
 def set_first_look(server: viser.ViserServer, eye: Array, target: Array) -> None:

@@ -138,7 +138,8 @@ class Making:
         except Stopped:
             self.problem = f"{title}: cancelled"
         except (DbbError, OSError) as error:
-            self.problem = f"{title}: {error}"
+            told = str(error).removeprefix(f"{title}: ")  # some name the zip themselves
+            self.problem = f"{title}: {told}"
         except Exception as error:  # nobody joins this thread: the viewers have to learn of it
             logger.exception("%s could not be made", title)
             self.problem = f"{title}: {type(error).__name__}: {error}"

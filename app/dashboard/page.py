@@ -67,7 +67,7 @@ class Page:
         refusal = shared.loop.latest().refusal
         self._refusals = 0 if refusal is None else refusal.number  # of before this viewer came
         self._camera = before._camera if before else Camera(client)
-        self._camera.fit(shared.parts.framing)
+        self._camera.fit(shared.parts.extent)
         self._dark: bool | None = None
         self._key: tuple[float, float] | None = None
         set_theme(client.gui, dark=self.view.dark)
@@ -99,6 +99,7 @@ class Page:
             self._apply_theme()
             self._scene.draw(shown, texts=texts)
             self.hand.update(shown, texts=texts)
+            self._camera.settle(shown)
             self._camera.follow(shown.base_pose[:2], on=self.view.follow)
             if texts:
                 self._run.update(newest, shown)

@@ -15,10 +15,11 @@ Array = np.ndarray
 
 NODE = "/distances"
 LIFT = np.array([0.0, 0.0, 0.07])  # [m] of a label over its point, clear of the acting points
-_ANCHORS: tuple[Literal["bottom-left", "center-left", "center-right", "top-right"], ...] = (
-    "bottom-left", "center-left", "center-right", "top-right",
+_ANCHORS: tuple[Literal["bottom-left", "bottom-right", "top-left", "top-right"], ...] = (
+    "bottom-left", "bottom-right", "top-left", "top-right",
 )  # fmt: skip
-"""Sides on which the labels stand in turn, so that those of neighbouring lines do not overlap."""
+"""Quarters in which the labels stand in turn: those of one point do not overlap."""
+TOGETHER = 0.15  # [m] nearer labels stand at one point
 _END_ANCHORS: tuple[tuple[str, Literal["bottom-right", "top-left"]], ...] = (
     ("p_a", "bottom-right"), ("p_b", "top-left"),
 )  # fmt: skip
@@ -65,7 +66,8 @@ class PairLines:
         for pair in snapshot.pairs:
             if pair.name not in self._labels:  # of what the hand has taken, as a door
                 self._add(pair.name)
-            self._update_label(pair, view, d_b, texts=texts)
+        self._update_labels(snapshot.pairs, view, d_b, texts=texts)
+        for pair in snapshot.pairs:
             self._update_ends(pair, shown=view.distances and view.names and pair.d < d_b)
 
     def _hide_others(self, names: set[str]) -> None:
@@ -80,16 +82,42 @@ class PairLines:
             if shown:
                 mark.position = label.position = point
 
-    def _update_label(self, pair: PairReading, view: View, d_b: float, *, texts: bool) -> None:
-        label = self._labels[pair.name]
-        label.visible = view.distances and (
-            view.labels == "all" or (view.labels == "active" and pair.d < d_b)
-        )
-        if label.visible:
-            # Between the base and the arm stand the acting points with their own labels.
-            label.position = pair.p_a + LIFT if pair.mobile else (pair.p_a + pair.p_b) / 2
-            if texts:
-                label.text = f"{pair.name}  {1000 * pair.d:.0f} mm"
+    def _update_labels(
+        self, pairs: tuple[PairReading, ...], view: View, d_b: float, *, texts: bool
+    ) -> None:
+        places: list[Array] = []
+        sides: list[str] = []
+        for pair in pairs:
+            label = self._labels[pair.name]
+            label.visible = view.distances and (
+                view.labels == "all" or (view.labels == "active" and pair.d < d_b)
+            )
+            if label.visible:
+                # Between the base and the arm stand the acting points with their own labels.
+                place = pair.p_a + LIFT if pair.mobile else (pair.p_a + pair.p_b) / 2
+                place = beside(place, label.anchor, places, sides)
+                places.append(place)
+                sides.append(label.anchor)
+                label.position = place
+                if texts:
+                    label.text = f"{pair.name}  {1000 * pair.d:.0f} mm"
+
+
+def beside(place: Array, side: str, places: list[Array], sides: list[str]) -> Array:
+    """Where a label stands: with others near it at one point, in a quarter of its own.
+
+    Args:
+        place: (3,) [m] where it belongs.
+        side: Its anchor.
+        places: (3,) [m] each, of the labels that stand already.
+        sides: Their anchors.
+    """
+    for there in places:
+        if np.linalg.norm(there - place) < TOGETHER:
+            taken = {s for p, s in zip(places, sides, strict=True) if p is there}
+            if side not in taken:
+                return there
+    return place
 
 
 def _ends(scene: viser.SceneApi, node: str) -> tuple[list, list]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
+import trimesh
 import viser
 
-from app.dashboard.camera import Framing
 from app.dashboard.colours import Rgb
 from app.dashboard.poses import from_viser, moved, to_viser
 from app.dashboard.visuals import Visual, load_visuals
@@ -22,6 +22,7 @@ ROOT = "/robot"
 BODY: Rgb = (64, 156, 224)
 BODY_OPACITY = 0.28  # [-]
 GHOST_OPACITY = 0.30  # [-]
+_AROUND = np.array([0.15, 0.15, 0.0])  # [m] of a border around the base
 
 
 class LinkPoses:
@@ -70,25 +71,28 @@ class RobotParts:
         kinematics: Poses of what moves; used by the one thread that draws.
         visuals: What the robot looks like.
         bodies: The convex bodies that distances are measured to.
-        framing: What of it a camera has to show.
+        extent: (N, 3) [m] corners of all that a camera has to show, in the base's frame: the links
+            in the ready pose, and the borders' place around the base.
     """
 
     def __init__(self, robot: RobotModel) -> None:
         self.kinematics = LinkPoses(robot)
         self.visuals = load_visuals(robot.description, self.kinematics.model)
         self.bodies = _bodies(robot, self.kinematics.model)
-        self.framing = self._framing(robot.description)
+        self.extent = self._extent(robot.description)
 
-    def _framing(self, robot: RobotDescription) -> Framing:
+    def _extent(self, robot: RobotDescription) -> Array:
         ready = np.array(robot.arm.ready_position)
         poses = self.kinematics.update(ready, np.zeros(len(robot.base.wheels)))
-        seen = [
-            moved(poses[visual.joint] * visual.placement, np.asarray(visual.mesh.vertices))
-            for visual in self.visuals or self.bodies
-        ]
-        low = np.min([points.min(axis=0) for points in seen], axis=0)
-        high = np.max([points.max(axis=0) for points in seen], axis=0)
-        return Framing((low + high) / 2, (high - low) / 2)
+
+        def corners(visual: Visual) -> Array:
+            T = poses[visual.joint] * visual.placement
+            return moved(T, trimesh.bounds.corners(visual.mesh.bounds))
+
+        mobile = np.vstack([corners(body) for body in self.bodies[: len(robot.bodies[0].shapes)]])
+        around = np.array([mobile.min(axis=0) - _AROUND, mobile.max(axis=0) + _AROUND])
+        links = [corners(visual) for visual in self.visuals or self.bodies]
+        return np.vstack([trimesh.bounds.corners(around), *links])
 
     def joint_name(self, joint: int) -> str:
         """Name of a joint of the model; empty for the root."""

@@ -14,7 +14,7 @@ from pathlib import Path
 import viser
 
 from app.border.cloud import Cloud
-from app.dashboard.camera import PRESETS, fitted, set_first_look
+from app.dashboard.camera import PRESETS, placed, set_first_look
 from app.dashboard.listening import close_server, open_server
 from app.dashboard.notices import Notices
 from app.dashboard.page import Page, show_failure
@@ -214,18 +214,17 @@ def serve_dashboard(
     try:
         if port not in (0, server.get_port()):
             raise ServerError(f"port {port} was taken while the server started; try --port 0")
-        _set_first_picture(server, shared.parts)
+        _set_first_picture(server, shared)
         return DashboardServer(server, shared)
     except BaseException:
         close_server(server)
         raise
 
 
-def _set_first_picture(server: viser.ViserServer, parts: RobotParts) -> None:
+def _set_first_picture(server: viser.ViserServer, shared: Shared) -> None:
     """What is to be seen until a viewer's own page is there."""
     set_theme(server.gui, dark=True)
-    first = fitted(PRESETS["iso"], parts.framing)
-    set_first_look(server, first.eye, first.target)
+    set_first_look(server, *placed(PRESETS["iso"], shared.loop.latest(), shared.parts.extent))
 
 
 def check_address(host: str, port: int) -> None:

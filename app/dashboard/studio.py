@@ -63,8 +63,8 @@ class Studio:
             preset: A key of `app.dashboard.camera.PRESETS`.
             snapshot: Where base and hand are.
         """
-        framing = self._shared.parts.framing
-        set_first_look(self.server, *placed(PRESETS[preset], snapshot, framing))
+        extent = self._shared.parts.extent
+        set_first_look(self.server, *placed(PRESETS[preset], snapshot, extent))
 
     def draw(self, t: float, *, texts: bool = True) -> Snapshot:
         """Draw the film's snapshot at a time [s]; trails lead up to it.

@@ -10,6 +10,7 @@ from xml.etree.ElementTree import Element
 from app.errors import RobotFileError
 from app.onboarding.package import LARGEST_URDF, chosen_urdf, urdfs
 from app.onboarding.source import read_source
+from app.onboarding.tree import make_tree
 from app.onboarding.unpack import unpack
 
 _MOST_URDFS = 20  # [-] that are looked into
@@ -58,6 +59,7 @@ def _contents(path: Path) -> Contents:
     if path.stat().st_size > LARGEST_URDF:
         raise RobotFileError(f"{path.name}: a URDF may have {LARGEST_URDF / 1e6:.0f} MB")
     robot = read_source(path)
+    make_tree(robot)  # what is wrong with the whole is told before anything is asked
     links = tuple(str(link.get("name")) for link in robot.findall("link"))
     if not links or len(links) > _MOST_NAMES:
         raise RobotFileError(

@@ -201,7 +201,10 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
 
     def stated(key: str) -> float | None:
         word = None if limit is None else limit.get(key)
-        return None if word is None else float(word)
+        try:
+            return None if word is None else float(word)
+        except ValueError:
+            raise RobotFileError(f"joint {name!r}: {key}={word!r} should be a number") from None
 
     bounded = kind in ("revolute", "prismatic")
     return Joint(

@@ -213,8 +213,8 @@ def making_html(making: Making) -> str:
         return small(f'<span style="color:#e03131">{escape(in_words(making.problem))}</span>')
     if making.made:
         return small(
-            f"<b>{escape(making.made)}</b> is made: choose it in the list above, where its report "
-            "is too."
+            f"<b>{escape(making.made)}</b> is made: it is in the list above, with its report. "
+            "“Use this robot” shows it."
         )
     if making.package is not None:
         count = len(making.package.urdfs)

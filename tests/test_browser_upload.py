@@ -1,0 +1,132 @@
+"""One's own robot, by the mouse: a zip is uploaded, becomes a robot, is shown, and pulled.
+
+All is real but how much is sampled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.border.cache import BorderData, kept_border_data
+from app.border.sampling_config import SamplingConfig
+from app.config import Config
+from app.dashboard import making, stage_change
+from app.dashboard.apart import Tell
+from app.dashboard.hand import GIZMO, SCALE
+from app.dashboard.server import DashboardServer, serve_dashboard
+from app.onboarding.finish import finish
+from app.onboarding.request import Request
+from app.robot.model import RobotModel
+from app.simulation.loop import SimulationLoop
+from app.simulation.session import Session
+from app.simulation.start import StartSolver
+from tests.browser import DashboardTab, chromium, wait_for
+from tests.dashboards import clouds
+from tests.fakes import ScriptedLoop
+from tests.onboarding import arm, cart, cube, few_samples, robot, with_mesh, zipped
+from tests.robots import husky_panda
+
+pytestmark = [pytest.mark.alone, pytest.mark.browser, pytest.mark.slow]
+
+TOY = with_mesh(robot([*cart(), *arm()]), "package://toy/meshes/m.stl")
+SAMPLING = SamplingConfig(pair_samples=2000, cloud_samples=4000, voxel_plan=0.04,
+                          voxel_height=0.04, rounds=1, retries=1, sectors=2)  # fmt: skip
+
+
+def make_of_few(tell: Tell, request: Request) -> None:
+    """What the process does that makes the robot; its border is kept beside the robots."""
+    with few_samples(request.out.parent):
+        finish(
+            request, tell=lambda text: tell(text, -1.0), processes=1, sampling=SAMPLING,
+            progress=False, on_progress=lambda share: tell("sampling the border", share),
+        )  # fmt: skip
+
+
+def kept_of_few(model: RobotModel) -> BorderData | None:
+    return kept_border_data(model, SAMPLING)
+
+
+def begin(model: RobotModel, data: BorderData, config: Config, controller: str) -> SimulationLoop:
+    make = partial(Session, model, data, config, controller=controller, physics="kinematic", seed=0)
+    start = model.description.lines["guiding-front"].start_m
+    loop = SimulationLoop(make, StartSolver(model, data.pairs, config.border.d_b).solve(start))
+    loop.begin()
+    return loop
+
+
+@pytest.fixture
+def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[DashboardServer]:
+    """With the paper's robot, and a folder of one's own robots that is empty."""
+    robots = tmp_path / "robots"
+    monkeypatch.setenv("DBB_ROBOTS", str(robots))
+    monkeypatch.setattr("app.robot.assets.cache_folder", lambda: robots)
+    monkeypatch.setattr(making, "make_new", make_of_few)
+    monkeypatch.setattr(stage_change, "kept_border_data", kept_of_few)
+    loop = ScriptedLoop(husky_panda())
+    loop.start()
+    made = serve_dashboard(loop, husky_panda(), clouds(), port=0, start_loop=begin)
+    try:
+        yield made
+        assert made.error is None
+    finally:
+        made.stop()
+        loop.stop()
+
+
+def choose_file(tab: DashboardTab, path: Path) -> None:
+    with tab.page.expect_file_chooser() as chooser:
+        tab.click("Upload a zip")
+    chooser.value.set_files(path)
+
+
+def see(tab: DashboardTab, text: str) -> None:
+    found = tab.page.get_by_text(text).filter(visible=True).first
+    found.wait_for(timeout=240_000)  # [ms] the work has low priority
+
+
+def test_a_zip_becomes_a_robot_whose_base_gives_way_to_the_hand(
+    server: DashboardServer, tmp_path: Path
+) -> None:
+    good = {"toy/toy.urdf": TOY, "toy/meshes/m.stl": cube()}
+    with chromium() as browser:
+        tab = DashboardTab(browser, server.address)
+        tab.open_tab("Robot")
+        tab.page.get_by_text("Your own robot").click()
+        for files, words in (
+            ({"../toy.urdf": TOY}, "leads out of the zip by '..'"),
+            ({**good, "toy/toy.urdf": TOY.replace('xyz="0 0 0.34"', 'xyz="0 0 340"')},
+             "these look like millimetres"),
+        ):  # fmt: skip
+            choose_file(tab, zipped(tmp_path, files))
+            see(tab, words)
+        choose_file(tab, zipped(tmp_path, good))
+        see(tab, "Which links?")
+        tab.click("Make it")
+        see(tab, "toy is made")
+        tab.click("Report")
+        see(tab, "How toy was made")
+        tab.click("Close")
+        shared = server.shared
+        tab.click("Use this robot")
+        wait_for(lambda: server.shared is not shared, what="the new robot")
+        tab.wait_for_scene()
+        pull_towards_the_base(tab, server)
+        assert tab.errors == []
+
+
+def pull_towards_the_base(tab: DashboardTab, server: DashboardServer) -> None:
+    """Drag the hand backwards, again and again, until the base has made room."""
+    loop = server.shared.loop
+    begin = loop.latest().base_pose.copy()
+    for _ in range(6):
+        tab.drag_gizmo(GIZMO, 0, -0.15, SCALE)
+        if np.linalg.norm(loop.latest().base_pose[:2] - begin[:2]) > 0.02:
+            break
+    newest = loop.latest()
+    assert newest.base_pose[0] < begin[0] - 0.02, (newest.base_pose, newest.p_ee)
+    assert not newest.in_contact
