@@ -60,7 +60,7 @@ def test_what_a_browser_says_of_its_window_is_believed_within_reason() -> None:
 @pytest.mark.parametrize("name", [name for name in PRESETS if not PRESETS[name].of_hand])
 def test_a_preset_shows_the_whole_robot_wherever_it_stands(name: str, window: Window) -> None:
     loop = ScriptedLoop(husky_panda())
-    loop.place(np.array([2.0, -1.0, 0.7]))
+    loop.place((2.0, -1.0, 0.7))
     snapshot, extent = loop.latest(), RobotParts(husky_panda()).extent
     c, s = np.cos(snapshot.base_pose[2]), np.sin(snapshot.base_pose[2])
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -46,6 +46,22 @@ _HAND = 0.12 * _CORNERS  # [m] what has to be seen around the hand
 _NEAR_HAND = 0.22 * _CORNERS  # [m] the same if the hand alone is looked at
 
 
+class _Look(NamedTuple):
+    """A preset that was looked from.
+
+    Attributes:
+        name: Of it.
+        window: Where the picture was to be drawn then.
+        eye: (3,) [m] where the camera was put.
+        at: [s] when.
+    """
+
+    name: str
+    window: Window
+    eye: Array
+    at: float
+
+
 class Camera:
     """Moves the camera of one client.
 
@@ -57,7 +73,8 @@ class Camera:
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
         self._extent = np.zeros((1, 3))
-        self._looked: tuple[str, Window, float] | None = None
+        self._looked: _Look | None = None
+        self._arrived = False
         self._followed: Array | None = None
         self._set: Array | None = None
         self._set_at = 0.0
@@ -80,30 +97,37 @@ class Camera:
             name: A key of `PRESETS`.
             snapshot: Where base and hand are.
         """
-        window, camera = self.window, self._client.camera
+        window = self.window
         eye, target = placed(PRESETS[name], snapshot, self._extent, window)
+        self.put(eye, target)
+        self._followed = np.array(snapshot.base_pose[:2])
+        self._looked = _Look(name, window, eye, self._set_at)
+
+    def put(self, eye: Array, target: Array) -> None:
+        """Look from a place (3,) [m] in the world at another one."""
+        camera = self._client.camera
         with self._client.atomic():
             camera.up_direction = UP
             camera.position = eye
             camera.look_at = target
             camera.fov = FIELD_OF_VIEW
-        self._followed = np.array(snapshot.base_pose[:2])
-        self._set, self._set_at = eye, monotonic()
-        self._looked = name, window, self._set_at
+        self._followed = self._looked = None
+        self._set, self._set_at, self._arrived = eye, monotonic(), False
 
     def settle(self, snapshot: Snapshot) -> None:
         """Look again if the page has taken another shape since; call it until it has settled.
 
         A page's panels come with its first picture, and narrow the scene only then.
         """
-        if self._looked is None:
+        look, window = self._looked, self.window
+        if look is None:
             return
-        name, window, at = self._looked
-        if monotonic() > at + _SETTLING:
-            self._looked = None
-        elif window != self.window:
-            self.use(name, snapshot)
-            self._looked = name, self.window, at
+        away = np.linalg.norm(self._client.camera.position - look.eye) > _LEAST_STEP
+        if monotonic() > look.at + _SETTLING or (self._arrived and away):
+            self._looked = None  # the page has settled, or the viewer has moved
+        elif look.window != window:
+            self.use(look.name, snapshot)
+            self._looked = self._looked and self._looked._replace(at=look.at)
 
     def follow(self, base_position: Array, *, on: bool) -> None:
         """Carry the camera along by what the base has moved since the last step.
@@ -129,6 +153,7 @@ class Camera:
     async def _hear(self, camera: viser.CameraHandle) -> None:
         """Something has come back: is it what was set, or later than that?"""
         there = self._set is not None and np.linalg.norm(camera.position - self._set) < _LEAST_STEP
+        self._arrived = self._arrived or there
         if there or monotonic() > self._set_at + _ECHO:
             self._set = None
 

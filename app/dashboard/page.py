@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import viser
 
 from app.config import Config
@@ -30,6 +31,8 @@ from app.dashboard.tour import Tour
 from app.dashboard.view import View
 from app.simulation.scenario import SCENARIOS
 from app.simulation.snapshot import Snapshot
+
+Array = np.ndarray
 
 PANEL_WIDTH = 330  # [px] of each of the two columns
 
@@ -124,6 +127,10 @@ class Page:
             preset: A key of `app.dashboard.camera.PRESETS`.
         """
         self._camera.use(preset, self.timeline.shown())
+
+    def sit(self, eye: Array, target: Array) -> None:
+        """Look from a place (3,) [m] in the world at another one, as somebody else does."""
+        self._camera.put(eye, target)
 
     def fail(self, title: str, error: BaseException) -> None:
         """Show, for good, that the simulation or the drawing has ended."""

@@ -153,13 +153,17 @@ def _of_page(
             if seat is not None:
                 shown.view.take_over(seat.view)
             pictures = []
+            film.go_to(times[0])
+            shared.update()
+            shown.draw(texts=True)
+            _settled(page, server)  # from now on it is known what the panels leave of the scene
             for t in times:
                 film.go_to(t)
                 shared.update()
                 if seat is None:
                     shown.look(look.view)
                 else:
-                    client.camera.position, client.camera.look_at = seat.eye, seat.target
+                    shown.sit(seat.eye, seat.target)
                 for _ in range(2):  # what the first drawing of a panel makes, the second fills
                     shown.draw(texts=True)
                 pictures.append(_settled(page, server))
