@@ -15,8 +15,8 @@ Array = np.ndarray
 
 NODE = "/distances"
 LIFT = np.array([0.0, 0.0, 0.07])  # [m] of a label over its point, clear of the acting points
-_ANCHORS: tuple[Literal["bottom-left", "bottom-right", "top-left", "top-right"], ...] = (
-    "bottom-left", "bottom-right", "top-left", "top-right",
+_ANCHORS: tuple[Literal["bottom-left", "top-left", "bottom-right", "top-right"], ...] = (
+    "bottom-left", "top-left", "bottom-right", "top-right",
 )  # fmt: skip
 """Quarters in which the labels stand in turn: those of one point do not overlap."""
 TOGETHER = 0.15  # [m] nearer labels stand at one point
