@@ -93,7 +93,7 @@ class Flood:
         return fresh
 
     def _expand(self, q: Array, seen: Witnesses, round_: int) -> tuple[Array, Witnesses]:
-        """One try from each pose towards each of its open neighbours."""
+        """One try towards each open voxel beside the poses' own, from the first pose beside it."""
         cells = self._voxels.neighbours(self._voxels.cells(quantise_points(seen.p_b)))
         keys = self._voxels.keys(cells)
         step = self._voxels.centres(cells) - seen.p_b[:, None]
@@ -102,6 +102,9 @@ class Flood:
         source, side = np.nonzero(wanted)
         if not len(source):
             return q[:0], _pick(seen, source)
+        # Nearly half of the tries would be for a voxel that another pose of the batch tries too.
+        _, first = np.unique(keys[source, side], return_index=True)
+        source, side = source[first], side[first]
         needed, row = np.unique(source, return_inverse=True)
         J = self._reader.jacobians(q[needed], seen.p_b[needed])[row]
         tried = self._step(q[source], J, step[source, side], round_)

@@ -11,7 +11,7 @@ from app.robot.assets import resolve_package_uri, urdf_path
 from app.robot.description import RobotDescription
 from app.robot.shapes import ConvexMesh
 
-FORMAT = 1
+FORMAT = 2
 """Number of the file's layout and of the way of sampling; a new one outdates all files."""
 
 
