@@ -9,7 +9,7 @@ from app.bench import bench as bench_module
 from app.bench import paths as paths_module
 from app.bench.density import points_on
 from app.bench.floor import Floor
-from app.bench.rollouts import realtime_factor
+from app.bench.rollouts import Rollouts, time_rollouts
 from app.bench.timing import time_stages, time_steps
 from app.border.cache import BorderData
 from app.border.mobile import MobileBody
@@ -71,18 +71,23 @@ def test_synthetic_points_lie_on_the_offset(robot: RobotModel) -> None:
 
 def test_rollouts_are_told_in_multiples_of_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.bench.rollouts._RUNS", ("guiding-front",))
-    assert realtime_factor("husky_panda", 1) > 0.2
+    rollouts = time_rollouts("husky_panda", (1, 2), rounds=2, seconds=1.0)
+    assert rollouts.factors.keys() == {1, 2}
+    assert min(rollouts.factors.values()) > 0.2
+    assert rollouts.scaling > 0.3
 
 
 def test_every_figure_is_there(monkeypatch, recorded, robot, border_data) -> None:
     monkeypatch.setattr(bench_module, "record", lambda *_: recorded)
-    monkeypatch.setattr(bench_module, "realtime_factor", lambda _, processes: 3.0 * processes)
+    rollouts = Rollouts({1: 3.0, 2: 5.0}, 1.7)
+    monkeypatch.setattr(bench_module, "time_rollouts", lambda *_: rollouts)
     stages: list[str] = []
     result = bench_module.bench(
         robot, border_data, points=(1000, 3000), border=False, on_stage=stages.append
     )
     assert result.keys() > KEYS
     assert result["border_build_s"] is None
+    assert result["rollout_realtime_factor"] == {"1": 3.0, "2": 5.0}
     assert set(result["step_p50_us_by_points"]["points"]) == {"1000", "3000"}
     assert result["step_own_p50_us"] <= result["step_p50_us"]
     assert result["step_own_p99_us"] <= result["step_p99_us"]

@@ -13,7 +13,7 @@ import numpy as np
 from app.bench.density import by_points
 from app.bench.floor import Floor
 from app.bench.paths import PATHS, Moment, Path, record
-from app.bench.rollouts import realtime_factor
+from app.bench.rollouts import time_rollouts
 from app.bench.timing import time_stages, time_steps
 from app.border.cache import BorderData
 from app.border.sampling import sample_clouds
@@ -55,7 +55,7 @@ def bench(
     reselect = _reselect(model, data)
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     on_stage("rollouts")
-    factors = {str(n): realtime_factor(model.description.name, n) for n in (1, _PROCESSES)}
+    rollouts = time_rollouts(model.description.name, (1, _PROCESSES))
     on_stage("borders of many points")
     by_count = by_points(model, data, paths[:1], points, seed)
     if border:
@@ -64,7 +64,8 @@ def bench(
         "robot": model.description.name, "seed": seed, "cores": os.cpu_count(),
         "load_before": load, **steps, "stages_p50_us": stages, "step_p50_us_by_points": by_count,
         "border_build_s": _build(model) if border else None, "border_reselect_ms": reselect,
-        "rollout_realtime_factor": factors, "peak_memory_mb": memory,
+        "rollout_realtime_factor": {str(n): x for n, x in rollouts.factors.items()},
+        "rollout_scaling": rollouts.scaling, "peak_memory_mb": memory,
         "peak_memory_all_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }  # fmt: skip
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from time import perf_counter
 from typing import NamedTuple
+
+import numpy as np
 
 from app.border.cache import BorderData, load_border_data
 from app.border.pool import Workers
@@ -15,6 +18,7 @@ from app.simulation.run import run_scenario
 from app.simulation.scenario import LINES
 
 _RUNS = ("guiding-lateral", "guiding-front")
+_ROUNDS = 3
 
 
 class Robot(NamedTuple):
@@ -30,20 +34,50 @@ def load(robot: str) -> Robot:
     return Robot(model, load_border_data(model, progress=False))
 
 
-def realtime_factor(robot: str, processes: int) -> float:
-    """Simulated time over real time of some guided runs, shared among processes.
+class Rollouts(NamedTuple):
+    """Simulated time over real time of some guided runs in worker processes; medians over rounds.
+
+    Attributes:
+        factors: [-] by the number of processes, of all of them together.
+        scaling: [-] that of the most processes over that of the fewest.
+    """
+
+    factors: dict[int, float]
+    scaling: float
+
+
+def time_rollouts(
+    robot: str, processes: Sequence[int], *, rounds: int = _ROUNDS, seconds: float | None = None
+) -> Rollouts:
+    """Time rollouts with each number of processes in turn, so that a slow minute slows them all.
 
     The time to start the processes is not counted: each first takes a short run.
+
+    Args:
+        robot: Its name.
+        processes: How many work at once, each on all of the runs.
+        rounds: How often each is timed.
+        seconds: [s] length of each run; that of its scenario if not given.
     """
-    simulated = sum(LINES[name].duration for name in _RUNS) * processes
-    with Workers(partial(load, robot), processes) as workers:
-        list(workers.map(_run, [("guiding-front", 0.5)] * (4 * processes)))
-        begin = perf_counter()
-        jobs = [(name, LINES[name].duration) for name in _RUNS for _ in range(processes)]
-        list(workers.map(_run, jobs))
-        return simulated / (perf_counter() - begin)
+    jobs = [(name, seconds or LINES[name].duration) for name in _RUNS]
+    simulated = sum(duration for _, duration in jobs)
+    with Workers(partial(load, robot), max(2, *processes)) as workers:
+        list(workers.map(_run, [[("guiding-front", 0.5)]] * (4 * max(processes))))
+        found = []
+        for _ in range(rounds):
+            times = [_time(workers, [jobs] * n) for n in processes]
+            found.append([n * simulated / t for n, t in zip(processes, times, strict=True)])
+    medians = np.median(found, axis=0).tolist()
+    scaling = float(np.median([factors[-1] / factors[0] for factors in found]))
+    return Rollouts(dict(zip(processes, medians, strict=True)), scaling)
 
 
-def _run(robot: Robot, job: tuple[str, float]) -> None:
-    name, duration = job
-    run_scenario(robot.model, robot.data, LINES[name].changed(duration=duration), Config())
+def _time(workers: Workers, jobs: Sequence[Sequence[tuple[str, float]]]) -> float:
+    begin = perf_counter()
+    list(workers.map(_run, jobs))
+    return perf_counter() - begin
+
+
+def _run(robot: Robot, jobs: Sequence[tuple[str, float]]) -> None:
+    for name, duration in jobs:
+        run_scenario(robot.model, robot.data, LINES[name].changed(duration=duration), Config())

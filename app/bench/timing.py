@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -12,6 +11,7 @@ import numpy as np
 
 from app.bench.paths import Moment, Path
 from app.control.controller import Controller, ControlOutput
+from app.simulation.settled import settled
 
 Array = np.ndarray
 
@@ -52,7 +52,8 @@ def time_steps(
     for moment in paths[0][:_WARM_UP]:
         _step(controller, moment)
     times, mobile, active = [], [], []
-    with _settled():
+    gc.collect()
+    with settled():
         for path in paths:
             controller.reset()
             for moment in path:
@@ -69,17 +70,6 @@ def _step(controller: Controller, moment: Moment) -> ControlOutput:
     return controller.step(
         moment.measurement, moment.reference, base_acceleration=moment.base_acceleration
     )
-
-
-@contextmanager
-def _settled() -> Iterator[None]:
-    """The garbage collector as in the control loop: what is there already is left alone."""
-    gc.collect()
-    gc.freeze()
-    try:
-        yield
-    finally:
-        gc.unfreeze()
 
 
 class Stages:

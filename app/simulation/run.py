@@ -14,6 +14,7 @@ from app.simulation.begin import begin
 from app.simulation.leading import Scenario
 from app.simulation.recording import Recorder
 from app.simulation.session import DT, Session, Step
+from app.simulation.settled import settled
 
 
 class RunResult(NamedTuple):
@@ -92,7 +93,7 @@ def run_scenario(
     steps = steps_of(
         model, data, scenario, config, controller=controller, physics=physics, seed=seed
     )
-    with closing(steps):
+    with settled(), closing(steps):
         for k, (session, step) in enumerate(steps):
             if recorder is None:
                 recorder, begun = Recorder(session.model), perf_counter() - step.duration
