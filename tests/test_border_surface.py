@@ -9,6 +9,7 @@ from app.avoidance.acting_point import ActingPointFinder
 from app.avoidance.mobile_acceleration import PairForce, avoidance_force, generate_mob_acc
 from app.border.cache import BorderData
 from app.border.dbb import Border, construct_dbb
+from app.border.gaps import STEEPEST_GAP, Gap, without_leaps
 from app.border.mobile import MobileBody
 from app.border.offset import RAYS, OffsetContours
 from app.border.points import BorderPoints
@@ -188,3 +189,47 @@ def test_the_order_and_number_of_points_do_not_matter_where_all_is_reached(
         assert a is not None
         assert b is not None
         np.testing.assert_array_equal(a.p, b.p)
+
+
+def random_gaps(rng: np.random.Generator, heights: np.ndarray) -> list[list[Gap] | None]:
+    """None or a gap at each height, some of them over the first ray, told from 1 m up to 2 m."""
+    starts, widths = rng.uniform(0, RAYS, len(heights)), rng.uniform(1, 300, len(heights))
+    return [
+        None if not 1.0 <= z <= 2.0 or rng.random() < 0.2
+        else [] if rng.random() < 0.1 else [Gap(a, a + w)]
+        for z, a, w in zip(heights, starts, widths, strict=True)
+    ]  # fmt: skip
+
+
+def rays_of(gaps: list[Gap]) -> set[int]:
+    return {int(ray) % RAYS for gap in gaps for ray in np.arange(np.ceil(gap.first), gap.last)}
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_gaps_only_get_narrower_and_no_end_leaps(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    heights = np.cumsum(rng.uniform(0.001, 0.06, 60))
+    given = random_gaps(rng, heights)
+    told = [k for k, gaps in enumerate(given) if gaps is not None]
+    found = without_leaps(given, heights, RAYS)
+    for k, (gaps, before) in enumerate(zip(found, given, strict=True)):
+        assert before is None or rays_of(gaps) <= rays_of(before)
+        assert told[0] <= k <= told[-1] or not gaps  # beyond what is told nothing is open
+        for beside in (k - 1, k + 1):
+            if gaps and 0 <= beside < len(found):
+                further = STEEPEST_GAP * abs(heights[k] - heights[beside])
+                (gap,) = gaps
+                reach = max(
+                    [min(gap.last, o.last + t) - max(gap.first, o.first + t)
+                     for o in found[beside] for t in (-RAYS, 0, RAYS)], default=0.0,
+                )  # fmt: skip
+                wide = gap.last - gap.first
+                assert wide <= max(reach, 0.0) + 2 * further + 1e-9
+
+
+def test_a_height_that_tells_nothing_between_two_others_does_not_close_the_gap() -> None:
+    heights = np.linspace(0.1, 0.5, 9)
+    wide = [Gap(100.0, 300.0)]
+    found = without_leaps([wide] * 4 + [None] + [wide] * 4, heights, RAYS)
+    assert found[4] == wide
+    assert without_leaps([wide] * 4 + [[]] + [wide] * 4, heights, RAYS)[3] != wide

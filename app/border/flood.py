@@ -57,7 +57,8 @@ class Flood:
         Args:
             open_voxels: (voxels.count,) bool, the voxels wanted; changed in place.
             sources: (N, n_m) [rad or m] poses to start from, wherever their points lie.
-            retries: How often a pose tries again for the neighbours it did not fill.
+            retries: How often a batch tries again for the voxels beside it that are still open;
+                each time the first pose of the batch beside a voxel tries.
 
         Returns:
             The poses accepted and their points; the sources among them that fell into open voxels.

@@ -1,6 +1,9 @@
-"""Kernel that finds where a contour has no points of the border: the arm is never there."""
+"""Where a contour has no points of the border: the arm is never there."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,7 +22,57 @@ LEAST_GAP = 40.0
 MARGIN = 10.0
 """[rays] by which a gap is kept narrower on either side: samples are not everywhere."""
 STEEPEST_GAP = 1500.0
-"""[rays/m] by which the half of a gap's width may grow from height to height."""
+"""[rays/m] by which either end of a gap may move from height to height."""
+
+
+class Gap(NamedTuple):
+    """A stretch of a closed contour that the arm never reaches, counted in its rays.
+
+    Attributes:
+        first: Where it begins.
+        last: Where it ends, more than `first` also where it goes beyond the last ray.
+    """
+
+    first: float
+    last: float
+
+
+def without_leaps(
+    contours: Sequence[list[Gap] | None], heights: Array, rays: int
+) -> list[list[Gap]]:
+    """Gaps narrowed until none leaps from height to height.
+
+    Else one would open within a single height where the border begins, and the foot race.
+
+    Args:
+        contours: (H,) the gaps of each; None where nothing is told. Between contours that tell
+            something such a one has the gaps of the next lower of them, else it has none.
+        heights: (H,) [m] ascending.
+        rays: Of a contour.
+    """
+    told = [k for k, gaps in enumerate(contours) if gaps is not None]
+    found: list[list[Gap]] = [[] for _ in contours]
+    for k in range(told[0], told[-1] + 1) if told else ():
+        known = contours[k]
+        found[k] = found[k - 1] if known is None else known
+    upward = [(k, k - 1) for k in range(1, len(found))]
+    for k, beside in upward + [(below, above) for above, below in reversed(upward)]:
+        further = STEEPEST_GAP * abs(float(heights[k] - heights[beside]))
+        found[k] = [_narrowed(gap, found[beside], further, rays) for gap in found[k]]
+    return found
+
+
+def _narrowed(gap: Gap, beside: Sequence[Gap], further: float, rays: int) -> Gap:
+    """A gap within the one that it overlaps most beside it, or about its middle if none does."""
+    middle, most = (gap.first + gap.last) / 2, 0.0
+    first = last = middle
+    for other in beside:
+        for turn in (-rays, 0, rays):
+            begin, end = other.first + turn, other.last + turn
+            overlap = min(gap.last, end) - max(gap.first, begin)
+            if overlap > most:
+                first, last, most = begin, end, overlap
+    return Gap(max(gap.first, first - further), min(gap.last, last + further))
 
 
 @compiled("Tuple((f8[::1], f8[::1]))(f8[:], f8[:], f8[:], i8[:], i8[:], c16[:,:], f8, i8)")
@@ -40,7 +93,7 @@ def widest_gaps(
         least_points: Fewer tell nothing.
 
     Returns:
-        (H,) middle and (H,) width of each gap [rays]; the width is 0 where nothing is told.
+        (H,) middle and (H,) width of each gap [rays]; both are NaN where nothing is told.
     """
     H, rays = len(first), vertices.shape[1] - 1
     middle, width = np.zeros(H), np.zeros(H)
@@ -56,6 +109,7 @@ def widest_gaps(
                 highest[cell] = max(highest[cell], ray[i])
                 count += 1
         if count < least_points:
+            middle[k] = width[k] = np.nan
             continue
         before = np.max(highest) - rays  # the last point, a turn ago
         for cell in range(rays):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from app.border.dbb import Border
@@ -13,20 +11,14 @@ from app.border.gaps import (
     MARGIN,
     NEAR_CONTOUR,
     NEAR_HEIGHT,
-    STEEPEST_GAP,
+    Gap,
+    without_leaps,
 )
 from app.border.offset import RAYS, OffsetContours, ray_from
 
 Array = np.ndarray
 
 _INSIDE = 20.0  # [rays] beyond that far from a gap it does not matter how far
-
-
-class _Gap(NamedTuple):
-    """A stretch of a ring, or one beyond the first ray, that the arm never reaches [rays]."""
-
-    first: float
-    last: float
 
 
 def find_reached(border: Border, offset: OffsetContours) -> Array:
@@ -48,51 +40,36 @@ def find_reached(border: Border, offset: OffsetContours) -> Array:
     rows: list[Array] = []
     shown = offset.union.shown[:, :-1] > 0.0
     for rings in offset.rings:
-        gaps = []
-        for z, centre, ring in zip(rings.heights, rings.centres, rings.vertices, strict=True):
-            points = border.same_height(float(z), NEAR_HEIGHT)[:, :2]
-            gaps.append(_gaps(points, centre, ring, shown[len(rows) + len(gaps)]))
-        rows += [_from_ends(of_ring) for of_ring in _without_leaps(gaps, rings.heights)]
+        seen = zip(rings.heights, rings.centres, rings.vertices, strict=True)
+        found = [_gaps(border, z, centre, ring) for z, centre, ring in seen]
+        for gaps in without_leaps(found, rings.heights, RAYS):
+            rows.append(_from_ends([gap for gap in gaps if _shows(gap, shown[len(rows)])]))
     reached = np.array(rows)
     return np.concatenate([reached, reached[:, :1]], axis=1)
 
 
-def _gaps(points: Array, centre: Array, ring: Array, shown: Array) -> list[_Gap]:
-    """The gaps of one ring."""
+def _gaps(border: Border, z: float, centre: Array, ring: Array) -> list[Gap] | None:
+    """The gaps of one ring, hidden ones too; None if too few points are near."""
+    points = border.same_height(float(z), NEAR_HEIGHT)[:, :2]
     cell = np.rint(ray_from(points, centre)).astype(int) % RAYS
     cell = cell[np.linalg.norm(points - ring[cell], axis=1) < NEAR_CONTOUR]
     if len(cell) < LEAST_POINTS:
-        return []
+        return None
     filled = np.unique(cell)
-    found = []
-    for before, after in zip(filled, np.append(filled[1:], filled[0] + RAYS), strict=True):
-        empty = np.arange(before + 1, after)
-        if after - before >= LEAST_GAP and shown[empty % RAYS].any():
-            found.append(_Gap(before + MARGIN, after - MARGIN))
-    return found
+    both = zip(filled, np.append(filled[1:], filled[0] + RAYS), strict=True)
+    return [
+        Gap(before + MARGIN, after - MARGIN)
+        for before, after in both
+        if after - before >= LEAST_GAP
+    ]
 
 
-def _without_leaps(rings: list[list[_Gap]], heights: Array) -> list[list[_Gap]]:
-    """Gaps narrowed until none leaps from ring to ring."""
-    rings = list(rings)
-    upward = [(k, k - 1) for k in range(1, len(rings))]
-    for k, beside in upward + [(below, above) for above, below in reversed(upward)]:
-        further = STEEPEST_GAP * abs(float(heights[k] - heights[beside]))
-        rings[k] = [_narrowed(gap, rings[beside], further) for gap in rings[k]]
-    return rings
+def _shows(gap: Gap, shown: Array) -> bool:
+    """Whether any of a gap's rays is not hidden by other shapes."""
+    return bool(shown[np.arange(int(gap.first), int(gap.last) + 1) % RAYS].any())
 
 
-def _narrowed(gap: _Gap, beside: list[_Gap], further: float) -> _Gap:
-    """A gap within the one that it overlaps most beside it, or about its middle if none does."""
-    middle = (gap.first + gap.last) / 2
-    turned = [_Gap(*np.add(other, turn)) for other in beside for turn in (-RAYS, 0, RAYS)]
-    overlaps = [min(gap.last, other.last) - max(gap.first, other.first) for other in turned]
-    widest = int(np.argmax(overlaps)) if overlaps else 0
-    most = turned[widest] if overlaps and overlaps[widest] > 0.0 else _Gap(middle, middle)
-    return _Gap(max(gap.first, most.first - further), min(gap.last, most.last + further))
-
-
-def _from_ends(gaps: list[_Gap]) -> Array:
+def _from_ends(gaps: list[Gap]) -> Array:
     """(RAYS,) [rays] from the ends of the gaps of one ring."""
     found, every = np.full(RAYS, _INSIDE), np.arange(-RAYS, 2 * RAYS)
     for gap in gaps:

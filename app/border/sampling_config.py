@@ -29,4 +29,4 @@ class SamplingConfig(Strict):
     rounds: int = Field(default=4, ge=1, le=16)
     """[-] most floods of a sector; from the second on they start at the neighbours' seams."""
     retries: int = Field(default=6, ge=0, le=16)
-    """[-] how often a pose tries again for the voxels beside its own."""
+    """[-] how often a batch of poses tries again for the voxels beside it that are still open."""

@@ -19,8 +19,9 @@ from app.border.gaps import (
     MARGIN,
     NEAR_CONTOUR,
     NEAR_HEIGHT,
-    STEEPEST_GAP,
+    Gap,
     widest_gaps,
+    without_leaps,
 )
 from app.border.offset import RAYS, OffsetContours, OnContour
 from app.border.reached import find_reached
@@ -49,7 +50,7 @@ class NearestBorder(Protocol):
         ...
 
 
-class Gap(NamedTuple):
+class OpenPart(NamedTuple):
     """The part of each contour that the arm never reaches, in rays.
 
     Attributes:
@@ -146,11 +147,11 @@ def on_surface(offset: OffsetContours, p: Array) -> OnContour | None:
     return offset.nearest(p[:2], offset.within(float(p[2]))) if not offset.is_empty else None
 
 
-def find_gap(border: Border, offset: OffsetContours) -> Gap:
+def find_gap(border: Border, offset: OffsetContours) -> OpenPart:
     """The widest part of each contour near which the border has no points."""
     heights = offset.heights
     if not len(heights):
-        return Gap(np.zeros(0), np.zeros(0))
+        return OpenPart(np.zeros(0), np.zeros(0))
     first = border.heights.searchsorted(heights - NEAR_HEIGHT, "left")
     last = border.heights.searchsorted(heights + NEAR_HEIGHT, "right")
     points = border.points
@@ -158,14 +159,18 @@ def find_gap(border: Border, offset: OffsetContours) -> Gap:
         points[:, 0].copy(), points[:, 1].copy(), offset.ray_of(points[:, :2]), first, last,
         offset.tables.vertices, NEAR_CONTOUR, LEAST_POINTS,
     )  # fmt: skip
-    found = width >= LEAST_GAP
-    half = np.where(found, width / 2 - MARGIN, 0.0)
-    centre[~found] = np.nan
-    known = np.flatnonzero(np.isfinite(centre))
+    half = width / 2 - MARGIN
+    gaps = [
+        None if np.isnan(w) else [Gap(c - h, c + h)] if w >= LEAST_GAP else []
+        for c, h, w in zip(centre.tolist(), half.tolist(), width.tolist(), strict=True)
+    ]
+    ends = np.full((len(heights), 2), np.nan)
+    for k, of_height in enumerate(without_leaps(gaps, heights, RAYS)):
+        if of_height:
+            ends[k] = of_height[0]
+    known = np.flatnonzero(np.isfinite(ends[:, 0]))
     if not len(known):
-        return Gap(np.zeros(len(heights)), half)
-    turns = np.unwrap(centre[known], period=RAYS)
-    # Where the border begins a gap would open within one height, and the foot move as fast.
-    apart = np.abs(heights[:, None] - heights)
-    half = (half + STEEPEST_GAP * apart).min(axis=1)
-    return Gap(np.interp(np.arange(len(heights)), known, turns), half)
+        return OpenPart(np.zeros(len(heights)), np.zeros(len(heights)))
+    turns = np.unwrap(ends[known].mean(axis=1), period=RAYS)
+    half = np.nan_to_num((ends[:, 1] - ends[:, 0]) / 2)
+    return OpenPart(np.interp(np.arange(len(heights)), known, turns), half)

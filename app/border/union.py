@@ -18,7 +18,7 @@ Array = np.ndarray
 
 _MOST_CORNERS = 64
 _SAME_CORNER = 0.01  # [m] between the two ends that meet in one corner, at most
-_SAGITTA = 1e-4  # [m] by which an edge's inside is nearer than its vertices, at most
+_CHORD = 1e-4  # [m] by which a gap's end, on a chord of the true curve, may seem nearer than it is
 _TOUCHING = 1e-9  # [m] nearer to a corner than that a way to it has no direction
 
 BLOCK = 24
@@ -154,7 +154,7 @@ def _search_block(
                     continue
                 at, turn = start + along * (end - start), t + along * (t_next - t)
                 if along != (hidden_low if side == 0 else hidden_high):  # the reach ends there
-                    _take(best, p, at, turn, first + i + along, _SAGITTA)  # after a foot
+                    _take(best, p, at, turn, first + i + along, _CHORD)
                 elif count < len(corners):
                     turn /= abs(turn)
                     corners[count, 0], corners[count, 1] = at.real, at.imag
@@ -250,4 +250,6 @@ def nearest_of_union(
             float(j * rays), best, corners, count,
         )  # fmt: skip
     _search_corners(p, best, corners, count)
+    if best[0] < np.inf:
+        best[0] = abs(p - complex(best[2], best[3]))
     return best[0], best[1], best[2], best[3], best[4], best[5]

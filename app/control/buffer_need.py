@@ -85,7 +85,7 @@ def _least_distance(
     """
     count = len(channels)
     found = np.full(len(d_b), -np.inf)
-    a, w, a_worse, w_worse = np.empty(count), np.empty(count), np.empty(count), np.empty(count)
+    a, w, a_worse, w_worse = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)
     for i in range(len(d_b)):
         for depth in _DEPTHS:
             below = d_b[i] * depth
@@ -93,6 +93,7 @@ def _least_distance(
             rise = min(max(below / (d_b[i] - d_full), 0.0), 1.0)
             f = rise * rise * (3.0 - 2.0 * rise) * f_max * below / d_b[i] * flat
             least = np.inf
+            a_worse[:], w_worse[:] = 0.0, 0.0
             for side in (1.0, -1.0):
                 for k in range(count):
                     J, J_t, mass, a_max, w_max, T = channels[k]
