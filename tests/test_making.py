@@ -23,6 +23,7 @@ from app.dashboard.server import DashboardServer, serve_dashboard
 from app.dashboard.stage_change import StageChange
 from app.errors import ConfigError, LoopError, RobotFileError
 from app.onboarding.contents import look_into
+from app.onboarding.package import LARGEST_URDF
 from app.onboarding.request import Request
 from app.onboarding.write import whole_folder
 from tests.browser import wait_for
@@ -132,6 +133,33 @@ def test_what_a_zip_holds_is_told_before_anything_is_made(tmp_path: Path) -> Non
     assert (contents.root, contents.last) == ("base", "hand")
     assert contents.endless == ("left_axle", "right_axle")
     assert "column" in contents.links
+
+
+@pytest.mark.parametrize(("links", "joints"), [(60_000, 59_999), (2, 60_000)])
+def test_a_urdf_too_large_for_a_list_is_refused_before_anything_is_asked_of_its_links(
+    tmp_path: Path, links: int, joints: int
+) -> None:
+    text = chain(links, joints)
+    assert len(text) < LARGEST_URDF
+    begin = time.process_time()
+    with pytest.raises(RobotFileError, match=r"it has 60000 (link|joint)s; . to 500 are taken"):
+        look_into(zipped(tmp_path, {"long.urdf": text}))
+    assert time.process_time() - begin < 5.0
+
+
+def test_the_longest_chain_that_is_taken_is_told_whole(tmp_path: Path) -> None:
+    ((_, contents),) = look_into(zipped(tmp_path, {"long.urdf": chain(500, 499)})).items()
+    assert (contents.root, contents.last, len(contents.links)) == ("l0", "l499", 500)
+
+
+def chain(links: int, joints: int) -> str:
+    """A URDF of links, each on the one before, the last one first."""
+    rows = [f'<link name="l{i}"/>' for i in reversed(range(links))]
+    rows += [
+        f'<joint name="j{i}" type="fixed"><parent link="l{i}"/><child link="l{i + 1}"/></joint>'
+        for i in range(joints)
+    ]
+    return robot(rows)
 
 
 def test_a_zip_is_kept_until_another_comes_or_the_server_ends(

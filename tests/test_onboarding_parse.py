@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from app.errors import DbbError, RobotFileError
 from app.onboarding.finish import finish
 from app.onboarding.new_robot import parse
 from app.onboarding.request import Request
+from app.onboarding.tree import make_tree
 from tests.onboarding import ARM_JOINTS, arm, cart, joint, link, robot, solid, write
 
 TOY = robot([*cart(), *arm()])
@@ -118,6 +121,16 @@ def test_a_closed_chain_is_refused(tmp_path: Path) -> None:
     assert "'rod'" in told
     ring = robot([*cart(), *arm(), joint("ring", "fixed", "hand", "base")])
     assert "closed chain" in refused(tmp_path, ring)
+
+
+def test_a_long_chain_is_checked_in_time_that_grows_with_its_length_only() -> None:
+    count = 20_000
+    rows = [f'<link name="l{i}"/>' for i in reversed(range(count))]
+    rows += [joint(f"j{i}", "fixed", f"l{i}", f"l{i + 1}") for i in range(count - 1)]
+    begin = time.process_time()
+    tree = make_tree(ElementTree.fromstring(robot(rows)))
+    assert time.process_time() - begin < 8.0
+    assert len(tree.joint_of) == count - 1
 
 
 def test_a_missing_mesh_is_named(tmp_path: Path) -> None:

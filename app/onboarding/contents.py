@@ -59,19 +59,26 @@ def _contents(path: Path) -> Contents:
     if path.stat().st_size > LARGEST_URDF:
         raise RobotFileError(f"{path.name}: a URDF may have {LARGEST_URDF / 1e6:.0f} MB")
     robot = read_source(path)
+    _not_too_many(robot, path)
     make_tree(robot)  # what is wrong with the whole is told before anything is asked
     links = tuple(str(link.get("name")) for link in robot.findall("link"))
-    if not links or len(links) > _MOST_NAMES:
-        raise RobotFileError(
-            f"{path.name}: it has {len(links)} links; 1 to {_MOST_NAMES} are taken"
-        )
     above = {_link(joint, "child"): _link(joint, "parent") for joint in robot.findall("joint")}
     endless = tuple(
         str(joint.get("name"))
         for joint in robot.findall("joint") if joint.get("type") == "continuous"
     )  # fmt: skip
     root = next((link for link in links if link not in above), links[0])
-    return Contents(links, endless[:_MOST_NAMES], root, max(links, key=lambda l: _depth(l, above)))
+    return Contents(links, endless, root, max(links, key=lambda l: _depth(l, above)))
+
+
+def _not_too_many(robot: Element, path: Path) -> None:
+    """Look at nothing more closely that is too large for a list: it is done in the server."""
+    for tag, least in (("link", 1), ("joint", 0)):
+        count = len(robot.findall(tag))
+        if not least <= count <= _MOST_NAMES:
+            raise RobotFileError(
+                f"{path.name}: it has {count} {tag}s; {least} to {_MOST_NAMES} are taken"
+            )
 
 
 def _link(joint: Element, tag: str) -> str:

@@ -162,16 +162,18 @@ def _hang_together(links: dict[str, Element], joint_of: dict[str, Joint]) -> Non
     roots = [name for name in links if name not in joint_of]
     if len(roots) > 1:
         raise RobotFileError(
-            f"the links do not hang together: {', '.join(roots)} hang on no joint; "
+            f"the links do not hang together: {_some(roots)} hang on no joint; "
             "a robot has one such link"
         )
+    checked: set[str] = set()  # no link is passed twice, however long the chain is
     for name in links:
         seen, link = set(), name
-        while link in joint_of:
+        while link in joint_of and link not in checked:
             if link in seen:
                 raise RobotFileError(f"closed chain: the link {link!r} hangs on itself")
             seen.add(link)
             link = joint_of[link].parent
+        checked |= seen
 
 
 def _joint(element: Element, links: dict[str, Element]) -> Joint:
