@@ -28,6 +28,7 @@ def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
     """Show the page in headless Chromium, and drag the hand at the base and back all the time."""
     with chromium() as browser:
         tab = DashboardTab(browser, address, dpr=1.0)
+        tab.rest()
         begin_frame = _frame(tab)
         print("ready", flush=True)
         begin = time.monotonic()
@@ -47,11 +48,8 @@ def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
 
 def _sweep(tab: DashboardTab, end: float) -> int:
     """Take the hand, sweep it `SWEEPS` times, let go and press Restart; how often it was swept."""
-    arrow = tab.page.evaluate("([n, a, s]) => dbbTest.arrow(n, a, s)", [GIZMO, AXIS, SCALE])
-    if arrow is None:
-        raise LookupError(f"the arrow {AXIS} of the gizmo is hidden")
-    hand = tab.position(GIZMO)
-    tab.page.mouse.move(*tab.pixel(GIZMO, arrow))
+    arrow, hand = tab.arrow(GIZMO, AXIS, SCALE), tab.position(GIZMO)
+    tab.page.mouse.move(*tab.pixels(GIZMO, arrow[None])[0])
     tab.render(1)  # the gizmo has to see the pointer above it first
     tab.page.mouse.down()
     begin, sweeps = time.monotonic(), 0.0

@@ -16,6 +16,9 @@
     return [box.left + ((p.x + 1) / 2) * box.width, box.top + ((1 - p.y) / 2) * box.height];
   };
 
+  // Whether the mouse reaches the scene there: panels and their edges lie over it.
+  const free = ([x, y]) => !!document.elementFromPoint(x, y)?.contains(canvas());
+
   // The first thing of a gizmo under a pixel, in the gizmo's frame, by the page's own ray caster.
   const hit = (name, at) => {
     const object = node(name);
@@ -65,12 +68,13 @@
       const b = canvas().getBoundingClientRect();
       return [b.left, b.top, b.right, b.bottom].map(Math.round);
     },
-    // A point on an arrow of a gizmo where that arrow really lies on top, or null.
+    // A point on an arrow of a gizmo where that arrow really lies on top of all, or null.
     arrow: (name, axis, scale) => {
       for (const share of [0.95, 0.9, 0.85, 0.8, 0.7, 0.5, 0.4]) {
         const point = [0, 0, 0];
         point[axis] = share * scale;
-        const found = hit(name, pixel(name, point));
+        const at = pixel(name, point);
+        const found = free(at) && hit(name, at);
         if (!found || found.shape !== "CylinderGeometry") continue;
         const [j, k] = [(axis + 1) % 3, (axis + 2) % 3];
         if (Math.hypot(found.local[j], found.local[k]) < 0.12 * scale) return point;

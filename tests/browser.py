@@ -28,6 +28,7 @@ LEAST_DIFFERENCE = 24
 HARMLESS = "Unable to preventDefault inside passive event listener invocation."
 """What Chromium says when viser's own page begins to drag something; nothing is wrong then."""
 
+_AT_REST = 0.8  # [s] without a change
 _NO_TOUR = f"if (location.protocol === 'http:') localStorage.setItem('viser-user:{SEEN}', 'yes');"
 """The page of who has been here before; viser's own prefix."""
 
@@ -88,6 +89,7 @@ class DashboardTab:
         if not first_visit:
             context.add_init_script(_NO_TOUR)
         self.page = context.new_page()
+        self._rests = False
         self.errors: list[str] = []
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.on("console", self._listen)
@@ -96,9 +98,25 @@ class DashboardTab:
 
     def wait_for_scene(self) -> None:
         """Wait until the robot is drawn."""
+        self._rests = False
         self.wait("() => dbbPage.ready()")
         self.wait("() => dbbPage.has('/robot') && dbbPage.has('/hand')")
         self.render(3)
+
+    def rest(self) -> None:
+        """Wait until panels and camera are where they stay, once for a scene.
+
+        Both come to the server and back after the first picture, and a mouse that goes down on the
+        way misses what it aims at.
+        """
+        deadline, since = time.monotonic() + 60.0, time.monotonic()
+        before = None
+        while not self._rests:
+            assert time.monotonic() < deadline, "the camera does not come to rest"
+            self.render(2)
+            now = (self.canvas_box(), self.camera().round(3).tolist())
+            before, since = now, since if now == before else time.monotonic()
+            self._rests = time.monotonic() - since > _AT_REST
 
     def _listen(self, message: Any) -> None:
         if message.type == "error" and message.text != HARMLESS:
@@ -235,13 +253,23 @@ class DashboardTab:
         Raises:
             LookupError: The arrow is hidden in this view.
         """
-        grabbed = self.page.evaluate("([n, a, s]) => dbbTest.arrow(n, a, s)", [node, axis, scale])
-        if grabbed is None:
-            raise LookupError(f"arrow {axis} of {node} is hidden in this view")
-        end = np.array(grabbed)
+        grabbed = self.arrow(node, axis, scale)
+        end = grabbed.copy()
         end[axis] += metres
-        a, b = self.pixel(node, grabbed), self.pixel(node, tuple(end.tolist()))
+        a, b = self.pixels(node, np.array([grabbed, end]))
         self.drag(a, b, steps, drop=drop)
+
+    def arrow(self, node: str, axis: int, scale: float) -> np.ndarray:
+        """(3,) [m] where an arrow of a gizmo can be taken, in the gizmo's frame, at rest.
+
+        Raises:
+            LookupError: The arrow is hidden in this view.
+        """
+        self.rest()
+        found = self.page.evaluate("([n, a, s]) => dbbTest.arrow(n, a, s)", [node, axis, scale])
+        if found is None:
+            raise LookupError(f"arrow {axis} of {node} is hidden in this view")
+        return np.array(found)
 
     def drag(self, a: np.ndarray, b: np.ndarray, steps: int = 8, *, drop: bool = True) -> None:
         """Drag from a pixel to another by the mouse, and let go at the end if `drop`."""

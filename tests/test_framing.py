@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Callable, Coroutine
+from contextlib import nullcontext
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.dashboard.camera import PRESETS, placed
+from app.dashboard import camera as camera_module
+from app.dashboard.camera import PRESETS, Camera, placed
 from app.dashboard.framing import FIELD_OF_VIEW, UP, Window, fit
+from app.dashboard.hand import SCALE
 from app.dashboard.robot import RobotParts
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
@@ -64,8 +72,87 @@ def test_a_preset_shows_the_whole_robot_wherever_it_stands(name: str, window: Wi
     snapshot, extent = loop.latest(), RobotParts(husky_panda()).extent
     c, s = np.cos(snapshot.base_pose[2]), np.sin(snapshot.base_pose[2])
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    points = np.vstack([extent @ R.T + [*snapshot.base_pose[:2], 0.0], snapshot.p_ee])
+    arrows = snapshot.p_ee + SCALE * np.eye(3)  # of the gizmo: the mouse has to reach them
+    points = np.vstack([extent @ R.T + [*snapshot.base_pose[:2], 0.0], snapshot.p_ee, arrows])
     eye, target = placed(PRESETS[name], snapshot, extent, window)
     seen = on_picture(points, eye, target, window)
     assert (np.abs(seen) < 1.0).all()
     assert seen[:, 1].min() > 2.0 * window.covered - 1.0
+
+
+class Eye:
+    """The camera of a browser that says after 0.5 s what has become of what it was told."""
+
+    def __init__(self) -> None:
+        self.time = 0.0
+        self.position = np.zeros(3)
+        self._state = SimpleNamespace(image_width=1280, image_height=720)
+
+    def on_update(self, hear: Callable[[Eye], Coroutine[None, None, None]]) -> None:
+        self._hear = hear
+
+    def answer(self, moved: float = 0.0, width: int = 1280) -> None:
+        """Say where it is now, after the viewer has moved it, and how wide the page is [px]."""
+        self.time += 0.5
+        self.position = self.position + np.array([moved, 0.0, 0.0])
+        self._state.image_width = width
+        asyncio.run(self._hear(self))
+
+
+@pytest.fixture
+def looking(monkeypatch: pytest.MonkeyPatch) -> tuple[Camera, Eye, ScriptedLoop]:
+    """A camera that follows, on a page that is still as wide as its window."""
+    eye, loop = Eye(), ScriptedLoop(husky_panda())
+    monkeypatch.setattr(camera_module, "monotonic", lambda: eye.time)
+    client: Any = SimpleNamespace(camera=eye, atomic=nullcontext)
+    camera = Camera(client)
+    camera.fit(RobotParts(husky_panda()).extent)
+    camera.use("iso", loop.latest())
+    eye.answer()
+    return camera, eye, loop
+
+
+def go_on(camera: Camera, eye: Eye, loop: ScriptedLoop, *, moved: float = 0.0) -> None:
+    """The base drives on by 0.1 m a picture, and the camera with it."""
+    for _ in range(3):
+        x = loop.latest().base_pose[0] + 0.1
+        loop.place((x, 0.0, 0.0))
+        camera.settle(loop.latest())
+        camera.follow(loop.latest().base_pose[:2], on=True)
+        eye.answer(moved)
+
+
+def settled(camera: Camera, eye: Eye, loop: ScriptedLoop, *, busy: bool = False) -> bool:
+    """Whether it looks again once the panels are there."""
+    before = eye.position
+    eye.answer(width=620)
+    camera.settle(loop.latest(), busy=busy)
+    return bool(np.linalg.norm(eye.position - before) > 0.05)
+
+
+def test_a_camera_that_follows_still_looks_again_when_the_panels_come(
+    looking: tuple[Camera, Eye, ScriptedLoop],
+) -> None:
+    camera, eye, loop = looking
+    first = eye.position
+    go_on(camera, eye, loop)
+    np.testing.assert_allclose(eye.position - first, [0.3, 0.0, 0.0], atol=1e-9)
+    assert settled(camera, eye, loop)
+    _, target = placed(PRESETS["iso"], loop.latest(), RobotParts(husky_panda()).extent)
+    assert eye.position[0] > target[0]
+
+
+def test_a_viewer_who_has_moved_is_left_alone_while_the_camera_follows(
+    looking: tuple[Camera, Eye, ScriptedLoop],
+) -> None:
+    camera, eye, loop = looking
+    go_on(camera, eye, loop, moved=0.01)
+    assert not settled(camera, eye, loop)
+
+
+def test_the_scene_stays_where_it_is_under_a_viewer_who_holds_something(
+    looking: tuple[Camera, Eye, ScriptedLoop],
+) -> None:
+    camera, eye, loop = looking
+    assert not settled(camera, eye, loop, busy=True)
+    assert not settled(camera, eye, loop), "nor once it is let go"

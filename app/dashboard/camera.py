@@ -9,6 +9,7 @@ import numpy as np
 import viser
 
 from app.dashboard.framing import ANY_WINDOW, FIELD_OF_VIEW, UP, Window, fit
+from app.dashboard.hand import SCALE
 from app.simulation.snapshot import Snapshot
 
 Array = np.ndarray
@@ -52,7 +53,7 @@ class _Look(NamedTuple):
     Attributes:
         name: Of it.
         window: Where the picture was to be drawn then.
-        eye: (3,) [m] where the camera was put.
+        eye: (3,) [m] where the camera was put, and has been carried to since.
         at: [s] when.
     """
 
@@ -114,17 +115,20 @@ class Camera:
         self._followed = self._looked = None
         self._set, self._set_at, self._arrived = eye, monotonic(), False
 
-    def settle(self, snapshot: Snapshot) -> None:
+    def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
         """Look again if the page has taken another shape since; call it until it has settled.
 
         A page's panels come with its first picture, and narrow the scene only then.
+
+        Args:
+            snapshot: Where base and hand are.
+            busy: Whether the viewer holds something, under whom the scene must not move.
         """
         look, window = self._looked, self.window
         if look is None:
             return
-        away = np.linalg.norm(self._client.camera.position - look.eye) > _LEAST_STEP
-        if monotonic() > look.at + _SETTLING or (self._arrived and away):
-            self._looked = None  # the page has settled, or the viewer has moved
+        if busy or monotonic() > look.at + _SETTLING or self._left(look):
+            self._looked = None  # the page has settled, or the viewer has begun
         elif look.window != window:
             self.use(look.name, snapshot)
             self._looked = self._looked and self._looked._replace(at=look.at)
@@ -145,10 +149,17 @@ class Camera:
         waiting = self._set is not None and monotonic() < self._set_at + _PATIENCE
         if waiting or np.linalg.norm(step) < _LEAST_STEP:
             return
-        self._followed = np.array(base_position)
+        self._followed, look = np.array(base_position), self._looked
+        if look is not None:
+            self._looked = None if self._left(look) else look._replace(eye=look.eye + step)
         self._set, self._set_at = self._client.camera.position + step, monotonic()
         # Setting the position carries the point that is looked at along, by the same step.
         self._client.camera.position = self._set
+
+    def _left(self, look: _Look) -> bool:
+        """Whether the viewer has moved the camera away; unknown while a step is on its way."""
+        away = np.linalg.norm(self._client.camera.position - look.eye)
+        return self._arrived and self._set is None and bool(away > _LEAST_STEP)
 
     async def _hear(self, camera: viser.CameraHandle) -> None:
         """Something has come back: is it what was set, or later than that?"""
@@ -174,7 +185,9 @@ def placed(
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     origin = np.array([x, y, 0.0])
     hand = R.T @ (snapshot.p_ee - origin)
+    arrows = hand + SCALE * R  # tips, whose axes are the world's: those of Rᵀ in the base's frame
     seen = hand + _NEAR_HAND if preset.of_hand else np.vstack([extent, hand + _HAND])
+    seen = np.vstack([seen, arrows])
     eye, target = fit(seen, preset.away, window)
     return origin + R @ eye, origin + R @ target
 

@@ -102,7 +102,7 @@ class Page:
             self._apply_theme()
             self._scene.draw(shown, texts=texts)
             self.hand.update(shown, texts=texts)
-            self._camera.settle(shown)
+            self._camera.settle(shown, busy=self.grip.holds_anything)
             self._camera.follow(shown.base_pose[:2], on=self.view.follow)
             if texts:
                 self._run.update(newest, shown)
