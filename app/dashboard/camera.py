@@ -158,8 +158,8 @@ class Camera:
 
     def _left(self, look: _Look) -> bool:
         """Whether the viewer has moved the camera away; unknown while a step is on its way."""
-        away = np.linalg.norm(self._client.camera.position - look.eye)
-        return self._arrived and self._set is None and bool(away > _LEAST_STEP)
+        away = float(np.linalg.norm(self._client.camera.position - look.eye))
+        return self._arrived and self._set is None and away > _LEAST_STEP
 
     async def _hear(self, camera: viser.CameraHandle) -> None:
         """Something has come back: is it what was set, or later than that?"""

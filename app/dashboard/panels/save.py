@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import viser
@@ -21,9 +21,10 @@ from app.dashboard.stage import BACKGROUND
 from app.dashboard.timeline import Timeline
 from app.dashboard.view import View
 from app.errors import DbbError, LogError
-from app.simulation.log import write_log
-from app.simulation.log_meta import LogMeta
 from app.simulation.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from app.simulation.log_meta import LogMeta
 
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
 """[px] least, most and first size of a picture."""
@@ -140,11 +141,15 @@ class SavePanel:
         return make
 
     def _write(self, path: Path) -> Path:
+        from app.simulation.log import write_log  # its tables take time that the first page waits
+
         snapshots = self._timeline.interval()
         write_log(path, snapshots, self._meta(snapshots[0]))
         return path
 
     def _meta(self, first: Snapshot) -> LogMeta:
+        from app.simulation.log_meta import LogMeta
+
         return LogMeta.of(self._shared.model, first, scenario=first.scenario)
 
 
