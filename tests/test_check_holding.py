@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from app.onboarding.check_holding import carried_hand, holding_row, holding_warning
+from app.onboarding.check_holding import carried_hand, holding_row, holding_warning, lost_hand
 from app.robot.assets import load_robot, package_roots
 from app.robot.model import RobotModel
 from tests.robots import husky_panda
@@ -54,3 +55,49 @@ def test_the_sentence_names_each_axis_that_is_often_lost_and_no_other() -> None:
     one = holding_warning((lost[0], kept[1]))
     assert "moves forward" in one
     assert "turns" not in one
+
+
+FAST = np.full(6, 10.0)
+
+
+def test_a_hand_on_the_yaw_axis_keeps_its_place_whatever_the_arm_can_do() -> None:
+    turning = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+    stiff, free = np.zeros((6, 6)), np.eye(6)
+    assert lost_hand(stiff, turning, FAST) == (False, True)
+    assert lost_hand(free, turning, FAST) == (False, False)
+    assert lost_hand(stiff, np.zeros(6), FAST) == (False, False)
+
+
+@pytest.mark.parametrize(("joint", "lost"), [(0, (True, True)), (5, (False, True))])
+def test_a_part_that_no_joint_moves_is_lost_and_no_other(
+    joint: int, lost: tuple[bool, bool]
+) -> None:
+    moved = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 1.0])
+    J = np.eye(6)
+    J[joint, joint] = 0.0
+    assert lost_hand(J, moved, FAST) == lost
+    assert lost_hand(np.eye(6), moved, FAST) == (False, False)
+
+
+@pytest.mark.parametrize("speed", [0.85, 0.95])
+def test_more_than_a_tenth_left_over_is_lost_and_less_is_not(speed: float) -> None:
+    along = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert lost_hand(np.eye(6), along, np.full(6, speed)) == (speed < 0.9, speed < 0.9)
+    turning = along[[3, 4, 5, 0, 1, 2]]
+    assert lost_hand(np.eye(6), turning, np.full(6, speed)) == (False, speed < 0.9)
+
+
+def test_a_place_that_is_kept_only_by_turning_the_hand_is_kept_and_the_pose_is_lost() -> None:
+    J = np.zeros((6, 1))
+    J[0, 0], J[5, 0] = 0.5, 1.0  # a lever of half a metre
+    moved = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
+    assert lost_hand(J, moved, FAST[:1]) == (False, True)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_pose_is_never_kept_where_the_place_is_lost(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    J, moved = rng.normal(size=(6, 7)), rng.normal(size=6)
+    for speed in (0.01, 0.1, 0.3, 1.0, 10.0):
+        place, pose = lost_hand(J, moved, np.full(7, speed))
+        assert pose or not place

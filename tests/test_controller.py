@@ -266,10 +266,7 @@ def test_a_base_stays_where_an_arm_too_slow_to_hold_its_hand_would_go_along(
     """The same robot and pose, the joints with a fiftieth of their speed."""
     m = in_buffer(robot, controller, seed, "lm-lEE")
     m = measured(robot, m.q_m)
-    arm = robot.description.arm.model_copy(
-        update={"max_velocity": tuple(float(v) for v in robot.qd_max / 50)}
-    )
-    slow = RobotModel(robot.description.model_copy(update={"arm": arm}))
+    slow = slower(robot, 0.02)
     held, taken = (c.step(m) for c in (controller, Controller(slow, border_data, AT_ONCE)))
     assert held.avoidance.holding.share == 1.0
     assert taken.avoidance.holding.share == 0.0
@@ -277,3 +274,28 @@ def test_a_base_stays_where_an_arm_too_slow_to_hold_its_hand_would_go_along(
     asked = np.linalg.norm(held.base_acceleration)
     assert asked > 0.005
     assert np.linalg.norm(taken.base_acceleration) < 0.15 * asked
+
+
+def slower(robot: RobotModel, arm: float, base: float = 1.0) -> RobotModel:
+    """The robot with so many times the speed of its joints and its base."""
+    description = robot.description
+    speeds = tuple(float(v) for v in robot.qd_max * arm)
+    top = description.base.max_linear_velocity_mps * base
+    changes = {
+        "arm": description.arm.model_copy(update={"max_velocity": speeds}),
+        "base": description.base.model_copy(update={"max_linear_velocity_mps": top}),
+    }
+    return RobotModel(description.model_copy(update=changes))
+
+
+def test_an_arm_as_slow_as_its_base_holds_its_hand(
+    robot: RobotModel, border_data: BorderData, controller: Controller
+) -> None:
+    """What counts is the base's own largest speed where it is below the admittance law's."""
+    m = in_buffer(robot, controller, 0, "lm-lEE")
+    quick, slow = (
+        Controller(slower(robot, 0.02, base), border_data, AT_ONCE).step(m).avoidance.holding
+        for base in (1.0, 0.01)
+    )
+    assert quick.share == 0.0
+    assert slow.share == 1.0

@@ -147,18 +147,20 @@ def test_a_limit_names_the_joint_or_the_pair():
 
 
 EVERYTHING = list(
-    product(CONTROLLERS, NEAR, MOTIONS, ("guiding", "tracking"), (LEVELS, ()), (True, False))
+    product(
+        CONTROLLERS, NEAR, MOTIONS, ("guiding", "tracking"), (LEVELS, ()), (True, False), (1.0, 0.3)
+    )
 )
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_there_is_one_short_answer_for_every_state(blank, controller):
-    for name, near, moves, mode, levels, solved in EVERYTHING:
+    for name, near, moves, mode, levels, solved, share in EVERYTHING:
         if name != controller:
             continue
         why = explanation(
             NEAR[near], controller=name, mode=mode, levels=levels, solved=solved,
-            bounds=(Bound("base", "speed", upper=True),),
+            bounds=(Bound("base", "speed", upper=True),), holding_share=share,
         )  # fmt: skip
         for contact in ((False, False), (True, False), (False, True)):
             text = said(
@@ -186,6 +188,17 @@ def test_before_the_base_moves_it_says_what_it_is_about_to_do(blank):
     )
     idle = explanation(NEAR["base"])
     assert "too little yet to move the base" in said(blank, idle, base_velocity=(0.0, 0.0))
+
+
+def test_where_the_arm_cannot_hold_the_hand_it_is_said_and_nowhere_else(blank):
+    kept = "the arm cannot hold the hand, so the base leaves it in place"
+    for moves, part in (("back", "turns left; the arm cannot"), ("rest", "but the arm cannot")):
+        for share in (0.0, 0.999, 1.0):
+            why = explanation(NEAR["base"], holding_share=share)
+            text = said(blank, why, base_velocity=MOTIONS[moves])
+            assert (kept in text) == (part in text) == (share < 1.0)
+    for near, controller in (("above", "dbb"), ("links", "dbb"), ("nothing", "dbb")):
+        assert kept not in said(blank, explanation(NEAR[near], controller=controller))
 
 
 @pytest.mark.parametrize(("slack", "disturbed"), [(0.0, False), (0.04, False), (3.0, True)])

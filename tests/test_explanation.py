@@ -244,6 +244,27 @@ def test_the_base_gives_up_what_its_largest_acceleration_does_not_allow(robot, d
     assert kinds == set(names[excess > 0.0])
 
 
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_base_gives_up_what_would_take_along_a_hand_that_the_arm_cannot_hold(
+    robot, border_data, dbb, seed
+):
+    """Told as the base's slack, and as no limit of the base."""
+    speeds = tuple(float(v) for v in robot.qd_max / 50)
+    arm = robot.description.arm.model_copy(update={"max_velocity": speeds})
+    slow = RobotModel(robot.description.model_copy(update={"arm": arm}))
+    m = near(robot, "lm-lEE", seed)
+    m = Measurement(m.base_pose, REST, m.q_m, np.zeros(7))
+    why, output = explained(Controller(slow, border_data, AT_ONCE), m)
+    wanted = output.avoidance.beta_m * output.avoidance.xdd_m  # at rest nothing else is wanted
+    missing = np.abs(wanted - output.base_acceleration)
+    assert level(why, "base")[1:] == pytest.approx(tuple(missing), abs=1e-9)
+    assert np.linalg.norm(missing) > 0.5 * np.linalg.norm(wanted) > 0.0
+    assert why.holding_share == output.avoidance.holding.share == 0.0
+    assert not [b for b in why.bounds if b.where == "base" and "acceleration" in b.kind]
+    held, _ = explained(dbb, m)
+    assert held.holding_share == 1.0
+
+
 # Limits
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from app.avoidance.holding import HELD, Holding, arm_holding, hand_speeds
 from app.config import AdmittanceConfig
-from app.control.admittance import AdmittanceLaw
+from app.control.admittance import AdmittanceLaw, response
 from app.control.hand_held import base_with_hand_held, farthest, with_hand_held
 from app.robot.assets import load_robot, package_roots
 from app.robot.model import RobotModel
@@ -128,7 +128,7 @@ def test_the_share_moves_without_a_jump_along_a_path_through_poses_and_velocitie
 def test_without_a_weight_the_base_does_what_is_wanted(seed: int) -> None:
     rng = np.random.default_rng(seed)
     wanted, held, carry = rng.normal(size=2), rng.normal(size=2), rng.normal(size=(2, 2))
-    asked = with_hand_held(wanted, held, np.zeros((2, 2)), carry=carry, inertia=INERTIA)
+    asked = with_hand_held(wanted, held, np.zeros((2, 2)), carry=carry, mass=46.0, inertia=INERTIA)
     np.testing.assert_allclose(asked, wanted, atol=1e-12)
 
 
@@ -139,7 +139,7 @@ def test_the_heavier_the_hand_clings_the_less_it_is_taken_along(seed: int) -> No
     u = rng.normal(size=2)
     u /= np.linalg.norm(u)
     taken = [
-        abs(u @ carry @ (with_hand_held(wanted, held, w * np.outer(u, u), carry=carry,
+        abs(u @ carry @ (with_hand_held(wanted, held, w * np.outer(u, u), carry=carry, mass=46.0,
                                         inertia=INERTIA) - held))
         for w in (0.0, 0.1, 1.0, 10.0, 1e3, 1e6)
     ]  # fmt: skip
@@ -152,7 +152,7 @@ def test_what_is_left_of_a_push_never_works_against_it(seed: int) -> None:
     rng = np.random.default_rng(seed)
     wanted, held, carry = rng.normal(size=2), rng.normal(size=2), rng.normal(size=(2, 2))
     weight = 10.0 ** rng.uniform(-2, 4) * random_weight(rng)
-    asked = with_hand_held(wanted, held, weight, carry=carry, inertia=INERTIA)
+    asked = with_hand_held(wanted, held, weight, carry=carry, mass=46.0, inertia=INERTIA)
     push, done = INERTIA * (wanted - held), asked - held
     assert push @ done >= 0.0
     assert INERTIA @ np.square(done) <= INERTIA @ np.square(wanted - held) + 1e-12
@@ -196,6 +196,102 @@ def test_what_is_asked_turns_into_what_is_wanted_as_the_weight_goes() -> None:
         slack = Holding(1.0 - left, left * np.eye(2))
         asked = base_with_hand_held(state, wanted, free, slack, 1.0, AdmittanceConfig())
         np.testing.assert_allclose(asked, np.clip(wanted, -most, most), atol=100 * left)
+
+
+def random_case(
+    rng: np.random.Generator,
+) -> tuple[RobotState, np.ndarray, np.ndarray, Holding]:
+    """A state, `wanted` and `free` up to thrice the base's limits, and what an arm can do."""
+    model = husky_panda()
+    nu = rng.uniform(-1.2, 1.2, 2)
+    state = state_at(model, np.array(model.description.arm.ready_position), nu)
+    wanted, free = rng.uniform(-3, 3, (2, 2)) * model.base_acceleration_max
+    share = rng.uniform(0, 1)
+    return state, wanted, free, Holding(share, 10.0 ** rng.uniform(-3, 3) * random_weight(rng))
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_at_the_rim_of_the_buffer_the_base_does_what_it_did_outside(seed: int) -> None:
+    """β → 0: the limit is what the controller asks without the base's rows."""
+    state, _, free, holding = random_case(np.random.default_rng(seed))
+    most = state.model.base_acceleration_max
+    for beta in (1e-9, 1e-12):
+        asked = base_with_hand_held(state, free, free, holding, beta, AdmittanceConfig())
+        np.testing.assert_allclose(asked, np.clip(free, -most, most), atol=1e-5)
+
+
+def test_a_turning_base_whose_arm_does_not_follow_brakes_at_the_rim_as_outside() -> None:
+    model = husky_panda()
+    nu, free = np.array([0.2, 1.0]), np.array([-0.6, -3.0])
+    state = state_at(model, np.array(model.description.arm.ready_position), nu)
+    lost = Holding(0.0, 1e3 * np.eye(2))
+    asked = base_with_hand_held(state, free, free, lost, 1e-12, AdmittanceConfig())
+    np.testing.assert_allclose(asked, free, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_what_is_asked_of_the_base_is_within_its_limits(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    state, wanted, free, holding = random_case(rng)
+    asked = base_with_hand_held(state, wanted, free, holding, rng.uniform(), AdmittanceConfig())
+    assert (np.abs(asked) <= state.model.base_acceleration_max + 1e-9).all()
+
+
+@pytest.mark.parametrize("begin", [0.0, 0.5, 1.0, 3.0])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_hand_held_by_all_that_the_base_can_leaves_its_other_axis_free(
+    begin: float, axis: int
+) -> None:
+    """Also where what holds it lies on or beyond a limit: a step across it stops nothing else."""
+    model = husky_panda()
+    state = state_at(model, np.array(model.description.arm.ready_position))
+    most = model.base_acceleration_max
+    free, wanted = np.zeros(2), np.zeros(2)
+    gain = response(model.description.base, AdmittanceConfig()).gain
+    free[axis] = begin * (most * gain)[axis]
+    wanted[axis], wanted[1 - axis] = 1.001 * most[axis], 0.3 * most[1 - axis]
+    for share in (0.0, 0.5):
+        slack = Holding(share, np.zeros((2, 2)))
+        asked = base_with_hand_held(state, wanted, free, slack, 1.0, AdmittanceConfig())
+        assert asked[1 - axis] > 0.05 * most[1 - axis]
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_what_is_asked_of_the_base_moves_without_a_jump(seed: int) -> None:
+    """Along a line of inputs, saturated ones among them, the steepest step looked at closer."""
+    rng = np.random.default_rng(seed)
+    (state, wanted, free, one), (_, wanted_b, free_b, other) = random_case(rng), random_case(rng)
+    nu, nu_b, betas = *rng.uniform(-1.2, 1.2, (2, 2)), rng.uniform(0, 1, 2)
+    q_m = state.measurement.q_m
+
+    def at(s: float) -> np.ndarray:
+        state.update(at_rest(state.model, q_m)._replace(base_velocity=nu + s * (nu_b - nu)))
+        share = one.share + s * (other.share - one.share)
+        holding = Holding(share, one.weight + s * (other.weight - one.weight))
+        return base_with_hand_held(
+            state, wanted + s * (wanted_b - wanted), free + s * (free_b - free), holding,
+            float(betas[0] + s * (betas[1] - betas[0])), AdmittanceConfig(),
+        )  # fmt: skip
+
+    low, high, change = 0.0, 1.0, np.ones(1)
+    for _ in range(4):
+        places = np.linspace(low, high, 101)
+        found = np.array([at(s) for s in places]) / state.model.base_acceleration_max
+        change = np.abs(np.diff(found, axis=0)).max(axis=1)
+        low, high = places[change.argmax()], places[change.argmax() + 1]
+    assert change.max() < 1e-3
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_mass_is_that_of_the_base_in_whatever_order_its_axes_are(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    wanted, held, carry = rng.normal(size=2), rng.normal(size=2), rng.normal(size=(2, 2))
+    weight = random_weight(rng)
+    one = with_hand_held(wanted, held, weight, carry=carry, mass=46.0, inertia=INERTIA)
+    turned = with_hand_held(
+        wanted[::-1], held[::-1], weight, carry=carry[:, ::-1], mass=46.0, inertia=INERTIA[::-1]
+    )
+    np.testing.assert_allclose(turned[::-1], one, atol=1e-12)
 
 
 @pytest.mark.parametrize("wanted", [[-3.0, -6.0], [3.0, 1.0], [-1.0, 6.0], [0.0, 6.0]])

@@ -141,7 +141,9 @@ class SelfCollisionAvoidance:
         """How far the arm holds its hand; only where a pair of L_m is inside the buffer."""
         if all(c.d >= self._config.border.d_b for c in mobile):
             return HELD
-        return arm_holding(self._state, self._config.admittance.v_max)
+        base = self._state.model.description.base
+        v_max = min(self._config.admittance.v_max, base.max_linear_velocity_mps)
+        return arm_holding(self._state, v_max)
 
     def _mobile_pair(self, closest: ClosestPoints, share: float) -> PairState:
         """Lines 4 to 6 for one pair of L_m."""

@@ -113,9 +113,11 @@ def _rate_bounds(joints: tuple[str, ...], output: ControlOutput, workings: Worki
 
 def _base_bounds(model: RobotModel, output: ControlOutput, workings: Workings) -> list[Bound]:
     """Whether the base was asked for more acceleration than it is allowed."""
-    missing = workings.base_wanted - output.base_acceleration
+    asked, most = output.base_acceleration, model.base_acceleration_max
+    missing = workings.base_wanted - asked  # may be missing for the hand's sake, too
+    at_limit = np.sign(missing) * asked > most - TOLERANCE
     return [
         Bound("base", "angular acceleration" if axis.angular else "acceleration", bool(m > 0))
-        for axis, m in zip(model.description.base.axes, missing, strict=True)
-        if abs(m) > TOLERANCE
+        for axis, m, at in zip(model.description.base.axes, missing, at_limit, strict=True)
+        if at and abs(m) > TOLERANCE
     ]

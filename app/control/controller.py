@@ -160,8 +160,7 @@ class Controller:
         inserted = self._method.insert(self.state, avoidance, self._config)
         workings = None
         try:
-            wanted = self._base_acceleration(inserted, reference)
-            asked = _clipped(wanted, self._model.base_acceleration_max)
+            wanted, asked = self._base_acceleration(inserted, reference)
             given = asked if base_acceleration is None else base_acceleration
             arm = self._solve_arm(given, inserted, reference)
             u_a, workings = arm.u_a, Workings(wanted, given, arm)
@@ -178,11 +177,18 @@ class Controller:
         """The score by which a pair of L_m chooses its acting points, by the pair's name."""
         return self._avoidance.field(pair)
 
-    def _base_acceleration(self, inserted: Inserted, reference: Reference | None) -> Array:
-        """The base's part of (29), (n_b,): its rows fix it once the solution without them is known.
+    def _base_acceleration(
+        self, inserted: Inserted, reference: Reference | None
+    ) -> tuple[Array, Array]:
+        """The base's part of (29): its rows fix it once the solution without them is known.
 
-        Paper: Eq. (29), the base's rows; the base's own limits are not yet applied.
+        Paper: Eq. (29), the base's rows.
+
+        Returns:
+            (n_b,) what (29) wants, and (n_b,) what of it is asked, within the base's limits and as
+            far as the arm can hold the hand.
         """
+        most = self._model.base_acceleration_max
         rows_m = inserted.rows_m
         kept = inserted.holding.share < 1.0  # then what the hand needs counts, whatever β
         if rows_m is not None and rows_m.beta >= 1.0 and not kept:
@@ -192,13 +198,14 @@ class Controller:
         else:
             free = self._model.J_m @ self._slow_solution(inserted, reference)[: self._model.n_b]
         if rows_m is None:
-            return free
+            return free, _clipped(free, most)
         wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
         if not kept:
-            return wanted
-        return base_with_hand_held(
+            return wanted, _clipped(wanted, most)
+        asked = base_with_hand_held(
             self.state, wanted, free, inserted.holding, rows_m.beta, self._config.admittance
         )
+        return wanted, _clipped(asked, most)
 
     def _slow_solution(self, inserted: Inserted, reference: Reference | None) -> Array:
         """q̈ of (29) without the base's rows, (n,), its loops as slow as the base is.

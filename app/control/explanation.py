@@ -97,6 +97,8 @@ class Explanation(NamedTuple):
         base_given: The same that the base has.
         levels: What each level of the hierarchy gave up, highest priority first.
         bounds: What limited the step.
+        holding_share: [-] how far the arm holds its hand while the base's rows move it; below 1 the
+            base keeps to what leaves the hand in place.
         measure_label: Of the determinant, or of what stands in its place, as HTML.
         measure_hint: What it says of a point.
         measure_unit: Of it and the score.
@@ -115,6 +117,7 @@ class Explanation(NamedTuple):
     base_given: ByAxis
     levels: tuple[Level, ...]
     bounds: tuple[Bound, ...]
+    holding_share: float = 1.0
     measure_label: str = DifferentialBase.measure_label
     measure_hint: str = DifferentialBase.measure_hint
     measure_unit: str = DifferentialBase.measure_unit
@@ -168,6 +171,7 @@ def explain(
         measure_unit=base.measure_unit,
         score_formula=base.score_formula,
         bounds=(*bounds, *admittance_bounds(state.model, config, base_command)),
+        holding_share=output.inserted.holding.share,
     )
 
 

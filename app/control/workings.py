@@ -36,7 +36,8 @@ class Workings(NamedTuple):
     """How a control step came to its answer; what explains it is made from this, when asked for.
 
     Attributes:
-        base_wanted: (n_b,) [m/s² or rad/s²] of (29) before the base's acceleration limits.
+        base_wanted: (n_b,) [m/s² or rad/s²] of (29) before the base's acceleration limits, and
+            before what is kept of it where the arm cannot hold the hand.
         base_given: (2,) the same that the base really has, with which the arm's part is solved.
         arm: The arm's part.
     """

@@ -14,6 +14,7 @@ LONGEST = 280
 UNDISTURBED = (0.05, 0.2)
 """[m/s²], [rad/s²] of slack below which the hand's own task is met: 0.06 mm at its gain."""
 
+_KEPT = "the arm cannot hold the hand, so the base leaves it in place"
 _BEHIND = -0.5  # [-] forward part of a normal above which what is near is not behind the base
 
 
@@ -86,10 +87,14 @@ def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
         return f"{where}: from {nearer} on the arm itself will resist.{_also(why)}"
     moves = _base_moves(snapshot, why, pair)
     moved = f"so {moves}" if moves else "too little yet to move the base"
+    also = _also(why)
+    if why.holding_share < 1.0:
+        also = ""  # what holds the base back counts more
+        moved = f"so {moves}; {_KEPT}" if moves else f"but {_KEPT}"
     if pair.arm_beta > 0.0:
         how = "too" if pair.above > 0.0 else "too, as the last resort"
-        return f"{cause}, {moved}, and the arm itself resists {how}.{_also(why)}"
-    return f"{cause}, {moved}; {_hand(why)}.{_also(why)}"
+        return f"{cause}, {moved}, and the arm itself resists {how}.{also}"
+    return f"{cause}, {moved}; {_hand(why)}.{also}"
 
 
 def _repulsive(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:

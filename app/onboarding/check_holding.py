@@ -19,6 +19,8 @@ Array = np.ndarray
 _POSES, _SAMPLES = 100, 2000
 _NEAR = 0.30  # [m] from the base within which a pose counts
 _LEFT = 0.10  # [-] of the base's motion of the hand that the arm may leave over
+_LEVER = 0.3  # [m] at which a turning hand counts as much as a moving one
+_NOTHING = 1e-6  # [m/s or rad/s] what is left where the base does not move the hand
 _OFTEN = 0.25  # [-] share of poses from which on it is warned of
 
 
@@ -48,35 +50,58 @@ class Carried(NamedTuple):
 def carried_hand(model: RobotModel, *, seed: int = 0) -> tuple[Carried, ...]:
     """How often the arm is too slow, or lacks a joint, to hold its hand where it is.
 
-    At random poses near the base, clear of it, the least remainder of J_arm q̇ = -J_base ν within
-    the joints' velocity limits is looked at, for each of the base's axes at the largest speed that
-    it is commanded. More than a tenth of the motion left over counts.
+    At random poses near the base, clear of it, for each of the base's axes at the largest speed
+    that it is commanded: see `lost_hand`.
 
     Args:
         model: The robot.
         seed: Of the poses.
     """
-    from scipy.optimize import lsq_linear
-
     base, state, n_b = model.description.base, RobotState(model), model.n_b
     speeds = largest_command(base, AdmittanceConfig())
     poses = _near_poses(model, np.random.default_rng(seed))
-    left = np.zeros((len(poses), n_b, 2))
+    lost = np.zeros((len(poses), n_b, 2))
     for k, q_m in enumerate(poses):
         state.update_kinematics(at_rest(model, q_m))
         for i in range(n_b):
             moved = state.J_ee[:, :n_b] @ model.J_m_inv[:, i] * speeds[i]
-            for j, rows in enumerate((3, 6)):
-                found = lsq_linear(
-                    state.J_ee[:rows, n_b:], -moved[:rows], (-model.qd_max, model.qd_max),
-                    method="bvls",
-                )  # fmt: skip
-                left[k, i, j] = np.sqrt(2 * found.cost) / np.linalg.norm(moved[:rows])
-    shares = (left > _LEFT).mean(axis=0).tolist()
+            lost[k, i] = lost_hand(state.J_ee[:, n_b:], moved, model.qd_max)
+    shares = lost.mean(axis=0).tolist()
     return tuple(
         Carried(axis, speed, *share)
         for axis, speed, share in zip(base.axes, speeds.tolist(), shares, strict=True)
     )
+
+
+def lost_hand(J_arm: Array, moved: Array, qd_max: Array) -> tuple[bool, bool]:
+    """Whether the arm loses its hand's place, and whether place or orientation, to the base.
+
+    Looked at is what is least left over of J_arm q̇ = -J_base ν within the joints' velocity limits;
+    for the orientation too, an angular part counts with a lever of 0.3 m. A part is lost if more
+    than a tenth of the base's motion is left of it: of that part's, or of the other's by the lever
+    where that is more.
+
+    Args:
+        J_arm: (6, n_m) Jacobian of the hand, linear above angular.
+        moved: (6,) [m/s, rad/s] J_base ν, velocity of the hand with the arm at rest.
+        qd_max: (n_m,) [rad/s or m/s] largest speeds of the joints.
+    """
+    linear, angular = float(np.linalg.norm(moved[:3])), float(np.linalg.norm(moved[3:]))
+    left = np.linalg.norm(_least(J_arm[:3], moved[:3], qd_max))
+    place = bool(left > _LEFT * linear + _NOTHING)
+    scale = np.repeat([1.0, _LEVER], 3)
+    both = _least(scale[:, None] * J_arm, scale * moved, qd_max)
+    most = _LEFT * max(linear, _LEVER * angular) + _NOTHING
+    pose = max(np.linalg.norm(both[:3]), np.linalg.norm(both[3:])) > most
+    return place, place or bool(pose)
+
+
+def _least(J: Array, moved: Array, qd_max: Array) -> Array:
+    """What is least left over of J q̇ = -moved with |q̇| ≤ q̇_max."""
+    from scipy.optimize import lsq_linear
+
+    found = lsq_linear(J, -moved, (-qd_max, qd_max), method="bvls")
+    return J @ found.x + moved
 
 
 def holding_row(model: RobotModel) -> Row:

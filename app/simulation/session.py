@@ -221,7 +221,10 @@ class Session:
 
     def _look(self, output: ControlOutput) -> BufferReading:
         closest = [pair.closest for pair in output.avoidance.mobile]
-        return self._watch.update(self.state, closest, DT, gives_way=self.controller.name == "dbb")
+        return self._watch.update(
+            self.state, closest, DT, gives_way=self.controller.name == "dbb",
+            holding_share=output.inserted.holding.share,
+        )  # fmt: skip
 
     def _disturb(self, config: DisturbanceConfig) -> None:
         self._disturbances.config = config
