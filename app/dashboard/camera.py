@@ -163,7 +163,9 @@ class Camera:
 
     async def _hear(self, camera: viser.CameraHandle) -> None:
         """Something has come back: is it what was set, or later than that?"""
-        there = self._set is not None and np.linalg.norm(camera.position - self._set) < _LEAST_STEP
+        there = self._set is not None and bool(
+            np.linalg.norm(camera.position - self._set) < _LEAST_STEP
+        )
         self._arrived = self._arrived or there
         if there or monotonic() > self._set_at + _ECHO:
             self._set = None
