@@ -18,6 +18,17 @@ FORMAT = 2
 def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     """32 hexadecimal digits that change whenever the border could.
 
+    Raises:
+        AssetError: The URDF or a mesh is not there.
+    """
+    return digest(
+        {"format": FORMAT, **robot_content(description), "sampling": sampling.model_dump()}
+    )
+
+
+def robot_content(description: RobotDescription) -> dict[str, object]:
+    """All of a robot that the places of its bodies depend on.
+
     Of the description count the bodies' shapes, the arm's joints and limits and the base's link; of
     the URDF its joints; of a mesh its bytes. Sources, colours, masses, gains and the place where
     packages are installed do not.
@@ -26,8 +37,7 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
         AssetError: The URDF or a mesh is not there.
     """
     arm = description.arm
-    content = {
-        "format": FORMAT,
+    return {
         "base": description.base.link,
         "mount": arm.mount_link,
         "joints": [arm.joints, arm.position_lower, arm.position_upper],
@@ -42,8 +52,11 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
             if isinstance(shape, ConvexMesh)
         ],
         "kinematics": _kinematics(urdf_path(description).read_text(encoding="utf-8")),
-        "sampling": sampling.model_dump(),
     }
+
+
+def digest(content: dict[str, object]) -> str:
+    """32 hexadecimal digits of what can be written as JSON."""
     text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-
-from app.border.key import border_key
+from app.border.key import digest, robot_content
 from app.border.reach_config import ReachConfig
-from app.border.sampling_config import SamplingConfig
 from app.robot.description import RobotDescription
 
 FORMAT = 1
@@ -17,22 +13,22 @@ FORMAT = 1
 def reach_key(description: RobotDescription, body: str, config: ReachConfig) -> str:
     """32 hexadecimal digits that change whenever the map could.
 
-    It covers what the border's key does (shapes, joints, limits, URDF), the end-effector's frame,
-    the body, and the sampling.
+    It covers the robot as the border's key does (shapes, joints, limits, URDF), the end-effector's
+    frame, the body, and the counting; the way in which borders are sampled does not matter.
 
     Raises:
         AssetError: The URDF or a mesh is not there.
     """
     arm = description.arm
-    content = {
-        "format": FORMAT,
-        "robot": border_key(description, SamplingConfig()),
-        "end_effector": [
-            arm.end_effector_link, arm.end_effector_xyz_m, arm.end_effector_rpy_rad,
-            arm.end_effector_link in description.body(body).covers,
-        ],
-        "body": body,
-        "sampling": config.model_dump(),
-    }  # fmt: skip
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+    return digest(
+        {
+            "format": FORMAT,
+            "robot": robot_content(description),
+            "end_effector": [
+                arm.end_effector_link, arm.end_effector_xyz_m, arm.end_effector_rpy_rad,
+                arm.end_effector_link in description.body(body).covers,
+            ],
+            "body": body,
+            "sampling": config.model_dump(),
+        }
+    )  # fmt: skip
