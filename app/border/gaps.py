@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -17,9 +17,9 @@ NEAR_CONTOUR = 0.05
 """[m] from a contour; over the top, points of other heights lie inside of it."""
 LEAST_POINTS = 20
 """[-] fewer tell nothing."""
-LEAST_GAP = 40.0
+_LEAST_GAP = 40.0
 """[rays] narrower gaps are chance."""
-MARGIN = 10.0
+_MARGIN = 10.0
 """[rays] by which a gap is kept narrower on either side: samples are not everywhere."""
 STEEPEST_GAP = 1500.0
 """[rays/m] by which either end of a gap may move from height to height."""
@@ -35,6 +35,19 @@ class Gap(NamedTuple):
 
     first: float
     last: float
+
+
+def gaps_between(stretches: Iterable[tuple[float, float]]) -> list[Gap]:
+    """What stretches without points tell: the narrow ones nothing, the others a gap within each.
+
+    Args:
+        stretches: [rays] from the last point before each to the first one after it.
+    """
+    return [
+        Gap(before + _MARGIN, after - _MARGIN)
+        for before, after in stretches
+        if after - before >= _LEAST_GAP
+    ]
 
 
 def without_leaps(

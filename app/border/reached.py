@@ -6,12 +6,11 @@ import numpy as np
 
 from app.border.dbb import Border
 from app.border.gaps import (
-    LEAST_GAP,
     LEAST_POINTS,
-    MARGIN,
     NEAR_CONTOUR,
     NEAR_HEIGHT,
     Gap,
+    gaps_between,
     without_leaps,
 )
 from app.border.offset import RAYS, OffsetContours, ray_from
@@ -56,12 +55,7 @@ def _gaps(border: Border, z: float, centre: Array, ring: Array) -> list[Gap] | N
     if len(cell) < LEAST_POINTS:
         return None
     filled = np.unique(cell)
-    both = zip(filled, np.append(filled[1:], filled[0] + RAYS), strict=True)
-    return [
-        Gap(before + MARGIN, after - MARGIN)
-        for before, after in both
-        if after - before >= LEAST_GAP
-    ]
+    return gaps_between(zip(filled, np.append(filled[1:], filled[0] + RAYS), strict=True))
 
 
 def _shows(gap: Gap, shown: Array) -> bool:

@@ -14,12 +14,10 @@ import numpy as np
 from app.border import contours
 from app.border.dbb import Border
 from app.border.gaps import (
-    LEAST_GAP,
     LEAST_POINTS,
-    MARGIN,
     NEAR_CONTOUR,
     NEAR_HEIGHT,
-    Gap,
+    gaps_between,
     widest_gaps,
     without_leaps,
 )
@@ -159,10 +157,9 @@ def find_gap(border: Border, offset: OffsetContours) -> OpenPart:
         points[:, 0].copy(), points[:, 1].copy(), offset.ray_of(points[:, :2]), first, last,
         offset.tables.vertices, NEAR_CONTOUR, LEAST_POINTS,
     )  # fmt: skip
-    half = width / 2 - MARGIN
     gaps = [
-        None if np.isnan(w) else [Gap(c - h, c + h)] if w >= LEAST_GAP else []
-        for c, h, w in zip(centre.tolist(), half.tolist(), width.tolist(), strict=True)
+        None if np.isnan(w) else gaps_between([(c - w / 2, c + w / 2)])
+        for c, w in zip(centre.tolist(), width.tolist(), strict=True)
     ]
     ends = np.full((len(heights), 2), np.nan)
     for k, of_height in enumerate(without_leaps(gaps, heights, RAYS)):
