@@ -57,14 +57,6 @@ def _gain(v: float, a: float, T: float) -> float:
     return v * T + max(final - v, 0.0) * T * math.log1p(-min(v / final, 1.0 - 1e-9))
 
 
-@compiled()
-def _sum(values: Array) -> float:
-    total = 0.0
-    for value in values:
-        total += value
-    return total
-
-
 @compiled("f8[::1](f8[:], f8[:,:], f8, f8, f8, f8, f8, f8, f8)")
 def _least_distance(
     d_b: Array, channels: Array, v: float, late: float, kept: float, flat: float, f_max: float,
@@ -100,8 +92,8 @@ def _least_distance(
                     asked = f * J / mass * (below * J + side * alpha_min * J_t) / aside
                     a[k] = kept * min(max(asked, -a_max), a_max)
                     w[k] = min(max(a[k] * T, -kept * w_max), kept * w_max)
-                if _sum(w) <= least:
-                    least = _sum(w)
+                if w.sum() <= least:
+                    least = w.sum()
                     a_worse[:], w_worse[:] = a, w
             total = against = 0.0
             for k in range(count):
