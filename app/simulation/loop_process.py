@@ -18,6 +18,7 @@ import numpy as np
 from app.errors import LoopError
 from app.simulation.loop import SimulationLoop
 from app.simulation.session import Session
+from app.simulation.settled import settled
 
 Array = np.ndarray
 
@@ -54,13 +55,11 @@ def run_loop(
         with suppress(LoopError):  # posted below
             loop.start()
             snapshots.send(Started(loop.links))
-        gc.collect()
-        gc.freeze()  # what is there stays; looking through it again would take milliseconds
-        with suppress(EOFError, OSError):
+        gc.collect()  # what is garbage already would stay with the rest
+        with settled(), suppress(EOFError, OSError):
             _post(loop, commands, snapshots)
     finally:
         loop.stop()
-        gc.unfreeze()  # else solvers held in cycles would be reported as leaks at the end
 
 
 def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:
