@@ -61,6 +61,7 @@ def time_rollouts(
     """
     jobs = [(name, seconds or LINES[name].duration) for name in _RUNS]
     simulated = sum(duration for _, duration in jobs)
+    # A single worker would be this process, full of other objects: never fewer than two.
     with Workers(partial(load, robot), max(2, *processes)) as workers:
         list(workers.map(_run, [[("guiding-front", 0.5)]] * (4 * max(processes))))
         found = []
