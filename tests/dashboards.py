@@ -10,6 +10,7 @@ from typing import NamedTuple
 from app.border.cloud import Cloud
 from app.dashboard.page import Page
 from app.dashboard.server import DashboardServer, serve_dashboard
+from app.dashboard.stage_change import StartLoop
 from app.simulation.commands import Compare, Pause, Reset, Speed
 from tests.browser import wait_for
 from tests.fakes import ScriptedLoop, fake_clouds
@@ -42,12 +43,20 @@ class Served(NamedTuple):
 
 
 @contextmanager
-def served_dashboard(loop: ScriptedLoop | None = None, port: int = 0) -> Iterator[Served]:
-    """Serve until the end; the drawing has to have gone without an error."""
+def served_dashboard(
+    loop: ScriptedLoop | None = None, port: int = 0, start_loop: StartLoop | None = None
+) -> Iterator[Served]:
+    """Serve until the end; the drawing has to have gone without an error.
+
+    Args:
+        loop: Behind it at first; one of its own if not given.
+        port: Any free one if not given.
+        start_loop: Begins another robot's loop.
+    """
     loop = loop or ScriptedLoop(husky_panda())
     loop.start()
     try:
-        server = serve_dashboard(loop, husky_panda(), clouds(), port=port)
+        server = serve_dashboard(loop, husky_panda(), clouds(), port=port, start_loop=start_loop)
         try:
             yield Served(server, loop)
         finally:

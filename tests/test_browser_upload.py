@@ -18,7 +18,7 @@ from app.config import Config
 from app.dashboard import making, stage_change
 from app.dashboard.apart import Tell
 from app.dashboard.hand import GIZMO, SCALE
-from app.dashboard.server import DashboardServer, serve_dashboard
+from app.dashboard.server import DashboardServer
 from app.onboarding.finish import finish
 from app.onboarding.request import Request
 from app.robot.model import RobotModel
@@ -26,10 +26,8 @@ from app.simulation.loop import SimulationLoop
 from app.simulation.session import Session
 from app.simulation.start import StartSolver
 from tests.browser import DashboardTab, chromium, wait_for
-from tests.dashboards import clouds
-from tests.fakes import ScriptedLoop
+from tests.dashboards import served_dashboard
 from tests.onboarding import arm, cart, cube, few_samples, robot, with_mesh, zipped
-from tests.robots import husky_panda
 
 pytestmark = [pytest.mark.alone, pytest.mark.browser, pytest.mark.slow]
 
@@ -67,15 +65,8 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Dashboar
     monkeypatch.setattr("app.robot.assets.cache_folder", lambda: robots)
     monkeypatch.setattr(making, "make_new", make_of_few)
     monkeypatch.setattr(stage_change, "kept_border_data", kept_of_few)
-    loop = ScriptedLoop(husky_panda())
-    loop.start()
-    made = serve_dashboard(loop, husky_panda(), clouds(), port=0, start_loop=begin)
-    try:
-        yield made
-        assert made.error is None
-    finally:
-        made.stop()
-        loop.stop()
+    with served_dashboard(start_loop=begin) as (server, _):
+        yield server
 
 
 def choose_file(tab: DashboardTab, path: Path) -> None:

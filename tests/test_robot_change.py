@@ -27,7 +27,7 @@ from app.errors import LoopError, UnreachableError
 from app.robot.model import RobotModel
 from app.simulation.commands import Pull
 from tests.browser import wait_for
-from tests.dashboards import clouds
+from tests.dashboards import clouds, served_dashboard
 from tests.fakes import ScriptedLoop
 from tests.raw_client import RawClient
 from tests.robots import husky_panda
@@ -89,19 +89,6 @@ def _visuals() -> list[Visual]:
     return RobotParts(husky_panda()).visuals
 
 
-@contextmanager
-def served(loops: Loops) -> Iterator[DashboardServer]:
-    loop = ScriptedLoop(husky_panda())
-    loop.start()
-    server = serve_dashboard(loop, husky_panda(), clouds(), port=0, start_loop=loops)
-    try:
-        yield server
-        assert server.error is None
-    finally:
-        server.stop()
-        loop.stop()
-
-
 def choose(server: DashboardServer, name: str) -> None:
     """Begin a change as the panel does, and wait until it has ended in one way or the other."""
     shared = server.shared
@@ -122,7 +109,7 @@ def title(server: DashboardServer) -> str:
 
 def test_every_viewer_gets_the_other_robot_with_the_parameters_and_layers_of_before() -> None:
     loops = Loops()
-    with served(loops) as server, viewer(server), viewer(server):
+    with served_dashboard(start_loop=loops) as (server, _), viewer(server), viewer(server):
         wait_for(lambda: len(server.pages) == 2, what="two pages")
         shared = server.shared
         shared.tuning.set("border.d_b", 0.2)
@@ -148,7 +135,7 @@ def test_every_viewer_gets_the_other_robot_with_the_parameters_and_layers_of_bef
 def test_ten_changes_leave_nothing_behind() -> None:
     """Threads, loops, meshes, widgets, scene nodes and messages are as many as after the second."""
     loops = Loops()
-    with served(loops) as server, viewer(server):
+    with served_dashboard(start_loop=loops) as (server, _), viewer(server):
         counts, threads, models = [], [], []
         for k in range(10):
             choose(server, OTHER if k % 2 == 0 else "husky_panda")
@@ -174,7 +161,7 @@ def test_ten_changes_leave_nothing_behind() -> None:
 def test_nothing_of_a_replaced_robot_waits_for_the_next_collection() -> None:
     """Python might not look for its cycles before several more robots have come."""
     loops = Loops()
-    with served(loops) as server, viewer(server):
+    with served_dashboard(start_loop=loops) as (server, _), viewer(server):
         choose(server, OTHER)
         shared, (page,) = server.shared, server.pages.values()
         old = {
@@ -208,7 +195,7 @@ def test_memory_is_given_back() -> None:
 
 
 def test_what_a_viewer_held_is_let_go_of() -> None:
-    with served(Loops()) as server, viewer(server):
+    with served_dashboard(start_loop=Loops()) as (server, _), viewer(server):
         old = server.shared.loop
         page = next(iter(server.pages.values()))
         assert isinstance(old, ScriptedLoop)
@@ -222,7 +209,7 @@ def test_what_a_viewer_held_is_let_go_of() -> None:
 def test_parameters_that_do_not_suit_the_robot_fall_back_and_the_viewers_are_told() -> None:
     loops = Loops()
     told: list[str] = []
-    with served(loops) as server, viewer(server):
+    with served_dashboard(start_loop=loops) as (server, _), viewer(server):
         server._notices.tell = told.append  # type: ignore[method-assign]
         server.shared.tuning.set("border.d_b", 0.3)
         loops.refuses = server.shared.tuning.config
@@ -240,7 +227,7 @@ def test_if_it_fails_the_old_robot_goes_on_and_the_page_says_why(
     why: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     loops = Loops()
-    with served(loops) as server, viewer(server):
+    with served_dashboard(start_loop=loops) as (server, _), viewer(server):
         first, change = server.shared.loop, server.shared.change
         if why == "refused":
             loops.refuses = Config()
@@ -307,7 +294,7 @@ def test_a_page_that_cannot_be_made_does_not_hold_up_the_change(
 
 
 def test_a_robot_that_is_not_there_or_not_whole_is_refused_at_once() -> None:
-    with served(Loops()) as server:
+    with served_dashboard(start_loop=Loops()) as (server, _):
         change = server.shared.change
         for name, words in (("absent", "pip install x"), ("nobody", "no robot 'nobody'")):
             with pytest.raises(Exception, match=words):
@@ -316,7 +303,7 @@ def test_a_robot_that_is_not_there_or_not_whole_is_refused_at_once() -> None:
 
 
 def test_a_simulation_that_has_ended_is_replaced_too() -> None:
-    with served(Loops()) as server, viewer(server):
+    with served_dashboard(start_loop=Loops()) as (server, _), viewer(server):
         server.shared.loop.error = LoopError("gone")
         wait_for(lambda: server._failure is not None, what="the failure to be shown")
         choose(server, OTHER)
