@@ -32,6 +32,11 @@ from tests.onboarding import arm, cart, cube, few_samples, robot, with_mesh, zip
 pytestmark = [pytest.mark.alone, pytest.mark.browser, pytest.mark.slow]
 
 TOY = with_mesh(robot([*cart(), *arm()]), "package://toy/meshes/m.stl")
+LATE = "Tried to update non-existent component"
+"""viser's page, of a widget whose removal came in the same picture as its last change.
+
+It applies changes after removals; what was removed with the old robot's page is gone either way.
+"""
 SAMPLING = SamplingConfig(pair_samples=2000, cloud_samples=4000, voxel_plan=0.04,
                           voxel_height=0.04, rounds=1, retries=1, sectors=2)  # fmt: skip
 
@@ -106,6 +111,7 @@ def test_a_zip_becomes_a_robot_whose_base_gives_way_to_the_hand(
         tab.click("Use this robot")
         wait_for(lambda: server.shared is not shared, what="the new robot")
         tab.wait_for_scene()
+        tab.errors = [text for text in tab.errors if not text.startswith(LATE)]
         pull_towards_the_base(tab, server)
         assert tab.errors == []
 
