@@ -100,7 +100,7 @@ def test_a_scenario_and_its_refusal_cross_the_process_border(make_loop):
 def test_stop_ends_the_child_and_later_commands_are_harmless(make_loop):
     loop = make_loop()
     loop.stop()
-    assert loop._process.exitcode == 0
+    assert loop._child.ended() == 0
     assert loop.error is None
     loop.send(Pause(True))
 
@@ -123,7 +123,7 @@ def test_an_error_that_cannot_be_pickled_arrives_as_its_text(robot):
 
 def test_a_killed_child_is_an_error_that_says_so(make_loop):
     loop = make_loop()
-    loop._process.kill()
+    loop._child.kill()
     wait_for(lambda: loop.error is not None)
     assert "status -9" in str(loop.error)
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from app.cli.options import PointOption, check_name, check_point, check_seed, co
 from app.config import Config
 from app.control.controller import CONTROLLERS
 from app.robot.model import RobotModel
+from app.simulation.loop_child import LoopChild
 from app.simulation.plants import PLANTS
 from app.simulation.scenario import LINES
 
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.simulation.loop import SimulationLoop
     from app.simulation.process_loop import ProcessLoop
-    from app.simulation.start import StartSolver
+    from app.study.case import Case
 
 _BEGIN = "guiding-front"  # where the hand stands when the page opens
 
@@ -76,68 +78,94 @@ def serve(
             and its disturbances are the case's, and a button plays the pull.
         sweep: Folder of `dbb sweep` whose newest map is shown, and where a button writes new ones.
     """
-    # Imported here: viser and scipy would make every other command start later.
-    from app.dashboard.robot import RobotParts
-    from app.dashboard.server import check_address, serve_dashboard
-    from app.simulation.loop import SimulationLoop
-    from app.simulation.process_loop import ProcessLoop
-    from app.simulation.session import Session
-    from app.simulation.start import StartSolver
-    from app.study.case import check_no_others, read_case
-
+    for kind, name, names in (
+        ("controller", controller, CONTROLLERS), ("physics", physics, PLANTS),
+        ("loop", loop, LOOPS), ("border", border, BORDERS),
+    ):  # fmt: skip
+        if name is not None:
+            check_name(kind, name, names)
+    check_point("--start", start)
+    check_seed(seed)
     case = None
     if replay_case is not None:
+        from app.study.case import check_no_others, read_case
+
         case = read_case(replay_case)
         check_no_others(
             start=start, encoder_noise=encoder_noise, base_delay=base_delay,
             mass_error=mass_error, slip=slip, config=config,
         )  # fmt: skip
         robot, seed = case.robot, case.seed
-    controller = controller or (case.controller if case else "dbb")
-    physics = physics or (case.physics if case else PLANTS[0])
-    check_name("controller", controller, CONTROLLERS)
-    check_name("physics", physics, PLANTS)
-    check_name("loop", loop, LOOPS)
-    if border is not None:
-        check_name("border", border, BORDERS)
-    check_point("--start", start)
-    check_seed(seed)
-    check_address(host, port)
+        controller, physics = controller or case.controller, physics or case.physics
     tuned = case.config() if case else configured(config)
     if border is not None:
         tuned = tuned.replace("border.kind", border)
     tuned = disturbed(
         tuned, encoder_noise=encoder_noise, base_delay=base_delay, mass_error=mass_error, slip=slip
     )
-    model, data = load_robot_and_border(robot)
-    make_loop = ProcessLoop if loop == "process" else SimulationLoop
+    first = _First(robot, controller or "dbb", physics or PLANTS[0], seed, tuned, start, case)
+    # The simulation's process imports as much as this one: both at once.
+    with LoopChild() if loop == "process" else nullcontext() as child:
+        _serve(first, child, host=host, port=port, sweeps=sweep)
+
+
+class _First(NamedTuple):
+    """What the dashboard shows at first."""
+
+    robot: str
+    controller: str
+    physics: str
+    seed: int
+    config: Config
+    start: tuple[float, float, float] | None
+    case: Case | None
+
+    def q_start(self, model: RobotModel, data: BorderData) -> np.ndarray:
+        """(n_m,) arm configuration."""
+        if self.case is not None:
+            return self.case.scenario().setting(model, data, self.config, self.seed).q_m
+        return _start(model, data, self.config, self.start, self.seed)
+
+
+def _serve(first: _First, child: LoopChild | None, *, host: str, port: int, sweeps: Path) -> None:
+    """Show it until Ctrl-C; without a process for the simulation in a thread of this one."""
+    # Imported here: viser and scipy would make every other command start later.
+    from app.dashboard.robot import RobotParts
+    from app.dashboard.server import check_address, serve_dashboard
+    from app.simulation.loop import SimulationLoop
+    from app.simulation.process_loop import ProcessLoop
+    from app.simulation.session import Session
+
+    check_address(host, port)
+    model, data = load_robot_and_border(first.robot)
 
     def begin_loop(
         model: RobotModel, data: BorderData, config: Config, controller: str,
-        q_start: np.ndarray | None = None,
+        q_start: np.ndarray | None = None, waiting: LoopChild | None = None,
     ) -> ProcessLoop | SimulationLoop:  # fmt: skip
         if q_start is None:  # of a robot that a viewer has chosen
-            solver = StartSolver(model, data.pairs, config.border.d_b)
-            q_start = _start(solver, model, None, seed)
+            q_start = _start(model, data, config, None, first.seed)
         make_session = partial(
-            Session, model, data, config, controller=controller, physics=physics, seed=seed
+            Session, model, data, config, controller=controller, physics=first.physics,
+            seed=first.seed,
+        )  # fmt: skip
+        made = (
+            SimulationLoop(make_session, q_start)
+            if child is None
+            else ProcessLoop(make_session, q_start, waiting)
         )
-        made = make_loop(make_session, q_start)
         made.begin()
         return made
 
-    if case is None:
-        q_start = _start(StartSolver(model, data.pairs, tuned.border.d_b), model, start, seed)
-    else:
-        q_start = case.scenario().setting(model, data, tuned, seed).q_m
-    simulation = begin_loop(model, data, tuned, controller, q_start)
+    q_start = first.q_start(model, data)
+    simulation = begin_loop(model, data, first.config, first.controller, q_start, child)
     try:
         parts = RobotParts(model)  # while the simulation starts
         simulation.start()
-        played = case.scenario() if case else None
         server = serve_dashboard(
-            simulation, model, data.clouds, host=host, port=port, case=played, sweeps=sweep,
-            parts=parts, start_loop=begin_loop,
+            simulation, model, data.clouds, host=host, port=port,
+            case=first.case.scenario() if first.case else None, sweeps=sweeps, parts=parts,
+            start_loop=begin_loop,
         )  # fmt: skip
         print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
         server.run_forever()
@@ -145,10 +173,15 @@ def serve(
         simulation.stop()
 
 
-def _start(solver: StartSolver, model: RobotModel, start: PointOption, seed: int) -> np.ndarray:
+def _start(
+    model: RobotModel, data: BorderData, config: Config, start: PointOption, seed: int
+) -> np.ndarray:
     """(n_m,) the arm with the hand where it was asked for, before the base, or ready."""
+    from app.simulation.start import StartSolver
+
     own = model.description.lines
     place = own.get(_BEGIN)
     if start is None and own and place is None:  # a robot whose hand does not come there
         return np.array(model.description.arm.ready_position)
-    return solver.solve(start or (place.start_m if place else LINES[_BEGIN].start), seed=seed)
+    place_m = start or (place.start_m if place else LINES[_BEGIN].start)
+    return StartSolver(model, data.pairs, config.border.d_b).solve(place_m, seed=seed)

@@ -8,7 +8,6 @@ import pickle
 import signal
 import sys
 import traceback
-from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import NamedTuple
@@ -17,7 +16,6 @@ import numpy as np
 
 from app.errors import LoopError
 from app.simulation.loop import SimulationLoop
-from app.simulation.session import Session
 from app.simulation.settled import settled
 
 Array = np.ndarray
@@ -42,14 +40,21 @@ class Failure(NamedTuple):
     """As it would have been printed."""
 
 
-def run_loop(
-    make_session: Callable[[], Session], q_start: Array, commands: Connection, snapshots: Connection
-) -> None:
-    """Run a loop until the other end of `commands` is closed, or its process gone."""
+def run_loop(commands: Connection, snapshots: Connection) -> None:
+    """Run a loop until the other end of `commands` is closed, or its process gone.
+
+    Args:
+        commands: Gives first how to make the session and the arm's start, then commands.
+        snapshots: Takes `Started`, then snapshots, and a `Failure` if it came to one.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent obeys Ctrl-C, and then closes
     sys.setswitchinterval(_SWITCH)
     with suppress(OSError):  # only few may
         os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
+    try:
+        make_session, q_start = commands.recv()
+    except EOFError:
+        return  # nothing was to be simulated after all
     loop = SimulationLoop(make_session, q_start)
     try:
         with suppress(LoopError):  # posted below

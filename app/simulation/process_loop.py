@@ -6,26 +6,25 @@ aside keeps the simulation waiting. Commands go out by a pipe, snapshots come ba
 
 from __future__ import annotations
 
-import multiprocessing
 import threading
 from collections.abc import Callable
 from multiprocessing.connection import Connection
 
 import numpy as np
 
-from app.border.interrupts import interrupts_ignored
 from app.errors import LoopError
 from app.simulation.command_check import checked
 from app.simulation.commands import Command
 from app.simulation.history import History
-from app.simulation.loop_process import Failure, Started, run_loop
+from app.simulation.loop_child import LoopChild
+from app.simulation.loop_process import Failure, Started
 from app.simulation.mailbox import Mailbox
 from app.simulation.session import Session
 from app.simulation.snapshot import Snapshot
 
 Array = np.ndarray
 
-_PATIENCE = 5.0  # [s] for the process to end by itself
+_PATIENCE = 5.0  # [s] for a thread to end by itself
 _POST_EVERY = 0.002  # [s] between two posts of commands
 
 
@@ -48,40 +47,33 @@ class ProcessLoop:
         links: Where the arm can be held, once it has started.
     """
 
-    def __init__(self, make_session: Callable[[], Session], q_start: Array) -> None:
+    def __init__(
+        self, make_session: Callable[[], Session], q_start: Array, child: LoopChild | None = None
+    ) -> None:
         """Prepare; `start` begins.
 
         Args:
             make_session: Called once in the child; it must be possible to pickle it, as is
                 `functools.partial(Session, model, data, config)`.
             q_start: (n_m,) arm configuration at the start and after each reset.
+            child: A process that waits; one of its own if not given.
         """
         self.error: BaseException | None = None
         self.links: tuple[str, ...] = ()
         self._history = History()
         self._ready, self._stopping = threading.Event(), threading.Event()
         self._mailbox, self._posted = Mailbox(), threading.Event()
-        spawn = multiprocessing.get_context("spawn")
-        self._snapshots, theirs_out = spawn.Pipe(duplex=False)
-        theirs_in, self._commands = spawn.Pipe(duplex=False)
-        self._theirs = (theirs_in, theirs_out)
-        self._process = spawn.Process(
-            target=run_loop, args=(make_session, np.array(q_start), theirs_in, theirs_out),
-            name="simulation", daemon=True,
-        )  # fmt: skip
-        self._threads = [
-            threading.Thread(target=work, name=name, daemon=True)
-            for name, work in (("snapshots", self._receive), ("commands", self._post))
-        ]
+        self._task: tuple[Callable[[], Session], Array] | None = (make_session, np.array(q_start))
+        self._child = child
+        self._threads: list[threading.Thread] = []
 
     def begin(self) -> None:
         """Begin to make the session; `start` waits for it."""
-        with interrupts_ignored():
-            self._process.start()
-        for connection in self._theirs:  # else the end of the child would not close the pipes
-            connection.close()
-        for thread in self._threads:
+        self._child = self._child or LoopChild()
+        for work, name in ((self._receive, "snapshots"), (self._post, "commands")):
+            thread = threading.Thread(target=work, args=(self._child,), name=name, daemon=True)
             thread.start()
+            self._threads.append(thread)
 
     def start(self) -> None:
         """Begin, if it has not begun, and wait for the first snapshot.
@@ -89,7 +81,7 @@ class ProcessLoop:
         Raises:
             LoopError: The session could not be made.
         """
-        if self._process.pid is None:
+        if not self._threads:
             self.begin()
         self._ready.wait()
         if self.error is not None:
@@ -99,13 +91,10 @@ class ProcessLoop:
         """End the child."""
         self._stopping.set()
         self._posted.set()
-        if self._process.pid is None:
-            self._commands.close()
+        if self._child is None:
             return
-        self._process.join(_PATIENCE)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join(_PATIENCE)
+        if not self._threads or self._child.ended() is None:
+            self._child.kill()
         for thread in self._threads:
             thread.join(_PATIENCE)
 
@@ -126,30 +115,31 @@ class ProcessLoop:
         """Snapshots of the last 60 s with t > `after` [s], oldest first."""
         return self._history.after(after)
 
-    def _post(self) -> None:
+    def _post(self, child: LoopChild) -> None:
         """Hand commands on to the child; a flood waits here, where it shrinks, not in the pipe."""
         try:
+            child.commands.send(self._task)
+            self._task = None  # it holds the robot and its border
             while not self._stopping.is_set():
                 self._posted.wait()
                 self._posted.clear()
                 for command in self._mailbox.take():
-                    self._commands.send(command)
+                    child.commands.send(command)
                 self._stopping.wait(_POST_EVERY)
         except OSError:
             pass  # the end of the child, of which `_receive` tells
-        except Exception as error:  # a command that cannot be pickled
+        except Exception as error:  # what cannot be pickled
             self.error = error
         finally:
-            self._commands.close()
+            child.commands.close()
 
-    def _receive(self) -> None:
+    def _receive(self, child: LoopChild) -> None:
         try:
-            self._take_in(self._snapshots)
+            self._take_in(child.snapshots)
         except (EOFError, OSError):
             if self.error is None and not self._stopping.is_set():
-                self._process.join(_PATIENCE)
-                code = self._process.exitcode
-                self.error = LoopError(f"the process of the simulation ended with status {code}")
+                status = child.ended()
+                self.error = LoopError(f"the process of the simulation ended with status {status}")
         finally:
             self._ready.set()
 

@@ -1,0 +1,58 @@
+"""The child process of a `ProcessLoop`, and the pipes to it."""
+
+from __future__ import annotations
+
+import multiprocessing
+from typing import TYPE_CHECKING
+
+from app.border.interrupts import interrupts_ignored
+from app.simulation.loop_process import run_loop
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+_PATIENCE = 5.0  # [s] for the process to end by itself
+
+
+class LoopChild:
+    """A process that simulates what it is told to, once; it waits until then.
+
+    Its imports take a second or two. Whoever knows early that there will be a simulation begins the
+    process before anything else, and gives it to the `ProcessLoop` later. The process is spawned,
+    so a script that uses it must guard its main part by `if __name__ == "__main__":`.
+
+    Attributes:
+        commands: Takes first what `run_loop` simulates, then commands.
+        snapshots: Gives what `run_loop` posts.
+    """
+
+    def __init__(self) -> None:
+        """Begin the process."""
+        spawn = multiprocessing.get_context("spawn")
+        self.snapshots, theirs_out = spawn.Pipe(duplex=False)
+        theirs_in, self.commands = spawn.Pipe(duplex=False)
+        self._process = spawn.Process(
+            target=run_loop, args=(theirs_in, theirs_out), name="simulation", daemon=True
+        )
+        with interrupts_ignored():
+            self._process.start()
+        for connection in (theirs_in, theirs_out):  # else its end would not close the pipes
+            connection.close()
+
+    def __enter__(self) -> Self:
+        """Nothing but itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End it if it has not ended."""
+        self.kill()
+
+    def ended(self) -> int | None:
+        """Its exit status, once it has had time to end; None if it has not ended."""
+        self._process.join(_PATIENCE)
+        return self._process.exitcode
+
+    def kill(self) -> None:
+        """End it at once, whatever it does."""
+        self._process.kill()
+        self._process.join(_PATIENCE)
