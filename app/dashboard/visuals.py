@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 import coal
 import numpy as np
@@ -51,21 +52,45 @@ def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual
     Raises:
         AssetError: The URDF or a mesh is not there.
     """
-    geometry = pin.buildGeomFromUrdfString(
-        model, resolved_urdf(description), pin.GeometryType.VISUAL
-    )
-    ready: dict[tuple[str, bytes], trimesh.Trimesh] = {}  # four wheels share one file
+    urdf, files = _without_files(resolved_urdf(description))
+    geometry = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.VISUAL)
+    ready: dict[_MeshFile, trimesh.Trimesh] = {}  # four wheels share one file
     visuals = []
     for item in geometry.geometryObjects:
-        key = (item.meshPath, np.asarray(item.meshScale).tobytes())
-        is_file = isinstance(item.geometry, coal.BVHModelBase)
-        if not is_file or key not in ready:
-            mesh = read_mesh(item.meshPath) if is_file else mesh_of(item.geometry)
-            ready[key] = for_display(mesh.apply_scale(item.meshScale) if is_file else mesh)
+        file = files.get(item.name)
+        if file is None:
+            mesh = for_display(mesh_of(item.geometry))
+        else:
+            if file not in ready:
+                ready[file] = for_display(read_mesh(file.path).apply_scale(file.scale))
+            mesh = ready[file]
         # A copy: the placement inside the item dies with `geometry`.
         placement = item.placement.copy()
-        visuals.append(Visual(item.name, item.parentJoint, placement, ready[key], _colour(item)))
+        visuals.append(Visual(item.name, item.parentJoint, placement, mesh, _colour(item)))
     return visuals
+
+
+class _MeshFile(NamedTuple):
+    path: str
+    scale: tuple[float, ...]
+
+
+def _without_files(urdf: str) -> tuple[str, dict[str, _MeshFile]]:
+    """A URDF with a sphere in place of each visual's mesh, and the meshes by pinocchio's names.
+
+    pinocchio tells where they are; it would read each file too, which takes as long as all else.
+    """
+    tree = ElementTree.fromstring(urdf)
+    files = {}
+    for link in tree.iterfind("link"):
+        for i, geometry in enumerate(link.iterfind("visual/geometry")):
+            mesh = geometry.find("mesh")
+            if mesh is not None:
+                scale = tuple(float(s) for s in mesh.get("scale", "1 1 1").split())
+                files[f"{link.get('name')}_{i}"] = _MeshFile(mesh.get("filename", ""), scale)
+                geometry.remove(mesh)
+                ElementTree.SubElement(geometry, "sphere", radius="1")
+    return ElementTree.tostring(tree, encoding="unicode"), files
 
 
 def read_mesh(path: str) -> trimesh.Trimesh:
