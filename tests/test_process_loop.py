@@ -13,6 +13,7 @@ from app.config import Config
 from app.errors import LoopError, TargetError
 from app.simulation.commands import Configure, Pause, PlayScenario, Pull, Reset
 from app.simulation.history import History
+from app.simulation.loop_child import LoopChild
 from app.simulation.process_loop import ProcessLoop
 from app.simulation.session import Session
 from tests.fakes import ScriptedLoop
@@ -103,6 +104,30 @@ def test_stop_ends_the_child_and_later_commands_are_harmless(make_loop):
     assert loop._child.ended() == 0
     assert loop.error is None
     loop.send(Pause(True))
+
+
+def test_a_child_that_waits_simulates_what_it_is_given(robot, border_data):
+    make_session = partial(Session, robot, border_data, Config(), physics="kinematic")
+    with LoopChild() as child:
+        loop = ProcessLoop(make_session, np.array(robot.description.arm.ready_position), child)
+        loop.start()
+        wait_for(lambda: loop.latest().t > 0.1)
+        loop.stop()
+        assert child.ended() == 0
+
+
+def test_a_child_that_is_never_told_what_to_simulate_is_ended():
+    with LoopChild() as child:
+        begin = time.monotonic()
+    assert child.ended() is not None
+    assert time.monotonic() - begin < 5.0, "no patience is due to it"
+
+
+def test_a_task_that_cannot_be_pickled_is_an_error(robot):
+    loop = ProcessLoop(lambda: None, np.array(robot.description.arm.ready_position))
+    with pytest.raises(LoopError, match="could not start: .*lambda"):
+        loop.start()
+    loop.stop()
 
 
 def test_an_error_in_the_child_arrives_with_its_traceback(make_loop):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import threading
 from typing import TYPE_CHECKING
 
 from app.border.interrupts import interrupts_ignored
@@ -34,6 +35,7 @@ class LoopChild:
         self._process = spawn.Process(
             target=run_loop, args=(theirs_in, theirs_out), name="simulation", daemon=True
         )
+        self._one_waits = threading.Lock()  # of two threads that wait, one would learn nothing
         with interrupts_ignored():
             self._process.start()
         for connection in (theirs_in, theirs_out):  # else its end would not close the pipes
@@ -49,10 +51,11 @@ class LoopChild:
 
     def ended(self) -> int | None:
         """Its exit status, once it has had time to end; None if it has not ended."""
-        self._process.join(_PATIENCE)
-        return self._process.exitcode
+        with self._one_waits:
+            self._process.join(_PATIENCE)
+            return self._process.exitcode
 
     def kill(self) -> None:
         """End it at once, whatever it does."""
         self._process.kill()
-        self._process.join(_PATIENCE)
+        self.ended()
