@@ -125,7 +125,7 @@ def test_a_child_that_is_never_told_what_to_simulate_is_ended():
 
 def test_a_task_that_cannot_be_pickled_is_an_error(robot):
     loop = ProcessLoop(lambda: None, np.array(robot.description.arm.ready_position))
-    with pytest.raises(LoopError, match="could not start: .*lambda"):
+    with pytest.raises(LoopError, match=r"could not start: .*lambda"):
         loop.start()
     loop.stop()
 
