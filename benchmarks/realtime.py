@@ -29,7 +29,7 @@ from app.simulation.loop import LoopHandle, SimulationLoop
 from app.simulation.process_loop import ProcessLoop
 from app.simulation.scenario import scenario_by_name
 from app.simulation.session import DT
-from app.simulation.start import StartSolver
+from app.simulation.start import find_start
 from benchmarks.client import FAR, NEAR, SWEEP, SWEEPS
 from benchmarks.timed_session import TimedSession
 
@@ -76,7 +76,7 @@ def measure(args: Realtime, record: Path) -> dict[str, Any]:
     load = os.getloadavg()[0]
     model, data = load_robot_and_border("husky_panda")
     config, scenario = Config(), scenario_by_name("guiding-front")
-    q_start = StartSolver(model, data.pairs, config.border.d_b).solve(scenario.start)
+    q_start = find_start(model, data.pairs, config.border.d_b, scenario.start)
     loop = LOOPS[args.loop](partial(TimedSession, record, model, data, config), q_start)
     loop.start()
     try:

@@ -14,7 +14,7 @@ from app.errors import UnreachableError
 from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
 from app.simulation.scenario import LINES
-from app.simulation.start import StartSolver
+from app.simulation.start import StartSolver, find_start
 
 D_B = Config().border.d_b
 PLACES = {
@@ -95,6 +95,29 @@ def test_the_same_seed_gives_bitwise_the_same_start(robot, border_data, solver):
         first = solver.solve(PLACES[name], seed=4)
         np.testing.assert_array_equal(first, solver.solve(PLACES[name], seed=4))
         np.testing.assert_array_equal(first, again.solve(PLACES[name], seed=4))
+
+
+def test_what_was_found_is_not_searched_again_and_what_differs_is(
+    robot, border_data, solver, monkeypatch
+):
+    model = RobotModel(robot.description)  # of this test alone
+
+    def found(d_b, place, seed):
+        return find_start(model, border_data.pairs, d_b, place, seed=seed)
+
+    asked = (0.15, list(LINES["guiding-front"].start), 0)
+    first = found(*asked)
+    np.testing.assert_array_equal(first, solver.solve(LINES["guiding-front"].start))
+    first[:] = np.nan  # belongs to who asked
+    searched = []
+    monkeypatch.setattr(
+        StartSolver, "solve", lambda *args, **_: searched.append(args) or np.ones(7)
+    )
+    assert np.isfinite(found(*asked)).all()
+    assert not searched
+    for k, other in enumerate([(0.16, *asked[1:]), (0.15, (0.9, 0.1, 0.3), 0), (*asked[:2], 1)]):
+        found(*other)
+        assert len(searched) == k + 1
 
 
 def test_other_seeds_reach_the_same_places(robot, solver):

@@ -177,11 +177,11 @@ def _start(
     model: RobotModel, data: BorderData, config: Config, start: PointOption, seed: int
 ) -> np.ndarray:
     """(n_m,) the arm with the hand where it was asked for, before the base, or ready."""
-    from app.simulation.start import StartSolver
+    from app.simulation.start import find_start
 
     own = model.description.lines
     place = own.get(_BEGIN)
     if start is None and own and place is None:  # a robot whose hand does not come there
         return np.array(model.description.arm.ready_position)
     place_m = start or (place.start_m if place else LINES[_BEGIN].start)
-    return StartSolver(model, data.pairs, config.border.d_b).solve(place_m, seed=seed)
+    return find_start(model, data.pairs, config.border.d_b, place_m, seed=seed)

@@ -60,9 +60,9 @@ class LineScenario(Scenario):
             TargetError: The hand would be led below the floor.
         """
         # Imported here: scipy would make every command start later.
-        from app.simulation.start import StartSolver
+        from app.simulation.start import find_start
 
-        q_m = StartSolver(model, data.pairs, config.border.d_b).solve(self.start, seed=seed)
+        q_m = find_start(model, data.pairs, config.border.d_b, self.start, seed=seed)
         checked_target(np.add(self.start, self.move))
         return Setting(model, data, np.zeros(3), q_m, config)
 

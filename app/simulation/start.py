@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from typing import NamedTuple
+from weakref import WeakKeyDictionary
 
 import coal
 import numpy as np
@@ -10,7 +11,7 @@ import pinocchio as pin
 
 from app.avoidance.distances import DistanceMonitor
 from app.errors import UnreachableError
-from app.robot.link_pairs import LinkPairs
+from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 from app.simulation.posture import best_posture, manipulability
@@ -25,6 +26,7 @@ _BUFFER_MARGIN = 0.005  # [m] beyond the buffer
 _FLOOR_MARGIN = 0.01  # [m] between arm and floor
 _LOST = 1e-3  # [m/rad or -] singular value of a direction in which the hand cannot move
 _JOINT_MARGIN = 0.03  # [-] share of a joint's range kept from its limits
+_KEPT = 100  # starts of a robot that are not searched again
 
 OUT_OF_REACH = "out of the arm's reach"
 """The flaw of a try that did not even bring the hand to the place."""
@@ -199,6 +201,37 @@ class StartSolver:
     def _summary(flaws: dict[str, int]) -> str:
         ordered = sorted(flaws, key=lambda flaw: -flaws[flaw])
         return "; ".join(f"{flaw} ({flaws[flaw]} tries)" for flaw in ordered[:3])
+
+
+_Place = tuple[float, float, float]
+_Asked = tuple[tuple[Pair, ...], float, _Place, int]
+_found: WeakKeyDictionary[RobotModel, dict[_Asked, Array]] = WeakKeyDictionary()
+
+
+def find_start(
+    model: RobotModel, pairs: LinkPairs, d_b: float, p_ee: _Place, *, seed: int = 0
+) -> Array:
+    """(n_m,) arm configuration as `StartSolver.solve` finds it; what was found last is kept.
+
+    So a run that begins again, such as with another controller, does not wait for the search.
+
+    Args:
+        model: The robot.
+        pairs: Those that have to be outside of their buffers.
+        d_b: [m] the buffer distance.
+        p_ee: [m] where the hand shall be, in the world.
+        seed: Of the starting points of the search.
+
+    Raises:
+        UnreachableError: There is none; says what stands in the way.
+    """
+    kept = _found.setdefault(model, {})
+    asked = (pairs.all, d_b, (p_ee[0], p_ee[1], p_ee[2]), seed)
+    if asked not in kept:
+        kept[asked] = StartSolver(model, pairs, d_b).solve(p_ee, seed=seed)
+        if len(kept) > _KEPT:
+            del kept[next(iter(kept))]
+    return kept[asked].copy()
 
 
 class FloorDistance:
