@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from app.border.cache import BorderData, load_border_data
+from app.cli.interrupts import check_interrupt
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 
@@ -41,7 +42,10 @@ def as_json(result: object) -> str:
 
 @contextmanager
 def progress_bar(text: str, total: float) -> Iterator[Callable[[float], None]]:
-    """A progress bar on standard error; gives the function that says how far it is."""
+    """A progress bar on standard error; gives the function that says how far it is.
+
+    That function is where Ctrl-C is heard again if it was lost.
+    """
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -52,4 +56,9 @@ def progress_bar(text: str, total: float) -> Iterator[Callable[[float], None]]:
     hidden = not console.is_terminal
     with Progress(*columns, console=console, transient=True, disable=hidden) as progress:
         task = progress.add_task(text, total=total)
-        yield lambda done: progress.update(task, completed=done)
+
+        def tell(done: float) -> None:
+            check_interrupt()
+            progress.update(task, completed=done)
+
+        yield tell

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
+from app.cli.interrupts import interrupts_kept
 from app.errors import DbbError
 
 _COMMANDS = (
@@ -22,7 +23,8 @@ def main(args: list[str] | None = None) -> None:
     """Run the command line; ends the process with status 0 only if it did what was asked."""
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
-        _run(sys.argv[1:] if args is None else args)
+        with interrupts_kept():
+            _run(sys.argv[1:] if args is None else args)
         sys.stdout.flush()
     except DbbError as error:
         print(f"dbb: error: {error}", file=sys.stderr)
