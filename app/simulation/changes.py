@@ -3,33 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from app.robot.bases.kind import BaseKind
-from app.simulation.session import Step
 
 Array = np.ndarray
+Taken = TypeVar("Taken")
 
 _TOGETHER = 100  # control steps
 _DEAD_BAND = 0.01  # [m/s², rad/s²] within which an acceleration has no sign
 
 
-class Batch:
-    """Steps that wait until there are enough to be looked at together, which is far quicker."""
+class Batch(Generic[Taken]):
+    """What is taken of steps waits until there is enough to look at together, which is far quicker.
 
-    def __init__(self, take: Callable[[Sequence[Step]], None]) -> None:
+    Not whole steps: each is hundreds of objects, which the garbage collector would look through.
+    """
+
+    def __init__(self, take: Callable[[Sequence[Taken]], None]) -> None:
         """Nothing waits.
 
         Args:
-            take: Called with some steps, never none, in their order.
+            take: Called with what waited, never nothing, in its order.
         """
         self._take = take
-        self._waiting: list[Step] = []
+        self._waiting: list[Taken] = []
 
-    def add(self, step: Step) -> None:
-        """Take one control step."""
-        self._waiting.append(step)
+    def add(self, taken: Taken) -> None:
+        """Take what is needed of one control step."""
+        self._waiting.append(taken)
         if len(self._waiting) >= _TOGETHER:
             self.flush()
 
@@ -50,16 +54,16 @@ class Changes:
 
     def __init__(self) -> None:
         self.path = self.torque_jump = 0.0
-        self._last: Step | None = None
+        self._torques: Array | None = None
+        self._pose: Array | None = None
 
-    def add(self, steps: Sequence[Step]) -> None:
-        """Take the next control steps."""
-        row = steps if self._last is None else [self._last, *steps]
-        jumps = np.abs(np.diff([step.output.u_a for step in row], axis=0))
+    def add(self, torques: Array, poses: Array) -> None:
+        """Take the arm's torques (k, n_m) and the base's poses (k, 3) of the next control steps."""
+        jumps = np.abs(np.diff(_after(self._torques, torques), axis=0))
         self.torque_jump = _largest(jumps.ravel(), self.torque_jump)
-        x, y, _ = np.diff([step.truth.base_pose for step in row], axis=0).T
+        x, y, _ = np.diff(_after(self._pose, poses), axis=0).T
         self.path += float(np.hypot(x, y).sum())
-        self._last = steps[-1]
+        self._torques, self._pose = torques[-1], poses[-1]
 
 
 class Smoothness:
@@ -78,9 +82,9 @@ class Smoothness:
 
     def add(self, values: Array) -> None:
         """Take the accelerations (k, n_b) of the next control steps."""
-        row = values if self._last is None else np.vstack([self._last, values])
+        changes = np.diff(_after(self._last, values), axis=0)
         self._last = values[-1]
-        for i, jumps in enumerate(np.abs(np.diff(row, axis=0)).T):
+        for i, jumps in enumerate(np.abs(changes).T):
             self._jump[i] = _largest(jumps, self._jump[i])
             column = values[:, i]
             signs = np.append(self._sign[i], np.sign(column[np.abs(column) > _DEAD_BAND]))
@@ -108,6 +112,11 @@ class Smoothness:
                 "angular": int(self._worst(self._changes, angular=True)),
             },
         }
+
+
+def _after(last: Array | None, values: Array) -> Array:
+    """Values (k, …) of control steps, below those of the step before them if there was one."""
+    return values if last is None else np.vstack([last, values])
 
 
 def _largest(values: Array, so_far: float) -> float:

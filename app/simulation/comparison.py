@@ -58,6 +58,17 @@ class Score(NamedTuple):
     """Control steps in which arm and base touched."""
 
 
+class _Taken(NamedTuple):
+    """What the score needs of a control step."""
+
+    clearance: float
+    ee_error: float
+    contact: bool
+    u_a: Array
+    base_pose: Array
+    base_acceleration: Array
+
+
 class ScoreKeeper:
     """Takes each control step of one robot; keeps its score."""
 
@@ -67,21 +78,27 @@ class ScoreKeeper:
         self._base = session.model.body_names[0]
         self._least, self._error_max = float("inf"), 0.0
         self._last: Step | None = None
-        self._batch = Batch(self._take)
+        self._batch: Batch[_Taken] = Batch(self._take)
         self._changes, self._asked = Changes(), Smoothness(session.model.description.base)
         self._contacts = 0
 
     def add(self, step: Step) -> None:
         """Take one control step."""
         self._last = step
-        self._batch.add(step)
+        self._batch.add(
+            _Taken(
+                self._clearance(step), step.ee_error, step.contacts.arm_base,
+                step.output.u_a, step.truth.base_pose, step.output.base_acceleration,
+            )
+        )  # fmt: skip
 
-    def _take(self, steps: Sequence[Step]) -> None:
-        self._least = min(self._least, *map(self._clearance, steps))
-        self._error_max = max(self._error_max, *(step.ee_error for step in steps))
-        self._contacts += sum(step.contacts.arm_base for step in steps)
-        self._changes.add(steps)
-        self._asked.add(np.array([step.output.base_acceleration for step in steps]))
+    def _take(self, steps: Sequence[_Taken]) -> None:
+        clearances, errors, contacts, torques, poses, asked = zip(*steps, strict=True)
+        self._least = min(self._least, *clearances)
+        self._error_max = max(self._error_max, *errors)
+        self._contacts += sum(contacts)
+        self._changes.add(np.array(torques), np.array(poses))
+        self._asked.add(np.array(asked))
 
     def _clearance(self, step: Step) -> float:
         pairs = zip(step.output.avoidance.pairs, step.distances, strict=True)

@@ -5,7 +5,10 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Sequence
+from itertools import chain, compress
+from operator import attrgetter
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,11 +17,32 @@ from app.robot.bases.kind import Axis
 from app.robot.model import RobotModel
 from app.simulation.changes import Batch, Changes, Smoothness
 from app.simulation.door_record import DoorRecord, door_columns
+from app.simulation.physics import Contacts
 from app.simulation.session import Step
 
 Array = np.ndarray
 
 _LOG_EVERY = 10  # control steps per row of the log
+_BETA = attrgetter("beta")
+
+
+class _Taken(NamedTuple):
+    """What the figures need of a control step."""
+
+    t: float
+    duration: float
+    distances: tuple[float, ...]
+    near: bool
+    """Whether a pair is within the distance of full activation."""
+    contacts: Contacts
+    failed: bool
+    ee_error: float
+    activation: float
+    hand_force: Array
+    u_a: Array
+    base_pose: Array
+    asked: Array
+    inserted: Array
 
 
 class Recorder:
@@ -26,17 +50,19 @@ class Recorder:
 
     def __init__(self, model: RobotModel) -> None:
         self._mobile_body = model.description.mobile_body.name
-        self._rows: list[dict[str, float]] = []
+        self._axes = model.description.base.axes
+        self._columns: list[str] = []
+        self._log: list[list[float]] = []
+        self._until_row = 0  # control steps
         self._first: Step | None = None
         self._last: Step | None = None
-        self._batch = Batch(self._take)
+        self._batch: Batch[_Taken] = Batch(self._take)
         self._names: list[str] = []
         self._least: list[float] = []
         self._mobile: list[bool] = []
         self._contacts = self._arm_contacts = self._floor_contacts = 0
         self._ee_error_max = self._activation_max = 0.0
         self._changes = Changes()
-        self._axes = model.description.base.axes
         self._asked, self._inserted = (Smoothness(model.description.base) for _ in range(2))
         self._door: DoorRecord | None = None
         self._hand_force_max = 0.0
@@ -47,45 +73,60 @@ class Recorder:
     def add(self, step: Step) -> None:
         """Take one control step."""
         if self._first is None:
-            self._first = step
-            pairs = [pair.closest.pair for pair in step.output.avoidance.pairs]
-            self._names = [pair.name for pair in pairs]
-            self._mobile = [pair.a == self._mobile_body for pair in pairs]
-            self._least = [math.inf] * len(pairs)
+            self._begin(step)
         self._last = step
-        self._batch.add(step)
+        if self._until_row == 0:
+            self._log.append(_values(step))
+            self._until_row = _LOG_EVERY
+        self._until_row -= 1
+        if step.door is not None:
+            self._door = self._door or DoorRecord()
+            self._door.add(step)
+        out = step.output
+        self._batch.add(
+            _Taken(
+                step.t, step.duration, step.distances,
+                max(map(_BETA, out.avoidance.pairs), default=0.0) >= 1.0,
+                step.contacts, not out.solved, step.ee_error, out.activation, step.hand_force,
+                out.u_a, step.truth.base_pose, out.base_acceleration,
+                out.inserted.base_acceleration,
+            )
+        )  # fmt: skip
 
-    def _take(self, steps: Sequence[Step]) -> None:
-        outputs = [step.output for step in steps]
-        until_row = -len(self._durations) % _LOG_EVERY
-        self._rows += [_log_row(step, self._axes) for step in steps[until_row::_LOG_EVERY]]
-        self._durations += [step.duration for step in steps]
-        by_pair = zip(*(step.distances for step in steps), strict=True)
+    def _begin(self, step: Step) -> None:
+        self._first = step
+        pairs = [pair.closest.pair for pair in step.output.avoidance.pairs]
+        self._names = [pair.name for pair in pairs]
+        self._mobile = [pair.a == self._mobile_body for pair in pairs]
+        self._least = [math.inf] * len(pairs)
+        self._columns = _columns(step, self._axes)
+
+    def _take(self, steps: Sequence[_Taken]) -> None:
+        (
+            times, durations, distances, near, contacts, failed, errors, activations, forces,
+            torques, poses, asked, inserted,
+        ) = zip(*steps, strict=True)  # fmt: skip
+        self._durations += durations
+        by_pair = zip(*distances, strict=True)
         self._least = [min(least, *now) for least, now in zip(self._least, by_pair, strict=True)]
-        for step in steps:
-            if any(pair.beta >= 1.0 for pair in step.output.avoidance.pairs):
-                self._near_until = step.t
-        self._contacts += sum(step.contacts.arm_base for step in steps)
-        self._arm_contacts += sum(step.contacts.arm_arm for step in steps)
-        self._floor_contacts += sum(step.contacts.arm_floor for step in steps)
-        self._failures += sum(not output.solved for output in outputs)
-        self._ee_error_max = max(self._ee_error_max, *(step.ee_error for step in steps))
-        self._activation_max = max(self._activation_max, *(out.activation for out in outputs))
-        forces = np.linalg.norm([step.hand_force for step in steps], axis=1)
-        self._hand_force_max = max(self._hand_force_max, float(forces.max()))
-        self._changes.add(steps)
-        self._asked.add(np.array([out.base_acceleration for out in outputs]))
-        self._inserted.add(np.array([out.inserted.base_acceleration for out in outputs]))
-        for step in steps:
-            if step.door is not None:
-                self._door = self._door or DoorRecord()
-                self._door.add(step)
+        if any(near):
+            *_, self._near_until = compress(times, near)
+        self._contacts += sum(each.arm_base for each in contacts)
+        self._arm_contacts += sum(each.arm_arm for each in contacts)
+        self._floor_contacts += sum(each.arm_floor for each in contacts)
+        self._failures += sum(failed)
+        self._ee_error_max = max(self._ee_error_max, *errors)
+        self._activation_max = max(self._activation_max, *activations)
+        hand_force = np.linalg.norm(forces, axis=1)
+        self._hand_force_max = max(self._hand_force_max, float(hand_force.max()))
+        self._changes.add(np.array(torques), np.array(poses))
+        self._asked.add(np.array(asked))
+        self._inserted.add(np.array(inserted))
 
     @property
     def rows(self) -> list[dict[str, float]]:
-        """The log, one row a hundredth of a second; read it only."""
-        self._batch.flush()
-        return self._rows
+        """The log, one row a hundredth of a second."""
+        return [dict(zip(self._columns, values, strict=True)) for values in self._log]
 
     @property
     def buffer(self) -> BufferReading:
@@ -141,33 +182,37 @@ class Recorder:
     def write_log(self, path: Path) -> None:
         """Write the log, one row a hundredth of a second, as CSV; columns end in their unit."""
         with path.open("w", newline="", encoding="utf-8") as file:
-            writer = csv.DictWriter(file, fieldnames=list(self.rows[0]))
-            writer.writeheader()
-            writer.writerows(self.rows)
+            writer = csv.writer(file)
+            writer.writerow(self._columns)
+            writer.writerows(self._log)
 
 
-def _log_row(step: Step, axes: Sequence[Axis]) -> dict[str, float]:
+def _columns(step: Step, axes: Sequence[Axis]) -> list[str]:
+    """Names of the log's columns, in the order of `_values`."""
+    joints = range(1, len(step.truth.q_m) + 1)
+    pairs = [pair.closest.pair.name for pair in step.output.avoidance.pairs]
+    return [
+        "t_s", "base_x_m", "base_y_m", "base_yaw_rad",
+        *(f"{name}_{axis.velocity}" for name in ("base", "command") for axis in axes),
+        *(f"q{i}_rad" for i in joints), *(f"qd{i}_radps" for i in joints),
+        *(f"u{i}_nm" for i in joints),
+        *(column for name in pairs for column in (f"d_{name}_m", f"beta_{name}")), "beta_m",
+        *(f"{name}_{axis.acceleration}" for name in ("base", "avoidance") for axis in axes),
+        "hand_fx_n", "hand_fy_n", "hand_fz_n", "ee_error_m", "contact", "arm_contact",
+        *(() if step.door is None else door_columns(step)),
+    ]  # fmt: skip
+
+
+def _values(step: Step) -> list[float]:
+    """A row of the log."""
     m, out = step.truth, step.output
-    row: dict[str, float] = {"t_s": step.t}
-    row |= dict(zip(("base_x_m", "base_y_m", "base_yaw_rad"), m.base_pose.tolist(), strict=True))
-    for name, values in (("base", m.base_velocity), ("command", step.base_command)):
-        at = zip(axes, values.tolist(), strict=True)
-        row |= {f"{name}_{axis.velocity}": value for axis, value in at}
-    row |= {f"q{i}_rad": float(q) for i, q in enumerate(m.q_m, start=1)}
-    row |= {f"qd{i}_radps": float(q) for i, q in enumerate(m.qd_m, start=1)}
-    row |= {f"u{i}_nm": float(u) for i, u in enumerate(out.u_a, start=1)}
-    for pair, d in zip(out.avoidance.pairs, step.distances, strict=True):
-        name = pair.closest.pair.name
-        row |= {f"d_{name}_m": d, f"beta_{name}": pair.beta}
-    row["beta_m"] = out.avoidance.beta_m
-    asked, avoid = out.base_acceleration, out.inserted.base_acceleration
-    for name, values in (("base", asked), ("avoidance", avoid)):
-        at = zip(axes, values.tolist(), strict=True)
-        row |= {f"{name}_{axis.acceleration}": value for axis, value in at}
-    force = step.hand_force.tolist()
-    row |= dict(zip(("hand_fx_n", "hand_fy_n", "hand_fz_n"), force, strict=True))
-    row["ee_error_m"] = step.ee_error
-    row |= {"contact": int(step.contacts.arm_base), "arm_contact": int(step.contacts.arm_arm)}
-    if step.door is not None:
-        row |= door_columns(step)
-    return row
+    betas = map(_BETA, out.avoidance.pairs)
+    return [
+        step.t, *m.base_pose.tolist(), *m.base_velocity.tolist(), *step.base_command.tolist(),
+        *m.q_m.tolist(), *m.qd_m.tolist(), *out.u_a.tolist(),
+        *chain.from_iterable(zip(step.distances, betas, strict=True)), out.avoidance.beta_m,
+        *out.base_acceleration.tolist(), *out.inserted.base_acceleration.tolist(),
+        *step.hand_force.tolist(), step.ee_error,
+        int(step.contacts.arm_base), int(step.contacts.arm_arm),
+        *(() if step.door is None else door_columns(step).values()),
+    ]  # fmt: skip
