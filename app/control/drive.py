@@ -33,14 +33,15 @@ class Drive:
             base: Time constant and limits.
             dt: [s] between two steps.
         """
-        self._base = base
+        self._base, self._n_b = base, base.n_b
+        self._at_rest = base.drive_at_rest()
         self._dt = dt
         self.reset()
 
     def reset(self) -> None:
         """Stand still."""
-        self.velocity = np.zeros(self._base.n_b)
-        self.state = self._base.drive_at_rest()
+        self.velocity = np.zeros(self._n_b)
+        self.state = self._at_rest
 
     def step(self, v_cmd: Sequence[float] | Array) -> Array:
         """Follow a command for one period.
@@ -52,7 +53,7 @@ class Drive:
             (n_b,) the velocity at the end of the period.
         """
         after = self._base.driven(self.velocity, self.state, v_cmd, self._dt)
-        self.velocity, self.state = after[: self._base.n_b], after[self._base.n_b :]
+        self.velocity, self.state = after[: self._n_b], after[self._n_b :]
         return self.velocity
 
     def expected_acceleration(
@@ -69,5 +70,5 @@ class Drive:
         Returns:
             (n_b,) [m/s² or rad/s²].
         """
-        known = self._base.drive_at_rest() if state is None or not len(state) else state
+        known = self._at_rest if state is None or not len(state) else state
         return self._base.drive_acceleration(v, known, v_cmd)

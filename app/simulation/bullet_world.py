@@ -20,6 +20,7 @@ else:
         import pybullet
 
 GRAVITY = 9.81  # [m/s²]
+_NO_CONTACTS = Contacts(False, False, False)
 
 
 class BulletWorld:
@@ -82,6 +83,8 @@ class BulletWorld:
     def contacts(self) -> Contacts:
         """Contacts found in the last step."""
         found = pybullet.getContactPoints(self.robot, physicsClientId=self.client)
+        if not found:
+            return _NO_CONTACTS
         touching = [c for c in found if _touches(c)]
         groups = {self._contact_of.get((c[3], c[4])) for c in touching if c[1] == c[2]}
         return Contacts(

@@ -69,7 +69,7 @@ class Disturbances:
             command: (n_b,) the command in force at this control step. Before the first there was
                 rest.
         """
-        self._commands.append(command.copy())
+        self._commands.append(command)
         steps = round(self.config.base_delay / self._dt)
         late = self._commands[-1 - steps] if steps < len(self._commands) else np.zeros_like(command)
         return (1.0 - self.config.slip) * late

@@ -78,7 +78,8 @@ class Kinematic:
         qdd_b = rolling @ (now - before) / self.dt
         self._qd += self._arm_acceleration(u_a + self._felt(hand_force, pushes), qdd_b) * self.dt
         self._q += self._qd * self.dt
-        self._base_pose += world_twist(self._T @ now, self._base_pose[2], self.dt) * self.dt
+        twist = world_twist((self._T @ now).tolist(), float(self._base_pose[2]), self.dt)
+        self._base_pose += np.array(twist) * self.dt
         self._stepped = True
 
     def contacts(self) -> Contacts:

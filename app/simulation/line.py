@@ -71,10 +71,17 @@ class LineScenario(Scenario):
         orientation = session.T_world_ee.rotation.copy()
         leaders: dict[str, Callable[[float], Lead]] = {
             "tracking": lambda t: Lead(reference=self.reference(t, orientation)),
-            "guiding": lambda t: Lead(pull=self.position(t)[0]),
+            "guiding": lambda t: Lead(pull=self.place(t)),
         }
         at = leaders[self.mode]
         return lambda session: at(session.t)
+
+    def place(self, t: float) -> Array:
+        """(3,) [m] the leading point at time t [s]."""
+        s = min(max(t / (self.duration * self.moving), 0.0), 1.0)
+        share = s * s * (3 - 2 * s)
+        moves = zip(self.start, self.move, strict=True)
+        return np.array([begin + share * move for begin, move in moves])
 
     def position(self, t: float) -> tuple[Array, Array, Array]:
         """Position [m], velocity [m/s], acceleration [m/s²] of the leading point at time t [s]."""
@@ -83,7 +90,7 @@ class LineScenario(Scenario):
         inside = 0.0 <= t <= T
         move = np.array(self.move)
         return (
-            np.array(self.start) + s * s * (3 - 2 * s) * move,
+            self.place(t),
             (6 * s * (1 - s) / T if inside else 0.0) * move,
             (6 * (1 - 2 * s) / T**2 if inside else 0.0) * move,
         )

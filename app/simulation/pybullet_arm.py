@@ -38,7 +38,7 @@ class BulletArm:
     def drive(self, u_a: Array) -> None:
         """Torques (n_m,) [N m or N] for the next step."""
         pybullet.setJointMotorControlArray(
-            self._world.robot, self.joints, pybullet.TORQUE_CONTROL, forces=u_a,
+            self._world.robot, self.joints, pybullet.TORQUE_CONTROL, forces=u_a.tolist(),
             physicsClientId=self._world.client,
         )  # fmt: skip
 

@@ -56,6 +56,7 @@ class PybulletPlanar:
         self._joints = [*self._planar, *self.arm.joints]
         self._drive = Drive(description.base, dt)
         self._T = description.base.T
+        self._heading: float | None = None  # [rad] as measured since the last step
         traction = description.base.traction_limit_n
         self._limits = [traction, traction, description.base.yaw_limit_nm]
         self.reset(np.zeros(3), np.array(description.arm.ready_position))
@@ -69,6 +70,7 @@ class PybulletPlanar:
             pybullet.resetJointState(
                 self.world.robot, joint, position, 0.0, physicsClientId=self.world.client
             )
+        self._heading = None
         self.arm.reset(q_m)
         self._drive.reset()
         if self.door is not None:
@@ -80,24 +82,26 @@ class PybulletPlanar:
             self.world.robot, self._joints, physicsClientId=self.world.client
         )
         q = np.array([state[0] for state in states])
-        qd = np.array([state[1] for state in states])
-        velocity = self._T.T @ base_twist(qd[:3], q[2])
-        return Measurement(q[:3], velocity, q[3:], qd[3:], self._drive.state.copy())
+        qd = [state[1] for state in states]
+        self._heading = heading = states[2][0]
+        velocity = self._T.T @ base_twist(qd[:3], heading)
+        return Measurement(q[:3], velocity, q[3:], np.array(qd[3:]), self._drive.state.copy())
 
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
         """See `Physics.step`."""
         velocity = self._drive.step(base_velocity)
-        twist = world_twist(self._T @ velocity, self._heading(), self.dt)
+        twist = world_twist((self._T @ velocity).tolist(), self._heading_now(), self.dt)
         pybullet.setJointMotorControlArray(
             self.world.robot, self._planar, pybullet.VELOCITY_CONTROL,
-            targetVelocities=twist.tolist(), forces=self._limits,
+            targetVelocities=twist, forces=self._limits,
             physicsClientId=self.world.client,
         )  # fmt: skip
         self.arm.drive(u_a)
         self.arm.push(hand_force, pushes)
         self.world.step()
+        self._heading = None
 
     def contacts(self) -> Contacts:
         """See `Physics.contacts`."""
@@ -110,7 +114,10 @@ class PybulletPlanar:
         """See `Physics.close`."""
         self.world.close()
 
-    def _heading(self) -> float:
+    def _heading_now(self) -> float:
+        """[rad]; that of the last reading if the base has not moved since."""
+        if self._heading is not None:
+            return self._heading
         return pybullet.getJointState(
             self.world.robot, self._planar[2], physicsClientId=self.world.client
         )[0]

@@ -205,14 +205,14 @@ class Session:
         person = self._people.forces(holds, pulls) if forces is None else forces
         target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
-        error = math.dist(p_ee, aim)
+        error = math.dist(p_ee.tolist(), aim.tolist())
         self.physics.step(output.u_a, self._disturbances.arriving(command), *person)
         self.wheel_angles = self._base.turned(
             self.wheel_angles, state.qd[: self.model.n_b], truth.drive, DT
         )
         felt = person.hand if door is None else door.force
         step = Step(
-            self.t, measurement, output, command.copy(), target, felt, error,
+            self.t, measurement, output, command, target, felt, error,
             self.physics.contacts(), duration, truth, self._truth.distances, self._look(output),
             door, tuple(pulls), person,
         )  # fmt: skip
