@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -55,34 +55,44 @@ class TaskTransition:
             NoSolutionError: A QP has no solution.
         """
         active = tuple(row for row in rows if row.beta > 0.0)
-        solved: dict[int, Solution] = {}
+        subsets = _Subsets(self._solver, active, levels, objective, limits, slot)
+        return subsets.solution((1 << len(active)) - 1)
 
-        def solution_with(members: int) -> Solution:
-            """Solution with the rows whose bit is set in `members`; each subset solved once."""
-            if members not in solved:
-                chosen = [i for i in range(len(active)) if members >> i & 1]
-                above = [self._blended(active, chosen, members, solution_with)] if chosen else []
-                solved[members] = self._solver.solve(
-                    [*above, *levels], objective, limits, slot=f"{slot}/{members}"
-                )
-            return solved[members]
 
-        return solution_with((1 << len(active)) - 1)
+class _Subsets:
+    """The solutions with some of the active rows, each subset solved once.
 
-    @staticmethod
-    def _blended(
-        rows: Sequence[TaskRows],
-        chosen: Sequence[int],
-        members: int,
-        solution_with: Callable[[int], Solution],
-    ) -> EqualityTask:
+    No nested function: one that calls itself would be left to the garbage collector at each step.
+    """
+
+    def __init__(
+        self, solver: HierarchicalQP, rows: Sequence[TaskRows], levels: Sequence[EqualityTask],
+        objective: Objective, limits: Limits, slot: str,
+    ) -> None:  # fmt: skip
+        self._solver, self._rows, self._levels = solver, rows, levels
+        self._objective, self._limits, self._slot = objective, limits, slot
+        self._solved: dict[int, Solution] = {}
+
+    def solution(self, members: int) -> Solution:
+        """The solution with the rows whose bit is set in `members`."""
+        if members not in self._solved:
+            chosen = [i for i in range(len(self._rows)) if members >> i & 1]
+            above = [self._blended(chosen, members)] if chosen else []
+            self._solved[members] = self._solver.solve(
+                [*above, *self._levels], self._objective, self._limits,
+                slot=f"{self._slot}/{members}",
+            )  # fmt: skip
+        return self._solved[members]
+
+    def _blended(self, chosen: Sequence[int], members: int) -> EqualityTask:
         """B (ẍ_sca - J̇_sca q̇) + (I - B) J_i q̈_{without i} for the chosen rows, stacked."""
+        rows = self._rows
         if len(chosen) == 1 and rows[chosen[0]].beta >= 1.0:  # such as the base's given motion
             return EqualityTask(rows[chosen[0]].J, rows[chosen[0]].b)
         b, J, B = generate_avoidance_task([rows[i] for i in chosen])
         inactive = [
             # A row in full force has no need of the solution without it.
-            row.b if row.beta >= 1.0 else row.J @ solution_with(members & ~(1 << i)).qdd
+            row.b if row.beta >= 1.0 else row.J @ self.solution(members & ~(1 << i)).qdd
             for i, row in ((i, rows[i]) for i in chosen)
         ]
         return EqualityTask(J, B * b + (1.0 - B) * np.concatenate(inactive))
