@@ -200,6 +200,18 @@ def test_equal_inputs_give_bitwise_equal_states(plant):
     np.testing.assert_array_equal(trace(plant), first)
 
 
+def test_looking_at_it_changes_nothing(plant):
+    ends = []
+    for every in (10, 1):
+        plant.reset(np.array([0.3, -0.2, 0.7]), READY)
+        for k in range(300):
+            if k % every == 0:
+                plant.measure()
+            plant.step(np.zeros(7), np.array(wave(k * plant.dt)), NOBODY)
+        ends.append(np.concatenate(plant.measure()))
+    np.testing.assert_array_equal(*ends)
+
+
 def test_the_kinematic_and_the_planar_plant_agree_on_the_same_torques(planar):
     """Over 1 s, to 0.1 mm, 0.1 mrad of the base and 2 mrad of the arm: two integrators, one law."""
     kinematic = make_physics("kinematic", MODEL)

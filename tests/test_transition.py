@@ -1,5 +1,7 @@
 """Laws of the continuous task transition (29)."""
 
+import gc
+
 import numpy as np
 import pytest
 
@@ -122,3 +124,16 @@ def test_B_repeats_beta_m_for_the_two_rows_of_the_base() -> None:
     np.testing.assert_array_equal(B, [0.3, 0.3, 0.1, 0.9, 0.0])
     assert J.shape == (5, N)
     assert b.shape == (5,)
+
+
+def test_nothing_is_left_to_the_garbage_collector() -> None:
+    """At 1 kHz what only the collector frees becomes pauses of many milliseconds."""
+    problem = Problem(0)
+    problem.solve([0.4, 0.7, 0.3, 1.0])
+    gc.collect()
+    gc.disable()
+    try:
+        problem.solve([0.4, 0.7, 0.3, 1.0])
+        assert gc.collect() == 0
+    finally:
+        gc.enable()

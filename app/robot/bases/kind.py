@@ -276,5 +276,5 @@ class BaseKind(Sourced, ABC):
 
 
 def clamp(value: float, limit: float) -> float:
-    """The value within ±limit; `min` and `max` would cost thrice as much."""
+    """The value within ±limit; `min` and `max` cost several times as much."""
     return limit if value > limit else -limit if value < -limit else value
