@@ -5,11 +5,13 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 
 import pytest
 
 from app.cli import main
 from app.cli.common import progress_bar
+from app.errors import LoopError
 
 ENTRY = sys.modules["app.cli.main"]
 """The module; the package gives the function by the same name."""
@@ -46,7 +48,8 @@ def swallowed() -> None:
             except KeyboardInterrupt:
                 pass
             on_progress(done)
-            assert done <= 3, "nobody heard it"
+            if done > 3:
+                pytest.fail("nobody heard it")
 
 
 @pytest.mark.parametrize("command", [interrupted, turned_into_another_error, swallowed])
@@ -57,6 +60,19 @@ def test_an_interrupted_command_says_so_in_one_line(command, monkeypatch, capsys
     assert end.value.code == 130
     assert capsys.readouterr().err == "dbb: interrupted\n"
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_what_a_command_says_after_it_was_interrupted_is_heard(monkeypatch, capsys):
+    def ended_by_ctrl_c(_: object) -> None:
+        with suppress(KeyboardInterrupt):
+            interrupted()
+        raise LoopError("the simulation had ended")
+
+    monkeypatch.setattr(ENTRY, "_run", ended_by_ctrl_c)
+    with pytest.raises(SystemExit) as end:
+        main(["serve"])
+    assert end.value.code == 2
+    assert "the simulation had ended" in capsys.readouterr().err
 
 
 def test_an_error_that_no_interrupt_caused_stays_what_it_is(monkeypatch):

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 import viser
 from hypothesis import given
 from hypothesis import strategies as st
@@ -33,8 +34,8 @@ from app.dashboard.robot import LinkPoses
 from app.dashboard.scales import METRES_PER_NEWTON
 from app.dashboard.server import check_address, serve_dashboard
 from app.dashboard.view import View
-from app.dashboard.visuals import MAX_FACES, MOST_FACES, for_display, load_visuals, read_mesh
-from app.errors import AssetError, ConfigError, ServerError
+from app.dashboard.visuals import GREY, MAX_FACES, MOST_FACES, for_display, load_visuals, read_mesh
+from app.errors import AssetError, ConfigError, DescriptionError, ServerError
 from app.robot.assets import package_roots, resolve_package_uri
 from app.robot.urdf import resolved_urdf
 from app.simulation.commands import Pull, Release
@@ -296,6 +297,58 @@ def test_decimated_meshes_keep_their_extent():
             original = read_mesh(item.meshPath).apply_scale(item.meshScale)
             np.testing.assert_allclose(visual.mesh.bounds, original.bounds, atol=0.003)
             assert visual.mesh.area == pytest.approx(original.area, rel=0.1)  # no corners are off
+
+
+SEVERAL_VISUALS = """
+<robot name="toy">
+  <material name="red"><color rgba="1 0 0 1"/></material>
+  <link name="a">
+    <visual><origin xyz="0.1 0 0" rpy="0 0 1"/><geometry><box size="1 2 3"/></geometry></visual>
+    <visual><origin xyz="0 0.2 0"/><geometry><mesh filename="{mesh}" scale="0.5 1 2"/></geometry>
+      <material name="red"/></visual>
+  </link>
+  <link name="b">
+    <visual><geometry><mesh filename="{mesh}"/></geometry></visual>
+    <visual><origin xyz="0 0 0.3"/><geometry><sphere radius="0.2"/></geometry></visual>
+  </link>
+  <joint name="ab" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 1"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>"""
+
+
+def test_visuals_are_where_pinocchio_has_them_in_its_colours_and_sizes(tmp_path, monkeypatch):
+    mesh = tmp_path / "part.stl"
+    trimesh.creation.box(extents=(0.1, 0.2, 0.4)).export(mesh)
+    urdf = SEVERAL_VISUALS.format(mesh=mesh)
+    monkeypatch.setattr("app.dashboard.visuals.resolved_urdf", lambda _: urdf)
+    model = pin.buildModelFromXML(urdf)
+    visuals = load_visuals(husky_panda().description, model)
+    whole = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.VISUAL).geometryObjects
+    assert [visual.name for visual in visuals] == [item.name for item in whole]
+    for visual, item in zip(visuals, whole, strict=True):
+        assert visual.joint == item.parentJoint
+        assert visual.placement.isApprox(item.placement)
+        item.geometry.computeLocalAABB()
+        box = np.array([item.geometry.aabb_local.min_, item.geometry.aabb_local.max_])
+        np.testing.assert_allclose(visual.mesh.bounds, box, atol=2e-3)
+    red, grey = visuals[1].colour, visuals[2].colour
+    assert (red, grey) == ((255, 0, 0), GREY)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [('scale="0.5,1,2"', "scale='0.5,1,2'"), ('scale="2"', "three numbers"), ("", "no filename")],
+)
+def test_a_mesh_that_says_nothing_sensible_is_named_by_its_link(wrong, words, monkeypatch):
+    file = 'filename="/a.stl"' if wrong else ""
+    urdf = (
+        f'<robot name="toy"><link name="lonely"><visual><geometry><mesh {file} {wrong}/>'
+        "</geometry></visual></link></robot>"
+    )
+    monkeypatch.setattr("app.dashboard.visuals.resolved_urdf", lambda _: urdf)
+    with pytest.raises(DescriptionError, match="lonely") as refusal:
+        load_visuals(husky_panda().description, husky_panda().pin)
+    assert words in str(refusal.value)
 
 
 def test_decimation_takes_no_corners_off_meshes_of_many_parts():

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+from app.errors import DbbError
+
 _asked = threading.Event()
 
 
@@ -28,7 +30,7 @@ def interrupts_kept() -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if _asked.is_set():
+        if _asked.is_set() and not isinstance(error, DbbError):  # ours says what it is
             raise KeyboardInterrupt from error
         raise
     finally:
@@ -37,12 +39,12 @@ def interrupts_kept() -> Iterator[None]:
 
 
 def check_interrupt() -> None:
-    """To be called now and then in long work.
+    """To be called now and then in long work; in other threads than the main one it does nothing.
 
     Raises:
         KeyboardInterrupt: Ctrl-C was pressed, and nothing came of it.
     """
-    if _asked.is_set():
+    if _asked.is_set() and threading.current_thread() is threading.main_thread():
         raise KeyboardInterrupt
 
 

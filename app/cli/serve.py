@@ -15,6 +15,7 @@ from app.cli.common import load_robot_and_border
 from app.cli.options import PointOption, check_name, check_point, check_seed, configured, disturbed
 from app.config import Config
 from app.control.controller import CONTROLLERS
+from app.robot.assets import robot_names
 from app.robot.model import RobotModel
 from app.simulation.loop_child import LoopChild
 from app.simulation.plants import PLANTS
@@ -78,14 +79,6 @@ def serve(
             and its disturbances are the case's, and a button plays the pull.
         sweep: Folder of `dbb sweep` whose newest map is shown, and where a button writes new ones.
     """
-    for kind, name, names in (
-        ("controller", controller, CONTROLLERS), ("physics", physics, PLANTS),
-        ("loop", loop, LOOPS), ("border", border, BORDERS),
-    ):  # fmt: skip
-        if name is not None:
-            check_name(kind, name, names)
-    check_point("--start", start)
-    check_seed(seed)
     case = None
     if replay_case is not None:
         from app.study.case import check_no_others, read_case
@@ -96,14 +89,23 @@ def serve(
             mass_error=mass_error, slip=slip, config=config,
         )  # fmt: skip
         robot, seed = case.robot, case.seed
-        controller, physics = controller or case.controller, physics or case.physics
+    controller = controller or (case.controller if case else "dbb")
+    physics = physics or (case.physics if case else PLANTS[0])
+    check_name("robot", robot, robot_names())
+    check_name("controller", controller, CONTROLLERS)
+    check_name("physics", physics, PLANTS)
+    check_name("loop", loop, LOOPS)
+    if border is not None:
+        check_name("border", border, BORDERS)
+    check_point("--start", start)
+    check_seed(seed)
     tuned = case.config() if case else configured(config)
     if border is not None:
         tuned = tuned.replace("border.kind", border)
     tuned = disturbed(
         tuned, encoder_noise=encoder_noise, base_delay=base_delay, mass_error=mass_error, slip=slip
     )
-    first = _First(robot, controller or "dbb", physics or PLANTS[0], seed, tuned, start, case)
+    first = _First(robot, controller, physics, seed, tuned, start, case)
     # The simulation's process imports as much as this one: both at once.
     with LoopChild() if loop == "process" else nullcontext() as child:
         _serve(first, child, host=host, port=port, sweeps=sweep)
@@ -137,6 +139,7 @@ def _serve(first: _First, child: LoopChild | None, *, host: str, port: int, swee
     from app.simulation.session import Session
 
     check_address(host, port)
+    in_process = child is not None
     model, data = load_robot_and_border(first.robot)
 
     def begin_loop(
@@ -150,9 +153,9 @@ def _serve(first: _First, child: LoopChild | None, *, host: str, port: int, swee
             seed=first.seed,
         )  # fmt: skip
         made = (
-            SimulationLoop(make_session, q_start)
-            if child is None
-            else ProcessLoop(make_session, q_start, waiting)
+            ProcessLoop(make_session, q_start, waiting)
+            if in_process
+            else SimulationLoop(make_session, q_start)
         )
         made.begin()
         return made

@@ -12,7 +12,7 @@ import pinocchio as pin
 import trimesh
 
 from app.dashboard.colours import Rgb
-from app.errors import AssetError
+from app.errors import AssetError, DescriptionError
 from app.robot.description import RobotDescription
 from app.robot.urdf import resolved_urdf
 
@@ -51,6 +51,7 @@ def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual
 
     Raises:
         AssetError: The URDF or a mesh is not there.
+        DescriptionError: A mesh of the URDF has no file, or a scale that is not three numbers.
     """
     urdf, files = _without_files(resolved_urdf(description))
     geometry = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.VISUAL)
@@ -72,25 +73,42 @@ def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual
 
 class _MeshFile(NamedTuple):
     path: str
-    scale: tuple[float, ...]
+    scale: tuple[float, float, float]
 
 
 def _without_files(urdf: str) -> tuple[str, dict[str, _MeshFile]]:
     """A URDF with a sphere in place of each visual's mesh, and the meshes by pinocchio's names.
 
     pinocchio tells where they are; it would read each file too, which takes as long as all else.
+
+    Raises:
+        DescriptionError: A mesh has no file, or a scale that is not three numbers.
     """
     tree = ElementTree.fromstring(urdf)
     files = {}
     for link in tree.iterfind("link"):
-        for i, geometry in enumerate(link.iterfind("visual/geometry")):
-            mesh = geometry.find("mesh")
-            if mesh is not None:
-                scale = tuple(float(s) for s in mesh.get("scale", "1 1 1").split())
-                files[f"{link.get('name')}_{i}"] = _MeshFile(mesh.get("filename", ""), scale)
-                geometry.remove(mesh)
-                ElementTree.SubElement(geometry, "sphere", radius="1")
+        name = link.get("name", "")
+        for i, visual in enumerate(link.iterfind("visual")):
+            geometry = visual.find("geometry")
+            if geometry is None or not len(geometry) or geometry[0].tag != "mesh":
+                continue
+            files[f"{name}_{i}"] = _mesh_file(name, geometry[0])
+            geometry.remove(geometry[0])
+            geometry.insert(0, ElementTree.Element("sphere", radius="1"))
     return ElementTree.tostring(tree, encoding="unicode"), files
+
+
+def _mesh_file(link: str, mesh: ElementTree.Element) -> _MeshFile:
+    path, scale = mesh.get("filename", ""), mesh.get("scale", "1 1 1")
+    try:
+        x, y, z = (float(each) for each in scale.split())
+    except ValueError:
+        raise DescriptionError(
+            f"link {link!r}: scale={scale!r} of a mesh is not three numbers"
+        ) from None
+    if not path:
+        raise DescriptionError(f"link {link!r}: a mesh has no filename")
+    return _MeshFile(path, (x, y, z))
 
 
 def read_mesh(path: str) -> trimesh.Trimesh:

@@ -78,15 +78,18 @@ class LineScenario(Scenario):
 
     def place(self, t: float) -> Array:
         """(3,) [m] the leading point at time t [s]."""
-        s = min(max(t / (self.duration * self.moving), 0.0), 1.0)
+        s = self._passed(t)
         share = s * s * (3 - 2 * s)
         moves = zip(self.start, self.move, strict=True)
         return np.array([begin + share * move for begin, move in moves])
 
+    def _passed(self, t: float) -> float:
+        """[-] of the time in which the point moves, 0 to 1."""
+        return min(max(t / (self.duration * self.moving), 0.0), 1.0)
+
     def position(self, t: float) -> tuple[Array, Array, Array]:
         """Position [m], velocity [m/s], acceleration [m/s²] of the leading point at time t [s]."""
-        T = self.duration * self.moving
-        s = min(max(t / T, 0.0), 1.0)
+        T, s = self.duration * self.moving, self._passed(t)
         inside = 0.0 <= t <= T
         move = np.array(self.move)
         return (

@@ -53,8 +53,8 @@ def run_loop(commands: Connection, snapshots: Connection) -> None:
         os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
     try:
         make_session, q_start = commands.recv()
-    except EOFError:
-        return  # nothing was to be simulated after all
+    except (EOFError, OSError):
+        return  # the parent is gone, or nothing was to be simulated after all
     loop = SimulationLoop(make_session, q_start)
     try:
         with suppress(LoopError):  # posted below

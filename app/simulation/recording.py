@@ -76,7 +76,9 @@ class Recorder:
             self._begin(step)
         self._last = step
         if self._until_row == 0:
-            self._log.append(_values(step))
+            values = _values(step)
+            assert len(values) == len(self._columns), "pairs and doors stay those of the first step"
+            self._log.append(values)
             self._until_row = _LOG_EVERY
         self._until_row -= 1
         if step.door is not None:

@@ -211,7 +211,7 @@ _found: WeakKeyDictionary[RobotModel, dict[_Asked, Array]] = WeakKeyDictionary()
 def find_start(
     model: RobotModel, pairs: LinkPairs, d_b: float, p_ee: _Place, *, seed: int = 0
 ) -> Array:
-    """(n_m,) arm configuration as `StartSolver.solve` finds it; what was found last is kept.
+    """(n_m,) arm configuration as `StartSolver.solve` finds it; some that were found are kept.
 
     So a run that begins again, such as with another controller, does not wait for the search.
 
@@ -227,11 +227,12 @@ def find_start(
     """
     kept = _found.setdefault(model, {})
     asked = (pairs.all, d_b, (p_ee[0], p_ee[1], p_ee[2]), seed)
-    if asked not in kept:
-        kept[asked] = StartSolver(model, pairs, d_b).solve(p_ee, seed=seed)
+    q = kept.get(asked)
+    if q is None:
+        q = kept[asked] = StartSolver(model, pairs, d_b).solve(p_ee, seed=seed)
         if len(kept) > _KEPT:
-            del kept[next(iter(kept))]
-    return kept[asked].copy()
+            kept.pop(next(iter(kept)), None)
+    return q.copy()
 
 
 class FloorDistance:
