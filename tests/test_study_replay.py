@@ -93,6 +93,16 @@ def test_the_dashboard_refuses_a_file_that_is_no_case(tmp_path, capfd):
     assert str(path) in capfd.readouterr().err
 
 
+def test_the_dashboard_checks_what_a_case_names_before_it_loads_anything(file, capfd):
+    content = json.loads(file.read_text())
+    content["case"]["controller"] = "dbx"
+    file.write_text(json.dumps(content))
+    with pytest.raises(SystemExit) as end:
+        main(["serve", "--replay-case", str(file), "--port", "0"])
+    assert end.value.code == 2
+    assert "did you mean 'dbb'" in capfd.readouterr().err
+
+
 @pytest.fixture
 def loop(sources, case):
     def make_session() -> Session:
