@@ -202,8 +202,12 @@ def test_each_line_starts_outside_and_leads_to_the_base(made: NewRobot) -> None:
     end = np.add(place.start_m, place.move_m)
     assert end[0] == pytest.approx(centre + edge + 0.125, abs=2e-3)
     assert scenario_of(model.description, "guiding-front").start == place.start_m
+    tracked, guided = (scenario_of(model.description, n) for n in ("tracking", "guiding-lateral"))
+    assert (tracked.start, tracked.move) == (guided.start, guided.move)
+    assert (tracked.mode, tracked.duration) == ("tracking", 30.0)
     paper = husky_panda().description
-    assert scenario_of(paper, "guiding-front") == scenario_by_name("guiding-front")
+    for name in ("guiding-front", "tracking"):
+        assert scenario_of(paper, name) == scenario_by_name(name)
 
 
 @pytest.fixture(scope="module")

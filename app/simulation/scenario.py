@@ -42,6 +42,10 @@ SCENARIOS: dict[str, Scenario] = {
 }  # fmt: skip
 
 
+_SAME_LINE = {"tracking": "guiding-lateral"}
+"""Scenarios that take another one's line of a robot that has none for them."""
+
+
 def scenario_by_name(name: str) -> Scenario:
     """The scenario of that name.
 
@@ -63,6 +67,10 @@ def scenario_of(description: RobotDescription, name: str) -> Scenario:
 
 
 def own_line(description: RobotDescription, name: str) -> dict[str, object]:
-    """Start and move of a robot's own line for a scenario, as `Scenario.changed` takes them."""
-    place = description.lines.get(name)
+    """Start and move of a robot's own line for a scenario, as `Scenario.changed` takes them.
+
+    The hand is tracked, as it is guided, from the base's side.
+    """
+    lines = description.lines
+    place = lines.get(name) or lines.get(_SAME_LINE.get(name, name))
     return {} if place is None else {"start": place.start_m, "move": place.move_m}
