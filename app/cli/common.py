@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from app.border.cache import BorderData, load_border_data
-from app.cli.interrupts import check_interrupt
+from app.cli.ctrl_c import check_interrupt
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-from app.cli.interrupts import interrupts_kept
+from app.cli.ctrl_c import interrupts_kept
 from app.errors import DbbError
 
 _COMMANDS = (
