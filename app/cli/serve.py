@@ -119,7 +119,7 @@ class _First(NamedTuple):
     physics: str
     seed: int
     config: Config
-    start: tuple[float, float, float] | None
+    start: PointOption
     case: Case | None
 
     def q_start(self, model: RobotModel, data: BorderData) -> np.ndarray:

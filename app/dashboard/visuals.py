@@ -14,7 +14,7 @@ import trimesh
 from app.dashboard.colours import Rgb
 from app.errors import AssetError, DescriptionError
 from app.robot.description import RobotDescription
-from app.robot.urdf import resolved_urdf
+from app.robot.urdf import floats, resolved_urdf
 
 Array = np.ndarray
 
@@ -73,7 +73,7 @@ def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual
 
 class _MeshFile(NamedTuple):
     path: str
-    scale: tuple[float, float, float]
+    scale: tuple[float, ...]
 
 
 def _without_files(urdf: str) -> tuple[str, dict[str, _MeshFile]]:
@@ -93,22 +93,18 @@ def _without_files(urdf: str) -> tuple[str, dict[str, _MeshFile]]:
             if geometry is None or not len(geometry) or geometry[0].tag != "mesh":
                 continue
             files[f"{name}_{i}"] = _mesh_file(name, geometry[0])
-            geometry.remove(geometry[0])
-            geometry.insert(0, ElementTree.Element("sphere", radius="1"))
+            geometry[0] = ElementTree.Element("sphere", radius="1")
     return ElementTree.tostring(tree, encoding="unicode"), files
 
 
 def _mesh_file(link: str, mesh: ElementTree.Element) -> _MeshFile:
     path, scale = mesh.get("filename", ""), mesh.get("scale", "1 1 1")
-    try:
-        x, y, z = (float(each) for each in scale.split())
-    except ValueError:
-        raise DescriptionError(
-            f"link {link!r}: scale={scale!r} of a mesh is not three numbers"
-        ) from None
+    values = floats(scale, 3)
+    if values is None:
+        raise DescriptionError(f"link {link!r}: scale={scale!r} of a mesh is not three numbers")
     if not path:
         raise DescriptionError(f"link {link!r}: a mesh has no filename")
-    return _MeshFile(path, (x, y, z))
+    return _MeshFile(path, tuple(values))
 
 
 def read_mesh(path: str) -> trimesh.Trimesh:

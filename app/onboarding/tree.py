@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.errors import RobotFileError, did_you_mean
+from app.robot.urdf import floats
 
 Array = np.ndarray
 
@@ -236,10 +237,7 @@ def numbers(element: Element | None, key: str, default: tuple[float, ...], where
     words = None if element is None else element.get(key)
     if words is None:
         return np.array(default)
-    try:
-        values = np.array([float(word) for word in words.split()])
-    except ValueError:
-        values = np.array([])
-    if len(values) != len(default) or not np.isfinite(values).all():
+    values = floats(words, len(default))
+    if values is None:
         raise RobotFileError(f"{where}: {key}={words!r} should be {len(default)} numbers")
-    return values
+    return np.array(values)

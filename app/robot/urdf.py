@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -77,6 +78,15 @@ def planar_urdf(description: RobotDescription) -> str:
     text = resolved_urdf(description)
     planar = _PLANAR_ROOT.format(zero=_ZERO_INERTIAL, root=root_link(text))
     return text.replace("</robot>", planar + "</robot>")
+
+
+def floats(text: str, count: int) -> list[float] | None:
+    """The numbers of an attribute; None unless they are so many, and finite."""
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        return None
+    return values if len(values) == count and all(map(math.isfinite, values)) else None
 
 
 def root_link(urdf: str) -> str:

@@ -83,10 +83,6 @@ class LineScenario(Scenario):
         moves = zip(self.start, self.move, strict=True)
         return np.array([begin + share * move for begin, move in moves])
 
-    def _passed(self, t: float) -> float:
-        """[-] of the time in which the point moves, 0 to 1."""
-        return min(max(t / (self.duration * self.moving), 0.0), 1.0)
-
     def position(self, t: float) -> tuple[Array, Array, Array]:
         """Position [m], velocity [m/s], acceleration [m/s²] of the leading point at time t [s]."""
         T, s = self.duration * self.moving, self._passed(t)
@@ -105,3 +101,7 @@ class LineScenario(Scenario):
         return Reference(
             pin.SE3(orientation, p), np.concatenate([v, zero]), np.concatenate([a, zero])
         )
+
+    def _passed(self, t: float) -> float:
+        """[-] of the time in which the point moves, 0 to 1."""
+        return min(max(t / (self.duration * self.moving), 0.0), 1.0)
