@@ -104,7 +104,8 @@ class Controller:
         self._config = config
         self._slow = slowed(config.task, config.repulsion)
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
-        self._transition = TaskTransition(HierarchicalQP(model.n))
+        self._solver = HierarchicalQP(model.n)
+        self._transition = TaskTransition(self._solver)
         self._dt = dt
         self.reset()
 
@@ -120,10 +121,16 @@ class Controller:
         self._method = METHODS[name]
 
     def reset(self) -> None:
-        """Forget the posture, the last torques and the count of failures."""
+        """Forget the posture, the last torques and the counts of failures."""
         self._u_a: Array | None = None
         self.q_posture: Array | None = None
         self.failures = 0
+        self._solver.given_up = 0
+
+    @property
+    def given_up(self) -> int:
+        """QPs of lower levels without an answer since the reset."""
+        return self._solver.given_up
 
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on."""

@@ -91,11 +91,16 @@ class NoSolutionError(Exception):
 
 
 class HierarchicalQP:
-    """Solves hierarchies of n unknowns, each QP warm-started from the last of its size."""
+    """Solves hierarchies of n unknowns, each QP warm-started from the last of its size.
+
+    Attributes:
+        given_up: QPs of lower levels without an answer so far; what the levels above reached stays.
+    """
 
     def __init__(self, n: int) -> None:
         """Prepare for n unknowns."""
         self._n = n
+        self.given_up = 0
         self._qps: dict[tuple[str, int, int, int], proxqp.dense.QP] = {}
 
     def solve(
@@ -161,6 +166,7 @@ class HierarchicalQP:
         if found is not None:
             return _Answer(*found, H, c, Limits(C, l, u))
         if level > 0:  # what the levels above reached is kept
+            self.given_up += 1
             return _Answer(np.zeros(Z.shape[1]), np.zeros(len(l)), H, c, Limits(C, l, u))
         raise NoSolutionError(level, "no accelerations keep all limits, or the solver failed")
 
