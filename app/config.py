@@ -31,6 +31,8 @@ class ForceConfig(Strict):
 
     f_max: float = Field(default=300.0, ge=0.0, le=600.0)
     """[N] force at contact, f_max of (14)."""
+    f_arm: float = Field(default=5.0, ge=0.0, le=50.0)
+    """[N] of the reaction on a guided arm, at contact: it leaves the buffer if nobody holds it."""
     alpha_gain: Annotated[float, Shown("α gain", advanced=True)] = Field(
         default=0.001, ge=0.0, le=0.1
     )
@@ -46,29 +48,27 @@ class ActivationConfig(Strict):
 
     d_full: float = Field(default=0.05, ge=0.0, le=0.05)
     """[m] distance at which the avoidance task is in full force."""
-    d_above: float = Field(default=0.10, ge=0.02, le=0.30)
-    """[m] distance from the base at which the arm itself begins to resist, from above."""
-    d_last: float = Field(default=0.05, ge=0.01, le=0.30)
-    """[m] the same from the side, where the base gives way first."""
-    ahead: Annotated[float, Shown("arm looks ahead")] = Field(default=0.04, ge=0.0, le=0.2)
-    """[s] how far ahead the arm acts on an approach: its torques take as long to build up."""
+    blend: Annotated[float, Shown("closest point over", advanced=True)] = Field(
+        default=0.005, ge=0.001, le=0.05
+    )
+    """[m] parts of a link that are farther than its nearest by less share in the closest point."""
 
 
 class RepulsionConfig(Strict):
-    """§3.2: acceleration that parts two links; also along the vertical part of an L_m normal."""
+    """§3.2: acceleration that parts two links of the arm."""
 
     k_p: float = Field(default=60.0, ge=0.0, le=200.0)
-    """[m/s²] constant part of (20); about the person's force over the hand's effective mass."""
+    """[m/s²] constant part of (20)."""
     k_v: float = Field(default=30.0, ge=0.0, le=200.0)
     """[1/s] damping of (20)."""
 
 
 class BarrierConfig(Strict):
-    """The compared method `barrier`: each distance a hard inequality of control-barrier type."""
+    """The distance that the arm itself keeps from the base; also the compared method `barrier`."""
 
     d_min: float = Field(default=0.05, ge=0.0, le=0.30)
-    """[m] distance that is never undercut."""
-    rate: Annotated[float, Shown("approach")] = Field(default=20.0, ge=1.0, le=100.0)
+    """[m] distance that is not undercut as long as the torques suffice."""
+    rate: Annotated[float, Shown("approach")] = Field(default=30.0, ge=1.0, le=100.0)
     """[1/s] how fast a pair may close in on that distance, per distance left."""
 
 
@@ -89,10 +89,14 @@ class TaskConfig(Strict):
     """[-] how much slower the base corrects errors than the arm; its commands come at 10 Hz."""
     base_weight: Annotated[float, Shown(log=True)] = Field(default=1000.0, ge=1.0, le=1e6)
     """[-] how much costlier the base's acceleration is than the arm's, lowest level."""
-    soft_weight: Annotated[float, Shown(advanced=True, log=True)] = Field(
-        default=1e3, ge=1.0, le=1e6
+    ee_weight: Annotated[float, Shown(advanced=True, log=True)] = Field(
+        default=1e5, ge=1.0, le=1e7
     )
-    """[-] of the end-effector's task against the posture, where a method has them on one level."""
+    """[-] of the end-effector's task against the posture: how strictly it comes first."""
+    softness: Annotated[float, Shown(advanced=True, log=True)] = Field(
+        default=1e-3, ge=1e-6, le=0.1
+    )
+    """[-] of what is asked against a limit, or against a row in full force, what they give in."""
 
 
 class LimitConfig(Strict):
@@ -106,6 +110,8 @@ class LimitConfig(Strict):
         default=1000.0, ge=50.0, le=1e6
     )
     """[N m/s] how fast a torque of the arm may change; a Panda takes 1000."""
+    push_rate: Annotated[float, Shown(advanced=True)] = Field(default=60.0, ge=0.0, le=300.0)
+    """[1/s] how fast what others exert on the arm is learnt; its distance is kept against it."""
 
 
 class AdmittanceConfig(Strict):

@@ -67,9 +67,7 @@ class ActingPointFinder:
         self.field = field
         self._border = border
 
-    def find_acting_point(
-        self, p_b: Array, d: float, force: ForceConfig, *, share: float = 1.0
-    ) -> ActingPoint | None:
+    def find_acting_point(self, p_b: Array, d: float, force: ForceConfig) -> ActingPoint | None:
         """The acting point for the closest point p_b.
 
         Paper: Algorithm 3.
@@ -78,8 +76,6 @@ class ActingPointFinder:
             p_b: (3,) [m] closest point on the arm, in the base's frame.
             d: [m] distance of the pair.
             force: Step bounds.
-            share: [-] of the step (12) that is taken: where the arm cannot follow to a better
-                score, the force only parts the two.
 
         Returns:
             The acting point, or None if l_m has no border at all.
@@ -89,7 +85,7 @@ class ActingPointFinder:
             return None
         p_n, t = foot
         score, gradient = self.field.at_point(p_n)
-        alpha = share * step_size(d, score / self.field.base.score_unit, force)
+        alpha = step_size(d, score / self.field.base.score_unit, force)
         p_t = p_n + tangential_step(gradient, t, alpha)
         nearest = self._border.nearest(p_t)
         assert nearest is not None

@@ -1,4 +1,4 @@
-"""The compared method of today's libraries: a distance as a hard inequality."""
+"""A distance as an inequality: the arm's last resort, and the compared method of libraries."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def barrier_row(state: RobotState, closest: ClosestPoints, config: BarrierConfig
     """The row that keeps a pair's distance above d_min, for the base's columns as for the arm's.
 
     With h = d - d_min it asks for ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that begins with ḣ + λ h ≥ 0 never
-    comes nearer than d_min, and one that begins nearer leaves at the rate λ. It is the second-order
-    form of the barriers ḣ + λ h ≥ 0 that libraries for velocities use.
+    comes nearer than d_min, and one that begins nearer, in penetration too, leaves at the rate λ.
+    It is the second-order form of the barriers ḣ + λ h ≥ 0 that libraries for velocities use.
 
     Args:
         state: The robot's state.

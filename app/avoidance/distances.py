@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from app.avoidance.closest_point import SmoothPoint
 from app.robot.link_pairs import Pair, PairDistances
 from app.robot.state import RobotState
 
@@ -22,6 +24,7 @@ class ClosestPoints(NamedTuple):
         p_a: (3,) [m] closest point on `a`.
         p_b: (3,) [m] closest point on `b`.
         n: (3,) unit normal from `a` to `b`: moving `b` along it increases d, in penetration too.
+        core: (3,) [m] the point of the core of `b` behind p_b: its radius farther along n.
     """
 
     pair: Pair
@@ -29,6 +32,7 @@ class ClosestPoints(NamedTuple):
     p_a: Array
     p_b: Array
     n: Array
+    core: Array
 
 
 class DistanceMonitor:
@@ -38,18 +42,31 @@ class DistanceMonitor:
         """Prepare the pairs, in the order of the results; `state` is read at each call."""
         self._state = state
         self._distances = PairDistances(state.model, pairs)
+        self._smooth = [SmoothPoint(state.model, pair) for pair in pairs]
 
-    def find_closest_points(self) -> list[ClosestPoints]:
-        """The closest points of every pair.
+    def find_closest_points(
+        self, *, within: float = -math.inf, blend: float = math.nan
+    ) -> list[ClosestPoints]:
+        """The closest points of every pair; within a distance such as move continuously.
 
         Paper: Algorithm 2, lines 4 and 9. The direction is the collision library's signed normal,
         not p_b - p_a, which flips in penetration and would turn repulsion into attraction.
+
+        Args:
+            within: [m] such as the buffer distance; by default all are the library's own.
+            blend: [m] of `SmoothPoint`.
         """
         self._distances.update_from(self._state.data)
-        return [
-            ClosestPoints(pair, *self._distances.closest(i))
-            for i, pair in enumerate(self._distances.pairs)
-        ]
+        found = []
+        for i, (pair, smooth) in enumerate(zip(self._distances.pairs, self._smooth, strict=True)):
+            d = self._distances.distance(i)
+            if d < within:
+                p_a, p_b, core, n = smooth.find(self._state.data, blend)
+            else:
+                _, p_a, p_b, n = self._distances.closest(i)
+                core = p_b
+            found.append(ClosestPoints(pair, d, p_a, p_b, n, core))
+        return found
 
     def distances(self) -> tuple[float, ...]:
         """[m] the signed distance of every pair, without the points."""

@@ -12,15 +12,12 @@ from app.robot.state import RobotState
 
 Array = np.ndarray
 
-_NEAR = 0.02  # [m] below this distance the turning of the normal is taken as at this distance
-
-
 class DistanceJacobian(NamedTuple):
     """How a pair's distance moves: ḋ = J q̇ and d̈ = J q̈ + J̇ q̇.
 
     Attributes:
         J: (n,) Jacobian of the distance.
-        Jdqd: [m/s²] J̇ q̇, the turning of the normal included.
+        Jdqd: [m/s²] J̇ q̇, with the turning of l_a.
         speed: [m/s] ḋ.
     """
 
@@ -30,28 +27,18 @@ class DistanceJacobian(NamedTuple):
 
 
 def distance_jacobian(state: RobotState, closest: ClosestPoints) -> DistanceJacobian:
-    """J = uᵀ(J_b - J_a), with the closest points fixed to their links for the step.
+    """J = uᵀ(J_b - J_a) at the core of l_b, with u fixed to l_a.
 
     u is the collision library's signed normal: the printed (p_b - p_a)/‖p_b - p_a‖ flips in
-    penetration.
+    penetration. A face keeps its normal while the closest points of a round link slide along it,
+    and the point of the link's core, its radius behind p_b, stays: there d̈ is exact. The curvature
+    |v_⊥|²/d of the distance of two fixed points would be ten times as wrong as none.
 
     Paper: Eq. (21).
     """
-    J, bias, speed, across = state.pair_motion(*_points(state, closest))
-    return DistanceJacobian(J, bias + across / max(closest.d, _NEAR), speed)
-
-
-def distance_speed(state: RobotState, closest: ClosestPoints) -> float:
-    """ḋ [m/s] of a pair, negative while it closes; the `speed` of `distance_jacobian` alone."""
-    return state.pair_speed(*_points(state, closest))
-
-
-def _points(state: RobotState, closest: ClosestPoints) -> tuple[int, Array, int, Array, Array]:
-    """Joint and point of either body, and the normal."""
     model, pair = state.model, closest.pair
-    return (
-        model.body_joint(pair.a), closest.p_a, model.body_joint(pair.b), closest.p_b, closest.n,
-    )  # fmt: skip
+    joint_a, joint_b = model.body_joint(pair.a), model.body_joint(pair.b)
+    return DistanceJacobian(*state.pair_motion(joint_a, joint_b, closest.core, closest.n))
 
 
 class RepulsiveRow(NamedTuple):

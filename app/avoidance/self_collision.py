@@ -8,16 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from app.avoidance.acting_point import ActingPoint, ActingPointFinder
-from app.avoidance.activation import (
-    activation,
-    arm_activation,
-    distance_to_come,
-    mobile_activation,
-)
+from app.avoidance.activation import activation, mobile_activation
 from app.avoidance.distances import ClosestPoints, DistanceMonitor
-from app.avoidance.holding import HELD, Holding, arm_holding
 from app.avoidance.mobile_acceleration import PairForce, avoidance_force, generate_mob_acc
-from app.avoidance.repulsion import distance_speed, generate_rep_acc
+from app.avoidance.repulsion import generate_rep_acc
 from app.avoidance.task import TaskRows, mobile_rows, repulsive_rows
 from app.border.cloud import Cloud
 from app.border.dbb import construct_dbb
@@ -44,14 +38,12 @@ class PairState(NamedTuple):
         beta: [-] activation parameter.
         acting: Acting point in the base's frame, or None outside the buffer.
         f: (3,) [N] force f_m,i in the base's frame.
-        arm_beta: [-] activation of the arm's own row against the base, 0 for a pair of L_m^c.
     """
 
     closest: ClosestPoints
     beta: float
     acting: ActingPoint | None
     f: Array
-    arm_beta: float = 0.0
 
 
 class Avoidance(NamedTuple):
@@ -63,9 +55,7 @@ class Avoidance(NamedTuple):
         xdd_m: (n_b,) [m/s² or rad/s²] of (16), v̇_d and ω̇_d, not yet multiplied by β_m.
         beta_m: [-] activation of the base's rows, (28).
         rows_m: The base's rows, or None while β_m = 0.
-        rows_arm: The arm's active rows against the base, from above or as the last resort.
         rows_links: The arm's active rows between its own links, (22) and (23).
-        holding: How far the arm keeps the hand's place while the base gives way.
     """
 
     pairs: tuple[PairState, ...]
@@ -73,9 +63,7 @@ class Avoidance(NamedTuple):
     xdd_m: Array
     beta_m: float
     rows_m: TaskRows | None
-    rows_arm: tuple[TaskRows, ...]
     rows_links: tuple[TaskRows, ...]
-    holding: Holding = HELD
 
     @property
     def mobile(self) -> tuple[PairState, ...]:
@@ -119,10 +107,11 @@ class SelfCollisionAvoidance:
 
         Paper: Algorithm 2, lines 3 to 13.
         """
-        closest = self._monitor.find_closest_points()
-        n_mobile = len(self._pairs.mobile)
-        holding = self._holding(closest[:n_mobile])
-        mobile = [self._mobile_pair(c, holding.share) for c in closest[:n_mobile]]
+        border, n_mobile = self._config.border, len(self._pairs.mobile)
+        closest = self._monitor.find_closest_points(
+            within=border.d_b, blend=self._config.activation.blend
+        )
+        mobile = [self._mobile_pair(c) for c in closest[:n_mobile]]
         others = [PairState(c, self._beta(c.d), None, np.zeros(3)) for c in closest[n_mobile:]]
         base = self._state.model.description.base
         forces = [PairForce(p.f, p.acting.p_act) for p in mobile if p.acting is not None]
@@ -131,54 +120,27 @@ class SelfCollisionAvoidance:
         rows_m = None
         if beta_m > 0.0:
             rows_m = mobile_rows(self._state.model.J_m, self._state.model.n, xdd_m, beta_m)
-        own, links = self._rows_against_base(mobile), self._rows_between_links(others)
-        return Avoidance((*mobile, *others), n_mobile, xdd_m, beta_m, rows_m, own, links, holding)
+        links = self._rows_between_links(others)
+        return Avoidance((*mobile, *others), n_mobile, xdd_m, beta_m, rows_m, links)
 
     def _beta(self, d: float) -> float:
         return activation(d, self._config.border.d_b, self._config.activation.d_full)
 
-    def _holding(self, mobile: list[ClosestPoints]) -> Holding:
-        """How far the arm holds its hand; only where a pair of L_m is inside the buffer."""
-        if all(c.d >= self._config.border.d_b for c in mobile):
-            return HELD
-        base = self._state.model.description.base
-        v_max = min(self._config.admittance.v_max, base.max_linear_velocity_mps)
-        return arm_holding(self._state, v_max)
-
-    def _mobile_pair(self, closest: ClosestPoints, share: float) -> PairState:
+    def _mobile_pair(self, closest: ClosestPoints) -> PairState:
         """Lines 4 to 6 for one pair of L_m."""
-        beta, arm_beta = self._beta(closest.d), self._arm_beta(closest)
+        beta = self._beta(closest.d)
         if beta == 0.0:
-            return PairState(closest, 0.0, None, np.zeros(3), arm_beta)
+            return PairState(closest, 0.0, None, np.zeros(3))
         p_b = self._state.to_base(closest.p_b)
         finder = self._finders[closest.pair.name]
-        acting = finder.find_acting_point(p_b, closest.d, self._config.force, share=share)
+        acting = finder.find_acting_point(p_b, closest.d, self._config.force)
         if acting is None:
-            return PairState(closest, beta, None, np.zeros(3), arm_beta)
+            return PairState(closest, beta, None, np.zeros(3))
         f = avoidance_force(
             p_b, acting.p_act, closest.d, self._state.R_world_base.T @ closest.n,
             f_max=self._config.force.f_max, d_b=self._config.border.d_b,
         )  # fmt: skip
-        return PairState(closest, beta, acting, f, arm_beta)
-
-    def _arm_beta(self, closest: ClosestPoints) -> float:
-        """β of the arm's own row for a pair of L_m, at the distance to come."""
-        config, n_z = self._config.activation, float(closest.n[2])
-        fastest = distance_to_come(closest.d, -np.inf, config)
-        if arm_activation(fastest, n_z, config) == 0.0:  # whatever the speed, which costs time
-            return 0.0
-        speed = distance_speed(self._state, closest)
-        return arm_activation(distance_to_come(closest.d, speed, config), n_z, config)
-
-    def _rows_against_base(self, mobile: list[PairState]) -> tuple[TaskRows, ...]:
-        """Rows of the kind (20) along the normal of pairs of L_m, each with the arm's own β."""
-        return tuple(
-            repulsive_rows(
-                generate_rep_acc(self._state, p.closest, self._config.repulsion), p.arm_beta
-            )
-            for p in mobile
-            if p.arm_beta > 0.0
-        )
+        return PairState(closest, beta, acting, f)
 
     def _rows_between_links(self, others: list[PairState]) -> tuple[TaskRows, ...]:
         """Lines 8 to 11."""

@@ -9,8 +9,8 @@ import numpy as np
 from app.config import Config
 from app.control.admittance import largest_command
 from app.control.controller import ControlOutput
-from app.control.hqp import Limits
 from app.control.limits import position_bounds, velocity_bounds
+from app.control.qp import Limits
 from app.control.workings import Workings
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
@@ -44,31 +44,28 @@ def active_bounds(
 ) -> list[Bound]:
     """The limits that the controller met in a step, those of the arm first.
 
-    The base's own rows among the limits are none of them: its acceleration is given there.
-
     Args:
         state: The robot's state in the step.
         output: What the controller answered.
         workings: How it came about.
         config: The parameters of the step.
     """
-    low, high = met(workings.arm.limits, workings.arm.solution.qdd)
-    n_m, joints = state.model.n_m, state.model.description.arm.joints
+    limits, n_m = workings.arm.limits, state.model.n_m
+    low, high = met(limits, workings.arm.qdd[state.model.n_b :], config.task.softness)
+    joints = state.model.description.arm.joints
     bounds = []
     for i in np.flatnonzero(low | high).tolist():
         upper = bool(high[i])
         if i < n_m:
-            bounds.append(Bound(joints[i], "torque", upper))
+            at = workings.torque[upper][i]
+            most = abs(at) >= state.model.tau_max[i] - TOLERANCE
+            bounds.append(Bound(joints[i], "torque" if most else "torque rate", upper))
         elif i < 2 * n_m:
             bounds.append(Bound(joints[i - n_m], _joint_kind(state, config, i - n_m, upper), upper))
-        elif i >= 2 * n_m + state.model.n_b:
-            pair = output.avoidance.pairs[i - 2 * n_m - state.model.n_b].closest.pair
+        else:
+            pair = output.avoidance.pairs[i - 2 * n_m].closest.pair
             bounds.append(Bound(pair.name, "barrier", upper))
-    return [
-        *bounds,
-        *_rate_bounds(joints, output, workings),
-        *_base_bounds(state.model, output, workings),
-    ]
+    return [*bounds, *_base_bounds(state.model, output, workings)]
 
 
 def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list[Bound]:
@@ -88,10 +85,14 @@ def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list
     ]
 
 
-def met(limits: Limits, qdd: Array) -> tuple[Array, Array]:
-    """(m,) whether q̈ is at the lower, and (m,) at the upper bound of each row."""
+def met(limits: Limits, qdd: Array, softness: float) -> tuple[Array, Array]:
+    """(m,) whether q̈ is at the lower, and (m,) at the upper bound of each row.
+
+    A soft row at its bound is beyond it by up to its share of what the tasks asked.
+    """
     reached = limits.C @ qdd
-    return reached <= limits.l + TOLERANCE, reached >= limits.u - TOLERANCE
+    room = TOLERANCE + softness * (np.arange(len(reached)) >= limits.hard)
+    return reached <= limits.l + room, reached >= limits.u - room
 
 
 def _joint_kind(state: RobotState, config: Config, joint: int, upper: bool) -> BoundKind:
@@ -100,15 +101,6 @@ def _joint_kind(state: RobotState, config: Config, joint: int, upper: bool) -> B
     position = position_bounds(state, config.limit)[at][joint]
     velocity = velocity_bounds(state, config.limit)[at][joint]
     return "position" if (position < velocity) == upper else "velocity"
-
-
-def _rate_bounds(joints: tuple[str, ...], output: ControlOutput, workings: Workings) -> list[Bound]:
-    """Joints whose torque had to change faster than it may."""
-    missing = workings.arm.u_a - output.u_a
-    return [
-        Bound(joints[i], "torque rate", bool(missing[i] > 0))
-        for i in np.flatnonzero(np.abs(missing) > TOLERANCE).tolist()
-    ]
 
 
 def _base_bounds(model: RobotModel, output: ControlOutput, workings: Workings) -> list[Bound]:

@@ -7,7 +7,6 @@ from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from app.avoidance.activation import share_from_above
 from app.avoidance.distances import ClosestPoints
 from app.config import Config, parameter
 from app.control.buffer_need import Approach, buffer_need
@@ -27,8 +26,7 @@ class BufferReading(NamedTuple):
     Attributes:
         approach_speed: [m/s] the largest speed towards the base in the last 3 s.
         needed: [m] the largest d_b that any approach in the last 3 s would have needed; infinite if
-            there was one faster than the base retreats, or where the arm could not hold its hand; 0
-            without any.
+            there was one faster than the base retreats; 0 without any.
         approach_speed_max: [m/s] the largest since the reset.
         needed_max: [m] the largest since the reset.
         too_small: Whether `needed` is more than d_b is now, for a controller whose base gives way.
@@ -50,8 +48,7 @@ class BufferWatch:
     that is the arm's own; while it retreats it still is how fast the hand is led. An approach
     counts while the distance shrinks, once it is as near as the border that it needs, or inside of
     the present one: a hand that is still farther away may yet slow down. From above it is the arm
-    that resists, and no d_b helps the base: there nothing counts. Where the arm cannot hold its
-    hand the base is kept from giving way, and no d_b suffices.
+    that resists, and no d_b helps the base: there nothing counts.
 
     Attributes:
         config: Parameters; may be replaced at any time.
@@ -70,9 +67,8 @@ class BufferWatch:
         self._speed_max = self._needed_max = 0.0
 
     def update(
-        self, state: RobotState, pairs: Sequence[ClosestPoints], dt: float, *, gives_way: bool,
-        holding_share: float = 1.0,
-    ) -> BufferReading:  # fmt: skip
+        self, state: RobotState, pairs: Sequence[ClosestPoints], dt: float, *, gives_way: bool
+    ) -> BufferReading:
         """Take one control step.
 
         Args:
@@ -80,13 +76,11 @@ class BufferWatch:
             pairs: The pairs of L_m at it.
             dt: [s] control step.
             gives_way: Whether the controller lets the base give way.
-            holding_share: [-] of `Holding`; below 1 any approach's need is infinite, for the base
-                gives way only as far as that leaves the hand in place.
         """
         if self._steps % _SAMPLE == 0:
             look = self._steps % _EVERY == 0
             for pair in pairs:
-                self._sample(state, pair, look=look, held=holding_share >= 1.0)
+                self._sample(state, pair, look=look)
             while self._recent and (self._steps - self._recent[0][0]) * dt > _REMEMBERED:
                 self._recent.popleft()
             self._speed = max((v for _, v, _ in self._recent), default=0.0)
@@ -99,10 +93,10 @@ class BufferWatch:
             too_small_ever=gives_way and self._needed_max > d_b,
         )  # fmt: skip
 
-    def _sample(self, state: RobotState, pair: ClosestPoints, *, look: bool, held: bool) -> None:
+    def _sample(self, state: RobotState, pair: ClosestPoints, *, look: bool) -> None:
         """Read the speed of a pair; when a look is due, judge the mean: a tremor is no approach."""
         speeds = self._speeds.setdefault(pair.pair.name, deque(maxlen=_EVERY // _SAMPLE))
-        if pair.d > _FARTHEST or share_from_above(float(pair.n[2])) > 0.0:
+        if pair.d > _FARTHEST or float(pair.n[2]) ** 2 > 0.5:
             speeds.clear()
             return
         approach, closing = approach_of(state, pair)
@@ -110,14 +104,12 @@ class BufferWatch:
         if look:
             v, closing = (sum(column) / len(speeds) for column in zip(*speeds, strict=True))
             base = state.model.description.base
-            self._judge(approach._replace(v=v), closing, pair.d, base, held=held)
+            self._judge(approach._replace(v=v), closing, pair.d, base)
 
-    def _judge(
-        self, approach: Approach, closing: float, d: float, base: BaseKind, *, held: bool
-    ) -> None:
+    def _judge(self, approach: Approach, closing: float, d: float, base: BaseKind) -> None:
         if min(approach.v, closing) < _SLOW:  # at rest, or no nearer
             return
-        needed = buffer_need(approach, base, self.config) if held else math.inf
+        needed = buffer_need(approach, base, self.config)
         if d > self.config.border.d_b and not d <= needed < float("inf"):
             return
         self._recent.append((self._steps, approach.v, needed))

@@ -7,26 +7,23 @@ from typing import NamedTuple
 import numpy as np
 
 from app.avoidance.self_collision import Avoidance, SelfCollisionAvoidance
-from app.avoidance.task import mobile_rows
+from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
 from app.border.score import ScoreField
-from app.config import Config, TaskConfig, slowed
-from app.control.hand_held import base_with_hand_held
-from app.control.hqp import HierarchicalQP, NoSolutionError
-from app.control.limits import robot_limits, with_barriers
+from app.config import Config, slowed
+from app.control.limits import arm_limits, robot_limits
 from app.control.methods import METHODS, Inserted
+from app.control.observer import PushObserver
+from app.control.qp import NoSolutionError, Objective, TaskQP
 from app.control.tasks import (
     Reference,
-    Stack,
     base_rest_acceleration,
-    base_rest_objective,
     end_effector_task,
     free_arm_torque,
-    guided_arm_objective,
-    posture_objective,
-    softened,
+    guided_objective,
+    tracking_objective,
 )
-from app.control.transition import TaskTransition
+from app.control.transition import insert_rows
 from app.control.workings import ArmSolve, Workings
 from app.errors import UnknownNameError
 from app.robot.model import RobotModel
@@ -77,8 +74,10 @@ class Controller:
     own rows is asked with gains that its rate can follow, else it and the arm would fight.
 
     Attributes:
-        state: The robot's state at the last step.
-        failures: QPs without a solution so far.
+        state: The robot's state at the last good measurement.
+        failures: Steps so far in which the arm got the safe command, for want of a good measurement
+            or a solution.
+        given_up: Steps so far in which the base's own part had no solution; it was braked.
         q_posture: (n_m,) the posture of the lowest level, set at the first step after `reset`.
     """
 
@@ -104,8 +103,8 @@ class Controller:
         self._config = config
         self._slow = slowed(config.task, config.repulsion)
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
-        self._solver = HierarchicalQP(model.n)
-        self._transition = TaskTransition(self._solver)
+        self._solver = TaskQP()
+        self._observer = PushObserver(model.n_m)
         self._dt = dt
         self.reset()
 
@@ -121,16 +120,11 @@ class Controller:
         self._method = METHODS[name]
 
     def reset(self) -> None:
-        """Forget the posture, the last torques and the counts of failures."""
+        """Forget the posture, the last torques, who pushes, and the counts of failures."""
         self._u_a: Array | None = None
+        self._observer.reset()
         self.q_posture: Array | None = None
-        self.failures = 0
-        self._solver.given_up = 0
-
-    @property
-    def given_up(self) -> int:
-        """QPs of lower levels without an answer since the reset."""
-        return self._solver.given_up
+        self.failures = self.given_up = 0
 
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on."""
@@ -163,18 +157,22 @@ class Controller:
             self.q_posture = measurement.q_m.copy()
         if self._u_a is None:
             self._u_a = free_arm_torque(self.state)
+        self._observer.update(self.state, self._u_a, self._config.limit.push_rate, self._dt)
         avoidance = self._avoidance.update()
-        inserted = self._method.insert(self.state, avoidance, self._config)
-        workings = None
+        inserted = self._method(self.state, avoidance, self._config)
+        wanted = self._base_acceleration(inserted, reference)
+        asked = _clipped(wanted, self._model.base_acceleration_max)
+        given = asked if base_acceleration is None else base_acceleration
+        torque, workings = self._torque_range(), None
         try:
-            wanted, asked = self._base_acceleration(inserted, reference)
-            given = asked if base_acceleration is None else base_acceleration
-            arm = self._solve_arm(given, inserted, reference)
-            u_a, workings = arm.u_a, Workings(wanted, given, arm)
+            arm = self._solve_arm(given, inserted, reference, torque)
+            u_a = self.state.M[self._model.n_b :] @ arm.qdd + self.state.h[self._model.n_b :]
+            workings = Workings(wanted, given, arm, torque)
         except NoSolutionError:
             self.failures += 1
-            u_a, asked = self._safe_command()
-        self._u_a = self._u_a + _clipped(u_a - self._u_a, self._slew)
+            u_a = free_arm_torque(self.state)
+            asked = base_rest_acceleration(self.state, self._config.task)
+        self._u_a = np.minimum(np.maximum(u_a, torque[0]), torque[1])
         return ControlOutput(
             self._u_a.copy(), asked, avoidance, inserted, workings is not None,
             tracking=reference is not None, workings=workings,
@@ -184,95 +182,104 @@ class Controller:
         """The score by which a pair of L_m chooses its acting points, by the pair's name."""
         return self._avoidance.field(pair)
 
-    def _base_acceleration(
-        self, inserted: Inserted, reference: Reference | None
-    ) -> tuple[Array, Array]:
-        """The base's part of (29): its rows fix it once the solution without them is known.
+    def _base_acceleration(self, inserted: Inserted, reference: Reference | None) -> Array:
+        """The base's part of (29), (n_b,): its rows fix it once the solution without them is known.
 
         Paper: Eq. (29), the base's rows.
-
-        Returns:
-            (n_b,) what (29) wants, and (n_b,) what of it is asked, within the base's limits and as
-            far as the arm can hold the hand.
         """
-        most = self._model.base_acceleration_max
         rows_m = inserted.rows_m
-        kept = inserted.holding.share < 1.0  # then what the hand needs counts, whatever β
-        if rows_m is not None and rows_m.beta >= 1.0 and not kept:
-            free = np.zeros(self._model.n_b)  # weighs nothing
-        elif reference is None and not inserted.barriers:
-            free = base_rest_acceleration(self.state, self._config.task)
-        else:
-            free = self._model.J_m @ self._slow_solution(inserted, reference)[: self._model.n_b]
         if rows_m is None:
-            return free, _clipped(free, most)
-        wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
-        if not kept:
-            return wanted, _clipped(wanted, most)
-        asked = base_with_hand_held(
-            self.state, wanted, free, inserted.holding, rows_m.beta, self._config.admittance
-        )
-        return wanted, _clipped(asked, most)
+            return self._free_base(inserted, reference)
+        if rows_m.beta >= 1.0:
+            return rows_m.xdd
+        return rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * self._free_base(inserted, reference)
 
-    def _slow_solution(self, inserted: Inserted, reference: Reference | None) -> Array:
-        """q̈ of (29) without the base's rows, (n,), its loops as slow as the base is.
+    def _free_base(self, inserted: Inserted, reference: Reference | None) -> Array:
+        """The base's acceleration in the solution of (29) without its rows, (n_b,).
 
-        The arm's own rows against the base have no part in it: there the base's rows say how it
-        helps.
+        The loops are as slow as the base is. The arm's own rows against the base have no part in
+        it: there the base's rows say how it helps.
         """
-        state = self.state
+        state, n_b = self.state, self._model.n_b
+        if reference is None and not inserted.base_too:
+            return base_rest_acceleration(state, self._config.task)
         task, repulsion = self._slow
         rows = [
             row._replace(xdd=repulsion.k_p - repulsion.k_v * (row.J @ state.qd))
             for row in inserted.rows_links
         ]
         if reference is None:
-            base = base_rest_objective(state, self._config.task)
-            stack = Stack((), guided_arm_objective(state, base))
+            objective = guided_objective(state, self._u_0(inserted), self._config.task)
         else:
-            stack = self._tracking_stack(reference, task)
-        limits = robot_limits(state, self._config.limit, np.zeros(self._model.n_b))
-        limits = with_barriers(limits, inserted.barriers)
-        return self._transition.solve(rows, *self._weighted(stack), limits, slot="slow").qdd
+            assert self.q_posture is not None
+            T_ee = end_effector_task(state, reference, task)
+            objective = tracking_objective(state, T_ee, self.q_posture, self._config.task)
+        barriers = inserted.barriers if inserted.base_too else ()
+        limits = robot_limits(state, self._config.limit, barriers)
+        softness = self._config.task.softness
+        try:
+            objective = insert_rows(objective, rows, softness)
+            qdd = self._solver.solve(objective, limits, softness, slot="base")
+        except NoSolutionError:
+            self.given_up += 1
+            return base_rest_acceleration(state, self._config.task)
+        return self._model.J_m @ qdd[:n_b]
 
     def _solve_arm(
-        self, base_acceleration: Array, inserted: Inserted, reference: Reference | None
+        self,
+        base_acceleration: Array,
+        inserted: Inserted,
+        reference: Reference | None,
+        torque: tuple[Array, Array],
     ) -> ArmSolve:
         """The arm's part of (29) with the acceleration that the base really has."""
-        state = self.state
-        given = mobile_rows(self._model.J_m, self._model.n, base_acceleration, 1.0)
-        stack = (
-            Stack((), guided_arm_objective(state))
-            if reference is None
-            else self._tracking_stack(reference, self._config.task)
+        state, n_b, config = self.state, self._model.n_b, self._config
+        if reference is None:
+            T_ee, objective = None, guided_objective(state, self._u_0(inserted), config.task)
+        else:
+            assert self.q_posture is not None
+            T_ee = end_effector_task(state, reference, config.task)
+            objective = tracking_objective(state, T_ee, self.q_posture, config.task)
+        rows = (*inserted.rows_arm, *inserted.rows_links)
+        qdd_b = self._model.J_m_inv @ base_acceleration
+        limits = arm_limits(
+            state,
+            config.limit,
+            inserted.barriers,
+            qdd_b=qdd_b,
+            pushed=np.linalg.solve(state.M[n_b:, n_b:], self._observer.r),
+            torque=torque,
         )
-        wheels = self._model.J_m_inv @ base_acceleration
-        limits = with_barriers(robot_limits(state, self._config.limit, wheels), inserted.barriers)
-        rows = (given, *inserted.rows_arm, *inserted.rows_links)
-        solution = self._transition.solve(rows, *self._weighted(stack), limits, slot="arm")
-        n_b = self._model.n_b
-        u_a = state.M[n_b:] @ solution.qdd + state.h[n_b:]
-        u_a = _clipped(u_a, self._model.tau_max)
-        return ArmSolve(rows, stack, limits, solution, u_a)
+        softness = config.task.softness
+        whole = insert_rows(
+            _with_base(objective, qdd_b), [_of_arm(row, qdd_b) for row in rows], softness
+        )
+        qdd_m = self._solver.solve(whole, limits, softness, slot="arm")
+        return ArmSolve(rows, T_ee, objective, limits, np.concatenate([qdd_b, qdd_m]))
 
-    def _tracking_stack(self, reference: Reference, config: TaskConfig) -> Stack:
-        assert self.q_posture is not None
-        task = end_effector_task(self.state, reference, config)
-        return Stack((task,), posture_objective(self.state, self.q_posture, config))
+    def _u_0(self, inserted: Inserted) -> Array:
+        """(n_m,) [N m or N] what a guided arm does by itself."""
+        return free_arm_torque(self.state) + inserted.u_a
 
-    def _weighted(self, stack: Stack) -> Stack:
-        """The stack as the method solves it: its levels strict, or weighted."""
-        return softened(stack, self._config.task.soft_weight) if self._method.soft else stack
+    def _torque_range(self) -> tuple[Array, Array]:
+        """(n_m,) the smallest and (n_m,) the largest torque [N m or N] of this step."""
+        assert self._u_a is not None
+        most, slew = self._model.tau_max, self._config.limit.torque_rate * self._dt
+        last = _clipped(self._u_a, most)
+        return np.maximum(last - slew, -most), np.minimum(last + slew, most)
 
-    @property
-    def _slew(self) -> float:
-        """[N m] or [N] largest change of a torque in one step."""
-        return self._config.limit.torque_rate * self._dt
 
-    def _safe_command(self) -> tuple[Array, Array]:
-        """Gravity compensation and damping for the arm, braking for the base."""
-        u_a = _clipped(free_arm_torque(self.state), self._model.tau_max)
-        return u_a, base_rest_acceleration(self.state, self._config.task)
+def _with_base(objective: Objective, qdd_b: Array) -> Objective:
+    """An objective over q̈ as one over q̈_m, the base's part given."""
+    n_b = len(qdd_b)
+    H, c = objective
+    return Objective(H[n_b:, n_b:], c[n_b:] + H[n_b:, :n_b] @ qdd_b)
+
+
+def _of_arm(rows: TaskRows, qdd_b: Array) -> TaskRows:
+    """Rows over q̈ as rows over q̈_m, the base's part given."""
+    n_b = len(qdd_b)
+    return rows._replace(J=rows.J[:, n_b:], Jdqd=rows.Jdqd + rows.J[:, :n_b] @ qdd_b)
 
 
 def _clipped(values: Array, largest: Array | float) -> Array:

@@ -9,7 +9,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from app.avoidance.activation import share_from_above
 from app.avoidance.mobile_acceleration import PairForce, generate_mob_acc
 from app.avoidance.self_collision import PairState
 from app.config import Config
@@ -97,8 +96,6 @@ class Explanation(NamedTuple):
         base_given: The same that the base has.
         levels: What each level of the hierarchy gave up, highest priority first.
         bounds: What limited the step.
-        holding_share: [-] how far the arm holds its hand while the base's rows move it; below 1 the
-            base keeps to what leaves the hand in place.
         measure_label: Of the determinant, or of what stands in its place, as HTML.
         measure_hint: What it says of a point.
         measure_unit: Of it and the score.
@@ -117,7 +114,6 @@ class Explanation(NamedTuple):
     base_given: ByAxis
     levels: tuple[Level, ...]
     bounds: tuple[Bound, ...]
-    holding_share: float = 1.0
     measure_label: str = DifferentialBase.measure_label
     measure_hint: str = DifferentialBase.measure_hint
     measure_unit: str = DifferentialBase.measure_unit
@@ -171,7 +167,6 @@ def explain(
         measure_unit=base.measure_unit,
         score_formula=base.score_formula,
         bounds=(*bounds, *admittance_bounds(state.model, config, base_command)),
-        holding_share=output.inserted.holding.share,
     )
 
 
@@ -207,7 +202,7 @@ def _near_pair(
     return NearPair(
         *closest.pair, mobile, float(closest.d), pair.beta,
         n=tuple((state.R_world_base.T @ closest.n).tolist()),
-        above=share_from_above(n_z) if mobile else 0.0,
+        above=n_z**2 if mobile else 0.0,
         arm_beta=arm_beta,
         held=held,
         force=_force_split(controller, output, pair),
@@ -216,10 +211,7 @@ def _near_pair(
 
 def _arm_beta(output: ControlOutput, pair: PairState) -> float:
     """Activation of the arm's rows against the base that the method has for a pair of L_m."""
-    rows = output.inserted.rows_arm
-    if rows is output.avoidance.rows_arm:
-        return pair.arm_beta
-    return pair.beta if rows else 0.0  # a method's own rows share the pair's activation
+    return pair.beta if output.inserted.rows_arm else 0.0
 
 
 def _force_split(

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from app.control.controller import ControlOutput
-from app.control.hqp import Objective
+from app.control.qp import Objective
 from app.control.workings import ArmSolve, Workings
 from app.robot.bases.kind import BaseKind
 
@@ -46,17 +46,17 @@ def level_readings(base: BaseKind, output: ControlOutput, workings: Workings) ->
     if inserted.rows_m is not None:
         missing = workings.base_wanted - output.base_acceleration
         levels.append(Level("base", *linear_and_angular(base, missing)))
-    _, *avoiding = _row_slacks(arm)
+    avoiding = _row_slacks(arm, base.n_b)
     count = len(inserted.rows_arm)
     if inserted.rows_arm:
         levels.append(Level("arm", _norm(*avoiding[:count]), None))
     if inserted.rows_links:
         levels.append(Level("links", _norm(*avoiding[count:]), None))
-    qdd = arm.solution.qdd
-    for J, b in arm.stack.levels:
-        w = b - J @ qdd
+    qdd = arm.qdd
+    if arm.ee_task is not None:
+        w = arm.ee_task.b - arm.ee_task.J @ qdd
         levels.append(Level("hand", _norm(w[:3]), _norm(w[3:])))
-    lowest = _norm(objective_slack(arm.stack.objective, qdd, base.n_b))
+    lowest = _norm(objective_slack(arm.objective, qdd, base.n_b))
     return (*levels, Level("posture" if output.tracking else "free", None, lowest))
 
 
@@ -75,10 +75,16 @@ def linear_and_angular(base: BaseKind, values: Array) -> tuple[float, float]:
     return float(np.linalg.norm(values[~angular])), float(np.linalg.norm(values[angular]))
 
 
-def _row_slacks(arm: ArmSolve) -> list[Array]:
-    """The first level's slack, one array for each group of rows."""
-    ends = np.cumsum([len(row.xdd) for row in arm.rows])
-    return np.split(arm.solution.slacks[0], ends[:-1])
+def _row_slacks(arm: ArmSolve, n_b: int) -> list[Array]:
+    """What each group of rows asked, in the blend of (29), less what it got."""
+    if not arm.rows:
+        return []
+    without = arm.qdd.copy()
+    without[n_b:] -= objective_slack(arm.objective, arm.qdd, n_b)
+    return [
+        row.beta * row.b + (1.0 - row.beta) * (row.J @ without) - row.J @ arm.qdd
+        for row in arm.rows
+    ]
 
 
 def _norm(*vectors: Array) -> float:

@@ -1,4 +1,4 @@
-"""Limits of the robot as bounds on its accelerations, always with a point that satisfies them."""
+"""Limits of the robot as bounds on its accelerations: those of torques hard, the others soft."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from app.avoidance.barrier import BarrierRow
-from app.compiled import compiled
 from app.config import LimitConfig
-from app.control.hqp import Limits
+from app.control.qp import Limits
 from app.robot.state import RobotState
 
 Array = np.ndarray
@@ -30,83 +29,67 @@ def velocity_bounds(state: RobotState, config: LimitConfig) -> Array:
     return config.velocity_rate * (state.model.qd_limits - state.measurement.qd_m)
 
 
-def with_barriers(limits: Limits, barriers: Sequence[BarrierRow]) -> Limits:
-    """The same limits and J q̈ ≥ l for each barrier."""
-    if not barriers:
-        return limits
-    return Limits(
-        np.vstack([limits.C, *(row.J for row in barriers)]),
-        np.concatenate([limits.l, [row.l for row in barriers]]),
-        np.concatenate([limits.u, np.full(len(barriers), np.inf)]),
-    )
+def joint_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Array]:
+    """(n_m,) lower and (n_m,) upper bound on q̈_m: the tighter of position and velocity."""
+    position, velocity = position_bounds(state, config), velocity_bounds(state, config)
+    lower, upper = np.maximum(position[0], velocity[0]), np.minimum(position[1], velocity[1])
+    return np.minimum(lower, upper), np.maximum(lower, upper)
 
 
-def robot_limits(state: RobotState, config: LimitConfig, qdd_b: Array) -> Limits:
-    """Torque, joint and base limits as l ≤ C q̈ ≤ u.
+def arm_limits(
+    state: RobotState,
+    config: LimitConfig,
+    barriers: Sequence[BarrierRow],
+    *,
+    qdd_b: Array,
+    pushed: Array,
+    torque: tuple[Array, Array],
+) -> Limits:
+    """Limits of the arm's accelerations q̈_m under a given motion of the base.
 
-    The joints' are the tighter ones of `position_bounds` and `velocity_bounds`.
-    Where the joint bounds ask for more than the torques can do, they are widened to the nearest
-    acceleration that the torques allow, so that the limits never contradict each other.
+    Hard are the torques; soft the joints' positions and velocities and the barriers. What others
+    exert on the arm moves it too: a barrier is kept by q̈_m + M_aa⁻¹ r, the acceleration that the
+    arm will have.
 
     Args:
         state: The robot's state.
         config: How fast limits may be approached.
-        qdd_b: (n_b,) the base's reduced acceleration with which that is judged.
+        barriers: Distances that are kept.
+        qdd_b: (n_b,) the base's reduced acceleration.
+        pushed: (n_m,) [rad/s² or m/s²] M_aa⁻¹ r, what others' torques r make of the arm.
+        torque: (n_m,) the smallest and (n_m,) the largest torque [N m or N] of this step.
     """
-    model, m = state.model, state.measurement
-    return Limits(
-        *_bounds(
-            state.M, state.h, m.q_m, m.qd_m, model.q_limits, model.qd_limits, model.tau_max,
-            model.J_m, model.base_acceleration_max, config.position_rate, config.velocity_rate,
-            qdd_b,
-        )
-    )  # fmt: skip
+    n_b, n_m = state.model.n_b, state.model.n_m
+    M_aa = state.M[n_b:, n_b:]
+    there = state.h[n_b:] + state.M[n_b:, :n_b] @ qdd_b
+    m = 2 * n_m + len(barriers)
+    C, l, u = np.zeros((m, n_m)), np.empty(m), np.full(m, np.inf)
+    C[:n_m], l[:n_m], u[:n_m] = M_aa, torque[0] - there, torque[1] - there
+    lower, upper = joint_bounds(state, config)
+    joints = slice(n_m, 2 * n_m)
+    C[joints], l[joints], u[joints] = np.eye(n_m), lower, upper
+    for i, row in enumerate(barriers, start=2 * n_m):
+        J_m = row.J[n_b:]
+        C[i], l[i] = J_m, row.l - row.J[:n_b] @ qdd_b - J_m @ pushed
+    return Limits(C, l, u, n_m)
 
 
-@compiled(
-    "Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8[:,:], f8[:,:], f8[:], "
-    "f8[:,:], f8[:], f8, f8, f8[:])"
-)
-def _bounds(
-    M: Array, h: Array, q_m: Array, qd_m: Array, q_limits: Array, qd_limits: Array, tau_max: Array,
-    J_m: Array, base_limit: Array, position_rate: float, velocity_rate: float, qdd_b: Array,
-) -> tuple[Array, Array, Array]:  # fmt: skip
-    """C, l and u of `robot_limits`: rows of torques, of joints, of the base."""
-    n_m, n, n_b = len(q_m), len(h), len(qdd_b)
-    rows = 2 * n_m + len(base_limit)
-    C, l, u = np.zeros((rows, n)), np.empty(rows), np.empty(rows)
-    tamest, coupling, wanted = np.empty(n_m), np.zeros(n_m), np.empty(n_m)
-    torques_do = True
-    for i in range(n_m):
-        braking = 2 * position_rate * qd_m[i]
-        lower = max(
-            position_rate**2 * (q_limits[0, i] - q_m[i]) - braking,
-            velocity_rate * (qd_limits[0, i] - qd_m[i]),
-        )
-        upper = min(
-            position_rate**2 * (q_limits[1, i] - q_m[i]) - braking,
-            velocity_rate * (qd_limits[1, i] - qd_m[i]),
-        )
-        l[n_m + i], u[n_m + i] = min(lower, upper), max(lower, upper)
-        tamest[i] = min(max(l[n_m + i], 0.0), u[n_m + i])  # nearest to no acceleration
-        C[n_m + i, n_b + i] = 1.0
-    for i in range(n_m):
-        for j in range(n):
-            C[i, j] = M[n_b + i, j]
-        for j in range(n_b):
-            coupling[i] += M[n_b + i, j] * qdd_b[j]
-        wanted[i] = coupling[i]
-        for j in range(n_m):
-            wanted[i] += M[n_b + i, n_b + j] * tamest[j]
-        l[i], u[i] = -tau_max[i] - h[n_b + i], tau_max[i] - h[n_b + i]
-        torques_do = torques_do and l[i] <= wanted[i] <= u[i]
-    if not torques_do:
-        wanted = np.minimum(np.maximum(wanted, l[:n_m]), u[:n_m])
-        tamest = np.linalg.solve(M[n_b:, n_b:].copy(), wanted - coupling)
-        for i in range(n_m):
-            l[n_m + i], u[n_m + i] = min(l[n_m + i], tamest[i]), max(u[n_m + i], tamest[i])
-    for i in range(len(base_limit)):
-        for j in range(n_b):
-            C[2 * n_m + i, j] = J_m[i, j]
-        l[2 * n_m + i], u[2 * n_m + i] = -base_limit[i], base_limit[i]
-    return C, l, u
+def robot_limits(
+    state: RobotState, config: LimitConfig, barriers: Sequence[BarrierRow] = ()
+) -> Limits:
+    """Limits of base and arm together: hard torques and base accelerations, the others soft.
+
+    Args:
+        state: The robot's state.
+        config: How fast limits may be approached.
+        barriers: Distances that are kept.
+    """
+    model, n_b, n_m = state.model, state.model.n_b, state.model.n_m
+    h_a, most = state.h[n_b:], model.base_acceleration_max
+    lower, upper = joint_bounds(state, config)
+    base, joints = np.zeros((len(most), model.n)), np.zeros((n_m, model.n))
+    base[:, :n_b], joints[:, n_b:] = model.J_m, np.eye(n_m)
+    C = np.vstack([state.M[n_b:], base, joints, *(row.J for row in barriers)])
+    l = np.concatenate([-model.tau_max - h_a, -most, lower, [row.l for row in barriers]])
+    u = np.concatenate([model.tau_max - h_a, most, upper, np.full(len(barriers), np.inf)])
+    return Limits(C, l, u, n_m + len(most))

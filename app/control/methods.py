@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from app.avoidance.barrier import BarrierRow, barrier_row
-from app.avoidance.holding import HELD, Holding
 from app.avoidance.repulsive_force import generate_rep_force_acc
-from app.avoidance.self_collision import Avoidance
+from app.avoidance.self_collision import Avoidance, PairState
 from app.avoidance.task import TaskRows
 from app.config import Config
 from app.robot.state import RobotState
@@ -23,19 +22,21 @@ class Inserted(NamedTuple):
 
     Attributes:
         rows_m: Rows that fix the base's acceleration, or None.
-        rows_links: The arm's rows that bear on the base's free part and on the arm's torques.
-        rows_arm: The arm's rows that bear on its torques only.
-        barriers: Rows that hold whatever the stack asks, for the base and the arm.
+        rows_arm: The arm's rows against the base.
+        rows_links: Rows between the arm's links.
+        barriers: Distances that the arm keeps while the other tasks give in.
+        base_too: Whether the base takes part in keeping them.
         n_b: How many velocity axes the base has.
-        holding: How far the arm keeps the hand's place while the base's rows move it.
+        u_a: (n_m,) [N m or N] torques besides those of a guided arm by itself.
     """
 
     rows_m: TaskRows | None = None
-    rows_links: tuple[TaskRows, ...] = ()
     rows_arm: tuple[TaskRows, ...] = ()
+    rows_links: tuple[TaskRows, ...] = ()
     barriers: tuple[BarrierRow, ...] = ()
+    base_too: bool = False
     n_b: int = 2
-    holding: Holding = HELD
+    u_a: Array | float = 0.0
 
     @property
     def rows(self) -> tuple[TaskRows, ...]:
@@ -54,28 +55,25 @@ class Inserted(NamedTuple):
         return max((row.beta for row in self.rows), default=0.0)
 
 
-class Method(NamedTuple):
-    """One of the compared methods.
-
-    Attributes:
-        insert: What it adds to the stack.
-        soft: Whether the stack below is weighted rather than strict.
-    """
-
-    insert: Callable[[RobotState, Avoidance, Config], Inserted]
-    soft: bool = False
+Method = Callable[[RobotState, Avoidance, Config], Inserted]
+"""One of the compared methods: what it adds to the stack."""
 
 
 def dbb(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
     """The paper's method: the base gives way, links of the arm part.
 
+    Where the base cannot help, from above, or is not yet out of the way, the arm keeps a distance
+    of its own from the base: our extension.
+
     Paper: Algorithm 2, line 14 (UpdateSoT).
     """
-    del config
     return Inserted(
-        avoidance.rows_m, avoidance.rows_links, avoidance.rows_arm, n_b=state.model.n_b,
-        holding=avoidance.holding,
-    )  # fmt: skip
+        avoidance.rows_m,
+        rows_links=avoidance.rows_links,
+        barriers=_barriers(state, avoidance.mobile, config),
+        n_b=state.model.n_b,
+        u_a=_reaction(state, avoidance.mobile, config),
+    )
 
 
 def repulsive(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
@@ -89,21 +87,16 @@ def repulsive(state: RobotState, avoidance: Avoidance, config: Config) -> Insert
         for pair in avoidance.mobile
         if pair.beta > 0.0
     )
-    return Inserted(None, avoidance.rows_links, rows, n_b=state.model.n_b)
+    return Inserted(rows_arm=rows, rows_links=avoidance.rows_links, n_b=state.model.n_b)
 
 
 def barrier(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
-    """What today's libraries do: each pair a hard inequality of control-barrier type.
+    """What today's libraries do: each pair an inequality of control-barrier type.
 
-    The end-effector's task is weighted against the cost of motion, as in those libraries, and the
-    base takes part in all of it.
+    The base takes part in all of it.
     """
-    return Inserted(
-        barriers=tuple(
-            barrier_row(state, pair.closest, config.barrier) for pair in avoidance.pairs
-        ),
-        n_b=state.model.n_b,
-    )
+    barriers = _barriers(state, avoidance.pairs, config)
+    return Inserted(barriers=barriers, base_too=True, n_b=state.model.n_b)
 
 
 def none(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
@@ -112,10 +105,25 @@ def none(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
     return Inserted(n_b=state.model.n_b)
 
 
+def _barriers(
+    state: RobotState, pairs: Iterable[PairState], config: Config
+) -> tuple[BarrierRow, ...]:
+    return tuple(barrier_row(state, pair.closest, config.barrier) for pair in pairs)
+
+
+def _reaction(state: RobotState, pairs: Iterable[PairState], config: Config) -> Array:
+    """(n_m,) [N m or N] J_bᵀ n f_arm (1 - d/d_b) of the pairs in the buffer."""
+    u, n_b = np.zeros(state.model.n_m), state.model.n_b
+    for pair in pairs:
+        c = pair.closest
+        depth = 1.0 - c.d / config.border.d_b
+        if depth > 0.0:
+            J = state.point_jacobian(state.model.body_joint(c.pair.b), c.p_b)[:, n_b:]
+            u += config.force.f_arm * min(depth, 1.0) * (c.n @ J)
+    return u
+
+
 METHODS: dict[str, Method] = {
-    "dbb": Method(dbb),
-    "repulsive": Method(repulsive, soft=True),
-    "barrier": Method(barrier, soft=True),
-    "none": Method(none),
-}
+    "dbb": dbb, "repulsive": repulsive, "barrier": barrier, "none": none,
+}  # fmt: skip
 """By the controller's name."""

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.config import TaskConfig
-from app.control.hqp import EqualityTask, Objective
+from app.control.qp import Objective
 from app.robot.state import RobotState
 
 Array = np.ndarray
@@ -29,11 +29,16 @@ class Reference(NamedTuple):
     acceleration: Array
 
 
-class Stack(NamedTuple):
-    """Equality tasks, highest priority first, and the objective below them."""
+class EqualityTask(NamedTuple):
+    """J q̈ + w = b, to be met as closely as what comes before it allows.
 
-    levels: tuple[EqualityTask, ...]
-    objective: Objective
+    Attributes:
+        J: (k, n).
+        b: (k,) desired acceleration less J̇ q̇.
+    """
+
+    J: Array
+    b: Array
 
 
 def end_effector_task(state: RobotState, reference: Reference, config: TaskConfig) -> EqualityTask:
@@ -53,20 +58,26 @@ def end_effector_task(state: RobotState, reference: Reference, config: TaskConfi
     return EqualityTask(state.J_ee, xdd - state.Jdqd_ee)
 
 
-def softened(stack: Stack, weight: float) -> Stack:
-    """The stack with its levels as weighted terms of the objective, ½ weight ‖J q̈ - b‖² each.
+def tracking_objective(
+    state: RobotState, task: EqualityTask, q_posture: Array, config: TaskConfig
+) -> Objective:
+    """T_ee above the posture: ½ w ‖J_ee q̈ - b‖² beside it, with a weight w that decides.
 
-    A strict level below a task in its way asks for unbounded accelerations where the two become
-    dependent; a weighted one gives in there.
+    A strict level would ask for unbounded accelerations where a limit or another task makes it
+    nearly dependent; this one gives in there, and is off by 1/w of what the posture pulls.
+
+    Paper: Eq. (26).
 
     Args:
-        stack: Levels and objective.
-        weight: [-] of the levels' accelerations against the objective.
+        state: The robot's state.
+        task: T_ee.
+        q_posture: (n_m,) the arm's posture.
+        config: Gains and weights.
     """
-    H, c = stack.objective
-    for J, b in stack.levels:
-        H, c = H + weight * (J.T @ J), c - weight * (J.T @ b)
-    return Stack((), Objective(H, c))
+    H, c = posture_objective(state, q_posture, config)
+    J, b = task
+    w = config.ee_weight
+    return Objective(H + w * (J.T @ J), c - w * (J.T @ b))
 
 
 def base_rest_acceleration(state: RobotState, config: TaskConfig) -> Array:
@@ -104,35 +115,24 @@ def free_arm_torque(state: RobotState) -> Array:
     return state.g[state.model.n_b :] - state.model.joint_damping * state.measurement.qd_m
 
 
-def guided_arm_objective(state: RobotState, base: Objective | None = None) -> Objective:
+def guided_objective(state: RobotState, u_0: Array, config: TaskConfig) -> Objective:
     """Min (u_a - u_0)ᵀ M_aa⁻¹ (u_a - u_0): a guided arm gives only what avoidance asks of it.
 
-    In q̈ its Hessian is M_aa; with the base's acceleration given by a level above and no rows it
-    returns u_a = u_0, and with rows u_a = u_0 + J_rᵀ λ. There is no posture: it would be felt.
+    In q̈_a its Hessian is M_aa; with the base's acceleration given and no rows it returns u_a = u_0,
+    and with rows u_a = u_0 + J_rᵀ λ. There is no posture: it would be felt. The base comes to rest,
+    at the cost of its weight.
 
     Args:
         state: The robot's state.
-        base: (n_b, n_b) and (n_b,), what the base's acceleration costs; None where a level above
-            gives it.
+        u_0: (n_m,) [N m or N] what the arm does by itself.
+        config: The base's damping and weight.
     """
     n_b = state.model.n_b
     c = np.zeros(state.model.n)
-    c[n_b:] = state.h[n_b:] - free_arm_torque(state)
-    if base is None:
-        return Objective(state.M, c)
-    H_b, c_b = base
-    M_ab = state.M[n_b:, :n_b]
-    right = np.empty((state.model.n_m, n_b + 1))
-    right[:, :n_b], right[:, n_b] = M_ab, c[n_b:]
-    share = np.linalg.solve(state.M[n_b:, n_b:], right)  # M_aa⁻¹ (M_ab, c_a)
+    c[n_b:] = state.h[n_b:] - u_0
+    M_ab, w = state.M[n_b:, :n_b], config.base_weight
+    share = np.linalg.solve(state.M[n_b:, n_b:], np.column_stack([M_ab, c[n_b:]]))
     H = state.M.copy()
-    H[:n_b, :n_b] = H_b + M_ab.T @ share[:, :n_b]
-    c[:n_b] = c_b + M_ab.T @ share[:, n_b]
+    H[:n_b, :n_b] = w * np.eye(n_b) + M_ab.T @ share[:, :n_b]
+    c[:n_b] = w * config.base_damping * state.qd[:n_b] + M_ab.T @ share[:, n_b]
     return Objective(H, c)
-
-
-def base_rest_objective(state: RobotState, config: TaskConfig) -> Objective:
-    """What it costs the base not to come to rest, in q̈_b, (n_b, n_b) and (n_b,)."""
-    n_b = state.model.n_b
-    wanted = -config.base_damping * state.qd[:n_b]
-    return Objective(config.base_weight * np.eye(n_b), -config.base_weight * wanted)

@@ -7,41 +7,42 @@ from typing import NamedTuple
 import numpy as np
 
 from app.avoidance.task import TaskRows
-from app.control.hqp import Limits, Solution
-from app.control.tasks import Stack
+from app.control.qp import Limits, Objective
+from app.control.tasks import EqualityTask
 
 Array = np.ndarray
 
 
 class ArmSolve(NamedTuple):
-    """The problem (29) for the arm's torques and its solution, kept by reference.
+    """The problem (29) for the arm's accelerations under a given motion of the base.
 
     Attributes:
-        rows: Rows of the first level: those that give the base's acceleration, then the method's
-            against the base, then those between links; their slacks are the solution's first.
-        stack: The stack below them, its levels strict or not.
-        limits: What holds at every level.
-        solution: q̈ and the slacks.
-        u_a: (n_m,) [N m or N] torques that it asks for.
+        rows: Rows above the tasks: the method's against the base, then those between links.
+        ee_task: T_ee, or None where the arm is guided.
+        objective: The tasks without the rows, over q̈ (n,).
+        limits: On q̈_m, the hard torques first, then joints, then barriers.
+        qdd: (n,) q̈ of base and arm.
     """
 
     rows: tuple[TaskRows, ...]
-    stack: Stack
+    ee_task: EqualityTask | None
+    objective: Objective
     limits: Limits
-    solution: Solution
-    u_a: Array
+    qdd: Array
 
 
 class Workings(NamedTuple):
     """How a control step came to its answer; what explains it is made from this, when asked for.
 
     Attributes:
-        base_wanted: (n_b,) [m/s² or rad/s²] of (29) before the base's acceleration limits, and
-            before what is kept of it where the arm cannot hold the hand.
-        base_given: (2,) the same that the base really has, with which the arm's part is solved.
+        base_wanted: (n_b,) [m/s² or rad/s²] of (29) before the base's acceleration limits.
+        base_given: (n_b,) the same that the base really has, with which the arm's part is solved.
         arm: The arm's part.
+        torque: (n_m,) the smallest and (n_m,) the largest torque [N m or N] that the step allowed,
+            by the limits of the torques and of their change.
     """
 
     base_wanted: Array
     base_given: Array
     arm: ArmSolve
+    torque: tuple[Array, Array]

@@ -134,37 +134,29 @@ def point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
     return reduced
 
 
-@compiled("UniTuple(f8, 2)(f8[:,:], i8, f8[:], i8, f8[:], f8[:])")
-def pair_velocity(
-    twists: Array, joint_a: int, p_a: Array, joint_b: int, p_b: Array, n: Array
-) -> tuple[float, float]:
-    """Speed [m/s] of p_b from p_a along n, and the square of that across n [m²/s²]."""
-    x, y, z = point_velocity(twists[joint_b], p_b)
-    x_a, y_a, z_a = point_velocity(twists[joint_a], p_a)
-    x, y, z = x - x_a, y - y_a, z - z_a
-    along = n[0] * x + n[1] * y + n[2] * z
-    x, y, z = x - along * n[0], y - along * n[1], z - along * n[2]
-    return along, x * x + y * y + z * z
-
-
-@compiled(
-    "Tuple((f8[::1], f8, f8, f8))(f8[:,:], f8[:,:], f8[:,:], f8[:,:], i8, f8[:], i8, f8[:], f8[:])"
-)
+@compiled("Tuple((f8[::1], f8, f8))(f8[:,:], f8[:,:], f8[:,:], f8[:,:], i8, i8, f8[:], f8[:])")
 def pair_motion(
-    J: Array, B: Array, twists: Array, biases: Array, joint_a: int, p_a: Array, joint_b: int,
-    p_b: Array, n: Array,
-) -> tuple[Array, float, float, float]:  # fmt: skip
+    J: Array, B: Array, twists: Array, biases: Array, joint_a: int, joint_b: int, p: Array,
+    n: Array,
+) -> tuple[Array, float, float]:  # fmt: skip
     """As `RobotState.pair_motion`."""
     row = np.zeros(B.shape[1] + J.shape[1] - 3)
-    relative = point_jacobian(J, B, joint_b, p_b) - point_jacobian(J, B, joint_a, p_a)
+    relative = point_jacobian(J, B, joint_b, p) - point_jacobian(J, B, joint_a, p)
     for k in range(len(row)):
         for i in range(3):
             row[k] += n[i] * relative[i, k]
-    x, y, z = point_bias(twists[joint_b], biases[joint_b], p_b)
-    x_a, y_a, z_a = point_bias(twists[joint_a], biases[joint_a], p_a)
-    bias = n[0] * (x - x_a) + n[1] * (y - y_a) + n[2] * (z - z_a)
-    along, across = pair_velocity(twists, joint_a, p_a, joint_b, p_b, n)
-    return row, bias, along, across
+    v_b, v_a = point_velocity(twists[joint_b], p), point_velocity(twists[joint_a], p)
+    a_b = point_bias(twists[joint_b], biases[joint_b], p)
+    a_a = point_bias(twists[joint_a], biases[joint_a], p)
+    x, y, z = v_b[0] - v_a[0], v_b[1] - v_a[1], v_b[2] - v_a[2]
+    w_x, w_y, w_z = twists[joint_a, 3], twists[joint_a, 4], twists[joint_a, 5]
+    speed = n[0] * x + n[1] * y + n[2] * z
+    bias = (
+        n[0] * (a_b[0] - a_a[0] - 2.0 * (w_y * z - w_z * y))
+        + n[1] * (a_b[1] - a_a[1] - 2.0 * (w_z * x - w_x * z))
+        + n[2] * (a_b[2] - a_a[2] - 2.0 * (w_x * y - w_y * x))
+    )
+    return row, bias, speed
 
 
 @compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:])")

@@ -137,25 +137,20 @@ class RobotState:
         return np.array(motion.point_bias(self._twists[joint], self._biases[joint], p_world))
 
     def pair_motion(
-        self, joint_a: int, p_a: Array, joint_b: int, p_b: Array, n: Array
-    ) -> tuple[Array, float, float, float]:
-        """How the distance between a point of one body and a point of another one moves.
+        self, joint_a: int, joint_b: int, p: Array, n: Array
+    ) -> tuple[Array, float, float]:
+        """How a point of one body moves along a normal that is fixed to another one.
 
         Args:
-            joint_a: Joint of the first body.
-            p_a: (3,) [m] its point, in the world.
-            joint_b: Joint of the second body.
-            p_b: (3,) [m] its point, in the world.
-            n: (3,) unit vector from the first to the second.
+            joint_a: Joint of the body with the normal.
+            joint_b: Joint of the body with the point.
+            p: (3,) [m] the point, in the world.
+            n: (3,) unit normal, in the world.
 
         Returns:
-            (n,) its Jacobian nᵀ(J_b - J_a); [m/s²] nᵀ(J̇_b - J̇_a) q̇; [m/s] its speed, and the
-            square of the speed [m²/s²] across n.
+            (n,) its Jacobian nᵀ(J_b - J_a); [m/s²] its acceleration at q̈ = 0, with the turning of
+            the normal; [m/s] its speed.
         """
         return motion.pair_motion(
-            self._J, self._B, self._twists, self._biases, joint_a, p_a, joint_b, p_b, n
+            self._J, self._B, self._twists, self._biases, joint_a, joint_b, p, n
         )
-
-    def pair_speed(self, joint_a: int, p_a: Array, joint_b: int, p_b: Array, n: Array) -> float:
-        """[m/s] the speed of `pair_motion` alone."""
-        return motion.pair_velocity(self._twists, joint_a, p_a, joint_b, p_b, n)[0]
