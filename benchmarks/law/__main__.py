@@ -13,6 +13,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy; processes take it
 import tyro
 
 from app.errors import DbbError
+from benchmarks.law.continuity import continuity
 from benchmarks.law.options import Options
 from benchmarks.law.pulls import pulls
 from benchmarks.law.release import release
@@ -21,6 +22,7 @@ from benchmarks.law.report import Report, show
 MEASUREMENTS: dict[str, Callable[..., Report]] = {
     "release": release,
     "pulls": pulls,
+    "continuity": continuity,
 }
 """By their names on the command line."""
 

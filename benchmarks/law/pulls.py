@@ -22,6 +22,7 @@ _AUDIT_HELD = 0.36  # [s]
 _AUDIT_STIFFNESS = 2000.0  # [N/m]
 _AUDIT_FORCES = 40.0, 60.0, 80.0, 100.0  # [N]
 _ABOVE = 0.2  # [-] share of the random pulls that come from above
+_THROWN = 1.1  # [-] of the person's own speed; a hand that goes along with it is not thrown
 _CLAIMED = 80.0  # [N] up to which nothing may overlap
 
 
@@ -94,7 +95,7 @@ def play(case: Held) -> dict[str, Any]:
         "person": f"{pull.f_max:.0f} N, {pull.stiffness:.0f} N/m",
         "f_max_n": pull.f_max, "force_max_n": force, "person_speed_mps": person,
         "least_distance_m": nearest, "overlap_m": max(0.0, -nearest), "least_between_links_m": links,
-        "contact_steps": contacts, "hand_speed_after_mps": back, "thrown": back > person,
+        "contact_steps": contacts, "hand_speed_after_mps": back, "thrown": back > _THROWN * person,
         "torque_share": torque, "joint_speed_share": max(shares),
         "steps": len(shares), "steps_over_1": sum(s > 1.0 for s in shares),
         "steps_over_1.01": sum(s > 1.01 for s in shares),
