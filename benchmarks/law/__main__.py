@@ -15,6 +15,7 @@ import tyro
 from app.errors import DbbError
 from benchmarks.law.continuity import continuity
 from benchmarks.law.options import Options
+from benchmarks.law.paths import paths
 from benchmarks.law.pulls import pulls
 from benchmarks.law.release import release
 from benchmarks.law.report import Report, show
@@ -23,6 +24,7 @@ MEASUREMENTS: dict[str, Callable[..., Report]] = {
     "release": release,
     "pulls": pulls,
     "continuity": continuity,
+    "paths": paths,
 }
 """By their names on the command line."""
 
@@ -44,6 +46,7 @@ def main() -> None:
 
 def _shown(measure: Callable[..., Report]) -> Callable[..., None]:
     """The measurement with its table printed; same arguments."""
+
     @wraps(measure)
     def run(options: Options, **others: Any) -> None:
         show(measure(options, **others), options)

@@ -146,9 +146,7 @@ def _worst(path: Path) -> tuple[Worst, Worst]:
     for change in changes.T:
         kinks = np.abs(change[1:-1] - 0.5 * (change[:-2] + change[2:]))
         k, j = int(np.argmax(change)), int(np.argmax(kinks)) + 1
-        found.append(
-            Worst(float(change[k]), float(times[k]), float(kinks[j - 1]), float(times[j]))
-        )
+        found.append(Worst(float(change[k]), float(times[k]), float(kinks[j - 1]), float(times[j])))
     return found[0], found[1]
 
 
@@ -202,9 +200,7 @@ def _motion(path: Path) -> Motion:
             robot.model, np.array(_AUDIT), joint, _AUDIT_SPEED, 0.5 * path.duration
         )
     rng = np.random.default_rng([path.options.seed, path.number])
-    return random_motion(
-        robot.model, pose_in_buffer(robot, rng), path.speed, rng, path.duration
-    )
+    return random_motion(robot.model, pose_in_buffer(robot, rng), path.speed, rng, path.duration)
 
 
 @cache

@@ -73,7 +73,7 @@ def random_pull(
     length = (place.gap - rng.uniform(*_END)) / float(way @ inwards)
     x, y, z = (length * way).tolist()
     lasting = rng.uniform(*lead) if lead else length / rng.uniform(*speed)
-    k = math.exp(rng.uniform(*map(math.log, stiffness)))
+    k = math.exp(rng.uniform(math.log(stiffness[0]), math.log(stiffness[1])))
     return Pull(
         f"{number}{', above' if over else ''}", options.robot, options.controller,
         tuple(q.tolist()), place.p, (x, y, z), float(lasting), k, float(rng.uniform(*f_max)),

@@ -54,7 +54,7 @@ class Motion(NamedTuple):
     base: Waves
 
     def at(self, t: float) -> tuple[Measurement, Array, Array]:
-        """At time t [s]: what the sensors give, the base's acceleration (n_b,), the arm's (n_m,)."""
+        """At time t [s]: the sensors' readings, the base's acceleration (n_b,), the arm's (n_m,)."""
         q, qd, qdd = self.arm.at(t)
         _, v, vd = self.base.at(t)
         return Measurement(np.zeros(3), v, q, qd), vd, qdd

@@ -91,7 +91,8 @@ def _play(case: Release) -> dict[str, Any]:
         moment = steps.send(let_go)
     steps.close()
     return {
-        "case": pull.name, "side": side(pull.start, pull.robot), "person": f"{pull.f_max:.0f} N, {pull.stiffness:.0f} N/m",
+        "case": pull.name, "side": side(pull.start, pull.robot),
+        "person": f"{pull.f_max:.0f} N, {pull.stiffness:.0f} N/m",
         "force_max_n": force, "d_release_m": d_release,
         "path_m": None if released is None else path,
         "turned_rad": None if released is None else turned,

@@ -12,9 +12,10 @@ import json
 import math
 import os
 import tempfile
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,7 +59,9 @@ def place_beside(robot: str, rng: np.random.Generator) -> Place:
     away = edge + gap * out - nearest
     away /= np.linalg.norm(away)
     x, y = middle[:2] + nearest + gap * away
-    return Place((float(x), float(y), float(z)), (-float(away[0]), -float(away[1]), 0.0), float(gap))
+    return Place(
+        (float(x), float(y), float(z)), (-float(away[0]), -float(away[1]), 0.0), float(gap)
+    )
 
 
 def place_above(robot: str, rng: np.random.Generator) -> Place:
@@ -81,19 +84,33 @@ def posture(
         turn: [rad] by how much the hand points to the left of straight away from the mount.
         tries: Of the search per pitch of the hand.
     """
-    asked = json.dumps([_digest(robot), p, seed, turn, tries])
-    kept = _folder() / f"{hashlib.sha256(asked.encode()).hexdigest()[:24]}.json"
-    if kept.is_file():
-        found = json.loads(kept.read_text(encoding="utf-8"))
-        return None if found is None else np.array(found)
-    try:
-        q = _solver(robot).solve(p, seed=seed, turn=turn, tries=tries)
-    except UnreachableError:
-        q = None
-    fresh = kept.with_suffix(f".{os.getpid()}")
-    fresh.write_text(json.dumps(None if q is None else q.tolist()), encoding="utf-8")
-    fresh.replace(kept)
-    return q
+
+    def search() -> list[float] | None:
+        try:
+            return _solver(robot).solve(p, seed=seed, turn=turn, tries=tries).tolist()
+        except UnreachableError:
+            return None
+
+    found = kept(robot, ["posture", p, seed, turn, tries], search)
+    return None if found is None else np.array(found)
+
+
+def kept(robot: str, asked: list[Any], search: Callable[[], Any]) -> Any:
+    """What a search finds, from the folder if it has been asked the same before.
+
+    Args:
+        robot: Name of the robot.
+        asked: What is searched, as JSON can say it.
+        search: Gives what JSON can hold.
+    """
+    key = hashlib.sha256(json.dumps([_digest(robot), *asked]).encode()).hexdigest()[:24]
+    path = _folder() / f"{key}.json"
+    if path.is_file():
+        return json.loads(path.read_text(encoding="utf-8"))
+    fresh = path.with_suffix(f".{os.getpid()}")
+    fresh.write_text(json.dumps(search()), encoding="utf-8")
+    fresh.replace(path)
+    return json.loads(path.read_text(encoding="utf-8"))
 
 
 @cache

@@ -13,9 +13,7 @@ Case = TypeVar("Case")
 Row = TypeVar("Row")
 
 
-def played(
-    play: Callable[[Case], Row], cases: Sequence[Case], jobs: int, text: str
-) -> list[Row]:
+def played(play: Callable[[Case], Row], cases: Sequence[Case], jobs: int, text: str) -> list[Row]:
     """The row of each case.
 
     Args:
