@@ -14,17 +14,23 @@ import tyro
 
 from app.errors import DbbError
 from benchmarks.law.continuity import continuity
+from benchmarks.law.curvature import curvature
+from benchmarks.law.energy import energy
 from benchmarks.law.options import Options
 from benchmarks.law.paths import paths
 from benchmarks.law.pulls import pulls
 from benchmarks.law.release import release
 from benchmarks.law.report import Report, show
+from benchmarks.law.speeds import speeds
 
 MEASUREMENTS: dict[str, Callable[..., Report]] = {
     "release": release,
     "pulls": pulls,
     "continuity": continuity,
     "paths": paths,
+    "curvature": curvature,
+    "speeds": speeds,
+    "energy": energy,
 }
 """By their names on the command line."""
 

@@ -54,7 +54,7 @@ class Motion(NamedTuple):
     base: Waves
 
     def at(self, t: float) -> tuple[Measurement, Array, Array]:
-        """At time t [s]: the sensors' readings, the base's acceleration (n_b,), the arm's (n_m,)."""
+        """At time t [s]: the sensors' readings, the accelerations of base (n_b,) and arm (n_m,)."""
         q, qd, qdd = self.arm.at(t)
         _, v, vd = self.base.at(t)
         return Measurement(np.zeros(3), v, q, qd), vd, qdd
@@ -72,7 +72,7 @@ def random_motion(
         rng: Where it is drawn from.
         duration: [s]
     """
-    motion = Motion(_waves(q, rng, 1.0), _waves(np.zeros(model.n_b), rng, 0.2))
+    motion = Motion(random_waves(q, rng, 1.0), random_waves(np.zeros(model.n_b), rng, 0.2))
     scale = speed / _fastest(model, motion, duration)
     arm, base = (
         waves._replace(amplitude=scale * waves.amplitude) for waves in (motion.arm, motion.base)
@@ -91,9 +91,10 @@ def one_joint_motion(model: RobotModel, q: Array, joint: int, speed: float, t: f
     return Motion(arm, Waves(still[0], still, still, still))
 
 
-def _waves(middle: Array, rng: np.random.Generator, size: float) -> Waves:
+def random_waves(middle: Array, rng: np.random.Generator, size: float) -> Waves:
+    """Some sines of the band about a middle (m,), their rates of change as large as `size`."""
     shape = _WAVES, len(middle)
-    rate = 2 * math.pi * rng.uniform(*_BAND, shape)
+    rate = 2 * math.pi * rng.uniform(_BAND[0], _BAND[1], shape)
     return Waves(
         middle, size * rng.normal(size=shape) / rate, rng.uniform(0, 2 * math.pi, shape), rate
     )
