@@ -110,7 +110,7 @@ def _row(mode: str, limits: str, paths: list[Path], refined: int, jobs: int) -> 
         chosen |= {(int(k), worst[k][axis].t_kink) for k in np.argsort(-kink)[:refined]}
         places = [Refinement(paths[k], t) for k, t in sorted(chosen)]
         by_step = np.array(played(_refined, places, jobs, f"{mode}: refined"))[:, :, axis]
-        jumps = np.maximum(2 * by_step[:, -1] - by_step[:, -2], 0.0)
+        jumps = jumps_of(by_step)
         steepest, jump = int(np.argmax(by_step[:, 0])), int(np.argmax(jumps))
         found |= {
             f"{name}_{unit}_per_ms": float(change.max()),
@@ -121,6 +121,14 @@ def _row(mode: str, limits: str, paths: list[Path], refined: int, jobs: int) -> 
             f"{name}_at_jump": _place(places[jump], by_step[jump]),
         }
     return found
+
+
+def jumps_of(by_step: Array) -> Array:
+    """(k,) what is left of changes (k, steps) at a step of zero, each step half of the one before.
+
+    A slope's change halves with the step, so that nothing is left; a jump's stays.
+    """
+    return np.maximum(2 * by_step[:, -1] - by_step[:, -2], 0.0)
 
 
 def _place(place: Refinement, by_step: Array) -> str:

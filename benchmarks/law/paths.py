@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import closing
 from typing import Any, NamedTuple
 
@@ -12,6 +13,7 @@ import numpy as np
 from app.config import Config
 from app.simulation.session import Session, Step
 from app.simulation.settled import settled
+from benchmarks.law.curves import Curve
 from benchmarks.law.draw_curves import task_of
 from benchmarks.law.options import Options
 from benchmarks.law.report import Report, largest, least
@@ -48,7 +50,12 @@ def paths(options: Options, count: int = 300, first: int = 0) -> Report:
 
 def play(case: Tracking) -> dict[str, Any]:
     """The row of one path."""
-    options, (curve, q_m) = case.options, task_of(case.options, case.number)
+    task = task_of(case.options, case.number)
+    return {"number": case.number, **follow(case.options, task.curve, task.q_m)}
+
+
+def follow(options: Options, curve: Curve, q_m: Sequence[float]) -> dict[str, Any]:
+    """What happens on a curve that is tracked from a posture (n_m,) of the arm."""
     robot = load(options.robot)
     session = Session(robot.model, robot.data, Config(), controller=options.controller)
     n, qd_max = robot.n_mobile, robot.model.qd_max
@@ -69,7 +76,7 @@ def play(case: Tracking) -> dict[str, Any]:
             shares.append(float(np.max(np.abs(step.truth.qd_m) / qd_max)))
         failures = session.controller.failures
     return {
-        "number": case.number, "kind": curve.kind, "duration_s": curve.duration,
+        "kind": curve.kind, "duration_s": curve.duration,
         "error_max_mm": worst, "at_s": worst_t, "leaves": worst > _LEAVES,
         "at_limits": at_limits if worst > _LEAVES else "", "end_off_mm": end,
         "ends_off": end > _LEAVES, "least_distance_m": nearest, "least_between_links_m": links,

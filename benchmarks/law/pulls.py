@@ -33,19 +33,20 @@ class Held(NamedTuple):
     held_s: float
 
 
-def pulls(options: Options, count: int = 24, held: float = 1.5) -> Report:
+def pulls(options: Options, count: int = 24, held: float = 1.5, first: int = 0) -> Report:
     """Pull the hand hard towards the base.
 
     Args:
         options: See `Options`.
         count: Random pulls, besides the audit's four.
         held: [s] how long the hand is held at its end.
+        first: Number of the first random pull; the audit's come with 0 only.
     """
-    rows = played(play, cases(options, count, held), options.jobs, "pulls")
+    rows = played(play, cases(options, count, held, first), options.jobs, "pulls")
     return Report("pulls", rows, _summary(rows))
 
 
-def cases(options: Options, count: int, held: float) -> list[Held]:
+def cases(options: Options, count: int, held: float, first: int = 0) -> list[Held]:
     """The audit's pulls, then random ones."""
     found = [
         Held(
@@ -54,9 +55,9 @@ def cases(options: Options, count: int, held: float) -> list[Held]:
             ),
             _AUDIT_HELD,
         )
-        for f_max in _AUDIT_FORCES
+        for f_max in (_AUDIT_FORCES if first == 0 else ())
     ]
-    for k in range(count):
+    for k in range(first, first + count):
         rng = np.random.default_rng([options.seed, k])
         pull = random_pull(
             options, k, rng, f_max=(30.0, 100.0), stiffness=(300.0, 3000.0), above=_ABOVE
@@ -96,7 +97,8 @@ def play(case: Held) -> dict[str, Any]:
         "f_max_n": pull.f_max, "force_max_n": force, "person_speed_mps": person,
         "least_distance_m": nearest, "overlap_m": max(0.0, -nearest),
         "least_between_links_m": links,
-        "contact_steps": contacts, "hand_speed_after_mps": back, "thrown": back > _THROWN * person,
+        "contact_steps": contacts, "hand_speed_after_mps": back,
+        "thrown": nearest < Config().border.d_b and back > _THROWN * person,
         "torque_share": torque, "joint_speed_share": max(shares),
         "steps": len(shares), "steps_over_1": sum(s > 1.0 for s in shares),
         "steps_over_1.01": sum(s > 1.01 for s in shares),

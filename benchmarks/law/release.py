@@ -36,30 +36,32 @@ class Release(NamedTuple):
     after_s: float
 
 
-def release(options: Options, count: int = 12, seconds: float = 15.0) -> Report:
+def release(options: Options, count: int = 12, seconds: float = 15.0, first: int = 0) -> Report:
     """Guide the hand into the buffer, let go there, and watch the base.
 
     Args:
         options: See `Options`.
         count: Random releases, besides eight from four named places.
         seconds: [s] how long after the release the base is watched.
+        first: Number of the first random release; the named ones come with 0 only.
     """
     cases = []
-    for name, (start, move) in NAMED.items():
+    for name, (start, move) in NAMED.items() if first == 0 else ():
         for lead in (2.0, 1.0):
             pull = named_pull(options, f"{name}, {lead:g} s", start, move, lead, 300.0, 40.0)
             cases.append(Release(pull, 0.5 * lead, seconds))
-    for k in range(count):
+    for k in range(first, first + count):
         rng = np.random.default_rng([options.seed, k])
         pull = random_pull(
             options, k, rng, f_max=(40.0, 100.0), stiffness=(300.0, 3000.0), lead=(1.0, 4.0)
         )
         cases.append(Release(pull, float(rng.uniform(0.05, 1.5)), seconds))
-    rows = played(_play, cases, options.jobs, "releases")
+    rows = played(play, cases, options.jobs, "releases")
     return Report("release", rows, _summary(rows))
 
 
-def _play(case: Release) -> dict[str, Any]:
+def play(case: Release) -> dict[str, Any]:
+    """The row of one release; without a path if the hand never came into the buffer."""
     pull, d_b = case.pull, Config().border.d_b
     n = load(pull.robot).n_mobile
     steps, released, entered = moments(pull), None, None
