@@ -16,6 +16,7 @@ from app.simulation.settled import settled
 from benchmarks.law.curves import Curve
 from benchmarks.law.draw_curves import task_of
 from benchmarks.law.options import Options
+from benchmarks.law.pull import joint_share
 from benchmarks.law.report import Report, largest, least
 from benchmarks.law.robot import load
 from benchmarks.law.work import played
@@ -58,7 +59,7 @@ def follow(options: Options, curve: Curve, q_m: Sequence[float]) -> dict[str, An
     """What happens on a curve that is tracked from a posture (n_m,) of the arm."""
     robot = load(options.robot)
     session = Session(robot.model, robot.data, Config(), controller=options.controller)
-    n, qd_max = robot.n_mobile, robot.model.qd_max
+    n = robot.n_mobile
     worst, worst_t, at_limits, end = 0.0, 0.0, "", 0.0
     nearest, links, contacts = math.inf, math.inf, 0
     shares: list[float] = []
@@ -73,7 +74,7 @@ def follow(options: Options, curve: Curve, q_m: Sequence[float]) -> dict[str, An
             nearest = min(nearest, *step.distances[:n])
             links = min(links, *step.distances[n:])
             contacts += step.contacts.arm_base or step.contacts.arm_arm
-            shares.append(float(np.max(np.abs(step.truth.qd_m) / qd_max)))
+            shares.append(joint_share(step, robot.model))
         failures = session.controller.failures
     return {
         "kind": curve.kind, "duration_s": curve.duration,

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from app.config import Config
+from app.robot.model import RobotModel
 from app.simulation.person import PersonHand
 from app.simulation.session import DT, Session, Step
 from app.simulation.settled import settled
@@ -95,6 +96,6 @@ def moments(pull: Pull) -> Generator[Moment, bool | None, None]:
             held = held and not let_go
 
 
-def joint_share(pull_robot: str, step: Step) -> float:
+def joint_share(step: Step, model: RobotModel) -> float:
     """[-] largest |q̇| / q̇_max of the arm's joints."""
-    return float(np.max(np.abs(step.truth.qd_m) / load(pull_robot).model.qd_max))
+    return float(np.max(np.abs(step.truth.qd_m) / model.qd_max))

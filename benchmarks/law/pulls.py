@@ -10,7 +10,7 @@ import numpy as np
 from app.config import Config
 from benchmarks.law.draws import named_pull, random_pull, side
 from benchmarks.law.options import Options
-from benchmarks.law.pull import Pull, moments
+from benchmarks.law.pull import Pull, joint_share, moments
 from benchmarks.law.report import Report, largest, least
 from benchmarks.law.robot import load
 from benchmarks.law.work import played
@@ -70,7 +70,7 @@ def play(case: Held) -> dict[str, Any]:
     """The row of one pull."""
     pull = case.pull
     robot = load(pull.robot)
-    n, qd_max, tau_max = robot.n_mobile, robot.model.qd_max, robot.model.tau_max
+    n, tau_max = robot.n_mobile, robot.model.tau_max
     force = person = back = torque = 0.0
     nearest = links = math.inf
     contacts, shares, moment = 0, [], None
@@ -88,7 +88,7 @@ def play(case: Held) -> dict[str, Any]:
         force = max(force, float(np.linalg.norm(step.person.hand)))
         torque = max(torque, float(np.max(np.abs(step.output.u_a) / tau_max)))
         contacts += step.contacts.arm_base or step.contacts.arm_arm
-        shares.append(float(np.max(np.abs(step.truth.qd_m) / qd_max)))
+        shares.append(joint_share(step, robot.model))
     steps.close()
     assert moment is not None
     return {

@@ -63,9 +63,11 @@ def release(options: Options, count: int = 12, seconds: float = 15.0, first: int
 def play(case: Release) -> dict[str, Any]:
     """The row of one release; without a path if the hand never came into the buffer."""
     pull, d_b = case.pull, Config().border.d_b
-    n = load(pull.robot).n_mobile
+    robot = load(pull.robot)
+    n = robot.n_mobile
     steps, released, entered = moments(pull), None, None
-    path = turned = force = share = speed_late = 0.0
+    path = turned = force = share = 0.0
+    speed_late: float | None = None
     nearest, contacts, d_release, let_go = math.inf, 0, None, False
     moment = next(steps)
     while True:
@@ -73,7 +75,7 @@ def play(case: Release) -> dict[str, Any]:
         d = min(step.distances[:n])
         nearest = min(nearest, d)
         contacts += step.contacts.arm_base or step.contacts.arm_arm
-        share = max(share, joint_share(pull.robot, step))
+        share = max(share, joint_share(step, robot.model))
         force = max(force, float(np.linalg.norm(step.person.hand)))
         if released is None:
             if entered is None and d < d_b:
@@ -84,10 +86,11 @@ def play(case: Release) -> dict[str, Any]:
             elif step.t > pull.lead_s + 3.0:
                 break
         else:
-            v, *_, w = step.truth.base_velocity
-            path, turned = path + abs(float(v)) * DT, turned + abs(float(w)) * DT
+            *v, w = step.truth.base_velocity
+            speed = float(np.linalg.norm(v))
+            path, turned = path + speed * DT, turned + abs(float(w)) * DT
             if step.t >= released + _REST:
-                speed_late = max(speed_late, abs(float(v)))
+                speed_late = max(speed_late or 0.0, 1e3 * speed)
             if step.t >= released + case.after_s:
                 break
         moment = steps.send(let_go)
@@ -98,7 +101,7 @@ def play(case: Release) -> dict[str, Any]:
         "force_max_n": force, "d_release_m": d_release,
         "path_m": None if released is None else path,
         "turned_rad": None if released is None else turned,
-        "speed_after_10s_mmps": None if released is None else 1e3 * speed_late,
+        "speed_after_10s_mmps": speed_late,
         "least_distance_m": nearest, "contact_steps": contacts, "joint_speed_share": share,
         "failures": moment.session.controller.failures,
     }  # fmt: skip
@@ -114,7 +117,9 @@ def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "path_too_long": sum(row["path_m"] > _ASKED for row in released),
         "speed_after_10s_max_mmps": largest(released, "speed_after_10s_mmps"),
         "speed_asked_mmps": _ASKED_SPEED,
-        "still_moving": sum(row["speed_after_10s_mmps"] >= _ASKED_SPEED for row in released),
+        "still_moving": sum(
+            (row["speed_after_10s_mmps"] or 0.0) >= _ASKED_SPEED for row in released
+        ),
         "least_distance_m": least(rows, "least_distance_m"),
         "with_contact": sum(row["contact_steps"] > 0 for row in rows),
         "failures": sum(row["failures"] for row in rows),
