@@ -1,0 +1,229 @@
+"""Does the asked base acceleration jump along smooth motions inside the buffer?
+
+A slope shrinks with the step, a jump does not: around the worst places the step is refined, and
+what is left at a step of zero is the jump.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from app.config import Config
+from app.control.controller import Controller
+from app.control.tasks import Reference
+from app.robot.model import RobotModel
+from app.robot.state import RobotState
+from benchmarks.law.motions import Motion, one_joint_motion, random_motion
+from benchmarks.law.options import Options
+from benchmarks.law.poses import pose_in_buffer
+from benchmarks.law.report import Report
+from benchmarks.law.robot import load
+from benchmarks.law.work import played
+
+Array = np.ndarray
+
+_AUDIT = 1.15216, 1.65208, 0.78478, -1.35999, 2.19699, 3.33947, -0.46618
+"""(7,) [rad] where the audit saw a jump, of the paper's robot."""
+_AUDIT_SPEED = 0.2  # [rad/s] with which a joint passes there
+_STEP = 0.001  # [s]
+_FINER = 0.5, 0.25, 0.125  # [-] of that step
+_WINDOW = 2  # steps before and after the worst one that are refined
+_OFF = np.array([0.003, -0.002, 0.001])  # [m] of the reference from the tracking hand
+_ASKED = 0.02, 0.05  # [m/s²] and [rad/s²] a step
+KINDS = ("guided", "robot"), ("tracking", "wide"), ("tracking", "robot")
+"""How the law is asked, and whose limits the arm has. A guided base knows none of the arm's; the
+last kind has changes of active limits in it and is not held to what is asked."""
+
+
+class Path(NamedTuple):
+    """A motion and how the law is asked along it.
+
+    Attributes:
+        options: Robot, controller and seed.
+        number: Of the motion; below zero it is the audit's state, one joint moving.
+        mode: With a reference, `tracking`, or without, `guided`.
+        limits: The `robot`'s, or `wide` ones of torque and position that no motion meets.
+        duration: [s]
+        speed: [m/s] of the hand at most.
+    """
+
+    options: Options
+    number: int
+    mode: str
+    limits: str
+    duration: float
+    speed: float
+
+
+class Refinement(NamedTuple):
+    """Where a path is looked at with finer steps: around time t [s]."""
+
+    path: Path
+    t: float
+
+
+def continuity(
+    options: Options, count: int = 1000, duration: float = 0.2, speed: float = 0.25,
+    refined: int = 12, first: int = 0,
+) -> Report:  # fmt: skip
+    """Walk smooth random motions of arm and base inside the buffer, in steps of 1 ms.
+
+    Args:
+        options: See `Options`.
+        count: Random motions.
+        duration: [s] of each.
+        speed: [m/s] of the hand at most.
+        refined: Places of each kind at which the step is refined.
+        first: Number of the first motion; from 0 the audit's own state is among them.
+    """
+    audits = load(options.robot).model.n_m if options.robot == "husky_panda" and first == 0 else 0
+    own = range(first - audits, first + count)
+    rows = []
+    for mode, limits in KINDS:
+        paths = [Path(options, k, mode, limits, duration, speed) for k in own]
+        rows.append(_row(mode, limits, paths, refined, options.jobs))
+    judged = rows[:-1]
+    summary = {
+        "paths": count, "hand_speed_mps": speed, "asked_mps2": _ASKED[0], "asked_radps2": _ASKED[1],
+        "away_from_limits_mps2": max(row["linear_mps2_per_ms"] for row in judged),
+        "away_from_limits_radps2": max(row["angular_radps2_per_ms"] for row in judged),
+        "jump_mps2": max(row["linear_jump_mps2"] for row in judged),
+        "jump_radps2": max(row["angular_jump_radps2"] for row in judged),
+    }  # fmt: skip
+    return Report("continuity", rows, summary)
+
+
+def _row(mode: str, limits: str, paths: list[Path], refined: int, jobs: int) -> dict[str, Any]:
+    """One mode with one kind of limits: the worst steps, and what of them is a jump."""
+    worst = played(_worst, paths, jobs, f"{mode}, limits {limits}")
+    found: dict[str, Any] = {"mode": mode, "limits": limits}
+    for axis, (name, unit) in enumerate((("linear", "mps2"), ("angular", "radps2"))):
+        change = np.array([each[axis].change for each in worst])
+        kink = np.array([each[axis].kink for each in worst])
+        # The steepest places and those unlike their neighbours: a jump is both.
+        chosen = {(int(k), worst[k][axis].t) for k in np.argsort(-change)[:refined]}
+        chosen |= {(int(k), worst[k][axis].t_kink) for k in np.argsort(-kink)[:refined]}
+        places = [Refinement(paths[k], t) for k, t in sorted(chosen)]
+        by_step = np.array(played(_refined, places, jobs, f"{mode}: refined"))[:, :, axis]
+        jumps = jumps_of(by_step)
+        steepest, jump = int(np.argmax(by_step[:, 0])), int(np.argmax(jumps))
+        found |= {
+            f"{name}_{unit}_per_ms": float(change.max()),
+            f"{name}_median_{unit}_per_ms": float(np.median(change)),
+            f"paths_over_{name}": int((change > _ASKED[axis]).sum()),
+            f"{name}_jump_{unit}": float(jumps[jump]),
+            f"{name}_steepest": _place(places[steepest], by_step[steepest]),
+            f"{name}_at_jump": _place(places[jump], by_step[jump]),
+        }
+    return found
+
+
+def jumps_of(by_step: Array) -> Array:
+    """(k,) what is left of changes (k, steps) at a step of zero, each step half of the one before.
+
+    A slope's change halves with the step, so that nothing is left; a jump's stays.
+    """
+    return np.maximum(2 * by_step[:, -1] - by_step[:, -2], 0.0)
+
+
+def _place(place: Refinement, by_step: Array) -> str:
+    """The motion, the time on it, and the change a step of 1, 0.5, 0.25 and 0.125 ms."""
+    changes = ", ".join(f"{change:.3g}" for change in by_step)
+    return f"{place.path.number} at {place.t:.3f} s: {changes}"
+
+
+class Worst(NamedTuple):
+    """The largest change in one step, and the largest kink: a change unlike its neighbours."""
+
+    change: float
+    t: float
+    kink: float
+    t_kink: float
+
+
+def _worst(path: Path) -> tuple[Worst, Worst]:
+    """Of the base's linear and its angular acceleration, over a path in steps of 1 ms."""
+    times = np.arange(0.0, path.duration, _STEP)
+    changes = _changes(path, times, _STEP)
+    found = []
+    for change in changes.T:
+        kinks = np.abs(change[1:-1] - 0.5 * (change[:-2] + change[2:]))
+        k, j = int(np.argmax(change)), int(np.argmax(kinks)) + 1
+        found.append(Worst(float(change[k]), float(times[k]), float(kinks[j - 1]), float(times[j])))
+    return found[0], found[1]
+
+
+def _refined(place: Refinement) -> list[list[float]]:
+    """(steps, 2) largest change of one step around a place, for finer and finer steps."""
+    found = []
+    for share in (1.0, *_FINER):
+        h = share * _STEP
+        # The same instants are among those of each step; a few before, for a law with a memory.
+        begin = max(place.t - 4 * _WINDOW * _STEP, 0.0)
+        times = np.arange(begin, place.t + (_WINDOW + 1) * _STEP + 0.5 * h, h)
+        inside = times[1:] > place.t - _WINDOW * _STEP
+        found.append(_changes(place.path, times, h)[inside].max(axis=0).tolist())
+    return found
+
+
+def _changes(path: Path, times: Sequence[float] | Array, h: float) -> Array:
+    """(len - 1, 2) change of the linear and the angular acceleration from each instant to the next.
+
+    0 where a pair touches: there is no buffer left to be continuous in.
+    """
+    options = path.options
+    controller = _controller(options.robot, options.controller, path.limits, h)
+    motion, state = _motion(path), RobotState(load(options.robot).model)
+    controller.reset()
+    controller.q_posture = motion.arm.middle.copy()
+    asked, touching = [], []
+    for t in times:
+        measured, base_acceleration, qdd = motion.at(float(t))
+        reference = None
+        if path.mode == "tracking":
+            state.update(measured)
+            qdd_all = np.concatenate([state.model.J_m_inv @ base_acceleration, qdd])
+            reference = Reference(
+                pin.SE3(state.T_world_ee.rotation, state.T_world_ee.translation + _OFF),
+                state.v_ee.copy(), state.J_ee @ qdd_all + state.Jdqd_ee,
+            )  # fmt: skip
+        output = controller.step(measured, reference, base_acceleration=base_acceleration)
+        asked.append(output.base_acceleration)
+        touching.append(min(pair.closest.d for pair in output.avoidance.pairs) <= 0.0)
+    steps = np.diff(np.array(asked), axis=0)
+    steps[np.array(touching)[1:] | np.array(touching)[:-1]] = 0.0
+    return np.column_stack([np.linalg.norm(steps[:, :-1], axis=1), np.abs(steps[:, -1])])
+
+
+def _motion(path: Path) -> Motion:
+    robot = load(path.options.robot)
+    if path.number < 0:
+        joint = path.number + robot.model.n_m
+        return one_joint_motion(
+            robot.model, np.array(_AUDIT), joint, _AUDIT_SPEED, 0.5 * path.duration
+        )
+    rng = np.random.default_rng([path.options.seed, path.number])
+    return random_motion(robot.model, pose_in_buffer(robot, rng), path.speed, rng, path.duration)
+
+
+@cache
+def _controller(robot: str, name: str, limits: str, h: float) -> Controller:
+    found = load(robot)
+    model = found.model if limits == "robot" else _wide(robot)
+    return Controller(model, found.data, Config(), name=name, dt=h)
+
+
+@cache
+def _wide(robot: str) -> RobotModel:
+    """The robot with limits of torque and position that no motion meets."""
+    model = RobotModel(load(robot).model.description)
+    model.tau_max = 100.0 * model.tau_max
+    reach = 10.0 * (model.q_upper - model.q_lower)
+    model.q_lower, model.q_upper = model.q_lower - reach, model.q_upper + reach
+    model.q_limits = np.array([model.q_lower, model.q_upper])
+    return model

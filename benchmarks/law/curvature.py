@@ -1,0 +1,139 @@
+"""The second derivative of a pair's distance, against differences of the library's distance.
+
+A row of the law says d̈ = J q̈ + J̇ q̇. The distances of the bodies themselves, along exact motions,
+say whether that holds; so does the same with |v_across|²/d, the term of two fixed points.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from app.avoidance.distances import ClosestPoints
+from app.avoidance.repulsion import distance_jacobian
+from app.config import Config
+from app.robot.link_pairs import PairDistances
+from app.robot.state import RobotState
+from benchmarks.law.motions import Motion, random_motion
+from benchmarks.law.options import Options
+from benchmarks.law.poses import pose_in_buffer
+from benchmarks.law.report import Report
+from benchmarks.law.robot import Robot, load
+from benchmarks.law.work import played
+
+Array = np.ndarray
+
+_H = 0.002  # [s] of the differences
+_FIVE = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0  # fourth order
+_KINK = 0.05  # [m/s²] and relative: differences of two steps that differ more straddle a kink
+_LEAST_D = 0.02  # [m] below which the term of two fixed points stays as it is there
+_LEAST_ROWS = 5  # of a pair, to say something
+_MODELS = "law", "without_term", "with_term"
+
+
+class Pose(NamedTuple):
+    """A pose of that number and the hand's largest speed [m/s] about it."""
+
+    options: Options
+    number: int
+    speed: float
+
+
+class Sample(NamedTuple):
+    """Of one pair at one instant.
+
+    Attributes:
+        pair: Its name.
+        errors: [m/s²] of `_MODELS`; None where the distance has a kink.
+    """
+
+    pair: str
+    errors: tuple[float, float, float] | None
+
+
+def curvature(options: Options, count: int = 400, speed: float = 0.5) -> Report:
+    """Compare d̈ of the law's rows with differences of distances along smooth motions.
+
+    Args:
+        options: See `Options`.
+        count: Poses inside the buffer.
+        speed: [m/s] of the hand at most.
+    """
+    poses = [Pose(options, k, speed) for k in range(count)]
+    samples = [each for row in played(_samples, poses, options.jobs, "poses") for each in row]
+    rows = []
+    for pair in load(options.robot).pair_names:
+        errors = [s.errors for s in samples if s.pair == pair and s.errors is not None]
+        if len(errors) >= _LEAST_ROWS:
+            rows.append(_row(pair, np.array(errors)))
+    smooth = np.array([s.errors for s in samples if s.errors is not None])
+    summary = {
+        "samples": len(samples), "kinks_left_out": sum(s.errors is None for s in samples),
+        **{
+            f"{name}_error_95_mps2": float(np.quantile(np.abs(e), 0.95))
+            for name, e in zip(_MODELS, smooth.T, strict=True)
+        },
+    }  # fmt: skip
+    return Report("curvature", rows, summary)
+
+
+def _row(pair: str, errors: Array) -> dict[str, Any]:
+    found: dict[str, Any] = {"pair": pair, "samples": len(errors)}
+    for name, e in zip(_MODELS, errors.T, strict=True):
+        size = np.abs(e)
+        found[f"{name}: median, 95 %, max"] = [
+            float(np.median(size)), float(np.quantile(size, 0.95)), float(size.max())
+        ]  # fmt: skip
+        found[f"{name}: bias"] = float(e.mean())
+    return found
+
+
+def _samples(pose: Pose) -> list[Sample]:
+    """Every pair within the buffer distance; an error is what the row says less what happens."""
+    robot = load(pose.options.robot)
+    rng = np.random.default_rng([pose.options.seed, pose.number])
+    motion = random_motion(robot.model, pose_in_buffer(robot, rng), pose.speed, rng, 1.0)
+    t, state = 0.5, RobotState(robot.model)
+    measured, vd, qdd = motion.at(t)
+    state.update(measured)
+    qdd_all = np.concatenate([robot.model.J_m_inv @ vd, qdd])
+    fine, coarse = _differences(robot, motion, t, _H), _differences(robot, motion, t, 2 * _H)
+    reader = PairDistances(robot.model, robot.data.pairs.all)
+    reader.update_from(state.data)
+    found = []
+    for i, pair in enumerate(reader.pairs):
+        closest = ClosestPoints(pair, *reader.closest(i))
+        if not 0.0 < closest.d < Config().border.d_b:
+            continue
+        if abs(fine[i] - coarse[i]) > _KINK * (1.0 + abs(fine[i])):
+            found.append(Sample(pair.name, None))
+            continue
+        row = distance_jacobian(state, closest)
+        bias, across = _fixed_points(state, closest)
+        without = float(row.J @ qdd_all) + bias - float(fine[i])
+        law = float(row.J @ qdd_all) + row.Jdqd - float(fine[i])
+        term = across / max(closest.d, _LEAST_D)
+        found.append(Sample(pair.name, (law, without, without + term)))
+    return found
+
+
+def _fixed_points(state: RobotState, closest: ClosestPoints) -> tuple[float, float]:
+    """[m/s²] nᵀ(J̇_b - J̇_a) q̇ of the closest points, and [m²/s²] their squared speed across n."""
+    model, n = state.model, closest.n
+    a, b = model.body_joint(closest.pair.a), model.body_joint(closest.pair.b)
+    bias = state.point_bias(b, closest.p_b) - state.point_bias(a, closest.p_a)
+    v = state.point_velocity(b, closest.p_b) - state.point_velocity(a, closest.p_a)
+    across = v - (v @ n) * n
+    return float(n @ bias), float(across @ across)
+
+
+def _differences(robot: Robot, motion: Motion, t: float, h: float) -> Array:
+    """(pairs,) [m/s²] d̈ of each pair by the library's distances around time t [s]."""
+    reader = PairDistances(robot.model, robot.data.pairs.all)
+    d = np.empty((len(_FIVE), len(reader.pairs)))
+    for k in range(len(_FIVE)):
+        q = motion.at(t + (k - 2) * h)[0].q_m
+        reader.update(robot.model.configuration((0.0, 0.0, 0.0), q))
+        d[k] = [reader.distance(i) for i in range(len(reader.pairs))]
+    return _FIVE @ d / h**2

@@ -1,0 +1,150 @@
+"""Drawing curves beside the base that the arm can reach all along."""
+
+from __future__ import annotations
+
+import inspect
+import math
+import sys
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from app.errors import StudyError
+from app.robot.model import RobotModel
+from app.robot.state import RobotState, at_rest
+from app.simulation.posture import best_posture
+from benchmarks.law.curves import Curve, Point
+from benchmarks.law.options import Options
+from benchmarks.law.robot import load
+from benchmarks.law.starts import kept, place_beside, posture
+
+Array = np.ndarray
+
+KINDS = "towards", "diagonal", "arc"
+_TRIES = 400  # curves drawn before a case is given up
+_DURATION = 2.0, 10.0  # [s]
+_SPEED = 0.25  # [m/s] mean speed of the hand at most
+_CONE = math.radians(40.0)  # about the way inwards
+_LENGTH = 0.08, 0.30  # [m] of a line towards the base
+_RISE = 0.15  # [m] how far the ends of a curve differ in height at most
+_TURN = 0.3, 1.2  # [rad] of an arc about the base's middle
+_NEAREST = 0.08  # [m] from the base's box to the hand
+_HAND_TURN = 0.5  # [rad] by which the hand points past the way from the mount
+_ALONG = np.linspace(0.25, 1.0, 4)  # [-] of a curve, where its reach is looked at
+_GUESSES = 6  # of the search for a posture there
+_REACHED = 1e-4  # [m] and [rad]
+
+
+class Task(NamedTuple):
+    """A curve and the posture from which it is tracked."""
+
+    curve: Curve
+    q_m: tuple[float, ...]
+
+
+def task_of(options: Options, number: int) -> Task:
+    """The task of that number; kept once it has been found.
+
+    Raises:
+        StudyError: The arm reaches none of many.
+    """
+    asked = [inspect.getsource(sys.modules[__name__]), options.seed, number]
+    found = kept(options.robot, asked, lambda: _drawn(options, number))
+    curve, q_m = found
+    kind, start, end, centre, duration = curve
+    centre = None if centre is None else tuple(centre)
+    return Task(Curve(kind, tuple(start), tuple(end), centre, duration), tuple(q_m))
+
+
+def _drawn(options: Options, number: int) -> list[object]:
+    rng = np.random.default_rng([options.seed, number])
+    model = load(options.robot).model
+    for _ in range(_TRIES):
+        curve = _curve(options.robot, rng)
+        seed, turn = int(rng.integers(2**31)), float(rng.uniform(-_HAND_TURN, _HAND_TURN))
+        places = [curve.place(float(s))[0] for s in (0.0, *_ALONG)]
+        if min(_gap(options.robot, p) for p in places) < _NEAREST:
+            continue
+        quickest = max(_DURATION[0], _length(places) / _SPEED)
+        if quickest > _DURATION[1]:
+            continue
+        curve = curve._replace(duration=float(rng.uniform(quickest, _DURATION[1])))
+        q = posture(options.robot, curve.start, seed=seed, turn=turn)
+        if q is not None and _reached(model, curve, q, rng):
+            return [list(curve), q.tolist()]
+    raise StudyError(f"the arm of {options.robot} tracks none of {_TRIES} curves")
+
+
+def _curve(robot: str, rng: np.random.Generator) -> Curve:
+    kind = KINDS[rng.integers(len(KINDS))]
+    start, duration = place_beside(robot, rng), 0.0  # its duration comes with its length
+    x, y, z = start.p
+    end_z = max(z + rng.uniform(-_RISE, _RISE), 0.1)
+    if kind == "towards":
+        angle, length = rng.uniform(-_CONE, _CONE), rng.uniform(*_LENGTH)
+        way = pin.utils.rotate("z", float(angle)) @ np.array(start.inwards)
+        end = (x + length * way[0], y + length * way[1], end_z)
+        return Curve(kind, start.p, _floats(end), None, duration)
+    if kind == "diagonal":
+        other = place_beside(robot, rng).p
+        return Curve(kind, start.p, _floats((other[0], other[1], end_z)), None, duration)
+    found = load(robot)
+    centre = (found.lower[:2] + found.upper[:2]) / 2
+    turn = rng.uniform(*_TURN) * rng.choice([-1.0, 1.0])
+    wider = rng.uniform(0.9, 1.1)
+    out = wider * (pin.utils.rotate("z", float(turn))[:2, :2] @ (np.array([x, y]) - centre))
+    end = (centre[0] + out[0], centre[1] + out[1], end_z)
+    return Curve(kind, start.p, _floats(end), (float(centre[0]), float(centre[1])), duration)
+
+
+def _floats(p: tuple[float, float, float]) -> Point:
+    return float(p[0]), float(p[1]), float(p[2])
+
+
+def _length(places: list[Array]) -> float:
+    """[m] of the way through some places."""
+    return sum(float(np.linalg.norm(b - a)) for a, b in pairwise(places))
+
+
+def _gap(robot: str, p: Array) -> float:
+    """[m] from the base's box to a place (3,)."""
+    found = load(robot)
+    return float(np.linalg.norm(p - np.clip(p, found.lower, found.upper)))
+
+
+def _reached(model: RobotModel, curve: Curve, q: Array, rng: np.random.Generator) -> bool:
+    """Whether a base that stands lets the arm keep the hand's orientation all along."""
+    state = RobotState(model)
+    state.update_kinematics(at_rest(model, q))
+    orientation = state.T_world_ee.rotation.copy()
+    for s in _ALONG:
+        target = pin.SE3(orientation, curve.place(float(s))[0])
+        guesses = [q, *rng.uniform(model.q_lower, model.q_upper, (_GUESSES, model.n_m))]
+        for guess in guesses:
+            found = _nearest(state, target, guess)
+            if found is not None:
+                q = found
+                break
+        else:
+            return False
+    return True
+
+
+def _nearest(state: RobotState, target: pin.SE3, guess: Array) -> Array | None:
+    """(n_m,) a posture with the hand at a pose in the world, or None if the search fails."""
+    model = state.model
+
+    def residual(q: Array) -> Array:
+        state.update_kinematics(at_rest(model, q))
+        return pin.log6(state.T_world_ee.actInv(target)).vector
+
+    def jacobian(q: Array) -> Array:
+        error = residual(q)
+        R = state.T_world_ee.rotation.T
+        J = state.J_ee[:, model.n_b :]
+        return -pin.Jlog6(pin.exp6(-error)) @ np.vstack([R @ J[:3], R @ J[3:]])
+
+    q = best_posture(residual, jacobian, guess, (model.q_lower, model.q_upper))
+    return q if float(np.abs(residual(q)).max()) < _REACHED else None

@@ -1,0 +1,99 @@
+"""Drawing pulls: the same for the same seed and number, whatever else is drawn."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from app.errors import StudyError
+from benchmarks.law.options import Options
+from benchmarks.law.pull import Point, Pull
+from benchmarks.law.robot import load
+from benchmarks.law.starts import place_above, place_beside, posture
+
+Array = np.ndarray
+Interval = tuple[float, float]
+
+_PROJECTS_TRIES = 16  # of the start solver per pitch of the hand, as `dbb run` has it
+_TRIES = 200  # places drawn before a case is given up
+_CONE = math.radians(50.0)  # half of the angle about the way inwards in which the hand is led
+_END = -0.15, 0.10  # [m] from the base's box to where the hand is led
+
+
+def named_pull(
+    options: Options, name: str, start: Point, move: Point, lead_s: float, stiffness: float,
+    f_max: float,
+) -> Pull:  # fmt: skip
+    """A pull from a given place.
+
+    Raises:
+        StudyError: The arm does not reach it.
+    """
+    q = posture(options.robot, start, tries=_PROJECTS_TRIES)
+    if q is None:
+        raise StudyError(f"{name}: the arm of {options.robot} does not reach {start}")
+    return Pull(
+        name, options.robot, options.controller, tuple(q.tolist()), start, move, lead_s, stiffness,
+        f_max,
+    )  # fmt: skip
+
+
+def random_pull(
+    options: Options, number: int, rng: np.random.Generator, *, f_max: Interval,
+    stiffness: Interval, lead: Interval | None = None, speed: Interval = (0.2, 1.2),
+    above: float = 0.0,
+) -> Pull:  # fmt: skip
+    """A pull from a random place, within a cone towards the base.
+
+    Args:
+        options: Robot and controller.
+        number: Of the case.
+        rng: Where it is drawn from.
+        f_max: [N] of the person.
+        stiffness: [N/m] of the person, even in its logarithm.
+        lead: [s] how long the hand is led; else by its speed.
+        speed: [m/s] mean speed of the led hand.
+        above: [-] share of the starts over the base.
+
+    Raises:
+        StudyError: No place was found from which to start.
+    """
+    over = rng.random() < above
+    for _ in range(_TRIES):
+        place = (place_above if over else place_beside)(options.robot, rng)
+        seed = int(rng.integers(2**31))
+        q = posture(options.robot, place.p, seed=seed)
+        if q is not None:
+            break
+    else:
+        raise StudyError(f"the arm of {options.robot} reaches none of {_TRIES} starts")
+    inwards = np.array(place.inwards)
+    way = _in_cone(inwards, rng)
+    length = (place.gap - rng.uniform(*_END)) / float(way @ inwards)
+    x, y, z = (length * way).tolist()
+    lasting = rng.uniform(*lead) if lead else length / rng.uniform(*speed)
+    k = math.exp(rng.uniform(math.log(stiffness[0]), math.log(stiffness[1])))
+    return Pull(
+        f"{number}{', above' if over else ''}", options.robot, options.controller,
+        tuple(q.tolist()), place.p, (x, y, z), float(lasting), k, float(rng.uniform(*f_max)),
+    )  # fmt: skip
+
+
+def side(place: Point, robot: str) -> str:
+    """Where a place (3,) [m] in the base's frame lies, as seen from the base's box."""
+    found = load(robot)
+    x, y, _ = place
+    beside_x = "front" if x > found.upper[0] else "back" if x < found.lower[0] else ""
+    beside_y = not found.lower[1] <= y <= found.upper[1]
+    if beside_x:
+        return f"{beside_x} corner" if beside_y else beside_x
+    return "side" if beside_y else "above"
+
+
+def _in_cone(axis: Array, rng: np.random.Generator) -> Array:
+    """(3,) a random unit vector within `_CONE` of another, even over the sphere."""
+    cosine = rng.uniform(math.cos(_CONE), 1.0)
+    side = rng.normal(size=3)
+    side -= (side @ axis) * axis
+    return cosine * axis + math.sqrt(1.0 - cosine**2) * side / np.linalg.norm(side)

@@ -1,0 +1,110 @@
+"""Smooth random motions of the whole robot, with exact velocities and accelerations."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
+
+Array = np.ndarray
+
+_BAND = 0.3, 1.5  # [Hz]
+_WAVES = 3  # sines a coordinate
+_SAMPLES = 16  # of a motion, by which its speed is measured
+
+
+class Waves(NamedTuple):
+    """x(t) = x_0 + Σ a_k sin(ω_k t + φ_k) of some coordinates.
+
+    Attributes:
+        middle: (m,) x_0.
+        amplitude, phase: (k, m) a and φ.
+        rate: (k, m) [rad/s] ω.
+    """
+
+    middle: Array
+    amplitude: Array
+    phase: Array
+    rate: Array
+
+    def at(self, t: float) -> tuple[Array, Array, Array]:
+        """x, ẋ and ẍ (m,) at time t [s]."""
+        angle = self.rate * t + self.phase
+        s, c = self.amplitude * np.sin(angle), self.amplitude * np.cos(angle)
+        return (
+            self.middle + s.sum(axis=0),
+            (self.rate * c).sum(axis=0),
+            -(self.rate**2 * s).sum(axis=0),
+        )
+
+
+class Motion(NamedTuple):
+    """A motion of arm and base; the base's place stays, which no distance and no law can see.
+
+    Attributes:
+        arm: Of the joints (n_m,) [rad or m].
+        base: Of the base's axes; its first derivative (n_b,) is their velocity.
+    """
+
+    arm: Waves
+    base: Waves
+
+    def at(self, t: float) -> tuple[Measurement, Array, Array]:
+        """At time t [s]: the sensors' readings, the accelerations of base (n_b,) and arm (n_m,)."""
+        q, qd, qdd = self.arm.at(t)
+        _, v, vd = self.base.at(t)
+        return Measurement(np.zeros(3), v, q, qd), vd, qdd
+
+
+def random_motion(
+    model: RobotModel, q: Array, speed: float, rng: np.random.Generator, duration: float
+) -> Motion:
+    """A motion whose arm passes q (n_m,) at half of its duration [s], its hand at most this fast.
+
+    Args:
+        model: The robot.
+        q: (n_m,) [rad or m]
+        speed: [m/s] largest speed of the hand in the world.
+        rng: Where it is drawn from.
+        duration: [s]
+    """
+    motion = Motion(random_waves(q, rng, 1.0), random_waves(np.zeros(model.n_b), rng, 0.2))
+    scale = speed / _fastest(model, motion, duration)
+    arm, base = (
+        waves._replace(amplitude=scale * waves.amplitude) for waves in (motion.arm, motion.base)
+    )
+    offset = arm.at(0.5 * duration)[0] - q
+    return Motion(arm._replace(middle=arm.middle - offset), base)
+
+
+def one_joint_motion(model: RobotModel, q: Array, joint: int, speed: float, t: float) -> Motion:
+    """A motion of one joint alone that passes q (n_m,) at time t [s] with this speed [rad/s]."""
+    rate = 2 * math.pi * _BAND[0]
+    amplitude = np.zeros((1, model.n_m))
+    amplitude[0, joint] = speed / rate
+    arm = Waves(q, amplitude, np.full_like(amplitude, -rate * t), np.full_like(amplitude, rate))
+    still = np.zeros((1, model.n_b))
+    return Motion(arm, Waves(still[0], still, still, still))
+
+
+def random_waves(middle: Array, rng: np.random.Generator, size: float) -> Waves:
+    """Some sines of the band about a middle (m,), their rates of change as large as `size`."""
+    shape = _WAVES, len(middle)
+    rate = 2 * math.pi * rng.uniform(_BAND[0], _BAND[1], shape)
+    return Waves(
+        middle, size * rng.normal(size=shape) / rate, rng.uniform(0, 2 * math.pi, shape), rate
+    )
+
+
+def _fastest(model: RobotModel, motion: Motion, duration: float) -> float:
+    """[m/s] of the hand, with the joints near the middle of their motion."""
+    state, fastest = RobotState(model), 1e-9
+    for t in np.linspace(0.0, duration, _SAMPLES):
+        measured = motion.at(float(t))[0]._replace(q_m=motion.arm.middle)
+        state.update_kinematics(measured)
+        fastest = max(fastest, float(np.linalg.norm(state.v_ee[:3])))
+    return fastest

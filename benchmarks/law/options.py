@@ -1,0 +1,24 @@
+"""What all measurements are asked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of every measurement."""
+
+    robot: str = "husky_panda"
+    """Name of the robot."""
+    controller: str = "dbb"
+    """Name of the controller."""
+    seed: int = 0
+    """Of all that is drawn."""
+    jobs: int = 1
+    """Processes."""
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Print one JSON object."""

@@ -1,0 +1,34 @@
+"""Random poses of the arm inside the buffer of its base."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from app.config import Config
+from app.robot.link_pairs import PairDistances
+from app.robot.state import RobotState, at_rest
+from app.simulation.start import FloorDistance
+from benchmarks.law.robot import Robot
+
+Array = np.ndarray
+
+_NEAR = 0.01  # [m] least distance of a pair
+_MARGIN = 0.05  # [-] share of a joint's range kept from its limits
+
+
+def pose_in_buffer(robot: Robot, rng: np.random.Generator) -> Array:
+    """(n_m,) the arm's joints with a pair of L_m inside its buffer, nothing touching anything."""
+    model, pairs, d_b = robot.model, robot.data.pairs, Config().border.d_b
+    reader, n = PairDistances(model, pairs.all), robot.n_mobile
+    state = RobotState(model)
+    floor = FloorDistance(state)
+    margin = _MARGIN * (model.q_upper - model.q_lower)
+    while True:
+        q = rng.uniform(model.q_lower + margin, model.q_upper - margin)
+        reader.update(model.configuration((0.0, 0.0, 0.0), q))
+        d = [reader.distance(i) for i in range(len(reader.pairs))]
+        if min(d) < _NEAR or min(d[:n]) > d_b - _NEAR:
+            continue
+        state.update_kinematics(at_rest(model, q))
+        if floor.least() > 0.0:
+            return q

@@ -1,0 +1,101 @@
+"""A pull: a person leads the hand along a line, holds it there, and perhaps lets go."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+from contextlib import closing
+from typing import NamedTuple
+
+import numpy as np
+
+from app.config import Config
+from app.robot.model import RobotModel
+from app.simulation.person import PersonHand
+from app.simulation.session import DT, Session, Step
+from app.simulation.settled import settled
+from benchmarks.law.robot import load
+
+Array = np.ndarray
+Point = tuple[float, float, float]
+
+
+class Pull(NamedTuple):
+    """A case of a pull.
+
+    Attributes:
+        name: For people.
+        robot: Name of the robot.
+        controller: Name of the controller.
+        q_m: (n_m,) [rad or m] the arm's joints at the start; the base stands at the origin.
+        start: (3,) [m] where the hand is then.
+        move: (3,) [m] how far the person leads it.
+        lead_s: [s] how long, along a cubic in time.
+        stiffness: [N/m] of the person.
+        f_max: [N] of the person.
+    """
+
+    name: str
+    robot: str
+    controller: str
+    q_m: tuple[float, ...]
+    start: Point
+    move: Point
+    lead_s: float
+    stiffness: float
+    f_max: float
+
+    def target(self, t: float) -> Array:
+        """(3,) [m] where the person leads the hand at time t [s]; never below the floor."""
+        s = min(max(t / self.lead_s, 0.0), 1.0)
+        place = np.array(self.start) + s * s * (3 - 2 * s) * np.array(self.move)
+        place[2] = max(place[2], 0.0)
+        return place
+
+    def config(self) -> Config:
+        """The defaults with this person, who may be stiffer than the configuration's range."""
+        hand = {"stiffness": self.stiffness, "f_max": self.f_max}
+        config = Config()
+        return config.model_copy(update={"hand": config.hand.model_copy(update=hand)})
+
+
+class Moment(NamedTuple):
+    """One step of a pull.
+
+    Attributes:
+        session: After the step.
+        step: What happened.
+        p, v: (3,) [m] and [m/s] the hand, at the step's begin.
+        person_speed: [m/s] of the person's own hand; 0 when it has let go.
+    """
+
+    session: Session
+    step: Step
+    p: Array
+    v: Array
+    person_speed: float
+
+
+def moments(pull: Pull) -> Generator[Moment, bool | None, None]:
+    """The steps of a pull, without an end; whoever takes them sends True once it is let go."""
+    robot, config = load(pull.robot), pull.config()
+    session = Session(robot.model, robot.data, config, controller=pull.controller)
+    with settled(), closing(session):
+        session.reset(np.array(pull.q_m))
+        shadow, held, before = PersonHand(config.hand, DT), True, np.array(pull.start)
+        while True:
+            target = pull.target(session.t) if held else None
+            step = session.step(pull=target)
+            state = session.state
+            p, v = state.T_world_ee.translation.copy(), state.v_ee[:3].copy()
+            shadow.force(p, v, target)  # moves as the session's person does, who shows no place
+            place = shadow.place
+            speed = 0.0 if place is None else math.dist(place, before) / DT
+            before = before if place is None else place
+            let_go = yield Moment(session, step, p, v, speed)
+            held = held and not let_go
+
+
+def joint_share(step: Step, model: RobotModel) -> float:
+    """[-] largest |q̇| / q̇_max of the arm's joints."""
+    return float(np.max(np.abs(step.truth.qd_m) / model.qd_max))

@@ -1,0 +1,53 @@
+"""The robot of a measurement, once a process."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from app.border.cache import BorderData, load_border_data
+from app.border.mobile import MobileBody
+from app.robot.assets import load_robot
+from app.robot.model import RobotModel
+
+Array = np.ndarray
+
+
+class Robot(NamedTuple):
+    """A robot and what surrounds its base.
+
+    Attributes:
+        model: The robot.
+        data: Its pairs and clouds.
+        lower, upper: (3,) [m] corners of the base's box, in the base's frame.
+    """
+
+    model: RobotModel
+    data: BorderData
+    lower: Array
+    upper: Array
+
+    @property
+    def pair_names(self) -> list[str]:
+        """Of all pairs, those of L_m first, as the distances of a step stand."""
+        pairs = self.data.pairs
+        return [pair.name for pair in (*pairs.mobile, *pairs.manipulator)]
+
+    @property
+    def n_mobile(self) -> int:
+        """How many pairs are of L_m."""
+        return len(self.data.pairs.mobile)
+
+
+@cache
+def load(name: str) -> Robot:
+    """The robot of that name.
+
+    Raises:
+        UnknownNameError: No robot has that name.
+    """
+    model = RobotModel(load_robot(name))
+    body = MobileBody(model)
+    return Robot(model, load_border_data(model, progress=False), body.lower, body.upper)

@@ -1,0 +1,132 @@
+"""Where the hand of a case starts: random places around and over the base, and postures there.
+
+A posture takes a second to find, so those that were found are kept in the folder for temporary
+files, for as long as the start solver and the robot are the same.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import json
+import math
+import os
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from app.config import Config
+from app.errors import UnreachableError
+from app.simulation import start as start_module
+from app.simulation.start import StartSolver
+from benchmarks.law.robot import load
+
+Array = np.ndarray
+Point = tuple[float, float, float]
+
+_GAP = 0.22, 0.45  # [m] from the base's outline to the hand, in plan
+_HEIGHT = 0.15, 0.60  # [m] of a hand beside the base, above the floor
+_RISE = 0.22, 0.45  # [m] from the base's top to a hand over it
+
+
+class Place(NamedTuple):
+    """Where a hand may start.
+
+    Attributes:
+        p: (3,) [m] in the base's frame.
+        inwards: (3,) unit vector towards the base.
+        gap: [m] from the base's box.
+    """
+
+    p: Point
+    inwards: Point
+    gap: float
+
+
+def place_beside(robot: str, rng: np.random.Generator) -> Place:
+    """A random place around the base's outline, each direction as likely."""
+    found = load(robot)
+    middle, half = (found.lower + found.upper) / 2, (found.upper - found.lower) / 2
+    angle = rng.uniform(-math.pi, math.pi)
+    gap, z = rng.uniform(*_GAP), rng.uniform(*_HEIGHT)
+    out = np.array([math.cos(angle), math.sin(angle)])
+    edge = float(np.min(half[:2] / np.maximum(np.abs(out), 1e-9))) * out
+    nearest = np.clip(edge + gap * out, -half[:2], half[:2])
+    away = edge + gap * out - nearest
+    away /= np.linalg.norm(away)
+    x, y = middle[:2] + nearest + gap * away
+    return Place(
+        (float(x), float(y), float(z)), (-float(away[0]), -float(away[1]), 0.0), float(gap)
+    )
+
+
+def place_above(robot: str, rng: np.random.Generator) -> Place:
+    """A random place over the base's top."""
+    found = load(robot)
+    x, y = rng.uniform(found.lower[:2], found.upper[:2])
+    gap = float(rng.uniform(*_RISE))
+    return Place((float(x), float(y), float(found.upper[2]) + gap), (0.0, 0.0, -1.0), gap)
+
+
+def posture(
+    robot: str, p: Point, *, seed: int = 0, turn: float = 0.0, tries: int = 4
+) -> Array | None:
+    """(n_m,) the arm with its hand at a place, clear of all buffers, or None if there is none.
+
+    Args:
+        robot: Name of the robot.
+        p: (3,) [m] in the base's frame.
+        seed: Of the search.
+        turn: [rad] by how much the hand points to the left of straight away from the mount.
+        tries: Of the search per pitch of the hand.
+    """
+
+    def search() -> list[float] | None:
+        try:
+            return _solver(robot).solve(p, seed=seed, turn=turn, tries=tries).tolist()
+        except UnreachableError:
+            return None
+
+    found = kept(robot, ["posture", p, seed, turn, tries], search)
+    return None if found is None else np.array(found)
+
+
+def kept(robot: str, asked: list[Any], search: Callable[[], Any]) -> Any:
+    """What a search finds, from the folder if it has been asked the same before.
+
+    Args:
+        robot: Name of the robot.
+        asked: What is searched, as JSON can say it.
+        search: Gives what JSON can hold.
+    """
+    key = hashlib.sha256(json.dumps([_digest(robot), *asked]).encode()).hexdigest()[:24]
+    path = _folder() / f"{key}.json"
+    if path.is_file():
+        return json.loads(path.read_text(encoding="utf-8"))
+    fresh = path.with_suffix(f".{os.getpid()}")
+    fresh.write_text(json.dumps(search()), encoding="utf-8")
+    fresh.replace(path)
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+@cache
+def _solver(robot: str) -> StartSolver:
+    model, data, *_ = load(robot)
+    return StartSolver(model, data.pairs, Config().border.d_b)
+
+
+@cache
+def _digest(robot: str) -> str:
+    description = load(robot).model.description.model_dump_json()
+    return hashlib.sha256((inspect.getsource(start_module) + description).encode()).hexdigest()
+
+
+@cache
+def _folder() -> Path:
+    folder = Path(tempfile.gettempdir()) / f"dbb-law-starts-{os.getuid()}"
+    folder.mkdir(exist_ok=True)
+    return folder
