@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cache
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -21,7 +21,7 @@ from app.robot.state import RobotState
 from benchmarks.law.motions import Motion, one_joint_motion, random_motion
 from benchmarks.law.options import Options
 from benchmarks.law.poses import pose_in_buffer
-from benchmarks.law.report import Report
+from benchmarks.law.report import Report, largest
 from benchmarks.law.robot import load
 from benchmarks.law.work import played
 
@@ -35,9 +35,16 @@ _FINER = 0.5, 0.25, 0.125  # [-] of that step
 _WINDOW = 2  # steps before and after the worst one that are refined
 _OFF = np.array([0.003, -0.002, 0.001])  # [m] of the reference from the tracking hand
 _ASKED = 0.02, 0.05  # [m/s²] and [rad/s²] a step
-KINDS = ("guided", "robot"), ("tracking", "wide"), ("tracking", "robot")
-"""How the law is asked, and whose limits the arm has. A guided base knows none of the arm's; the
-last kind has changes of active limits in it and is not held to what is asked."""
+Kind = Literal["guided", "tracking", "tracking-limited"]
+KINDS: dict[Kind, tuple[str, str]] = {
+    "guided": ("guided", "robot"), "tracking": ("tracking", "wide"),
+    "tracking-limited": ("tracking", "robot"),
+}  # fmt: skip
+"""Whether the law has a reference, and whose limits the arm has.
+
+A guided base knows none of the arm's; the last kind has changes of active limits in it, so that it
+is not held to what is asked.
+"""
 
 
 class Path(NamedTuple):
@@ -47,7 +54,7 @@ class Path(NamedTuple):
         options: Robot, controller and seed.
         number: Of the motion; below zero it is the audit's state, one joint moving.
         mode: With a reference, `tracking`, or without, `guided`.
-        limits: The `robot`'s, or `wide` ones of torque and position that no motion meets.
+        limits: The `robot`'s, or `wide` ones that no motion meets, but for those of speed.
         duration: [s]
         speed: [m/s] of the hand at most.
     """
@@ -69,7 +76,7 @@ class Refinement(NamedTuple):
 
 def continuity(
     options: Options, count: int = 1000, duration: float = 0.2, speed: float = 0.25,
-    refined: int = 12, first: int = 0,
+    refined: int = 12, first: int = 0, kinds: tuple[Kind, ...] = tuple(KINDS),
 ) -> Report:  # fmt: skip
     """Walk smooth random motions of arm and base inside the buffer, in steps of 1 ms.
 
@@ -80,28 +87,29 @@ def continuity(
         speed: [m/s] of the hand at most.
         refined: Places of each kind at which the step is refined.
         first: Number of the first motion; from 0 the audit's own state is among them.
+        kinds: What is asked of the law: see `KINDS`.
     """
     audits = load(options.robot).model.n_m if options.robot == "husky_panda" and first == 0 else 0
     own = range(first - audits, first + count)
     rows = []
-    for mode, limits in KINDS:
-        paths = [Path(options, k, mode, limits, duration, speed) for k in own]
-        rows.append(_row(mode, limits, paths, refined, options.jobs))
-    judged = rows[:-1]
+    for kind in kinds:
+        paths = [Path(options, k, *KINDS[kind], duration, speed) for k in own]
+        rows.append(_row(kind, paths, refined, options.jobs))
+    judged = [row for row in rows if row["kind"] != "tracking-limited"]
     summary = {
         "paths": count, "hand_speed_mps": speed, "asked_mps2": _ASKED[0], "asked_radps2": _ASKED[1],
-        "away_from_limits_mps2": max(row["linear_mps2_per_ms"] for row in judged),
-        "away_from_limits_radps2": max(row["angular_radps2_per_ms"] for row in judged),
-        "jump_mps2": max(row["linear_jump_mps2"] for row in judged),
-        "jump_radps2": max(row["angular_jump_radps2"] for row in judged),
+        "away_from_limits_mps2": largest(judged, "linear_mps2_per_ms"),
+        "away_from_limits_radps2": largest(judged, "angular_radps2_per_ms"),
+        "jump_mps2": largest(judged, "linear_jump_mps2"),
+        "jump_radps2": largest(judged, "angular_jump_radps2"),
     }  # fmt: skip
     return Report("continuity", rows, summary)
 
 
-def _row(mode: str, limits: str, paths: list[Path], refined: int, jobs: int) -> dict[str, Any]:
-    """One mode with one kind of limits: the worst steps, and what of them is a jump."""
-    worst = played(_worst, paths, jobs, f"{mode}, limits {limits}")
-    found: dict[str, Any] = {"mode": mode, "limits": limits}
+def _row(kind: str, paths: list[Path], refined: int, jobs: int) -> dict[str, Any]:
+    """Of one kind: the worst steps, and what of them is a jump."""
+    worst = played(_worst, paths, jobs, kind)
+    found: dict[str, Any] = {"kind": kind}
     for axis, (name, unit) in enumerate((("linear", "mps2"), ("angular", "radps2"))):
         change = np.array([each[axis].change for each in worst])
         kink = np.array([each[axis].kink for each in worst])
@@ -109,7 +117,7 @@ def _row(mode: str, limits: str, paths: list[Path], refined: int, jobs: int) -> 
         chosen = {(int(k), worst[k][axis].t) for k in np.argsort(-change)[:refined]}
         chosen |= {(int(k), worst[k][axis].t_kink) for k in np.argsort(-kink)[:refined]}
         places = [Refinement(paths[k], t) for k, t in sorted(chosen)]
-        by_step = np.array(played(_refined, places, jobs, f"{mode}: refined"))[:, :, axis]
+        by_step = np.array(played(_refined, places, jobs, f"{kind}: refined"))[:, :, axis]
         jumps = jumps_of(by_step)
         steepest, jump = int(np.argmax(by_step[:, 0])), int(np.argmax(jumps))
         found |= {
@@ -174,11 +182,13 @@ def _refined(place: Refinement) -> list[list[float]]:
 def _changes(path: Path, times: Sequence[float] | Array, h: float) -> Array:
     """(len - 1, 2) change of the linear and the angular acceleration from each instant to the next.
 
-    0 where a pair touches: there is no buffer left to be continuous in.
+    The asked acceleration counts within the robot's own limits, whoever clips it. 0 where a pair
+    touches: there is no buffer left to be continuous in.
     """
     options = path.options
     controller = _controller(options.robot, options.controller, path.limits, h)
     motion, state = _motion(path), RobotState(load(options.robot).model)
+    most = load(options.robot).model.base_acceleration_max
     controller.reset()
     controller.q_posture = motion.arm.middle.copy()
     asked, touching = [], []
@@ -193,7 +203,7 @@ def _changes(path: Path, times: Sequence[float] | Array, h: float) -> Array:
                 state.v_ee.copy(), state.J_ee @ qdd_all + state.Jdqd_ee,
             )  # fmt: skip
         output = controller.step(measured, reference, base_acceleration=base_acceleration)
-        asked.append(output.base_acceleration)
+        asked.append(np.clip(output.base_acceleration, -most, most))
         touching.append(min(pair.closest.d for pair in output.avoidance.pairs) <= 0.0)
     steps = np.diff(np.array(asked), axis=0)
     steps[np.array(touching)[1:] | np.array(touching)[:-1]] = 0.0
@@ -220,9 +230,10 @@ def _controller(robot: str, name: str, limits: str, h: float) -> Controller:
 
 @cache
 def _wide(robot: str) -> RobotModel:
-    """The robot with limits of torque and position that no motion meets."""
+    """The robot with limits of torque, position and base that no motion meets."""
     model = RobotModel(load(robot).model.description)
     model.tau_max = 100.0 * model.tau_max
+    model.base_acceleration_max = 100.0 * model.base_acceleration_max
     reach = 10.0 * (model.q_upper - model.q_lower)
     model.q_lower, model.q_upper = model.q_lower - reach, model.q_upper + reach
     model.q_limits = np.array([model.q_lower, model.q_upper])
