@@ -72,6 +72,19 @@ class BarrierConfig(Strict):
     """[1/s] how fast a pair may close in on that distance, per distance left."""
 
 
+class HoldingConfig(Strict):
+    """Where the arm cannot hold its hand in place while the base moves, the base moves less."""
+
+    speed: Annotated[float, Shown("arm keeps up at", advanced=True)] = Field(
+        default=0.1, ge=0.01, le=1.0
+    )
+    """[m/s] of the hand at the joints' largest speeds: where it is less, the arm does not hold."""
+    weight: Annotated[float, Shown("hand weighs", advanced=True, log=True)] = Field(
+        default=100.0, ge=0.01, le=1e4
+    )
+    """[-] of a hand that the base would take along, in masses of the base."""
+
+
 class TaskConfig(Strict):
     """The tasks below self-collision avoidance."""
 
@@ -186,6 +199,8 @@ class Config(Strict):
     """Repulsion"""
     barrier: BarrierConfig = BarrierConfig()
     """Barrier"""
+    holding: HoldingConfig = HoldingConfig()
+    """Holding"""
     task: TaskConfig = TaskConfig()
     """Tasks"""
     limit: LimitConfig = LimitConfig()

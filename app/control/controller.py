@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from app.avoidance.holding import base_with_hand
 from app.avoidance.self_collision import Avoidance, SelfCollisionAvoidance
 from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
@@ -187,12 +188,11 @@ class Controller:
 
         Paper: Eq. (29), the base's rows.
         """
-        rows_m = inserted.rows_m
+        rows_m, free = inserted.rows_m, self._free_base(inserted, reference)
         if rows_m is None:
-            return self._free_base(inserted, reference)
-        if rows_m.beta >= 1.0:
-            return rows_m.xdd
-        return rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * self._free_base(inserted, reference)
+            return free
+        wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
+        return base_with_hand(self.state, wanted, free, self._config.holding)
 
     def _free_base(self, inserted: Inserted, reference: Reference | None) -> Array:
         """The base's acceleration in the solution of (29) without its rows, (n_b,).

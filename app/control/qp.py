@@ -15,7 +15,6 @@ from app.control.linear_algebra import holds, minimum, scaled_rows
 Array = np.ndarray
 
 _EPS = 1e-8  # accuracy of ProxQP, in units of the normalised rows
-_GOOD_ENOUGH = 1e-5  # the same for an answer that is taken though it took too many iterations
 
 
 class Objective(NamedTuple):
@@ -91,27 +90,26 @@ class TaskQP:
     def _nearest(self, A: Array, l: Array, u: Array, slot: str) -> Array:
         """The shortest v with l ≤ A v ≤ u."""
         key = (slot, *A.shape)
-        qp = self._qps.get(key)
-        if qp is None:
-            m, n = A.shape
-            qp = self._qps[key] = _make_qp(n, m)
-            qp.init(np.eye(n), np.zeros(n), None, None, A, l, u)
-        else:
+        for qp in (self._qps.pop(key, None), _make_qp(*A.shape)):  # a warm start can lead astray
+            if qp is None:
+                continue
             qp.update(C=A, l=l, u=u)
-        qp.solve()
-        info = qp.results.info
-        if info.pri_res < _GOOD_ENOUGH and np.isfinite(qp.results.x).all():
-            return qp.results.x
-        del self._qps[key]  # a failed run is no start for the next one
-        raise NoSolutionError(f"ProxQP ended with {info.status.name}")
+            qp.solve()
+            if qp.results.info.status == proxqp.PROXQP_SOLVED:
+                self._qps[key] = qp
+                return qp.results.x
+        raise NoSolutionError(f"ProxQP ended with {qp.results.info.status.name}")
 
 
-def _make_qp(n: int, m: int) -> proxqp.dense.QP:
+def _make_qp(m: int, n: int) -> proxqp.dense.QP:
+    """min ½ ‖v‖² over v (n,) within m rows, still without their values."""
     qp = proxqp.dense.QP(n, 0, m)
     settings = qp.settings
     settings.eps_abs = _EPS
     settings.eps_rel = 0.0
     settings.eps_primal_inf = 1e-12  # the default calls feasible problems infeasible
-    settings.max_iter = 100
+    settings.max_iter = 200
     settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
+    rows = np.ones((m, n))
+    qp.init(np.eye(n), np.zeros(n), None, None, rows, -np.ones(m), np.ones(m))
     return qp
