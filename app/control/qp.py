@@ -14,7 +14,7 @@ from app.control.linear_algebra import holds, minimum, scaled_rows
 
 Array = np.ndarray
 
-_EPS = 1e-8  # accuracy of ProxQP, in units of the normalised rows
+_EPS = 1e-8  # by which limits may be missed, and accuracy of ProxQP
 
 
 class Objective(NamedTuple):
@@ -88,8 +88,9 @@ class TaskQP:
         return x + np.linalg.solve(L.T, z)
 
     def _nearest(self, A: Array, l: Array, u: Array, slot: str) -> Array:
-        """The shortest v with l ≤ A v ≤ u."""
-        key = (slot, *A.shape)
+        """The shortest v with l ≤ A v ≤ u, in units of the farthest that 0 is from a bound."""
+        far = max(float(l.max()), float(-u.min()))
+        key, l, u = (slot, *A.shape), l / far, u / far
         for qp in (self._qps.pop(key, None), _make_qp(*A.shape)):  # a warm start can lead astray
             if qp is None:
                 continue
@@ -97,7 +98,7 @@ class TaskQP:
             qp.solve()
             if qp.results.info.status == proxqp.PROXQP_SOLVED:
                 self._qps[key] = qp
-                return qp.results.x
+                return far * qp.results.x
         raise NoSolutionError(f"ProxQP ended with {qp.results.info.status.name}")
 
 
