@@ -6,12 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.avoidance.holding import base_with_hand
+from app.avoidance.holding import base_with_hand, carried
 from app.avoidance.self_collision import Avoidance, SelfCollisionAvoidance
 from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
 from app.border.score import ScoreField
 from app.config import Config, slowed
+from app.control.admittance import response
 from app.control.limits import arm_limits, robot_limits
 from app.control.methods import METHODS, Inserted
 from app.control.observer import PushObserver
@@ -192,7 +193,15 @@ class Controller:
         if rows_m is None:
             return free
         wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
-        return base_with_hand(self.state, wanted, free, self._config.holding)
+        # What the hand needs of the base, said so that the admittance law answers with it.
+        gain, drag = response(self._model.description.base, self._config.admittance)
+        held = free / gain + drag * self.state.measurement.base_velocity
+        holding = self._config.holding
+        R = carried(self.state, holding)
+        most = self._model.base_acceleration_max
+        return base_with_hand(
+            self.state, _clipped(wanted, most), held, gain, rows_m.beta * holding.weight, R
+        )
 
     def _free_base(self, inserted: Inserted, reference: Reference | None) -> Array:
         """The base's acceleration in the solution of (29) without its rows, (n_b,).
