@@ -139,7 +139,7 @@ class HandConfig(Strict):
     f_max: Annotated[float, Shown("hand force")] = Field(default=40.0, ge=1.0, le=150.0)
     """[N] largest force of the spring and damper."""
     mass: Annotated[float, Shown("hand mass", advanced=True)] = Field(default=0.0, ge=0.0, le=5.0)
-    """[kg] of the hand and forearm that hold the robot; a moving mass exerts more than the spring."""
+    """[kg] of the hand and forearm; while it is stopped it exerts more than the spring."""
 
 
 class DisturbanceConfig(Strict):

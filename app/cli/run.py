@@ -161,8 +161,9 @@ def run(
     chosen = chosen.changed(
         start=start, move=move, duration=duration, release_at=release_at, door_width=door_width,
         hinge=hinge, hinge_position=hinge_position, door_friction=door_friction,
-        door_angle=door_angle, door_yaw=door_yaw, radial_guess=radial_guess, opening_rate=opening_rate,
-        base=None if base is None else (base[0], base[1], math.radians(base[2])), begin=begin,
+        door_angle=door_angle, door_yaw=door_yaw, radial_guess=radial_guess,
+        opening_rate=opening_rate, begin=begin,
+        base=None if base is None else (base[0], base[1], math.radians(base[2])),
     )  # fmt: skip
     tuned = case.config() if case else configured(config)
     if border is not None:

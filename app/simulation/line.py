@@ -81,7 +81,7 @@ class LineScenario(Scenario):
             return
         if self.mode != "guiding":
             raise ConfigError(
-                f"--release-at: nobody holds the hand in {self.name}; only guiding scenarios have it"
+                f"--release-at: nobody holds the hand in {self.name}, only in guiding scenarios"
             )
         if release is None or not 0.0 < release < self.duration:
             raise ConfigError(
