@@ -117,8 +117,8 @@ class Envelope(Strict):
             low, high = getattr(self, name)
             if not low <= values[name] <= high:
                 return False
-        limit = self.limit(values["speed"], values["base_delay"])
-        return limit is not None and force <= limit
+        limit = self.limit(values["speed"], values["base_delay"])  # 0 where no force is safe
+        return limit is not None and force <= limit and limit > 0.0
 
     def holds_row(self, row: Row) -> bool:
         """The same of a row of the study's table, by the force that was exerted."""
