@@ -107,7 +107,9 @@ def study(
         check_range(f"--{name}", value, *bounds(name))
     parameters = StudyParameters(
         seed=seed, robot=robot, controller=controller, physics=physics, inside=inside,
-        ranges=StudyRange(**shares, **intervals),
+        ranges=StudyRange(
+            duration=duration, released=released, regrasped=regrasped, **intervals
+        ),
     )  # fmt: skip
     load_robot(robot)
     make_folder(out)

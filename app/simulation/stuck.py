@@ -72,7 +72,7 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
         "border against hand": _pushed_away(state, step) @ towards < -_PUSHED,
         "full stretch": _least_translation(state) < _STRETCHED,
     }
-    reasons = tuple(reason for reason, holds in found.items() if holds)
+    reasons: tuple[Reason, ...] = tuple(reason for reason, holds in found.items() if holds)
     return Stuck(
         step.ee_error, tuple(hand.tolist()), tuple(target.tolist()), reasons or ("unknown",), joints
     )
