@@ -188,7 +188,7 @@ def test_the_stiffest_hand_leads_the_arm_without_shaking_it(
     start, forces, speeds = session.T_world_ee.translation.copy(), [], []
     for k in range(900):
         s = min(k / 300, 1.0)
-        step = session.step(pull=start + [0.1 * s * s * (3 - 2 * s), 0.0, 0.0])
+        step = session.step(pull=start + np.array([0.1 * s * s * (3 - 2 * s), 0, 0]))
         forces.append(step.hand_force)
         speeds.append(step.hand_speed)
     session.close()

@@ -234,6 +234,12 @@ def test_inside_of_an_envelope_every_case_lies_in_it(sources):
         case = draw_case(study, number, sources, envelope)
         assert envelope.holds(case.model_dump(), force=case.hand_f_max)
         assert draw_case(PARAMETERS, number, sources) != case
+    narrow = envelope.model_copy(update={"hand_mass": (1.0, 1.0), "slip": (0.1, 0.1)})
+    case = draw_case(study, 0, sources, narrow)
+    assert (case.hand_mass, case.slip) == (1.0, 0.1)
+    elsewhere = envelope.model_copy(update={"v_max": (1.2, 1.5)})
+    with pytest.raises(StudyError, match=r"--v-max: nothing is stated from 0\.25 to 1, only"):
+        draw_case(study, 0, sources, elsewhere)
     empty = envelope.model_copy(update={"force": ((0.0, 0.0), (0.0, 0.0))})
     with pytest.raises(StudyError, match="lies in the stated envelope"):
         draw_case(study, 0, sources, empty)

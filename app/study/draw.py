@@ -67,8 +67,11 @@ def _draw_values(
     ranges: StudyRange, envelope: Envelope | None, rng: np.random.Generator
 ) -> dict[str, float]:
     """Speed, person and disturbances, by their names in `Case`."""
+    intervals = {name: getattr(ranges, name) for name in ("speed", *PARAMETERS)}
+    if envelope is not None:
+        intervals = {name: envelope.within(name, each) for name, each in intervals.items()}
     for _ in range(_TRIES):
-        drawn = {name: _draw(name, getattr(ranges, name), rng) for name in ("speed", *PARAMETERS)}
+        drawn = {name: _draw(name, each, rng) for name, each in intervals.items()}
         if envelope is None or envelope.holds(drawn, force=drawn["hand_f_max"]):
             return drawn
     raise StudyError(

@@ -106,6 +106,28 @@ class Envelope(Strict):
         i, j = _band(speed, self.speed), _band(base_delay, self.base_delay)
         return None if i is None or j is None else self.force[i][j]
 
+    def within(self, name: str, interval: Interval) -> Interval:
+        """The part of an interval of what a case draws in which something is stated.
+
+        Args:
+            name: As in `Case`.
+            interval: Least and largest value.
+
+        Raises:
+            StudyError: There is none.
+        """
+        if name not in _COLUMNS:
+            return interval
+        stated = getattr(self, name)
+        low, high = max(interval[0], stated[0]), min(interval[1], stated[-1])
+        if low > high:
+            raise StudyError(
+                f"--{name.replace('_', '-')}: nothing is stated from {interval[0]:g} to "
+                f"{interval[1]:g}, only from {stated[0]:g} to {stated[-1]:g}; --inside needs some "
+                "of that"
+            )
+        return low, high
+
     def holds(self, values: Mapping[str, float], *, force: float) -> bool:
         """Whether a case is inside.
 
