@@ -151,12 +151,14 @@ class AdmittanceConfig(Strict):
 class HandConfig(Strict):
     """The hand of a person who guides the end-effector: a spring and damper with a force limit."""
 
-    stiffness: Annotated[float, Shown("hand k")] = Field(default=300.0, ge=10.0, le=2000.0)
+    stiffness: Annotated[float, Shown("hand k")] = Field(default=300.0, ge=10.0, le=3000.0)
     """[N/m] of the spring between the person's hand and the robot's."""
     damping: Annotated[float, Shown("hand d")] = Field(default=25.0, ge=0.0, le=200.0)
     """[N s/m] of the damper beside that spring."""
     f_max: Annotated[float, Shown("hand force")] = Field(default=40.0, ge=1.0, le=150.0)
-    """[N] largest force."""
+    """[N] largest force of the spring and damper."""
+    mass: Annotated[float, Shown("hand mass", advanced=True)] = Field(default=0.0, ge=0.0, le=5.0)
+    """[kg] of the hand and forearm; while it is stopped it exerts more than the spring."""
 
 
 class DisturbanceConfig(Strict):

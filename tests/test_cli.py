@@ -33,6 +33,10 @@ FIGURES = {
     "base_displacement_m", "base_yaw_rad", "activation_max", "base_acceleration_jump_max",
     "torque_jump_max_nm", "solver_failures", "step_p50_us", "step_p99_us", "realtime_factor",
 }  # fmt: skip
+RELEASED = {
+    "base_path_after_release_m", "base_speed_final_mps", "hand_force_max_n",
+    "joint_speed_share_max", "solver_given_up", "stuck",
+}  # fmt: skip
 UNITS = ("_s", "_m", "_rad", "_nm", "_n", "_us", "_mps", "_radps", "_mps2", "_radps2")
 
 
@@ -96,17 +100,33 @@ def test_without_json_the_same_is_told_to_people(dbb, args):
 
 def test_figures_of_a_run_are_those_of_the_issue_and_further_ones_end_in_their_unit(dbb):
     figures = json.loads(dbb(*QUICK, "--json").out)
-    assert set(figures) >= FIGURES
+    assert set(figures) >= FIGURES | RELEASED
+    assert (figures["base_path_after_release_m"], figures["stuck"]) == (None, None)
     accelerations = ("base_acceleration", "avoidance_acceleration")
     by_axis = {f"{name}_{what}" for name in accelerations for what in ("jump_max", "sign_changes")}
     without_unit = {"physics", "floor_contacts", *by_axis}
-    assert not [k for k in set(figures) - FIGURES - without_unit if not k.endswith(UNITS)]
+    assert not [
+        k for k in set(figures) - FIGURES - RELEASED - without_unit if not k.endswith(UNITS)
+    ]
     axes = {"linear_mps2", "angular_radps2"}
     assert set(figures["base_acceleration_jump_max"]) == axes
     assert set(figures["avoidance_acceleration_jump_max"]) == axes
     assert set(figures["min_distance_m"]) == {"lm-lEE", "lm-l3", "l1-lEE", "l1-l3", "l2-lEE"}
     assert (figures["scenario"], figures["controller"]) == ("guiding-lateral", "dbb")
     assert (figures["duration_s"], figures["seed"], figures["robot"]) == (0.05, 0, "husky_panda")
+
+
+def test_the_base_of_a_hand_that_is_let_go_goes_on_at_the_motions_own_pace(dbb):
+    """Let go after 0.3 s or held on: until then the same motion, whatever the duration."""
+    args = ["run", "guiding-front", "--physics", "kinematic", "--json"]
+    figures = [
+        json.loads(dbb(*args, "--release-at", "0.3", "--duration", duration).out)
+        for duration in ("0.301", "0.8")
+    ]
+    short, long = (each["hand_force_max_n"] for each in figures)
+    assert short == long > 0.1
+    assert figures[1]["base_path_after_release_m"] >= 0.0
+    assert figures[1]["ee_error_final_m"] == 0.0
 
 
 def test_none_and_dbb_are_told_apart(dbb):
@@ -243,6 +263,16 @@ REFUSED = {
     "eps": (["border", "--tolerance", "-1"], ["--tolerance", "0.002 to 0.02 m"]),
     "duration": ([*QUICK[:4], "--duration", "-1"], ["--duration", "0.01 to 3600 s"]),
     "duration inf": ([*QUICK[:4], "--duration", "inf"], ["--duration", "inf"]),
+    "release after the end": (
+        ["run", "guiding-front", "--release-at", "9"], ["--release-at", "9.0 s", "0 to 8 s"],
+    ),
+    "release before the start": (
+        ["run", "guiding-front", "--release-at", "-1"], ["--release-at", "-1.0 s", "0 to 8 s"],
+    ),
+    "release of nobody": (
+        ["run", "tracking", "--release-at", "1"], ["--release-at", "nobody holds the hand"],
+    ),
+    "release of no line": (["run", "way-out", "--release-at", "1"], ["--release-at", "has none"]),
     "seed": ([*QUICK, "--seed", "-1"], ["--seed", "-1"]),
     "seed of pairs": (["pairs", "--seed", "-1"], ["--seed"]),
     "seed of border": (["border", "--seed", "-1"], ["--seed"]),

@@ -15,8 +15,9 @@ PULL = Case(
     physics="planar", start=(-0.0570, -0.6461, 0.4800), move=(-0.0130, 0.3770, -0.2684),
     speed=0.6083, duration=2.6416, moving=0.43216,
     q_m=(-1.16541, 1.20024, -1.00743, -1.69302, 2.15291, 2.65320, 0.0),
-    delay=0.18577, noise=0.00085, mass_error=0.0131, slip=0.0618, base_speed=0.3375,
-    strength=40.0, seed=3141514894,
+    base_delay=0.18577, encoder_noise=0.00085, mass_error=0.0131, slip=0.0618, v_max=0.3375,
+    hand_f_max=40.0, hand_stiffness=300.0, hand_mass=0.0, release_at=None, regrasp_at=None,
+    seed=3141514894,
 )  # fmt: skip
 
 

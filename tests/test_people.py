@@ -174,3 +174,25 @@ def test_links_are_those_of_the_arm_that_move_against_the_base(robot: RobotModel
         np.testing.assert_allclose(
             state.data.oMi[joint].act(p), frame.act(np.array([0.01, -0.02, 0.03])), atol=1e-12
         )
+
+
+@pytest.mark.parametrize("mass", [0.0, 0.2, 5.0])
+@pytest.mark.parametrize("plant", ["planar", "kinematic"])
+def test_the_stiffest_hand_leads_the_arm_without_shaking_it(
+    robot: RobotModel, border_data: BorderData, plant: str, mass: float
+):
+    """0.1 m away from the base in 0.3 s, then held: the force has no steps and the hand rests."""
+    config = Config().replace("hand.stiffness", 3000.0).replace("hand.mass", mass)
+    session = Session(robot, border_data, config, physics=plant)
+    session.reset(READY)
+    start, forces, speeds = session.T_world_ee.translation.copy(), [], []
+    for k in range(900):
+        s = min(k / 300, 1.0)
+        step = session.step(pull=start + np.array([0.1 * s * s * (3 - 2 * s), 0, 0]))
+        forces.append(step.hand_force)
+        speeds.append(step.hand_speed)
+    session.close()
+    assert 0.2 < max(speeds) < 0.8
+    assert np.abs(np.diff(forces, axis=0)).max() < 1.0  # [N] a step
+    assert speeds[-1] < 0.1  # a heavy hand on a stiff spring swings on
+    assert step.ee_error < 0.01

@@ -45,6 +45,82 @@ def test_the_person_is_never_stronger_than_the_limit():
     assert 16.99 < strongest <= 17.0 * (1 + 1e-12)
 
 
+MASSES = [0.2, 1.0, 5.0]  # [kg]
+STIFF = [300.0, 3000.0]  # [N/m]
+
+
+def swing(
+    config: HandConfig, body: float, steps: int, at: np.ndarray = AT, target: np.ndarray = AT,
+    speed: float = 0.0,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """A free body [kg] that a person took hold of at `at`: its places, speeds and the forces."""
+    person, p, v = PersonHand(config, DT), at.astype(float), np.array([speed, 0.0, 0.0])
+    places, speeds, forces = [], [], []
+    for _ in range(steps):
+        force = person.force(p, v, target)
+        v = v + force / body * DT
+        p = p + v * DT
+        places.append(p)
+        speeds.append(v)
+        forces.append(force)
+    return np.array(places), np.array(speeds), np.array(forces)
+
+
+@pytest.mark.parametrize("mass", MASSES)
+@pytest.mark.parametrize("stiffness", STIFF)
+def test_at_rest_a_hand_with_a_mass_is_the_same_spring_with_the_same_limit(mass, stiffness):
+    config = HandConfig(stiffness=stiffness, mass=mass, f_max=90.0)
+    way = np.array([2.0, -1.0, 0.5]) / np.linalg.norm([2.0, -1.0, 0.5])
+    soft = settled_force(PersonHand(config, DT), AT, AT + 0.02 * way)
+    np.testing.assert_allclose(soft, 0.02 * stiffness * way, rtol=1e-6)
+    strong = settled_force(PersonHand(config, DT), AT, AT + 0.5 * way)
+    np.testing.assert_allclose(strong, 90.0 * way, rtol=1e-6)
+
+
+@pytest.mark.parametrize("mass", [0.0, 0.01, *MASSES])
+@pytest.mark.parametrize("body", [0.8, 3.0])
+@pytest.mark.parametrize("damping", [25.0, 200.0])
+def test_the_stiffest_hand_brings_a_light_body_to_its_target_and_to_rest(mass, body, damping):
+    config = HandConfig(stiffness=3000.0, damping=damping, mass=mass, f_max=100.0)
+    target = AT + np.array([0.2, 0.1, 0.0])
+    places, speeds, _ = swing(config, body, 8000, target=target)
+    assert np.linalg.norm(speeds, axis=1).max() < 3.0
+    np.testing.assert_allclose(places[-1], target, atol=1e-4)
+    np.testing.assert_allclose(speeds[-1], 0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("stiffness", STIFF)
+@pytest.mark.parametrize("mass", [0.0, *MASSES])
+@pytest.mark.parametrize("speed", [0.3, 1.5])
+def test_with_the_target_at_rest_no_hand_gives_a_body_energy(stiffness, mass, speed):
+    """A body comes with some speed, and the hand goes along with it: theirs never grows."""
+    config = HandConfig(stiffness=stiffness, mass=mass, f_max=80.0)
+    _, v, f = swing(config, 2.0, 4000, speed=speed)
+    before = np.vstack([[speed, 0.0, 0.0], v[:-1]])
+    work = np.cumsum(np.sum(f * (before + v) / 2, axis=1)) * DT
+    assert work.max() <= 0.5 * mass * speed**2 + 1e-3 * speed**2
+    energy = 0.5 * 2.0 * np.sum(v**2, axis=1)
+    assert energy.max() < 1.02 * 0.5 * 2.0 * speed**2
+    assert energy[-1] < 0.02 * energy[0]
+
+
+def test_a_heavy_hand_hits_harder_than_its_spring_pulls_and_a_light_one_does_not():
+    """A wall 0.2 m ahead: the mass is stopped there by the grip alone."""
+    strongest = {}
+    for mass in (0.0, 0.2, 2.0):
+        person = PersonHand(HandConfig(stiffness=2000.0, mass=mass, f_max=60.0), DT)
+        x, hits = AT[0], []
+        for _ in range(2000):
+            v = 0.0 if person.place is None or x >= AT[0] + 0.2 else 1.2
+            x = min(x + v * DT, AT[0] + 0.2)
+            at = np.array([x, *AT[1:]])
+            hits.append(person.force(at, np.array([v, 0, 0]), AT + np.array([0.4, 0, 0])))
+        strongest[mass] = float(np.linalg.norm(hits, axis=1).max())
+    assert strongest[0.0] <= 60.0 * (1 + 1e-12)
+    assert strongest[0.0] < strongest[0.2] < strongest[2.0]
+    assert 100.0 < strongest[2.0] < 60.0 + 1.2 * 1.2 * (2e4 * 2.0) ** 0.5  # v √(k m) more
+
+
 def test_targets_at_20_hertz_give_no_steps_of_force_at_1_kilohertz():
     """The end-effector held still, the target dragged at 0.5 m/s in jumps of 25 mm."""
     config = HandConfig(f_max=150.0)
@@ -71,8 +147,9 @@ def test_the_hand_moves_no_faster_than_a_person_and_does_not_overshoot():
     np.testing.assert_allclose(places[-1], target, atol=1e-6)
 
 
-def test_the_person_takes_hold_without_a_jerk_and_lets_go_at_once():
-    person = PersonHand(HandConfig(), DT)
+@pytest.mark.parametrize("mass", [0.0, 2.0])
+def test_the_person_takes_hold_without_a_jerk_and_lets_go_at_once(mass):
+    person = PersonHand(HandConfig(mass=mass), DT)
     far = AT + np.array([0.0, 0.5, 0.0])
     assert np.linalg.norm(person.force(AT, np.zeros(3), far)) < 0.1
     settled_force(person, AT, far)
@@ -80,6 +157,15 @@ def test_the_person_takes_hold_without_a_jerk_and_lets_go_at_once():
     assert person.place is None
     elsewhere = AT + np.array([0.3, 0.0, 0.0])
     assert np.linalg.norm(person.force(elsewhere, np.zeros(3), elsewhere)) < 1e-9
+
+
+@pytest.mark.parametrize("mass", [0.0, 2.0])
+def test_a_hand_that_is_taken_again_in_motion_is_not_jerked_either(mass):
+    person, v = PersonHand(HandConfig(mass=mass, damping=25.0), DT), np.array([0.8, 0.0, 0.0])
+    settled_force(person, AT, AT + np.array([0.0, 0.0, 0.2]))
+    person.force(AT, v, None)
+    first = person.force(AT, v, AT + np.array([0.3, 0.0, 0.0]))
+    assert np.linalg.norm(first) <= 25.0 * 0.8 + 1.0  # its damper alone
 
 
 @pytest.mark.parametrize("stretch", [0.05, 0.6])

@@ -12,7 +12,7 @@ from app.config import Config
 from app.control.controller import ControlOutput
 from app.robot.model import RobotModel
 from app.simulation.physics import Contacts
-from app.simulation.recording import Recorder
+from app.simulation.recording import NEAR, Recorder
 from app.simulation.scenario import LINES
 from app.simulation.session import Session, Step
 from app.simulation.start import StartSolver
@@ -106,3 +106,79 @@ def test_the_log_has_every_tenth_step_as_it_was(recorder: Recorder, steps: list[
             assert float(row[f"beta_{pair.closest.pair.name}"]) == pair.beta
     assert [int(row["contact"]) for row in rows][70] == 1
     assert sum(int(row["arm_contact"]) for row in rows) == 0  # no tenth step had one
+
+
+@pytest.mark.parametrize("released", [700, 1500, 1551, 2002])
+def test_the_path_after_the_release_is_that_since_anybody_last_held_the_robot(
+    robot: RobotModel, steps: list[Step], released: int
+):
+    recorder = Recorder(robot)
+    for k, step in enumerate(steps):
+        recorder.add(step if k < released else step._replace(pulls=()))
+    pose = np.array([s.truth.base_pose[:2] for s in steps[released - 1 :]])
+    way = np.linalg.norm(np.diff(pose, axis=0), axis=1).sum()
+    figures = recorder.figures()
+    assert figures["base_path_after_release_m"] == pytest.approx(way, abs=1e-12)
+    whole = np.array([s.truth.base_pose[:2] for s in steps])
+    assert figures["base_path_m"] == pytest.approx(
+        np.linalg.norm(np.diff(whole, axis=0), axis=1).sum()
+    )
+
+
+def test_without_a_release_or_with_another_grasp_at_the_end_there_is_no_path_after_it(
+    robot: RobotModel, recorder: Recorder, steps: list[Step]
+):
+    assert recorder.figures()["base_path_after_release_m"] is None
+    again = Recorder(robot)
+    for k, step in enumerate(steps):
+        again.add(step._replace(pulls=()) if 900 <= k < 1800 else step)
+    assert again.figures()["base_path_after_release_m"] is None
+    nobody = Recorder(robot)
+    for step in steps:
+        nobody.add(step._replace(pulls=()))
+    assert nobody.figures()["base_path_after_release_m"] is None
+
+
+def test_speeds_forces_and_what_was_given_up_are_those_of_the_steps(
+    robot: RobotModel, recorder: Recorder, steps: list[Step]
+):
+    figures = recorder.figures()
+    shares = np.abs([s.truth.qd_m for s in steps]) / robot.qd_max
+    assert figures["joint_speed_share_max"] == shares.max() > 0.01
+    assert figures["base_speed_final_mps"] == abs(steps[-1].truth.base_velocity[0])
+    assert figures["hand_speed_max_mps"] == max(s.hand_speed for s in steps) > 0.1
+    assert figures["solver_given_up"] == steps[-1].given_up
+
+
+@pytest.mark.parametrize("near", [0, 350, 1204])
+def test_a_persons_force_counts_until_two_bodies_are_near(
+    robot: RobotModel, steps: list[Step], near: int
+):
+    forces = [float(np.linalg.norm(s.hand_force)) for s in steps]
+    recorder = Recorder(robot)
+    for k, step in enumerate(steps):
+        close = (0.3, 0.3, 0.3, NEAR - 1e-6, 0.3) if k >= near else step.distances
+        recorder.add(step._replace(distances=close))
+    figures = recorder.figures()
+    assert figures["hand_force_clear_max_n"] == max(forces[: near + 1])
+    assert figures["hand_force_max_n"] == max(forces)
+
+
+def test_without_a_log_the_figures_are_the_same(
+    robot: RobotModel, recorder: Recorder, steps: list[Step]
+):
+    plain = Recorder(robot, log=False)
+    for step in steps:
+        plain.add(step)
+    assert plain.figures() == recorder.figures()
+    assert (plain.rows, len(recorder.rows)) == ([], 201)
+
+
+def test_what_is_not_a_number_is_noticed_wherever_it_is(robot: RobotModel, steps: list[Step]):
+    recorder = Recorder(robot, log=False)
+    for step in steps[:250]:
+        recorder.add(step)
+    assert recorder.finite
+    broken = np.full_like(steps[250].output.u_a, np.nan)
+    recorder.add(steps[250]._replace(output=steps[250].output._replace(u_a=broken)))
+    assert not recorder.finite

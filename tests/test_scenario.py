@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from app.border.cache import BorderData
@@ -80,6 +81,65 @@ def test_a_change_of_what_a_scenario_does_not_have_lists_what_it_has(scenario):
         scenario.changed(door_width=0.5)
     with pytest.raises(ConfigError, match=r"--move: .*door-width"):
         SCENARIOS["refrigerator"].changed(move=(0.1, 0.0, 0.0))
+
+
+GUIDING = [name for name, each in LINES.items() if each.mode == "guiding"]
+
+
+@pytest.mark.parametrize("name", GUIDING)
+@pytest.mark.parametrize("duration", [3.0, 25.0])
+def test_who_lets_go_keeps_the_scenarios_own_pace_whatever_the_duration(name, duration):
+    own = LINES[name]
+    released = own.changed(release_at=2.0, duration=duration)
+    assert released.duration == duration
+    for t in np.linspace(0.0, 8.0, 41):
+        for of_one, of_other in zip(released.position(t), own.position(t), strict=True):
+            np.testing.assert_allclose(of_one, of_other, atol=1e-12)
+    np.testing.assert_allclose(own.changed(duration=16.0).place(4.0), own.place(2.0))
+
+
+def test_nobody_holds_the_hand_from_the_release_until_it_is_taken_again():
+    line = LINES["guiding-front"].changed(release_at=2.0, regrasp_at=3.5)
+    for t, held in [
+        (0.0, True),
+        (1.999, True),
+        (2.0, False),
+        (3.4, False),
+        (3.5, True),
+        (7.9, True),
+    ]:
+        assert line.holds(t) == held, t
+        lead = line.leader(_Stands(t))(_Stands(t))
+        assert (lead.pull is not None) == held
+        assert lead.reference is None
+    assert LINES["guiding-front"].holds(7.9)
+
+
+class _Stands:
+    """As much of a session as a leader reads."""
+
+    def __init__(self, t: float) -> None:
+        self.t, self.T_world_ee = t, pin.SE3.Identity()
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "words"),
+    [
+        ("guiding-front", {"release_at": 8.0}, "--release-at: 8.0 s .* 0 to 8 s"),
+        ("guiding-front", {"release_at": 6.0, "duration": 5.0}, "--release-at: 6.0 s .* 0 to 5 s"),
+        ("guiding-front", {"release_at": 0.0}, "--release-at: 0.0 s"),
+        ("guiding-front", {"release_at": float("nan")}, "--release-at: nan s"),
+        ("guiding-front", {"release_at": 2.0, "regrasp_at": 1.0}, "--regrasp-at: 1 s .* 2 to 8 s"),
+        ("guiding-front", {"regrasp_at": 1.0}, "--release-at: None s"),
+        ("tracking", {"release_at": 1.0}, "--release-at: nobody holds the hand in tracking"),
+        ("way-out", {"release_at": 1.0}, "--release-at: the scenario way-out has none"),
+        ("refrigerator", {"release_at": 1.0}, "--release-at: the scenario refrigerator has none"),
+    ],
+)
+def test_who_cannot_let_go_then_is_told_so_in_one_line(name, changes, words):
+    with pytest.raises(ConfigError, match=words) as caught:
+        SCENARIOS[name].changed(**changes)
+    assert "\n" not in str(caught.value)
 
 
 def test_an_unknown_name_lists_those_that_exist():

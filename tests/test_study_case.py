@@ -14,17 +14,22 @@ from app.errors import CaseError, ConfigError, StudyError
 from app.robot.state import Measurement, RobotState
 from app.study import study_range
 from app.study.case import Case, read_case
-from app.study.draw import draw_case
+from app.study.draw import _draw_values, draw_case
 from app.study.envelope import Envelope
 from app.study.parameters import StudyParameters
-from app.study.place import SIDES, place
+from app.study.place import SECTORS, place, sector_of
 from app.study.play import TIMES, case_of, flat, inputs_of, play_case, run_case
 from app.study.rounding import rounded
 from app.study.sources import load_sources
 from app.study.study_range import StudyRange
 
-PARAMETERS = StudyParameters(seed=5, physics="kinematic", ranges=StudyRange(duration=0.2))
+RANGES = StudyRange(duration=0.2, released=0.6, regrasped=0.6)
+PARAMETERS = StudyParameters(seed=5, physics="kinematic", ranges=RANGES)
 NUMBERS = range(8)
+
+
+def draw_values(ranges: StudyRange, seed: int) -> dict[str, float]:
+    return _draw_values(ranges, None, np.random.default_rng(seed))
 
 
 @pytest.fixture(scope="module")
@@ -77,26 +82,72 @@ def test_what_is_drawn_lies_in_its_interval_and_reaches_the_configuration(cases)
             low, high = getattr(ranges, name)
             assert low <= getattr(case, name) <= high
         config = case.config()
-        assert config.disturbance.base_delay == case.delay
-        assert config.disturbance.encoder_noise == case.noise
+        assert config.disturbance.base_delay == case.base_delay
+        assert config.disturbance.encoder_noise == case.encoder_noise
         assert config.disturbance.mass_error == case.mass_error
         assert config.disturbance.slip == case.slip
-        assert config.admittance.v_max == case.base_speed
-        assert config.hand.f_max == case.strength
+        assert config.admittance.v_max == case.v_max
+        assert config.hand.f_max == case.hand_f_max
+        assert config.hand.stiffness == case.hand_stiffness
+        assert config.hand.mass == case.hand_mass
 
 
-def test_places_lie_on_their_side_as_often_left_as_right(sources):
+def test_a_soft_and_a_stiff_spring_are_as_likely(sources):
+    """As many below the geometric mean of the interval as above it."""
+    draws = [draw_values(PARAMETERS.ranges, k)["hand_stiffness"] for k in range(400)]
+    middle = np.sqrt(np.prod(PARAMETERS.ranges.hand_stiffness))
+    assert 160 < sum(k < middle for k in draws) < 240
+    assert min(draws) < 350.0 < 2500.0 < max(draws)
+
+
+def test_who_lets_go_does_so_on_the_way_and_takes_hold_again_before_the_end(cases):
+    for case in cases:
+        pulled = case.duration * case.moving
+        if case.release_at is None:
+            assert case.regrasp_at is None
+        else:
+            assert 0.3 * pulled <= case.release_at <= pulled
+            assert case.regrasp_at is None or case.release_at < case.regrasp_at < case.duration
+        line = case.scenario()
+        held = [line.holds(t) for t in np.linspace(0.0, case.duration, 501)[:-1]]
+        changes = (case.release_at is not None) + (case.regrasp_at is not None)
+        assert np.count_nonzero(np.diff(held)) == changes
+    assert {case.release_at is None for case in cases} == {True, False}
+    assert any(case.regrasp_at is not None for case in cases)
+
+
+def test_directions_are_of_the_whole_sphere_and_each_of_its_sector(sources):
     rng, outline = np.random.default_rng(0), sources.outline
-    for side in SIDES:
-        p = np.array([place(side, (0.2, 0.6), outline, rng).p for _ in range(400)])
-        outside = np.abs(p[:, :2] - outline.middle) > outline.half
-        assert 140 < (p[:, 1] > 0).sum() < 260
-        if side == "above":
-            assert not outside.any()
-            assert (p[:, 2] > outline.top).all()
-        elif side != "back corner":
-            assert outside.any(axis=1).all()
-            assert ((p[:, 2] >= 0.2) & (p[:, 2] <= 0.6)).all()
+    ways = []
+    for sector in SECTORS:
+        for _ in range(200):
+            start = place(sector, outline, rng)
+            assert sector_of(start.outwards) == sector
+            lower, upper = np.array([*outline.lower, 0.0]), np.array([*outline.upper, outline.top])
+            assert ((start.aim > lower) & (start.aim < upper)).all()
+            assert ((start.p < lower) | (start.p > upper)).any()
+            ways.append(start.outwards)
+    for axis in np.vstack([np.eye(3), -np.eye(3)]):
+        assert np.max(np.array(ways) @ axis) > 0.95
+
+
+def test_a_uniform_direction_falls_into_every_sector():
+    v = np.random.default_rng(1).standard_normal((3000, 3))
+    found = [sector_of(each / np.linalg.norm(each)) for each in v]
+    assert set(found) == set(SECTORS)
+    assert found.count("above") / 3000 == pytest.approx((1 - 0.5**0.5) / 2, abs=0.03)
+
+
+def test_a_pull_that_does_not_go_along_the_base_goes_into_it(sources, cases):
+    """Its way, prolonged, meets the base's box."""
+    lower = np.array([*sources.outline.lower, 0.0])
+    upper = np.array([*sources.outline.upper, sources.outline.top])
+    for case in cases:
+        if "along" in case.kind:
+            continue
+        way = np.array(case.move) / np.linalg.norm(case.move)
+        points = np.array(case.start) + np.linspace(0.0, 2.0, 2001)[:, None] * way
+        assert ((points > lower) & (points < upper)).all(axis=1).any()
 
 
 def test_a_case_survives_json_without_a_change(cases):
@@ -152,7 +203,17 @@ def test_a_case_of_another_arm_or_with_an_impossible_value_is_refused(sources, c
     with pytest.raises(CaseError, match=r"6 joints.*has 7"):
         run_case(short, sources.model, sources.data)
     with pytest.raises(ConfigError, match="base_delay"):
-        cases[0].model_copy(update={"delay": 9.0}).config()
+        cases[0].model_copy(update={"base_delay": 9.0}).config()
+
+
+def test_a_case_of_an_older_version_is_one_clear_line(cases, tmp_path: Path):
+    content = cases[0].model_dump(mode="json")
+    content["strength"] = content.pop("hand_f_max")
+    path = tmp_path / "case.json"
+    path.write_text(json.dumps({"case": content, "figures": {}}))
+    with pytest.raises(CaseError, match=r"older version of dbb study.*draw such cases anew") as got:
+        read_case(path)
+    assert "\n" not in str(got.value)
 
 
 def test_a_run_that_breaks_off_is_a_row_that_says_why(sources, cases):
@@ -164,14 +225,21 @@ def test_a_run_that_breaks_off_is_a_row_that_says_why(sources, cases):
 
 def test_inside_of_an_envelope_every_case_lies_in_it(sources):
     envelope = Envelope(
-        delay=(0.0, 0.1, 0.3), base_speed=(0.3, 0.6, 0.9), speed=((0.3, 0.4), (0.1, 0.2)),
-        noise=(0.0, 0.002), mass_error=(-0.1, 0.2), slip=(0.0, 0.1), strength=(20.0, 40.0),
+        speed=(0.1, 0.5, 0.9), base_delay=(0.0, 0.2, 0.3), force=((60.0, 50.0), (50.0, 40.0)),
+        v_max=(0.25, 0.9), encoder_noise=(0.0, 0.002), mass_error=(-0.1, 0.2), slip=(0.0, 0.2),
+        hand_stiffness=(300.0, 2000.0), hand_mass=(0.0, 1.5),
     )  # fmt: skip
     study = PARAMETERS.model_copy(update={"inside": True})
     for number in range(2):
         case = draw_case(study, number, sources, envelope)
-        assert envelope.holds(case.model_dump())
+        assert envelope.holds(case.model_dump(), force=case.hand_f_max)
         assert draw_case(PARAMETERS, number, sources) != case
-    empty = envelope.model_copy(update={"speed": ((0.0, 0.0), (0.0, 0.0))})
+    narrow = envelope.model_copy(update={"hand_mass": (1.0, 1.0), "slip": (0.1, 0.1)})
+    case = draw_case(study, 0, sources, narrow)
+    assert (case.hand_mass, case.slip) == (1.0, 0.1)
+    elsewhere = envelope.model_copy(update={"v_max": (1.2, 1.5)})
+    with pytest.raises(StudyError, match=r"--v-max: nothing is stated from 0\.25 to 1, only"):
+        draw_case(study, 0, sources, elsewhere)
+    empty = envelope.model_copy(update={"force": ((0.0, 0.0), (0.0, 0.0))})
     with pytest.raises(StudyError, match="lies in the stated envelope"):
         draw_case(study, 0, sources, empty)

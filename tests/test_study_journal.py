@@ -65,6 +65,7 @@ def test_a_case_is_counted_once(tmp_path):
         ({"seed": 2}, ["another study", "seed: 1, not 2"]),
         ({"ranges": {"speed": [0.1, 0.9]}}, ["speed: [0.1, 0.5], not [0.1, 0.9]"]),
         ({"code": "def"}, ["code of another version"]),
+        ({"code": "def", "seed": 2}, ["(code of another version: abc, not def);"]),
         ({"envelope": 1}, ["envelope: None, not 1"]),
     ],
 )

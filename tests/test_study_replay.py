@@ -30,7 +30,10 @@ from tests.robots import husky_panda
 
 FAST = StudyParameters(
     seed=1, controller="none", physics="kinematic",
-    ranges=StudyRange(duration=0.4, speed=(0.9, 1.0), height=(0.2, 0.4), noise=(0.001, 0.002)),
+    ranges=StudyRange(
+        duration=0.4, speed=(0.9, 1.0), height=(0.2, 0.4), encoder_noise=(0.001, 0.002),
+        released=0.0,
+    ),
 )  # fmt: skip
 
 

@@ -37,6 +37,8 @@ PARAMETERS = StudyParameters(seed=7, physics="kinematic", ranges=StudyRange(dura
 FAST = (
     "--controller",
     "none",
+    "--released",
+    "0",
     "--speed",
     "0.99",
     "1",
@@ -94,8 +96,10 @@ def test_one_row_a_case_with_its_inputs_and_figures_and_none_of_the_machine(undi
     assert table["case"].to_pylist() == list(range(CASES))
     names = set(table.column_names)
     assert {
-        "kind", "start_x_m", "move_z_m", "speed_mps", "delay_s", "noise_rad", "mass_error", "slip",
-        "base_speed_mps", "q7_rad", "seed", "min_distance_lm-lEE_m", "min_clearance_m", "contacts",
+        "kind", "start_x_m", "move_z_m", "speed_mps", "base_delay_s", "encoder_noise_rad",
+        "mass_error", "slip", "v_max_mps", "hand_f_max_n", "hand_stiffness_npm", "hand_mass_kg",
+        "release_at_s", "regrasp_at_s", "hand_force_max_n", "hand_force_clear_max_n",
+        "q7_rad", "seed", "min_distance_lm-lEE_m", "min_clearance_m", "contacts",
         "arm_contacts", "ee_error_final_m", "solver_failures", "nan", "error",
     } <= names  # fmt: skip
     assert not names & set(TIMES)
@@ -183,7 +187,11 @@ def test_a_scheduler_that_nobody_answers_for_is_one_line(tmp_path, capfd, monkey
         (["--processes", "0"], ["--processes"]),
         (["--speed", "0.5", "0.1"], ["--speed", "LOW 0.5 is above HIGH 0.1"]),
         (["--speed", "nan", "0.1"], ["--speed", "nan"]),
-        (["--delay", "0", "0.6"], ["--delay", "0 to 0.5 s"]),
+        (["--delay", "0", "0.6"], ["--base-delay", "0 to 0.5 s"]),
+        (["--strength", "40", "400"], ["--hand-f-max", "1 to 150 N"]),
+        (["--hand-stiffness", "300", "9000"], ["--hand-stiffness", "10 to 3000 N/m"]),
+        (["--hand-mass", "-1", "0"], ["--hand-mass", "0 to 5 kg"]),
+        (["--released", "1.1"], ["--released", "0 to 1"]),
         (["--mass-error", "-0.5", "0"], ["--mass-error", "-0.3 to 0.3"]),
         (["--controller", "dbx"], ["did you mean 'dbb'"]),
         (["--robot", "r2d2"], ["r2d2", "husky_panda"]),

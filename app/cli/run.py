@@ -45,6 +45,7 @@ def run(
     start: PointOption = None,
     move: PointOption = None,
     duration: float | None = None,
+    release_at: float | None = None,
     physics: str | None = None,
     buffer_distance: float | None = None,
     border: str | None = None,
@@ -80,7 +81,10 @@ def run(
         robot: Name of the robot; `dbb robots` lists them.
         start: [m] where the hand starts, in the world (default: the scenario's).
         move: [m] how far the hand is led, in the world (default: the scenario's).
-        duration: [s] of the run (default: the scenario's); a motion along a line scales with it.
+        duration: [s] of the run (default: the scenario's); a motion along a line scales with it,
+            unless the person lets go.
+        release_at: [s] when the person lets go of the hand, in the guiding scenarios; the motion
+            keeps the scenario's own pace until then, and the run goes on to its duration.
         physics: planar (base on velocity motors), contact (base on wheels in contact) or kinematic
             (a stand-in without physics) (default: planar, or the replayed case's).
         buffer_distance: [m] d_b (default: the configuration's).
@@ -126,7 +130,8 @@ def run(
     if replay_case is not None:
         case = read_case(replay_case)
         check_no_others(
-            scenario=scenario, start=start, move=move, duration=duration, door_width=door_width,
+            scenario=scenario, start=start, move=move, duration=duration, release_at=release_at,
+            door_width=door_width,
             hinge=hinge, hinge_position=hinge_position, door_friction=door_friction,
             door_angle=door_angle, door_yaw=door_yaw, radial_guess=radial_guess,
             opening_rate=opening_rate, base=base, begin=begin, encoder_noise=encoder_noise,
@@ -154,10 +159,11 @@ def run(
     if duration is not None:
         check_range("--duration", duration, *_DURATIONS, "s")
     chosen = chosen.changed(
-        start=start, move=move, duration=duration, door_width=door_width, hinge=hinge,
-        hinge_position=hinge_position, door_friction=door_friction, door_angle=door_angle,
-        door_yaw=door_yaw, radial_guess=radial_guess, opening_rate=opening_rate,
-        base=None if base is None else (base[0], base[1], math.radians(base[2])), begin=begin,
+        start=start, move=move, duration=duration, release_at=release_at, door_width=door_width,
+        hinge=hinge, hinge_position=hinge_position, door_friction=door_friction,
+        door_angle=door_angle, door_yaw=door_yaw, radial_guess=radial_guess,
+        opening_rate=opening_rate, begin=begin,
+        base=None if base is None else (base[0], base[1], math.radians(base[2])),
     )  # fmt: skip
     tuned = case.config() if case else configured(config)
     if border is not None:

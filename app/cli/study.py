@@ -18,6 +18,12 @@ from app.study.study_range import Interval, StudyRange, bounds
 
 IntervalOption = Annotated[tuple[float, float], tyro.conf.arg(metavar="LOW HIGH")]
 
+
+def _also(former: str) -> Any:
+    """A former spelling of an option, which goes on working."""
+    return tyro.conf.arg(aliases=[former], metavar="LOW HIGH")
+
+
 _MOST_PROCESSES = 64
 _MOST_CASES = 10_000_000
 _DEFAULT = StudyRange()
@@ -29,12 +35,16 @@ def study(
     robot: str = "husky_panda",
     physics: str = "planar",
     speed: IntervalOption = _DEFAULT.speed,
-    delay: IntervalOption = _DEFAULT.delay,
-    noise: IntervalOption = _DEFAULT.noise,
+    base_delay: Annotated[IntervalOption, _also("--delay")] = _DEFAULT.base_delay,
+    encoder_noise: Annotated[IntervalOption, _also("--noise")] = _DEFAULT.encoder_noise,
     mass_error: IntervalOption = _DEFAULT.mass_error,
     slip: IntervalOption = _DEFAULT.slip,
-    base_speed: IntervalOption = _DEFAULT.base_speed,
-    strength: IntervalOption = _DEFAULT.strength,
+    v_max: Annotated[IntervalOption, _also("--base-speed")] = _DEFAULT.v_max,
+    hand_f_max: Annotated[IntervalOption, _also("--strength")] = _DEFAULT.hand_f_max,
+    hand_stiffness: IntervalOption = _DEFAULT.hand_stiffness,
+    hand_mass: IntervalOption = _DEFAULT.hand_mass,
+    released: float = _DEFAULT.released,
+    regrasped: float = _DEFAULT.regrasped,
     height: IntervalOption = _DEFAULT.height,
     duration: float = _DEFAULT.duration,
     inside: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
@@ -44,10 +54,12 @@ def study(
     seed: int = 0,
     json: Json = False,
 ) -> None:
-    """Pull the hand at the base from random starts, with noise, delay, slip and a wrong model.
+    """Pull the hand at the base from all around, with noise, delay, slip and a wrong model.
 
-    Each case is kept as soon as it is done: a study that was ended goes on where it was when it is
-    called again with the same options, and more cases than before are added to it.
+    Weak and strong, soft and stiff, light and heavy hands pull; some let go on the way, and some of
+    those take hold again. Each case is kept as soon as it is done: a study that was ended goes on
+    where it was when it is called again with the same options, and more cases than before are added
+    to it.
 
     Args:
         cases: How many.
@@ -56,12 +68,17 @@ def study(
         robot: Name of the robot; `dbb robots` lists them.
         physics: planar, contact or kinematic.
         speed: [m/s] largest speed of the person's hand on its way.
-        delay: [s] between a velocity command and the base's drive.
-        noise: [rad] standard deviation of the noise of each joint's measured position.
+        base_delay: [s] between a velocity command and the base's drive.
+        encoder_noise: [rad] standard deviation of the noise of each joint's measured position.
         mass_error: [-] by how much the controller takes the arm's masses for too large.
         slip: [-] share of the base's motion that is lost at the ground.
-        base_speed: [m/s] v_max, the largest speed that the admittance law may command.
-        strength: [N] largest force of the person.
+        v_max: [m/s] the largest speed that the admittance law may command.
+        hand_f_max: [N] largest force of the person's spring and damper. What is
+            exerted is less while the hand gives way, and more while a mass is stopped.
+        hand_stiffness: [N/m] of the person's spring; every factor is as likely as every other.
+        hand_mass: [kg] of the person's hand and forearm.
+        released: [-] share of the pulls in which the person lets go on the way.
+        regrasped: [-] share of those in which the person takes hold again.
         height: [m] of the hand above the floor, at the start.
         duration: [s] longest run of a case; a slow pull is cut short to fit.
         inside: Draw only cases inside of the envelope that the project states.
@@ -79,15 +96,20 @@ def study(
     if processes is not None:
         check_range("--processes", processes, 1, _MOST_PROCESSES)
     intervals = {
-        "speed": speed, "delay": delay, "noise": noise, "mass_error": mass_error, "slip": slip,
-        "base_speed": base_speed, "strength": strength, "height": height,
+        "speed": speed, "base_delay": base_delay, "encoder_noise": encoder_noise,
+        "mass_error": mass_error, "slip": slip, "v_max": v_max, "hand_f_max": hand_f_max,
+        "hand_stiffness": hand_stiffness, "hand_mass": hand_mass, "height": height,
     }  # fmt: skip
+    shares = {"duration": duration, "released": released, "regrasped": regrasped}
     for name, interval in intervals.items():
         _check_interval(name, interval)
-    check_range("--duration", duration, *bounds("duration"))
+    for name, value in shares.items():
+        check_range(f"--{name}", value, *bounds(name))
     parameters = StudyParameters(
         seed=seed, robot=robot, controller=controller, physics=physics, inside=inside,
-        ranges=StudyRange(duration=duration, **intervals),
+        ranges=StudyRange(
+            duration=duration, released=released, regrasped=regrasped, **intervals
+        ),
     )  # fmt: skip
     load_robot(robot)
     make_folder(out)
@@ -114,6 +136,22 @@ def _check_interval(name: str, interval: Interval) -> None:
         raise ConfigError(f"{option}: LOW {interval[0]:g} is above HIGH {interval[1]:g}")
 
 
+def _print_force(counts: dict[str, Any]) -> None:
+    if not counts["cases"]:
+        return
+    high = counts["to_n"]
+    name = f"above {counts['from_n']:g}" if high is None else f"{counts['from_n']:g} to {high:g}"
+    numbers = (
+        f"{counts[key]:{width}}" for key, width in (
+            ("cases", 5), ("failed", 6), ("entered_buffer", 6), ("bodies_overlap", 7),
+            ("contact", 7),
+        )
+    )  # fmt: skip
+    least, fastest = counts["least_clearance_m"], counts["hand_speed_max_mps"]
+    ends = (f"{'–' if value is None else f'{value:.3f}':>10}" for value in (least, fastest))
+    print(f"  {name:26} {' '.join(numbers)} {' '.join(ends)}")
+
+
 def _print(result: dict[str, Any], out: Path) -> None:
     for key in (
         "cases",
@@ -129,6 +167,13 @@ def _print(result: dict[str, Any], out: Path) -> None:
         print(f"{key.replace('_', ' '):28} {result[key]}")
     if (least := result["min_clearance_m"]) is not None:
         print(f"{'least distance to the base':28} {least['0_%']:.4g} m, median {least['50_%']:.4g}")
+    print(f"{'came into the buffer':28} {100 * result['entered_buffer_share']:.3g} %")
+    if (force := result["hand_force_max_n"]) is not None:
+        told = f"{force['0_%']:.3g} to {force['100_%']:.3g} N, median {force['50_%']:.3g}"
+        print(f"{'largest force exerted':28} {told}")
+    print(f"{'force until near [N]':28} cases failed buffer overlap contact  least [m] hand [m/s]")
+    for counts in result["by_force"]:
+        _print_force(counts)
     for name, title in (("inside", "inside the stated envelope"), ("outside", "outside of it")):
         told = result["stated_envelope"][name]
         bound = f", at most {100 * told['rate_bound_95']:.2g} % with 95 % confidence"

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pinocchio as pin
+from typing_extensions import Self
 
 from app.border.cache import BorderData
 from app.config import Config
@@ -39,14 +41,20 @@ class LineScenario(Scenario):
     move: Point
     """[m] how far it is led, in the world."""
     moving: float
-    """[-] share of the duration in which the hand is led; then it is held."""
+    """[-] share of the duration in which the hand is led; then it is held. Above 1 if the person
+    lets go and the run ends before the hand's way does."""
+    release_at: float | None = field(default=None, kw_only=True)
+    """[s] when the person lets go of the hand, or None."""
+    regrasp_at: float | None = field(default=None, kw_only=True)
+    """[s] when the person takes hold again, to go on with the motion where it is by then."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.mode not in MODES:
             raise ConfigError(f"--mode: {self.mode!r} is none of {', '.join(MODES)}")
-        if not 0.0 < self.moving <= 1.0:
+        if not 0.0 < self.moving <= (1.0 if self.release_at is None else math.inf):
             raise ConfigError(f"--moving: {self.moving:g} is not within 0 to 1")
+        self._check_release()
         for name in ("start", "move"):
             point = np.array(getattr(self, name), dtype=float)
             if point.shape != (3,) or not np.isfinite(point).all():
@@ -66,12 +74,42 @@ class LineScenario(Scenario):
         checked_target(np.add(self.start, self.move))
         return Setting(model, data, np.zeros(3), q_m, config)
 
+    def _check_release(self) -> None:
+        """Whether somebody holds the hand who can let go within the run, and take hold after it."""
+        release, regrasp = self.release_at, self.regrasp_at
+        if release is None and regrasp is None:
+            return
+        if self.mode != "guiding":
+            raise ConfigError(
+                f"--release-at: nobody holds the hand in {self.name}, only in guiding scenarios"
+            )
+        if release is None or not 0.0 < release < self.duration:
+            raise ConfigError(
+                f"--release-at: {release} s is not within the run, 0 to {self.duration:g} s"
+            )
+        if regrasp is not None and not release < regrasp < self.duration:
+            raise ConfigError(
+                f"--regrasp-at: {regrasp:g} s is not within {release:g} to {self.duration:g} s, "
+                "from the release to the run's end"
+            )
+
+    def changed(self, **changes: Any) -> Self:
+        """See `Scenario.changed`; a duration stretches the motion unless the person lets go.
+
+        With `release_at` the motion keeps its pace, and the run ends at the duration.
+        """
+        duration, release = changes.get("duration"), changes.get("release_at")
+        released = (self.release_at if release is None else release) is not None
+        if released and duration is not None and math.isfinite(duration) and duration > 0.0:
+            changes.setdefault("moving", self.moving * self.duration / duration)
+        return super().changed(**changes)
+
     def leader(self, session: Session) -> Leader:
         """See `Scenario.leader`."""
         orientation = session.T_world_ee.rotation.copy()
         leaders: dict[str, Callable[[float], Lead]] = {
             "tracking": lambda t: Lead(reference=self.reference(t, orientation)),
-            "guiding": lambda t: Lead(pull=self.place(t)),
+            "guiding": lambda t: Lead(pull=self.place(t) if self.holds(t) else None),
         }
         at = leaders[self.mode]
         return lambda session: at(session.t)
@@ -82,6 +120,12 @@ class LineScenario(Scenario):
         share = s * s * (3 - 2 * s)
         moves = zip(self.start, self.move, strict=True)
         return np.array([begin + share * move for begin, move in moves])
+
+    def holds(self, t: float) -> bool:
+        """Whether the person holds the hand at time t [s]."""
+        if self.release_at is None or t < self.release_at:
+            return True
+        return self.regrasp_at is not None and t >= self.regrasp_at
 
     def position(self, t: float) -> tuple[Array, Array, Array]:
         """Position [m], velocity [m/s], acceleration [m/s²] of the leading point at time t [s]."""

@@ -1,4 +1,4 @@
-"""The person who takes the robot by one hand: a spring, a damper, a limited strength."""
+"""The person who takes the robot by one hand: a spring, a damper, a limited strength, a mass."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ _QUICKNESS = 20.0  # [rad/s] of the hand's motion towards a new target
 _TOP_SPEED = 1.5  # [m/s] of the hand
 _FARTHEST = 1e4  # [m] from the world's origin
 _LINK_SIZE = 1.0  # [m] no part of a link is farther from its origin
+_GRIP = 2e4  # [N/m] of the flesh between a hand with a mass and the robot
+_GRIP_DAMPING = 0.5  # [-] of that spring with the hand's mass on it, of the critical one
 
 
 def checked_target(target: Sequence[float] | Array) -> Array:
@@ -100,24 +102,77 @@ def _pull(
     return moved, force
 
 
+@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8, f8)")
+def _push_mass(
+    held: Array, p: Array, p_ee: Array, v_ee: Array, stiffness: float, damping: float,
+    f_max: float, mass: float, dt: float,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Move the mass in the hand for one period; m ẍ = F - G, by the implicit Euler rule.
+
+    F = K' (p - x) - D ẋ, no stronger than f_max, moves it, and the grip G = k (x - p_ee) +
+    c (ẋ - v_ee) moves the robot, all at the period's end, to which the end-effector is taken to
+    go on as it does. K' and the grip in a row are as stiff as K. The rule is stable for every mass,
+    spring and damper; where F is stronger than f_max, it is f_max that way.
+
+    Args:
+        held: (2, 3) x [m] and ẋ [m/s].
+        p: (3,) [m] to where the spring pulls.
+        p_ee: (3,) [m]
+        v_ee: (3,) [m/s]
+        stiffness: [N/m] K
+        damping: [N s/m] D
+        f_max: [N]
+        mass: [kg]
+        dt: [s]
+
+    Returns:
+        The mass a period later, and (3,) [N] G.
+    """
+    K = stiffness * _GRIP / (_GRIP - stiffness)
+    grip_damping = 2.0 * _GRIP_DAMPING * math.sqrt(_GRIP * mass)
+    alone = mass + dt * (grip_damping + dt * _GRIP)  # [kg] what F has to move, in this rule
+    push, driven, grip = np.empty(3), np.empty(3), np.empty(3)
+    for i in range(3):
+        grip[i] = p_ee[i] + dt * v_ee[i]
+        driven[i] = mass * held[1, i] + dt * (
+            grip_damping * v_ee[i] - _GRIP * (held[0, i] - grip[i])
+        )
+        pull = K * (p[i] - held[0, i])
+        v = (driven[i] + dt * pull) / (alone + dt * (damping + dt * K))
+        push[i] = pull - (damping + dt * K) * v
+    _shorten(push, f_max)
+    moved, force = np.empty((2, 3)), np.empty(3)
+    for i in range(3):
+        moved[1, i] = (driven[i] + dt * push[i]) / alone
+        moved[0, i] = held[0, i] + dt * moved[1, i]
+        force[i] = _GRIP * (moved[0, i] - grip[i]) + grip_damping * (moved[1, i] - v_ee[i])
+    return moved, force
+
+
 class PersonHand:
     """F = K (p - p_ee) - D v_ee, no stronger than f_max, where p follows the target smoothly.
 
     Targets come 20 times a second and jump; p moves towards the latest as a critically damped
     point of limited speed, from where the person took hold. So F has no steps at 1 kHz. The damper
     acts against the world: with p at rest the person only takes energy out.
+
+    A hand with a mass stands between the two: F moves the mass, and the robot feels what the grip
+    on it transmits. That is more than f_max while the mass is being stopped, and less while it is
+    set in motion; at rest it is F. Spring, damper, mass and grip are passive, so with p at rest
+    such a hand only takes energy out as well.
     """
 
     def __init__(self, config: HandConfig, dt: float = 0.001) -> None:
         """A person who does not hold the robot.
 
         Args:
-            config: K, D and f_max; may be replaced at any time through `config`.
+            config: K, D, f_max and the mass; may be replaced at any time through `config`.
             dt: [s] between two calls of `force`.
         """
         self.config = config
         self._dt = dt
         self._hand: Array | None = None  # (2, 3) place [m] and velocity [m/s]
+        self._mass: Array | None = None  # (2, 3) the same of the mass in it
 
     @property
     def place(self) -> Array | None:
@@ -139,7 +194,7 @@ class PersonHand:
             TargetError: The target lies below the floor, or is not three finite numbers.
         """
         if target is None:
-            self._hand = None
+            self._hand = self._mass = None
             return np.zeros(3)
         place = np.asarray(target)
         if not _allowed(place):
@@ -147,8 +202,15 @@ class PersonHand:
         if self._hand is None:
             self._hand = np.array([p_ee, np.zeros(3)], dtype=float)
         config = self.config
-        self._hand, force = _pull(
-            self._hand, place, p_ee, v_ee, config.stiffness, config.damping, config.f_max, self._dt
+        spring = config.stiffness, config.damping, config.f_max
+        self._hand, force = _pull(self._hand, place, p_ee, v_ee, *spring, self._dt)
+        if config.mass == 0.0:
+            self._mass = None
+            return force
+        if self._mass is None:  # it moves with what it takes hold of
+            self._mass = np.array([p_ee, v_ee], dtype=float)
+        self._mass, force = _push_mass(
+            self._mass, self._hand[0], p_ee, v_ee, *spring, config.mass, self._dt
         )
         return force
 

@@ -19,8 +19,12 @@ from app.simulation.changes import Batch, Changes, Smoothness
 from app.simulation.door_record import DoorRecord, door_columns
 from app.simulation.physics import Contacts
 from app.simulation.session import Step
+from app.simulation.stuck import find_stuck
 
 Array = np.ndarray
+
+NEAR = 0.01
+"""[m] between two bodies that is as good as contact: the person's force counts until then."""
 
 _LOG_EVERY = 10  # control steps per row of the log
 _BETA = attrgetter("beta")
@@ -43,17 +47,28 @@ class _Taken(NamedTuple):
     base_pose: Array
     asked: Array
     inserted: Array
+    qd_m: Array
+    held: bool
+    """Whether anybody held the robot."""
+    hand_speed: float
 
 
 class Recorder:
     """Takes every control step of a run; gives its figures and its log, both about the truth."""
 
-    def __init__(self, model: RobotModel) -> None:
+    def __init__(self, model: RobotModel, *, log: bool = True) -> None:
+        """Nothing is recorded.
+
+        Args:
+            model: The robot.
+            log: Whether to keep rows for the log, or figures only.
+        """
+        self._model = model
         self._mobile_body = model.description.mobile_body.name
         self._axes = model.description.base.axes
         self._columns: list[str] = []
         self._log: list[list[float]] = []
-        self._until_row = 0  # control steps
+        self._until_row = 0 if log else -1  # control steps; below zero no row follows
         self._first: Step | None = None
         self._last: Step | None = None
         self._batch: Batch[_Taken] = Batch(self._take)
@@ -65,8 +80,11 @@ class Recorder:
         self._changes = Changes()
         self._asked, self._inserted = (Smoothness(model.description.base) for _ in range(2))
         self._door: DoorRecord | None = None
-        self._hand_force_max = 0.0
+        self._hand_force_max = self._hand_force_clear_max = self._hand_speed_max = 0.0
+        self._clear = self._finite = True
         self._failures = 0
+        self._joint_speed_share = 0.0
+        self._released_path: float | None = None  # [m] of the base when the hand was last held
         self._near_until: float | None = None
         self._durations: list[float] = []
 
@@ -91,7 +109,8 @@ class Recorder:
                 max(map(_BETA, out.avoidance.pairs), default=0.0) >= 1.0,
                 step.contacts, not out.solved, step.ee_error, out.activation, step.hand_force,
                 out.u_a, step.truth.base_pose, out.base_acceleration,
-                out.inserted.base_acceleration,
+                out.inserted.base_acceleration, step.truth.qd_m, bool(step.pulls),
+                step.hand_speed,
             )
         )  # fmt: skip
 
@@ -106,7 +125,8 @@ class Recorder:
     def _take(self, steps: Sequence[_Taken]) -> None:
         (
             times, durations, distances, near, contacts, failed, errors, activations, forces,
-            torques, poses, asked, inserted,
+            torques, poses, asked, inserted, joint_speeds, held,
+            hand_speeds,
         ) = zip(*steps, strict=True)  # fmt: skip
         self._durations += durations
         by_pair = zip(*distances, strict=True)
@@ -121,9 +141,40 @@ class Recorder:
         self._activation_max = max(self._activation_max, *activations)
         hand_force = np.linalg.norm(forces, axis=1)
         self._hand_force_max = max(self._hand_force_max, float(hand_force.max()))
-        self._changes.add(np.array(torques), np.array(poses))
+        self._hand_speed_max = max(self._hand_speed_max, *hand_speeds)
+        self._take_clear(np.array(distances), hand_force)
+        self._finite &= bool(np.isfinite(torques).all() and np.isfinite(poses).all())
+        shares = np.abs(joint_speeds) / self._model.qd_max
+        self._joint_speed_share = max(self._joint_speed_share, float(shares.max()))
+        self._take_path(np.array(torques), np.array(poses), held)
         self._asked.add(np.array(asked))
         self._inserted.add(np.array(inserted))
+
+    def _take_clear(self, distances: Array, forces: Array) -> None:
+        """The person's force, until the first step in which two bodies are near."""
+        if not self._clear:
+            return
+        near = np.flatnonzero((distances < NEAR).any(axis=1))
+        self._clear = not len(near)
+        clear = forces if self._clear else forces[: near[0] + 1]
+        self._hand_force_clear_max = max(self._hand_force_clear_max, float(clear.max()))
+
+    def _take_path(self, torques: Array, poses: Array, held: Sequence[bool]) -> None:
+        """Add to the base's path, in two parts where the hand was last held in between."""
+        if not any(held):
+            self._changes.add(torques, poses)
+            return
+        last = max(k for k, is_held in enumerate(held) if is_held) + 1
+        self._changes.add(torques[:last], poses[:last])
+        self._released_path = self._changes.path
+        if last < len(held):
+            self._changes.add(torques[last:], poses[last:])
+
+    @property
+    def finite(self) -> bool:
+        """Whether all torques and poses of the base so far are numbers."""
+        self._batch.flush()
+        return self._finite
 
     @property
     def rows(self) -> list[dict[str, float]]:
@@ -140,7 +191,11 @@ class Recorder:
         """The figures of the run so far; keys end in their unit.
 
         `buffer_needed_m` is None where no d_b suffices; `clear_since_s`, since when no pair has
-        been within the distance of full activation, is None if one still is.
+        been within the distance of full activation, is None if one still is;
+        `base_path_after_release_m`, since anybody last held the robot, if nobody does at the end;
+        `hand_force_max_n` is the person's on the end-effector, or that on a door that it holds,
+        `hand_force_clear_max_n` the same until two bodies first came nearer than 10 mm;
+        `stuck` says where and why a tracked hand stops short of a resting target, or is None.
         """
         assert self._first is not None, "no step was recorded"
         assert self._last is not None
@@ -148,6 +203,7 @@ class Recorder:
         begin, end = self._first.truth.base_pose, self._last.truth.base_pose
         durations = np.array(self._durations) * 1e6
         needed = self.buffer.needed_max
+        stuck = find_stuck(self._model, self._last)
         with_base = list(zip(self._least, self._mobile, strict=True))
         return {
             "min_distance_m": dict(zip(self._names, self._least, strict=True)),
@@ -160,20 +216,39 @@ class Recorder:
             "ee_error_final_m": self._last.ee_error,
             "base_displacement_m": float(np.hypot(*(end - begin)[:2])),
             "base_path_m": self._changes.path,
+            "base_path_after_release_m": self._path_after_release(),
+            "base_speed_final_mps": self._speed(),
             "base_yaw_rad": float(end[2] - begin[2]),
             "activation_max": self._activation_max,
             **self._asked.figures("base_acceleration"),
             **self._inserted.figures("avoidance_acceleration"),
             "torque_jump_max_nm": self._changes.torque_jump,
             "hand_force_max_n": self._hand_force_max,
+            "hand_force_clear_max_n": self._hand_force_clear_max,
+            "hand_speed_max_mps": self._hand_speed_max,
+            "joint_speed_share_max": self._joint_speed_share,
             "clear_since_s": self._clear_since(),
             "approach_speed_max_mps": self.buffer.approach_speed_max,
             "buffer_needed_m": needed if math.isfinite(needed) else None,
             **(self._door.figures() if self._door is not None else {}),
             "solver_failures": self._failures,
+            "solver_given_up": self._last.given_up,
+            "stuck": stuck and stuck.as_json(),
             "step_p50_us": float(np.percentile(durations, 50)),
             "step_p99_us": float(np.percentile(durations, 99)),
         }
+
+    def _path_after_release(self) -> float | None:
+        assert self._last is not None
+        if self._released_path is None or self._last.pulls:
+            return None
+        return self._changes.path - self._released_path
+
+    def _speed(self) -> float:
+        """[m/s] of the base's centre at the last step."""
+        assert self._last is not None
+        velocity = zip(self._axes, self._last.truth.base_velocity.tolist(), strict=True)
+        return math.hypot(*(v for axis, v in velocity if not axis.angular))
 
     def _clear_since(self) -> float | None:
         assert self._last is not None

@@ -74,6 +74,7 @@ def run_scenario(
     seed: int = 0,
     on_progress: Callable[[float], None] = lambda _: None,
     on_step: Callable[[Session, Step], None] | None = None,
+    log: bool = True,
 ) -> RunResult:
     """Run a scenario and take its figures; arguments and errors are those of `steps_of`.
 
@@ -87,6 +88,7 @@ def run_scenario(
         seed: Of everything random in the run.
         on_progress: Called now and then with the simulated time [s].
         on_step: Called after each control step, such as to take snapshots.
+        log: Whether the recorder keeps rows for the log, or figures only.
     """
     recorder: Recorder | None = None
     begun = perf_counter()
@@ -96,7 +98,7 @@ def run_scenario(
     with settled(), closing(steps):
         for k, (session, step) in enumerate(steps):
             if recorder is None:
-                recorder, begun = Recorder(session.model), perf_counter() - step.duration
+                recorder, begun = Recorder(session.model, log=log), perf_counter() - step.duration
             recorder.add(step)
             if on_step is not None:
                 on_step(session, step)

@@ -55,6 +55,9 @@ class Step(NamedTuple):
         door: How the opening of a door goes, or None if there is none.
         pulls: All that hold the robot.
         person: The forces of people that acted on the robot.
+        reference: What the arm tracked, or None while it was guided.
+        given_up: QPs of lower levels that were given up since the last reset.
+        hand_speed: [m/s] true speed of the end-effector.
     """
 
     t: float
@@ -72,6 +75,9 @@ class Step(NamedTuple):
     door: DoorReading | None = None
     pulls: tuple[PullReading, ...] = ()
     person: PersonForces = PersonForces(np.zeros(3))
+    reference: Reference | None = None
+    given_up: int = 0
+    hand_speed: float = 0.0
 
 
 class Session:
@@ -214,7 +220,8 @@ class Session:
         step = Step(
             self.t, measurement, output, command, target, felt, error,
             self.physics.contacts(), duration, truth, self._truth.distances, self._look(output),
-            door, tuple(pulls), person,
+            door, tuple(pulls), person, reference, self.controller.given_up,
+            math.hypot(*state.v_ee[:3].tolist()),
         )  # fmt: skip
         self.t += DT
         return step

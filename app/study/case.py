@@ -21,6 +21,7 @@ from app.strict import Finite, Positive, Strict, Vector3, explain
 from app.study.study_range import PARAMETERS
 
 _KEY = "case"  # under which the file of a failure keeps it, beside its figures
+_FORMER = {"strength", "noise", "delay", "base_speed"}  # fields of cases before hands had springs
 
 
 @dataclass(frozen=True)
@@ -73,18 +74,26 @@ class Case(Strict):
     """[-] share of the duration in which the hand is pulled; then it is held."""
     q_m: tuple[Finite, ...]
     """(n_m,) [rad or m] the arm's joints at the start."""
-    delay: Finite
+    release_at: Finite | None
+    """[s] when the person lets go, or None."""
+    regrasp_at: Finite | None
+    """[s] when the person takes hold again, or None."""
+    base_delay: Finite
     """[s] between a velocity command and the base's drive."""
-    noise: Finite
+    encoder_noise: Finite
     """[rad] standard deviation of the noise of each joint's measured position."""
     mass_error: Finite
     """[-] by how much the controller takes the arm's masses for too large."""
     slip: Finite
     """[-] share of the base's motion that is lost at the ground."""
-    base_speed: Finite
-    """[m/s] v_max, the largest speed that the admittance law may command."""
-    strength: Finite
-    """[N] largest force of the person."""
+    v_max: Finite
+    """[m/s] the largest speed that the admittance law may command."""
+    hand_f_max: Finite
+    """[N] largest force of the person's spring and damper."""
+    hand_stiffness: Finite
+    """[N/m] of that spring."""
+    hand_mass: Finite
+    """[kg] of the person's hand and forearm."""
     seed: int = Field(ge=0)
     """[-] of everything random in the run."""
 
@@ -98,6 +107,7 @@ class Case(Strict):
         return PosedLine(
             self.name, self.duration, f"{self.kind}, case {self.number} of a study", "guiding",
             self.start, self.move, self.moving, self.q_m,
+            release_at=self.release_at, regrasp_at=self.regrasp_at,
         )  # fmt: skip
 
     def config(self) -> Config:
@@ -141,6 +151,11 @@ def read_case(path: Path) -> Case:
         raise CaseError(f"{path} is no case: not JSON ({error})") from None
     if isinstance(content, dict) and _KEY in content:
         content = content[_KEY]
+    if isinstance(content, dict) and _FORMER & content.keys():
+        raise CaseError(
+            f"{path} is a case of an older version of dbb study, whose person had no spring and no "
+            "mass of its own; draw such cases anew by dbb study"
+        )
     try:
         return Case.model_validate_json(json.dumps(content))
     except ValidationError as error:

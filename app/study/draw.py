@@ -11,22 +11,20 @@ from app.study.case import Case
 from app.study.envelope import Envelope
 from app.study.parameters import StudyParameters
 from app.study.place import Start, draw_start
-from app.study.sources import Outline, StudySources
-from app.study.study_range import PARAMETERS, StudyRange
+from app.study.sources import StudySources
+from app.study.study_range import LOGARITHMIC, PARAMETERS, Interval, StudyRange
 
 Array = np.ndarray
 
-_TRIES = 1000  # values drawn before none is said to lie in the envelope
-_ALONG = 0.15  # [-] share of the pulls from around the base that go along it
-_ALONG_ANGLE = math.radians(25.0)  # of such a pull towards the base, at most
-_INNER = 0.9  # [-] part of the base's plan that is aimed at
-_AIM_HEIGHTS = -0.35, 0.10  # [m] of the aim above the start
+_TRIES = 10_000  # values drawn before none is said to lie in the envelope
+_ALONG = 0.15  # [-] share of the pulls that go along the base
+_ALONG_ANGLE = math.radians(45.0)  # of such a pull towards the base, at most
 _LOWEST = 0.05  # [m] above the floor to which a hand is pulled
-_BENEATH = 0.5  # [-] of the way in plan to an aim, for a hand that comes from above
-_DEEP = 0.10  # [m] below the base's top to which a hand from above is pulled
-_TRAVEL = 0.15, 0.50  # [m] of a pull
-_HOLD = 1.5  # [s] after the pull, in which the base may still be hit
+_TRAVEL = 0.15, 0.60  # [m] of a pull along the base; one towards it goes into it, 0.6 m at most
+_HOLD = 1.0  # [s] after the pull, in which the base may still be hit
 _PEAK = 1.5  # [-] largest speed of the cubic over its mean
+_RELEASE = 0.3, 1.0  # [-] of the time of a pull, when the person lets go
+_APART = 0.1, 0.9  # [-] of the time after the pull, for which the person does not hold the hand
 
 
 def draw_case(
@@ -49,15 +47,18 @@ def draw_case(
         StudyError: The arm reaches no start at that height, or no case lies in the envelope.
     """
     rng = np.random.default_rng(np.random.SeedSequence(parameters.seed, spawn_key=(number,)))
-    drawn = _draw_values(parameters.ranges, envelope, rng)
-    start, q_m, redraws = draw_start(sources, parameters.ranges.height, rng)
-    move, along = _draw_move(start, sources.outline, rng)
-    move, duration, moving = _timed(move, drawn["speed"], parameters.ranges.duration)
+    ranges = parameters.ranges
+    drawn = _draw_values(ranges, envelope, rng)
+    start, q_m, redraws = draw_start(sources, ranges.height, rng)
+    move, along = _draw_move(start, rng)
+    move, duration, moving = _timed(move, drawn["speed"], ranges.duration)
+    release_at, regrasp_at = _draw_release(ranges, duration, moving, rng)
     return Case(
         study_seed=parameters.seed, number=number,
-        kind=f"{start.side}, along" if along else start.side, redraws=redraws,
+        kind=f"{start.sector}, along" if along else start.sector, redraws=redraws,
         robot=parameters.robot, controller=parameters.controller, physics=parameters.physics,
         start=_triple(start.p), move=_triple(move), duration=duration, moving=moving,
+        release_at=release_at, regrasp_at=regrasp_at,
         q_m=tuple(q_m.tolist()), seed=int(rng.integers(2**32)), **drawn,
     )  # fmt: skip
 
@@ -65,11 +66,13 @@ def draw_case(
 def _draw_values(
     ranges: StudyRange, envelope: Envelope | None, rng: np.random.Generator
 ) -> dict[str, float]:
-    """Speed and disturbances, by their names in `Case`."""
+    """Speed, person and disturbances, by their names in `Case`."""
     intervals = {name: getattr(ranges, name) for name in ("speed", *PARAMETERS)}
+    if envelope is not None:
+        intervals = {name: envelope.within(name, each) for name, each in intervals.items()}
     for _ in range(_TRIES):
-        drawn = {name: float(rng.uniform(*interval)) for name, interval in intervals.items()}
-        if envelope is None or envelope.holds(drawn):
+        drawn = {name: _draw(name, each, rng) for name, each in intervals.items()}
+        if envelope is None or envelope.holds(drawn, force=drawn["hand_f_max"]):
             return drawn
     raise StudyError(
         f"none of {_TRIES} cases from these ranges lies in the stated envelope; "
@@ -77,25 +80,25 @@ def _draw_values(
     )
 
 
-def _draw_move(start: Start, outline: Outline, rng: np.random.Generator) -> tuple[Array, bool]:
-    """(3,) [m] the pull, and whether it goes along the base."""
+def _draw(name: str, interval: Interval, rng: np.random.Generator) -> float:
+    if name not in LOGARITHMIC:
+        return float(rng.uniform(*interval))
+    low, high = interval
+    return float(np.clip(math.exp(rng.uniform(math.log(low), math.log(high))), low, high))
+
+
+def _draw_move(start: Start, rng: np.random.Generator) -> tuple[Array, bool]:
+    """(3,) [m] the pull, and whether it goes along the base instead of into it."""
     travel, along = rng.uniform(*_TRAVEL), rng.random() < _ALONG
-    left, turn = 1.0 if rng.random() < 0.5 else -1.0, rng.uniform(0, _ALONG_ANGLE)
-    inside = outline.middle + _INNER * outline.half * rng.uniform(-1, 1, 2)
-    rise = rng.uniform(*_AIM_HEIGHTS)
-    if start.side == "above":
-        plan = _BENEATH * (inside - start.p[:2])
-        way = np.array([*plan, outline.top - _DEEP - start.p[2]])
-    elif start.side == "back corner":  # over the rim and down
-        way = np.array([*(inside - start.p[:2]), outline.top + rise - start.p[2]])
-    elif along:
-        o = start.outwards
-        tangent = left * np.array([-o[1], o[0]])
-        return travel * np.array([*(math.cos(turn) * tangent - math.sin(turn) * o), 0.0]), True
-    else:
-        z = max(start.p[2] + rise, _LOWEST)
-        way = np.array([*(inside - start.p[:2]), z - start.p[2]])
-    return way * min(1.0, travel / float(np.linalg.norm(way))), False
+    way, turn = rng.standard_normal(3), rng.uniform(0, _ALONG_ANGLE)
+    o = start.outwards
+    if not along:
+        move = start.aim - start.p
+        return move * min(1.0, _TRAVEL[1] / float(np.linalg.norm(move))), False
+    way -= (way @ o) * o
+    move = travel * (math.cos(turn) * way / np.linalg.norm(way) - math.sin(turn) * o)
+    move[2] = max(move[2], _LOWEST - start.p[2])
+    return move, True
 
 
 def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, float]:
@@ -106,6 +109,16 @@ def _timed(move: Array, speed: float, longest: float) -> tuple[Array, float, flo
         move = move * ((longest - hold) / pulling)
         pulling = longest - hold
     return move, pulling + hold, pulling / (pulling + hold)
+
+
+def _draw_release(
+    ranges: StudyRange, duration: float, moving: float, rng: np.random.Generator
+) -> tuple[float | None, float | None]:
+    """[s] when the person lets go and takes hold again, or None where not."""
+    released, regrasped = rng.random() < ranges.released, rng.random() < ranges.regrasped
+    release = duration * moving * rng.uniform(*_RELEASE)
+    regrasp = release + duration * (1.0 - moving) * rng.uniform(*_APART)
+    return (release if released else None), (regrasp if released and regrasped else None)
 
 
 def _triple(p: Array) -> tuple[float, float, float]:

@@ -1,4 +1,4 @@
-"""Where safety ends: how fast the hand may be pulled, by the base's delay and its largest speed."""
+"""Where safety ends: how strongly the hand may be pulled, by its speed and the base's delay."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 from typing_extensions import Self
 
 from app.errors import StudyError
+from app.simulation.recording import NEAR
 from app.strict import NonNegative, Strict, explain
 from app.study.play import Row, failed
 from app.study.study_range import Interval, StudyRange
@@ -25,49 +26,59 @@ else:
 STATED = Path(__file__).with_name("envelope.toml")
 """The envelope that the project states, with its source."""
 
-DELAY_STEP = 0.05  # [s] width of a band of delays
-BASE_STEP = 0.25  # [m/s] width of a band of the base's largest speed
-RESERVE = 0.01  # [m] a case that comes nearer bounds the envelope as if it had failed
-MARGIN = 0.9  # [-] of the slowest such case's speed that is still inside
-_GRAIN = 0.01  # [m/s] to which speeds are rounded, downwards
+SPEED_STEP = 0.3  # [m/s] width of a band of speeds of the person's hand
+DELAY_STEP = 0.2  # [s] width of a band of delays of the base
+RESERVE = NEAR
+"""[m] a case that comes nearer bounds the envelope as if it had failed."""
+MARGIN = 0.9  # [-] of the weakest such case's force that is still inside
+_GRAIN = 1.0  # [N] to which forces are rounded, downwards
 _CONFIDENCE = 0.95  # [-] of the bound of a rate
-_OTHERS = ("noise", "mass_error", "slip", "strength")
+_OTHERS = ("v_max", "encoder_noise", "mass_error", "slip", "hand_stiffness", "hand_mass")
 _COLUMNS = {
-    "speed": "speed_mps", "delay": "delay_s", "base_speed": "base_speed_mps",
-    "noise": "noise_rad", "mass_error": "mass_error", "slip": "slip", "strength": "strength_n",
+    "speed": "speed_mps", "base_delay": "base_delay_s", "v_max": "v_max_mps",
+    "encoder_noise": "encoder_noise_rad", "mass_error": "mass_error", "slip": "slip",
+    "hand_stiffness": "hand_stiffness_npm", "hand_mass": "hand_mass_kg",
 }  # fmt: skip
+FORCE = "hand_force_clear_max_n"
+"""Column of a row with the force that was exerted before two bodies were near."""
 
 
 class Envelope(Strict):
-    """Speeds of the person's hand up to v*(delay, v_max) are inside.
+    """Forces that a person exerts up to F*(speed, delay) are inside.
 
-    v* falls with the delay and rises with v_max; it is constant in each band. Outside of the
-    intervals nothing is stated, and so nothing is inside.
+    F* falls with the speed of the person's hand and with the base's delay; it is constant in each
+    band. A force is the largest that acted on the hand before two bodies were near, whatever the
+    person's spring would have allowed. Outside of the intervals nothing is stated, and so nothing
+    is inside.
     """
 
-    delay: tuple[NonNegative, ...] = Field(min_length=2)
-    """(D + 1,) [s] edges of the bands of the delay, rising."""
-    base_speed: tuple[NonNegative, ...] = Field(min_length=2)
-    """(B + 1,) [m/s] edges of the bands of v_max, rising."""
-    speed: tuple[tuple[NonNegative, ...], ...]
-    """(D, B) [m/s] v* in each band."""
-    noise: Interval
+    speed: tuple[NonNegative, ...] = Field(min_length=2)
+    """(S + 1,) [m/s] edges of the bands of the hand's largest speed, rising."""
+    base_delay: tuple[NonNegative, ...] = Field(min_length=2)
+    """(D + 1,) [s] edges of the bands of the base's delay, rising."""
+    force: tuple[tuple[NonNegative, ...], ...]
+    """(S, D) [N] F* in each band."""
+    v_max: Interval
+    """[m/s] largest commanded speed of the base."""
+    encoder_noise: Interval
     """[rad] of the joints' measured positions."""
     mass_error: Interval
     """[-] of the arm."""
     slip: Interval
     """[-] of the base."""
-    strength: Interval
-    """[N] of the person."""
+    hand_stiffness: Interval
+    """[N/m] of the person's spring."""
+    hand_mass: Interval
+    """[kg] of the person's hand and forearm."""
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        for edges in (self.delay, self.base_speed):
+        for edges in (self.speed, self.base_delay):
             if any(a >= b for a, b in pairwise(edges)):
                 raise ValueError("the edges of bands must rise")
-        shape = [len(row) for row in self.speed]
-        if shape != [len(self.base_speed) - 1] * (len(self.delay) - 1):
-            raise ValueError("`speed` needs one row a band of delay, one column a band of v_max")
+        shape = [len(row) for row in self.force]
+        if shape != [len(self.base_delay) - 1] * (len(self.speed) - 1):
+            raise ValueError("`force` needs one row a band of speed, one column a band of delay")
         return self
 
     @classmethod
@@ -85,32 +96,56 @@ class Envelope(Strict):
         except (OSError, ValueError, KeyError) as error:
             raise StudyError(f"{STATED}: no envelope can be read ({error})") from None
 
-    def limit(self, delay: float, base_speed: float) -> float | None:
-        """[m/s] v*(delay, v_max); None where nothing is stated.
+    def limit(self, speed: float, base_delay: float) -> float | None:
+        """[N] F*(speed, delay); None where nothing is stated.
 
         Args:
-            delay: [s] of the base's command.
-            base_speed: [m/s] v_max.
+            speed: [m/s] largest one of the person's hand.
+            base_delay: [s] of the base's command.
         """
-        i, j = _band(delay, self.delay), _band(base_speed, self.base_speed)
-        return None if i is None or j is None else self.speed[i][j]
+        i, j = _band(speed, self.speed), _band(base_delay, self.base_delay)
+        return None if i is None or j is None else self.force[i][j]
 
-    def holds(self, values: Mapping[str, float]) -> bool:
+    def within(self, name: str, interval: Interval) -> Interval:
+        """The part of an interval of what a case draws in which something is stated.
+
+        Args:
+            name: As in `Case`.
+            interval: Least and largest value.
+
+        Raises:
+            StudyError: There is none.
+        """
+        if name not in _COLUMNS:
+            return interval
+        stated = getattr(self, name)
+        low, high = max(interval[0], stated[0]), min(interval[1], stated[-1])
+        if low > high:
+            raise StudyError(
+                f"--{name.replace('_', '-')}: nothing is stated from {interval[0]:g} to "
+                f"{interval[1]:g}, only from {stated[0]:g} to {stated[-1]:g}; --inside needs some "
+                "of that"
+            )
+        return low, high
+
+    def holds(self, values: Mapping[str, float], *, force: float) -> bool:
         """Whether a case is inside.
 
         Args:
-            values: Speed and disturbances by their names in `Case`.
+            values: Speed, person and disturbances by their names in `Case`.
+            force: [N] the largest that is exerted.
         """
         for name in _OTHERS:
             low, high = getattr(self, name)
             if not low <= values[name] <= high:
                 return False
-        limit = self.limit(values["delay"], values["base_speed"])
-        return limit is not None and values["speed"] <= limit
+        limit = self.limit(values["speed"], values["base_delay"])  # 0 where no force is safe
+        return limit is not None and force <= limit and limit > 0.0
 
     def holds_row(self, row: Row) -> bool:
-        """The same of a row of the study's table."""
-        return self.holds({name: row[column] for name, column in _COLUMNS.items()})
+        """The same of a row of the study's table, by the force that was exerted."""
+        values = {name: row[column] for name, column in _COLUMNS.items()}
+        return self.holds(values, force=exerted(row))
 
 
 class Tally(NamedTuple):
@@ -127,36 +162,44 @@ class Tally(NamedTuple):
     rate_bound: float
 
 
-def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
-    """The largest speeds below which no case failed or came nearer than 10 mm, less a margin.
+def exerted(row: Row) -> float:
+    """[N] the person's largest force in a case before two bodies were near.
 
-    In each band of delay and v_max, v* is 0.9 of the speed of the slowest such case whose delay is
-    not above the band and whose v_max is not below it: what fails with less delay or a faster base
-    fails there too. It is never above the fastest case that went well and is as hard as the band's
-    easiest or harder, and 0 without one. Both are rounded down to 0.01 m/s.
+    Of a run that broke off it is what the spring allows.
     """
-    delay, base_speed = _edges(ranges.delay, DELAY_STEP), _edges(ranges.base_speed, BASE_STEP)
+    force = row.get(FORCE)
+    return row["hand_f_max_n"] if force is None else force
+
+
+def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
+    """The largest forces below which no case failed or came nearer than 10 mm, less a margin.
+
+    In each band of speed and delay, F* is 0.9 of the force of the weakest such case that is neither
+    faster nor later than the band: what fails when it is slower or with less delay fails there too.
+    It is never above the strongest case that went well and is as hard as the band's easiest or
+    harder, and 0 without one. Both are rounded down to 1 N.
+    """
+    speed, delay = _edges(ranges.speed, SPEED_STEP), _edges(ranges.base_delay, DELAY_STEP)
     bad = [row for row in rows if failed(row) or _near(row)]
     good = [row for row in rows if not (failed(row) or _near(row))]
 
     def limit(i: int, j: int) -> float:
         easier = (
-            row["speed_mps"] for row in bad
-            if row["delay_s"] <= delay[i + 1] and row["base_speed_mps"] >= base_speed[j]
+            exerted(row) for row in bad
+            if row["speed_mps"] <= speed[i + 1] and row["base_delay_s"] <= delay[j + 1]
         )  # fmt: skip
         as_hard = (
-            row["speed_mps"] for row in good
-            if row["delay_s"] >= delay[i] and row["base_speed_mps"] <= base_speed[j + 1]
+            exerted(row) for row in good
+            if row["speed_mps"] >= speed[i] and row["base_delay_s"] >= delay[j]
         )  # fmt: skip
         safe = min(MARGIN * min(easier, default=math.inf), max(as_hard, default=0.0))
         return math.floor(safe / _GRAIN + 1e-9) * _GRAIN
 
-    speed = tuple(
-        tuple(round(limit(i, j), 6) for j in range(len(base_speed) - 1))
-        for i in range(len(delay) - 1)
-    )
     return Envelope(
-        delay=delay, base_speed=base_speed, speed=speed,
+        speed=speed, base_delay=delay,
+        force=tuple(
+            tuple(limit(i, j) for j in range(len(delay) - 1)) for i in range(len(speed) - 1)
+        ),
         **{name: getattr(ranges, name) for name in _OTHERS},
     )  # fmt: skip
 

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from app.reproduce.style import INK, SOFT, TARGET, new_figure, png_of, styled
-from app.study.envelope import Envelope
+from app.study.envelope import FORCE, Envelope
 from app.study.play import Row, failed, met_base, met_itself
 from app.study.sources import Outline
 
@@ -46,27 +46,28 @@ def draw_all(
 
 
 def draw_envelope(rows: Sequence[Row], envelope: Envelope) -> Figure:
-    """Speed against delay, one panel a band of v_max; what is inside is shaded."""
-    edges, bands = envelope.base_speed, len(envelope.base_speed) - 1
+    """Exerted force against speed, one panel a band of the delay; what is inside is shaded."""
+    edges, bands = envelope.base_delay, len(envelope.base_delay) - 1
     figure = new_figure(4.6)
     panels = figure.subplots(1, bands, sharey=True, squeeze=False)[0]
-    top = _BEYOND * max([row["speed_mps"] for row in rows] + [v for r in envelope.speed for v in r])
+    known = [row for row in rows if row.get(FORCE) is not None]
+    top = _BEYOND * max([row[FORCE] for row in known] + [v for r in envelope.force for v in r])
     points = None
     for j, axes in enumerate(panels):
-        limits = [row[j] for row in envelope.speed]
-        axes.stairs(limits, envelope.delay, fill=True, color=_SHADE, zorder=0)
-        axes.stairs(limits, envelope.delay, baseline=None, color=INK, linewidth=2, zorder=3)
+        limits = [row[j] for row in envelope.force]
+        axes.stairs(limits, envelope.speed, fill=True, color=_SHADE, zorder=0)
+        axes.stairs(limits, envelope.speed, baseline=None, color=INK, linewidth=2, zorder=3)
         last = j == bands - 1
         here = [
-            row for row in rows
-            if edges[j] <= row["base_speed_mps"] and (last or row["base_speed_mps"] < edges[j + 1])
+            row for row in known
+            if edges[j] <= row["base_delay_s"] and (last or row["base_delay_s"] < edges[j + 1])
         ]  # fmt: skip
-        points = _scatter(axes, here, "delay_s", "speed_mps") or points
-        axes.set_title(f"$v_{{max}}$ {edges[j]:.2f} to {edges[j + 1]:.2f} m/s")
-        axes.set_xlabel("delay of the base [s]")
-        axes.set_xlim(envelope.delay[0] - 0.004, envelope.delay[-1] + 0.004)
+        points = _scatter(axes, here, "speed_mps", FORCE) or points
+        axes.set_title(f"delay of the base {edges[j]:.2f} to {edges[j + 1]:.2f} s")
+        axes.set_xlabel("speed of the person's hand [m/s]")
+        axes.set_xlim(envelope.speed[0] - 0.02, envelope.speed[-1] + 0.02)
         axes.set_ylim(0.0, top)
-    panels[0].set_ylabel("speed of the pull [m/s]")
+    panels[0].set_ylabel("force exerted until near [N]")
     _clearance_scale(figure, points, panels)
     _legend(figure)
     return figure

@@ -125,6 +125,8 @@ def _difference(kept: Any, wanted: dict[str, Any]) -> str:
     """Which parts differ, as in `seed 1, not 2`."""
     if not isinstance(kept, dict):
         return "its parameters cannot be read"
+    if kept.get("code") != wanted.get("code"):  # then all else may differ as well
+        return f"code of another version: {kept.get('code')}, not {wanted.get('code')}"
     parts = []
     for key in sorted({*kept, *wanted}):
         there, here = kept.get(key), wanted.get(key)
@@ -133,6 +135,5 @@ def _difference(kept: Any, wanted: dict[str, Any]) -> str:
         if isinstance(there, dict) and isinstance(here, dict):
             parts.append(_difference(there, here))
         else:
-            name = "code of another version" if key == "code" else key.replace("_", " ")
-            parts.append(f"{name}: {there}, not {here}")
+            parts.append(f"{key.replace('_', ' ')}: {there}, not {here}")
     return "; ".join(parts)

@@ -1,4 +1,4 @@
-"""Where the hand of a case starts: a random place around or over the base that the arm reaches."""
+"""Where the hand of a case starts: on a ray out of the base, in a direction of the whole sphere."""
 
 from __future__ import annotations
 
@@ -15,29 +15,38 @@ from app.study.study_range import Interval
 
 Array = np.ndarray
 
-SIDES = ("front", "front corner", "side", "rear side", "back corner", "above")
-"""Where the hand starts, as seen from the base; each is as likely."""
+SECTORS = ("front", "front corner", "side", "back", "above", "below")
+"""Parts of the sphere of directions from the base to the hand; each is as likely. "above" is
+steeper than 45°, "below" falls by more than 10°, the others are parts of what lies between."""
 
 _TRIES = 600  # places drawn before a case is given up
-_PATIENCE = 60  # of them on one side
-_GAP = 0.24, 0.50  # [m] from the base's outline to the hand, in plan
-_CORNER_GAP = 0.0, 0.30  # [m] of the back corners, to which the arm reaches from above
-_RISE = 0.22, 0.50  # [m] from the base's top to the hand over it, or over a back corner
-_FRONT_PART = -0.3  # [-] of the half length: behind it begins the rear of a side
+_PATIENCE = 60  # of them in one sector
+_SEARCHES = 2  # for a posture, per pitch of the hand; another place is sooner found than a third
+_GAP = 0.22, 0.50  # [m] along the ray, from the base's box to the hand
+_INNER = 0.9  # [-] part of the base's plan that is aimed at
+_LOWEST = 0.05  # [m] above the floor to which a hand is pulled
+_STEEP, _FALLING = math.sin(math.radians(45.0)), -math.sin(math.radians(10.0))
+_FRONT, _CORNER, _SIDE = math.radians(30.0), math.radians(60.0), math.radians(120.0)
 
 
 class Start(NamedTuple):
-    """Where a case starts.
+    """Where a case starts, and where the base is from there.
 
     Attributes:
-        side: One of `SIDES`.
+        sector: One of `SECTORS`.
         p: (3,) [m] the hand, in the base's frame.
-        outwards: (2,) unit vector away from the base in plan; zero above it.
+        aim: (3,) [m] a point in the base.
     """
 
-    side: str
+    sector: str
     p: Array
-    outwards: Array
+    aim: Array
+
+    @property
+    def outwards(self) -> Array:
+        """(3,) unit vector from the aim to the hand."""
+        way = self.p - self.aim
+        return way / np.linalg.norm(way)
 
 
 def draw_start(
@@ -49,16 +58,16 @@ def draw_start(
         StudyError: The arm reaches none at these heights.
     """
     solver = StartSolver(sources.model, sources.data.pairs, Config().border.d_b)
-    side = ""
+    sector = ""
     for redraws in range(_TRIES):
         if redraws % _PATIENCE == 0:
-            side = SIDES[rng.integers(len(SIDES))]
-        start, seed = place(side, heights, sources.outline, rng), int(rng.integers(2**32))
-        if not sources.reach.holds(start.p):
+            sector = SECTORS[rng.integers(len(SECTORS))]
+        start, seed = place(sector, sources.outline, rng), int(rng.integers(2**32))
+        if not (heights[0] <= start.p[2] <= heights[1] and sources.reach.holds(start.p)):
             continue
         try:
             x, y, z = start.p.tolist()
-            return start, solver.solve((x, y, z), seed=seed), redraws
+            return start, solver.solve((x, y, z), seed=seed, tries=_SEARCHES), redraws
         except UnreachableError:
             continue
     raise StudyError(
@@ -67,23 +76,39 @@ def draw_start(
     )
 
 
-def place(side: str, heights: Interval, outline: Outline, rng: np.random.Generator) -> Start:
-    """A random place on that side, reached or not."""
-    sign = 1.0 if rng.random() < 0.5 else -1.0
-    gap, z, rise = rng.uniform(*_GAP), rng.uniform(*heights), rng.uniform(*_RISE)
-    foot, outwards = rng.uniform(-1, 1, 2), np.zeros(2)  # foot: in halves of length and width
-    if side == "front":
-        foot[0], outwards = 1.0, np.array([1.0, 0.0])
-    elif side == "front corner":
-        angle = rng.uniform(0, np.pi / 2)
-        foot, outwards = np.array([1.0, sign]), np.array([math.cos(angle), sign * math.sin(angle)])
-    elif side in ("side", "rear side"):
-        part = (_FRONT_PART, 1.0) if side == "side" else (-1.0, _FRONT_PART)
-        foot, outwards = np.array([rng.uniform(*part), sign]), np.array([0.0, sign])
-    elif side == "back corner":
-        foot, outwards = np.array([-1.0, sign]), np.array([-1.0, sign]) / math.sqrt(2)
-        gap, z = rng.uniform(*_CORNER_GAP), outline.top + rise
-    else:
-        z = outline.top + rise
-    plan = outline.middle + outline.half * foot + gap * outwards
-    return Start(side, np.array([*plan, z]), outwards)
+def place(sector: str, outline: Outline, rng: np.random.Generator) -> Start:
+    """A random place in that sector, reached or not."""
+    plan = outline.middle + _INNER * outline.half * rng.uniform(-1, 1, 2)
+    aim = np.array([*plan, rng.uniform(_LOWEST, outline.top)])
+    outwards = _direction(sector, rng)
+    way = _way_out(aim, outwards, outline) + rng.uniform(*_GAP)
+    return Start(sector, aim + way * outwards, aim)
+
+
+def sector_of(direction: Array) -> str:
+    """The sector of a unit vector (3,) in the base's frame."""
+    x, y, z = direction.tolist()
+    if z > _STEEP:
+        return "above"
+    if z < _FALLING:
+        return "below"
+    azimuth = abs(math.atan2(y, x))
+    edges = (("front", _FRONT), ("front corner", _CORNER), ("side", _SIDE))
+    return next((name for name, edge in edges if azimuth < edge), "back")
+
+
+def _direction(sector: str, rng: np.random.Generator) -> Array:
+    """(3,) a unit vector, uniform over a sector of the sphere."""
+    while True:
+        v = rng.standard_normal(3)
+        v /= np.linalg.norm(v)
+        if sector_of(v) == sector:
+            return v
+
+
+def _way_out(p: Array, direction: Array, outline: Outline) -> float:
+    """[m] from a point of the base's box to where a ray leaves the box."""
+    lower, upper = np.array([*outline.lower, 0.0]), np.array([*outline.upper, outline.top])
+    with np.errstate(divide="ignore"):
+        ways = np.where(direction > 0.0, upper - p, lower - p) / direction
+    return float(np.min(np.where(direction == 0.0, np.inf, ways)))

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from app.border.cache import BorderData
+from app.config import Config
 from app.errors import DbbError
 from app.robot.model import RobotModel
 from app.simulation.run import RunResult, run_scenario
@@ -21,22 +22,32 @@ TIMES = ("step_p50_us", "step_p99_us", "realtime_factor")
 """Figures of a run that depend on the machine: no study keeps them."""
 
 _INPUTS = {
-    "speed": "speed_mps", "duration": "duration_s", "moving": "moving", "delay": "delay_s",
-    "noise": "noise_rad", "mass_error": "mass_error", "slip": "slip",
-    "base_speed": "base_speed_mps", "strength": "strength_n",
+    "speed": "speed_mps", "duration": "duration_s", "moving": "moving",
+    "release_at": "release_at_s", "regrasp_at": "regrasp_at_s",
+    "base_delay": "base_delay_s", "encoder_noise": "encoder_noise_rad", "mass_error": "mass_error",
+    "slip": "slip", "v_max": "v_max_mps", "hand_f_max": "hand_f_max_n",
+    "hand_stiffness": "hand_stiffness_npm", "hand_mass": "hand_mass_kg",
 }  # fmt: skip
-_KNOWN = {"scenario", "controller", "robot", "seed", "duration_s", "physics", *TIMES}
+_KNOWN = {"scenario", "controller", "robot", "seed", "duration_s", "physics", "stuck", *TIMES}
 
 
-def run_case(case: Case, model: RobotModel, data: BorderData) -> RunResult:
+def run_case(
+    case: Case, model: RobotModel, data: BorderData, *, log: bool = True
+) -> RunResult:  # fmt: skip
     """The run of a case.
+
+    Args:
+        case: What happens.
+        model: The robot.
+        data: Its pairs and clouds.
+        log: Whether rows are kept for a log, or figures only.
 
     Raises:
         DbbError: It cannot be run on this robot.
     """
     return run_scenario(
         model, data, case.scenario(), case.config(), controller=case.controller,
-        physics=case.physics, seed=case.seed,
+        physics=case.physics, seed=case.seed, log=log,
     )  # fmt: skip
 
 
@@ -46,12 +57,11 @@ def play_case(case: Case, model: RobotModel, data: BorderData) -> Row:
     A run that breaks off is a row too: `error` says why, and its figures are missing.
     """
     try:
-        result = run_case(case, model, data)
+        result = run_case(case, model, data, log=False)
     except (DbbError, ValueError, ArithmeticError) as error:
         return {**inputs_of(case), "nan": False, "error": f"{type(error).__name__}: {error}"}
     figures = flat(result.figures)
-    nan = not all(map(_finite, figures.values()))
-    nan = nan or not all(math.isfinite(x) for row in result.recorder.rows for x in row.values())
+    nan = not (result.recorder.finite and all(map(_finite, figures.values())))
     kept = {key: rounded(value) if _finite(value) else None for key, value in figures.items()}
     return {**inputs_of(case), **kept, "nan": nan, "error": None}
 
@@ -64,6 +74,12 @@ def met_base(row: Row) -> bool:
 def met_itself(row: Row) -> bool:
     """The same of two bodies of the arm."""
     return bool(row.get("arm_contacts")) or _at_most_zero(row.get("arm_min_clearance_m"))
+
+
+def entered_buffer(row: Row) -> bool:
+    """Whether the arm came into the buffer of the base."""
+    distance = row.get("min_clearance_m")
+    return distance is not None and distance < Config().border.d_b
 
 
 def failed(row: Row) -> bool:

@@ -8,7 +8,7 @@ from html import escape
 from itertools import pairwise
 from typing import Any
 
-from app.study.envelope import Envelope
+from app.study.envelope import Envelope, exerted
 from app.study.parameters import StudyParameters
 from app.study.play import Row, failed
 
@@ -35,8 +35,8 @@ _TEXTS = {
     "envelope": (
         "Where safety ends",
         "Each point is a case. Below the black line lies the envelope that these cases give: in "
-        "each band of delay and v_max, 0.9 of the speed of the slowest case that failed, or came "
-        "nearer than 10 mm, with no more delay and no slower a base.",
+        "each band of speed and delay, 0.9 of the force exerted in the weakest case that failed, "
+        "or came nearer than 10 mm, with no more speed and no more delay.",
     ),
     "clearance": (
         "How near the arm came to the base",
@@ -52,10 +52,13 @@ _TEXTS = {
 }  # fmt: skip
 
 _COLUMNS = {
-    "case": "case", "kind": "from", "speed_mps": "speed [m/s]", "delay_s": "delay [s]",
-    "base_speed_mps": "v_max [m/s]", "strength_n": "strength [N]",
-    "slip": "slip", "mass_error": "mass error",
-    "noise_rad": "noise [rad]", "min_clearance_m": "least distance [m]", "contacts": "contact [ms]",
+    "case": "case", "kind": "from", "hand_force_clear_max_n": "force until near [N]",
+    "hand_force_max_n": "largest force [N]", "speed_mps": "speed [m/s]",
+    "hand_stiffness_npm": "spring [N/m]", "hand_mass_kg": "hand [kg]",
+    "hand_f_max_n": "spring's limit [N]", "release_at_s": "let go [s]",
+    "base_delay_s": "delay [s]", "v_max_mps": "v_max [m/s]", "slip": "slip",
+    "mass_error": "mass error", "encoder_noise_rad": "noise [rad]",
+    "min_clearance_m": "least distance [m]", "contacts": "contact [ms]",
     "arm_min_clearance_m": "within the arm [m]", "arm_contacts": "arm contact [ms]",
     "solver_failures": "QPs without solution",
 }  # fmt: skip
@@ -81,6 +84,7 @@ def report_html(
         f"<h1>{escape(title)}</h1>\n{_lead(parameters)}{_verdict(summary)}"
         + "".join(_picture(name, png) for name, png in pictures.items())
         + _envelope(summary)
+        + _forces(summary)
         + _kinds(summary)
         + _failures(rows, parameters)
         + "</body>\n</html>\n"
@@ -97,7 +101,9 @@ def _lead(parameters: StudyParameters) -> str:
     return (
         f"<p class='soft'>A person pulls the hand towards the base from random starts around and "
         f"above it. Robot {escape(parameters.robot)}, plant {escape(parameters.physics)}, seed "
-        f"{parameters.seed}; {escape(told)} (SI units), each uniformly.{inside}</p>\n"
+        f"{parameters.seed}; {escape(told)} (SI units), the stiffness logarithmically, all else "
+        f"uniformly; {_percent(parameters.ranges.released)} let go on the way, and of these "
+        f"{_percent(parameters.ranges.regrasped)} take hold again.{inside}</p>\n"
     )
 
 
@@ -110,6 +116,7 @@ def _verdict(summary: Mapping[str, Any]) -> str:
         f"as failures here. Within the arm: {s['arm_contact']} and {s['arm_bodies_overlap']}. "
         f"In {s['solver_failure']} a QP had no solution; "
         f"{s['nan']} gave NaN; {s['error']} broke off.",
+        _exerted(s),
         f"Least distance between arm and base: {_number(least['0_%'])} m; of half of the runs "
         f"{_number(least['50_%'])} m or more, of 95 in 100 {_number(least['5_%'])} m or more."
         if least else "",
@@ -119,6 +126,18 @@ def _verdict(summary: Mapping[str, Any]) -> str:
         _stated(s["stated_envelope"]),
     ]  # fmt: skip
     return "".join(f"<p>{escape(line)}</p>\n" for line in lines if line)
+
+
+def _exerted(s: Mapping[str, Any]) -> str:
+    force, speed = s["hand_force_max_n"], s["hand_speed_max_mps"]
+    if force is None or speed is None:
+        return ""
+    return (
+        f"The person exerted {_number(force['0_%'])} to {_number(force['100_%'])} N (median "
+        f"{_number(force['50_%'])} N), and the hand moved at {_number(speed['100_%'])} m/s at "
+        f"most. In {_percent(s['entered_buffer_share'])} of the runs the arm came into the buffer "
+        f"of the base."
+    )
 
 
 def _stated(stated: Mapping[str, Any]) -> str:
@@ -142,21 +161,31 @@ def _picture(name: str, png: bytes) -> str:
 
 
 def _envelope(summary: Mapping[str, Any]) -> str:
-    """v* of the fitted envelope and of the stated one, one row a band of delay."""
+    """F* of the fitted envelope and of the stated one, one row a band of speed."""
     fitted = Envelope.model_validate(
         {k: v for k, v in summary["envelope"].items() if not k.startswith("inside")}
     )
-    text = "<h2>v*, the largest speed inside [m/s]</h2>\n"
+    text = "<h2>F*, the largest force inside [N]</h2>\n"
     for title, envelope in (("these cases", fitted), ("the project states", Envelope.stated())):
-        edges = envelope.base_speed
-        head = [f"delay [s] ({title})"]
-        head += [f"v_max {a:.2f} to {b:.2f} m/s" for a, b in pairwise(edges)]
+        head = [f"speed [m/s] ({title})"]
+        head += [f"delay {a:.2f} to {b:.2f} s" for a, b in pairwise(envelope.base_delay)]
         body = [
             [f"{a:.3g} to {b:.3g}", *map(_number, limits)]
-            for (a, b), limits in zip(pairwise(envelope.delay), envelope.speed, strict=True)
+            for (a, b), limits in zip(pairwise(envelope.speed), envelope.force, strict=True)
         ]
         text += _table(head, body) + "<br>\n"
     return text
+
+
+def _forces(summary: Mapping[str, Any]) -> str:
+    head = ["force until near [N]", "cases", "failed", "in the buffer", "met base", "contact",
+            "within the arm", "least [m]", "fastest hand [m/s]"]  # fmt: skip
+    body = []
+    for counts in summary["by_force"]:
+        low, high, *rest = counts.values()
+        name = f"above {low:g}" if high is None else f"{low:g} to {high:g}"
+        body.append([name, *map(_number, rest)])
+    return "<h2>By the force that was exerted</h2>\n" + _table(head, body)
 
 
 def _kinds(summary: Mapping[str, Any]) -> str:
@@ -169,11 +198,11 @@ def _failures(rows: Sequence[Row], parameters: StudyParameters) -> str:
     bad = [row for row in rows if failed(row)]
     if not bad:
         return "<h2>How it fails</h2>\n<p>No case failed.</p>\n"
-    bad.sort(key=lambda row: row["speed_mps"])
+    bad.sort(key=exerted)
     body = [[_number(row.get(name)) for name in _COLUMNS] for row in bad[:_MOST_FAILURES]]
-    more = f" The slowest {_MOST_FAILURES} of {len(bad)}." if len(bad) > _MOST_FAILURES else ""
+    more = f" The weakest {_MOST_FAILURES} of {len(bad)}." if len(bad) > _MOST_FAILURES else ""
     return (
-        f"<h2>How it fails</h2>\n<p>Slowest first.{more} <code>dbb run --replay-case "
+        f"<h2>How it fails</h2>\n<p>Weakest first.{more} <code>dbb run --replay-case "
         f"failures/case-NNNNN.json</code> plays one again, <code>dbb serve --replay-case</code> "
         f"shows it.</p>\n" + _table(list(_COLUMNS.values()), body)
     )

@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
-from app.study.envelope import Envelope, Tally, fit_envelope, tally, tally_by_halves
+from app.study.envelope import (
+    Envelope,
+    Tally,
+    exerted,
+    fit_envelope,
+    tally,
+    tally_by_halves,
+)
 from app.study.parameters import StudyParameters
-from app.study.play import Row, failed, met_base, met_itself
+from app.study.play import Row, entered_buffer, failed, met_base, met_itself
 
+_FORCES = (0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, math.inf)  # [N] edges of a table
 _QUANTILES = (0.0, 0.01, 0.05, 0.5, 0.95, 1.0)
 
 
@@ -29,6 +39,15 @@ def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> dict[str, An
         "failed_rate_bound_95": tally(rows).rate_bound,
         **_counts(rows),
         "redraws": sum(row["redraws"] for row in rows),
+        "entered_buffer_share": sum(map(entered_buffer, rows)) / len(rows),
+        "released": sum(row["release_at_s"] is not None for row in rows),
+        "regrasped": sum(row["regrasp_at_s"] is not None for row in rows),
+        "hand_force_max_n": _quantiles(rows, "hand_force_max_n"),
+        "hand_force_clear_max_n": _quantiles(rows, "hand_force_clear_max_n"),
+        "hand_speed_max_mps": _quantiles(rows, "hand_speed_max_mps"),
+        "joint_speed_share_max": _quantiles(rows, "joint_speed_share_max"),
+        "base_path_after_release_m": _quantiles(rows, "base_path_after_release_m"),
+        "by_force": by_force(rows),
         "min_clearance_m": _quantiles(rows, "min_clearance_m"),
         "arm_min_clearance_m": _quantiles(rows, "arm_min_clearance_m"),
         "ee_error_final_m": _quantiles(rows, "ee_error_final_m"),
@@ -48,6 +67,26 @@ def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> dict[str, An
         },
         "failures": [row["case"] for row in rows if failed(row)],
     }
+
+
+def by_force(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """How cases fared by the force that was exerted before two bodies were near."""
+    found = []
+    for low, high in pairwise(_FORCES):
+        here = [row for row in rows if low <= exerted(row) < high]
+        least = [row["min_clearance_m"] for row in here if row.get("min_clearance_m") is not None]
+        speeds = [row["hand_speed_max_mps"] for row in here if "hand_speed_max_mps" in row]
+        found.append({
+            "from_n": low, "to_n": high if math.isfinite(high) else None, "cases": len(here),
+            "failed": tally(here).failures,
+            "entered_buffer": sum(map(entered_buffer, here)),
+            "bodies_overlap": sum(map(met_base, here)),
+            "contact": sum(bool(row.get("contacts")) for row in here),
+            "arm_bodies_overlap": sum(map(met_itself, here)),
+            "least_clearance_m": min(least, default=None),
+            "hand_speed_max_mps": max(speeds, default=None),
+        })  # fmt: skip
+    return found
 
 
 def _counts(rows: Sequence[Row]) -> dict[str, int]:

@@ -1,0 +1,93 @@
+"""A tracked hand that stops short of its target: where, why, and when it does not count as such."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from app.border.cache import BorderData
+from app.config import Config
+from app.control.tasks import Reference
+from app.robot.model import RobotModel
+from app.simulation.session import Session, Step
+from app.simulation.stuck import SHORT, find_stuck
+
+ABOVE = np.array([0.0, 0.0, 2.5])  # [m] higher than the arm is long
+
+
+def rests_at(session: Session, p: np.ndarray) -> Reference:
+    return Reference(pin.SE3(session.T_world_ee.rotation, p), np.zeros(6), np.zeros(6))
+
+
+@pytest.fixture(scope="module")
+def session(robot: RobotModel, border_data: BorderData) -> Session:
+    return Session(robot, border_data, Config(), physics="kinematic")
+
+
+@pytest.fixture
+def short(session: Session) -> Step:
+    """One step at the ready posture, 5 cm short of a target at rest."""
+    session.reset(np.array(session.model.description.arm.ready_position))
+    p = session.T_world_ee.translation + np.array([0.05, 0.0, 0.0])
+    return session.step(rests_at(session, p))
+
+
+def test_a_hand_at_its_target_is_not_stuck(session: Session):
+    session.reset(np.array(session.model.description.arm.ready_position))
+    p = session.T_world_ee.translation + np.array([0.9 * SHORT, 0.0, 0.0])
+    assert find_stuck(session.model, session.step(rests_at(session, p))) is None
+
+
+def test_a_hand_without_a_reference_or_with_one_that_moves_is_not_stuck(session, short: Step):
+    assert find_stuck(session.model, short) is not None
+    assert find_stuck(session.model, short._replace(reference=None)) is None
+    moving = short.reference._replace(velocity=np.array([0.1, 0, 0, 0, 0, 0]))
+    assert find_stuck(session.model, short._replace(reference=moving)) is None
+
+
+def test_where_it_stands_and_where_it_should_be_are_told(session, short: Step):
+    stuck = find_stuck(session.model, short)
+    np.testing.assert_allclose(np.subtract(stuck.target_m, stuck.hand_m), [0.05, 0, 0], atol=1e-12)
+    assert stuck.ee_error_m == pytest.approx(0.05)
+    assert stuck.reasons == ("unknown",)
+    assert json.loads(json.dumps(stuck.as_json()))["joints"] == []
+
+
+def test_joints_at_their_limits_are_told_by_name(session, short: Step):
+    q_m = short.truth.q_m.copy()
+    q_m[3], q_m[5] = session.model.q_lower[3], session.model.q_upper[5] - 1e-3
+    stuck = find_stuck(session.model, short._replace(truth=short.truth._replace(q_m=q_m)))
+    assert "joint limits" in stuck.reasons
+    assert stuck.joints == ("panda_joint4", "panda_joint6")
+
+
+@pytest.mark.parametrize(("push", "told"), [(-0.5, True), (0.5, False)])
+def test_a_border_that_pushes_the_base_away_from_the_hands_target_is_told(
+    session, short: Step, push: float, told: bool
+):
+    class Pushed:
+        base_acceleration = np.array([push, 0.0])  # forwards, as the target lies
+
+    output = short.output._replace(inserted=Pushed())
+    stuck = find_stuck(session.model, short._replace(output=output))
+    assert ("border against hand" in stuck.reasons) == told
+
+
+def test_a_hand_that_is_still_on_its_way_is_told_so(session, short: Step):
+    qd_m = np.linalg.pinv(session.state.J_ee[:3, 2:]) @ [0.05, 0.0, 0.0]
+    truth = short.truth._replace(qd_m=qd_m, base_velocity=np.zeros(2))
+    assert "still moving" in find_stuck(session.model, short._replace(truth=truth)).reasons
+
+
+def test_an_arm_that_cannot_reach_ends_at_full_stretch(session: Session):
+    session.reset(np.array(session.model.description.arm.ready_position))
+    here = session.T_world_ee.translation.copy()
+    for k in range(3000):
+        p = here + min(k / 2000, 1.0) * (ABOVE - here)
+        step = session.step(rests_at(session, p))
+    stuck = find_stuck(session.model, step)
+    assert stuck.ee_error_m > 0.3
+    assert {"full stretch", "joint limits"} & set(stuck.reasons), stuck
