@@ -101,7 +101,15 @@ class DashboardTab:
         self._rests = False
         self.wait("() => dbbPage.ready()")
         self.wait("() => dbbPage.has('/robot') && dbbPage.has('/hand')")
-        self.render(3)
+        with self.drawing():
+            self.render(3)
+
+    @contextmanager
+    def drawing(self) -> Iterator[None]:
+        """Have the page draw; at other times it does all but that."""
+        self.page.evaluate("() => dbbTest.draw(true)")
+        yield
+        self.page.evaluate("() => dbbTest.draw(false)")
 
     def rest(self) -> None:
         """Wait until panels and camera are where they stay, once for a scene.
@@ -136,7 +144,8 @@ class DashboardTab:
 
         from PIL import Image
 
-        self.render(2)
+        with self.drawing():
+            self.render(2)
         data = self.page.screenshot(path=path)
         return np.array(Image.open(BytesIO(data)).convert("RGB"))
 

@@ -52,7 +52,7 @@ def test_a_picture_has_the_asked_size_and_shows_the_scene(tab, tmp_path):
     for name, pixels in (("width [px]", 642), ("height [px]", 358)):
         tab.set_slider(name, pixels)
     tab.page.wait_for_timeout(300)
-    with Image.open(download(tab, "Picture (PNG)", tmp_path)) as picture:
+    with tab.drawing(), Image.open(download(tab, "Picture (PNG)", tmp_path)) as picture:
         assert (picture.format, picture.size) == ("PNG", (642, 358))
         grey = np.array(picture.convert("L")).astype(float)
     middle = grey[60:300, 200:450]
