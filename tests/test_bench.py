@@ -71,14 +71,15 @@ def test_synthetic_points_lie_on_the_offset(robot: RobotModel) -> None:
 
 def test_rollouts_are_told_in_multiples_of_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.bench.rollouts._RUNS", ("guiding-front",))
-    rollouts = time_rollouts("husky_panda", (1, 2), rounds=2, seconds=1.0)
+    rollouts = time_rollouts("husky_panda", (1, 2), rounds=1, seconds=0.5)
     assert rollouts.factors.keys() == {1, 2}
     assert min(rollouts.factors.values()) > 0.2
     assert rollouts.scaling > 0.3
 
 
 def test_every_figure_is_there(monkeypatch, recorded, robot, border_data) -> None:
-    monkeypatch.setattr(bench_module, "record", lambda *_: recorded)
+    ends = [path[-300:] for path in recorded]
+    monkeypatch.setattr(bench_module, "record", lambda *_: ends)
     rollouts = Rollouts({1: 3.0, 2: 5.0}, 1.7)
     monkeypatch.setattr(bench_module, "time_rollouts", lambda *_: rollouts)
     stages: list[str] = []

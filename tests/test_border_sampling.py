@@ -192,7 +192,6 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.alone
 def test_ctrl_c_ends_the_sampling_at_once_and_leaves_no_process(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(CTRL_C)

@@ -30,7 +30,7 @@ from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 from tests.onboarding import arm, cart, cube, few_samples, robot, with_mesh, zipped
 
-pytestmark = [pytest.mark.alone, pytest.mark.browser, pytest.mark.slow]
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 TOY = with_mesh(robot([*cart(), *arm()]), "package://toy/meshes/m.stl")
 LATE = "Tried to update non-existent component"

@@ -360,7 +360,6 @@ def test_python_m_app_is_dbb():
     assert errors == ""
 
 
-@pytest.mark.alone
 def test_ctrl_c_ends_a_run_cleanly(tmp_path):
     out = tmp_path / "out"
     process = command("run", "guiding-lateral", "--duration", "3000", "--out", str(out))
@@ -376,7 +375,6 @@ def test_ctrl_c_ends_a_run_cleanly(tmp_path):
     assert list(out.iterdir()) == []
 
 
-@pytest.mark.alone
 def test_ctrl_c_ends_the_dashboard_cleanly():
     process = command("serve", "--port", "0")
     wait_for(process.stderr, "Dashboard at http://127.0.0.1:")

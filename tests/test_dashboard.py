@@ -40,6 +40,7 @@ from app.robot.assets import package_roots, resolve_package_uri
 from app.robot.urdf import resolved_urdf
 from app.simulation.commands import Pull, Release
 from app.simulation.snapshot import PairReading
+from tests.dashboards import parts
 from tests.fakes import ScriptedLoop, fake_clouds
 from tests.raw_client import RawClient
 from tests.robots import husky_panda, random_state
@@ -76,7 +77,7 @@ def loop():
 
 @pytest.fixture
 def dashboard(loop, clouds):
-    server = serve_dashboard(loop, husky_panda(), clouds, port=0)
+    server = serve_dashboard(loop, husky_panda(), clouds, port=0, parts=parts())
     yield server
     server.stop()
 
@@ -248,7 +249,7 @@ def test_no_client_can_open_a_public_tunnel(dashboard):
 
 
 def test_nothing_is_printed_by_serving(loop, clouds, capfd):
-    server = serve_dashboard(loop, husky_panda(), clouds, port=0)
+    server = serve_dashboard(loop, husky_panda(), clouds, port=0, parts=parts())
     server.stop()
     assert capfd.readouterr().out == ""
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+", server.address)

@@ -27,13 +27,11 @@ from app.onboarding.package import LARGEST_URDF
 from app.onboarding.request import Request
 from app.onboarding.write import whole_folder
 from tests.browser import wait_for
-from tests.dashboards import clouds
+from tests.dashboards import clouds, parts
 from tests.fakes import ScriptedLoop
 from tests.onboarding import arm, cart, robot, zipped
 from tests.raw_client import RawClient
 from tests.robots import husky_panda
-
-pytestmark = pytest.mark.alone
 
 TOY = robot([*cart(), *arm()])
 
@@ -227,8 +225,9 @@ def server() -> Iterator[DashboardServer]:
     loop = ScriptedLoop(husky_panda())
     loop.start()
     made = serve_dashboard(
-        loop, husky_panda(), clouds(), port=0, start_loop=lambda *_: ScriptedLoop(husky_panda())
-    )
+        loop, husky_panda(), clouds(), port=0, parts=parts(),
+        start_loop=lambda *_: ScriptedLoop(husky_panda()),
+    )  # fmt: skip
     yield made
     made.stop()
     loop.stop()

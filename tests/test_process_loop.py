@@ -18,8 +18,6 @@ from app.simulation.process_loop import ProcessLoop
 from app.simulation.session import Session
 from tests.fakes import ScriptedLoop
 
-pytestmark = pytest.mark.alone
-
 PATIENCE = 20.0  # [s]
 
 

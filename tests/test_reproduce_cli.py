@@ -104,7 +104,6 @@ def test_a_figure_agrees_with_the_run_of_its_scenario(tmp_path):
     assert "data:image/png" in (tmp_path / "index.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.alone
 @pytest.mark.slow
 def test_ctrl_c_ends_it_and_its_workers(tmp_path):
     psutil = pytest.importorskip("psutil")

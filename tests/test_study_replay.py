@@ -125,7 +125,6 @@ def begun(loop: SimulationLoop) -> None:
         time.sleep(0.002)
 
 
-@pytest.mark.alone
 def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, case, loop):
     """Each snapshot is a row of the run's log, to the last digit, noise included."""
     log = {round(r["t_s"], 3): r for r in run_case(case, sources.model, sources.data).recorder.rows}
@@ -146,7 +145,6 @@ def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, case, loop)
     assert loop.latest().hand_target is None
 
 
-@pytest.mark.alone
 @pytest.mark.parametrize("command", [Pull(None), Pull((0.9, 0.0, 0.5)), Reset()])
 def test_whoever_takes_the_hand_or_begins_anew_ends_the_play(case, loop, command):
     loop.send(Play(case.scenario()))

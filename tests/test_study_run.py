@@ -28,7 +28,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-pytestmark = pytest.mark.alone
 
 PROJECT = Path(__file__).parent.parent
 CASES = 6
