@@ -43,7 +43,7 @@ class Outcome(NamedTuple):
 
 
 @pytest.fixture
-def dbb(capfd, monkeypatch):
+def dbb(capfd, monkeypatch, loaded_once):
     """Runs the command line in this process; also sees what a C library prints."""
     monkeypatch.setattr(logging, "basicConfig", lambda **_: None)  # pytest owns the logging here
 
