@@ -23,9 +23,13 @@ settings.load_profile("patient")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Slow files first, so that none is left for the end."""
-    slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: item.path not in slow)
+    """Files that are slow as a whole first, so that none is left for the end."""
+
+    def is_slow(item: pytest.Item) -> bool:
+        module = item.getparent(pytest.Module)
+        return module is not None and any(m.name in {"slow", "browser"} for m in module.own_markers)
+
+    items.sort(key=lambda item: not is_slow(item))
 
 
 @pytest.fixture(scope="session")

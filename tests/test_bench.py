@@ -18,6 +18,8 @@ from app.config import Config
 from app.control.controller import Controller
 from app.robot.model import RobotModel
 
+pytestmark = pytest.mark.slow
+
 KEYS = {
     "step_p50_us", "step_p99_us", "step_max_us", "floor_p50_us", "step_all_p50_us",
     "stages_p50_us", "step_p50_us_by_points", "border_build_s", "border_reselect_ms",

@@ -25,6 +25,8 @@ from app.robot.state import Measurement, RobotState
 from app.simulation.log import read_log
 from app.simulation.scenario import SCENARIOS
 
+pytestmark = pytest.mark.slow
+
 PROJECT = Path(__file__).parent.parent
 QUICK = ["run", "guiding-lateral", "--physics", "kinematic", "--duration", "0.05"]
 FIGURES = {

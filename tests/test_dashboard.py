@@ -176,6 +176,7 @@ def page_of(dashboard):
     return page
 
 
+@pytest.mark.slow
 def test_the_end_of_the_simulation_stays_on_the_page(dashboard, loop):
     with RawClient(dashboard.address):
         banner = page_of(dashboard)._banner
@@ -185,6 +186,7 @@ def test_the_end_of_the_simulation_stays_on_the_page(dashboard, loop):
         assert dashboard.error is None
 
 
+@pytest.mark.slow
 def test_an_error_of_the_drawing_ends_it_visibly(dashboard, loop):
     with RawClient(dashboard.address):
         banner = page_of(dashboard)._banner
@@ -194,6 +196,7 @@ def test_an_error_of_the_drawing_ends_it_visibly(dashboard, loop):
         assert isinstance(dashboard.error, ZeroDivisionError)
 
 
+@pytest.mark.slow
 def test_each_viewer_has_a_page_that_ends_with_the_connection(dashboard):
     with RawClient(dashboard.address):
         first = page_of(dashboard)
@@ -209,6 +212,7 @@ def test_each_viewer_has_a_page_that_ends_with_the_connection(dashboard):
     assert dashboard.error is None
 
 
+@pytest.mark.slow
 def test_garbage_ends_the_connection_of_its_sender_only(dashboard):
     with RawClient(dashboard.address):
         page_of(dashboard)
@@ -285,6 +289,7 @@ def test_wheels_turn_by_their_own_side_about_the_axle():
             np.testing.assert_allclose(turn.rotation, expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_decimated_meshes_keep_their_extent():
     model = LinkPoses(husky_panda()).model
     visuals = load_visuals(husky_panda().description, model)

@@ -13,6 +13,8 @@ from tests.browser import wait_for
 from tests.dashboards import served_dashboard
 from tests.raw_client import RawClient
 
+pytestmark = pytest.mark.slow
+
 FLOOD = 10_000
 """Messages of one client."""
 WRONG = (99999.0, -1e308, float("nan"), float("inf"), "wide", None, [1, 2], {"a": 1}, True, b"\xff")

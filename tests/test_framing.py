@@ -64,6 +64,7 @@ def test_what_a_browser_says_of_its_window_is_believed_within_reason() -> None:
     assert Window.of(800, 1000, 100) == Window(0.8, 0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", [Window(0.85, 0.23), Window(1.6, 0.18), Window()])
 @pytest.mark.parametrize("name", [name for name in PRESETS if not PRESETS[name].of_hand])
 def test_a_preset_shows_the_whole_robot_wherever_it_stands(name: str, window: Window) -> None:
@@ -130,6 +131,7 @@ def settled(camera: Camera, eye: Eye, loop: ScriptedLoop, *, busy: bool = False)
     return bool(np.linalg.norm(eye.position - before) > 0.05)
 
 
+@pytest.mark.slow
 def test_a_camera_that_follows_still_looks_again_when_the_panels_come(
     looking: tuple[Camera, Eye, ScriptedLoop],
 ) -> None:

@@ -18,6 +18,8 @@ from app.simulation.process_loop import ProcessLoop
 from app.simulation.session import Session
 from tests.fakes import ScriptedLoop
 
+pytestmark = pytest.mark.slow
+
 PATIENCE = 20.0  # [s]
 
 

@@ -13,6 +13,8 @@ from app.cli.main import main
 from app.dashboard.browser import new_context
 from app.simulation.log import read_log, write_log
 
+pytestmark = pytest.mark.slow
+
 _PLACE = "() => dbbPage.viewer().nodePoseData['/robot']?.position ?? null"
 
 

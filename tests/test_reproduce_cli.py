@@ -41,6 +41,7 @@ def refused(capfd) -> Callable[..., None]:
     return refused
 
 
+@pytest.mark.slow
 def test_a_figure_without_runs_is_written_with_its_data_and_page(tmp_path):
     out = tmp_path / "made" / "on demand"
     done = dbb("reproduce", "fig10", "--out", str(out), "--json")

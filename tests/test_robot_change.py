@@ -29,6 +29,8 @@ from tests.fakes import ScriptedLoop
 from tests.raw_client import RawClient
 from tests.robots import husky_panda
 
+pytestmark = pytest.mark.slow
+
 OTHER = "other"
 """A second robot: the paper's by another name, so that nothing else has to be installed."""
 

@@ -51,6 +51,7 @@ def file(case, tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_the_command_gives_the_figures_of_the_study(sources, case, file, capfd):
     row = play_case(case, sources.model, sources.data)
     main(["run", "--replay-case", str(file), "--json"])
@@ -191,6 +192,7 @@ def labels_of_the_page(server) -> list[str]:
         return [handle.label for handle in client.gui._gui_input_handle_from_uuid.values()]
 
 
+@pytest.mark.slow
 def test_only_the_page_of_a_case_has_its_button(case, border_data):
     scenarios = (None, case.scenario())
     for scenario in scenarios:

@@ -23,6 +23,8 @@ from tests.raw_client import RawClient
 from tests.robots import husky_panda
 from tests.test_sweep_maps import result
 
+pytestmark = pytest.mark.slow
+
 SHORT = SweepPlan(
     heights=(1.9,), step=90.0, wheel_axis=False, length=0.02, speeds=(0.4,), physics="kinematic"
 )
