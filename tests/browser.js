@@ -13,6 +13,12 @@
       if (drawing) original.apply(this, args);
     };
   }
+  // Nor has it to do all the rest sixty times a second then.
+  const soon = window.requestAnimationFrame.bind(window);
+  const never = window.cancelAnimationFrame.bind(window);
+  window.requestAnimationFrame = (callback) =>
+    drawing ? soon(callback) : -setTimeout(() => callback(performance.now()), 50);
+  window.cancelAnimationFrame = (id) => (id < 0 ? clearTimeout(-id) : never(id));
 
   const world = (name, point) => {
     const object = node(name);
