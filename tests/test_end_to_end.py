@@ -97,7 +97,7 @@ def pull_towards_base(tab: DashboardTab) -> None:
 
 
 def test_the_base_gets_out_of_the_way_of_a_hand_that_is_dragged_at_it(browser, served):
-    tab = DashboardTab(browser, served.address)
+    tab = DashboardTab(browser, served.address, draws=True)
     tab.open_tab("Plots")
     tab.wait("() => dbbTest.plot('activation β_m') !== null")
     assert reading(tab, "person pulls") == "no"
@@ -134,7 +134,7 @@ def test_two_dashboards_cannot_listen_at_one_port(served):
 
 
 def test_the_page_says_why_when_the_process_of_the_simulation_has_died(browser, served):
-    tab = DashboardTab(browser, served.address)
+    tab = DashboardTab(browser, served.address, draws=True)
     simulation_of(served).kill()
     tab.page.get_by_text("ended with status").wait_for(timeout=1000 * PATIENCE)
     status, printed = served.interrupt()
