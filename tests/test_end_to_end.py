@@ -107,7 +107,7 @@ def test_the_base_gets_out_of_the_way_of_a_hand_that_is_dragged_at_it(browser, s
 
     pull_towards_base(tab)
 
-    assert greatest_activation(tab) > 0.2
+    wait_for(lambda: greatest_activation(tab) > 0.2, PATIENCE, "the plot comes after the scene")
     assert tab.position("/robot")[0] < -0.05, "it backs off, away from the hand"
     wait_for(lambda: reading(tab, "person pulls") == "no", PATIENCE, "nobody pulls any more")
     wait_for(
