@@ -2,6 +2,24 @@
 (() => {
   const { viewer, canvas, node } = window.dbbPage;
 
+  // Drawing in software takes nine tenths of the time. So the page draws only until the scene is
+  // there, and a picture when a test looks; in between the canvas keeps what it shows.
+  let drawing = true;
+  const draws = ["clear", "drawArrays", "drawElements", "drawRangeElements",
+    "drawArraysInstanced", "drawElementsInstanced"];
+  for (const name of draws) {
+    const original = WebGL2RenderingContext.prototype[name];
+    WebGL2RenderingContext.prototype[name] = function (...args) {
+      if (drawing) original.apply(this, args);
+    };
+  }
+  // Nor has it to do all the rest sixty times a second then.
+  const soon = window.requestAnimationFrame.bind(window);
+  const never = window.cancelAnimationFrame.bind(window);
+  window.requestAnimationFrame = (callback) =>
+    drawing ? soon(callback) : -setTimeout(() => callback(performance.now()), 50);
+  window.cancelAnimationFrame = (id) => (id < 0 ? clearTimeout(-id) : never(id));
+
   const world = (name, point) => {
     const object = node(name);
     object.updateWorldMatrix(true, false);
@@ -37,6 +55,7 @@
   };
 
   window.dbbTest = {
+    draw: (on) => (drawing = on),
     pixel,
     pixels: (name, points) => points.map((point) => pixel(name, point)),
     // In the scene's frame, z up; three.js itself has y up.

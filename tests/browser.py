@@ -73,7 +73,7 @@ class DashboardTab:
 
     def __init__(
         self, browser: Any, address: str, size: tuple[int, int] = (1280, 720),
-        *, first_visit: bool = False, dpr: float = 0.5,
+        *, first_visit: bool = False, dpr: float = 0.5, draws: bool = False,
     ) -> None:  # fmt: skip
         """Open the page and wait until the first picture with the robot is drawn.
 
@@ -82,6 +82,7 @@ class DashboardTab:
             address: Of the server.
             size: [px] of the window.
             first_visit: Whether the page shows its tour.
+            draws: Whether it goes on drawing, as a person's page does, also while nobody looks.
             dpr: Drawn pixels a pixel of the window; drawing in software takes most of the time.
         """
         context = browser_of_app.new_context(browser, size)
@@ -89,7 +90,7 @@ class DashboardTab:
         if not first_visit:
             context.add_init_script(_NO_TOUR)
         self.page = context.new_page()
-        self._rests = False
+        self._rests, self._draws = False, draws
         self.errors: list[str] = []
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.on("console", self._listen)
@@ -101,7 +102,16 @@ class DashboardTab:
         self._rests = False
         self.wait("() => dbbPage.ready()")
         self.wait("() => dbbPage.has('/robot') && dbbPage.has('/hand')")
-        self.render(3)
+        with self.drawing():
+            self.render(3)
+
+    @contextmanager
+    def drawing(self) -> Iterator[None]:
+        """Have the page draw; at other times it does all but that."""
+        self.page.evaluate("() => dbbTest.draw(true)")
+        yield
+        if not self._draws:
+            self.page.evaluate("() => dbbTest.draw(false)")
 
     def rest(self) -> None:
         """Wait until panels and camera are where they stay, once for a scene.
@@ -136,7 +146,8 @@ class DashboardTab:
 
         from PIL import Image
 
-        self.render(2)
+        with self.drawing():
+            self.render(2)
         data = self.page.screenshot(path=path)
         return np.array(Image.open(BytesIO(data)).convert("RGB"))
 

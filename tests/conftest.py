@@ -6,6 +6,7 @@ import pytest
 from hypothesis import settings
 
 from app.border.cache import BorderData, load_border_data
+from app.cli import common
 from app.robot.model import RobotModel
 from tests.browser import chromium
 from tests.robots import husky_panda
@@ -21,6 +22,16 @@ settings.register_profile("patient", deadline=None)
 settings.load_profile("patient")
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files that are slow as a whole first, so that none is left for the end."""
+
+    def is_slow(item: pytest.Item) -> bool:
+        module = item.getparent(pytest.Module)
+        return module is not None and any(m.name in {"slow", "browser"} for m in module.own_markers)
+
+    items.sort(key=lambda item: not is_slow(item))
+
+
 @pytest.fixture(scope="session")
 def robot() -> RobotModel:
     """The paper's robot; treat it as frozen."""
@@ -31,6 +42,28 @@ def robot() -> RobotModel:
 def border_data(robot: RobotModel) -> BorderData:
     """Pairs and clouds of the paper's robot, as they ship."""
     return load_border_data(robot, progress=False)
+
+
+@pytest.fixture
+def loaded_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands in this process share a robot and its border as long as its description is equal."""
+    load_model, load_border = common.load_model, common.load_border_data
+
+    def model_of(robot: str) -> RobotModel:
+        fresh = load_model(robot)  # whatever is wrong with its files is found out each time
+        return _models.setdefault(fresh.description.model_dump_json(), fresh)
+
+    def border_of(model: RobotModel) -> BorderData:
+        if model not in _borders:
+            _borders[model] = load_border(model)
+        return _borders[model]
+
+    monkeypatch.setattr(common, "load_model", model_of)
+    monkeypatch.setattr(common, "load_border_data", border_of)
+
+
+_models: dict[str, RobotModel] = {}
+_borders: dict[RobotModel, BorderData] = {}
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from app.border.cloud import Cloud
 from app.dashboard.page import Page
+from app.dashboard.robot import RobotParts
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.dashboard.stage_change import StartLoop
 from app.simulation.commands import Compare, Pause, Reset, Speed
@@ -56,7 +57,9 @@ def served_dashboard(
     loop = loop or ScriptedLoop(husky_panda())
     loop.start()
     try:
-        server = serve_dashboard(loop, husky_panda(), clouds(), port=port, start_loop=start_loop)
+        server = serve_dashboard(
+            loop, husky_panda(), clouds(), port=port, parts=parts(), start_loop=start_loop
+        )
         try:
             yield Served(server, loop)
         finally:
@@ -64,6 +67,12 @@ def served_dashboard(
         assert server.error is None, "the drawing thread"
     finally:
         loop.stop()
+
+
+@cache
+def parts() -> RobotParts:
+    """The robot's meshes, read and decimated once."""
+    return RobotParts(husky_panda())
 
 
 @cache

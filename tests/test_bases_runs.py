@@ -14,6 +14,8 @@ from app.simulation.run import run_scenario
 from app.simulation.scenario import LINES
 from tests.bases import robot_on
 
+pytestmark = pytest.mark.slow
+
 PATHS = {
     "left": ((0.30, 0.72, 0.30), (0.0, -0.25, 0.0)),
     "right": ((0.35, -0.70, 0.30), (0.0, 0.20, 0.0)),

@@ -40,6 +40,7 @@ def voxels(sectors: int = 16) -> Voxels:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_number_of_processes_changes_nothing(clouds):
     again = sample_clouds(husky_panda(), PAIRS, COARSE, progress=False, processes=2)
     assert clouds.keys() == again.keys() == {"lm-lEE", "lm-l3"}
@@ -156,6 +157,7 @@ def parent_pid() -> int:
 PARENT = int(os.environ.setdefault("BORDER_TEST_PARENT", str(os.getpid())))
 
 
+@pytest.mark.slow
 def test_when_worker_processes_die_the_work_is_done_without_them(caplog):
     with Workers(parent_pid, processes=2) as workers:
         assert list(workers.map(die_outside, [1, 2, 3])) == [1, 4, 9]
@@ -192,7 +194,6 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.alone
 def test_ctrl_c_ends_the_sampling_at_once_and_leaves_no_process(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(CTRL_C)

@@ -73,6 +73,7 @@ def test_the_surface_is_within_two_millimetres_of_the_exact_offset(
     assert np.abs(body.distance(feet) - D_B).max() < 0.002
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_the_acting_point_is_continuous_on_the_surface_and_not_on_the_points(
     border: Border, offset: OffsetContours, robot: RobotModel, seed: int

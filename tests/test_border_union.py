@@ -229,6 +229,7 @@ def test_pieces_are_what_of_the_rings_lies_on_the_offset(offset: OffsetContours)
     assert all(rings.vertices.shape[1] == RAYS + 1 for rings in offset.rings)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["none", "dbb"])
 def test_a_hand_pulled_at_the_tower_meets_it_only_without_avoidance(controller: str):
     """The arm bends backwards over the deck, towards a tower that stands behind it."""

@@ -16,6 +16,7 @@ from tests.dashboards import served_dashboard
 pytestmark = pytest.mark.browser
 
 BEGIN, END = 1.0, 2.0  # [s] of the marked interval
+PATIENCE = 300_000  # [ms] for what is made at low priority beside a simulation
 
 
 @pytest.fixture(scope="module")
@@ -40,11 +41,11 @@ def tab(browser):
 
 def download(tab: DashboardTab, button: str, folder: Path) -> Path:
     """Press a button and keep what comes."""
-    with tab.page.expect_download(timeout=120_000) as coming:
+    with tab.page.expect_download(timeout=PATIENCE) as coming:
         tab.click(button)
     path = folder / coming.value.suggested_filename
     coming.value.save_as(path)
-    tab.page.get_by_text("is being made").wait_for(state="hidden", timeout=40_000)
+    tab.page.get_by_text("is being made").wait_for(state="hidden", timeout=PATIENCE)
     return path
 
 
@@ -52,7 +53,7 @@ def test_a_picture_has_the_asked_size_and_shows_the_scene(tab, tmp_path):
     for name, pixels in (("width [px]", 642), ("height [px]", 358)):
         tab.set_slider(name, pixels)
     tab.page.wait_for_timeout(300)
-    with Image.open(download(tab, "Picture (PNG)", tmp_path)) as picture:
+    with tab.drawing(), Image.open(download(tab, "Picture (PNG)", tmp_path)) as picture:
         assert (picture.format, picture.size) == ("PNG", (642, 358))
         grey = np.array(picture.convert("L")).astype(float)
     middle = grey[60:300, 200:450]
@@ -87,7 +88,7 @@ def test_a_report_opens_from_a_file_with_the_network_off(tab, tmp_path, offline)
 
 def test_a_replay_moves_the_robot_from_a_file_with_the_network_off(tab, tmp_path, offline):
     offline.goto(download(tab, "Replay (HTML)", tmp_path).as_uri())
-    offline.wait_for_function("() => dbbPage.ready() && dbbPage.has('/robot')")
+    offline.wait_for_function("() => dbbPage.ready() && dbbPage.has('/robot')", timeout=PATIENCE)
     joint = "() => dbbPage.viewer().nodePoseData['/robot/panda_joint4']?.position?.[2] ?? null"
     heights = set()
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,11 +26,11 @@ from app.robot.model import RobotModel
 from app.simulation.loop import SimulationLoop
 from app.simulation.session import Session
 from app.simulation.start import StartSolver
-from tests.browser import DashboardTab, chromium, wait_for
+from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 from tests.onboarding import arm, cart, cube, few_samples, robot, with_mesh, zipped
 
-pytestmark = [pytest.mark.alone, pytest.mark.browser, pytest.mark.slow]
+pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 TOY = with_mesh(robot([*cart(), *arm()]), "package://toy/meshes/m.stl")
 LATE = "Tried to update non-existent component"
@@ -86,34 +87,33 @@ def see(tab: DashboardTab, text: str) -> None:
 
 
 def test_a_zip_becomes_a_robot_whose_base_gives_way_to_the_hand(
-    server: DashboardServer, tmp_path: Path
+    browser: Any, server: DashboardServer, tmp_path: Path
 ) -> None:
     good = {"toy/toy.urdf": TOY, "toy/meshes/m.stl": cube()}
-    with chromium() as browser:
-        tab = DashboardTab(browser, server.address)
-        tab.open_tab("Robot")
-        tab.page.get_by_text("Your own robot").click()
-        for files, words in (
-            ({"../toy.urdf": TOY}, "leads out of the zip by '..'"),
-            ({**good, "toy/toy.urdf": TOY.replace('xyz="0 0 0.34"', 'xyz="0 0 340"')},
-             "these look like millimetres"),
-        ):  # fmt: skip
-            choose_file(tab, zipped(tmp_path, files))
-            see(tab, words)
-        choose_file(tab, zipped(tmp_path, good))
-        see(tab, "Which links?")
-        tab.click("Make it")
-        see(tab, "toy is made")
-        tab.click("Report")
-        see(tab, "How toy was made")
-        tab.click("Close")
-        shared = server.shared
-        tab.click("Use this robot")
-        wait_for(lambda: server.shared is not shared, what="the new robot")
-        tab.wait_for_scene()
-        tab.errors = [text for text in tab.errors if not text.startswith(LATE)]
-        pull_towards_the_base(tab, server)
-        assert tab.errors == []
+    tab = DashboardTab(browser, server.address)
+    tab.open_tab("Robot")
+    tab.page.get_by_text("Your own robot").click()
+    for files, words in (
+        ({"../toy.urdf": TOY}, "leads out of the zip by '..'"),
+        ({**good, "toy/toy.urdf": TOY.replace('xyz="0 0 0.34"', 'xyz="0 0 340"')},
+         "these look like millimetres"),
+    ):  # fmt: skip
+        choose_file(tab, zipped(tmp_path, files))
+        see(tab, words)
+    choose_file(tab, zipped(tmp_path, good))
+    see(tab, "Which links?")
+    tab.click("Make it")
+    see(tab, "toy is made")
+    tab.click("Report")
+    see(tab, "How toy was made")
+    tab.click("Close")
+    shared = server.shared
+    tab.click("Use this robot")
+    wait_for(lambda: server.shared is not shared, what="the new robot")
+    tab.wait_for_scene()
+    tab.errors = [text for text in tab.errors if not text.startswith(LATE)]
+    pull_towards_the_base(tab, server)
+    assert tab.errors == []
 
 
 def pull_towards_the_base(tab: DashboardTab, server: DashboardServer) -> None:

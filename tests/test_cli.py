@@ -25,6 +25,8 @@ from app.robot.state import Measurement, RobotState
 from app.simulation.log import read_log
 from app.simulation.scenario import SCENARIOS
 
+pytestmark = pytest.mark.slow
+
 PROJECT = Path(__file__).parent.parent
 QUICK = ["run", "guiding-lateral", "--physics", "kinematic", "--duration", "0.05"]
 FIGURES = {
@@ -47,7 +49,7 @@ class Outcome(NamedTuple):
 
 
 @pytest.fixture
-def dbb(capfd, monkeypatch):
+def dbb(capfd, monkeypatch, loaded_once):
     """Runs the command line in this process; also sees what a C library prints."""
     monkeypatch.setattr(logging, "basicConfig", lambda **_: None)  # pytest owns the logging here
 
@@ -390,7 +392,6 @@ def test_python_m_app_is_dbb():
     assert errors == ""
 
 
-@pytest.mark.alone
 def test_ctrl_c_ends_a_run_cleanly(tmp_path):
     out = tmp_path / "out"
     process = command("run", "guiding-lateral", "--duration", "3000", "--out", str(out))
@@ -406,7 +407,6 @@ def test_ctrl_c_ends_a_run_cleanly(tmp_path):
     assert list(out.iterdir()) == []
 
 
-@pytest.mark.alone
 def test_ctrl_c_ends_the_dashboard_cleanly():
     process = command("serve", "--port", "0")
     wait_for(process.stderr, "Dashboard at http://127.0.0.1:")

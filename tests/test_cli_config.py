@@ -66,6 +66,7 @@ def refused(capsys, *args: str) -> str:
     return told.err
 
 
+@pytest.mark.slow
 def test_a_run_uses_the_parameters_of_its_file_and_options_come_before_it(handed_on, mine):
     assert configured(None) == Config()
     assert configured(mine) == CONFIG
@@ -89,6 +90,7 @@ def test_a_sweep_uses_the_parameters_of_its_file(handed_on, mine, tmp_path, caps
     assert "leave one of them" in refused(capsys, *args, "--parameters", str(both))
 
 
+@pytest.mark.slow
 def test_the_dashboard_begins_with_the_parameters_of_its_file(mine, monkeypatch):
     def stop(loop, *_, **__):
         raise SeenError(loop.latest().config)

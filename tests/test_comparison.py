@@ -20,6 +20,8 @@ from app.simulation.scenario import LINES, SCENARIOS
 from app.simulation.session import DT, Session, Step
 from app.simulation.start import StartSolver
 
+pytestmark = pytest.mark.slow
+
 LATERAL = LINES["guiding-lateral"]
 PULL = Pull((LATERAL.start[0], LATERAL.start[1] - 0.25, LATERAL.start[2]))
 ELBOW = Pull((0.3, 0.4, 1.0), "panda_link4", (0.0, 0.05, 0.0), who=2)

@@ -29,6 +29,7 @@ def drawn(sources: Sources) -> Drawing:
         return continuity.figure_continuity(sources)
 
 
+@pytest.mark.slow
 def test_on_a_path_ten_times_finer_the_surfaces_steps_are_ten_times_smaller(drawn) -> None:
     measured: dict[str, Any] = drawn.measured
     assert measured["surface"]["finer_ratio"] > 8.0

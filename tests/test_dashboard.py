@@ -40,6 +40,7 @@ from app.robot.assets import package_roots, resolve_package_uri
 from app.robot.urdf import resolved_urdf
 from app.simulation.commands import Pull, Release
 from app.simulation.snapshot import PairReading
+from tests.dashboards import parts
 from tests.fakes import ScriptedLoop, fake_clouds
 from tests.raw_client import RawClient
 from tests.robots import husky_panda, random_state
@@ -76,7 +77,7 @@ def loop():
 
 @pytest.fixture
 def dashboard(loop, clouds):
-    server = serve_dashboard(loop, husky_panda(), clouds, port=0)
+    server = serve_dashboard(loop, husky_panda(), clouds, port=0, parts=parts())
     yield server
     server.stop()
 
@@ -175,6 +176,7 @@ def page_of(dashboard):
     return page
 
 
+@pytest.mark.slow
 def test_the_end_of_the_simulation_stays_on_the_page(dashboard, loop):
     with RawClient(dashboard.address):
         banner = page_of(dashboard)._banner
@@ -184,6 +186,7 @@ def test_the_end_of_the_simulation_stays_on_the_page(dashboard, loop):
         assert dashboard.error is None
 
 
+@pytest.mark.slow
 def test_an_error_of_the_drawing_ends_it_visibly(dashboard, loop):
     with RawClient(dashboard.address):
         banner = page_of(dashboard)._banner
@@ -193,6 +196,7 @@ def test_an_error_of_the_drawing_ends_it_visibly(dashboard, loop):
         assert isinstance(dashboard.error, ZeroDivisionError)
 
 
+@pytest.mark.slow
 def test_each_viewer_has_a_page_that_ends_with_the_connection(dashboard):
     with RawClient(dashboard.address):
         first = page_of(dashboard)
@@ -208,6 +212,7 @@ def test_each_viewer_has_a_page_that_ends_with_the_connection(dashboard):
     assert dashboard.error is None
 
 
+@pytest.mark.slow
 def test_garbage_ends_the_connection_of_its_sender_only(dashboard):
     with RawClient(dashboard.address):
         page_of(dashboard)
@@ -248,7 +253,7 @@ def test_no_client_can_open_a_public_tunnel(dashboard):
 
 
 def test_nothing_is_printed_by_serving(loop, clouds, capfd):
-    server = serve_dashboard(loop, husky_panda(), clouds, port=0)
+    server = serve_dashboard(loop, husky_panda(), clouds, port=0, parts=parts())
     server.stop()
     assert capfd.readouterr().out == ""
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+", server.address)
@@ -284,6 +289,7 @@ def test_wheels_turn_by_their_own_side_about_the_axle():
             np.testing.assert_allclose(turn.rotation, expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_decimated_meshes_keep_their_extent():
     model = LinkPoses(husky_panda()).model
     visuals = load_visuals(husky_panda().description, model)

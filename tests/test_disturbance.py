@@ -62,6 +62,7 @@ def path(steps: list[Step]) -> np.ndarray:
     return np.array([np.concatenate([*s.truth, s.output.u_a, s.base_command]) for s in steps])
 
 
+@pytest.mark.slow
 def test_without_disturbance_the_sensors_say_the_truth_and_the_commands_arrive(make):
     session = make()
     steps = pulled(session, 1500)
@@ -72,12 +73,14 @@ def test_without_disturbance_the_sensors_say_the_truth_and_the_commands_arrive(m
     np.testing.assert_array_equal([s.distances for s in steps], d)
 
 
+@pytest.mark.slow
 def test_setting_everything_back_to_zero_is_as_if_nothing_had_been(make):
     plain, changed = make(), make(encoder_noise=0.005, base_delay=0.3, mass_error=0.2, slip=0.4)
     changed.configure(Config())
     np.testing.assert_array_equal(path(pulled(plain, 800)), path(pulled(changed, 800)))
 
 
+@pytest.mark.slow
 def test_a_seed_gives_one_run_and_another_seed_another(make):
     all_of_it = {"encoder_noise": SIGMA, "base_delay": 0.1, "mass_error": -0.1, "slip": 0.2}
     a, b, c = make(**all_of_it), make(**all_of_it), make(seed=1, **all_of_it)
@@ -142,6 +145,7 @@ def test_distances_and_error_of_a_step_are_true_under_noise(make, robot: RobotMo
     assert np.abs(seen).max() > 1e-3  # [m] the controller has seen something else
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.001, 0.05, 0.2])
 def test_delay_shifts_the_base_command_by_exactly_that(make, delay):
     session = make(base_delay=delay)

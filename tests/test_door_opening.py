@@ -164,6 +164,7 @@ def opened(request) -> tuple[Hinged, float, DoorOpening, list[Sample]]:
     return door, wrong, opening, run(door, opening, 8.0)
 
 
+@pytest.mark.slow
 def test_the_estimate_of_the_radial_direction_converges_for_random_hinges(opened):
     """From up to 30° to either side to within 5° after 5 s, of either sense of opening."""
     _, wrong, _, trace = opened
@@ -179,6 +180,7 @@ def test_the_hands_force_stays_moderate(opened):
     assert max(s.force for s in trace[6000:]) < 3.0 + door.friction / door.radius
 
 
+@pytest.mark.slow
 def test_the_radial_force_is_regulated_to_what_is_wanted():
     for wanted in (5.0, -5.0):
         door = Hinged(friction=0.5)
@@ -228,6 +230,7 @@ def test_it_starts_at_rest_where_the_hand_is_and_without_a_jerk(opened):
     assert np.linalg.norm(np.diff(moved, axis=0), axis=1).max() < 0.2 * DT  # [m/s]
 
 
+@pytest.mark.slow
 def test_it_knows_of_the_door_only_what_the_hand_feels():
     """The door is exchanged for one with another hinge and radius, unseen: it finds that too."""
     door = Hinged(radius=0.45)
@@ -262,6 +265,7 @@ def test_the_worlds_axes_are_of_no_matter():
         np.testing.assert_allclose(b.reference.velocity[3:], w, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_mirrored_door_is_opened_in_the_mirror():
     left, right = Hinged(side=1.0), Hinged(side=-1.0)
     ends = [run(d, opening_of(d, d.side * 0.5), 4.0) for d in (left, right)]
@@ -271,6 +275,7 @@ def test_a_mirrored_door_is_opened_in_the_mirror():
         np.testing.assert_allclose(b.reference.velocity, mirrored, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_it_opens_the_door_and_stops_there():
     """The hand turns by what is asked, and does not go on; a fast run."""
     gains = DoorOpeningGains(speed=0.06)
@@ -281,6 +286,7 @@ def test_it_opens_the_door_and_stops_there():
     assert max(s.force for s in trace) < 50.0
 
 
+@pytest.mark.slow
 def test_a_door_that_does_not_move_is_not_forced():
     """The speed falls to zero at the force from which on the hand does not move on."""
     gains = DoorOpeningGains()

@@ -80,6 +80,7 @@ def test_a_scenario_is_the_same_run_as_on_the_command_line(make, robot, border_d
     np.testing.assert_allclose(played, run, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_it_leads_until_its_end_and_then_the_hand_is_free(make):
     ensemble = make()
     ensemble.play(TRACKING.changed(duration=0.2))
@@ -114,6 +115,7 @@ def test_a_reset_returns_to_the_free_start_and_so_does_a_restart_after_it(make, 
         steps(ensemble, 0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("known_fridge")
 def test_the_refrigerator_brings_its_door_and_takes_it_away_again(make, fridge_setting):
     ensemble = make("planar", "repulsive")
@@ -198,6 +200,7 @@ def test_each_lets_go_for_himself_and_only_so_many_can_hold(make):
     assert ensemble.step().pulls == ()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("known_fridge")
 def test_ghosts_hold_doors_of_their_own(make):
     ensemble = make("planar")

@@ -21,6 +21,7 @@ def example():
         register_base_kind(kind)
 
 
+@pytest.mark.slow
 def test_the_carriage_gives_way_along_its_rail_and_the_arm_does_not_touch_it(example) -> None:
     figures = example["main"](duration=4.0)
     assert figures["min_clearance_m"] > 0.05

@@ -12,6 +12,8 @@ import pytest
 from app.control.control_loop import ControlLoop
 from app.robot.state import at_rest
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
 
 

@@ -13,7 +13,7 @@ from tests.browser import wait_for
 from tests.dashboards import served_dashboard
 from tests.raw_client import RawClient
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 FLOOD = 10_000
 """Messages of one client."""

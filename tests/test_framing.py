@@ -17,7 +17,7 @@ from app.dashboard import camera as camera_module
 from app.dashboard.camera import PRESETS, Camera, placed
 from app.dashboard.framing import FIELD_OF_VIEW, UP, Window, fit
 from app.dashboard.hand import SCALE
-from app.dashboard.robot import RobotParts
+from tests.dashboards import parts
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
 
@@ -64,12 +64,13 @@ def test_what_a_browser_says_of_its_window_is_believed_within_reason() -> None:
     assert Window.of(800, 1000, 100) == Window(0.8, 0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", [Window(0.85, 0.23), Window(1.6, 0.18), Window()])
 @pytest.mark.parametrize("name", [name for name in PRESETS if not PRESETS[name].of_hand])
 def test_a_preset_shows_the_whole_robot_wherever_it_stands(name: str, window: Window) -> None:
     loop = ScriptedLoop(husky_panda())
     loop.place((2.0, -1.0, 0.7))
-    snapshot, extent = loop.latest(), RobotParts(husky_panda()).extent
+    snapshot, extent = loop.latest(), parts().extent
     c, s = np.cos(snapshot.base_pose[2]), np.sin(snapshot.base_pose[2])
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     arrows = snapshot.p_ee + SCALE * np.eye(3)  # of the gizmo: the mouse has to reach them
@@ -106,7 +107,7 @@ def looking(monkeypatch: pytest.MonkeyPatch) -> tuple[Camera, Eye, ScriptedLoop]
     monkeypatch.setattr(camera_module, "monotonic", lambda: eye.time)
     client: Any = SimpleNamespace(camera=eye, atomic=nullcontext)
     camera = Camera(client)
-    camera.fit(RobotParts(husky_panda()).extent)
+    camera.fit(parts().extent)
     camera.use("iso", loop.latest())
     eye.answer()
     return camera, eye, loop
@@ -130,6 +131,7 @@ def settled(camera: Camera, eye: Eye, loop: ScriptedLoop, *, busy: bool = False)
     return bool(np.linalg.norm(eye.position - before) > 0.05)
 
 
+@pytest.mark.slow
 def test_a_camera_that_follows_still_looks_again_when_the_panels_come(
     looking: tuple[Camera, Eye, ScriptedLoop],
 ) -> None:
@@ -138,7 +140,7 @@ def test_a_camera_that_follows_still_looks_again_when_the_panels_come(
     go_on(camera, eye, loop)
     np.testing.assert_allclose(eye.position - first, [0.3, 0.0, 0.0], atol=1e-9)
     assert settled(camera, eye, loop)
-    _, target = placed(PRESETS["iso"], loop.latest(), RobotParts(husky_panda()).extent)
+    _, target = placed(PRESETS["iso"], loop.latest(), parts().extent)
     assert eye.position[0] > target[0]
 
 

@@ -77,6 +77,7 @@ def test_the_rule_sees_every_way_to_break_it(room: str, source: str, culprit: st
     assert violations(source, room, package) == [culprit]
 
 
+@pytest.mark.slow
 def test_the_controller_works_without_any_simulator_or_screen() -> None:
     """An engineer's own loop loads neither, by what the interpreter has loaded."""
     code = (

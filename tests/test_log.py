@@ -93,6 +93,7 @@ def taken(robot: RobotModel, border_data: BorderData):
     return log, seen
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ending", FORMATS)
 def test_a_run_is_logged_fifty_times_a_second_and_comes_back(taken, tmp_path, ending):
     run_log, seen = taken

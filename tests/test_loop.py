@@ -34,8 +34,6 @@ from app.simulation.session import DT, Session
 from app.simulation.snapshot import Snapshot
 from app.simulation.start import StartSolver
 
-pytestmark = pytest.mark.alone
-
 START = LINES["guiding-lateral"].start
 PULL = Pull((START[0], START[1] - 0.25, START[2]))
 PATIENCE = 60.0  # [s] of real time until a wait has failed; the machine may be busy

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing as mp
 import os
 import threading
 import time
@@ -14,7 +13,7 @@ import pytest
 from viser import _messages
 
 from app.dashboard import making as making_module
-from app.dashboard.apart import Stopped, Tell, run_apart
+from app.dashboard.apart import Stopped, run_apart
 from app.dashboard.making import Making
 from app.dashboard.page import Page
 from app.dashboard.panels.new_robot import FIND, in_words, making_html, robot_name
@@ -25,40 +24,25 @@ from app.errors import ConfigError, LoopError, RobotFileError
 from app.onboarding.contents import look_into
 from app.onboarding.package import LARGEST_URDF
 from app.onboarding.request import Request
-from app.onboarding.write import whole_folder
 from tests.browser import wait_for
-from tests.dashboards import clouds
+from tests.dashboards import clouds, parts
 from tests.fakes import ScriptedLoop
+from tests.jobs import (
+    count_up,
+    fail_with,
+    nothing_for_a_request,
+    vanish,
+    wait_for_ever,
+    wait_for_ever_for_a_request,
+    wait_in_a_folder,
+)
 from tests.onboarding import arm, cart, robot, zipped
 from tests.raw_client import RawClient
 from tests.robots import husky_panda
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 TOY = robot([*cart(), *arm()])
-
-
-def count_up(tell: Tell, most: int) -> int:
-    for k in range(most):
-        tell("counting", k / most)
-    return os.getpid()
-
-
-def fail_with(tell: Tell, error: Exception) -> None:
-    raise error
-
-
-def vanish(tell: Tell) -> None:
-    os._exit(7)
-
-
-def wait_for_ever(tell: Tell, file: str) -> None:
-    """With a child of its own, whose number is told."""
-    child = mp.get_context("spawn").Process(target=time.sleep, args=(600,))
-    child.start()
-    Path(file).write_text(str(child.pid))
-    tell("waiting", 0.5)
-    time.sleep(600)
 
 
 def test_work_apart_tells_and_returns() -> None:
@@ -88,12 +72,6 @@ def test_work_apart_ends_when_it_is_told_to_with_all_that_it_has_started(tmp_pat
     with pytest.raises(Stopped):
         run_apart(wait_for_ever, str(file), tell=lambda *_: stopping.set(), stopping=stopping)
     wait_for(lambda: gone(int(file.read_text())), what="the end of the child's child")
-
-
-def wait_in_a_folder(tell: Tell, out: str) -> None:
-    with whole_folder(Path(out)):
-        tell("waiting", 0.5)
-        time.sleep(600)
 
 
 def test_work_apart_that_is_stopped_leaves_by_its_finally(tmp_path: Path) -> None:
@@ -199,18 +177,6 @@ def test_a_robot_is_made_once_and_can_be_stopped(
         making.make(Request("toy.zip", "base", "hand", tmp_path / "user" / "a b"))
 
 
-def wait_for_ever_for_a_request(tell: Tell, request: Request) -> None:
-    """With a folder that it has no time to remove."""
-    request.out.parent.mkdir(exist_ok=True)
-    (request.out.parent / f".{request.name}-abcd").mkdir()
-    tell("waiting", -1.0)
-    time.sleep(600)
-
-
-def nothing_for_a_request(tell: Tell, request: Request) -> None:
-    tell(request.name, 1.0)
-
-
 def test_what_new_robot_refuses_is_told_and_nothing_is_left(making: Making, tmp_path: Path) -> None:
     """The whole way, in its own process."""
     making.receive("toy.zip", zipped(tmp_path, {"toy.urdf": TOY}).read_bytes())
@@ -227,8 +193,9 @@ def server() -> Iterator[DashboardServer]:
     loop = ScriptedLoop(husky_panda())
     loop.start()
     made = serve_dashboard(
-        loop, husky_panda(), clouds(), port=0, start_loop=lambda *_: ScriptedLoop(husky_panda())
-    )
+        loop, husky_panda(), clouds(), port=0, parts=parts(),
+        start_loop=lambda *_: ScriptedLoop(husky_panda()),
+    )  # fmt: skip
     yield made
     made.stop()
     loop.stop()

@@ -171,6 +171,7 @@ def run_a_line(
     return clearance, step.ee_error, path
 
 
+@pytest.mark.slow
 def test_repulsive_keeps_clear_but_does_not_arrive(
     robot: RobotModel, border_data: BorderData
 ) -> None:
@@ -182,6 +183,7 @@ def test_repulsive_keeps_clear_but_does_not_arrive(
     assert path < 0.02
 
 
+@pytest.mark.slow
 def test_a_barrier_with_a_reluctant_base_stands_still_on_the_wheel_axis(
     robot: RobotModel, border_data: BorderData
 ) -> None:

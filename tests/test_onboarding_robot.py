@@ -44,6 +44,8 @@ from tests.onboarding import (
 )
 from tests.robots import husky_panda
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> NewRobot:

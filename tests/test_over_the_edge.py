@@ -13,6 +13,8 @@ from app.robot.model import RobotModel
 from app.simulation.session import DT, Session, Step
 from app.simulation.start import StartSolver
 
+pytestmark = pytest.mark.slow
+
 ABOVE, OUT, DOWN = (-0.10, 0.20, 0.60), (0.05, 0.60, 0.52), (0.15, 0.53, 0.28)
 """[m] over the deck, beside its edge, and at the flank inside the buffer; the base is at the origin
 facing +x at the start, its flank at y = 0.29 and its top at z = 0.38."""

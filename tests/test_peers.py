@@ -267,6 +267,7 @@ def test_a_run_that_raises_leaves_its_reason_and_the_others_go_on(
     np.testing.assert_allclose(made[1].targets, asked)
 
 
+@pytest.mark.slow
 def test_our_own_driver_writes_the_motion_and_every_control_steps_time(
     robot: RobotModel, border_data: BorderData, judge: Evaluator, tmp_path: Path
 ) -> None:
@@ -387,6 +388,7 @@ def test_where_pink_is_not_installed_its_step_is_none_with_the_reason(
     assert str(tmp_path / "pink") in step.reason
 
 
+@pytest.mark.slow
 def test_the_command_ends_well_without_a_peer_only_if_that_is_allowed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

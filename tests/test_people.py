@@ -97,6 +97,7 @@ def test_pushes_on_one_point_add_up(plant):
     np.testing.assert_allclose(*traces, atol=ROUNDING[plant.kind])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", PLANTS)
 def test_a_pull_at_the_end_effectors_own_frame_is_a_pull_of_the_end_effector(
     robot: RobotModel, border_data: BorderData, physics: str
@@ -119,6 +120,7 @@ def test_a_pull_at_the_end_effectors_own_frame_is_a_pull_of_the_end_effector(
         np.testing.assert_allclose(run, runs[0], atol=1e-3 if physics == "contact" else 1e-7)
 
 
+@pytest.mark.slow
 def test_a_pull_at_the_elbow_brings_the_elbow_to_where_it_is_pulled(
     robot: RobotModel, border_data: BorderData
 ):

@@ -53,6 +53,7 @@ def hand_of(m) -> np.ndarray:
     return state.T_world_ee.translation.copy()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("goal", "field"),
     [(IN_BASE, "arm_base"), (COLUMN, "arm_arm"), (UNDERGROUND, "arm_floor"), (FREE, None)],
@@ -68,6 +69,7 @@ def test_a_contact_is_reported_where_the_arm_is_driven_and_not_otherwise(plant, 
         assert not seen.arm_base
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planar", "contact"])
 @pytest.mark.parametrize("goal", [IN_BASE, COLUMN, UNDERGROUND], ids=["base", "column", "floor"])
 def test_the_arm_cannot_pass_through_what_it_touches(kind, goal):
@@ -84,6 +86,7 @@ def test_the_arm_cannot_pass_through_what_it_touches(kind, goal):
     plant.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planar", "contact"])
 def test_letting_go_ends_the_contact(kind):
     plant = make_physics(kind, MODEL)
@@ -99,6 +102,7 @@ def test_letting_go_ends_the_contact(kind):
     plant.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["planar", "contact"])
 def test_neighbours_in_the_arm_never_push_each_other(kind):
     """Anywhere within the limits the only forces on a lone arm are gravity and the motors'."""
@@ -117,6 +121,7 @@ def test_neighbours_in_the_arm_never_push_each_other(kind):
     plant.close()
 
 
+@pytest.mark.slow
 def test_reports_of_the_stand_in_agree_with_the_bodies_distances():
     """Where a hull touches in pybullet, the fatter bodies overlap in the stand-in."""
     planar, kinematic = make_physics("planar", MODEL), make_physics("kinematic", MODEL)

@@ -54,6 +54,7 @@ def output(program: str) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", PLANTS)
 def test_a_plant_prints_nothing(kind):
     result = output(RUN.format(kind=kind))
@@ -61,6 +62,7 @@ def test_a_plant_prints_nothing(kind):
     assert result.stderr == ""
 
 
+@pytest.mark.slow
 def test_warnings_of_the_loader_do_not_reach_standard_output():
     assert len(output(LOUD.format(quietly=False)).stdout) > len("before\nafter\n")
     assert output(LOUD.format(quietly=True)).stdout == "before\nafter\n"

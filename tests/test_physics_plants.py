@@ -67,6 +67,7 @@ def test_it_starts_at_rest_where_it_is_put(plant):
         assert not any(plant.contacts())
 
 
+@pytest.mark.slow
 def test_gravity_compensation_holds_the_arm(plant):
     plant.reset(np.zeros(3), READY)
     damping = DAMPING if plant.kind == "contact" else 0.0
@@ -77,6 +78,7 @@ def test_gravity_compensation_holds_the_arm(plant):
     assert np.abs(trace[-1].base_pose).max() < (3e-3 if plant.kind == "contact" else 1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", [(0.5, 0.0), (0.0, 0.8), (0.4, -0.6), (-0.3, 0.5)])
 def test_a_commanded_velocity_is_followed(plant, command):
     plant.reset(np.array([0.5, -0.5, 1.0]), READY)
@@ -103,6 +105,7 @@ def test_the_path_is_the_circle_of_the_commanded_velocities(plant):
     assert end[2] == pytest.approx(start[2] + 2.0 * w, abs=limit)
 
 
+@pytest.mark.slow
 def test_the_driven_spheres_roll_as_far_as_the_base_goes():
     plant = make_physics("contact", MODEL)
     plant.reset(np.zeros(3), READY)
@@ -151,6 +154,7 @@ def test_a_force_on_the_hand_is_what_the_equation_of_motion_says(plant):
     assert np.abs(expected).max() > 0.01
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", range(7))
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_a_torque_into_a_joint_limit_stays_stable(plant, joint, sign):
@@ -175,6 +179,7 @@ def test_a_torque_into_a_joint_limit_stays_stable(plant, joint, sign):
     assert np.ptp(end, axis=0).max() < 0.01
 
 
+@pytest.mark.slow
 def test_equal_inputs_give_bitwise_equal_states(plant):
     """Afresh, after a reset from amid contacts, and beside another client."""
 

@@ -18,7 +18,7 @@ from app.simulation.process_loop import ProcessLoop
 from app.simulation.session import Session
 from tests.fakes import ScriptedLoop
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 PATIENCE = 20.0  # [s]
 

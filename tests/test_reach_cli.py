@@ -103,7 +103,7 @@ def test_what_cannot_be_done_is_one_clear_line(dbb, args, words):
     assert not [word for word in words if word not in err], err
 
 
-@pytest.mark.alone
+@pytest.mark.slow
 def test_ctrl_c_ends_the_counting_and_its_processes_and_keeps_nothing(tmp_path):
     out = tmp_path / "out"
     # Another seed than the one that ships: an unfinished map must not be kept.

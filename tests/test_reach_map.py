@@ -169,17 +169,19 @@ def test_formulas_and_restarts_find_the_same_solutions(body):
     assert 0.75 * total < both <= total
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", BODIES)
 def test_the_counts_are_those_of_the_area_formula_which_needs_no_inverse_kinematics(body, robot):
     """The maps as they ship, shell by shell."""
     solver = make_solver(Chain(robot, body), 1)
     edges = np.arange(0.25, 1.2, 0.1)
-    expected = expected_shells(robot, body, solver.free, edges, 25_000)
+    expected = expected_shells(robot, body, solver.free, edges, 15_000)
     shipped = counted_shells(load_reach_map(robot, body, progress=False), edges)
     np.testing.assert_allclose(shipped, expected, rtol=0.1, atol=0.03 * expected.max())
     assert shipped.max() > 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joints", "body", "asked"), [(7, "lEE", 6), (7, "l3", 5), (6, "lEE", 6), (4, "l3", 3)]
 )
@@ -194,10 +196,11 @@ def test_with_fewer_joints_less_is_asked_for_and_counted_right(
     assert found.method == "analytic"
     edges = np.array([0.3, 0.6, 0.9])
     solver = make_solver(chain, 1)
-    expected = expected_shells(model, body, solver.free, edges, 10_000)
+    expected = expected_shells(model, body, solver.free, edges, 4_000)
     np.testing.assert_allclose(counted_shells(found, edges), expected, rtol=0.25)
 
 
+@pytest.mark.slow
 def test_an_arm_with_a_slide_is_solved_by_restarts(changed, folder):
     """From configurations to their poses and back: they are among the solutions, nearly always."""
     model = changed(slide)
@@ -230,6 +233,7 @@ def test_the_papers_robot_reaches_the_same_to_the_left_and_to_the_right(robot):
     assert left == pytest.approx(right, rel=0.02)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_counts_on_any_number_of_processes(folder):
     model = husky_panda()
     maps = [

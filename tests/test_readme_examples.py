@@ -42,6 +42,7 @@ def test_the_loop_of_the_readme_runs_and_holds_the_arm() -> None:
     assert names["controller"].failures == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("controller", "moves"), [("dbb", True), ("none", False)])
 def test_in_the_loop_of_the_readme_the_base_gives_way_to_a_pulled_hand(
     robot: RobotModel, border_data: BorderData, controller: str, moves: bool

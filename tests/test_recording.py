@@ -42,6 +42,7 @@ def recorder(robot: RobotModel, steps: list[Step]) -> Recorder:
     return recorder
 
 
+@pytest.mark.slow
 def test_figures_are_those_of_the_steps(recorder: Recorder, steps: list[Step]):
     figures = recorder.figures()
     names = [pair.closest.pair.name for pair in steps[0].output.avoidance.pairs]

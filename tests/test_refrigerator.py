@@ -127,6 +127,7 @@ def test_the_plant_without_doors_says_which_have_them():
         make_physics("kinematic", MODEL, door=OpenDoor(a_door(), 0.0))
 
 
+@pytest.mark.slow
 def test_a_handle_out_of_reach_is_refused_with_both_places(
     robot: RobotModel, border_data: BorderData
 ):
@@ -197,6 +198,7 @@ def test_holding_a_door_adds_one_pair_and_leaves_the_rest(
     assert (model.n_m, robot.description) == (robot.n_m, MODEL.description)
 
 
+@pytest.mark.slow
 def test_the_hand_starts_at_the_handle_with_every_pair_outside_its_buffer(
     robot: RobotModel, setting: Setting
 ):
@@ -297,6 +299,7 @@ def test_the_wrench_is_what_the_arms_torques_exert_on_a_door_that_stays(at_handl
     assert plant.door.angle() == pytest.approx(0.0, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_the_door_opens_as_soon_as_the_pull_overcomes_the_hinges_friction(at_handle):
     """At a moment of 2 N m; the board's handle is 0.54 m across the pull from the hinge."""
     for share, opens in ((0.7, False), (1.6, True)):
@@ -358,6 +361,7 @@ def test_a_base_that_drives_on_pushes_door_and_refrigerator_along(make):
     assert bodies[-1] - bodies[touched] == pytest.approx(bases[-1] - bases[touched], abs=0.02)
 
 
+@pytest.mark.slow
 def test_the_hand_holds_the_door_firmly_while_it_opens(robot: RobotModel, setting: Setting):
     """The controller's body and the plant's door stay together; a fast opening."""
     scenario = RefrigeratorScenario().changed(opening_rate=6.0)

@@ -12,7 +12,8 @@ import pytest
 from app.cli.main import main
 from app.dashboard.browser import new_context
 from app.simulation.log import read_log, write_log
-from tests.browser import chromium
+
+pytestmark = pytest.mark.slow
 
 _PLACE = "() => dbbPage.viewer().nodePoseData['/robot']?.position ?? null"
 
@@ -46,29 +47,28 @@ def test_dbb_replay_of_no_log_is_one_clear_line(tmp_path, capsys):
 
 
 @pytest.mark.browser
-def test_it_plays_from_a_file_with_the_network_off(replay):
+def test_it_plays_from_a_file_with_the_network_off(browser, replay):
     requests, errors = [], []
-    with chromium() as browser:
-        context = new_context(browser, (640, 480))
-        context.set_offline(True)
-        page = context.new_page()
-        page.on("request", lambda r: requests.append(r.url))
-        page.on("pageerror", lambda e: errors.append(str(e)))
-        page.on("console", lambda m: errors.append(m.text) if m.type == "error" else None)
-        page.goto(replay.as_uri())
-        page.wait_for_function("() => dbbPage.ready() && dbbPage.has('/robot')", timeout=60_000)
-        places = []
-        for _ in range(100):
-            places.append(page.evaluate(_PLACE))
-            page.wait_for_timeout(50)
-            if np.ptp([p[0] for p in places if p]) > 0.05:
-                break
-        x = [p[0] for p in places if p]
-        assert np.ptp(x) > 0.05, "the base moves"  # [m]
-        assert min(x) < -0.05, "backwards"
-        for node in ("/robot/border_lm-lEE", "/trails/hand", "/distances", "/acting", "/person"):
-            assert page.evaluate("name => dbbPage.has(name)", node), node
-        context.close()
+    context = new_context(browser, (640, 480))
+    context.set_offline(True)
+    page = context.new_page()
+    page.on("request", lambda r: requests.append(r.url))
+    page.on("pageerror", lambda e: errors.append(str(e)))
+    page.on("console", lambda m: errors.append(m.text) if m.type == "error" else None)
+    page.goto(replay.as_uri())
+    page.wait_for_function("() => dbbPage.ready() && dbbPage.has('/robot')", timeout=60_000)
+    places = []
+    for _ in range(100):
+        places.append(page.evaluate(_PLACE))
+        page.wait_for_timeout(50)
+        if np.ptp([p[0] for p in places if p]) > 0.05:
+            break
+    x = [p[0] for p in places if p]
+    assert np.ptp(x) > 0.05, "the base moves"  # [m]
+    assert min(x) < -0.05, "backwards"
+    for node in ("/robot/border_lm-lEE", "/trails/hand", "/distances", "/acting", "/person"):
+        assert page.evaluate("name => dbbPage.has(name)", node), node
+    context.close()
     assert errors == []
     assert [url for url in requests if not url.startswith(("file:", "data:", "blob:"))] == []
 

@@ -41,6 +41,7 @@ def refused(capfd) -> Callable[..., None]:
     return refused
 
 
+@pytest.mark.slow
 def test_a_figure_without_runs_is_written_with_its_data_and_page(tmp_path):
     out = tmp_path / "made" / "on demand"
     done = dbb("reproduce", "fig10", "--out", str(out), "--json")
@@ -79,13 +80,13 @@ def test_other_commands_start_without_matplotlib():
 
 
 @pytest.mark.slow
-def test_a_figure_agrees_with_the_run_of_its_scenario(tmp_path):
-    done = dbb("reproduce", "fig14", "--out", str(tmp_path), "--seed", "1", "--json")
-    assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout)
+def test_a_figure_agrees_with_the_run_of_its_scenario(tmp_path, capfd):
+    out = ["--out", str(tmp_path), "--seed", "1", "--json"]
+    main(["reproduce", "fig14", "--processes", "1", *out])
+    result = json.loads(capfd.readouterr().out)
     log = tmp_path / "run"
-    run = dbb("run", "guiding-lateral", "--seed", "1", "--out", str(log), "--json")
-    figures = json.loads(run.stdout)
+    main(["run", "guiding-lateral", "--seed", "1", "--out", str(log), "--json"])
+    figures = json.loads(capfd.readouterr().out)
     mine = result["runs"]["guiding-lateral, dbb"]
     assert {k: v for k, v in mine.items() if k not in TIMES} == {
         k: v for k, v in figures.items() if k not in TIMES
@@ -104,7 +105,6 @@ def test_a_figure_agrees_with_the_run_of_its_scenario(tmp_path):
     assert "data:image/png" in (tmp_path / "index.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.alone
 @pytest.mark.slow
 def test_ctrl_c_ends_it_and_its_workers(tmp_path):
     psutil = pytest.importorskip("psutil")

@@ -41,6 +41,7 @@ def test_a_run_is_the_run_of_dbb_run(robot: RobotModel, border_data: BorderData)
     assert run.base_poses.shape == (5, 3)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("short")
 def test_repeated_experiments_are_run_once_and_the_clock_reaches_their_sum():
     seen: list[float] = []

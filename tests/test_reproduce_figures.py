@@ -56,6 +56,7 @@ def contains(table: Any, values: np.ndarray) -> bool:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["fig10", "fig12", "fig14", "fig15"])
 def test_every_line_is_in_the_csv(drawn, name):
     drawing = drawn[name]
@@ -197,6 +198,7 @@ def test_a_picture_shows_at_most_so_many_points_and_each_once():
     assert len(set(many.tolist())) == len(many) == offline._SHOWN
 
 
+@pytest.mark.slow
 def test_snapshots_are_drawn_with_the_paths_of_the_csv(sources: Sources, monkeypatch):
     """Both rows of Figure 13; the target stands where the scenario ends."""
     monkeypatch.setattr(guiding, "_SHARES", (0.0, 0.05, 0.1, 0.2))
@@ -212,6 +214,7 @@ def test_snapshots_are_drawn_with_the_paths_of_the_csv(sources: Sources, monkeyp
     np.testing.assert_array_equal(table["hand_y_m"][:half], hand[:, 1])
 
 
+@pytest.mark.slow
 def test_the_refrigerators_figures_show_door_and_robot(robot: RobotModel, border_data: BorderData):
     """Of the run's first moments: the door is where its angle says, and its shape is magenta."""
     run = short_run(robot, border_data, refrigerator.DBB, 0.2, physics="planar")

@@ -8,7 +8,6 @@ import time
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import cache
 
 import pytest
 
@@ -17,22 +16,20 @@ from app.config import Config
 from app.dashboard import robot, stage_change
 from app.dashboard.hand import Hold
 from app.dashboard.memory import give_back
-from app.dashboard.robot import RobotParts
 from app.dashboard.robot_list import RobotEntry
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.dashboard.stage_change import StageChange
 from app.dashboard.view import HIDDEN, View
-from app.dashboard.visuals import Visual
 from app.errors import LoopError, UnreachableError
 from app.robot.model import RobotModel
 from app.simulation.commands import Pull
 from tests.browser import wait_for
-from tests.dashboards import clouds, served_dashboard
+from tests.dashboards import clouds, parts, served_dashboard
 from tests.fakes import ScriptedLoop
 from tests.raw_client import RawClient
 from tests.robots import husky_panda
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 OTHER = "other"
 """A second robot: the paper's by another name, so that nothing else has to be installed."""
@@ -80,13 +77,8 @@ def robots(monkeypatch: pytest.MonkeyPatch) -> None:
         stage_change, "RobotModel", lambda name: other() if name == OTHER else husky_panda()
     )
     monkeypatch.setattr(stage_change, "kept_border_data", lambda _: data)
-    seen = _visuals()
+    seen = parts().visuals
     monkeypatch.setattr(robot, "load_visuals", lambda *_: list(seen))  # else seconds each time
-
-
-@cache
-def _visuals() -> list[Visual]:
-    return RobotParts(husky_panda()).visuals
 
 
 def choose(server: DashboardServer, name: str) -> None:
@@ -279,7 +271,9 @@ def test_a_page_that_cannot_be_made_does_not_hold_up_the_change(
 ) -> None:
     loop = ScriptedLoop(husky_panda())
     loop.start()
-    server = serve_dashboard(loop, husky_panda(), clouds(), port=0, start_loop=Loops())
+    server = serve_dashboard(
+        loop, husky_panda(), clouds(), port=0, parts=parts(), start_loop=Loops()
+    )
 
     def fails(*_: object) -> None:
         raise ZeroDivisionError("a defect")

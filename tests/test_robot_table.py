@@ -24,6 +24,7 @@ def test_paths_keep_to_the_heights_of_the_base_and_those_on_the_axis_lead_along_
             assert all(abs(path.inwards[0]) < 1e-9 and path.offset == 0.0 for path in paths)
 
 
+@pytest.mark.slow
 def test_a_row_for_each_controller_with_avoidance_farther_away():
     rows = table.robot_table(["husky_panda"], cases=[SHORT])["rows"]
     none, dbb = rows

@@ -16,6 +16,8 @@ from app.reproduce.run_report import run_report
 from app.simulation.log import Log, write_log
 from tests.logs import meta_of, random_snapshots
 
+pytestmark = pytest.mark.slow
+
 
 def moving_log() -> Log:
     """The base drives a quarter of a circle of 2 m to the left; distances fall from 0.3 m to 0."""

@@ -62,6 +62,7 @@ def same(a: list[Step], b: list[Step]) -> None:
     np.testing.assert_array_equal([numbers(step) for step in a], [numbers(step) for step in b])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("physics", ["kinematic", "planar", "contact"])
 def test_the_same_inputs_give_bitwise_the_same_outputs(make, physics):
     a, b = make(physics), make(physics)
@@ -70,6 +71,7 @@ def test_the_same_inputs_give_bitwise_the_same_outputs(make, physics):
     assert steps[-1][0].output.activation > 0.0  # avoidance was part of it
 
 
+@pytest.mark.slow
 def test_a_reset_begins_the_same_run_again(make):
     session = make()
     first = pulled(session, 1200)
@@ -123,6 +125,7 @@ def test_time_advances_by_the_control_period(make):
     np.testing.assert_allclose([step.t for step in steps], np.arange(50) * DT, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_controllers_answer_depends_on_its_sensors_alone(
     make, robot: RobotModel, border_data: BorderData
 ):
@@ -160,6 +163,7 @@ def test_the_base_command_is_the_admittance_law_of_the_asked_acceleration(make, 
         np.testing.assert_array_equal(step.base_command, command)
 
 
+@pytest.mark.slow
 def test_the_base_command_is_renewed_at_its_own_slow_rate(make):
     steps = pulled(make(), 2500)
     changes = [
@@ -184,6 +188,7 @@ def test_another_configuration_holds_from_the_next_step_on(make):
     assert max(np.linalg.norm(step.hand_force) for step in pulled(session, 300)) <= 1.0 + 1e-9
 
 
+@pytest.mark.slow
 def test_configuring_is_the_same_as_having_been_made_so(make):
     config = Config().replace("border.d_b", 0.20).replace("admittance.mass", 30.0)
     changed = make()

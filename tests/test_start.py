@@ -45,6 +45,7 @@ def end_effector(robot: RobotModel, q_m: np.ndarray) -> pin.SE3:
     return data.oMf[robot.ee_frame]
 
 
+@pytest.mark.slow
 def test_the_hand_is_where_it_was_asked_for(robot, solved):
     place, q_m = solved
     np.testing.assert_allclose(end_effector(robot, q_m).translation, place, atol=1e-5)
@@ -89,6 +90,7 @@ def test_the_hand_points_steeply_down_where_nothing_hinders_it(robot, solver):
     assert -pointing[2] == pytest.approx(np.sin(np.pi / 4), abs=0.03)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_bitwise_the_same_start(robot, border_data, solver):
     again = StartSolver(robot, border_data.pairs, D_B)
     for name in ("guiding-lateral", "guiding-fold"):
@@ -120,12 +122,14 @@ def test_what_was_found_is_not_searched_again_and_what_differs_is(
         assert len(searched) == k + 1
 
 
+@pytest.mark.slow
 def test_other_seeds_reach_the_same_places(robot, solver):
     for place, seed in itertools.product(("guiding-lateral", "tracking"), (1, 2, 3)):
         at = end_effector(robot, solver.solve(PLACES[place], seed=seed)).translation
         np.testing.assert_allclose(at, PLACES[place], atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "reason"),
     [

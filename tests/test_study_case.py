@@ -42,6 +42,7 @@ def cases(sources) -> list[Case]:
     return [draw_case(PARAMETERS, number, sources) for number in NUMBERS]
 
 
+@pytest.mark.slow
 def test_a_case_does_not_depend_on_what_was_drawn_or_played_before(sources, cases):
     play_case(cases[0], sources.model, sources.data)
     for number in (7, 2):
@@ -223,6 +224,7 @@ def test_a_run_that_breaks_off_is_a_row_that_says_why(sources, cases):
     assert "min_clearance_m" not in row
 
 
+@pytest.mark.slow
 def test_inside_of_an_envelope_every_case_lies_in_it(sources):
     envelope = Envelope(
         speed=(0.1, 0.5, 0.9), base_delay=(0.0, 0.2, 0.3), force=((60.0, 50.0), (50.0, 40.0)),

@@ -54,6 +54,7 @@ def file(case, tmp_path):
     return path
 
 
+@pytest.mark.slow
 def test_the_command_gives_the_figures_of_the_study(sources, case, file, capfd):
     row = play_case(case, sources.model, sources.data)
     main(["run", "--replay-case", str(file), "--json"])
@@ -128,7 +129,6 @@ def begun(loop: SimulationLoop) -> None:
         time.sleep(0.002)
 
 
-@pytest.mark.alone
 def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, case, loop):
     """Each snapshot is a row of the run's log, to the last digit, noise included."""
     log = {round(r["t_s"], 3): r for r in run_case(case, sources.model, sources.data).recorder.rows}
@@ -149,7 +149,6 @@ def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, case, loop)
     assert loop.latest().hand_target is None
 
 
-@pytest.mark.alone
 @pytest.mark.parametrize("command", [Pull(None), Pull((0.9, 0.0, 0.5)), Reset()])
 def test_whoever_takes_the_hand_or_begins_anew_ends_the_play(case, loop, command):
     loop.send(Play(case.scenario()))
@@ -196,6 +195,7 @@ def labels_of_the_page(server) -> list[str]:
         return [handle.label for handle in client.gui._gui_input_handle_from_uuid.values()]
 
 
+@pytest.mark.slow
 def test_only_the_page_of_a_case_has_its_button(case, border_data):
     scenarios = (None, case.scenario())
     for scenario in scenarios:

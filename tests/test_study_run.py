@@ -23,12 +23,13 @@ from app.study.rounding import rounded
 from app.study.study import study
 from app.study.study_range import StudyRange
 
+pytestmark = pytest.mark.slow
+
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-pytestmark = pytest.mark.alone
 
 PROJECT = Path(__file__).parent.parent
 CASES = 6
@@ -121,7 +122,6 @@ def test_the_report_stands_alone_and_holds_its_figures(undisturbed):
     assert f"of {CASES} runs had a contact" in page
 
 
-@pytest.mark.slow
 def test_killed_half_way_and_called_again_it_gives_the_same_table(undisturbed, tmp_path):
     """By SIGKILL, with two processes instead of one, and no process is left behind."""
     args = ("study", "--cases", str(CASES), *OPTIONS, "--processes", "2", "--out", str(tmp_path))
@@ -145,7 +145,6 @@ def test_killed_half_way_and_called_again_it_gives_the_same_table(undisturbed, t
         assert (tmp_path / name).read_bytes() == (undisturbed / name).read_bytes(), name
 
 
-@pytest.mark.slow
 def test_a_running_scheduler_gives_the_same_table_and_more_cases_are_added(undisturbed, tmp_path):
     with LocalCluster(
         n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address="127.0.0.1:0"
@@ -203,7 +202,6 @@ def test_what_cannot_be_studied_is_one_line_that_says_what_can(tmp_path, capfd, 
     assert not (tmp_path / "cases.jsonl").exists()
 
 
-@pytest.mark.slow
 def test_ctrl_c_ends_it_cleanly_and_keeps_what_is_done(tmp_path):
     args = ("study", "--cases", "500", *OPTIONS, "--processes", "2", "--out", str(tmp_path))
     process = start(*args)
@@ -222,7 +220,6 @@ def test_ctrl_c_ends_it_cleanly_and_keeps_what_is_done(tmp_path):
     assert [json.loads(line)["error"] for line in lines] == [None] * len(lines)
 
 
-@pytest.mark.slow
 def test_a_failure_is_kept_and_played_again_with_the_same_figures(tmp_path):
     """Without avoidance, fast and low: some hand meets the base."""
     args = ("study", "--cases", "2", "--physics", "kinematic", "--seed", "3", *FAST)

@@ -108,6 +108,7 @@ def depth_of_point(shape: Superquadric, p: Array) -> float:
     return best
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("greatest", [1.0, 2.0])
 @pytest.mark.parametrize("seed", range(20))
 def test_the_distance_from_a_box_is_that_of_a_constrained_minimisation(seed: int, greatest: float):
@@ -156,6 +157,7 @@ def test_with_both_exponents_one_it_is_an_ellipsoid(seed: int):
         assert true - 1e-5 < coal_distance(shape, ball, pose) < true + most * axes.max() + 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("e1", "e2"), EXTREMES)
 def test_the_polytope_is_as_near_to_the_surface_as_is_said(e1: float, e2: float):
     """Its vertices lie on it; what is farthest outside of its faces are points in between."""

@@ -19,6 +19,8 @@ from app.study.sweep import sweep
 from app.study.sweep_plan import SweepPlan, Trial
 from app.study.sweep_result import arrival, passes
 
+pytestmark = pytest.mark.slow
+
 QUICK = SweepPlan(
     controllers=("dbb", "none"), speeds=(0.4,), step=90.0, wheel_axis=False, length=0.04,
     hold=0.1, physics="kinematic",

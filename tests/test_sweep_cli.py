@@ -18,6 +18,7 @@ def dbb(*args: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_one_object_on_standard_output_and_the_files_that_it_names(tmp_path: Path) -> None:
     parameters = tmp_path / "parameters.json"
     parameters.write_text('{"border": {"d_b": 0.14}}', encoding="utf-8")

@@ -125,6 +125,7 @@ def test_seen_from_above_every_place_has_a_square(robot: RobotModel) -> None:
         assert sum(bool(p.get_hatch()) for p in squares) == 1
 
 
+@pytest.mark.slow
 def test_files_hold_every_path_and_every_start_that_failed(tmp_path: Path) -> None:
     shown = result()
     names = write_sweep(shown, tmp_path)

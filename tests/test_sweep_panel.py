@@ -17,12 +17,13 @@ from app.dashboard.server import DashboardServer, serve_dashboard
 from app.errors import OutputError
 from app.study.sweep_job import SweepJob
 from app.study.sweep_plan import SweepPlan
-from tests.fakes import ScriptedLoop, fake_clouds
+from tests.dashboards import clouds, parts
+from tests.fakes import ScriptedLoop
 from tests.raw_client import RawClient
 from tests.robots import husky_panda
 from tests.test_sweep_maps import result
 
-pytestmark = pytest.mark.alone
+pytestmark = pytest.mark.slow
 
 SHORT = SweepPlan(
     heights=(1.9,), step=90.0, wheel_axis=False, length=0.02, speeds=(0.4,), physics="kinematic"
@@ -33,8 +34,9 @@ SHORT = SweepPlan(
 def dashboard(tmp_path: Path) -> Iterator[DashboardServer]:
     loop = ScriptedLoop(husky_panda())
     loop.start()
-    clouds = fake_clouds(husky_panda(), spacing=0.03)
-    server = serve_dashboard(loop, husky_panda(), clouds, port=0, sweeps=tmp_path / "sweeps")
+    server = serve_dashboard(
+        loop, husky_panda(), clouds(), port=0, parts=parts(), sweeps=tmp_path / "sweeps"
+    )
     yield server
     server.stop()
     loop.stop()

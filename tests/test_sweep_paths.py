@@ -99,6 +99,7 @@ def test_a_start_is_clear_on_its_ray_and_at_the_asked_distance(
     assert ((robot.q_lower < start.q_m) & (start.q_m < robot.q_upper)).all()
 
 
+@pytest.mark.slow
 def test_on_the_wheel_axis_p_b_begins_exactly_where_it_was_asked(
     axis_starts: list[Start], robot: RobotModel, border_data: BorderData
 ) -> None:
@@ -128,6 +129,7 @@ def test_from_above_the_hand_begins_over_its_place_with_the_way_down_free(
     assert start.clearance >= D_B
 
 
+@pytest.mark.slow
 def test_what_cannot_begin_says_why(finder: StartFinder, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(paths_start, "_SEARCHES", ((0.0, 0),))
     behind = finder.find(Approach("side", 0.3, 180.0), DISTANCE)

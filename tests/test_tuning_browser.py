@@ -6,23 +6,17 @@ import pytest
 
 from app.config import Config
 from app.config_file import read_config
-from app.dashboard.server import serve_dashboard
 from app.simulation.commands import Configure
 from tests.browser import DashboardTab, wait_for
-from tests.fakes import ScriptedLoop, fake_clouds
-from tests.robots import husky_panda
+from tests.dashboards import served_dashboard
 
 pytestmark = pytest.mark.browser
 
 
 @pytest.fixture
 def served():
-    loop = ScriptedLoop(husky_panda())
-    loop.start()
-    server = serve_dashboard(loop, husky_panda(), fake_clouds(husky_panda(), 0.03), port=0)
-    yield server, loop
-    server.stop()
-    loop.stop()
+    with served_dashboard() as served:
+        yield served
 
 
 def configured(loop):

@@ -15,6 +15,8 @@ from app.simulation.run import run_scenario
 from app.simulation.session import DT, Session
 from app.simulation.way_out import BEGINS, DEEPEST, TroubledStarts, WayOutScenario
 
+pytestmark = pytest.mark.slow
+
 D_B = Config().border.d_b
 
 
