@@ -22,11 +22,16 @@ pictures: $(VENV)/.installed browser
 	tools/pictures.sh $(VENV)
 	$(BIN)/dbb reproduce --out out/pictures/paper
 
-# pyright asks the interpreter for its search path: pinocchio extends it at run time.
+# pyright asks the interpreter for its search path: pinocchio extends it at run time. The oldest and
+# the newest Python, on both systems.
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright --pythonpath $(BIN)/python
+	for platform in Linux Darwin; do for version in 3.10 3.14; do \
+		echo "pyright: $$platform, $$version"; \
+		$(BIN)/pyright --pythonpath $(BIN)/python \
+			--pythonplatform $$platform --pythonversion $$version || exit 1; \
+	done; done
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .
@@ -36,14 +41,12 @@ browser: $(VENV)/.installed
 	tools/browser.sh $(VENV)
 
 $(VENV)/.installed: pyproject.toml
-	tools/venv.sh $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	tools/venv.sh $(VENV) .
 	$(KERNELS)
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml
-	tools/venv.sh $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	tools/venv.sh $(VENV) '.[dev]'
 	$(KERNELS)
 	touch $@ $(VENV)/.installed
 

@@ -87,7 +87,9 @@ def test_a_mac_has_no_set_of_allowed_cores_and_all_of_them_are_taken() -> None:
 
 
 @pytest.mark.usefixtures("mac")
-def test_without_a_real_time_policy_a_process_comes_first_by_its_niceness_alone(monkeypatch) -> None:
+def test_without_a_real_time_policy_a_process_comes_first_by_its_niceness_alone(
+    monkeypatch,
+) -> None:
     wished = []
     monkeypatch.setattr(os, "setpriority", lambda *wish: wished.append(wish))
     system.come_first(-10)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+
 from app.errors import ConfigError, UnknownNameError
 from app.robot.bases.differential import DifferentialBase
 from app.robot.model import RobotModel
@@ -9,7 +11,9 @@ from app.simulation.door import OpenDoor
 from app.simulation.physics import Physics
 
 PLANTS = ("planar", "contact", "kinematic")
-"""Names that `make_physics` knows; the first is the default."""
+"""Names that `make_physics` knows."""
+DEFAULT_PLANT = "planar" if importlib.util.find_spec("pybullet") else "mujoco"
+"""pybullet's where it is installed: on CPython 3.14 and on Linux aarch64 it has no wheels."""
 
 
 def make_physics(
