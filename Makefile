@@ -14,7 +14,7 @@ test: $(VENV)/.installed-dev browser
 	DBB_REQUIRE_BROWSER=1 tools/test.sh $(VENV) $(ARGS)
 
 # For machines without a Chromium.
-test-without-browser: $(VENV)/.installed
+test-without-browser: $(VENV)/.installed-dev
 	tools/test.sh $(VENV) -m 'not browser' $(ARGS)
 
 # The README's pictures, in docs/pictures too; then the figures of the paper, with their data.

@@ -57,8 +57,13 @@ def test_it_tests_on_pushes_and_pull_requests_with_every_python_of_the_project()
     (low, high) = re.findall(
         r'requires-python = ">=3\.(\d+),<3\.(\d+)"', (PROJECT / "pyproject.toml").read_text()
     )[0]
-    asked = sorted(int(minor) for minor in re.findall(r'python-version: "3\.(\d+)"', TEXT))
+    asked = sorted({int(minor) for minor in re.findall(r'python(?:-version)?: "3\.(\d+)"', TEXT)})
     assert asked == list(range(int(low), int(high)))
+
+
+def test_it_tests_on_a_mac_too() -> None:
+    assert re.search(r'system: macos-\d+\n +python: "3\.1[123]"', TEXT)
+    assert re.search(r"system: ubuntu-", TEXT)
 
 
 @pytest.mark.parametrize("target", TARGETS)

@@ -19,14 +19,21 @@ version() { # PYTHON: as 3.12 3.12.1; prints nothing if the interpreter cannot b
         2>/dev/null
 }
 
-if [ "$#" -eq 0 ]; then mapfile -t all < <(candidates); else all=("$@"); fi
-declare -A seen=()
+chosen() { # one of each version is enough, unless they are named
+    if [ "$#" -gt 0 ]; then printf '%s\n' "$@"; return; fi
+    seen=" "
+    candidates | while read -r python; do
+        minor=$(version "$python" | cut -d ' ' -f 1)
+        case "$seen" in *" $minor "*) continue ;; esac
+        seen="$seen$minor "
+        if [ -n "$minor" ]; then echo "$python"; fi
+    done
+}
+
 rows=()
 status=0
-for python in "${all[@]}"; do
-    read -r minor full < <(version "$python") || continue
-    if [ "$#" -eq 0 ] && [ -n "${seen[$minor]:-}" ]; then continue; fi # one of each is enough
-    seen[$minor]=1
+while read -r python <&3; do
+    full=$(version "$python" | cut -d ' ' -f 2)
     venv=out/pythons/$full
     log=$venv.log
     rm -rf "$venv"
@@ -48,11 +55,13 @@ names = ("pybullet", "pybullet-arm64", "mujoco", "mujoco-core", "eaik")
 print(", ".join(f"{d.name} {d.version}" for d in distributions() if d.name in names))' 2>/dev/null)
     rows+=("| $full | $engines | $installed s | $result | $((SECONDS - began)) s |")
     rm -rf "$venv"
-done
+done 3< <(chosen "$@")
 echo
 echo "| CPython | engines | installed in | the laws | in |"
 echo "|---|---|---|---|---|"
+if [ "${#rows[@]}" -eq 0 ]; then
+    echo "No CPython 3.10 to 3.14 was found." >&2
+    exit 1
+fi
 printf '%s\n' "${rows[@]}"
-[ "${#rows[@]}" -gt 0 ] && exit "$status"
-echo "No CPython 3.10 to 3.14 was found." >&2
-exit 1
+exit "$status"
