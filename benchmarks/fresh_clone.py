@@ -67,13 +67,13 @@ def start(clone: Path, python: str) -> dict[str, float]:
             marks += [(name, time.perf_counter()) for sign, name in STAGES.items() if sign in line]
             if address := re.search(r"http://\S+", line):
                 urllib.request.urlopen(address.group(), timeout=60).read()
+                marks.append(("", time.perf_counter()))
                 break
         else:
             raise RuntimeError("".join(lines[-20:]))
     finally:
         os.killpg(make.pid, signal.SIGINT)
         make.wait(timeout=60)
-    marks.append(("", time.perf_counter()))
     stages = {marks[i][0]: marks[i + 1][1] - marks[i][1] for i in range(len(marks) - 1)}
     return {**stages, "page_answers_s": marks[-1][1] - begin}
 
