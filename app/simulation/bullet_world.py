@@ -19,8 +19,8 @@ class _NotHere:
 
     def __getattr__(self, name: str) -> Any:
         raise ConfigError(
-            "this needs pybullet, which is not installed, and has no wheels for every Python "
-            "(docs/install.md); --physics mujoco works without it"
+            "this needs pybullet, which is not installed and has no wheels for every Python "
+            "(docs/install.md)"
         )
 
 
