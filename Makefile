@@ -14,7 +14,7 @@ test: $(VENV)/.installed-dev browser
 	DBB_REQUIRE_BROWSER=1 tools/test.sh $(VENV) $(ARGS)
 
 # For machines without a Chromium.
-test-without-browser: $(VENV)/.installed
+test-without-browser: $(VENV)/.installed-dev
 	tools/test.sh $(VENV) -m 'not browser' $(ARGS)
 
 # The README's pictures, in docs/pictures too; then the figures of the paper, with their data.
@@ -22,12 +22,17 @@ pictures: $(VENV)/.installed browser
 	tools/pictures.sh $(VENV)
 	$(BIN)/dbb reproduce --out out/pictures/paper
 
-# pyright asks the interpreter for its search path: pinocchio extends it at run time.
+# pyright asks the interpreter for its search path: pinocchio extends it at run time. The oldest and
+# the newest Python, on both systems.
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright --pythonpath $(BIN)/python
 	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/ci.yml
+	for platform in Linux Darwin; do for version in 3.10 3.14; do \
+		echo "pyright: $$platform, $$version"; \
+		$(BIN)/pyright --pythonpath $(BIN)/python \
+			--pythonplatform $$platform --pythonversion $$version || exit 1; \
+	done; done
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .
@@ -37,14 +42,12 @@ browser: $(VENV)/.installed
 	tools/browser.sh $(VENV)
 
 $(VENV)/.installed: pyproject.toml
-	tools/venv.sh $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	tools/venv.sh $(VENV) .
 	$(KERNELS)
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml
-	tools/venv.sh $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	tools/venv.sh $(VENV) '.[dev]'
 	$(KERNELS)
 	touch $@ $(VENV)/.installed
 

@@ -1,22 +1,53 @@
 #!/usr/bin/env bash
-# Make a virtual environment with a Python that has pybullet wheels: 3.11 or 3.10.
-# Usage: tools/venv.sh FOLDER
+# Make a virtual environment, unless it is there, and install this project in it: by uv where there
+# is one, else by pip.
+# Usage: [PYTHON=python] tools/venv.sh FOLDER [REQUIREMENT], such as . or .[dev]
 set -euo pipefail
 folder=$1
+requirement=${2:-}
 
-if [ -x "$folder/bin/python" ]; then
-    exit 0
-fi
-for candidate in "${PYTHON:-}" python3.11 python3.10 python3 python; do
-    if [ -n "$candidate" ] && "$candidate" -c \
-        'import ensurepip, sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 11))' 2>/dev/null
-    then
-        exec "$candidate" -m venv "$folder"
+# CPython of 64 bits with its lock, as the libraries' wheels want it; without uv, with venv and pip.
+supported() {
+    "$1" - "$(command -v uv || true)" 2>/dev/null <<'PY'
+import sys, sysconfig
+uv = sys.argv[1]
+if not uv:
+    import ensurepip, venv
+good = (3, 10) <= sys.version_info[:2] <= (3, 14) and sys.implementation.name == "cpython"
+sys.exit(not (good and sys.maxsize > 2**32 and not sysconfig.get_config_var("Py_GIL_DISABLED")))
+PY
+}
+
+found() {
+    if [ -n "${PYTHON:-}" ]; then
+        if supported "$PYTHON"; then echo "$PYTHON"; return; fi
+        echo "PYTHON=$PYTHON is no CPython 3.10 to 3.14 with venv." >&2
+        return 2
     fi
-done
-if command -v uv >/dev/null; then
-    exec uv venv --seed --python 3.11 "$folder"
+    # The newest first, but 3.14 last: pybullet, the default plant, has no wheels for it.
+    for candidate in python3.13 python3.12 python3.11 python3.10 python3.14 python3 python; do
+        if supported "$candidate"; then echo "$candidate"; return; fi
+    done
+    return 1
+}
+
+if [ ! -x "$folder/bin/python" ]; then
+    status=0
+    python=$(found) || status=$?
+    if [ "$status" -eq 2 ]; then exit 1; fi
+    if command -v uv >/dev/null && uv venv --quiet --seed --python "${python:-3.13}" "$folder"; then
+        :
+    elif [ -n "$python" ]; then
+        "$python" -m venv "$folder"
+        "$folder/bin/python" -m pip install --quiet 'pip>=22'  # older ones cannot install in place
+    else
+        echo "No CPython 3.10 to 3.14 with venv found: install uv (https://docs.astral.sh/uv) or Debian's python3-venv, or name one: make PYTHON=/path/to/python3 ..." >&2
+        exit 1
+    fi
 fi
-echo "No Python 3.10 or 3.11 with venv found. Install one (Debian: apt-get install python3-venv)," >&2
-echo "or uv (https://docs.astral.sh/uv), or name one: make PYTHON=/path/to/python3.11 ..." >&2
-exit 1
+if [ -z "$requirement" ]; then exit 0; fi
+if command -v uv >/dev/null; then
+    uv pip install --quiet --python "$folder/bin/python" -e "$requirement"
+else
+    "$folder/bin/python" -m pip install --quiet --disable-pip-version-check -e "$requirement"
+fi

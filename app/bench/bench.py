@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 from collections.abc import Callable, Sequence
 from time import perf_counter
 from typing import Any
@@ -22,6 +21,7 @@ from app.config import Config
 from app.control.controller import Controller, ControlOutput
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
+from app.system import peak_memory
 
 POINTS = (50_000, 500_000, 5_000_000)
 """Points of the synthetic borders."""
@@ -53,7 +53,7 @@ def bench(
     stages = time_stages(Controller(model, data, Config()), paths)
     on_stage("another d_b")
     reselect = _reselect(model, data)
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    memory = peak_memory()
     on_stage("rollouts")
     rollouts = time_rollouts(model.description.name, (1, _PROCESSES))
     on_stage("borders of many points")
@@ -66,7 +66,7 @@ def bench(
         "border_build_s": _build(model) if border else None, "border_reselect_ms": reselect,
         "rollout_realtime_factor": {str(n): x for n, x in rollouts.factors.items()},
         "rollout_scaling": rollouts.scaling, "peak_memory_mb": memory,
-        "peak_memory_all_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "peak_memory_all_mb": peak_memory(),
     }  # fmt: skip
 
 

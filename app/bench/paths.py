@@ -14,6 +14,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.begin import begin
 from app.simulation.line import LineScenario
+from app.simulation.plants import DEFAULT_PLANT
 from app.simulation.scenario import LINES
 from app.simulation.session import DT
 
@@ -61,7 +62,7 @@ def record(
     before = 0.0
     for scenario in PATHS:
         setting = scenario.setting(model, data, Config(), seed)
-        session = begin(setting, model, controller="dbb", physics="planar", seed=seed)
+        session = begin(setting, model, controller="dbb", physics=DEFAULT_PLANT, seed=seed)
         try:
             leader = scenario.leader(session)
             path: Path = []

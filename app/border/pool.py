@@ -13,6 +13,8 @@ from functools import partial
 from types import TracebackType
 from typing import Any, TypeVar
 
+from app.system import SPAWN
+
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 _log = logging.getLogger(__name__)
@@ -41,7 +43,7 @@ class Workers:
         self._others = set(mp.active_children())
         if self._processes > 1:
             self._executor = ProcessPoolExecutor(
-                self._processes, mp.get_context("spawn"), _start_worker, (self._make_context,)
+                self._processes, SPAWN, _start_worker, (self._make_context,)
             )
         return self
 

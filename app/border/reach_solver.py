@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import combinations
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
-from eaik.IK_HP import HPRobot
 from scipy.optimize import root
 
 from app.border.reach_chain import Chain
 from app.errors import DescriptionError
+
+try:
+    from eaik.IK_HP import HPRobot
+except ModuleNotFoundError:  # it has no wheels for CPython 3.14
+    HPRobot = None
 
 Array = np.ndarray
 
@@ -54,7 +58,7 @@ def make_solver(chain: Chain, restarts: int) -> Solver:
     Raises:
         DescriptionError: The arm's joints do not fill the space of the body's poses.
     """
-    if chain.turns.all():
+    if HPRobot is not None and chain.turns.all():
         for free in _choices(chain):
             if (solver := _complete_analytic(chain, free)) is not None:
                 return solver
@@ -76,7 +80,10 @@ def _complete_analytic(chain: Chain, free: tuple[int, ...]) -> AnalyticSolver | 
 
 
 class AnalyticSolver:
-    """EAIK's decomposition into geometric subproblems, for chains of revolute joints."""
+    """EAIK's decomposition into geometric subproblems, for chains of revolute joints.
+
+    Without EAIK, which is not there on every Python, the restarts find the same, more slowly.
+    """
 
     method = "analytic"
 
@@ -119,7 +126,8 @@ class AnalyticSolver:
             q = full
         return _distinct([each for each in q if _meets(self._chain, each, target)], self._chain)
 
-    def _held(self, held: Array) -> HPRobot:
+    def _held(self, held: Array) -> Any:
+        assert HPRobot is not None
         fixed = [(i, float(value)) for i, value in zip(self.free, held, strict=True)]
         return HPRobot(self._axes, self._offsets, fixed)
 

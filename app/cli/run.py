@@ -29,7 +29,7 @@ from app.cli.options import (
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError
 from app.robot.assets import load_robot
-from app.simulation.plants import PLANTS
+from app.simulation.plants import DEFAULT_PLANT, PLANTS
 from app.simulation.scenario import SCENARIOS, scenario_of
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ def run(
     else:
         raise ConfigError("Required: a SCENARIO, or --replay-case FILE; see dbb run --help")
     controller = controller or (case.controller if case else "dbb")
-    physics = physics or (case.physics if case else PLANTS[0])
+    physics = physics or (case.physics if case else DEFAULT_PLANT)
     check_name("controller", controller, CONTROLLERS)
     check_name("physics", physics, PLANTS)
     if border is not None:

@@ -19,7 +19,7 @@ from app.cli.options import (
 )
 from app.control.controller import CONTROLLERS
 from app.robot.assets import load_robot
-from app.simulation.plants import PLANTS
+from app.simulation.plants import DEFAULT_PLANT, PLANTS
 from app.simulation.scenario import SCENARIOS, scenario_of
 
 _SIZES = 64, 8192  # [px]
@@ -41,7 +41,7 @@ def screenshot(
     dark: Flag = False,
     light: Flag = False,
     config: Path | None = None,
-    physics: str = PLANTS[0],
+    physics: str = DEFAULT_PLANT,
     seed: int = 0,
     json: Json = False,
 ) -> None:

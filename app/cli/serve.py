@@ -18,7 +18,7 @@ from app.control.controller import CONTROLLERS
 from app.robot.assets import robot_names
 from app.robot.model import RobotModel
 from app.simulation.loop_child import LoopChild
-from app.simulation.plants import PLANTS
+from app.simulation.plants import DEFAULT_PLANT, PLANTS
 from app.simulation.scenario import LINES
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def serve(
         )  # fmt: skip
         robot, seed = case.robot, case.seed
     controller = controller or (case.controller if case else "dbb")
-    physics = physics or (case.physics if case else PLANTS[0])
+    physics = physics or (case.physics if case else DEFAULT_PLANT)
     check_name("robot", robot, robot_names())
     check_name("controller", controller, CONTROLLERS)
     check_name("physics", physics, PLANTS)

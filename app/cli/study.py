@@ -12,7 +12,7 @@ from app.cli.options import Json, check_name, check_range, check_seed, make_fold
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError
 from app.robot.assets import load_robot
-from app.simulation.plants import PLANTS
+from app.simulation.plants import DEFAULT_PLANT, PLANTS
 from app.study.parameters import StudyParameters
 from app.study.study_range import Interval, StudyRange, bounds
 
@@ -33,7 +33,7 @@ def study(
     cases: int = 2000,
     controller: str = "dbb",
     robot: str = "husky_panda",
-    physics: str = "planar",
+    physics: str = DEFAULT_PLANT,
     speed: IntervalOption = _DEFAULT.speed,
     base_delay: Annotated[IntervalOption, _also("--delay")] = _DEFAULT.base_delay,
     encoder_noise: Annotated[IntervalOption, _also("--noise")] = _DEFAULT.encoder_noise,

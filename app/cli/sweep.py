@@ -22,7 +22,7 @@ from app.config import Config, make_config
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError
 from app.robot.assets import load_robot
-from app.simulation.plants import PLANTS
+from app.simulation.plants import DEFAULT_PLANT, PLANTS
 
 if TYPE_CHECKING:
     from app.study.sweep_plan import SweepPlan
@@ -54,7 +54,7 @@ def sweep(
     base_weight: float | None = None,
     config: Path | None = None,
     parameters: Path | None = None,
-    physics: str = "planar",
+    physics: str = DEFAULT_PLANT,
     processes: int | None = None,
     out: Path = Path("out/sweep"),
     seed: int = 0,

@@ -7,11 +7,11 @@ import os
 import signal
 import threading
 from collections.abc import Callable
-from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
 from app.errors import DbbError, LoopError
+from app.system import SPAWN, end_group, lead_group, step_back
 
 Tell = Callable[[str, float], None]
 """Takes what is being done, and which share of it, 0 to 1, is done; below 0 if nobody knows."""
@@ -61,9 +61,8 @@ def run_apart(
         LoopError: The process ended by itself.
         DbbError: What `work` raised.
     """
-    context = mp.get_context("spawn")
-    news, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(sender, work, args), name="dbb work")
+    news, sender = SPAWN.Pipe(duplex=False)
+    process = SPAWN.Process(target=_work, args=(sender, work, args), name="dbb work")
     process.start()
     sender.close()
     try:
@@ -95,26 +94,23 @@ def _listen(news: Connection, tell: Tell, stopping: threading.Event) -> _End | N
 
 def _end(process: Any) -> None:
     """End the process and all that it has started."""
-    for kind in (signal.SIGTERM, signal.SIGKILL):
+    for at_once, end in ((False, process.terminate), (True, process.kill)):
         if not process.is_alive():
             break
-        with suppress(ProcessLookupError):  # it leads no group yet, or no more
-            os.killpg(process.pid, kind)
-        with suppress(ProcessLookupError):
-            os.kill(process.pid, kind)
+        end_group(process.pid, at_once=at_once)
+        end()  # it leads no group yet, or no more
         process.join(_PATIENCE)
     process.join()
-    with suppress(ProcessLookupError, PermissionError):
-        os.killpg(process.pid, signal.SIGKILL)  # what it may have left behind
+    end_group(process.pid, at_once=True)  # what it may have left behind
     process.close()
 
 
 def _work(sender: Connection, work: Callable[..., Any], args: tuple[Any, ...]) -> None:
     """What the process does."""
-    os.setsid()
+    lead_group()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is answered by who started it
     signal.signal(signal.SIGTERM, _leave)
-    os.nice(_NICENESS)
+    step_back(_NICENESS)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     try:
         end = _End(work(lambda text, share: sender.send(_News(text, share)), *args), None)
@@ -136,4 +132,5 @@ def _end_with_parent() -> None:
     parent = mp.parent_process()
     if parent is not None:
         parent.join()
-        os.killpg(0, signal.SIGKILL)
+        end_group(0, at_once=True)
+        os._exit(1)  # where there are no groups

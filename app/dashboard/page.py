@@ -74,7 +74,7 @@ class Page:
         self._dark: bool | None = None
         self._key: tuple[float, float] | None = None
         set_theme(client.gui, dark=self.view.dark)
-        client.gui.set_panel_label(shared.model.description.title)
+        client.gui.set_panel_label(shared.parts.title)
         with client.atomic():
             self._build_left()
             self._build_right()

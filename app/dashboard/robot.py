@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 import pinocchio as pin
 import trimesh
@@ -9,13 +11,15 @@ import viser
 
 from app.dashboard.colours import Rgb
 from app.dashboard.poses import from_viser, moved, to_viser
-from app.dashboard.visuals import Visual, load_visuals
+from app.dashboard.visuals import GREY, Visual, for_display, load_visuals
+from app.errors import AssetError
 from app.robot.description import RobotDescription
 from app.robot.meshes import shape_mesh
 from app.robot.model import RobotModel
-from app.robot.urdf import resolved_urdf
+from app.robot.urdf import bare_urdf
 
 Array = np.ndarray
+logger = logging.getLogger(__name__)
 
 ROOT = "/robot"
 """Scene node that moves with the base: origin on the floor below the base's centre, x forward."""
@@ -33,7 +37,7 @@ class LinkPoses:
     """
 
     def __init__(self, robot: RobotModel) -> None:
-        self.model = pin.buildModelFromXML(resolved_urdf(robot.description))
+        self.model = pin.buildModelFromXML(bare_urdf(robot.description))
         self._data = self.model.createData()
         self._q = pin.neutral(self.model)
         base, arm = robot.description.base, robot.description.arm
@@ -69,16 +73,23 @@ class RobotParts:
 
     Attributes:
         kinematics: Poses of what moves; used by the one thread that draws.
-        visuals: What the robot looks like.
+        visuals: What the robot looks like; its convex bodies where a mesh is not installed.
         bodies: The convex bodies that distances are measured to.
+        title: What people read over the robot; it says so if its meshes are not here.
         extent: (N, 3) [m] corners of all that a camera has to show, in the base's frame: the links
             in the ready pose, and the borders' place around the base.
     """
 
     def __init__(self, robot: RobotModel) -> None:
         self.kinematics = LinkPoses(robot)
-        self.visuals = load_visuals(robot.description, self.kinematics.model)
         self.bodies = _bodies(robot, self.kinematics.model)
+        self.title = robot.description.title
+        try:
+            self.visuals = load_visuals(robot.description, self.kinematics.model)
+        except AssetError as error:
+            logger.warning("%s is drawn by its convex bodies: %s", robot.description.name, error)
+            self.visuals = [_as_look(body) for body in self.bodies]
+            self.title += " (its meshes are not installed: convex bodies)"
         self.extent = self._extent(robot.description)
 
     def _extent(self, robot: RobotDescription) -> Array:
@@ -173,6 +184,11 @@ class RobotScene:
 
     def _node(self, joint: int) -> str:
         return f"{self._path}/{self._parts.joint_name(joint) or 'fixed'}"
+
+
+def _as_look(body: Visual) -> Visual:
+    """A convex body in place of the meshes that it covers."""
+    return body._replace(name=f"look_{body.name}", mesh=for_display(body.mesh), colour=GREY)
 
 
 def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:

@@ -6,7 +6,11 @@ from typing import NamedTuple
 
 from app.errors import DbbError
 from app.robot.assets import load_robot, robot_folder, robot_names, user_robots
-from app.robot.urdf import resolved_urdf
+from app.robot.urdf import bare_urdf, resolved_urdf
+from app.simulation.plants import DEFAULT_PLANT
+
+_NEEDED = resolved_urdf if DEFAULT_PLANT == "planar" else bare_urdf
+"""pybullet reads every mesh; MuJoCo and the viewer take the convex bodies if one is missing."""
 
 
 class RobotEntry(NamedTuple):
@@ -48,7 +52,7 @@ def _entry(name: str) -> RobotEntry:
         return RobotEntry(name, name, "", str(error), own, report)
     about = f"{description.base.kind} base, arm of {len(description.arm.joints)} joints"
     try:
-        resolved_urdf(description)
+        _NEEDED(description)
     except DbbError as error:
         return RobotEntry(name, description.title, about, str(error), own, report)
     return RobotEntry(name, description.title, about, None, own, report)

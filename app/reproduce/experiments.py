@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +21,7 @@ from app.simulation.leading import Scenario
 from app.simulation.line import LineScenario, Point
 from app.simulation.run import RunResult, run_scenario
 from app.simulation.scenario import scenario_by_name
+from app.system import SPAWN
 
 Array = np.ndarray
 
@@ -140,7 +140,7 @@ def run_experiments(
     """
     # The longest ones first: so the processes end together.
     todo = sorted(set(experiments), key=lambda e: (-e.full().duration, e.name))
-    clock = get_context("spawn").Value("d", 0.0)
+    clock = SPAWN.Value("d", 0.0)
     with (
         _watched(clock, on_progress),
         Workers(partial(_Context, seed, clock), min(processes, max(len(todo), 1))) as workers,

@@ -24,6 +24,7 @@ SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
 
 _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
+_WITH_PYBULLET = "it comes with pybullet, on the Pythons for which docs/install.md has it"
 
 
 def cache_folder() -> Path:
@@ -97,9 +98,8 @@ def resolve_package_uri(uri: str) -> Path:
     roots = package_roots(package)
     if not roots:
         wheel = "'.[robots]'" if package in _EXTRAS else package
-        raise AssetError(
-            f"{uri}: the package {package!r} is not installed; try: pip install {wheel}"
-        )
+        how = f"try: pip install {wheel}" if package != "pybullet_data" else _WITH_PYBULLET
+        raise AssetError(f"{uri}: the package {package!r} is not installed; {how}")
     for root in roots:
         path = (root / inner).resolve()
         if path.is_file() and path.is_relative_to(root.resolve()):

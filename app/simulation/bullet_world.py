@@ -8,16 +8,30 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from app.errors import AssetError
+from app.errors import AssetError, ConfigError
 from app.simulation.contact_pairs import ContactPairs
 from app.simulation.physics import Contacts
 from app.simulation.quiet import silence
 
+
+class _NotHere:
+    """Stands for pybullet where it is not installed: whatever is asked of it says so."""
+
+    def __getattr__(self, name: str) -> Any:
+        raise ConfigError(
+            "this needs pybullet, which is not installed and has no wheels for every Python "
+            "(docs/install.md)"
+        )
+
+
 if TYPE_CHECKING:
     import pybullet
 else:
-    with silence(1, 2):  # it prints the time of its build
-        import pybullet
+    try:
+        with silence(1, 2):  # it prints the time of its build
+            import pybullet
+    except ModuleNotFoundError:
+        pybullet = _NotHere()
 
 GRAVITY = 9.81  # [m/s²]
 _NO_CONTACTS = Contacts(False, False, False)

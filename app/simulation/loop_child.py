@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import threading
 from typing import TYPE_CHECKING
 
 from app.border.interrupts import interrupts_ignored
 from app.simulation.loop_process import run_loop
+from app.system import SPAWN
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -29,10 +29,9 @@ class LoopChild:
 
     def __init__(self) -> None:
         """Begin the process."""
-        spawn = multiprocessing.get_context("spawn")
-        self.snapshots, theirs_out = spawn.Pipe(duplex=False)
-        theirs_in, self.commands = spawn.Pipe(duplex=False)
-        self._process = spawn.Process(
+        self.snapshots, theirs_out = SPAWN.Pipe(duplex=False)
+        theirs_in, self.commands = SPAWN.Pipe(duplex=False)
+        self._process = SPAWN.Process(
             target=run_loop, args=(theirs_in, theirs_out), name="simulation", daemon=True
         )
         self._one_waits = threading.Lock()  # of two threads that wait, one would learn nothing

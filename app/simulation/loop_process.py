@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 import pickle
 import signal
 import sys
@@ -17,13 +16,13 @@ import numpy as np
 from app.errors import LoopError
 from app.simulation.loop import SimulationLoop
 from app.simulation.settled import settled
+from app.system import come_first
 
 Array = np.ndarray
 
 _POST_EVERY = 0.01  # [s] between two looks for a new snapshot; there is one every 0.02 s
 _SWITCH = 2e-4  # [s] after which the loop's thread gets its turn from the one that posts
 _NICENESS = -10  # [-] wished for; browsers give their drawing -8 where they may
-_REAL_TIME = 1  # [-] the least priority of those that come before all others
 
 
 class Started(NamedTuple):
@@ -50,7 +49,7 @@ def run_loop(commands: Connection, snapshots: Connection) -> None:
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent obeys Ctrl-C, and then closes
     sys.setswitchinterval(_SWITCH)
-    _come_first()
+    come_first(_NICENESS)
     try:
         make_session, q_start = commands.recv()
     except (EOFError, OSError):
@@ -65,18 +64,6 @@ def run_loop(commands: Connection, snapshots: Connection) -> None:
             _post(loop, commands, snapshots)
     finally:
         loop.stop()
-
-
-def _come_first() -> None:
-    """Before what draws, as far as this user may; the real-time policy is what robots run on.
-
-    With a single core a loop that is late would leave nothing to those who look at it.
-    """
-    with suppress(OSError):
-        os.setpriority(os.PRIO_PROCESS, 0, _NICENESS)
-    if len(os.sched_getaffinity(0)) > 1:
-        with suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_REAL_TIME))
 
 
 def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:

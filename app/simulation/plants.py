@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+
 from app.errors import ConfigError, UnknownNameError
 from app.robot.bases.differential import DifferentialBase
 from app.robot.model import RobotModel
@@ -9,7 +11,10 @@ from app.simulation.door import OpenDoor
 from app.simulation.physics import Physics
 
 PLANTS = ("planar", "contact", "kinematic")
-"""Names that `make_physics` knows; the first is the default."""
+"""Names that `make_physics` knows."""
+_OF_PYBULLET = ("planar", "contact")
+DEFAULT_PLANT = "planar" if importlib.util.find_spec("pybullet") else "mujoco"
+"""pybullet's where it is installed: on CPython 3.14 and on Linux aarch64 it has no wheels."""
 
 
 def make_physics(
@@ -26,11 +31,17 @@ def make_physics(
 
     Raises:
         UnknownNameError: No such plant.
-        ConfigError: That plant has no doors, or does not suit the kind of base.
+        ConfigError: That plant has no doors, does not suit the kind of base, or needs a library
+            that is not installed.
         AssetError: pybullet cannot load the robot.
     """
     del seed
-    # Imported here: the stand-in has to work where pybullet is not installed.
+    if kind in _OF_PYBULLET and DEFAULT_PLANT not in _OF_PYBULLET:
+        raise ConfigError(
+            f"the plant {kind} needs pybullet, which is not installed and has no wheels for every "
+            "Python (docs/install.md); --physics mujoco works without it"
+        )
+    # Imported here: the others have to work where pybullet is not installed.
     if kind == "planar":
         from app.simulation.pybullet_planar import PybulletPlanar
 

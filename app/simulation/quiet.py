@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-_C = ctypes.CDLL(None)
+from app.system import flush_c_output
 
 
 @contextmanager
@@ -40,4 +39,4 @@ def _flush() -> None:
     for stream in (sys.stdout, sys.stderr):
         if stream is not None:
             stream.flush()
-    _C.fflush(None)
+    flush_c_output()

@@ -12,6 +12,7 @@ from app.config import Config
 from app.robot.model import RobotModel
 from app.simulation.begin import begin
 from app.simulation.leading import Scenario
+from app.simulation.plants import DEFAULT_PLANT
 from app.simulation.recording import Recorder
 from app.simulation.session import DT, Session, Step
 from app.simulation.settled import settled
@@ -31,7 +32,7 @@ def steps_of(
     config: Config,
     *,
     controller: str = "dbb",
-    physics: str = "planar",
+    physics: str = DEFAULT_PLANT,
     seed: int = 0,
 ) -> Generator[tuple[Session, Step], None, None]:
     """The control steps of a scenario, one by one, with the session after each.
@@ -70,7 +71,7 @@ def run_scenario(
     config: Config,
     *,
     controller: str = "dbb",
-    physics: str = "planar",
+    physics: str = DEFAULT_PLANT,
     seed: int = 0,
     on_progress: Callable[[float], None] = lambda _: None,
     on_step: Callable[[Session, Step], None] | None = None,

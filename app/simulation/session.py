@@ -24,7 +24,7 @@ from app.simulation.door import OpenDoor
 from app.simulation.leading import DoorReading
 from app.simulation.people import Hold, People, PersonForces, PullReading
 from app.simulation.physics import Contacts, Physics
-from app.simulation.plants import make_physics
+from app.simulation.plants import DEFAULT_PLANT, make_physics
 from app.simulation.truth import Truth
 
 Array = np.ndarray
@@ -103,7 +103,7 @@ class Session:
         config: Config,
         *,
         controller: str = "dbb",
-        physics: str = "planar",
+        physics: str = DEFAULT_PLANT,
         seed: int = 0,
         plant: RobotModel | None = None,
         door: OpenDoor | None = None,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any
 
 from app.errors import StudyError
 from app.study.play import Row
+from app.system import claim
 
 _LINES, _HEAD = "cases.jsonl", "parameters.json"
 
@@ -66,12 +66,10 @@ class Journal:
         self.rows[row["case"]] = row
 
     def _lock(self) -> None:
-        try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        if not claim(self._file):
             raise StudyError(
                 f"--out: another dbb study works in {self._folder}; wait for it, or choose another"
-            ) from None
+            )
 
     def _claim(self, identity: dict[str, Any]) -> None:
         """Write down which study this is, or see that it is the same."""

@@ -6,6 +6,7 @@ import hashlib
 from functools import cache
 from pathlib import Path
 
+from app.simulation.plants import DEFAULT_PLANT
 from app.strict import Strict
 from app.study.study_range import StudyRange
 
@@ -19,7 +20,7 @@ class StudyParameters(Strict):
     seed: int = 0
     robot: str = "husky_panda"
     controller: str = "dbb"
-    physics: str = "planar"
+    physics: str = DEFAULT_PLANT
     ranges: StudyRange = StudyRange()
     inside: bool = False
     """Whether only cases inside of the stated envelope are drawn."""

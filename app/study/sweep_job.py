@@ -10,6 +10,7 @@ from typing import Any
 
 from app.errors import DbbError, OutputError
 from app.study.sweep_plan import SweepPlan
+from app.system import SPAWN, step_back
 
 _NICENESS = 15  # [-] of 19
 _END = 5.0  # [s] that a process may take to end
@@ -19,7 +20,6 @@ class SweepJob:
     """At most one sweep at a time; the process ends with this one."""
 
     def __init__(self) -> None:
-        self._context = mp.get_context("spawn")
         self._process: Any = None
         self._done: Any = None
         self._problem: Any = None
@@ -45,9 +45,9 @@ class SweepJob:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise OutputError(f"cannot write to {folder}: {error.strerror}") from None
-        self._done = self._context.Value("d", 0.0)
-        self._problem, sender = self._context.Pipe(duplex=False)
-        self._process = self._context.Process(
+        self._done = SPAWN.Value("d", 0.0)
+        self._problem, sender = SPAWN.Pipe(duplex=False)
+        self._process = SPAWN.Process(
             target=_work, args=(plan, folder, self._done, sender), daemon=True
         )
         self._process.start()
@@ -85,7 +85,7 @@ def _work(plan: SweepPlan, folder: Path, done: Any, problem: Any) -> None:
     from app.study.sweep_files import write_sweep
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is answered by who started it
-    os.nice(_NICENESS)
+    step_back(_NICENESS)
     parent = mp.parent_process()
 
     def tell(share: float) -> None:

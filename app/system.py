@@ -1,0 +1,112 @@
+"""What operating systems do differently, in one place; where one cannot, its fallback is here too.
+
+Linux has all of it. macOS has no real-time policy for a user's process, no set of allowed cores and
+no `malloc_trim`; there the work is done without. Nothing here raises for want of a feature.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import os
+import signal
+import sys
+from contextlib import suppress
+from typing import BinaryIO
+
+if sys.platform != "win32":
+    import fcntl
+    import resource
+
+SPAWN = multiprocessing.get_context("spawn")
+"""How processes are begun everywhere: a fork would copy locks that another thread holds, and is not
+safe at all with macOS's own libraries."""
+
+_REAL_TIME = 1  # [-] the least priority of those that come before all others
+
+
+def usable_cores() -> int:
+    """Cores that this process may use; where the system keeps no such set, all there are."""
+    allowed = getattr(os, "sched_getaffinity", None)
+    return len(allowed(0)) if allowed else os.cpu_count() or 1
+
+
+def come_first(niceness: int) -> None:
+    """Before others, as far as this user and this system allow.
+
+    The real-time policy is what robots run on. With a single core a process that is late would then
+    leave nothing to the others.
+
+    Args:
+        niceness: [-] wished for, below 0, where there is no real-time policy.
+    """
+    with suppress(AttributeError, OSError):
+        os.setpriority(os.PRIO_PROCESS, 0, niceness)
+    if usable_cores() > 1:
+        with suppress(AttributeError, OSError):
+            os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_REAL_TIME))
+
+
+def step_back(niceness: int) -> None:
+    """Behind others, by 1 to 19."""
+    with suppress(AttributeError, OSError):
+        os.nice(niceness)
+
+
+def lead_group() -> None:
+    """Make this process the leader of a group of its own, which `end_group` ends."""
+    with suppress(AttributeError, PermissionError):  # it leads one already
+        os.setsid()
+
+
+def end_group(leader: int, *, at_once: bool) -> None:
+    """End the group of a process and all that it has started; 0 is this process's own.
+
+    Args:
+        leader: Its process number. There may be no such group, or no more.
+        at_once: Whether it is ended whatever it does, or asked to end.
+    """
+    # macOS answers with a PermissionError for a group of which only ended processes are left.
+    with suppress(AttributeError, ProcessLookupError, PermissionError):
+        os.killpg(leader, signal.SIGKILL if at_once else signal.SIGTERM)
+
+
+def claim(file: BinaryIO) -> bool:
+    """Lock a file until it is closed; False if another process has it locked."""
+    if sys.platform == "win32":
+        return True
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def peak_memory() -> float:
+    """[MiB] most memory that this process has had; NaN where the system does not tell."""
+    if sys.platform == "win32":
+        return float("nan")
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most / 2**20 if sys.platform == "darwin" else most / 2**10  # bytes there, KiB here
+
+
+def give_freed_memory_back() -> None:
+    """Give what was freed back to the system; of glibc alone, which keeps it for each thread."""
+    trim = getattr(_c_library(), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+
+
+def flush_c_output() -> None:
+    """Write out what C code has printed and its library still holds."""
+    flush = getattr(_c_library(), "fflush", None)
+    if flush is not None:
+        flush(None)
+
+
+def _c_library() -> ctypes.CDLL | None:
+    """The C library that this process has loaded, or None where it cannot be had by that way."""
+    try:
+        return ctypes.CDLL(None)
+    except (OSError, TypeError):
+        return None

@@ -1,0 +1,82 @@
+"""How soon `make run` in a fresh clone has a page that answers: `python -m benchmarks.fresh_clone`.
+
+The committed state is cloned into a folder whose path has a space in it, and installed with the
+packages that are in the user's caches; with `--download` from empty caches first, whose size then
+says how much was loaded and whose time how long that took. Kernels are compiled anew each time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import tempfile
+import time
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+PROJECT = Path(__file__).resolve().parent.parent
+STAGES = {"venv.sh": "install_s", "import app": "compile_s", "dbb serve": "serve_s"}
+"""What a line of make's holds, and the figure of the stage that begins with it."""
+
+
+def main() -> None:
+    """Measure and print one JSON object."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--download", action="store_true", help="from empty caches first")
+    parser.add_argument("--python", default="", help="as make's PYTHON")
+    options = parser.parse_args()
+    found: dict[str, Any] = {"cores": os.cpu_count(), "load_before": os.getloadavg()[0],
+                             "installer": "uv" if shutil.which("uv") else "pip"}  # fmt: skip
+    with tempfile.TemporaryDirectory(prefix="fresh clone ") as folder:
+        if options.download:
+            cache = Path(folder) / "cache"
+            os.environ.update(PIP_CACHE_DIR=str(cache / "pip"), UV_CACHE_DIR=str(cache / "uv"))
+            found["empty_caches"] = start(Path(folder) / "first", options.python)
+            size = sum(file.stat().st_size for file in cache.rglob("*") if file.is_file())
+            # pip keeps what it loads as it is; uv keeps it unpacked.
+            found["cache_mb"] = size / 1e6
+        found["filled_caches"] = start(Path(folder) / "clone", options.python)
+    print(json.dumps(found, indent=2))
+
+
+def start(clone: Path, python: str) -> dict[str, float]:
+    """Clone, run, ask for the page; seconds of each stage, and in all.
+
+    Raises:
+        RuntimeError: make ended without an address.
+    """
+    begin = time.perf_counter()
+    subprocess.run(["git", "clone", "--quiet", str(PROJECT), str(clone)], check=True)
+    command = ["make", "run", "ARGS=--port 0", *([f"PYTHON={python}"] if python else [])]
+    make = subprocess.Popen(
+        command, cwd=clone, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+    marks = [("clone_s", begin)]
+    lines: list[str] = []
+    try:
+        assert make.stdout is not None
+        for line in make.stdout:
+            lines.append(line)
+            marks += [(name, time.perf_counter()) for sign, name in STAGES.items() if sign in line]
+            if address := re.search(r"http://\S+", line):
+                urllib.request.urlopen(address.group(), timeout=60).read()
+                marks.append(("", time.perf_counter()))
+                break
+        else:
+            raise RuntimeError("".join(lines[-20:]))
+    finally:
+        os.killpg(make.pid, signal.SIGINT)
+        make.wait(timeout=60)
+    stages = {marks[i][0]: marks[i + 1][1] - marks[i][1] for i in range(len(marks) - 1)}
+    return {**stages, "page_answers_s": marks[-1][1] - begin}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,231 @@
+"""What operating systems do differently stands in `app.system`, and is done without elsewhere."""
+
+from __future__ import annotations
+
+import ast
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from app import system
+
+PROJECT = Path(__file__).resolve().parent.parent
+THE_PLACE = PROJECT / "app" / "system.py"
+OTHERS = sorted(path for path in (PROJECT / "app").rglob("*.py") if path != THE_PLACE)
+
+MODULES = {
+    "ctypes", "fcntl", "grp", "mmap", "multiprocessing.shared_memory", "posix", "pty", "pwd",
+    "resource", "select", "syslog", "termios",
+}  # fmt: skip
+"""Modules of some systems only, and the one that calls C."""
+NAMES = {
+    "os": {"epoll", "eventfd", "fork", "forkpty", "getpgid", "kill", "killpg",
+           "memfd_create", "mkfifo", "nice", "pipe2", "pidfd_open", "setpgid", "setpriority",
+           "setsid", "uname", "wait4", "waitid", "WNOHANG"},
+    "signal": {"SIGALRM", "SIGCHLD", "SIGHUP", "SIGKILL", "SIGUSR1", "SIGUSR2", "alarm",
+               "pthread_kill", "pthread_sigmask", "setitimer", "sigwait"},
+    "mp": {"get_context", "set_start_method", "Pipe", "Pool", "Process", "Queue", "Value"},
+}  # fmt: skip
+"""What a module has on some systems only, or does differently there. Names of `os` that begin with
+`sched_` or `SCHED_` count too."""
+FOR_A_REASON = {("app/dashboard/browser.py", "sys.platform"): "where a Mac keeps its browsers"}
+"""What may stand elsewhere."""
+
+
+@pytest.mark.parametrize("path", OTHERS, ids=lambda path: str(path.relative_to(PROJECT)))
+def test_what_only_some_systems_have_stands_in_one_module(path: Path) -> None:
+    name = path.relative_to(PROJECT).as_posix()
+    found = set(peculiar(path.read_text(encoding="utf-8")))
+    assert {one for one in found if (name, one) not in FOR_A_REASON} == set()
+
+
+@pytest.mark.parametrize(
+    ("source", "culprit"),
+    [
+        ("import fcntl", "fcntl"),
+        ("from ctypes import CDLL", "ctypes"),
+        ("from multiprocessing import shared_memory", "multiprocessing.shared_memory"),
+        ("from multiprocessing import get_context", "mp.get_context"),
+        ("import multiprocessing as m\nm.Pool(2)", "mp.Pool"),
+        ("import os\nos.sched_setaffinity(0, {1})", "os.sched_setaffinity"),
+        ("from os import setsid as s", "os.setsid"),
+        ("import signal as s\ns.SIGKILL", "signal.SIGKILL"),
+        ("import sys\nif sys.platform == 'linux': pass", "sys.platform"),
+        ("import platform\nplatform.system()", "platform"),
+        ("open('/proc/self/stat')", "/proc"),
+        ("f'/proc/{1}/stat'", "/proc"),
+    ],
+)
+def test_the_rule_sees_every_way_to_break_it(source: str, culprit: str) -> None:
+    assert culprit in set(peculiar(source))
+
+
+def test_the_place_itself_breaks_the_rule() -> None:
+    found = set(peculiar(THE_PLACE.read_text(encoding="utf-8")))
+    assert {"fcntl", "ctypes", "os.killpg", "os.sched_setscheduler", "sys.platform"} <= found
+
+
+@pytest.fixture
+def mac(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A system without what Linux alone has, and with a Mac's units."""
+    for name in [name for name in vars(os) if name.lower().startswith("sched_")]:
+        monkeypatch.delattr(os, name)
+    monkeypatch.setattr(sys, "platform", "darwin")
+    monkeypatch.setattr(ctypes, "CDLL", lambda _: SimpleNamespace(fflush=lambda _: 0))
+
+
+@pytest.mark.usefixtures("mac")
+def test_a_mac_has_no_set_of_allowed_cores_and_all_of_them_are_taken() -> None:
+    assert system.usable_cores() == os.cpu_count()
+
+
+@pytest.mark.usefixtures("mac")
+def test_without_a_real_time_policy_a_process_comes_first_by_its_niceness_alone(
+    monkeypatch,
+) -> None:
+    wished = []
+    monkeypatch.setattr(os, "setpriority", lambda *wish: wished.append(wish))
+    system.come_first(-10)
+    assert wished == [(os.PRIO_PROCESS, 0, -10)]
+
+
+@pytest.mark.usefixtures("mac")
+def test_without_malloc_trim_nothing_is_given_back_and_output_is_flushed() -> None:
+    system.give_freed_memory_back()
+    system.flush_c_output()
+
+
+def test_a_mac_counts_its_memory_in_bytes(monkeypatch) -> None:
+    monkeypatch.setattr(
+        system.resource, "getrusage", lambda _: SimpleNamespace(ru_maxrss=3 * 2**20)
+    )
+    assert system.peak_memory() == 3 * 2**10
+    monkeypatch.setattr(sys, "platform", "darwin")
+    assert system.peak_memory() == 3
+
+
+def test_a_user_who_may_not_come_first_is_served_all_the_same(monkeypatch) -> None:
+    def refuse(*_: object) -> None:
+        raise PermissionError
+
+    for name in ("setpriority", "sched_setscheduler", "setsid", "killpg", "nice"):
+        monkeypatch.setattr(os, name, refuse, raising=False)
+    system.come_first(-10)
+    system.step_back(5)
+    system.lead_group()
+    system.end_group(0, at_once=False)
+
+
+@pytest.mark.parametrize("at_once", [False, True])
+def test_a_group_is_ended_with_all_that_its_leader_has_started(at_once: bool) -> None:
+    code = (
+        "import subprocess, sys, time\nfrom app.system import lead_group\nlead_group()\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)'],"
+        " stdout=sys.stdout)\n"
+        "print(child.pid, flush=True)\ntime.sleep(60)"
+    )
+    leader = subprocess.Popen(
+        [sys.executable, "-c", code], cwd=PROJECT, stdout=subprocess.PIPE, text=True
+    )
+    assert leader.stdout is not None
+    assert int(leader.stdout.readline()) != leader.pid
+    begin = time.monotonic()
+    system.end_group(leader.pid, at_once=at_once)
+    assert leader.stdout.read() == ""  # ends when the last of them has closed it
+    assert time.monotonic() - begin < 50  # not by their own end
+    assert leader.wait() == -(signal.SIGKILL if at_once else signal.SIGTERM)
+    system.end_group(leader.pid, at_once=at_once)  # there is none any more
+
+
+def test_a_file_is_claimed_by_one_at_a_time(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    with path.open("a+b") as first:
+        assert system.claim(first)
+        with path.open("a+b") as second:
+            assert not system.claim(second)
+    with path.open("a+b") as third:
+        assert system.claim(third)
+
+
+@pytest.mark.slow
+def test_the_loop_in_its_process_and_the_command_work_without_what_linux_alone_has(
+    tmp_path: Path,
+) -> None:
+    """Every process of these begins with an `os` from which those names were taken."""
+    (tmp_path / "sitecustomize.py").write_text(
+        "import os\n"
+        "for name in [name for name in vars(os) if name.lower().startswith('sched_')]:\n"
+        "    delattr(os, name)\n",
+        encoding="utf-8",
+    )
+    code = """
+import os
+from functools import partial
+import numpy as np
+from app.border.cache import load_border_data
+from app.config import Config
+from app.robot.assets import load_robot
+from app.robot.model import RobotModel
+from app.simulation.process_loop import ProcessLoop
+from app.simulation.session import Session
+
+if __name__ == "__main__":
+    assert not hasattr(os, "sched_getaffinity")
+    model = RobotModel(load_robot("husky_panda"))
+    data = load_border_data(model, progress=False)
+    make = partial(Session, model, data, Config(), physics="kinematic")
+    loop = ProcessLoop(make, np.array(model.description.arm.ready_position))
+    loop.start()
+    while loop.latest().t < 0.1:
+        assert loop.error is None
+    loop.stop()
+    print("ran")
+"""
+    (tmp_path / "loop.py").write_text(code, encoding="utf-8")
+    path = os.pathsep.join([str(tmp_path), str(PROJECT)])
+    done = subprocess.run(
+        [sys.executable, str(tmp_path / "loop.py")], env={**os.environ, "PYTHONPATH": path},
+        capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert done.stdout.strip() == "ran", done.stderr[-2000:]
+
+
+def peculiar(source: str) -> list[str]:
+    """What a module uses that not every system has, as `os.setsid`, by any name it gives it."""
+    tree = ast.parse(source)
+    aliases = {"os": "os", "signal": "signal", "sys": "sys"}
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                top = "mp" if alias.name == "multiprocessing" else alias.name
+                aliases[alias.asname or alias.name] = top
+                found += [alias.name] if alias.name in {*MODULES, "platform"} else []
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            top = "mp" if node.module == "multiprocessing" else node.module
+            found += [top] if top in MODULES else []
+            for alias in node.names:
+                full = f"{node.module}.{alias.name}"
+                found += [full] if full in MODULES else []
+                found += [f"{top}.{alias.name}"] if is_peculiar(top, alias.name) else []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            top = aliases.get(node.value.id, "")
+            found += [f"{top}.{node.attr}"] if is_peculiar(top, node.attr) else []
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            found += ["/proc"] if node.value.startswith(("/proc", "/dev/shm", "/sys/")) else []
+    return found
+
+
+def is_peculiar(module: str, name: str) -> bool:
+    """Whether a name of a module is one of those."""
+    if module == "os" and name.lower().startswith("sched_"):
+        return True
+    return name in NAMES.get(module, ()) or (module, name) == ("sys", "platform")

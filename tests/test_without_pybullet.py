@@ -1,0 +1,115 @@
+"""Where pybullet, its meshes and EAIK are not installed, all but what needs them works."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.border import reach_solver
+from app.border.reach_chain import Chain
+from app.border.reach_solver import make_solver
+from app.dashboard.robot import RobotParts
+from app.errors import AssetError
+from app.robot.assets import load_robot, resolve_package_uri
+from app.robot.model import RobotModel
+
+PROJECT = Path(__file__).resolve().parent.parent
+WITHOUT = """
+import sys
+for name in ("pybullet", "pybullet_data", "eaik"):
+    sys.modules[name] = None  # as if it were not installed
+"""
+
+
+@pytest.fixture
+def no_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """pybullet_data is not installed."""
+    monkeypatch.setitem(sys.modules, "pybullet_data", None)
+
+
+@pytest.mark.usefixtures("no_meshes")
+def test_a_mesh_that_comes_with_pybullet_says_so() -> None:
+    with pytest.raises(AssetError, match="it comes with pybullet, on the Pythons"):
+        resolve_package_uri("package://pybullet_data/husky/meshes/base_link.stl")
+
+
+@pytest.mark.usefixtures("no_meshes")
+def test_a_robot_without_its_meshes_is_drawn_by_its_bodies_and_its_title_says_so(caplog) -> None:
+    model = RobotModel(load_robot("husky_panda"))
+    parts = RobotParts(model)
+    assert "convex bodies" in parts.title
+    assert "drawn by its convex bodies" in caplog.text
+    assert len(parts.visuals) == len(parts.bodies) > 0
+    assert {v.name for v in parts.visuals}.isdisjoint(body.name for body in parts.bodies)
+    for look, body in zip(parts.visuals, parts.bodies, strict=True):
+        assert look.joint == body.joint
+        assert look.placement == body.placement
+        np.testing.assert_allclose(look.mesh.bounds, body.mesh.bounds, atol=1e-9)
+
+
+def test_with_its_meshes_it_is_drawn_by_them(robot) -> None:
+    parts = RobotParts(robot)
+    assert parts.title == robot.description.title
+    assert len(parts.visuals) > len(parts.bodies)
+
+
+@pytest.mark.usefixtures("no_meshes")
+def test_the_dynamics_do_not_depend_on_meshes(robot) -> None:
+    bare = RobotModel(load_robot("husky_panda")).pin
+    assert bare.inertias.tolist() == robot.pin.inertias.tolist()
+    assert bare == robot.pin
+
+
+def test_without_eaik_the_restarts_find_inverse_kinematics(robot, monkeypatch) -> None:
+    chain = Chain(robot, "lEE")
+    assert make_solver(chain, restarts=8).method == "analytic"
+    monkeypatch.setattr(reach_solver, "HPRobot", None)
+    solver = make_solver(chain, restarts=8)
+    assert solver.method == "restarts"
+    rng = np.random.default_rng(0)
+    q = chain.random(rng)
+    found = solver.solve(chain.pose(q).copy(), q[list(solver.free)], rng)
+    assert len(found)
+    for each in found:
+        np.testing.assert_allclose(
+            chain.pose(each).homogeneous, chain.pose(q).homogeneous, atol=1e-5
+        )
+
+
+@pytest.mark.slow
+def test_commands_run_and_what_needs_pybullet_says_so_in_one_line() -> None:
+    def dbb(*arguments: str) -> subprocess.CompletedProcess[str]:
+        code = f"{WITHOUT}\nfrom app.cli.main import main\nsys.argv[1:] = {list(arguments)}\nmain()"
+        return subprocess.run(
+            [sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True, timeout=500
+        )
+
+    robots = json.loads(dbb("robots", "--json").stdout)["robots"]
+    (ours,) = [robot for robot in robots if robot["name"] == "husky_panda"]
+    assert not ours.get("problem")
+    short = ("run", "guiding-lateral", "--duration", "0.1", "--json", "--physics")
+    done = dbb(*short, "kinematic")
+    assert json.loads(done.stdout)["physics"] == "kinematic", done.stderr
+    refused = dbb(*short, "planar")
+    assert refused.returncode
+    (line,) = [each for each in refused.stderr.splitlines() if "error" in each]
+    assert "pybullet" in line
+    assert "--physics mujoco" in line
+
+
+@pytest.mark.parametrize(("missing", "default"), [(True, "mujoco"), (False, "planar")])
+def test_the_default_plant_is_pybullets_where_it_is_installed(missing: bool, default: str) -> None:
+    if not missing:
+        pytest.importorskip("pybullet")
+    code = (WITHOUT if missing else "") + (
+        "\nfrom app.simulation.plants import DEFAULT_PLANT\nprint(DEFAULT_PLANT)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == default

@@ -1,0 +1,138 @@
+"""Where this project installs from published wheels: `python -m tools.wheels [--write]`.
+
+Every dependency of the package and of all its extras is resolved for each Python and platform of
+the promise, without building anything and without an interpreter of that Python. What is found
+stands in the table of docs/install.md, between two marks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from itertools import product
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parent.parent
+DOCUMENT = PROJECT / "docs" / "install.md"
+BEGIN, END = "<!-- wheels: begin -->\n", "<!-- wheels: end -->\n"
+
+PYTHONS = ("3.10", "3.11", "3.12", "3.13", "3.14")
+PLATFORMS = {
+    "Linux x86-64": "x86_64-unknown-linux-gnu",
+    "Linux aarch64": "aarch64-unknown-linux-gnu",
+    "macOS arm64": "aarch64-apple-darwin",
+}
+PROMISED = {
+    *product(["Linux x86-64"], PYTHONS),
+    *product(["macOS arm64"], ["3.11", "3.12", "3.13"]),
+}
+"""Platforms and Pythons for which everything has to be there."""
+OPTIONAL = {
+    "pybullet": "pybullet", "pybullet-arm64": "pybullet's fork", "mujoco": "MuJoCo",
+    "mujoco-core": "MuJoCo", "eaik": "EAIK",
+}  # fmt: skip
+"""What is not the same everywhere, and how the table calls it."""
+_MACOS = "14.0"  # the oldest one of the promise
+_AT_ONCE = 4
+_PATIENCE = 300  # [s]
+
+
+class IndexUnreachableError(Exception):
+    """No package index answers."""
+
+
+Outcome = str | frozenset[str]
+"""Names of all packages that are installed, or what uv says of one that has no wheel."""
+
+
+def resolve(platform: str, python: str) -> Outcome:
+    """What would be installed of the package and all its extras, from wheels alone.
+
+    Raises:
+        IndexUnreachableError: No package index answers.
+    """
+    arguments = ["--all-extras", "--python-platform", PLATFORMS[platform], "--python-version"]
+    return compiled([str(PROJECT / "pyproject.toml"), *arguments, python])
+
+
+def compiled(arguments: list[str]) -> Outcome:
+    """What `uv pip compile` gives with these arguments, from wheels alone.
+
+    Raises:
+        IndexUnreachableError: No package index answers.
+    """
+    command = [sys.executable, "-m", "uv", "pip", "compile", "--quiet", "--only-binary", ":all:"]
+    done = subprocess.run(
+        [*command, "--no-header", "--no-annotate", "--color", "never", *arguments],
+        cwd=PROJECT, env={**os.environ, "MACOSX_DEPLOYMENT_TARGET": _MACOS},
+        capture_output=True, text=True, timeout=_PATIENCE,
+    )  # fmt: skip
+    if done.returncode == 0:
+        lines = (line.partition("==")[0].strip() for line in done.stdout.splitlines())
+        return frozenset(line for line in lines if line and not line.startswith("#"))
+    if "Failed to fetch" in done.stderr or "error sending request" in done.stderr:
+        raise IndexUnreachableError(" ".join(done.stderr.split())[:200])
+    return " ".join(done.stderr.split())
+
+
+def resolve_all() -> dict[tuple[str, str], Outcome]:
+    """The outcome for each platform and Python.
+
+    Raises:
+        IndexUnreachableError: No package index answers.
+    """
+    cells = list(product(PLATFORMS, PYTHONS))
+    with ThreadPoolExecutor(_AT_ONCE) as threads:
+        return dict(zip(cells, threads.map(lambda cell: resolve(*cell), cells), strict=True))
+
+
+def table(outcomes: Mapping[tuple[str, str], Outcome]) -> str:
+    """The outcomes in Markdown."""
+    rows = [["", *(f"CPython {python}" for python in PYTHONS)], ["---"] * (1 + len(PYTHONS))]
+    for platform in PLATFORMS:
+        rows.append([platform, *(_cell(outcomes[platform, python]) for python in PYTHONS)])
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def _cell(outcome: Outcome) -> str:
+    if isinstance(outcome, str):
+        return "no"
+    return ", ".join(text for name, text in OPTIONAL.items() if name in outcome)
+
+
+def written() -> str:
+    """The table as it stands in the document."""
+    return DOCUMENT.read_text(encoding="utf-8").partition(BEGIN)[2].partition(END)[0]
+
+
+def write(new: str) -> None:
+    """Put a table into the document in place of the one that stands there."""
+    text = DOCUMENT.read_text(encoding="utf-8")
+    before, _, rest = text.partition(BEGIN)
+    DOCUMENT.write_text(f"{before}{BEGIN}{new}{END}{rest.partition(END)[2]}", encoding="utf-8")
+
+
+def main() -> int:
+    """Print the table, or write it; 1 if something of the promise is not there."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true", help=f"into {DOCUMENT.name}")
+    options = parser.parse_args()
+    try:
+        outcomes = resolve_all()
+    except IndexUnreachableError as error:
+        sys.exit(f"no package index answers: {error}")
+    print(table(outcomes), end="")
+    if options.write:
+        write(table(outcomes))
+    missing = [(cell, why) for cell, why in outcomes.items() if isinstance(why, str)]
+    for (platform, python), why in missing:
+        print(f"{platform}, {python}: {why}", file=sys.stderr)
+    return int(any(cell in PROMISED for cell, _ in missing))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
