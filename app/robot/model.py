@@ -14,7 +14,7 @@ import pinocchio as pin
 
 from app.errors import DescriptionError
 from app.robot.description import RobotDescription
-from app.robot.urdf import resolved_urdf
+from app.robot.urdf import bare_urdf
 
 Array = np.ndarray
 
@@ -45,7 +45,7 @@ class RobotModel:
         """Compile a description.
 
         Raises:
-            AssetError: A mesh is missing.
+            AssetError: The URDF is missing.
             DescriptionError: The description names a joint or link that the URDF does not have, or
                 limits that contradict each other.
         """
@@ -170,7 +170,7 @@ def _planar_model(description: RobotDescription) -> pin.Model:
     """Pinocchio's model on a planar root, with all joints but the arm's locked at zero."""
     where = f"{description.name}/robot.toml"
     try:
-        full = pin.buildModelFromXML(resolved_urdf(description), pin.JointModelPlanar())
+        full = pin.buildModelFromXML(bare_urdf(description), pin.JointModelPlanar())
     except (ValueError, RuntimeError) as error:
         raise DescriptionError(f"{where}: urdf: pinocchio cannot read it: {error}") from None
     names = list(full.names)[2:]  # after "universe" and the root joint

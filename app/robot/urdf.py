@@ -46,6 +46,30 @@ def resolved_urdf(description: RobotDescription) -> str:
         DescriptionError: The URDF is not well-formed XML.
     """
     path = urdf_path(description)
+    tree = _read(path)
+    for mesh in tree.iter("mesh"):
+        reference = mesh.get("filename", "")
+        if reference and not reference.startswith("/"):
+            mesh.set("filename", str(_mesh(reference, path.parent)))
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+def bare_urdf(description: RobotDescription) -> str:
+    """The robot's URDF without shapes, so without meshes that may not be installed.
+
+    Raises:
+        AssetError: The URDF is not there.
+        DescriptionError: The URDF is not well-formed XML.
+    """
+    tree = _read(urdf_path(description))
+    for link in tree.iterfind("link"):
+        for shape in (*link.findall("visual"), *link.findall("collision")):
+            link.remove(shape)
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+def _read(path: Path) -> ElementTree.Element:
+    """A URDF with an inertia for each link."""
     try:
         tree = ElementTree.fromstring(path.read_text(encoding="utf-8"))
     except ElementTree.ParseError as error:
@@ -53,11 +77,7 @@ def resolved_urdf(description: RobotDescription) -> str:
     for link in tree.iterfind("link"):
         if link.find("inertial") is None:
             link.append(ElementTree.fromstring(_ZERO_INERTIAL))
-    for mesh in tree.iter("mesh"):
-        reference = mesh.get("filename", "")
-        if reference and not reference.startswith("/"):
-            mesh.set("filename", str(_mesh(reference, path.parent)))
-    return ElementTree.tostring(tree, encoding="unicode")
+    return tree
 
 
 def _mesh(reference: str, folder: Path) -> Path:

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 from app.errors import ConfigError, UnknownNameError
 from app.robot.bases.differential import DifferentialBase
 from app.robot.model import RobotModel
 from app.simulation.door import OpenDoor
 from app.simulation.physics import Physics
 
-PLANTS = ("planar", "contact", "kinematic")
-"""Names that `make_physics` knows; the first is the default."""
+PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")
+"""Names that `make_physics` knows."""
+
+_DOORS = "planar, mujoco or mujoco-contact"
+
+
+def default_plant() -> str:
+    """planar, which is pybullet's, where that is installed; else mujoco."""
+    return "planar" if find_spec("pybullet") else "mujoco"
 
 
 def make_physics(
@@ -26,28 +35,35 @@ def make_physics(
 
     Raises:
         UnknownNameError: No such plant.
-        ConfigError: That plant has no doors, or does not suit the kind of base.
+        ConfigError: That plant has no doors, does not suit the kind of base, or needs a library
+            that is not installed.
         AssetError: pybullet cannot load the robot.
     """
     del seed
-    # Imported here: the stand-in has to work where pybullet is not installed.
+    # Imported here: each has to work where the others' libraries are not installed.
     if kind == "planar":
+        if not find_spec("pybullet"):
+            raise ConfigError("the plant planar needs pybullet, which is not here: choose mujoco")
         from app.simulation.pybullet_planar import PybulletPlanar
 
         return PybulletPlanar(model, dt=dt, door=door)
-    if kind == "contact":
+    if kind == "mujoco":
+        from app.simulation.mujoco_planar import MujocoPlanar
+
+        return MujocoPlanar(model, dt=dt, door=door)
+    if kind == "mujoco-contact":
         base = model.description.base
         if not isinstance(base, DifferentialBase):
             raise ConfigError(
-                "the plant contact drives two wheels, and takes differential bases only; "
-                f"{model.description.name} is {base.kind}: choose planar or kinematic"
+                "the plant mujoco-contact turns the wheels of differential bases only; "
+                f"{model.description.name} is {base.kind}: choose mujoco, planar or kinematic"
             )
-        from app.simulation.pybullet_contact import PybulletContact
+        from app.simulation.mujoco_wheels import MujocoWheels
 
-        return PybulletContact(model, dt=dt, door=door)
+        return MujocoWheels(model, dt=dt, door=door)
     if kind == "kinematic":
         if door is not None:
-            raise ConfigError("the plant kinematic has no door; choose planar or contact")
+            raise ConfigError(f"the plant kinematic has no door; choose {_DOORS}")
         from app.simulation.kinematic import Kinematic
 
         return Kinematic(model, dt=dt)
