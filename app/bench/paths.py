@@ -61,7 +61,7 @@ def record(
     before = 0.0
     for scenario in PATHS:
         setting = scenario.setting(model, data, Config(), seed)
-        session = begin(setting, model, controller="dbb", physics="planar", seed=seed)
+        session = begin(setting, model, controller="dbb", physics=None, seed=seed)
         try:
             leader = scenario.leader(session)
             path: Path = []

@@ -29,7 +29,7 @@ from app.cli.options import (
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError
 from app.robot.assets import load_robot
-from app.simulation.plants import PLANTS
+from app.simulation.plants import chosen_plant
 from app.simulation.scenario import SCENARIOS, scenario_of
 
 if TYPE_CHECKING:
@@ -81,8 +81,9 @@ def run(
         start: [m] where the hand starts, in the world (default: the scenario's).
         move: [m] how far the hand is led, in the world (default: the scenario's).
         duration: [s] of the run (default: the scenario's); a motion along a line scales with it.
-        physics: planar (base on velocity motors), contact (base on wheels in contact) or kinematic
-            (a stand-in without physics) (default: planar, or the replayed case's).
+        physics: planar (pybullet, base on velocity motors), mujoco (the same in MuJoCo),
+            mujoco-contact (MuJoCo, base on its own wheels) or kinematic (a stand-in without physics)
+            (default: planar where pybullet is installed, else mujoco; or the replayed case's).
         buffer_distance: [m] d_b (default: the configuration's).
         border: surface, or points for the paper's way, where the acting point jumps (default: the
             configuration's).
@@ -139,9 +140,8 @@ def run(
     else:
         raise ConfigError("Required: a SCENARIO, or --replay-case FILE; see dbb run --help")
     controller = controller or (case.controller if case else "dbb")
-    physics = physics or (case.physics if case else PLANTS[0])
+    physics = chosen_plant(physics or (case.physics if case else None))
     check_name("controller", controller, CONTROLLERS)
-    check_name("physics", physics, PLANTS)
     if border is not None:
         check_name("border", border, BORDERS)
     check_point("--start", start)

@@ -23,7 +23,7 @@ class BulletDynamics:
             AssetError: A mesh is missing, or pybullet cannot load the robot.
         """
         self._model = model
-        self._world = BulletWorld(planar_plant_urdf(model.description), 0.001, fixed_root=True)
+        self._world = BulletWorld(planar_plant_urdf(model.description), 0.001)
         names = (*PLANAR_JOINTS, *model.description.arm.joints)
         self._joints = [self._world.joints[name] for name in names]
         moving = [

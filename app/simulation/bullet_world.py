@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,13 +33,12 @@ class BulletWorld:
         joints: Index of each joint by its name.
     """
 
-    def __init__(self, urdf: str, dt: float, *, fixed_root: bool) -> None:
+    def __init__(self, urdf: str, dt: float) -> None:
         """Load a robot.
 
         Args:
             urdf: Text of the URDF, meshes by absolute path.
             dt: [s] one step.
-            fixed_root: Whether the root link is fixed to the world.
 
         Raises:
             AssetError: pybullet cannot load the URDF.
@@ -48,7 +46,7 @@ class BulletWorld:
         with silence(1):  # warnings about the URDF, on standard output
             self.client = pybullet.connect(pybullet.DIRECT)
             try:
-                self._load(urdf, fixed_root)
+                self._load(urdf)
             except pybullet.error as error:
                 pybullet.disconnect(physicsClientId=self.client)
                 raise AssetError(f"pybullet cannot load the robot: {error}") from None
@@ -60,12 +58,11 @@ class BulletWorld:
         self._contact_of: dict[tuple[int, int], str] = {}
         self._at_load: int | None = None
 
-    def allow_contacts(self, pairs: ContactPairs, on_floor: Iterable[str] = ()) -> None:
+    def allow_contacts(self, pairs: ContactPairs) -> None:
         """Let only these links touch; the rest of the robot passes through itself and the floor.
 
         Args:
             pairs: Pairs of links that may touch, and are reported when they do.
-            on_floor: Links that may touch the floor without being reported.
         """
         for a, b in combinations(self.links.values(), 2):
             self._filter(self.robot, a, b, False)
@@ -76,7 +73,7 @@ class BulletWorld:
                 a, b = (self.links[name] for name in pair)
                 self._filter(self.robot, a, b, True)
                 self._contact_of[a, b] = self._contact_of[b, a] = group
-        for name in (*pairs.arm_floor, *on_floor):
+        for name in pairs.arm_floor:
             self._filter(self.floor, self.links[name], -1, True)
         self._reach_floor = {self.links[name] for name in pairs.arm_floor}
 
@@ -120,7 +117,7 @@ class BulletWorld:
             pybullet.disconnect(physicsClientId=self.client)
             self.client = -1
 
-    def _load(self, urdf: str, fixed_root: bool) -> None:
+    def _load(self, urdf: str) -> None:
         flags = (
             pybullet.URDF_USE_INERTIA_FROM_FILE
             | pybullet.URDF_USE_SELF_COLLISION
@@ -131,7 +128,7 @@ class BulletWorld:
             path = Path(folder) / "robot.urdf"
             path.write_text(urdf, encoding="utf-8")
             self.robot = pybullet.loadURDF(
-                str(path), useFixedBase=fixed_root, flags=flags, physicsClientId=client
+                str(path), useFixedBase=True, flags=flags, physicsClientId=client
             )
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
         self.floor = pybullet.createMultiBody(0, plane, physicsClientId=client)

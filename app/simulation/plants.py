@@ -13,6 +13,7 @@ from app.simulation.physics import Physics
 PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")
 """Names that `make_physics` knows."""
 
+_FORMERLY = {"contact": "mujoco-contact"}
 _DOORS = "planar, mujoco or mujoco-contact"
 
 
@@ -21,13 +22,26 @@ def default_plant() -> str:
     return "planar" if find_spec("pybullet") else "mujoco"
 
 
+def chosen_plant(name: str | None) -> str:
+    """One of `PLANTS` by its name, or by one that it had formerly; the default without a name.
+
+    Raises:
+        UnknownNameError: No such plant.
+    """
+    name = _FORMERLY.get(name, name) if name else default_plant()
+    if name not in PLANTS:
+        raise UnknownNameError("physics", name, PLANTS)
+    return name
+
+
 def make_physics(
-    kind: str, model: RobotModel, *, dt: float = 0.001, seed: int = 0, door: OpenDoor | None = None
-) -> Physics:
+    kind: str | None, model: RobotModel, *, dt: float = 0.001, seed: int = 0,
+    door: OpenDoor | None = None,
+) -> Physics:  # fmt: skip
     """The plant of that name, at rest in the robot's ready position.
 
     Args:
-        kind: One of `PLANTS`.
+        kind: As `chosen_plant` takes it.
         model: The robot.
         dt: [s] one step.
         seed: Of what a plant draws at random; none of these draws anything.
@@ -40,6 +54,7 @@ def make_physics(
         AssetError: pybullet cannot load the robot.
     """
     del seed
+    kind = chosen_plant(kind)
     # Imported here: each has to work where the others' libraries are not installed.
     if kind == "planar":
         if not find_spec("pybullet"):
@@ -61,10 +76,8 @@ def make_physics(
         from app.simulation.mujoco_wheels import MujocoWheels
 
         return MujocoWheels(model, dt=dt, door=door)
-    if kind == "kinematic":
-        if door is not None:
-            raise ConfigError(f"the plant kinematic has no door; choose {_DOORS}")
-        from app.simulation.kinematic import Kinematic
+    if door is not None:
+        raise ConfigError(f"the plant kinematic has no door; choose {_DOORS}")
+    from app.simulation.kinematic import Kinematic
 
-        return Kinematic(model, dt=dt)
-    raise UnknownNameError("physics", kind, PLANTS)
+    return Kinematic(model, dt=dt)
