@@ -82,8 +82,9 @@ def run(
         move: [m] how far the hand is led, in the world (default: the scenario's).
         duration: [s] of the run (default: the scenario's); a motion along a line scales with it.
         physics: planar (pybullet, base on velocity motors), mujoco (the same in MuJoCo),
-            mujoco-contact (MuJoCo, base on its own wheels) or kinematic (a stand-in without physics)
-            (default: planar where pybullet is installed, else mujoco; or the replayed case's).
+            mujoco-contact (MuJoCo, base on its own wheels) or kinematic (a stand-in without
+            physics) (default: planar where pybullet is installed, else mujoco, or the replayed
+            case's).
         buffer_distance: [m] d_b (default: the configuration's).
         border: surface, or points for the paper's way, where the acting point jumps (default: the
             configuration's).

@@ -7,6 +7,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from app.errors import AssetError
 from app.simulation.contact_pairs import ContactPairs
 from app.simulation.physics import Contacts
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
 else:
     with silence(1, 2):  # it prints the time of its build
         import pybullet
+
+Array = np.ndarray
 
 GRAVITY = 9.81  # [m/s²]
 _NO_CONTACTS = Contacts(False, False, False)
@@ -89,6 +93,23 @@ class BulletWorld:
             arm_arm="arm_arm" in groups,
             arm_floor=any(self._on_floor(c) for c in touching),
         )
+
+    def depths(self) -> dict[str, float]:
+        """[m] how deep the contacts of the last step are, by the fields of `Contacts`."""
+        deepest: dict[str, float] = {}
+        for c in pybullet.getContactPoints(self.robot, physicsClientId=self.client):
+            group = "arm_floor" if self._on_floor(c) else self._contact_of.get((c[3], c[4]))
+            if group:
+                deepest[group] = max(deepest.get(group, 0.0), -c[8])
+        return deepest
+
+    def seen(self, begins: Array, ends: Array) -> Array:
+        """(n,) [m] from each begin (n, 3) to the robot or the floor, towards its end; else inf."""
+        length = np.linalg.norm(ends - begins, axis=1)
+        rays = pybullet.rayTestBatch(begins.tolist(), ends.tolist(), physicsClientId=self.client)
+        return np.array([
+            each * ray[2] if ray[0] >= 0 else np.inf for each, ray in zip(length, rays, strict=True)
+        ])  # fmt: skip
 
     def _on_floor(self, contact: tuple[Any, ...]) -> bool:
         """Whether it is one of the floor with a link that must not touch it."""

@@ -92,6 +92,26 @@ class MujocoWorld:
         found = {self._group[a, b] for a, b in touching} - {None}
         return _NO_CONTACTS._replace(**dict.fromkeys(found, True)) if found else _NO_CONTACTS
 
+    def depths(self) -> dict[str, float]:
+        """[m] how deep the contacts of the last step are, by the fields of `Contacts`."""
+        deepest: dict[str, float] = {}
+        contacts = self.data.contact
+        for (a, b), distance in zip(contacts.geom.tolist(), contacts.dist, strict=True):
+            if group := self._group[a, b]:
+                deepest[group] = max(deepest.get(group, 0.0), -float(distance))
+        return deepest
+
+    def seen(self, begins: Array, ends: Array) -> Array:
+        """(n,) [m] from each begin (n, 3) to the robot or the floor, towards its end; else inf."""
+        mujoco.mj_kinematics(self.model, self.data)
+        found, hit = np.full(len(begins), np.inf), np.zeros(1, np.int32)
+        for i, (begin, way) in enumerate(zip(begins, ends - begins, strict=True)):
+            length = np.linalg.norm(way)
+            at = mujoco.mj_ray(self.model, self.data, begin, way / length, None, 1, -1, hit)
+            if 0.0 <= at <= length:
+                found[i] = at
+        return found
+
     def _press(self, body: int, point: Array, force: Array) -> None:
         """Force (3,) [N] in the world on a point (3,) [m] of a body's frame."""
         data = self.data
