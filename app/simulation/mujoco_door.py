@@ -87,11 +87,15 @@ class MujocoDoor:
         """[rad] how far the door is open."""
         return -self.door.side * float(self._data.joint(_HINGE).qpos[0])
 
+    def place(self) -> Array:
+        """(3,) [m] the middle of the refrigerator's body."""
+        return self._data.joint(_BODY).qpos[:3].copy()
+
     def wrench(self) -> Wrench:
         """What the hand exerted on the door in the last step; a force-torque sensor at the hand."""
         R = self._data.site(_GRIP).xmat.reshape(3, 3)
-        read = self._data.sensordata
-        return Wrench(R @ read[:3], R @ read[3:])
+        read = self._data.sensordata  # of the door on what holds it
+        return Wrench(-R @ read[:3], -R @ read[3:])
 
 
 def _placement(body: Any) -> pin.SE3:

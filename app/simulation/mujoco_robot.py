@@ -17,7 +17,7 @@ import pinocchio as pin
 from app.robot.model import RobotModel
 from app.robot.urdf import PLANAR_JOINTS
 from app.simulation.collision_shapes import CollisionShape, collision_shapes, vertices
-from app.simulation.mujoco_spec import FIRM, FLOOR, IMPEDANCE, Spec
+from app.simulation.mujoco_spec import FLOOR, IMPEDANCE, Spec
 
 _GEOM = mujoco.mjtGeom
 _JOINT = mujoco.mjtJoint
@@ -106,7 +106,7 @@ class RobotSpec(Spec):
             type=_JOINT.mjJNT_SLIDE if slides else _JOINT.mjJNT_HINGE,
             limited=mujoco.mjtLimited.mjLIMITED_TRUE,
             range=[model.q_lower[i - 2], model.q_upper[i - 2]],
-            solref_limit=list(FIRM), solimp_limit=IMPEDANCE,
+            solref_limit=[2.0 * self._dt, 1.0], solimp_limit=IMPEDANCE,
         )  # fmt: skip
 
     def _add_shape(self, body: Any, name: str, shape: CollisionShape) -> None:

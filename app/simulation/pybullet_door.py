@@ -83,6 +83,12 @@ class BulletDoor:
         R = self._hand_pose().rotation
         return Wrench(-np.array(rows[:3]), -R @ np.array(rows[3:]))
 
+    def place(self) -> Array:
+        """(3,) [m] the middle of the refrigerator's body."""
+        client = self._world.client
+        place, _ = pybullet.getBasePositionAndOrientation(self.body, physicsClientId=client)
+        return np.array(place)
+
     def touches_base(self) -> bool:
         """Whether the door touched the mobile robot in the last step."""
         contacts = pybullet.getContactPoints(
