@@ -79,7 +79,8 @@ class MujocoDoor:
         mujoco.mj_kinematics(model, data)
         hand, grip = (_placement(data.body(name)) for name in (self._hand, _GRIP))
         p_grip = grip.actInv(hand.act(self._tool))
-        model.site(_GRIP).pos = p_grip
+        sensor = model.site(_GRIP).id
+        model.site_pos[sensor], model.site_sameframe[sensor] = p_grip, 0
         between = pin.Quaternion(hand.rotation.T @ grip.rotation).coeffs()[[3, 0, 1, 2]]
         model.eq_data[0, :10] = [*p_grip, *self._tool, *between]
 

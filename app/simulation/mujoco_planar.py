@@ -47,7 +47,7 @@ class MujocoPlanar:
         self.door = None if door is None else MujocoDoor(robot, door)
         self.world = MujocoWorld(robot)
         self._drive = Drive(description.base, dt)
-        self._T = description.base.T
+        self._T, self._T_t = description.base.T, description.base.T.T.copy()
         self.reset(np.zeros(3), np.array(description.arm.ready_position))
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
@@ -64,7 +64,7 @@ class MujocoPlanar:
         """See `Physics.measure`."""
         world = self.world
         q, v = world.q.copy(), world.v.copy()
-        velocity = self._T.T @ base_twist(v[:3].tolist(), q[2])
+        velocity = self._T_t.dot(base_twist(v[:3].tolist(), q.item(2)))
         return Measurement(
             q[:3], velocity, q[world.arm_q], v[world.arm_v], self._drive.state.copy()
         )
@@ -74,8 +74,7 @@ class MujocoPlanar:
     ) -> None:
         """See `Physics.step`."""
         velocity = self._drive.step(base_velocity)
-        heading = float(self.world.q[2])
-        twist = world_twist((self._T @ velocity).tolist(), heading, self.dt)
+        twist = world_twist(self._T.dot(velocity).tolist(), self.world.q.item(2), self.dt)
         self.world.step(u_a, twist, hand_force, pushes)
 
     def contacts(self) -> Contacts:

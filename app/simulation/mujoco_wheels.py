@@ -87,7 +87,7 @@ class MujocoWheels:
         if self.door is not None:
             self.door.put_away(world)
         world.q[world.arm_q] = q_m
-        self._frozen(math.ceil(_SETTLING_TIME / self.dt), np.zeros(len(self._rolling)))
+        self._frozen(math.ceil(_SETTLING_TIME / self.dt), [0.0] * len(self._rolling))
         x, y, phi = np.asarray(base_pose).tolist()
         settled, z = self._turn(), world.q[2]
         level = pin.rpy.rpyToMatrix(0.0, 0.0, phi - _heading(settled)) @ settled
@@ -115,7 +115,7 @@ class MujocoWheels:
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
         """See `Physics.step`."""
-        speeds = self._rolling @ self._drive.step(base_velocity)
+        speeds = (self._rolling @ self._drive.step(base_velocity)).tolist()
         self.world.step(u_a, speeds, hand_force, pushes)
 
     def tilt(self) -> float:
@@ -143,11 +143,11 @@ class MujocoWheels:
     def _turned_half_track(self) -> float:
         """[m] the half track that a turn on the spot shows."""
         steps = math.ceil(_TURNING / self.dt)
-        speeds = self._rolling @ np.array([0.0, _TURN_RATE])
+        speeds = (self._rolling @ [0.0, _TURN_RATE]).tolist()
         rates = self._frozen(steps, speeds)[steps // 2 :]
         return self.half_track * _TURN_RATE / float(np.mean(rates))
 
-    def _frozen(self, steps: int, speeds: Array) -> list[float]:
+    def _frozen(self, steps: int, speeds: Sequence[float]) -> list[float]:
         """Turn the wheels while the arm stands still; the base's rates [rad/s] at each step."""
         world = self.world
         armature, rates = world.model.dof_armature[world.arm_v], []

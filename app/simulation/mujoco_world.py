@@ -34,7 +34,6 @@ class MujocoWorld:
         first = model.joint(arm.joints[0])
         self.arm_q = slice(int(first.qposadr[0]), int(first.qposadr[0]) + source.n_m)
         self.arm_v = slice(int(first.dofadr[0]), int(first.dofadr[0]) + source.n_m)
-        self._motors = len(robot.motors)
         self._per_step = 1.0 / model.opt.timestep
         self._applied = self.data.qfrc_applied
         self._body_of = {name: model.body(name).id for name in list(source.pin.names)[2:]}
@@ -60,7 +59,7 @@ class MujocoWorld:
         return rows
 
     def step(
-        self, u_a: Array, speeds: Sequence[float] | Array, hand_force: Array,
+        self, u_a: Array, speeds: Sequence[float], hand_force: Array,
         pushes: Sequence[Push] = (),
     ) -> None:  # fmt: skip
         """Advance by one step.
@@ -74,11 +73,12 @@ class MujocoWorld:
         data = self.data
         mujoco.mj_step1(self.model, data)
         # Dry friction decelerates by v / dt, against the floor; a motor, against what moves.
-        first = data.ne
-        data.efc_aref[first : first + self._motors] += self._per_step * np.asarray(speeds)
+        aref = data.efc_aref
+        for row, speed in enumerate(speeds, data.ne):  # the motors' rows come after the grasp's
+            aref[row] += self._per_step * speed
         self._applied.fill(0.0)
         self._applied[self.arm_v] = u_a
-        if hand_force[0] or hand_force[1] or hand_force[2]:
+        if any(np.asarray(hand_force).tolist()):
             self._press(self._hand, self._tool, hand_force)
         for push in pushes:
             self._press(self._body_of[push.joint], push.p, push.force)
