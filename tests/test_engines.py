@@ -106,14 +106,13 @@ def test_without_meshes_the_bodies_touch_instead_and_the_log_says_so(monkeypatch
         with caplog.at_level(logging.WARNING):
             plant = make_physics(kind, model)
         assert "husky_panda: what touches are its convex bodies" in caplog.text
-        state, touched = RobotState(model), False
+        state, deepest = RobotState(model), 0.0
         plant.reset(NOBODY, ready)
-        for _ in range(2000):
+        for _ in range(1500):
             state.update(plant.measure())
             pull = 400.0 * (np.array([0.45, 0.0, 0.15]) - state.T_world_ee.translation)
             pull *= min(1.0, 40.0 / np.linalg.norm(pull))
             plant.step(state.g[2:] - 2.0 * state.qd[2:], (0.0, 0.0), pull)
-            touched |= plant.contacts().arm_base
-        assert touched
-        assert state.T_world_ee.translation[2] > 0.2  # [m] held up by the base's body
+            deepest = max(deepest, plant.world.depths().get("arm_base", 0.0))
+        assert 0.0 < deepest < 0.005  # [m] they touch, and do not enter each other
         plant.close()
