@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from app.control.least_squares import holds, lowest_level, next_level, optimum
 
 SHAPES = [(2, 9, 2), (6, 9, 6), (6, 9, 4), (9, 4, 4), (9, 4, 2), (3, 9, 0), (8, 9, 5), (1, 1, 1)]

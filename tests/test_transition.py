@@ -4,9 +4,9 @@ import gc
 
 import numpy as np
 import pytest
+from app.control.hqp import EqualityTask, HierarchicalQP, Limits, Objective
 
 from app.avoidance.task import TaskRows, generate_avoidance_task
-from app.control.hqp import EqualityTask, HierarchicalQP, Limits, Objective
 from app.control.transition import TaskTransition
 
 N, M = 9, 4

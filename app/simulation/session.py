@@ -24,7 +24,7 @@ from app.simulation.door import OpenDoor
 from app.simulation.leading import DoorReading
 from app.simulation.people import Hold, People, PersonForces, PullReading
 from app.simulation.physics import Contacts, Physics
-from app.simulation.plants import DEFAULT_PLANT, make_physics
+from app.simulation.plants import chosen_plant, make_physics
 from app.simulation.truth import Truth
 
 Array = np.ndarray
@@ -103,7 +103,7 @@ class Session:
         config: Config,
         *,
         controller: str = "dbb",
-        physics: str = DEFAULT_PLANT,
+        physics: str | None = None,
         seed: int = 0,
         plant: RobotModel | None = None,
         door: OpenDoor | None = None,
@@ -115,7 +115,7 @@ class Session:
             data: Its pairs and clouds.
             config: Parameters.
             controller: One of `app.control.controller.CONTROLLERS`.
-            physics: Kind of plant.
+            physics: Kind of plant; the default one if not given.
             seed: Of what the plant draws at random, and of the sensors' noise.
             plant: The robot as it is, where the controller's has what it holds as one more body.
             door: A door that the hand holds, or None.
@@ -125,9 +125,9 @@ class Session:
             ConfigError: The plant has no doors.
         """
         self.model, self.data, self.config = model, data, config
-        self.kind, self.seed, self.door = physics, seed, door
+        self.kind, self.seed, self.door = chosen_plant(physics), seed, door
         self.controller = Controller(model, data, config, name=controller)
-        self.physics: Physics = make_physics(physics, plant or model, dt=DT, seed=seed, door=door)
+        self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, seed=seed, door=door)
         self._base = model.description.base
         self._drive = Drive(self._base, DT)
         self._admittance = AdmittanceLaw(self._base, config.admittance)
@@ -228,9 +228,7 @@ class Session:
 
     def _look(self, output: ControlOutput) -> BufferReading:
         closest = [pair.closest for pair in output.avoidance.mobile]
-        return self._watch.update(
-            self.state, closest, DT, gives_way=self.controller.name == "dbb"
-        )
+        return self._watch.update(self.state, closest, DT, gives_way=self.controller.name == "dbb")
 
     def _disturb(self, config: DisturbanceConfig) -> None:
         self._disturbances.config = config
