@@ -17,6 +17,7 @@ from app.control.buffer_watch import BufferReading, BufferWatch
 from app.control.controller import Controller, ControlOutput
 from app.control.drive import Drive
 from app.control.tasks import Reference
+from app.errors import TargetError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.disturbance import Disturbances
@@ -30,6 +31,7 @@ from app.simulation.truth import Truth
 Array = np.ndarray
 
 DT = 0.001  # [s] control step, the paper's 1 kHz
+_ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may seem beyond
 LEAD = -1
 """Number of the person whose pull a scenario gives."""
 
@@ -143,7 +145,11 @@ class Session:
         Args:
             q_m: (n_m,) [rad or m] the arm's joints.
             base_pose: (3,) x, y [m] and heading [rad] of the base; the origin if not given.
+
+        Raises:
+            TargetError: A joint is beyond its limits.
         """
+        _check_within_limits(self.model, q_m)
         self.t = 0.0
         self.physics.reset(np.zeros(3) if base_pose is None else base_pose, q_m)
         self.controller.reset()
@@ -237,3 +243,18 @@ class Session:
     def close(self) -> None:
         """Release the plant."""
         self.physics.close()
+
+
+def _check_within_limits(model: RobotModel, q_m: Array) -> None:
+    """Refuse a start from which a plant would throw the arm back.
+
+    Raises:
+        TargetError: Names the joint and its limits.
+    """
+    for name, at, low, high in zip(
+        model.description.arm.joints, q_m, model.q_lower, model.q_upper, strict=True
+    ):
+        if not low - _ROUNDING <= at <= high + _ROUNDING:
+            raise TargetError(
+                f"start: {name} at {at:.4g} is beyond its limits, {low:g} to {high:g}"
+            )
