@@ -13,7 +13,7 @@ from app.control.controller import Controller, ControlOutput
 from app.control.drive import Drive
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
-from app.robot.state import Measurement
+from app.robot.state import Measurement, checked
 
 Array = np.ndarray
 
@@ -70,7 +70,11 @@ class ControlLoop:
         Args:
             measured: The sensors' readings.
             reference: Where the end-effector shall be, or None while it is guided by hand.
+
+        Raises:
+            MeasurementError: A reading is not that many numbers.
         """
+        measured = checked(measured, self.controller.state.model)
         coming = self._drive.expected_acceleration(
             self.admittance.command, measured.base_velocity, measured.drive
         )

@@ -88,7 +88,10 @@ def base_rest_acceleration(state: RobotState, config: TaskConfig) -> Array:
 def posture_objective(state: RobotState, q_posture: Array, config: TaskConfig) -> Objective:
     """The arm towards a posture, the base to rest, the base's acceleration far costlier.
 
-    Without it (26) leaves the null space of T_2 open: nine accelerations, six rows.
+    Without it (26) leaves the null space of T_2 open: nine accelerations, six rows. A joint at the
+    share s of its way from the middle of its range to a limit is drawn back by s⁵ of `centring`:
+    hardly anything near the middle, enough at the limits that no wrist ends in a corner while the
+    tasks above leave another way.
 
     Args:
         state: The robot's state.
@@ -98,8 +101,13 @@ def posture_objective(state: RobotState, q_posture: Array, config: TaskConfig) -
     n, n_b = state.model.n, state.model.n_b
     c = np.empty(n)
     c[:n_b] = config.base_weight * config.base_damping * state.qd[:n_b]
-    c[n_b:] = config.posture_damping * state.measurement.qd_m - config.posture_stiffness * (
-        q_posture - state.measurement.q_m
+    m, (lower, upper) = state.measurement, state.model.q_limits
+    half = 0.5 * (upper - lower)
+    out = (m.q_m - lower) / half - 1.0
+    c[n_b:] = (
+        config.posture_damping * m.qd_m
+        - config.posture_stiffness * (q_posture - m.q_m)
+        + config.centring * out**5
     )
     return Objective(_posture_hessian(n, n_b, config.base_weight), c)
 
