@@ -14,7 +14,7 @@ from app.control.linear_algebra import holds, minimum, scaled_rows
 
 Array = np.ndarray
 
-_EPS = 1e-8  # by which limits may be missed, and accuracy of ProxQP
+_EPS = 1e-10  # by which limits may be missed, and accuracy of ProxQP
 
 
 class Objective(NamedTuple):
