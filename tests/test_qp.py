@@ -1,16 +1,17 @@
-"""Laws of the one QP of a control step: optimal, hard limits hold, soft ones give in, never stuck."""
+"""Laws of the one QP of a control step: its optimum, hard and soft limits, never stuck."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.optimize import lsq_linear
+from scipy.optimize import nnls
 
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import Controller
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP
 from app.control.tasks import Reference
+from app.control.workings import ArmSolve
 from app.robot.model import RobotModel
 from tests.robots import random_measurement
 
@@ -33,29 +34,26 @@ def random_limits(rng: np.random.Generator, width: float, hard: int) -> Limits:
     return Limits(C, l, u, hard)
 
 
-def by_dual(objective: Objective, limits: Limits, softness: float) -> Array:
-    """The optimum by another way: the dual is a bounded least-squares problem.
+def by_least_distance(objective: Objective, limits: Limits, softness: float) -> Array:
+    """The optimum by Lawson and Hanson's way from least distance to non-negative least squares.
 
-    A soft limit's slack s costs s²/(2 ε C_i H⁻¹ C_iᵀ), which adds ε C_i H⁻¹ C_iᵀ to the diagonal of
-    the dual's Hessian.
+    The shortest v with G v ≥ h is -r[:-1] / r[-1] with r = E w - f, where w ≥ 0 makes E w, E the
+    rows of Gᵀ over hᵀ, come nearest to f = (0, …, 0, 1). A soft limit has a slack of length one for
+    √(ε C_i H⁻¹ C_iᵀ).
     """
     (H, c), (C, l, u, hard) = objective, limits
-    inverse = np.linalg.inv(H)
-    own = np.einsum("ij,jk,ik->i", C, inverse, C)
-    slack = np.where(np.arange(len(l)) < hard, 0.0, softness * own)
-    sided = [(1.0, i, u[i]) for i in range(len(l)) if np.isfinite(u[i])]
-    sided += [(-1.0, i, -l[i]) for i in range(len(l)) if np.isfinite(l[i])]
-    A = np.array([sign * C[i] for sign, i, _ in sided])
-    share = np.array([np.eye(len(l))[i] * sign for sign, i, _ in sided]) * np.sqrt(slack)
-    b = np.array([bound for *_, bound in sided])
-    L = np.linalg.cholesky(inverse)
-    # min ½ λᵀ (A H⁻¹ Aᵀ + S Sᵀ) λ + (b + A H⁻¹ c)ᵀ λ over λ ≥ 0, as a least-squares problem
-    root = np.hstack([A @ L, share])
-    target = -np.linalg.lstsq(root, b + A @ inverse @ c, rcond=None)[0]
-    excess = b + A @ inverse @ c + root @ target
-    assert np.abs(excess).max() < 1e-8
-    found = lsq_linear(root.T, target, bounds=(0.0, np.inf), method="bvls", tol=1e-15)
-    return -inverse @ (c + A.T @ found.x)
+    L, free = np.linalg.cholesky(H), -np.linalg.solve(H, c)
+    own = np.einsum("ij,ji->i", C, np.linalg.solve(H, C.T))
+    slack = np.diag(np.sqrt(softness * own))[:, hard:]
+    A = np.hstack([np.linalg.solve(L, C.T).T, slack])
+    G, h = np.vstack([A, -A]), np.concatenate([l - C @ free, C @ free - u])
+    kept = np.isfinite(h)
+    G, h = G[kept], h[kept] / np.abs(h[kept]).max()
+    E = np.vstack([G.T, h])
+    f = np.eye(len(E))[-1]
+    r = E @ nnls(E, f)[0] - f
+    v = -r[:-1] / r[-1] * np.abs(np.concatenate([l - C @ free, C @ free - u])[kept]).max()
+    return free + np.linalg.solve(L.T, v[:N])
 
 
 def misses(limits: Limits, qdd: Array) -> Array:
@@ -78,22 +76,35 @@ def test_where_no_limit_is_met_it_is_the_unconstrained_least(seed: int) -> None:
 def test_another_solver_finds_the_same_optimum(seed: int, hard: int) -> None:
     rng = np.random.default_rng(seed)
     objective, limits = random_objective(rng), random_limits(rng, (0.1, 1.0, 3.0)[seed % 3], hard)
-    expected = by_dual(objective, limits, SOFT)
-    at_bound = np.abs(expected - np.linalg.solve(objective.H, -objective.c)).max() > 1e-3
+    expected = by_least_distance(objective, limits, SOFT)
     qdd = TaskQP().solve(objective, limits, SOFT)
-    np.testing.assert_allclose(qdd, expected, atol=1e-5 * max(1.0, np.abs(expected).max()))
-    assert at_bound  # else this would be the law above
+    np.testing.assert_allclose(qdd, expected, atol=3e-6)
+    far = misses(limits, np.linalg.solve(objective.H, -objective.c))
+    assert far.max() > 0.1  # else this would be the law above
 
 
-@pytest.mark.parametrize("seed", range(20))
-def test_the_order_of_calls_does_not_matter(seed: int) -> None:
-    """What was solved before starts the solver, and is forgotten in the answer."""
-    rng = np.random.default_rng(seed)
-    solver, warm = TaskQP(), []
-    problems = [(random_objective(rng), random_limits(rng, 1.0, 4)) for _ in range(10)]
-    warm = [solver.solve(*each, SOFT) for each in problems]
-    for each, found in zip(problems, warm, strict=True):
-        np.testing.assert_allclose(found, TaskQP().solve(*each, SOFT), atol=1e-5)
+class Turning:
+    """A problem that moves smoothly with s from 0 to 1: tasks pull about, rows turn."""
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        self.objective, self.limits = random_objective(rng), random_limits(rng, 0.5, 4)
+        self.turn, self.push = 0.3 * rng.normal(size=(M, N)), 5.0 * rng.normal(size=N)
+
+    def at(self, s: float) -> tuple[Objective, Limits]:
+        (H, c), C = self.objective, self.limits.C
+        moved = Objective(H, c + np.sin(6.0 * s) * self.push)
+        return moved, self.limits._replace(C=C + s * self.turn)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_what_was_solved_before_does_not_matter(seed: int) -> None:
+    """ProxQP begun where it last ended calls points solved whose multipliers have wrong signs."""
+    turning, solver = Turning(seed), TaskQP()
+    for s in np.linspace(0.0, 1.0, 201):
+        problem = turning.at(s)
+        found = solver.solve(*problem, SOFT)
+        np.testing.assert_allclose(found, by_least_distance(*problem, SOFT), atol=1e-5)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -127,29 +138,24 @@ def test_soft_limits_that_contradict_each_other_and_hard_ones_leave_the_hard_one
     assert missed[hard:].max() > 0.1
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(4))
 def test_the_answer_moves_as_the_data_do_while_limits_come_and_go(seed: int) -> None:
     """Steps four times as fine have a largest change about a quarter as large."""
-    rng = np.random.default_rng(seed)
-    (H, c), (C, l, u, _) = random_objective(rng), random_limits(rng, 0.5, 4)
-    turn, push = 0.3 * rng.normal(size=C.shape), 5.0 * rng.normal(size=N)
 
     def largest_change(steps: int) -> tuple[float, int]:
-        found, met = [], set()
-        solver = TaskQP()
+        turning, solver, found, met = Turning(seed), TaskQP(), [], set()
         for s in np.linspace(0.0, 1.0, steps + 1):
-            limits = Limits(C + s * turn, l, u, 4)
-            # the hard ones stay feasible: they have room around the first solution
-            qdd = solver.solve(Objective(H, c + np.sin(6.0 * s) * push), limits, SOFT)
-            found.append(qdd)
-            reached = limits.C @ qdd
-            met.add(tuple((reached > u - 1e-4) | (reached < l + 1e-4)))
+            objective, limits = turning.at(s)
+            found.append(solver.solve(objective, limits, SOFT))
+            reached = limits.C @ found[-1]
+            met.add(tuple((reached > limits.u - 1e-4) | (reached < limits.l + 1e-4)))
         return float(np.abs(np.diff(found, axis=0)).max()), len(met)
 
-    coarse, _ = largest_change(200)
-    fine, sets = largest_change(800)
+    coarse, _ = largest_change(800)
+    fine, sets = largest_change(3200)
     assert sets > 3
-    assert fine < 0.4 * coarse
+    assert fine < 0.3 * coarse
 
 
 def test_hard_limits_that_contradict_each_other_are_an_error_and_the_next_call_is_well() -> None:
@@ -162,8 +168,9 @@ def test_hard_limits_that_contradict_each_other_are_an_error_and_the_next_call_i
     assert solver.solve(objective, one, SOFT)[0] == pytest.approx(1.0, abs=1e-6)
 
 
-@pytest.mark.parametrize("where", ["H", "c", "C"])
-@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize(
+    ("where", "value"), [(w, v) for w in ("H", "c", "C") for v in (np.nan, -np.inf)]
+)
 def test_what_is_not_finite_has_no_solution_and_spoils_no_later_one(
     where: str, value: float
 ) -> None:
@@ -202,10 +209,19 @@ def test_no_hard_state_is_left_without_an_answer_and_no_torque_leaves_its_range(
         assert output.solved
         assert output.workings is not None
         arm, state = output.workings.arm, controller.state
-        assert misses(arm.limits, arm.qdd[2:])[: arm.limits.hard].max() <= 1e-6
+        missed = misses(arm.limits, arm.qdd[2:])
+        asked = misses(arm.limits, np.linalg.solve(*_of_arm(arm)))
+        room = 1e-6 + 1e-8 * asked.max()  # a hand that is 0.2 m off in a step asks for thousands
+        assert missed[: arm.limits.hard].max() <= room
         u_a = state.M[2:] @ arm.qdd + state.h[2:]
-        np.testing.assert_allclose(output.u_a, u_a, atol=1e-6)  # nothing is clipped afterwards
-        counts["limited"] += np.abs(misses(arm.limits, arm.qdd[2:])).max() > 1e-6
+        np.testing.assert_allclose(output.u_a, u_a, atol=room)  # nothing is clipped afterwards
+        counts["limited"] += missed.max() > 1e-6
         counts["near"] += output.avoidance.beta_m > 0.0
     assert [(c.failures, c.given_up) for c in controllers] == [(0, 0)] * 4
     assert min(counts.values()) > 300, counts
+
+
+def _of_arm(arm: ArmSolve) -> tuple[Array, Array]:
+    """H and -c of the arm's tasks without rows, the base's part given."""
+    H, c = arm.objective
+    return H[2:, 2:], -(c[2:] + H[2:, :2] @ arm.qdd[:2])

@@ -152,9 +152,7 @@ def test_the_cost_grows_linearly_with_the_rows(seed: int) -> None:
     """Sixty rows, where combinations of them could not even be counted, in sixty times one's."""
     rng = np.random.default_rng(seed)
     objective = Problem(seed).objective
-    rows = [
-        TaskRows(rng.normal(size=(1, N)), np.zeros(1), np.ones(1), 0.5) for _ in range(60)
-    ]
+    rows = [TaskRows(rng.normal(size=(1, N)), np.zeros(1), np.ones(1), 0.5) for _ in range(60)]
 
     def seconds(count: int) -> float:
         times = []
@@ -210,9 +208,7 @@ def test_nothing_gains_energy_by_running_into_two_buffers_and_leaving_them() -> 
     """
     ours = [run_into_walls(soft_blend, seed, 0.0) for seed in range(4)]
     printed = [run_into_walls(printed_blend, seed, 0.0) for seed in range(4)]
-    changes = [
-        max(abs(after / before - 1.0) for before, after in each) for each in (ours, printed)
-    ]
+    changes = [max(abs(after / before - 1.0) for before, after in each) for each in (ours, printed)]
     print(changes)
     assert changes[0] < 0.01 < 0.05 < changes[1]
     for seed in range(4):
