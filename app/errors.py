@@ -55,6 +55,10 @@ class UnreachableError(DbbError):
         self.flaws = dict(flaws or {})
 
 
+class MeasurementError(DbbError):
+    """A measurement is not what the robot's sensors give."""
+
+
 class TargetError(DbbError):
     """The person's hand was told to go where it cannot, such as below the floor."""
 

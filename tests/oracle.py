@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+from app.control.hqp import EqualityTask, HierarchicalQP, Limits, Objective, Solution
 
 from app.avoidance.acting_point import ActingPointFinder
 from app.border.cache import BorderData
@@ -22,7 +23,6 @@ from app.border.surface import BorderSurface, Foot
 from app.config import Config, LimitConfig
 from app.control import controller as controller_module
 from app.control.controller import Controller
-from app.control.hqp import EqualityTask, HierarchicalQP, Limits, Objective, Solution
 from app.control.limits import position_bounds, velocity_bounds
 from app.control.tasks import free_arm_torque
 from app.control.transition import TaskTransition

@@ -17,6 +17,8 @@ from app.robot.bases.kind import BaseForce, planar
 from app.robot.state import Measurement, RobotState
 from app.simulation.bullet_dynamics import BulletDynamics
 from app.simulation.kinematic import Kinematic
+from app.simulation.mujoco_dynamics import MujocoDynamics
+from app.simulation.mujoco_planar import MujocoPlanar
 from app.simulation.pybullet_planar import PybulletPlanar
 from tests.bases import KINDS, base_of, robot_on
 from tests.finite_differences import jacobian
@@ -73,21 +75,22 @@ def test_a_holonomic_base_moves_along_any_force() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_reduced_dynamics_are_those_of_pybullet(kind: str) -> None:
+@pytest.mark.parametrize("engine", [BulletDynamics, MujocoDynamics])
+def test_reduced_dynamics_are_those_of_the_engines(kind: str, engine: type) -> None:
     model, rng = robot_on(kind), np.random.default_rng(0)
-    bullet, state = BulletDynamics(model), RobotState(model)
+    other, state = engine(model), RobotState(model)
     for _ in range(3):
         q_m, qd = rng.uniform(model.q_lower, model.q_upper), rng.uniform(-0.5, 0.5, model.n)
         n_b = model.n_b
         state.update(Measurement(np.zeros(3), model.J_m @ qd[:n_b], q_m, qd[n_b:]))
-        M, h = bullet.mass_and_bias(q_m, qd)
+        M, h = other.mass_and_bias(q_m, qd)
         np.testing.assert_allclose(state.M, M, atol=1e-8)
         np.testing.assert_allclose(state.h, h, atol=1e-7)
-    bullet.close()
+    other.close()
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("plant", [Kinematic, PybulletPlanar])
+@pytest.mark.parametrize("plant", [Kinematic, PybulletPlanar, MujocoPlanar])
 def test_a_plant_moves_as_its_drive_says_and_measures_it(kind: str, plant: type) -> None:
     model, command = robot_on(kind), np.array([0.2, 0.15, -0.3])[-robot_on(kind).n_b :]
     physics, u_a = plant(model), RobotState(model).g[model.n_b :]

@@ -55,5 +55,5 @@ def test_a_holonomic_base_gives_way_sideways_in_pybullet_as_in_the_stand_in() ->
 
 @pytest.mark.parametrize("kind", ["holonomic", "car-like"])
 def test_the_contact_plant_takes_no_other_kind_and_names_the_plants_that_do(kind: str) -> None:
-    with pytest.raises(ConfigError, match=rf"{kind}: choose planar or kinematic"):
-        make_physics("contact", robot_on(kind))
+    with pytest.raises(ConfigError, match=rf"{kind}: choose mujoco, planar or kinematic"):
+        make_physics("mujoco-contact", robot_on(kind))

@@ -3,11 +3,11 @@
 import numpy as np
 import pinocchio as pin
 import pytest
+from app.control.hqp import HierarchicalQP, NoSolutionError
 
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import Controller, ControlOutput
-from app.control.hqp import HierarchicalQP, NoSolutionError
 from app.control.limits import robot_limits
 from app.control.tasks import (
     Reference,

@@ -7,6 +7,7 @@ import pickle
 import numpy as np
 import pinocchio as pin
 import pytest
+from app.control.hqp import HierarchicalQP, Limits, NoSolutionError, Objective
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,7 +18,6 @@ from app.config import Config
 from app.control.active_bounds import TOLERANCE, Bound, admittance_bounds, met
 from app.control.controller import CONTROLLERS, Controller, ControlOutput
 from app.control.explanation import Explanation, NearPair, explain, split
-from app.control.hqp import HierarchicalQP, Limits, NoSolutionError, Objective
 from app.control.levels import Level, level_readings
 from app.control.tasks import Reference, Stack, end_effector_task, free_arm_torque
 from app.control.transition import TaskTransition

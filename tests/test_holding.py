@@ -6,11 +6,11 @@ from functools import cache
 
 import numpy as np
 import pytest
+from app.control.hand_held import base_with_hand_held, farthest, with_hand_held
 
 from app.avoidance.holding import HELD, Holding, arm_holding, hand_speeds
 from app.config import AdmittanceConfig
 from app.control.admittance import AdmittanceLaw, response
-from app.control.hand_held import base_with_hand_held, farthest, with_hand_held
 from app.robot.assets import load_robot, package_roots
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, at_rest

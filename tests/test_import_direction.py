@@ -23,6 +23,7 @@ ROOMS = (
 ONLY_IN = {
     "viser": {"dashboard"},
     "playwright": {"dashboard"},
+    "mujoco": {"simulation"},
     "pybullet": {"simulation"},
     "pybullet_data": {"simulation"},
     "tyro": {"cli"},
@@ -82,7 +83,7 @@ def test_the_controller_works_without_any_simulator_or_screen() -> None:
     """An engineer's own loop loads neither, by what the interpreter has loaded."""
     code = (
         "import sys, app.control.controller, app.control.admittance, app.border.cache\n"
-        "loaded = {'viser', 'pybullet', 'tyro', 'pinocchio'} & set(sys.modules)\n"
+        "loaded = {'viser', 'pybullet', 'mujoco', 'tyro', 'pinocchio'} & set(sys.modules)\n"
         "print(*loaded)"
     )
     done = subprocess.run(

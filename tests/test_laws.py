@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from app.control.hqp import HierarchicalQP, Limits, Objective
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -13,7 +14,6 @@ from app.avoidance.self_collision import SelfCollisionAvoidance
 from app.avoidance.task import repulsive_rows
 from app.border.cache import BorderData, load_border_data
 from app.config import Config
-from app.control.hqp import HierarchicalQP, Limits, Objective
 from app.control.transition import TaskTransition
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState

@@ -14,7 +14,7 @@ from app.errors import AssetError
 from app.onboarding import check_bodies, new_robot
 from app.onboarding.bodies import ArmFitter, fit_base
 from app.onboarding.check_bodies import arm_row, base_row
-from app.onboarding.check_dynamics import dynamics_row, limits_row
+from app.onboarding.check_dynamics import bullet_row, limits_row, mujoco_row
 from app.onboarding.finish import finish
 from app.onboarding.grouping import find_grouping
 from app.onboarding.meetings import sample_meetings
@@ -149,7 +149,7 @@ def test_the_description_is_the_urdf_on_the_floor(made: NewRobot) -> None:
 
 def test_the_checks_of_bodies_and_dynamics_pass(made: NewRobot) -> None:
     model = compiled(made)
-    for check in (dynamics_row, limits_row, base_row):
+    for check in (bullet_row, mujoco_row, limits_row, base_row):
         row = check(model)
         assert row.outcome == "passed", row
     row = arm_row(model)  # of few samples the bodies may miss a few of those drawn anew

@@ -20,7 +20,7 @@ MODEL = husky_panda()
 READY = np.array(MODEL.description.arm.ready_position)
 FOREARM = Push("panda_joint5", np.array([0.02, 0.06, -0.12]), np.array([30.0, -45.0, 20.0]))
 
-ROUNDING = {"planar": 1e-9, "kinematic": 1e-9, "contact": 1e-3}
+ROUNDING = {"planar": 1e-9, "mujoco": 1e-9, "kinematic": 1e-9, "mujoco-contact": 1e-3}
 """[rad, rad/s] what becomes of rounding in 0.1 s; wheels in contact enlarge it."""
 
 
@@ -49,14 +49,14 @@ def test_a_push_on_a_link_is_what_the_equation_of_motion_says(plant):
     state.update(plant.measure())
     plant.step(state.g[2:], (0.0, 0.0), np.zeros(3), [FOREARM])
     expected = np.linalg.solve(state.M[2:, 2:], J.T @ FOREARM.force) * DT
-    limit = {"planar": 1e-6, "kinematic": 1e-9, "contact": 3e-3}[plant.kind]
+    limit = {"planar": 1e-6, "mujoco": 1e-6, "kinematic": 1e-9, "mujoco-contact": 3e-3}[plant.kind]
     np.testing.assert_allclose(plant.measure().qd_m, expected, atol=limit)
     assert np.abs(expected).max() > 0.02
     np.testing.assert_allclose(J[:, 5:], 0.0, atol=1e-9)  # and what lies farther out has no part
 
 
 def test_the_power_of_a_push_becomes_kinetic_energy(plant):
-    if plant.kind == "contact":
+    if plant.kind == "mujoco-contact":
         pytest.skip("its wheels and joints rub")
     state, work = RobotState(MODEL), 0.0
     joint = MODEL.pin.getJointId(FOREARM.joint)
@@ -117,7 +117,7 @@ def test_a_pull_at_the_end_effectors_own_frame_is_a_pull_of_the_end_effector(
         assert np.linalg.norm(steps[-1].pulls[0].force) > 5.0  # [N]
         runs.append([[*s.truth.q_m, *s.pulls[0].point, *s.pulls[0].force] for s in steps])
     for run in runs[1:]:
-        np.testing.assert_allclose(run, runs[0], atol=1e-3 if physics == "contact" else 1e-7)
+        np.testing.assert_allclose(run, runs[0], atol=1e-3 if physics == "mujoco-contact" else 1e-7)
 
 
 @pytest.mark.slow

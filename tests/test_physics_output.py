@@ -33,7 +33,7 @@ from app.simulation.bullet_world import BulletWorld
 urdf = '<robot name="r"><link name="a"/></robot>'  # pybullet warns of the missing inertia
 print("before")
 if {quietly}:
-    BulletWorld(urdf, 0.001, fixed_root=True).close()
+    BulletWorld(urdf, 0.001).close()
 else:
     import pybullet, tempfile, pathlib
     pybullet.connect(pybullet.DIRECT)
@@ -90,15 +90,15 @@ def test_no_temporary_file_is_left(tmp_path, monkeypatch):
 
 def test_a_urdf_that_pybullet_cannot_load_is_a_clear_error():
     with pytest.raises(AssetError, match="pybullet cannot load the robot"):
-        BulletWorld("this is no URDF", 0.001, fixed_root=True)
+        BulletWorld("this is no URDF", 0.001)
 
 
 def test_clients_are_released():
     """There is a limited number of them in pybullet."""
     for _ in range(40):
-        plant = BulletWorld('<robot name="r"><link name="a"/></robot>', 0.001, fixed_root=True)
+        plant = BulletWorld('<robot name="r"><link name="a"/></robot>', 0.001)
         plant.close()
         plant.close()
     with pytest.raises(AssetError):
-        BulletWorld("", 0.001, fixed_root=True)
+        BulletWorld("", 0.001)
     make_physics("planar", husky_panda()).close()

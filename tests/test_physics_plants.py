@@ -70,12 +70,12 @@ def test_it_starts_at_rest_where_it_is_put(plant):
 @pytest.mark.slow
 def test_gravity_compensation_holds_the_arm(plant):
     plant.reset(np.zeros(3), READY)
-    damping = DAMPING if plant.kind == "contact" else 0.0
+    damping = DAMPING if plant.kind == "mujoco-contact" else 0.0
     trace = run(plant, 5.0, (0.0, 0.0), torques=lambda s: s.g[2:] - damping * s.qd[2:])
-    # The contact base stands 0.4 mrad nose down, of which the compensation knows nothing.
-    limit = {"planar": 1e-9, "kinematic": 1e-9, "contact": 0.04}[plant.kind]
+    # Tyres let the base stand 1 mrad nose down, of which the compensation knows nothing.
+    limit = {"mujoco-contact": 0.1}.get(plant.kind, 1e-9)
     assert np.abs(trace[-1].q_m - READY).max() < limit
-    assert np.abs(trace[-1].base_pose).max() < (3e-3 if plant.kind == "contact" else 1e-9)
+    assert np.abs(trace[-1].base_pose).max() < (3e-3 if plant.kind == "mujoco-contact" else 1e-9)
 
 
 @pytest.mark.slow
@@ -85,13 +85,16 @@ def test_a_commanded_velocity_is_followed(plant, command):
     trace = run(plant, 2.0, command)
     error = np.array([m.base_velocity for m in trace[1000:]]) - command
     v_limit, w_limit = {  # m/s, rad/s
-        "planar": (1e-5, 1e-5), "contact": (2.3e-3, 1e-3), "kinematic": (1e-8, 1e-8),
+        "planar": (1e-5, 1e-5), "mujoco": (1e-5, 1e-5), "kinematic": (1e-8, 1e-8),
+        "mujoco-contact": (0.03, 0.06),
     }[plant.kind]  # fmt: skip
     assert np.abs(error[:, 0]).max() < v_limit
     assert np.abs(error[:, 1]).max() < w_limit
 
 
 def test_the_path_is_the_circle_of_the_commanded_velocities(plant):
+    if plant.kind == "mujoco-contact":
+        pytest.skip("four wheels skid: the law for two is in test_mujoco_wheels.py")
     plant.reset(np.zeros(3), READY)
     v, w = 0.4, 0.8
     run(plant, 1.0, (v, w))
@@ -100,26 +103,8 @@ def test_the_path_is_the_circle_of_the_commanded_velocities(plant):
     turn = pin.SE3(pin.rpy.rpyToMatrix(0, 0, start[2]), np.array([*start[:2], 0.0]))
     arc = np.array([v / w * np.sin(w * 2.0), v / w * (1 - np.cos(w * 2.0)), 0.0])
     end = plant.measure().base_pose
-    limit = 5e-3 if plant.kind == "contact" else 1e-4  # [m]
-    np.testing.assert_allclose(end[:2], turn.act(arc)[:2], atol=limit)
-    assert end[2] == pytest.approx(start[2] + 2.0 * w, abs=limit)
-
-
-@pytest.mark.slow
-def test_the_driven_spheres_roll_as_far_as_the_base_goes():
-    plant = make_physics("contact", MODEL)
-    plant.reset(np.zeros(3), READY)
-    np.testing.assert_array_equal(plant.wheel_angles, np.zeros(2))
-    run(plant, 2.0, wave)
-    trace = run(plant, 2.0, (0.3, 0.0))
-    angles = plant.wheel_angles
-    run(plant, 1.0, (0.3, 0.5))
-    r, b = MODEL.description.base.wheel_radius_m, MODEL.description.base.half_track_m
-    rolled = (plant.wheel_angles - angles) * r
-    turned = plant.measure().base_pose[2] - trace[-1].base_pose[2]
-    plant.close()
-    assert rolled[0] - rolled[1] == pytest.approx(2 * b * turned, abs=3e-3)
-    assert rolled.mean() == pytest.approx(0.3, abs=3e-3)
+    np.testing.assert_allclose(end[:2], turn.act(arc)[:2], atol=1e-4)
+    assert end[2] == pytest.approx(start[2] + 2.0 * w, abs=1e-4)
 
 
 def test_it_does_not_creep_when_the_arm_moves(plant):
@@ -138,7 +123,7 @@ def test_it_does_not_creep_when_the_arm_moves(plant):
     trace = run(plant, 3.0, (0.0, 0.0), torques)
     moved = np.abs([m.base_pose for m in trace]).max(axis=0)
     assert np.ptp([m.q_m for m in trace], axis=0).min() > 0.2
-    assert moved.max() < (3e-3 if plant.kind == "contact" else 1e-5)
+    assert moved.max() < (3e-3 if plant.kind == "mujoco-contact" else 1e-5)
 
 
 def test_a_force_on_the_hand_is_what_the_equation_of_motion_says(plant):
@@ -149,7 +134,7 @@ def test_a_force_on_the_hand_is_what_the_equation_of_motion_says(plant):
     f = np.array([7.0, -4.0, 5.0])
     plant.step(state.g[2:], (0.0, 0.0), f)
     expected = np.linalg.solve(state.M[2:, 2:], state.J_ee[:3, 2:].T @ f) * plant.dt
-    limit = {"planar": 1e-6, "kinematic": 1e-12, "contact": 2e-3}[plant.kind]
+    limit = {"planar": 1e-6, "mujoco": 1e-6, "kinematic": 1e-12, "mujoco-contact": 2e-3}[plant.kind]
     np.testing.assert_allclose(plant.measure().qd_m, expected, atol=limit)
     assert np.abs(expected).max() > 0.01
 
@@ -267,30 +252,8 @@ def stiff(state: RobotState) -> np.ndarray:
     return state.h[2:] + state.M[2:, 2:] @ (9e4 * (READY - m.q_m) - 600.0 * m.qd_m)
 
 
-def test_the_contact_base_tips_when_it_is_pulled_over():
-    plant = make_physics("contact", MODEL)
-    plant.reset(np.zeros(3), READY)
-    assert plant.tilt() < 0.004  # [rad]
-    run(plant, 0.6, (0.0, 0.0), torques=stiff, force=np.array([0.0, 0.0, -100.0]))
-    assert plant.tilt() < 0.004
-    run(plant, 0.6, (0.0, 0.0), torques=stiff, force=np.array([150.0, 0.0, -900.0]))
-    assert plant.tilt() > 0.05
-    plant.close()
-
-
-def test_the_contact_plant_weighs_what_the_description_says():
-    """The driven spheres' masses are taken from the base, not added."""
-    import pybullet
-
-    plant = make_physics("contact", MODEL)
-    masses = [
-        pybullet.getDynamicsInfo(plant.world.robot, i, physicsClientId=plant.world.client)[0]
-        for i in plant.world.links.values()
-    ]
-    assert sum(masses) == pytest.approx(pin.computeTotalMass(MODEL.pin), rel=1e-9)
-    plant.close()
-
-
 def test_an_unknown_plant_lists_those_that_exist():
-    with pytest.raises(UnknownNameError, match="choose from: contact, kinematic, planar"):
+    with pytest.raises(
+        UnknownNameError, match="choose from: kinematic, mujoco, mujoco-contact, planar"
+    ):
         make_physics("gazebo", MODEL)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -16,7 +17,7 @@ from app.errors import ConfigError, UnreachableError
 from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.bullet_world import pybullet
+from app.simulation.collision_shapes import collision_shapes
 from app.simulation.door import BODY, Door, OpenDoor, with_door
 from app.simulation.door_record import door_distance
 from app.simulation.leading import Setting
@@ -34,7 +35,7 @@ READY = np.array(MODEL.description.arm.ready_position)
 HOME = np.zeros(3)
 NOBODY = np.zeros(3)
 STANDING = (0.0, 0.0)
-PLANTS_WITH_DOORS = ("planar", "contact")
+PLANTS_WITH_DOORS = ("planar", "mujoco", "mujoco-contact")
 MIRROR = np.diag([1.0, -1.0, 1.0])
 
 
@@ -82,14 +83,21 @@ def run(plant, seconds: float, torques: Callable[[RobotState], Array]) -> Contac
     return seen
 
 
-def session_of(setting: Setting, robot: RobotModel, controller: str = "dbb") -> Session:
+def session_of(
+    setting: Setting, robot: RobotModel, controller: str = "dbb", physics: str = "planar"
+) -> Session:
     """At the beginning."""
     session = Session(
         setting.model, setting.data, setting.config, controller=controller, plant=robot,
-        door=setting.door,
+        door=setting.door, physics=physics,
     )  # fmt: skip
     session.reset(setting.q_m, setting.base_pose)
     return session
+
+
+def transform(T: pin.SE3) -> coal.Transform3s:
+    """A pose as coal has it."""
+    return coal.Transform3s(T.rotation, T.translation)
 
 
 def off_the_door(state: RobotState, door: Door, angle: float) -> Array:
@@ -123,7 +131,9 @@ def test_a_hinge_that_is_neither_left_nor_right_is_refused():
 
 
 def test_the_plant_without_doors_says_which_have_them():
-    with pytest.raises(ConfigError, match="kinematic has no door; choose planar or contact"):
+    with pytest.raises(
+        ConfigError, match="kinematic has no door; choose planar, mujoco or mujoco-contact"
+    ):
         make_physics("kinematic", MODEL, door=OpenDoor(a_door(), 0.0))
 
 
@@ -243,7 +253,7 @@ def test_a_reset_puts_the_door_where_it_starts(make, kind: str, hinge: str):
 def test_a_base_with_a_door_stands_as_level_as_without(make, hinge_position):
     """It settles before the refrigerator is there, wherever that will stand."""
     at = np.array([hinge_position[0] - 1.0, hinge_position[1] - 0.1, 0.5])
-    plant = make("contact", a_door(hinge_position=hinge_position), 0.3, base=at)
+    plant = make("mujoco-contact", a_door(hinge_position=hinge_position), 0.3, base=at)
     for _ in range(2):
         assert plant.tilt() < 1e-3
         np.testing.assert_allclose(plant.measure().base_pose, at, atol=1e-6)
@@ -259,15 +269,15 @@ def test_friction_holds_the_door_at_rest(make, kind: str):
         assert plant.door.angle() == pytest.approx(angle, abs=2e-3)
 
 
-@pytest.fixture
-def at_handle(make, setting: Setting):
-    """Makes the planar plant with the hand at the handle of a door with some friction [N m]."""
+@pytest.fixture(params=["planar", "mujoco"])
+def at_handle(make, setting: Setting, request):
+    """Makes a planar plant with the hand at the handle of a door with some friction [N m]."""
 
     def at_handle(friction: float):
         assert setting.door is not None
         door = a_door(friction=friction)
         assert door.handle(0.0).isApprox(setting.door.door.handle(0.0))
-        return make("planar", door, 0.0, setting.base_pose, setting.q_m)
+        return make(request.param, door, 0.0, setting.base_pose, setting.q_m)
 
     return at_handle
 
@@ -312,16 +322,23 @@ def test_the_door_opens_as_soon_as_the_pull_overcomes_the_hinges_friction(at_han
 @pytest.mark.parametrize("kind", PLANTS_WITH_DOORS)
 def test_the_door_passes_through_the_arm_without_a_contact(make, kind: str):
     """Only the base can be hit: the board stands across the arm, and nothing happens."""
-    plant = make(kind, a_door(hinge_position=(0.6, 0.3)))
-    robot, door, client = plant.world.robot, plant.door.body, plant.world.client
-    overlaps = pybullet.getClosestPoints(robot, door, 0.0, linkIndexB=0, physicsClientId=client)
-    names = {index: name for name, index in plant.world.links.items()}
-    crossed = {names[c[3]] for c in overlaps if c[8] < -0.01}
+    door = a_door(hinge_position=(0.6, 0.3))
+    plant = make(kind, door)
+    hulls, pose = collision_shapes(MODEL), door.pose(0.0) * pin.SE3(np.eye(3), door.centre)
+    data, board = MODEL.pin.createData(), coal.Box(*door.size)
+    pin.forwardKinematics(MODEL.pin, data, MODEL.configuration(HOME, READY))
+    crossed = {
+        shape.part for shape in hulls.shapes
+        if coal.collide(
+            board, transform(pose), shape.geometry,
+            transform(data.oMi[shape.joint] * shape.T),
+            coal.CollisionRequest(), coal.CollisionResult(),
+        )
+    }  # fmt: skip
     assert crossed
     assert crossed.isdisjoint(MODEL.description.mobile_body.covers)
     seen = run(plant, 0.5, lambda state: hold(state, READY))
     assert not any(seen)
-    assert not pybullet.getContactPoints(robot, door, physicsClientId=client)
     np.testing.assert_allclose(plant.measure().q_m, READY, atol=2e-3)
 
 
@@ -339,19 +356,17 @@ def test_a_door_that_meets_the_base_is_a_contact_of_door_and_base(make, kind: st
     assert not any(run(free, 0.05, lambda state: hold(state, READY)))
 
 
-def test_a_base_that_drives_on_pushes_door_and_refrigerator_along(make):
+@pytest.mark.parametrize("kind", ["planar", "mujoco"])
+def test_a_base_that_drives_on_pushes_door_and_refrigerator_along(make, kind: str):
     """The contact acts: of a door whose hinge holds fast, the edge stays before the base."""
-    plant = make("planar", a_door(hinge_position=(1.1, 0.1), friction=5000.0), math.radians(60))
+    plant = make(kind, a_door(hinge_position=(1.1, 0.1), friction=5000.0), math.radians(60))
     state, seen, bases, bodies = RobotState(MODEL), [], [], []
     for _ in range(2000):
         state.update(plant.measure())
         plant.step(pushing(NOBODY)(state), (0.15, 0.0), NOBODY)
         seen.append(plant.contacts().door_base)
         bases.append(plant.measure().base_pose[0])
-        body, _ = pybullet.getBasePositionAndOrientation(
-            plant.door.body, physicsClientId=plant.world.client
-        )
-        bodies.append(body[0])
+        bodies.append(plant.door.place()[0])
     touched = seen.index(True)
     assert touched > 300
     assert bodies[touched - 1] == pytest.approx(bodies[0], abs=1e-3)
@@ -362,10 +377,13 @@ def test_a_base_that_drives_on_pushes_door_and_refrigerator_along(make):
 
 
 @pytest.mark.slow
-def test_the_hand_holds_the_door_firmly_while_it_opens(robot: RobotModel, setting: Setting):
+@pytest.mark.parametrize("kind", ["planar", "mujoco"])
+def test_the_hand_holds_the_door_firmly_while_it_opens(
+    robot: RobotModel, setting: Setting, kind: str
+):
     """The controller's body and the plant's door stay together; a fast opening."""
     scenario = RefrigeratorScenario().changed(opening_rate=6.0)
-    session = session_of(setting, robot)
+    session = session_of(setting, robot, physics=kind)
     leader, state = scenario.leader(session), RobotState(setting.model)
     held = session.physics.door
     assert held is not None

@@ -8,7 +8,7 @@ import pytest
 
 from app.errors import AssetError
 from app.onboarding.check_bodies import base_row
-from app.onboarding.check_dynamics import dynamics_row, limits_row
+from app.onboarding.check_dynamics import bullet_row, limits_row, mujoco_row
 from app.robot import assets
 from app.robot.assets import load_robot, package_roots, resolve_package_uri, robot_names
 from app.robot.model import RobotModel
@@ -43,7 +43,7 @@ def test_with_its_package_it_has_the_same_dynamics_in_both_libraries(name: str) 
     if not package_roots(PACKAGES[name]):
         pytest.skip("pip install '.[robots]'")
     model = RobotModel(load_robot(name))
-    for check in (dynamics_row, limits_row, base_row):
+    for check in (bullet_row, mujoco_row, limits_row, base_row):
         row = check(model)
         assert row.outcome == "passed", row
 

@@ -143,7 +143,7 @@ def test_the_stand_in_shows_the_same_as_the_physics():
 
 
 def test_on_wheels_in_contact_nothing_collides_either():
-    run = figures("guiding-lateral", physics="contact")
+    run = figures("guiding-lateral", physics="mujoco-contact")
     assert run["contacts"] == 0
     assert run["min_clearance_m"] >= 0.03
     assert run["base_displacement_m"] >= 0.05

@@ -14,6 +14,7 @@ from app.control.controller import Controller
 from app.control.drive import Drive
 from app.errors import TargetError, UnknownNameError
 from app.robot.model import RobotModel
+from app.simulation.plants import PLANTS
 from app.simulation.scenario import LINES
 from app.simulation.session import DT, Session, Step
 from app.simulation.start import StartSolver
@@ -63,7 +64,7 @@ def same(a: list[Step], b: list[Step]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("physics", ["kinematic", "planar", "contact"])
+@pytest.mark.parametrize("physics", PLANTS)
 def test_the_same_inputs_give_bitwise_the_same_outputs(make, physics):
     a, b = make(physics), make(physics)
     steps = [(a.step(pull=PULL), b.step(pull=PULL)) for _ in range(1500)]

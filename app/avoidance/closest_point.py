@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.border.mobile import ConvexPart
+from app.compiled import compiled
 from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, Cylinder, Shape, Sphere
@@ -65,16 +66,32 @@ class SmoothPoint:
         placed = data.oMi[self._joint_a]
         relative = placed.actInv(data.oMi[self._joint_b])
         nodes = self._nodes @ relative.rotation.T + relative.translation
-        d = np.min([part.distances(nodes) for part in self._parts], axis=0) - self._radii
-        weights = np.exp((d.min() - d) / blend)
-        weights /= weights.sum()
-        core, radius = weights @ nodes, float(weights @ self._radii)
-        d_core, n = min(
-            (part.distance_and_normal(core) for part in self._parts), key=lambda found: found[0]
-        )
+        first, *others = self._parts
+        d = first.distances(nodes)
+        for part in others:
+            d = np.minimum(d, part.distances(nodes))
+        core, radius = _mean(nodes, self._radii, d, blend)
+        d_core, n = first.distance_and_normal(core)
+        for part in others:
+            d_part, n_part = part.distance_and_normal(core)
+            if d_part < d_core:
+                d_core, n = d_part, n_part
         n = placed.rotation @ n
         core = placed.act(core)
         return core - d_core * n, core - radius * n, core, n
+
+
+@compiled("Tuple((f8[::1], f8))(f8[:,:], f8[:], f8[:], f8)")
+def _mean(nodes: Array, radii: Array, d: Array, blend: float) -> tuple[Array, float]:
+    """The weighted mean (3,) of nodes and that of their radii, by the distances d - r."""
+    least = (d - radii).min()
+    weights = np.exp((least - d + radii) / blend)
+    weights /= weights.sum()
+    core = np.zeros(3)
+    for k in range(len(d)):
+        for i in range(3):
+            core[i] += weights[k] * nodes[k, i]
+    return core, float((weights * radii).sum())
 
 
 def _core(shape: Shape, placed: pin.GeometryObject) -> Core:

@@ -14,7 +14,6 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.begin import begin
 from app.simulation.line import LineScenario
-from app.simulation.plants import DEFAULT_PLANT
 from app.simulation.scenario import LINES
 from app.simulation.session import DT
 
@@ -62,7 +61,7 @@ def record(
     before = 0.0
     for scenario in PATHS:
         setting = scenario.setting(model, data, Config(), seed)
-        session = begin(setting, model, controller="dbb", physics=DEFAULT_PLANT, seed=seed)
+        session = begin(setting, model, controller="dbb", physics=None, seed=seed)
         try:
             leader = scenario.leader(session)
             path: Path = []

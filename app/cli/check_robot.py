@@ -30,7 +30,7 @@ def check_robot(
         runs: Guide the hand towards the base too, which takes longest.
         json: Print one JSON object on standard output and nothing else there.
     """
-    # Imported here: it needs scipy, trimesh and pybullet.
+    # Imported here: it needs scipy, trimesh and the engines.
     from app.onboarding import checks
 
     description = load_robot(name)

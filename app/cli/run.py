@@ -29,7 +29,7 @@ from app.cli.options import (
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError
 from app.robot.assets import load_robot
-from app.simulation.plants import DEFAULT_PLANT, PLANTS
+from app.simulation.plants import chosen_plant
 from app.simulation.scenario import SCENARIOS, scenario_of
 
 if TYPE_CHECKING:
@@ -85,8 +85,10 @@ def run(
             unless the person lets go.
         release_at: [s] when the person lets go of the hand, in the guiding scenarios; the motion
             keeps the scenario's own pace until then, and the run goes on to its duration.
-        physics: planar (base on velocity motors), contact (base on wheels in contact) or kinematic
-            (a stand-in without physics) (default: planar, or the replayed case's).
+        physics: planar (pybullet, base on velocity motors), mujoco (the same in MuJoCo),
+            mujoco-contact (MuJoCo, base on its own wheels) or kinematic (a stand-in without
+            physics) (default: planar where pybullet is installed, else mujoco, or the replayed
+            case's).
         buffer_distance: [m] d_b (default: the configuration's).
         border: surface, or points for the paper's way, where the acting point jumps (default: the
             configuration's).
@@ -144,9 +146,8 @@ def run(
     else:
         raise ConfigError("Required: a SCENARIO, or --replay-case FILE; see dbb run --help")
     controller = controller or (case.controller if case else "dbb")
-    physics = physics or (case.physics if case else DEFAULT_PLANT)
+    physics = chosen_plant(physics or (case.physics if case else None))
     check_name("controller", controller, CONTROLLERS)
-    check_name("physics", physics, PLANTS)
     if border is not None:
         check_name("border", border, BORDERS)
     check_point("--start", start)

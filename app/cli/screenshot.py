@@ -19,7 +19,7 @@ from app.cli.options import (
 )
 from app.control.controller import CONTROLLERS
 from app.robot.assets import load_robot
-from app.simulation.plants import DEFAULT_PLANT, PLANTS
+from app.simulation.plants import chosen_plant
 from app.simulation.scenario import SCENARIOS, scenario_of
 
 _SIZES = 64, 8192  # [px]
@@ -41,7 +41,7 @@ def screenshot(
     dark: Flag = False,
     light: Flag = False,
     config: Path | None = None,
-    physics: str = DEFAULT_PLANT,
+    physics: str | None = None,
     seed: int = 0,
     json: Json = False,
 ) -> None:
@@ -61,7 +61,8 @@ def screenshot(
         dark: A dark ground, the default.
         light: A light ground.
         config: File of parameters, TOML, as `dbb config` writes it.
-        physics: planar, contact or kinematic.
+        physics: planar, mujoco, mujoco-contact or kinematic (default: planar where pybullet is
+            installed, else mujoco).
         seed: Seed of everything random in the run.
         json: Print one JSON object on standard output and nothing else there.
     """
@@ -74,7 +75,7 @@ def screenshot(
     check_name("scenario", scenario, SCENARIOS)
     chosen = scenario_of(load_robot(robot), scenario)
     check_name("controller", controller, CONTROLLERS)
-    check_name("physics", physics, PLANTS)
+    physics = chosen_plant(physics)
     check_range("--at", len(at), 1, _MOST_PICTURES, "times")
     for t in at:
         check_range("--at", t, 0.0, chosen.duration, "s")

@@ -18,7 +18,7 @@ from app.control.controller import CONTROLLERS
 from app.robot.assets import robot_names
 from app.robot.model import RobotModel
 from app.simulation.loop_child import LoopChild
-from app.simulation.plants import DEFAULT_PLANT, PLANTS
+from app.simulation.plants import chosen_plant
 from app.simulation.scenario import LINES
 
 if TYPE_CHECKING:
@@ -60,7 +60,8 @@ def serve(
         host: Address to listen at; the default is this machine only.
         port: Port to listen at; 0 takes a free one.
         start: [m] where the hand starts, in the world (default: in front of the base).
-        physics: planar, contact or kinematic (default: planar, or the replayed case's).
+        physics: planar, mujoco, mujoco-contact or kinematic, as for `dbb run` (default: planar
+            where pybullet is installed, else mujoco; or the replayed case's).
         seed: Seed of the search for the start and of the noise.
         loop: process, or thread for the simulation inside the server's process, where drawing
             disturbs its real time.
@@ -90,10 +91,9 @@ def serve(
         )  # fmt: skip
         robot, seed = case.robot, case.seed
     controller = controller or (case.controller if case else "dbb")
-    physics = physics or (case.physics if case else DEFAULT_PLANT)
+    physics = chosen_plant(physics or (case.physics if case else None))
     check_name("robot", robot, robot_names())
     check_name("controller", controller, CONTROLLERS)
-    check_name("physics", physics, PLANTS)
     check_name("loop", loop, LOOPS)
     if border is not None:
         check_name("border", border, BORDERS)

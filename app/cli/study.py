@@ -12,7 +12,7 @@ from app.cli.options import Json, check_name, check_range, check_seed, make_fold
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError
 from app.robot.assets import load_robot
-from app.simulation.plants import DEFAULT_PLANT, PLANTS
+from app.simulation.plants import chosen_plant
 from app.study.parameters import StudyParameters
 from app.study.study_range import Interval, StudyRange, bounds
 
@@ -33,7 +33,7 @@ def study(
     cases: int = 2000,
     controller: str = "dbb",
     robot: str = "husky_panda",
-    physics: str = DEFAULT_PLANT,
+    physics: str | None = None,
     speed: IntervalOption = _DEFAULT.speed,
     base_delay: Annotated[IntervalOption, _also("--delay")] = _DEFAULT.base_delay,
     encoder_noise: Annotated[IntervalOption, _also("--noise")] = _DEFAULT.encoder_noise,
@@ -66,7 +66,8 @@ def study(
         controller: dbb, one it is compared with (repulsive, barrier), or none for the same stack
             without avoidance.
         robot: Name of the robot; `dbb robots` lists them.
-        physics: planar, contact or kinematic.
+        physics: planar, mujoco, mujoco-contact or kinematic (default: planar where pybullet is
+            installed, else mujoco).
         speed: [m/s] largest speed of the person's hand on its way.
         base_delay: [s] between a velocity command and the base's drive.
         encoder_noise: [rad] standard deviation of the noise of each joint's measured position.
@@ -91,7 +92,7 @@ def study(
     """
     check_range("--cases", cases, 1, _MOST_CASES)
     check_name("controller", controller, CONTROLLERS)
-    check_name("physics", physics, PLANTS)
+    physics = chosen_plant(physics)
     check_seed(seed)
     if processes is not None:
         check_range("--processes", processes, 1, _MOST_PROCESSES)

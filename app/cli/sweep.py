@@ -22,7 +22,7 @@ from app.config import Config, make_config
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError
 from app.robot.assets import load_robot
-from app.simulation.plants import DEFAULT_PLANT, PLANTS
+from app.simulation.plants import chosen_plant
 
 if TYPE_CHECKING:
     from app.study.sweep_plan import SweepPlan
@@ -54,7 +54,7 @@ def sweep(
     base_weight: float | None = None,
     config: Path | None = None,
     parameters: Path | None = None,
-    physics: str = DEFAULT_PLANT,
+    physics: str | None = None,
     processes: int | None = None,
     out: Path = Path("out/sweep"),
     seed: int = 0,
@@ -85,7 +85,8 @@ def sweep(
         config: File of parameters, TOML, as `dbb config` or the dashboard writes it; what is not in
             it is at its default, and other options come before it.
         parameters: The same as JSON, by section and name.
-        physics: planar, contact or kinematic.
+        physics: planar, mujoco, mujoco-contact or kinematic (default: planar where pybullet is
+            installed, else mujoco).
         processes: How many runs to do side by side (default: 2, or as many as there are cores).
         out: Folder for `sweep.json`, `sweep.csv` and a PNG for each height and speed.
         seed: Seed of everything random.
@@ -101,7 +102,7 @@ def sweep(
     plan = SweepPlan(
         robot, _names(controller), _several("--height", height, _HEIGHTS, "m"),
         _several("--speed", speed, _SPEEDS, "m/s"), step, mode, wheel_axis, above, above_spacing,
-        length, hold, start_distance, physics, seed, tuned,
+        length, hold, start_distance, chosen_plant(physics), seed, tuned,
     )  # fmt: skip
     _check(plan)
     if processes is not None:
@@ -174,7 +175,6 @@ def read_parameters(path: Path) -> Config:
 def _check(plan: SweepPlan) -> None:
     from app.study.sweep_plan import MORE_THAN_BUFFER
 
-    check_name("physics", plan.physics, PLANTS)
     check_range("--step", plan.step, *_STEPS, "deg")
     check_range("--above-spacing", plan.above_spacing, *_SPACINGS, "m")
     check_range("--length", plan.length, *_LENGTHS, "m")

@@ -24,12 +24,13 @@ from app.control.tasks import (
     free_arm_torque,
     guided_objective,
     tracking_objective,
+    with_base_at_rest,
 )
 from app.control.transition import insert_rows
 from app.control.workings import ArmSolve, Workings
 from app.errors import UnknownNameError
 from app.robot.model import RobotModel
-from app.robot.state import Measurement, RobotState
+from app.robot.state import Measurement, RobotState, checked, is_finite
 
 Array = np.ndarray
 
@@ -103,7 +104,7 @@ class Controller:
         self.state = RobotState(model)
         self._model = model
         self._config = config
-        self._slow = slowed(config.task, config.repulsion)
+        self._answers(config)
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
         self._solver = TaskQP()
         self._observer = PushObserver(model.n_m)
@@ -131,8 +132,13 @@ class Controller:
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on."""
         self._config = config
-        self._slow = slowed(config.task, config.repulsion)
+        self._answers(config)
         self._avoidance.configure(config)
+
+    def _answers(self, config: Config) -> None:
+        """How slow the base is, and how it answers what it is asked."""
+        self._slow = slowed(config.task, config.repulsion)
+        self._response = response(self._model.description.base, config.admittance)
 
     def step(
         self,
@@ -152,14 +158,22 @@ class Controller:
                 it does what is asked.
 
         Returns:
-            Torques of the arm and acceleration of the base; never without an answer.
+            Torques of the arm and acceleration of the base; never without an answer. Where the
+            measurement or the reference is not finite, gravity compensation with damping at the
+            last good one, and a base that is braked.
+
+        Raises:
+            MeasurementError: A reading is not that many numbers.
         """
-        self.state.update(measurement)
+        measurement = checked(measurement, self._model)
+        good = is_finite(measurement)
+        if good:
+            self.state.update(measurement)
         if self.q_posture is None:
-            self.q_posture = measurement.q_m.copy()
+            self.q_posture = self.state.measurement.q_m.copy()
         if self._u_a is None:
             self._u_a = free_arm_torque(self.state)
-        self._observer.update(self.state, self._u_a, self._config.limit.push_rate, self._dt)
+        self._watch_pushes(known=good)
         avoidance = self._avoidance.update()
         inserted = self._method(self.state, avoidance, self._config)
         wanted = self._base_acceleration(inserted, reference)
@@ -167,6 +181,8 @@ class Controller:
         given = asked if base_acceleration is None else base_acceleration
         torque, workings = self._torque_range(), None
         try:
+            if not good:
+                raise NoSolutionError("the measurement is not finite")
             arm = self._solve_arm(given, inserted, reference, torque)
             u_a = self.state.M[self._model.n_b :] @ arm.qdd + self.state.h[self._model.n_b :]
             workings = Workings(wanted, given, arm, torque)
@@ -179,6 +195,13 @@ class Controller:
             self._u_a.copy(), asked, avoidance, inserted, workings is not None,
             tracking=reference is not None, workings=workings,
         )  # fmt: skip
+
+    def _watch_pushes(self, *, known: bool) -> None:
+        if known:
+            assert self._u_a is not None
+            self._observer.update(self.state, self._u_a, self._config.limit.push_rate, self._dt)
+        else:
+            self._observer.pause()
 
     def score_field(self, pair: str) -> ScoreField:
         """The score by which a pair of L_m chooses its acting points, by the pair's name."""
@@ -194,14 +217,12 @@ class Controller:
             return free
         wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
         # What the hand needs of the base, said so that the admittance law answers with it.
-        gain, drag = response(self._model.description.base, self._config.admittance)
+        gain, drag = self._response
         held = free / gain + drag * self.state.measurement.base_velocity
-        holding = self._config.holding
-        R = carried(self.state, holding)
-        most = self._model.base_acceleration_max
-        return base_with_hand(
-            self.state, _clipped(wanted, most), held, gain, rows_m.beta * holding.weight, R
-        )
+        holding, most = self._config.holding, self._model.base_acceleration_max
+        taken = carried(self.state, holding.speed) * gain
+        weight = rows_m.beta * holding.weight
+        return base_with_hand(self.state, _clipped(wanted, most), held, weight, taken)
 
     def _free_base(self, inserted: Inserted, reference: Reference | None) -> Array:
         """The base's acceleration in the solution of (29) without its rows, (n_b,).
@@ -218,7 +239,9 @@ class Controller:
             for row in inserted.rows_links
         ]
         if reference is None:
-            objective = guided_objective(state, self._u_0(inserted), self._config.task)
+            objective = with_base_at_rest(
+                state, guided_objective(state, self._u_0(inserted)), self._config.task
+            )
         else:
             assert self.q_posture is not None
             T_ee = end_effector_task(state, reference, task)
@@ -242,9 +265,9 @@ class Controller:
         torque: tuple[Array, Array],
     ) -> ArmSolve:
         """The arm's part of (29) with the acceleration that the base really has."""
-        state, n_b, config = self.state, self._model.n_b, self._config
+        state, config = self.state, self._config
         if reference is None:
-            T_ee, objective = None, guided_objective(state, self._u_0(inserted), config.task)
+            T_ee, objective = None, guided_objective(state, self._u_0(inserted))
         else:
             assert self.q_posture is not None
             T_ee = end_effector_task(state, reference, config.task)
@@ -256,7 +279,7 @@ class Controller:
             config.limit,
             inserted.barriers,
             qdd_b=qdd_b,
-            pushed=np.linalg.solve(state.M[n_b:, n_b:], self._observer.r),
+            pushed=self._observer.r,
             torque=torque,
         )
         softness = config.task.softness

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from app.avoidance.barrier import BarrierRow
+from app.compiled import compiled
 from app.config import LimitConfig
 from app.control.qp import Limits
 from app.robot.state import RobotState
@@ -56,22 +57,59 @@ def arm_limits(
         config: How fast limits may be approached.
         barriers: Distances that are kept.
         qdd_b: (n_b,) the base's reduced acceleration.
-        pushed: (n_m,) [rad/s² or m/s²] M_aa⁻¹ r, what others' torques r make of the arm.
+        pushed: (n_m,) [N m or N] r, the torques that others exert on the arm.
         torque: (n_m,) the smallest and (n_m,) the largest torque [N m or N] of this step.
     """
-    n_b, n_m = state.model.n_b, state.model.n_m
-    M_aa = state.M[n_b:, n_b:]
-    there = state.h[n_b:] + state.M[n_b:, :n_b] @ qdd_b
-    m = 2 * n_m + len(barriers)
+    model, m = state.model, state.measurement
+    J = np.array([row.J for row in barriers]).reshape(len(barriers), model.n)
+    least = np.array([row.l for row in barriers])
+    bounds = _arm_bounds(
+        state.M, state.h, m.q_m, m.qd_m, model.q_limits, model.qd_limits, config.position_rate,
+        config.velocity_rate, qdd_b, *torque, J, least, pushed,
+    )  # fmt: skip
+    return Limits(*bounds, model.n_m)
+
+
+@compiled(
+    "Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8[:,:], f8[:,:], f8, f8, "
+    "f8[:], f8[:], f8[:], f8[:,:], f8[:], f8[:])"
+)
+def _arm_bounds(
+    M: Array, h: Array, q_m: Array, qd_m: Array, q_limits: Array, qd_limits: Array,
+    position_rate: float, velocity_rate: float, qdd_b: Array, low: Array, high: Array, J: Array,
+    least: Array, pushed: Array,
+) -> tuple[Array, Array, Array]:  # fmt: skip
+    """C, l and u of `arm_limits`: rows of torques, of joints, of barriers."""
+    n_m, n_b, k = len(q_m), len(qdd_b), len(least)
+    m = 2 * n_m + k
     C, l, u = np.zeros((m, n_m)), np.empty(m), np.full(m, np.inf)
-    C[:n_m], l[:n_m], u[:n_m] = M_aa, torque[0] - there, torque[1] - there
-    lower, upper = joint_bounds(state, config)
-    joints = slice(n_m, 2 * n_m)
-    C[joints], l[joints], u[joints] = np.eye(n_m), lower, upper
-    for i, row in enumerate(barriers, start=2 * n_m):
-        J_m = row.J[n_b:]
-        C[i], l[i] = J_m, row.l - row.J[:n_b] @ qdd_b - J_m @ pushed
-    return Limits(C, l, u, n_m)
+    for i in range(n_m):
+        there = h[n_b + i]
+        for j in range(n_b):
+            there += M[n_b + i, j] * qdd_b[j]
+        for j in range(n_m):
+            C[i, j] = M[n_b + i, n_b + j]
+        l[i], u[i] = low[i] - there, high[i] - there
+        braking = 2 * position_rate * qd_m[i]
+        lower = max(
+            position_rate**2 * (q_limits[0, i] - q_m[i]) - braking,
+            velocity_rate * (qd_limits[0, i] - qd_m[i]),
+        )
+        upper = min(
+            position_rate**2 * (q_limits[1, i] - q_m[i]) - braking,
+            velocity_rate * (qd_limits[1, i] - qd_m[i]),
+        )
+        C[n_m + i, i] = 1.0
+        l[n_m + i], u[n_m + i] = min(lower, upper), max(lower, upper)
+    extra = np.linalg.solve(M[n_b:, n_b:].copy(), pushed)
+    for i in range(k):
+        l[2 * n_m + i] = least[i]
+        for j in range(n_b):
+            l[2 * n_m + i] -= J[i, j] * qdd_b[j]
+        for j in range(n_m):
+            C[2 * n_m + i, j] = J[i, n_b + j]
+            l[2 * n_m + i] -= J[i, n_b + j] * extra[j]
+    return C, l, u
 
 
 def robot_limits(

@@ -29,6 +29,10 @@ class PushObserver:
         self.r = np.zeros(self._n_m)
         self._qd: Array | None = None
 
+    def pause(self) -> None:
+        """Skip a period of which nothing is known."""
+        self._qd = None
+
     def update(self, state: RobotState, u_a: Array, rate: float, dt: float) -> None:
         """Learn from one period.
 

@@ -103,7 +103,7 @@ class TaskQP:
 
 
 def _make_qp(m: int, n: int) -> proxqp.dense.QP:
-    """min ½ ‖v‖² over v (n,) within m rows, still without their values."""
+    """Min ½ ‖v‖² over v (n,) within m rows, still without their values."""
     qp = proxqp.dense.QP(n, 0, m)
     settings = qp.settings
     settings.eps_abs = _EPS

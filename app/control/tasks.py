@@ -115,22 +115,26 @@ def free_arm_torque(state: RobotState) -> Array:
     return state.g[state.model.n_b :] - state.model.joint_damping * state.measurement.qd_m
 
 
-def guided_objective(state: RobotState, u_0: Array, config: TaskConfig) -> Objective:
+def guided_objective(state: RobotState, u_0: Array) -> Objective:
     """Min (u_a - u_0)ᵀ M_aa⁻¹ (u_a - u_0): a guided arm gives only what avoidance asks of it.
 
     In q̈_a its Hessian is M_aa; with the base's acceleration given and no rows it returns u_a = u_0,
-    and with rows u_a = u_0 + J_rᵀ λ. There is no posture: it would be felt. The base comes to rest,
-    at the cost of its weight.
+    and with rows u_a = u_0 + J_rᵀ λ. There is no posture: it would be felt.
 
     Args:
         state: The robot's state.
         u_0: (n_m,) [N m or N] what the arm does by itself.
-        config: The base's damping and weight.
     """
     n_b = state.model.n_b
     c = np.zeros(state.model.n)
     c[n_b:] = state.h[n_b:] - u_0
-    M_ab, w = state.M[n_b:, :n_b], config.base_weight
+    return Objective(state.M, c)
+
+
+def with_base_at_rest(state: RobotState, guided: Objective, config: TaskConfig) -> Objective:
+    """The same over base and arm: the base comes to rest at the cost of its weight."""
+    n_b, w = state.model.n_b, config.base_weight
+    M_ab, c = state.M[n_b:, :n_b], guided.c.copy()
     share = np.linalg.solve(state.M[n_b:, n_b:], np.column_stack([M_ab, c[n_b:]]))
     H = state.M.copy()
     H[:n_b, :n_b] = w * np.eye(n_b) + M_ab.T @ share[:, :n_b]

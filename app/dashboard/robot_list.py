@@ -7,9 +7,9 @@ from typing import NamedTuple
 from app.errors import DbbError
 from app.robot.assets import load_robot, robot_folder, robot_names, user_robots
 from app.robot.urdf import bare_urdf, resolved_urdf
-from app.simulation.plants import DEFAULT_PLANT
+from app.simulation.plants import default_plant
 
-_NEEDED = resolved_urdf if DEFAULT_PLANT == "planar" else bare_urdf
+_NEEDED = resolved_urdf if default_plant() == "planar" else bare_urdf
 """pybullet reads every mesh; MuJoCo and the viewer take the convex bodies if one is missing."""
 
 

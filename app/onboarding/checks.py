@@ -46,11 +46,17 @@ def check_robot(
         tell: Called with what is being done.
         processes: How many to sample the border with; all cores if not given.
     """
-    # Imported here: pybullet and scipy would make every command start later.
+    # Imported here: the engines and scipy would make every command start later.
     from app.border.cache import load_border_data
     from app.onboarding.check_bodies import arm_row, base_row, pairs_row
     from app.onboarding.check_border import border_row
-    from app.onboarding.check_dynamics import dynamics_row, limits_row, ready_row
+    from app.onboarding.check_dynamics import (
+        bullet_row,
+        engines_row,
+        limits_row,
+        mujoco_row,
+        ready_row,
+    )  # fmt: skip
     from app.onboarding.check_holding import holding_row
     from app.onboarding.check_run import run_row
 
@@ -63,7 +69,8 @@ def check_robot(
     yield Row(
         "pinocchio", "passed", f"loads: {model.n_m} joints, {len(model.body_names)} bodies", {}
     )
-    for name, check in (("pybullet", dynamics_row), ("limits", limits_row),
+    for name, check in (("pybullet", bullet_row), ("mujoco", mujoco_row),
+                        ("engines", engines_row), ("limits", limits_row),
                         ("base's body", base_row), ("arm's bodies", arm_row),
                         ("hand held", holding_row)):  # fmt: skip
         tell(name)

@@ -36,6 +36,12 @@ def coordinates(
     return qd, q, v
 
 
+@compiled("b1(f8[:], f8[:], f8[:], f8[:])")
+def all_finite(a: Array, b: Array, c: Array, d: Array) -> bool:
+    """Whether all numbers of four vectors are finite."""
+    return np.isfinite(a.sum() + b.sum() + c.sum() + d.sum())
+
+
 @compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:,:])")
 def reduced_dynamics(M: Array, h: Array, g: Array, B: Array) -> tuple[Array, Array, Array]:
     """Sᵀ M S (n, n), Sᵀ h (n,) and Sᵀ g (n,) of pinocchio's M, h and g."""

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from app.errors import MeasurementError
 from app.robot import motion
 from app.robot.model import RobotModel
 
@@ -30,6 +31,35 @@ class Measurement(NamedTuple):
     q_m: Array
     qd_m: Array
     drive: Array = np.zeros(0)
+
+
+def checked(measurement: Measurement, model: RobotModel) -> Measurement:
+    """The same with arrays of floats.
+
+    Raises:
+        MeasurementError: One of them is not that many numbers; the message names it.
+    """
+    sizes = (3, model.n_b, model.n_m, model.n_m)
+    if all(
+        isinstance(each, np.ndarray) and each.dtype == np.float64 and each.shape == (size,)
+        for each, size in zip(measurement, sizes, strict=False)
+    ):
+        return measurement
+    found = []
+    for name, each, size in zip(Measurement._fields, measurement, sizes, strict=False):
+        try:
+            array = np.asarray(each, dtype=float)
+        except (TypeError, ValueError):
+            array = np.empty(0)
+        if array.shape != (size,):
+            raise MeasurementError(f"measurement.{name} must be {size} numbers, was {each!r}")
+        found.append(array)
+    return Measurement(*found, *measurement[4:])
+
+
+def is_finite(measurement: Measurement) -> bool:
+    """Whether no reading is infinite or not a number."""
+    return motion.all_finite(*measurement[:4])
 
 
 def at_rest(model: RobotModel, q_m: Array, base_pose: Array | None = None) -> Measurement:

@@ -8,7 +8,7 @@ from app.simulation.session import Session
 
 
 def begin(
-    setting: Setting, robot: RobotModel, *, controller: str, physics: str, seed: int
+    setting: Setting, robot: RobotModel, *, controller: str, physics: str | None, seed: int
 ) -> Session:
     """A new session at the beginning of a setting.
 
@@ -16,7 +16,7 @@ def begin(
         setting: Where it begins.
         robot: The robot as it is, without the door that the setting's may hold.
         controller: One of `app.control.controller.CONTROLLERS`.
-        physics: Kind of plant.
+        physics: Kind of plant; the default one if None.
         seed: Of everything random.
 
     Raises:

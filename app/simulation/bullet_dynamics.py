@@ -7,6 +7,7 @@ import numpy as np
 from app.robot.model import RobotModel
 from app.robot.urdf import PLANAR_JOINTS
 from app.simulation.bullet_world import BulletWorld, pybullet
+from app.simulation.planar import reduced_dynamics
 from app.simulation.pybullet_urdf import planar_plant_urdf
 
 Array = np.ndarray
@@ -22,7 +23,7 @@ class BulletDynamics:
             AssetError: A mesh is missing, or pybullet cannot load the robot.
         """
         self._model = model
-        self._world = BulletWorld(planar_plant_urdf(model.description), 0.001, fixed_root=True)
+        self._world = BulletWorld(planar_plant_urdf(model.description), 0.001)
         names = (*PLANAR_JOINTS, *model.description.arm.joints)
         self._joints = [self._world.joints[name] for name in names]
         moving = [
@@ -55,11 +56,7 @@ class BulletDynamics:
                 physicsClientId=world.client,
             )
         )  # fmt: skip
-        # The world's axes stand still while the base turns: v̇ = S q̈ + (-ω v_y, ω v_x, 0).
-        turning = np.zeros(len(q))
-        turning[0], turning[1] = -v[2] * v[1], v[2] * v[0]
-        M = M[np.ix_(self._order, self._order)]
-        return S.T @ M @ S, S.T @ (nle[self._order] + M @ turning)
+        return reduced_dynamics(S, M[np.ix_(self._order, self._order)], nle[self._order], v)
 
     def close(self) -> None:
         """End pybullet's client."""

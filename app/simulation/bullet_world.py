@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from app.errors import AssetError, ConfigError
 from app.simulation.contact_pairs import ContactPairs
@@ -33,6 +34,8 @@ else:
     except ModuleNotFoundError:
         pybullet = _NotHere()
 
+Array = np.ndarray
+
 GRAVITY = 9.81  # [m/s²]
 _NO_CONTACTS = Contacts(False, False, False)
 
@@ -48,13 +51,12 @@ class BulletWorld:
         joints: Index of each joint by its name.
     """
 
-    def __init__(self, urdf: str, dt: float, *, fixed_root: bool) -> None:
+    def __init__(self, urdf: str, dt: float) -> None:
         """Load a robot.
 
         Args:
             urdf: Text of the URDF, meshes by absolute path.
             dt: [s] one step.
-            fixed_root: Whether the root link is fixed to the world.
 
         Raises:
             AssetError: pybullet cannot load the URDF.
@@ -62,7 +64,7 @@ class BulletWorld:
         with silence(1):  # warnings about the URDF, on standard output
             self.client = pybullet.connect(pybullet.DIRECT)
             try:
-                self._load(urdf, fixed_root)
+                self._load(urdf)
             except pybullet.error as error:
                 pybullet.disconnect(physicsClientId=self.client)
                 raise AssetError(f"pybullet cannot load the robot: {error}") from None
@@ -74,12 +76,11 @@ class BulletWorld:
         self._contact_of: dict[tuple[int, int], str] = {}
         self._at_load: int | None = None
 
-    def allow_contacts(self, pairs: ContactPairs, on_floor: Iterable[str] = ()) -> None:
+    def allow_contacts(self, pairs: ContactPairs) -> None:
         """Let only these links touch; the rest of the robot passes through itself and the floor.
 
         Args:
             pairs: Pairs of links that may touch, and are reported when they do.
-            on_floor: Links that may touch the floor without being reported.
         """
         for a, b in combinations(self.links.values(), 2):
             self._filter(self.robot, a, b, False)
@@ -90,7 +91,7 @@ class BulletWorld:
                 a, b = (self.links[name] for name in pair)
                 self._filter(self.robot, a, b, True)
                 self._contact_of[a, b] = self._contact_of[b, a] = group
-        for name in (*pairs.arm_floor, *on_floor):
+        for name in pairs.arm_floor:
             self._filter(self.floor, self.links[name], -1, True)
         self._reach_floor = {self.links[name] for name in pairs.arm_floor}
 
@@ -106,6 +107,23 @@ class BulletWorld:
             arm_arm="arm_arm" in groups,
             arm_floor=any(self._on_floor(c) for c in touching),
         )
+
+    def depths(self) -> dict[str, float]:
+        """[m] how deep the contacts of the last step are, by the fields of `Contacts`."""
+        deepest: dict[str, float] = {}
+        for c in pybullet.getContactPoints(self.robot, physicsClientId=self.client):
+            group = "arm_floor" if self._on_floor(c) else self._contact_of.get((c[3], c[4]))
+            if group:
+                deepest[group] = max(deepest.get(group, 0.0), -c[8])
+        return deepest
+
+    def seen(self, begins: Array, ends: Array) -> Array:
+        """(n,) [m] from each begin (n, 3) to the robot or the floor, towards its end; else inf."""
+        length = np.linalg.norm(ends - begins, axis=1)
+        rays = pybullet.rayTestBatch(begins.tolist(), ends.tolist(), physicsClientId=self.client)
+        return np.array([
+            each * ray[2] if ray[0] >= 0 else np.inf for each, ray in zip(length, rays, strict=True)
+        ])  # fmt: skip
 
     def _on_floor(self, contact: tuple[Any, ...]) -> bool:
         """Whether it is one of the floor with a link that must not touch it."""
@@ -134,7 +152,7 @@ class BulletWorld:
             pybullet.disconnect(physicsClientId=self.client)
             self.client = -1
 
-    def _load(self, urdf: str, fixed_root: bool) -> None:
+    def _load(self, urdf: str) -> None:
         flags = (
             pybullet.URDF_USE_INERTIA_FROM_FILE
             | pybullet.URDF_USE_SELF_COLLISION
@@ -145,7 +163,7 @@ class BulletWorld:
             path = Path(folder) / "robot.urdf"
             path.write_text(urdf, encoding="utf-8")
             self.robot = pybullet.loadURDF(
-                str(path), useFixedBase=fixed_root, flags=flags, physicsClientId=client
+                str(path), useFixedBase=True, flags=flags, physicsClientId=client
             )
         plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
         self.floor = pybullet.createMultiBody(0, plane, physicsClientId=client)

@@ -2,7 +2,7 @@
 
 The base moves exactly as its drive says; the arm follows M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f.
 Nothing stops the arm but its joint limits: contacts are overlaps of the convex bodies, reported
-only. For tests, and an independent check of pybullet.
+only. For tests, and an independent check of the engines.
 """
 
 from __future__ import annotations

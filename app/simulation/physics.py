@@ -61,8 +61,8 @@ class HeldDoor(Protocol):
 class Physics(Protocol):
     """A plant with a velocity-controlled base and a torque-controlled arm, stepped by `dt`.
 
-    The world's floor is z = 0. Implementations: `pybullet_planar` (default), `pybullet_contact`,
-    `kinematic` (a stand-in for tests).
+    The world's floor is z = 0. Implementations: `pybullet_planar` (default), `mujoco_planar`,
+    `mujoco_wheels`, `kinematic` (a stand-in for tests).
     """
 
     dt: float

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+from importlib.util import find_spec
 
 from app.errors import ConfigError, UnknownNameError
 from app.robot.bases.differential import DifferentialBase
@@ -10,20 +10,38 @@ from app.robot.model import RobotModel
 from app.simulation.door import OpenDoor
 from app.simulation.physics import Physics
 
-PLANTS = ("planar", "contact", "kinematic")
+PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")
 """Names that `make_physics` knows."""
-_OF_PYBULLET = ("planar", "contact")
-DEFAULT_PLANT = "planar" if importlib.util.find_spec("pybullet") else "mujoco"
-"""pybullet's where it is installed: on CPython 3.14 and on Linux aarch64 it has no wheels."""
+
+_FORMERLY = {"contact": "mujoco-contact"}
+_DOORS = "planar, mujoco or mujoco-contact"
+
+
+def default_plant() -> str:
+    """planar, which is pybullet's, where that is installed; else mujoco."""
+    return "planar" if find_spec("pybullet") else "mujoco"
+
+
+def chosen_plant(name: str | None) -> str:
+    """One of `PLANTS` by its name, or by one that it had formerly; the default without a name.
+
+    Raises:
+        UnknownNameError: No such plant.
+    """
+    name = _FORMERLY.get(name, name) if name else default_plant()
+    if name not in PLANTS:
+        raise UnknownNameError("physics", name, PLANTS)
+    return name
 
 
 def make_physics(
-    kind: str, model: RobotModel, *, dt: float = 0.001, seed: int = 0, door: OpenDoor | None = None
-) -> Physics:
+    kind: str | None, model: RobotModel, *, dt: float = 0.001, seed: int = 0,
+    door: OpenDoor | None = None,
+) -> Physics:  # fmt: skip
     """The plant of that name, at rest in the robot's ready position.
 
     Args:
-        kind: One of `PLANTS`.
+        kind: As `chosen_plant` takes it.
         model: The robot.
         dt: [s] one step.
         seed: Of what a plant draws at random; none of these draws anything.
@@ -36,30 +54,33 @@ def make_physics(
         AssetError: pybullet cannot load the robot.
     """
     del seed
-    if kind in _OF_PYBULLET and DEFAULT_PLANT not in _OF_PYBULLET:
-        raise ConfigError(
-            f"the plant {kind} needs pybullet, which is not installed and has no wheels for every "
-            "Python (docs/install.md); --physics mujoco works without it"
-        )
-    # Imported here: the others have to work where pybullet is not installed.
+    kind = chosen_plant(kind)
+    # Imported here: each has to work where the others' libraries are not installed.
     if kind == "planar":
+        if not find_spec("pybullet"):
+            raise ConfigError(
+                "the plant planar needs pybullet, which is not installed and has no wheels for "
+                "every Python (docs/install.md); --physics mujoco works without it"
+            )
         from app.simulation.pybullet_planar import PybulletPlanar
 
         return PybulletPlanar(model, dt=dt, door=door)
-    if kind == "contact":
+    if kind == "mujoco":
+        from app.simulation.mujoco_planar import MujocoPlanar
+
+        return MujocoPlanar(model, dt=dt, door=door)
+    if kind == "mujoco-contact":
         base = model.description.base
         if not isinstance(base, DifferentialBase):
             raise ConfigError(
-                "the plant contact drives two wheels, and takes differential bases only; "
-                f"{model.description.name} is {base.kind}: choose planar or kinematic"
+                "the plant mujoco-contact turns the wheels of differential bases only; "
+                f"{model.description.name} is {base.kind}: choose mujoco, planar or kinematic"
             )
-        from app.simulation.pybullet_contact import PybulletContact
+        from app.simulation.mujoco_wheels import MujocoWheels
 
-        return PybulletContact(model, dt=dt, door=door)
-    if kind == "kinematic":
-        if door is not None:
-            raise ConfigError("the plant kinematic has no door; choose planar or contact")
-        from app.simulation.kinematic import Kinematic
+        return MujocoWheels(model, dt=dt, door=door)
+    if door is not None:
+        raise ConfigError(f"the plant kinematic has no door; choose {_DOORS}")
+    from app.simulation.kinematic import Kinematic
 
-        return Kinematic(model, dt=dt)
-    raise UnknownNameError("physics", kind, PLANTS)
+    return Kinematic(model, dt=dt)

@@ -11,16 +11,13 @@ import pinocchio as pin
 
 from app.robot.model import RobotModel
 from app.simulation.bullet_world import BulletWorld, pybullet
+from app.simulation.cabinet import Cabinet
 from app.simulation.door import Door, OpenDoor
 from app.simulation.physics import Wrench
 from app.simulation.quiet import silence
 
 Array = np.ndarray
 
-_BODY_MASS = 60.0  # [kg]
-_BODY_DEPTH = 0.60  # [m]
-_GAP = 0.005  # [m] between the body and the closed door
-_SINKING = 1e-5  # [m] of the body into the floor, where pybullet lets it rest
 _AWAY = (100.0, 0.0)  # [m] where it is loaded, so that no robot that settles at the origin hits it
 _SEAL_STIFFNESS = 2e4  # [N/m] of the door's edge
 _SEAL_DAMPING = 500.0  # [N s/m]
@@ -50,7 +47,7 @@ class BulletDoor:
         turn = pin.rpy.rpyToMatrix(*arm.end_effector_rpy_rad)
         self._T_link_ee = pin.SE3(turn, np.array(arm.end_effector_xyz_m))
         self._grasp: int | None = None
-        self._T_body = self._body_pose()
+        self._cabinet = Cabinet(self.door)
         self.body = self._load()
         self._allow_contacts(description.mobile_body.covers)
 
@@ -63,7 +60,7 @@ class BulletDoor:
     def reset(self) -> None:
         """The refrigerator at its place, its door at rest at the start; the hand takes hold."""
         client = self._world.client
-        pose = pin.SE3ToXYZQUAT(self._T_body)
+        pose = pin.SE3ToXYZQUAT(self._cabinet.T_world)
         pybullet.resetBasePositionAndOrientation(
             self.body, pose[:3], pose[3:], physicsClientId=client
         )
@@ -86,6 +83,12 @@ class BulletDoor:
         R = self._hand_pose().rotation
         return Wrench(-np.array(rows[:3]), -R @ np.array(rows[3:]))
 
+    def place(self) -> Array:
+        """(3,) [m] the middle of the refrigerator's body."""
+        client = self._world.client
+        place, _ = pybullet.getBasePositionAndOrientation(self.body, physicsClientId=client)
+        return np.array(place)
+
     def touches_base(self) -> bool:
         """Whether the door touched the mobile robot in the last step."""
         contacts = pybullet.getContactPoints(
@@ -93,22 +96,13 @@ class BulletDoor:
         )
         return any(c[8] <= 0 or c[9] > 0 for c in contacts)
 
-    def _body_pose(self) -> pin.SE3:
-        """Pose of the body's centre: behind the closed door."""
-        door = self.door
-        back = door.thickness / 2 + _GAP + _BODY_DEPTH / 2
-        height = door.bottom + door.height
-        return door.pose(0.0) * pin.SE3(
-            np.eye(3), np.array([back, door.centre[1], height / 2 - _SINKING])
-        )
-
     def _load(self) -> int:
         client = self._world.client
         with tempfile.TemporaryDirectory(prefix="dbb-") as folder, silence(1):
             path = Path(folder) / "refrigerator.urdf"
-            path.write_text(_refrigerator_urdf(self.door, self._T_body), encoding="utf-8")
+            path.write_text(_refrigerator_urdf(self.door, self._cabinet), encoding="utf-8")
             body = pybullet.loadURDF(
-                str(path), basePosition=(*_AWAY, self._T_body.translation[2]),
+                str(path), basePosition=(*_AWAY, self._cabinet.T_world.translation[2]),
                 flags=pybullet.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client,
             )  # fmt: skip
         pybullet.changeDynamics(
@@ -164,26 +158,23 @@ class BulletDoor:
         return pin.XYZQUATToSE3([*link[4], *link[5]]) * self._T_link_ee
 
 
-def _refrigerator_urdf(door: Door, T_body: pin.SE3) -> str:
+def _refrigerator_urdf(door: Door, cabinet: Cabinet) -> str:
     """A box with a board on a hinge; the root's frame is the centre of the box."""
-    hinge = (T_body.inverse() * door.pose(0.0)).translation
-    body_size = (_BODY_DEPTH, door.width, door.bottom + door.height)
     return f"""<robot name="refrigerator">
-<link name="body">{_box(body_size, _BODY_MASS, np.zeros(3))}</link>
-<link name="door">{_box(door.size, door.mass, door.centre)}</link>
+<link name="body">{_box(cabinet.size, cabinet.inertia)}</link>
+<link name="door">{_box(door.size, cabinet.door_inertia)}</link>
 <joint name="hinge" type="continuous">
 <parent link="body"/><child link="door"/>
-<origin xyz="{_words(hinge)}"/><axis xyz="0 0 1"/>
+<origin xyz="{_words(cabinet.T_hinge.translation)}"/><axis xyz="0 0 1"/>
 </joint></robot>"""
 
 
-def _box(size: Sequence[float], mass: float, centre: Array) -> str:
-    I = pin.Inertia.FromBox(mass, *size).inertia.diagonal()
-    moments = " ".join(f'i{2 * axis}="{float(i)!r}"' for axis, i in zip("xyz", I, strict=True))
-    inertia = f'<inertia {moments} ixy="0" ixz="0" iyz="0"/>'
-    origin = f'<origin xyz="{_words(centre)}"/>'
-    return f"""<inertial>{origin}<mass value="{float(mass)!r}"/>
-{inertia}</inertial>
+def _box(size: Sequence[float], inertia: pin.Inertia) -> str:
+    moments = zip("xyz", inertia.inertia.diagonal().tolist(), strict=True)
+    I = " ".join(f'i{2 * axis}="{i!r}"' for axis, i in moments)
+    origin = f'<origin xyz="{_words(inertia.lever)}"/>'
+    return f"""<inertial>{origin}<mass value="{inertia.mass!r}"/>
+<inertia {I} ixy="0" ixz="0" iyz="0"/></inertial>
 <collision>{origin}<geometry><box size="{_words(size)}"/></geometry></collision>"""
 
 

@@ -48,7 +48,7 @@ class PybulletPlanar:
         """
         description, self.dt = model.description, dt
         contacts = link_contact_pairs(description, outer)
-        self.world = BulletWorld(planar_plant_urdf(description), dt, fixed_root=True)
+        self.world = BulletWorld(planar_plant_urdf(description), dt)
         self.world.allow_contacts(contacts)
         self.arm = BulletArm(self.world, model)
         self.door = None if door is None else BulletDoor(self.world, model, door)

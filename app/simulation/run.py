@@ -12,7 +12,7 @@ from app.config import Config
 from app.robot.model import RobotModel
 from app.simulation.begin import begin
 from app.simulation.leading import Scenario
-from app.simulation.plants import DEFAULT_PLANT
+from app.simulation.plants import chosen_plant
 from app.simulation.recording import Recorder
 from app.simulation.session import DT, Session, Step
 from app.simulation.settled import settled
@@ -32,7 +32,7 @@ def steps_of(
     config: Config,
     *,
     controller: str = "dbb",
-    physics: str = DEFAULT_PLANT,
+    physics: str | None = None,
     seed: int = 0,
 ) -> Generator[tuple[Session, Step], None, None]:
     """The control steps of a scenario, one by one, with the session after each.
@@ -45,7 +45,7 @@ def steps_of(
         scenario: What happens.
         config: Parameters.
         controller: One of `app.control.controller.CONTROLLERS`.
-        physics: Kind of plant.
+        physics: Kind of plant; the default one if not given.
         seed: Of everything random in the run.
 
     Raises:
@@ -71,7 +71,7 @@ def run_scenario(
     config: Config,
     *,
     controller: str = "dbb",
-    physics: str = DEFAULT_PLANT,
+    physics: str | None = None,
     seed: int = 0,
     on_progress: Callable[[float], None] = lambda _: None,
     on_step: Callable[[Session, Step], None] | None = None,
@@ -85,12 +85,13 @@ def run_scenario(
         scenario: What happens.
         config: Parameters.
         controller: One of `app.control.controller.CONTROLLERS`.
-        physics: Kind of plant.
+        physics: Kind of plant; the default one if not given.
         seed: Of everything random in the run.
         on_progress: Called now and then with the simulated time [s].
         on_step: Called after each control step, such as to take snapshots.
         log: Whether the recorder keeps rows for the log, or figures only.
     """
+    physics = chosen_plant(physics)
     recorder: Recorder | None = None
     begun = perf_counter()
     steps = steps_of(

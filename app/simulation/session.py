@@ -17,6 +17,7 @@ from app.control.buffer_watch import BufferReading, BufferWatch
 from app.control.controller import Controller, ControlOutput
 from app.control.drive import Drive
 from app.control.tasks import Reference
+from app.errors import TargetError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.disturbance import Disturbances
@@ -24,12 +25,13 @@ from app.simulation.door import OpenDoor
 from app.simulation.leading import DoorReading
 from app.simulation.people import Hold, People, PersonForces, PullReading
 from app.simulation.physics import Contacts, Physics
-from app.simulation.plants import DEFAULT_PLANT, make_physics
+from app.simulation.plants import chosen_plant, make_physics
 from app.simulation.truth import Truth
 
 Array = np.ndarray
 
 DT = 0.001  # [s] control step, the paper's 1 kHz
+_ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may seem beyond
 LEAD = -1
 """Number of the person whose pull a scenario gives."""
 
@@ -103,7 +105,7 @@ class Session:
         config: Config,
         *,
         controller: str = "dbb",
-        physics: str = DEFAULT_PLANT,
+        physics: str | None = None,
         seed: int = 0,
         plant: RobotModel | None = None,
         door: OpenDoor | None = None,
@@ -115,7 +117,7 @@ class Session:
             data: Its pairs and clouds.
             config: Parameters.
             controller: One of `app.control.controller.CONTROLLERS`.
-            physics: Kind of plant.
+            physics: Kind of plant; the default one if not given.
             seed: Of what the plant draws at random, and of the sensors' noise.
             plant: The robot as it is, where the controller's has what it holds as one more body.
             door: A door that the hand holds, or None.
@@ -125,9 +127,9 @@ class Session:
             ConfigError: The plant has no doors.
         """
         self.model, self.data, self.config = model, data, config
-        self.kind, self.seed, self.door = physics, seed, door
+        self.kind, self.seed, self.door = chosen_plant(physics), seed, door
         self.controller = Controller(model, data, config, name=controller)
-        self.physics: Physics = make_physics(physics, plant or model, dt=DT, seed=seed, door=door)
+        self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, seed=seed, door=door)
         self._base = model.description.base
         self._drive = Drive(self._base, DT)
         self._admittance = AdmittanceLaw(self._base, config.admittance)
@@ -143,7 +145,11 @@ class Session:
         Args:
             q_m: (n_m,) [rad or m] the arm's joints.
             base_pose: (3,) x, y [m] and heading [rad] of the base; the origin if not given.
+
+        Raises:
+            TargetError: A joint is beyond its limits.
         """
+        _check_within_limits(self.model, q_m)
         self.t = 0.0
         self.physics.reset(np.zeros(3) if base_pose is None else base_pose, q_m)
         self.controller.reset()
@@ -228,9 +234,7 @@ class Session:
 
     def _look(self, output: ControlOutput) -> BufferReading:
         closest = [pair.closest for pair in output.avoidance.mobile]
-        return self._watch.update(
-            self.state, closest, DT, gives_way=self.controller.name == "dbb"
-        )
+        return self._watch.update(self.state, closest, DT, gives_way=self.controller.name == "dbb")
 
     def _disturb(self, config: DisturbanceConfig) -> None:
         self._disturbances.config = config
@@ -239,3 +243,18 @@ class Session:
     def close(self) -> None:
         """Release the plant."""
         self.physics.close()
+
+
+def _check_within_limits(model: RobotModel, q_m: Array) -> None:
+    """Refuse a start from which a plant would throw the arm back.
+
+    Raises:
+        TargetError: Names the joint and its limits.
+    """
+    for name, at, low, high in zip(
+        model.description.arm.joints, q_m, model.q_lower, model.q_upper, strict=True
+    ):
+        if not low - _ROUNDING <= at <= high + _ROUNDING:
+            raise TargetError(
+                f"start: {name} at {at:.4g} is beyond its limits, {low:g} to {high:g}"
+            )

@@ -6,7 +6,9 @@ import hashlib
 from functools import cache
 from pathlib import Path
 
-from app.simulation.plants import DEFAULT_PLANT
+from pydantic import Field
+
+from app.simulation.plants import default_plant
 from app.strict import Strict
 from app.study.study_range import StudyRange
 
@@ -20,7 +22,7 @@ class StudyParameters(Strict):
     seed: int = 0
     robot: str = "husky_panda"
     controller: str = "dbb"
-    physics: str = DEFAULT_PLANT
+    physics: str = Field(default_factory=default_plant)
     ranges: StudyRange = StudyRange()
     inside: bool = False
     """Whether only cases inside of the stated envelope are drawn."""

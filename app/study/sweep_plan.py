@@ -15,7 +15,7 @@ from app.robot.model import RobotModel
 from app.simulation.leading import Setting
 from app.simulation.line import LineScenario
 from app.simulation.person import checked_target
-from app.simulation.plants import DEFAULT_PLANT
+from app.simulation.plants import default_plant
 from app.study.paths import Approach, from_above, ring, wheel_axis
 from app.study.paths_start import Start
 
@@ -62,7 +62,7 @@ class SweepPlan:
     length: float = 0.2
     hold: float = 3.0
     start_distance: float | None = None
-    physics: str = DEFAULT_PLANT
+    physics: str = field(default_factory=default_plant)
     seed: int = 0
     config: Config = field(default_factory=Config)
 

@@ -1,0 +1,153 @@
+"""Real wheels in contact: they roll, skid, hold up to their traction, and a base tips over them."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from app.robot.model import RobotModel
+from app.robot.state import RobotState
+from app.simulation.mujoco_wheels import MujocoWheels
+from app.simulation.physics import Push
+from tests.robots import husky_panda
+
+MODEL = husky_panda()
+READY = np.array(MODEL.description.arm.ready_position)
+NOBODY = np.zeros(3)
+HOME = np.zeros(3)
+
+
+@cache
+def two_wheeled() -> RobotModel:
+    """The same robot on two wheels at the half track, and casters."""
+    base = MODEL.description.base.model_copy(
+        update={"left_wheel_joints": (), "right_wheel_joints": ()}
+    )
+    return RobotModel(MODEL.description.model_copy(update={"base": base}))
+
+
+MODELS = {"four": husky_panda, "two": two_wheeled}
+
+
+@pytest.fixture(params=MODELS)
+def plant(request):
+    plant = MujocoWheels(MODELS[request.param]())
+    plant.reset(HOME, READY)
+    return plant
+
+
+def stiff(state: RobotState) -> np.ndarray:
+    """Torques of an arm like a statue."""
+    m = state.measurement
+    return state.h[2:] + state.M[2:, 2:] @ (9e4 * (READY - m.q_m) - 600.0 * m.qd_m)
+
+
+def run(plant: MujocoWheels, seconds: float, command, force=NOBODY) -> list:
+    """Measurements before each step."""
+    state, trace = RobotState(MODEL), []
+    for _ in range(round(seconds / plant.dt)):
+        trace.append(plant.measure())
+        state.update(trace[-1])
+        plant.step(stiff(state), command, np.asarray(force, dtype=float))
+    return trace
+
+
+def rates(trace: list) -> np.ndarray:
+    """(n, 2) velocities of a trace's last half second."""
+    return np.array([m.base_velocity for m in trace[-500:]])
+
+
+def test_it_weighs_what_the_description_says(plant):
+    """The wheels' masses are taken from the base, not added; and so with their inertia."""
+    assert plant.world.model.body_mass.sum() == pytest.approx(pin.computeTotalMass(MODEL.pin))
+    run(plant, 0.002, (0.0, 0.0))
+    v = np.zeros(plant.world.model.nv)
+    v[5] = 1.0  # turning as one
+    whole = 0.5 * v @ plant.world.mass_matrix() @ v
+    data = MODEL.pin.createData()
+    M = pin.crba(MODEL.pin, data, MODEL.configuration(HOME, READY))
+    assert whole == pytest.approx(0.5 * M[2, 2], rel=1e-3)
+
+
+@pytest.mark.parametrize("command", [(0.5, 0.0), (0.0, 0.6), (0.4, -0.5), (-0.2, 0.3)])
+def test_two_wheels_roll_as_they_are_told(command):
+    plant = MujocoWheels(two_wheeled())
+    trace = run(plant, 1.5, command)
+    assert np.abs(rates(trace) - command).max() < 1e-3  # [m/s, rad/s]
+
+
+def test_the_path_of_two_wheels_is_the_circle_of_the_commanded_velocities():
+    plant, (v, w) = MujocoWheels(two_wheeled()), (0.4, 0.8)
+    run(plant, 1.0, (v, w))
+    start = plant.measure().base_pose
+    run(plant, 2.0, (v, w))
+    turn = pin.SE3(pin.rpy.rpyToMatrix(0, 0, start[2]), np.array([*start[:2], 0.0]))
+    arc = np.array([v / w * np.sin(w * 2.0), v / w * (1 - np.cos(w * 2.0)), 0.0])
+    end = plant.measure().base_pose
+    np.testing.assert_allclose(end[:2], turn.act(arc)[:2], atol=5e-3)
+    assert end[2] == pytest.approx(start[2] + 2.0 * w, abs=5e-3)
+
+
+@pytest.mark.parametrize("command", [(0.5, 0.0), (0.0, 0.1), (0.0, 0.8), (0.4, -0.6), (-0.3, 0.5)])
+def test_four_wheels_turn_a_base_evenly_and_nearly_as_fast_as_commanded(command):
+    """Skidding across: what it loses depends on the speed; it does not hop and jerk."""
+    found = rates(run(MujocoWheels(MODEL), 1.5, command))
+    mean = found.mean(axis=0)
+    np.testing.assert_allclose(mean, command, atol=0.02 + 0.1 * abs(command[1]))
+    assert found.std(axis=0).max() < 0.01 * (0.1 + abs(command[1]))
+
+
+def test_a_skid_steer_base_acts_wider_than_its_wheels_stand():
+    """(a² + b²) / b at wheels (±a, ±b) that carry alike; a load in front makes it narrower."""
+    plant = MujocoWheels(MODEL)
+    a, b = plant.wheels.centres[plant.wheels.centres.min(axis=1) > 0][0][:2]
+    assert b < plant.half_track < (a**2 + b**2) / b
+    assert MujocoWheels(two_wheeled()).half_track == MODEL.description.base.half_track_m
+
+
+def test_the_wheels_of_a_base_that_drives_ahead_roll_as_far_as_it_goes(plant):
+    run(plant, 1.0, (0.3, 0.0))
+    angles, start = plant.wheel_angles, plant.measure().base_pose
+    run(plant, 1.0, (0.3, 0.0))
+    rolled = (plant.wheel_angles - angles) * plant.wheels.radius
+    way = np.linalg.norm(plant.measure().base_pose[:2] - start[:2])
+    np.testing.assert_allclose(rolled, way, rtol=5e-3)  # a tyre gives, and rolls on less
+
+
+def test_it_stands_against_a_push_within_its_traction_and_slides_beyond(plant):
+    """Pushed along the base at the arm's mount, where it shifts little load."""
+    limit = MODEL.description.base.traction_limit_n
+    moved = {}
+    for share in (0.5, 1.5):
+        plant.reset(HOME, READY)
+        push, state = (
+            Push("panda_joint1", HOME, np.array([-share * limit, 0.0, 0.0])),
+            RobotState(MODEL),
+        )
+        for _ in range(500):
+            state.update(plant.measure())
+            plant.step(stiff(state), (0.0, 0.0), NOBODY, [push])
+        moved[share] = abs(plant.measure().base_pose[0])
+    assert moved[0.5] < 5e-3  # [m]
+    assert moved[1.5] > 0.05
+
+
+def test_the_base_tips_when_it_is_pulled_over(plant):
+    assert plant.tilt() < 0.004  # [rad]
+    run(plant, 0.6, (0.0, 0.0), force=(0.0, 0.0, -50.0))
+    assert plant.tilt() < 0.02
+    run(plant, 0.6, (0.0, 0.0), force=(150.0, 0.0, -900.0))
+    assert plant.tilt() > 0.05
+
+
+def test_a_reset_stands_the_base_as_its_load_tilts_it_and_at_rest(plant):
+    at = np.array([1.0, -2.0, 2.5])
+    plant.reset(at, READY)
+    m = plant.measure()
+    np.testing.assert_allclose(m.base_pose, at, atol=1e-9)
+    assert not m.base_velocity.any()
+    trace = run(plant, 0.2, (0.0, 0.0))
+    assert np.abs([m.base_velocity for m in trace]).max() < 0.02
