@@ -34,14 +34,14 @@ CORNER = (0.8, -0.6, 0.0)
 FORCE = ForceSplit((-80, -60), (-80, 0), (0, -60), (-0.4, 0), (0, -0.2), 2.3e-4, 98, 0.022, 0.021)
 BASE = NearPair("lm", "lEE", True, 0.08, 0.7, FRONT, 0.0, 0.0, False, FORCE)
 LINKS = NearPair("l1", "lEE", False, 0.09, 0.5, FRONT, 0.0, 0.0, False, None)
-ABOVE = BASE._replace(n=TOP, above=1.0, arm_beta=0.4)
-LAST = BASE._replace(d=0.03, arm_beta=0.9)
-INSIDE = BASE._replace(d=-0.004, beta=1.0, arm_beta=1.0)
+ABOVE = BASE._replace(d=0.06, n=TOP, above=1.0, held=True)
+LAST = BASE._replace(d=0.05, held=True)
+INSIDE = BASE._replace(d=-0.004, beta=1.0, held=True)
 HELD = BASE._replace(d=0.05, held=True, force=None)
 NEAR = {
     "nothing": (), "base": (BASE,), "left": (BASE._replace(n=LEFT),),
     "corner": (BASE._replace(n=CORNER, d=0.123), LINKS), "rear": (BASE._replace(n=REAR),),
-    "above": (ABOVE,), "high above": (ABOVE._replace(arm_beta=0.0, d=0.13),), "last": (LAST,),
+    "above": (ABOVE,), "high above": (ABOVE._replace(held=False, d=0.13),), "last": (LAST,),
     "inside": (INSIDE,), "links": (LINKS,), "both": (BASE, LINKS), "held": (HELD, LINKS),
     "edge": (BASE._replace(d=0.148),), "all": (ABOVE, BASE._replace(b="l3"), LINKS),
 }  # fmt: skip
@@ -148,19 +148,19 @@ def test_a_limit_names_the_joint_or_the_pair():
 
 EVERYTHING = list(
     product(
-        CONTROLLERS, NEAR, MOTIONS, ("guiding", "tracking"), (LEVELS, ()), (True, False), (1.0, 0.3)
+        CONTROLLERS, NEAR, MOTIONS, ("guiding", "tracking"), (LEVELS, ()), (True, False)
     )
 )
 
 
 @pytest.mark.parametrize("controller", CONTROLLERS)
 def test_there_is_one_short_answer_for_every_state(blank, controller):
-    for name, near, moves, mode, levels, solved, share in EVERYTHING:
+    for name, near, moves, mode, levels, solved in EVERYTHING:
         if name != controller:
             continue
         why = explanation(
             NEAR[near], controller=name, mode=mode, levels=levels, solved=solved,
-            bounds=(Bound("base", "speed", upper=True),), holding_share=share,
+            bounds=(Bound("base", "speed", upper=True),),
         )  # fmt: skip
         for contact in ((False, False), (True, False), (False, True)):
             text = said(
@@ -190,15 +190,12 @@ def test_before_the_base_moves_it_says_what_it_is_about_to_do(blank):
     assert "too little yet to move the base" in said(blank, idle, base_velocity=(0.0, 0.0))
 
 
-def test_where_the_arm_cannot_hold_the_hand_it_is_said_and_nowhere_else(blank):
-    kept = "the arm cannot hold the hand, so the base leaves it in place"
-    for moves, part in (("back", "turns left; the arm cannot"), ("rest", "but the arm cannot")):
-        for share in (0.0, 0.999, 1.0):
-            why = explanation(NEAR["base"], holding_share=share)
-            text = said(blank, why, base_velocity=MOTIONS[moves])
-            assert (kept in text) == (part in text) == (share < 1.0)
-    for near, controller in (("above", "dbb"), ("links", "dbb"), ("nothing", "dbb")):
-        assert kept not in said(blank, explanation(NEAR[near], controller=controller))
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("near", ["base", "above", "inside"])
+def test_the_arm_is_said_to_keep_its_distance_exactly_where_its_barrier_holds(blank, near, held):
+    (pair,) = NEAR[near]
+    text = said(blank, explanation((pair._replace(held=held),)))
+    assert ("the arm itself keeps its distance" in text) == held
 
 
 @pytest.mark.parametrize(("slack", "disturbed"), [(0.0, False), (0.04, False), (3.0, True)])
@@ -215,8 +212,8 @@ def test_the_hands_task_is_disturbed_exactly_where_it_has_slack(blank, slack, di
         ("nothing", "none", "Avoidance is off."),
         ("base", "none", "avoidance is off: nothing gives way"),
         ("above", "dbb", "base's top (its buffer is 15 cm), where no motion of the base helps"),
-        ("high above", "dbb", "from 10 cm on the arm itself will resist"),
-        ("last", "dbb", "the arm itself resists too, as the last resort"),
+        ("high above", "dbb", "the arm itself will stay 5 cm away"),
+        ("last", "dbb", "and the arm itself keeps its distance."),
         ("inside", "dbb", "The hand is 4 mm inside the outline of the base's front"),
         ("edge", "dbb", "The hand is at the edge of the 15 cm buffer around the base's front"),
         ("links", "dbb", "within 9 cm of the shoulder (its buffer is 15 cm), so the arm pushes"),

@@ -14,7 +14,7 @@ from app.control.linear_algebra import holds, minimum, scaled_rows
 
 Array = np.ndarray
 
-_EPS = 1e-8  # by which limits may be missed, and accuracy of ProxQP
+_EPS = 1e-10  # by which limits may be missed, and accuracy of ProxQP
 
 
 class Objective(NamedTuple):
@@ -110,7 +110,7 @@ def _make_qp(m: int, n: int) -> proxqp.dense.QP:
     settings.eps_rel = 0.0
     settings.eps_primal_inf = 1e-12  # the default calls feasible problems infeasible
     settings.max_iter = 200
-    settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
+    settings.initial_guess = proxqp.InitialGuess.NO_INITIAL_GUESS
     rows = np.ones((m, n))
     qp.init(np.eye(n), np.zeros(n), None, None, rows, -np.ones(m), np.ones(m))
     return qp

@@ -14,7 +14,7 @@ LONGEST = 280
 UNDISTURBED = (0.05, 0.2)
 """[m/s²], [rad/s²] of slack below which the hand's own task is met: 0.06 mm at its gain."""
 
-_KEPT = "the arm cannot hold the hand, so the base leaves it in place"
+_ABOVE = 0.9  # [-] n_z² from which on hardly any motion of the base helps: 18° from the vertical
 _BEHIND = -0.5  # [-] forward part of a normal above which what is near is not behind the base
 
 
@@ -77,23 +77,18 @@ def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
 
 
 def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
-    """The paper's method: the base gives way; from above and as the last resort the arm resists."""
-    cause = _cause(pair, why, snapshot.config)
-    if pair.above >= 1.0:
+    """The paper's method: the base gives way; where its barrier is met, the arm resists."""
+    cause, also = _cause(pair, why, snapshot.config), _also(why)
+    if pair.above >= _ABOVE:
         where = f"{cause}, where no motion of the base helps"
-        if pair.arm_beta > 0.0:
-            return f"{where}: the arm itself resists{_off_target(snapshot)}.{_also(why)}"
-        nearer = words.length(snapshot.config.activation.d_above)
-        return f"{where}: from {nearer} on the arm itself will resist.{_also(why)}"
+        if pair.held:
+            return f"{where}: the arm itself keeps its distance{_off_target(snapshot)}.{also}"
+        least = words.length(snapshot.config.barrier.d_min)
+        return f"{where}: the arm itself will stay {least} away.{also}"
     moves = _base_moves(snapshot, why, pair)
     moved = f"so {moves}" if moves else "too little yet to move the base"
-    also = _also(why)
-    if why.holding_share < 1.0:
-        also = ""  # what holds the base back counts more
-        moved = f"so {moves}; {_KEPT}" if moves else f"but {_KEPT}"
-    if pair.arm_beta > 0.0:
-        how = "too" if pair.above > 0.0 else "too, as the last resort"
-        return f"{cause}, {moved}, and the arm itself resists {how}.{also}"
+    if pair.held:
+        return f"{cause}, {moved}, and the arm itself keeps its distance.{also}"
     return f"{cause}, {moved}; {_hand(why)}.{also}"
 
 

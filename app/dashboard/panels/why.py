@@ -20,7 +20,7 @@ BOUNDS_SHOWN = 3
 _NONE = '<span style="opacity:.45">–</span>'
 _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
     ("base gives way", "the base's rows of T_sca, (16), less what the base may do", ("base",)),
-    ("arm against base", "the arm's own rows: from above, or as the last resort", ("arm",)),
+    ("arm against base", "the rows of T_rep: the repulsive method's", ("arm",)),
     ("between links", "the rows (20) that part links of the arm", ("links",)),
     ("hand's task", "w_2 of (26): the end-effector's task", ("hand",)),
     ("posture, or arm left alone",
@@ -85,11 +85,11 @@ def _near_rows(snapshot: Snapshot, why: Explanation) -> list[str]:
     else:
         name, d, beta = words.pair(pair.a, pair.b, why.chain), pair.d, pair.beta
     distance = f"{1000 * d:.0f}".replace("-", "−")
-    own = "" if pair is None or pair.arm_beta == 0.0 else f", arm's own {pair.arm_beta:.2f}"
+    held = ", distance held" if pair is not None and pair.held else ""
     return [
         _row("pair", name + more, "the link pair that counts most"),
         _row("distance d, of buffer d_b", distance + buffer, "signed distance of its bodies"),
-        _row("activation β", f"{beta:.2f}{own}", "0 outside of the buffer, 1 in full force"),
+        _row("activation β", f"{beta:.2f}{held}", "0 outside of the buffer, 1 in full force"),
     ]
 
 
