@@ -53,7 +53,7 @@ def test_a_recorded_path_is_answered_as_in_the_run(recorded, robot, border_data)
 def test_stages_are_parts_of_the_step(recorded, robot, border_data) -> None:
     stages = time_stages(Controller(robot, border_data, Config()), recorded[:1])
     assert set(stages) == {
-        "kinematics_dynamics", "distances", "acting_point", "task", "hierarchy", "proxqp", "rest",
+        "kinematics_dynamics", "distances", "acting_point", "task", "qp", "proxqp", "rest",
     }  # fmt: skip
     named = {name: t for name, t in stages.items() if name != "proxqp"}  # seldom needed
     assert min(named.values()) > 0.5

@@ -103,14 +103,14 @@ def time_stages(controller: Controller, paths: Sequence[Path]) -> dict[str, floa
     In a run of its own, since the clocks take time too. The controller's methods stay wrapped.
     """
     stages = Stages()
-    avoidance, transition = controller._avoidance, controller._transition
+    avoidance, solver = controller._avoidance, controller._solver
     stages.wrap(controller.state, "update", "kinematics_dynamics")
     stages.wrap(avoidance._monitor, "find_closest_points", "distances")
     for finder in avoidance._finders.values():
         stages.wrap(finder, "find_acting_point", "acting_point")
     stages.wrap(avoidance, "update", "avoidance")
-    stages.wrap(transition, "solve", "qp")
-    stages.wrap(transition._solver, "_solve_qp", "proxqp")
+    stages.wrap(solver, "solve", "solve")
+    stages.wrap(solver, "_nearest", "proxqp")
     spent: list[dict[str, float]] = []
     wholes = time_steps(controller, paths, lambda _, __: spent.append(stages.take()))
     rows = []
@@ -118,11 +118,11 @@ def time_stages(controller: Controller, paths: Sequence[Path]) -> dict[str, floa
         get = {name: 1e6 * parts.get(name, 0.0) for name in _PARTS}
         within = get.pop("avoidance")
         get["task"] = within - get["distances"] - get["acting_point"]
-        get["hierarchy"] = get.pop("qp") - get["proxqp"]
+        get["qp"] = get.pop("solve") - get["proxqp"]
         get["rest"] = whole - sum(get.values())
         rows.append(get)
     chosen = np.flatnonzero(wholes.both)
     return {name: float(np.median([rows[i][name] for i in chosen])) for name in rows[0]}
 
 
-_PARTS = ("kinematics_dynamics", "distances", "acting_point", "avoidance", "qp", "proxqp")
+_PARTS = ("kinematics_dynamics", "distances", "acting_point", "avoidance", "solve", "proxqp")

@@ -1,0 +1,110 @@
+"""Laws of the closest point: it is continuous, and the library's where there is only one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.avoidance.distances import ClosestPoints, DistanceMonitor
+from app.avoidance.self_collision import SelfCollisionAvoidance
+from app.border.cache import BorderData
+from app.config import Config
+from app.robot.model import RobotModel
+from app.robot.state import RobotState, at_rest
+
+Array = np.ndarray
+
+PARALLEL = np.array([1.15216, 1.65208, 0.78478, -1.35999, 2.19699, 3.33947, -0.46618])
+"""[rad] the hand beside the flank at 0.043 m, its capsule parallel to it within 1e-5 rad."""
+D_B, BLEND = Config().border.d_b, Config().activation.blend
+
+
+class Follower:
+    """The pair of base and hand along postures, smooth or as the library has it."""
+
+    def __init__(self, robot: RobotModel, data: BorderData) -> None:
+        self.state = RobotState(robot)
+        self._monitor = DistanceMonitor(self.state, data.pairs.mobile)
+
+    def at(self, q_m: Array, *, smooth: bool) -> ClosestPoints:
+        self.state.update(at_rest(self.state.model, q_m))
+        within = D_B if smooth else -np.inf
+        return self._monitor.find_closest_points(within=within, blend=BLEND)[0]
+
+    def largest_step(self, direction: Array, reach: float, steps: int, *, smooth: bool) -> float:
+        """[m] that p_b moves at most from one of evenly spaced postures to the next."""
+        path = PARALLEL + np.linspace(-reach, reach, steps + 1)[:, None] * direction
+        points = np.array([self.at(q_m, smooth=smooth).p_b for q_m in path])
+        return float(np.linalg.norm(np.diff(points, axis=0), axis=1).max())
+
+
+@pytest.fixture
+def follower(robot: RobotModel, border_data: BorderData) -> Follower:
+    return Follower(robot, border_data)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_where_a_capsule_turns_parallel_to_a_face_the_point_moves_on_and_the_librarys_leaps(
+    follower: Follower, seed: int
+) -> None:
+    """Steps a tenth as long move it a tenth as far; the library's leap stays."""
+    direction = np.random.default_rng(seed).normal(size=7)
+    direction /= np.abs(direction).max()
+    coarse, fine = (follower.largest_step(direction, 2e-2, n, smooth=True) for n in (400, 4000))
+    assert fine < 0.15 * coarse
+    assert fine < 2e-4
+    own = follower.largest_step(direction, 2e-2, 4000, smooth=False)
+    assert own > 0.02
+
+
+def test_the_base_is_asked_for_no_jump_there(
+    robot: RobotModel, border_data: BorderData, follower: Follower
+) -> None:
+    state, asked = RobotState(robot), []
+    avoidance = SelfCollisionAvoidance(state, border_data.pairs, border_data.clouds, Config())
+    direction = np.random.default_rng(0).normal(size=7)
+    for s in np.linspace(-1e-2, 1e-2, 2001):
+        state.update(at_rest(robot, PARALLEL + s * direction))
+        found = avoidance.update()
+        asked.append(found.beta_m * found.xdd_m)
+    assert np.abs(asked).max() > 0.1
+    v, w = np.abs(np.diff(asked, axis=0)).max(axis=0)
+    assert v < 0.002
+    assert w < 0.005
+
+
+def test_where_one_point_is_clearly_the_nearest_it_is_that_one(
+    robot: RobotModel, follower: Follower
+) -> None:
+    """A capsule that points at the base, or away from it."""
+    rng, found = np.random.default_rng(1), 0
+    while found < 60:
+        q_m = rng.uniform(robot.q_lower, robot.q_upper)
+        own = follower.at(q_m, smooth=False)
+        if not 0.01 < own.d < D_B:
+            continue
+        hand = follower.state.T_world_ee.rotation[:, 2]
+        if abs(hand @ own.n) < 0.9:
+            continue
+        found += 1
+        smooth = follower.at(q_m, smooth=True)
+        assert smooth.d == pytest.approx(own.d, abs=1e-12)
+        assert np.linalg.norm(smooth.p_b - own.p_b) < 1e-3
+        assert smooth.n @ own.n > 1.0 - 1e-4
+
+
+def test_the_points_are_on_the_normal_behind_each_other(
+    robot: RobotModel, follower: Follower
+) -> None:
+    """p_b lies between p_a and the core, along n, never beyond the nearest point by much."""
+    rng, found = np.random.default_rng(2), 0
+    while found < 60:
+        q_m = rng.uniform(robot.q_lower, robot.q_upper)
+        c = follower.at(q_m, smooth=True)
+        if not 0.01 < c.d < D_B:
+            continue
+        found += 1
+        gap = float((c.p_b - c.p_a) @ c.n)
+        np.testing.assert_allclose(c.p_b - c.p_a, gap * c.n, atol=1e-9)
+        assert c.d - 1e-6 <= gap < c.d + 3 * BLEND
+        assert (c.core - c.p_b) @ c.n > 0.0
