@@ -7,7 +7,6 @@ import pickle
 import numpy as np
 import pinocchio as pin
 import pytest
-from app.control.hqp import HierarchicalQP, Limits, NoSolutionError, Objective
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,8 +18,9 @@ from app.control.active_bounds import TOLERANCE, Bound, admittance_bounds, met
 from app.control.controller import CONTROLLERS, Controller, ControlOutput
 from app.control.explanation import Explanation, NearPair, explain, split
 from app.control.levels import Level, level_readings
-from app.control.tasks import Reference, Stack, end_effector_task, free_arm_torque
-from app.control.transition import TaskTransition
+from app.control.qp import Limits, NoSolutionError, Objective, TaskQP
+from app.control.tasks import Reference, end_effector_task, free_arm_torque
+from app.control.transition import insert_rows
 from app.control.workings import ArmSolve, Workings
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
@@ -206,7 +206,8 @@ def test_the_posture_gives_up_what_its_joints_do_not_get(robot, dbb, seed):
 def test_a_guided_arm_gives_up_what_is_asked_beyond_carrying_itself(robot, dbb, pair):
     why, output = explained(dbb, near(robot, pair, 0))
     M_aa = dbb.state.M[2:, 2:]
-    expected = np.linalg.norm(np.linalg.solve(M_aa, output.u_a - free_arm_torque(dbb.state)))
+    u_0 = free_arm_torque(dbb.state) + output.inserted.u_a
+    expected = np.linalg.norm(np.linalg.solve(M_aa, output.u_a - u_0))
     assert level(why, "free").angular == pytest.approx(expected, abs=1e-5)
 
 
@@ -216,18 +217,18 @@ def test_rows_that_contradict_each_other_give_up_half_of_their_difference_each(r
     e = np.eye(9)
     given_rows = TaskRows(e[:2], np.zeros(2), np.zeros(2), 1.0)
     rows = [TaskRows(e[[5]], np.zeros(1), np.array([b]), 1.0) for b in (1.0, 1.0 + gap)]
-    limits = Limits(e[:1], np.array([-1e6]), np.array([1e6]))
-    stack = Stack((), Objective(e, np.zeros(9)))
-    above = (given_rows, *rows)
-    solution = TaskTransition(HierarchicalQP(9)).solve(above, *stack, limits)
-    arm = ArmSolve(above, stack, limits, solution, np.zeros(7))
+    limits = Limits(e[:1, 2:], np.array([-1e6]), np.array([1e6]), 0)
+    objective, above = Objective(e, np.zeros(9)), (given_rows, *rows)
+    whole = insert_rows(objective, above, 1e-6)
+    qdd = TaskQP().solve(whole, Limits(e[:1], *limits[1:]), 1e-6)
+    arm = ArmSolve(above[1:], None, objective, limits, qdd)
     inserted = output.inserted._replace(rows_m=None, rows_arm=(), rows_links=tuple(rows))
     output = output._replace(inserted=inserted)
     links, free = level_readings(
-        robot.description.base, output, Workings(np.zeros(2), np.zeros(2), arm)
+        robot.description.base, output, Workings(np.zeros(2), np.zeros(2), arm, (REST, REST))
     )
-    assert links == ("links", pytest.approx(np.sqrt(2.0) * gap / 2.0, abs=1e-7), None)
-    assert free.angular == pytest.approx(1.0 + gap / 2.0, abs=1e-7)
+    assert links == ("links", pytest.approx(np.sqrt(2.0) * gap / 2.0, abs=1e-4), None)
+    assert free.angular == pytest.approx(1.0 + gap / 2.0, abs=1e-4)
 
 
 def test_the_base_gives_up_what_its_largest_acceleration_does_not_allow(robot, dbb):
@@ -259,10 +260,7 @@ def test_the_base_gives_up_what_would_take_along_a_hand_that_the_arm_cannot_hold
     missing = np.abs(wanted - output.base_acceleration)
     assert level(why, "base")[1:] == pytest.approx(tuple(missing), abs=1e-9)
     assert np.linalg.norm(missing) > 0.5 * np.linalg.norm(wanted) > 0.0
-    assert why.holding_share == output.avoidance.holding.share == 0.0
     assert not [b for b in why.bounds if b.where == "base" and "acceleration" in b.kind]
-    held, _ = explained(dbb, m)
-    assert held.holding_share == 1.0
 
 
 # Limits
@@ -273,14 +271,14 @@ def test_a_bound_is_reported_exactly_where_giving_way_would_change_the_answer(se
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(9, 9))
     objective = Objective(A @ A.T + np.eye(9), 3.0 * rng.normal(size=9))
-    limits = Limits(np.eye(9)[:6], np.full(6, -0.3), np.full(6, 0.3))
-    qdd = HierarchicalQP(9).solve([], objective, limits).qdd
-    low, high = met(limits, qdd)
+    limits = Limits(np.eye(9)[:6], np.full(6, -0.3), np.full(6, 0.3), 3)
+    qdd = TaskQP().solve(objective, limits, 1e-6)
+    low, high = met(limits, qdd, 1e-6)
     assert (low | high).any()
     for i in range(6):
         for side, at in ((limits.l, low[i]), (limits.u, high[i])):
             kept, side[i] = side[i], 10.0 * side[i]
-            moved = np.abs(HierarchicalQP(9).solve([], objective, limits).qdd - qdd).max()
+            moved = np.abs(TaskQP().solve(objective, limits, 1e-6) - qdd).max()
             side[i] = kept
             assert (moved > 10 * TOLERANCE) == at
 
@@ -323,7 +321,8 @@ def test_a_torque_that_cannot_change_so_fast_is_reported_until_it_has_arrived(ro
     for _ in range(3):
         output = dbb.step(m)
         why = explain(dbb, output, slow, REST)
-        late = np.abs(output.workings.arm.u_a - output.u_a) > TOLERANCE
+        low, high = output.workings.torque
+        late = np.minimum(output.u_a - low, high - output.u_a) < TOLERANCE
         joints = [b.where for b in why.bounds if b.kind == "torque rate"]
         assert joints == [j for j, at in zip(robot.description.arm.joints, late, strict=True) if at]
         assert joints
@@ -373,19 +372,11 @@ def test_a_barrier_is_held_exactly_where_its_row_is_at_its_bound(robot, controll
     assert held == {True, False}
 
 
-def test_the_arms_own_rows_are_told_from_above_and_as_the_last_resort(robot, dbb):
-    for seed in range(6):
-        m = near(robot, "lm-lEE", seed, 0.02, 0.10)
-        why, output = explained(dbb, m)
-        betas = [pair.arm_beta for pair in why.near if pair.arm_beta > 0.0]
-        assert sorted(betas) == sorted(row.beta for row in output.inserted.rows_arm)
-
-
 def test_without_a_solution_it_says_so_and_still_what_is_near(robot, dbb, monkeypatch):
     def fail(*_, **__):
-        raise NoSolutionError(0, "none")
+        raise NoSolutionError("none")
 
-    monkeypatch.setattr(TaskTransition, "solve", fail)
+    monkeypatch.setattr(TaskQP, "solve", fail)
     why, output = explained(dbb, near(robot, "lm-lEE", 0))
     assert not why.solved
     assert output.workings is None
