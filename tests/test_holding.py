@@ -51,7 +51,7 @@ def test_what_is_carried_is_what_the_formula_says_direction_by_direction(seed: i
 def test_the_papers_arm_holds_its_hand_in_its_ready_pose() -> None:
     state = ready(husky_panda())
     moved = state.J_ee[:3, :2] @ state.model.J_m_inv
-    assert np.abs(carried(state, SPEED)).max() < 0.02 * np.abs(moved).max()
+    assert np.abs(carried(state, SPEED)).max() < 0.05 * np.abs(moved).max()
 
 
 def test_stretch_holds_its_hand_along_its_telescope_and_not_along_its_wheels() -> None:
