@@ -11,9 +11,11 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 import pytest
-from app.control.hqp import EqualityTask, Limits, Objective
+from scipy.optimize import nnls
 
 from app.avoidance.acting_point import ActingPointFinder
+from app.avoidance.barrier import BarrierRow
+from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
 from app.border.offset import RAYS, OffsetContours
@@ -22,6 +24,8 @@ from app.border.surface import BorderSurface, Foot
 from app.config import Config, LimitConfig, TaskConfig
 from app.control import controller as controller_module
 from app.control.controller import Controller
+from app.control.qp import Limits, Objective, TaskQP
+from app.control.tasks import EqualityTask
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 
