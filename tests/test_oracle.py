@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -16,9 +16,11 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from tests.oracle import PlainState, plain_controller, use_plain_parts
 
-STATES = 3_000
+STATES = 1_000
 AGREES = 1e-6
 """Relative to the largest entry, or to 1 N m or 1 m/s² if that is more."""
+AGREES_LIMITED = 1e-5
+"""The same where a limit is met."""
 
 
 class Moment(NamedTuple):
@@ -53,23 +55,21 @@ def moments(robot: RobotModel, data: BorderData, count: int, seed: int) -> list[
     return found
 
 
-def answers(controller: Controller, given: list[Moment]) -> list[tuple[ControlOutput, int]]:
-    """Each moment's answer, and how many QPs it took."""
-    solver, outputs = controller._transition._solver, []
-    count = 0
-
-    def counted(*args: Any, **options: Any) -> Any:
-        nonlocal count
-        count += 1
-        return solve_qp(*args, **options)
-
-    solve_qp, solver._solve_qp = solver._solve_qp, counted
+def answers(controller: Controller, given: list[Moment]) -> list[ControlOutput]:
+    """Each moment's answer."""
+    outputs = []
     for measurement, reference, base_acceleration in given:
         controller.reset()
-        count = 0
-        output = controller.step(measurement, reference, base_acceleration=base_acceleration)
-        outputs.append((output, count))
+        outputs.append(controller.step(measurement, reference, base_acceleration=base_acceleration))
     return outputs
+
+
+def met_a_limit(output: ControlOutput) -> bool:
+    """Whether the arm's part met one of its limits."""
+    assert output.workings is not None
+    arm = output.workings.arm
+    reached = arm.limits.C @ arm.qdd[2:]
+    return bool(((reached < arm.limits.l + 1e-6) | (reached > arm.limits.u - 1e-6)).any())
 
 
 @pytest.mark.slow
@@ -82,34 +82,20 @@ def test_random_states_are_answered_alike(
     assert isinstance(oracle.state, PlainState)
     use_plain_parts(monkeypatch)
     plain = answers(oracle, given)
-    kinds = dict.fromkeys(("active", "several rows", "tracking", "limited"), 0)
-    differ = 0
-    for (a, _), (b, qps) in zip(fast, plain, strict=True):
-        assert a.solved == b.solved
-        if a.workings is None or b.workings is None:
-            continue
-        mine, theirs = a.workings.arm, b.workings.arm
+    kinds = dict.fromkeys(("active", "several rows", "tracking", "free", "limited"), 0)
+    for a, b in zip(fast, plain, strict=True):
+        assert a.solved
+        assert b.solved
+        limited = met_a_limit(b)
         kinds["active"] += a.avoidance.beta_m > 0
         kinds["several rows"] += len(a.inserted.rows) > 1
         kinds["tracking"] += a.tracking
+        kinds["limited" if limited else "free"] += 1
         agree(a.avoidance.xdd_m, b.avoidance.xdd_m)
-        kinds["limited"] += qps > 0
-        if qps > 0 and not (alike(mine.u_a, theirs.u_a) and alike(*both_base(a, b))):
-            differ += 1  # where several levels meet limits, each magnifies the QPs' own accuracy
-            continue
-        agree(mine.u_a, theirs.u_a)
-        agree(*both_base(a, b))
+        agree(a.base_acceleration, b.base_acceleration)
+        agree(a.u_a, b.u_a, AGREES_LIMITED if limited else AGREES)
     assert min(kinds.values()) > STATES / 50, kinds
-    assert differ < 0.03 * kinds["limited"], (differ, kinds)
 
 
-def alike(a: np.ndarray, b: np.ndarray) -> bool:
-    return float(np.abs(a - b).max()) <= AGREES * max(1.0, float(np.abs(b).max()))
-
-
-def agree(a: np.ndarray, b: np.ndarray) -> None:
-    np.testing.assert_allclose(a, b, rtol=0.0, atol=AGREES * max(1.0, float(np.abs(b).max())))
-
-
-def both_base(a: ControlOutput, b: ControlOutput) -> tuple[np.ndarray, np.ndarray]:
-    return a.base_acceleration, b.base_acceleration
+def agree(a: np.ndarray, b: np.ndarray, share: float = AGREES) -> None:
+    np.testing.assert_allclose(a, b, rtol=0.0, atol=share * max(1.0, float(np.abs(b).max())))

@@ -115,7 +115,7 @@ def test_the_second_derivative_of_the_distance_is_that_of_the_library(
     robot: RobotModel, border_data: BorderData
 ) -> None:
     """The curvature of the distance of two fixed points, added, makes it several times worse."""
-    own, with_curvature = curvature_errors(robot, border_data, 600).T
+    own, with_curvature = curvature_errors(robot, border_data, 300).T
     assert np.median(own) < 0.05
     assert np.quantile(own, 0.95) < 0.5
     assert np.quantile(with_curvature, 0.95) > 3.0 * np.quantile(own, 0.95)

@@ -176,8 +176,8 @@ class Controller:
         self._watch_pushes(known=good)
         avoidance = self._avoidance.update()
         inserted = self._method(self.state, avoidance, self._config)
-        wanted = self._base_acceleration(inserted, reference)
-        asked = _clipped(wanted, self._model.base_acceleration_max)
+        wanted, asked = self._base_acceleration(inserted, reference)
+        asked = _clipped(asked, self._model.base_acceleration_max)
         given = asked if base_acceleration is None else base_acceleration
         torque, workings = self._torque_range(), None
         try:
@@ -207,14 +207,18 @@ class Controller:
         """The score by which a pair of L_m chooses its acting points, by the pair's name."""
         return self._avoidance.field(pair)
 
-    def _base_acceleration(self, inserted: Inserted, reference: Reference | None) -> Array:
-        """The base's part of (29), (n_b,): its rows fix it once the solution without them is known.
+    def _base_acceleration(
+        self, inserted: Inserted, reference: Reference | None
+    ) -> tuple[Array, Array]:
+        """The base's part of (29), (n_b,), and what of it does not take the hand along.
+
+        The rows fix it once the solution without them is known.
 
         Paper: Eq. (29), the base's rows.
         """
         rows_m, free = inserted.rows_m, self._free_base(inserted, reference)
         if rows_m is None:
-            return free
+            return free, free
         wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
         # What the hand needs of the base, said so that the admittance law answers with it.
         gain, drag = self._response
@@ -222,7 +226,7 @@ class Controller:
         holding, most = self._config.holding, self._model.base_acceleration_max
         taken = carried(self.state, holding.speed) * gain
         weight = rows_m.beta * holding.weight
-        return base_with_hand(self.state, _clipped(wanted, most), held, weight, taken)
+        return wanted, base_with_hand(self.state, _clipped(wanted, most), held, weight, taken)
 
     def _free_base(self, inserted: Inserted, reference: Reference | None) -> Array:
         """The base's acceleration in the solution of (29) without its rows, (n_b,).
