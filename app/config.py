@@ -102,7 +102,9 @@ class TaskConfig(Strict):
     """[-] how much slower the base corrects errors than the arm; its commands come at 10 Hz."""
     base_weight: Annotated[float, Shown(log=True)] = Field(default=1000.0, ge=1.0, le=1e6)
     """[-] how much costlier the base's acceleration is than the arm's, lowest level."""
-    ee_weight: Annotated[float, Shown(advanced=True, log=True)] = Field(default=1e5, ge=1.0, le=1e7)
+    ee_weight: Annotated[float, Shown(advanced=True, log=True)] = Field(
+        default=1e5, ge=1.0, le=1e7
+    )
     """[-] of the end-effector's task against the posture: how strictly it comes first."""
     softness: Annotated[float, Shown(advanced=True, log=True)] = Field(
         default=1e-3, ge=1e-6, le=0.1

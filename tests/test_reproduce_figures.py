@@ -28,7 +28,9 @@ def sources(robot: RobotModel, border_data: BorderData) -> Sources:
     run = short_run(robot, border_data, guiding.LATERAL, 2.0)
     return sources_of(
         robot, border_data,
-        every([*tracking.METHODS, tracking.NONE, tracking.WHEEL_AXIS, *guiding.NEEDS_COMPARED], run),
+        every(
+            [*tracking.METHODS, tracking.NONE, tracking.WHEEL_AXIS, *guiding.NEEDS_COMPARED], run
+        ),
     )  # fmt: skip
 
 

@@ -12,7 +12,6 @@ from app.robot.state import RobotState
 
 Array = np.ndarray
 
-
 class DistanceJacobian(NamedTuple):
     """How a pair's distance moves: ḋ = J q̇ and d̈ = J q̈ + J̇ q̇.
 

@@ -228,7 +228,9 @@ class Session:
 
     def _look(self, output: ControlOutput) -> BufferReading:
         closest = [pair.closest for pair in output.avoidance.mobile]
-        return self._watch.update(self.state, closest, DT, gives_way=self.controller.name == "dbb")
+        return self._watch.update(
+            self.state, closest, DT, gives_way=self.controller.name == "dbb"
+        )
 
     def _disturb(self, config: DisturbanceConfig) -> None:
         self._disturbances.config = config
