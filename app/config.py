@@ -48,7 +48,7 @@ class ActivationConfig(Strict):
 
     d_full: float = Field(default=0.05, ge=0.0, le=0.05)
     """[m] distance at which the avoidance task is in full force."""
-    blend: Annotated[float, Shown("closest point over", advanced=True)] = Field(
+    blend: Annotated[float, Shown("closest within", advanced=True)] = Field(
         default=0.005, ge=0.001, le=0.05
     )
     """[m] parts of a link that are farther than its nearest by less share in the closest point."""
@@ -75,11 +75,11 @@ class BarrierConfig(Strict):
 class HoldingConfig(Strict):
     """Where the arm cannot hold its hand in place while the base moves, the base moves less."""
 
-    speed: Annotated[float, Shown("arm keeps up at", advanced=True)] = Field(
+    speed: Annotated[float, Shown("arm holds at", advanced=True)] = Field(
         default=0.3, ge=0.01, le=2.0
     )
     """[m/s] of the hand at the joints' largest speeds: where it is less, the arm does not hold."""
-    weight: Annotated[float, Shown("hand weighs", advanced=True, log=True)] = Field(
+    weight: Annotated[float, Shown("hand weighs", log=True)] = Field(
         default=1000.0, ge=0.01, le=1e5
     )
     """[-] of a hand that the base would take along, in masses of the base."""

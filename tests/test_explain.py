@@ -147,9 +147,7 @@ def test_a_limit_names_the_joint_or_the_pair():
 
 
 EVERYTHING = list(
-    product(
-        CONTROLLERS, NEAR, MOTIONS, ("guiding", "tracking"), (LEVELS, ()), (True, False)
-    )
+    product(CONTROLLERS, NEAR, MOTIONS, ("guiding", "tracking"), (LEVELS, ()), (True, False))
 )
 
 

@@ -11,6 +11,7 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import ControlOutput
 from app.robot.model import RobotModel
+from app.simulation.changes import Changes
 from app.simulation.physics import Contacts
 from app.simulation.recording import NEAR, Recorder
 from app.simulation.scenario import LINES
@@ -74,6 +75,17 @@ def test_ways_and_jumps_are_those_of_the_steps(recorder: Recorder, steps: list[S
     assert list(figures["base_acceleration_jump_max"].values()) == pytest.approx(jump.tolist())
     torques = np.array([s.output.u_a for s in steps])
     assert figures["torque_jump_max_nm"] == np.abs(np.diff(torques, axis=0)).max()
+
+
+def test_a_torque_that_goes_to_and_fro_is_counted_by_the_turns_of_its_rate():
+    poses, steps = np.zeros((1000, 3)), np.arange(1000)
+    ramp = np.column_stack([0.01 * steps, 5.0 - 0.01 * steps])
+    for tooth, turns in ((0.0, 0), (0.002, 0), (0.1, 998)):
+        changes = Changes()
+        for k in range(0, 1000, 100):
+            swing = np.outer((-1.0) ** steps[k : k + 100], [tooth, 0.0])
+            changes.add(ramp[k : k + 100] + swing, poses[k : k + 100])
+        assert changes.torque_rate_sign_changes == turns
 
 
 def test_times_are_percentiles_in_microseconds(recorder: Recorder, steps: list[Step]):

@@ -9,7 +9,7 @@ import pytest
 
 from app.border.cache import BorderData
 from app.reproduce import claims, guiding, refrigerator, thresholds, tracking
-from app.reproduce.claims import CLAIMS, WHEEL_AXIS, Claim, claims_of, judge
+from app.reproduce.claims import CLAIMS, DIRECTIONS, Claim, claims_of, judge
 from app.reproduce.experiments import Experiment, Run
 from app.reproduce.names import FIGURES
 from app.robot.model import RobotModel
@@ -19,8 +19,8 @@ MEASURED_APART = {"density"}  # figures whose claims are measured by real runs, 
 SMOOTH = {
     "avoidance_acceleration_jump_max": {"linear_mps2": 0.01, "angular_radps2": 0.01},
     "avoidance_acceleration_sign_changes": {"linear": 0, "angular": 1},
-    "torque_jump_max_nm": 0.01,
-}
+    "torque_jump_max_nm": 0.01, "torque_rate_sign_changes": 0,
+}  # fmt: skip
 GOOD: dict[str, Any] = {
     "min_clearance_m": 0.1, "ee_error_final_m": 1e-6, "base_displacement_m": 0.3, **SMOOTH,
     "door_met_base_s": None, "door_min_distance_m": 0.1, "door_opened_80deg_at_s": 38.0,
@@ -47,7 +47,7 @@ def good_runs() -> dict[Experiment, Run]:
     runs[tracking.NONE] = run(min_clearance_m=0.0)
     runs[refrigerator.NONE] = run(door_met_base_s=30.0)
     for experiment in guiding.COMPARED["repulsive"].values():
-        runs[experiment] = run(torque_jump_max_nm=1.0)
+        runs[experiment] = run(torque_rate_sign_changes=47)
     return runs
 
 
@@ -75,10 +75,13 @@ def test_with_good_figures_every_claim_holds(claim: Claim, robot, border_data):
         (guiding.FRONT, {"back": 0.0}, claims._backs_off_in_front),
         (guiding.LATERAL, {"beta_step": 0.06}, claims._continuous_beta),
         (guiding.FRONT, {"beta_step": 0.06}, claims._continuous_beta),
-        (guiding.LATERAL, {"torque_jump_max_nm": 2.0}, claims._smoother_than_repulsive),
-        (WHEEL_AXIS, {"base_displacement_m": 0.0}, claims._any_direction),
-        (WHEEL_AXIS, {"ee_error_final_m": 0.055}, claims._any_direction),
-        (WHEEL_AXIS, {"min_clearance_m": 0.0}, claims._any_direction),
+        (guiding.LATERAL, {"torque_rate_sign_changes": 3}, claims._smoother_than_repulsive),
+        *((e, {"base_displacement_m": 0.0}, claims._any_direction) for e in DIRECTIONS.values()),
+        *((e, {"min_clearance_m": 0.0}, claims._any_direction) for e in DIRECTIONS.values()),
+        *(
+            (e, {"ee_error_final_m": 0.055}, claims._any_direction)
+            for e in DIRECTIONS.values() if e.scenario == "tracking"
+        ),
         (refrigerator.NONE, {"door_met_base_s": 36.0}, claims._door_collides),
         (refrigerator.NONE, {"door_met_base_s": 24.0}, claims._door_collides),
         (refrigerator.NONE, {"door_met_base_s": None}, claims._door_collides),

@@ -28,7 +28,9 @@ def sources(robot: RobotModel, border_data: BorderData) -> Sources:
     run = short_run(robot, border_data, guiding.LATERAL, 2.0)
     return sources_of(
         robot, border_data,
-        every([*tracking.METHODS, tracking.NONE, *guiding.NEEDS_COMPARED], run),
+        every(
+            [*tracking.METHODS, tracking.NONE, tracking.WHEEL_AXIS, *guiding.NEEDS_COMPARED], run
+        ),
     )  # fmt: skip
 
 
@@ -146,6 +148,14 @@ def test_the_moment_is_where_the_hand_is_nearest(sources: Sources):
     d = sources.runs[guiding.LATERAL].log["d_lm-lEE_m"]
     assert now.closest.d == pytest.approx(d.min(), abs=1e-9)
     assert np.abs(now.slice[:, 2] - now.closest.p_b[2]).max() <= 0.005 + 1e-9
+
+
+def test_no_other_moment_shows_both_components_better(sources: Sources):
+    def smaller(now: acting.Moment) -> float:
+        found, f = acting._found(sources, now, sources.config.force)
+        return min(np.linalg.norm(v) for v in acting.components(now.closest.p_b, found.p_n, f))
+
+    assert smaller(acting.turning(sources)) >= smaller(acting.moment(sources)) - 1.0 > 0.0
 
 
 def test_the_activation_is_the_controllers(drawn):

@@ -131,7 +131,7 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
     )
     return (
         f"the arm cannot hold its hand's place while the base {ways}: there the base gives way "
-        "only along paths that leave the hand where it is"
+        "less, as far as the hand stays where it is"
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +21,7 @@ from app.border.offset import OffsetContours
 from app.border.score import ScoreField
 from app.config import ForceConfig
 from app.reproduce.drawing import Drawing, Table
-from app.reproduce.experiments import Sources
+from app.reproduce.experiments import Run, Sources
 from app.reproduce.guiding import LATERAL
 from app.reproduce.motion import base_corners, closest_points
 from app.reproduce.style import (
@@ -34,17 +35,19 @@ from app.reproduce.style import (
     new_figure,
     panel_title,
 )
+from app.reproduce.tracking import WHEEL_AXIS
 from app.robot.link_pairs import Closest
 from app.robot.meshes import shape_mesh
 from app.robot.model import RobotModel
 
 Array = np.ndarray
 
-NEEDS = (LATERAL,)
+NEEDS_7, NEEDS = (WHEEL_AXIS,), (LATERAL,)
 TOO_LARGE = ForceConfig(alpha_gain=0.1, alpha_max=0.4)
 """A step size that almost always stands at its upper bound, as large as the bound can be."""
 
 _NORMAL, _TANGENT = "#56B4E9", "#E69F00"
+_EVERY = 20  # rows of a log between two looks at the force
 _ZOOM = 0.30  # [m] around the acting point
 
 
@@ -70,22 +73,44 @@ class Moment(NamedTuple):
 
 def moment(sources: Sources) -> Moment:
     """The instant of the lateral guiding at which the hand is deepest in its buffer."""
-    pair, run = sources.data.pairs.mobile[0], sources.runs[LATERAL]
-    k = int(run.log[f"d_{pair.name}_m"].argmin())
-    (closest,) = closest_points(sources.model, pair, run.q_m[k : k + 1])
-    config = sources.config.border
+    run = sources.runs[LATERAL]
+    deepest = int(run.log[f"d_{sources.data.pairs.mobile[0].name}_m"].argmin())
+    return _moments(sources, run, [deepest])[0]
+
+
+def turning(sources: Sources) -> Moment:
+    """The instant near the wheel axis at which the smaller component of the force is largest."""
+    run, d_b = sources.runs[WHEEL_AXIS], sources.config.border.d_b
+    inside = np.flatnonzero(run.log[f"d_{sources.data.pairs.mobile[0].name}_m"] < d_b)[::_EVERY]
+
+    def smaller(now: Moment) -> float:
+        acting, f = _found(sources, now, sources.config.force)
+        return min(np.linalg.norm(v) for v in components(now.closest.p_b, acting.p_n, f))
+
+    return max(_moments(sources, run, inside.tolist()), key=smaller)
+
+
+def _moments(sources: Sources, run: Run, rows: Sequence[int]) -> list[Moment]:
+    pair, config = sources.data.pairs.mobile[0], sources.config.border
     border = construct_dbb(sources.data.clouds[pair.name], config.d_b, config.eps)
     field = ScoreField.of(sources.model, pair.b)
     shape = BORDERS[config.kind](border, OffsetContours(sources.model, config.d_b))
     finder = ActingPointFinder(shape, field)
-    same_height = border.same_height(float(closest.p_b[2]))
-    score = field.score(same_height)
-    return Moment(float(run.log["t_s"][k]), run.q_m[k], closest, same_height, score, finder)
+    found = []
+    for k, closest in zip(rows, closest_points(sources.model, pair, run.q_m[rows]), strict=True):
+        same_height = border.same_height(float(closest.p_b[2]))
+        found.append(
+            Moment(
+                float(run.log["t_s"][k]), run.q_m[k], closest, same_height,
+                field.score(same_height), finder,
+            )
+        )  # fmt: skip
+    return found
 
 
 def figure_7(sources: Sources) -> Drawing:
     """The force at the acting point and its two orthogonal components."""
-    now = moment(sources)
+    now = turning(sources)
     acting, f = _found(sources, now, sources.config.force)
     along, across = components(now.closest.p_b, acting.p_n, f)
     figure = new_figure(5.4)
@@ -114,7 +139,7 @@ def figure_7(sources: Sources) -> Drawing:
         figure,
         {"": _slice_table(now), "points": _point_table(now, {"chosen": acting})},
         {"t_s": now.t, **_shares(now, acting, f)},
-        ["Taken from the lateral guiding, where the hand is nearest to the base."],
+        ["Taken from a hand that comes along the wheel axis, once the base has begun to turn."],
     )
 
 

@@ -13,8 +13,14 @@ from app.reproduce.thresholds import Threshold
 
 Array = np.ndarray
 
-WHEEL_AXIS = Experiment("tracking", "dbb", start=(0.0, 0.68, 0.30))
-"""The hand comes along the wheel axis, along which the base cannot move at once."""
+WHEEL_AXIS = tracking.WHEEL_AXIS
+DIRECTIONS = {
+    "wheel axis, left": WHEEL_AXIS,
+    "wheel axis, right": Experiment("tracking", "dbb", (0.0, -0.68, 0.30), move=(0.0, 0.2, 0.0)),
+    "side": tracking.DBB,
+    "front": guiding.FRONT,
+}
+"""From where the hand comes; where it tracks it has to arrive, too."""
 
 
 class Finding(NamedTuple):
@@ -187,18 +193,19 @@ def _smooth_run(name: str, run: Run) -> Finding:
 
 
 def _smoother_than_repulsive(s: Sources) -> Finding:
-    jumps = {
-        name: max(s.runs[e].figures["torque_jump_max_nm"] for e in experiments.values())
+    changes = {
+        name: max(s.runs[e].figures["torque_rate_sign_changes"] for e in experiments.values())
         for name, experiments in guiding.COMPARED.items()
     }
     own = at_most(
-        "largest change of a torque in a control step", "dbb_torque_jump_nm", jumps["dbb"],
-        thresholds.TORQUE_JUMP,
+        "sign changes of a torque's rate", "dbb_torque_rate_sign_changes", changes["dbb"],
+        thresholds.TORQUE_SIGN_CHANGES,
     )  # fmt: skip
-    other = jumps["repulsive"]
+    other = changes["repulsive"]
     than = Finding(
-        f"repulsive {other:.3g} N m", jumps["dbb"] < other, {"repulsive_torque_jump_nm": other}
-    )
+        f"repulsive {other}", changes["dbb"] < other,
+        {"repulsive_torque_rate_sign_changes": other},
+    )  # fmt: skip
     return all_of(own, than)
 
 
@@ -249,13 +256,23 @@ def _incomplete_knowledge(s: Sources) -> Finding:
 
 
 def _any_direction(s: Sources) -> Finding:
-    run = s.runs[WHEEL_AXIS]
-    moved, error = run.figures["base_displacement_m"], run.figures["ee_error_final_m"]
-    return all_of(
-        at_least("along the wheel axis the base moves", "base_moves_m", moved, thresholds.MOVED),
-        _clearance(run),
-        at_most("final error", "ee_error_final_m", error, thresholds.REACHED),
-    )
+    return all_of(*(_direction(name, s.runs[e], e) for name, e in DIRECTIONS.items()))
+
+
+def _direction(name: str, run: Run, experiment: Experiment) -> Finding:
+    """Clear of the base, which makes room; at its target, if the hand is not led by a person."""
+    key, figures = name.replace(", ", "_").replace(" ", "_"), run.figures
+    moved, least = figures["base_displacement_m"], figures["min_clearance_m"]
+    found = [
+        at_least(f"{name}: base moves", f"{key}_base_moves_m", moved, thresholds.MOVED),
+        at_least("least distance", f"{key}_min_clearance_m", least, thresholds.CLEAR),
+    ]
+    if experiment.scenario == "tracking":
+        error = figures["ee_error_final_m"]
+        found.append(
+            at_most("final error", f"{key}_ee_error_final_m", error, thresholds.REACHED)
+        )  # fmt: skip
+    return all_of(*found)
 
 
 def _trade_off(s: Sources) -> Finding:
@@ -316,7 +333,7 @@ CLAIMS = (
     Claim("4.2.2", "fig14", "The activation rises as the distance falls, and the task is inserted "
           "continuously.", _continuous_beta, guiding.NEEDS),
     Claim("4.2.2", "fig13", "Collisions are avoided whatever the direction of approach, the one "
-          "along which the base cannot move included.", _any_direction, (WHEEL_AXIS,)),
+          "along which the base cannot move included.", _any_direction, tuple(DIRECTIONS.values())),
     Claim("4.2.3", "fig18", "Without avoidance the door collides with the base at 30 s.",
           _door_collides, (refrigerator.NONE,)),
     Claim("4.2.3", "fig18", "With it the door never collides.",

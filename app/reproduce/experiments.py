@@ -39,6 +39,7 @@ class Experiment(NamedTuple):
         scenario: Name of the scenario.
         controller: Name of the controller.
         start: [m] where the hand starts, if not where the scenario says.
+        move: [m] how far it is led, likewise.
         points: Whether the border is the paper's cloud of points and not the surface through it.
     """
 
@@ -46,6 +47,7 @@ class Experiment(NamedTuple):
     controller: str
     start: Point | None = None
     points: bool = False
+    move: Point | None = None
 
     @property
     def name(self) -> str:
@@ -55,8 +57,8 @@ class Experiment(NamedTuple):
         return f"{self.scenario}{start}, {self.controller}{border}"
 
     def full(self) -> Scenario:
-        """The scenario with its start."""
-        return scenario_by_name(self.scenario).changed(start=self.start)
+        """The scenario with its start and its way."""
+        return scenario_by_name(self.scenario).changed(start=self.start, move=self.move)
 
     def config(self) -> Config:
         """The parameters: the defaults, but for the kind of border."""

@@ -27,7 +27,7 @@ FIGURES = {
     "fig3": FigureMaker(offline.figure_3),
     "fig5": FigureMaker(offline.figure_5),
     "fig6": FigureMaker(offline.figure_6),
-    "fig7": FigureMaker(acting.figure_7, acting.NEEDS),
+    "fig7": FigureMaker(acting.figure_7, acting.NEEDS_7),
     "fig8": FigureMaker(acting.figure_8, acting.NEEDS),
     "fig10": FigureMaker(acting.figure_10),
     "fig11": FigureMaker(tracking.figure_11, tracking.METHODS),

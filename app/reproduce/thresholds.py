@@ -45,8 +45,8 @@ ANGULAR_JUMP = Threshold(
 SIGN_CHANGES = Threshold(
     3, "", "chosen with the first runs known: into the buffer, out of it, once to settle"
 )
-TORQUE_JUMP = Threshold(
-    0.87, "N m", "chosen with the first runs known: a hundredth of the large joints' most"
+TORQUE_SIGN_CHANGES = Threshold(
+    2, "", "chosen: a torque rises, falls and settles while the hand is led in once and held"
 )
 MET_FROM = Threshold(25.0, "s", "§4.2.3: at 30 s, give or take 5 s")
 MET_TO = Threshold(35.0, "s", "§4.2.3: at 30 s, give or take 5 s")

@@ -24,6 +24,8 @@ DBB = Experiment("tracking", "dbb")
 REPULSIVE = Experiment("tracking", "repulsive")
 NONE = Experiment("tracking", "none")
 METHODS = (DBB, REPULSIVE)
+WHEEL_AXIS = Experiment("tracking", "dbb", start=(0.0, 0.68, 0.30))
+"""The hand comes along the wheel axis, along which the base cannot move at once."""
 
 _TIMES = (0.0, 10.0, 20.0, 30.0)  # [s] of the snapshots
 _PAIRS = ("lm-lEE", "lm-l3")
@@ -93,6 +95,10 @@ def figure_12(sources: Sources) -> Drawing:
         figure,
         {"": table},
         {e.controller: _errors(sources.runs[e]) for e in METHODS},
+        [
+            "The repulsive method's task takes all three directions of the closest point, so the "
+            "hand hardly goes on from where the buffer begins."
+        ],
     )
 
 

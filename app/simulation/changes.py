@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -14,6 +14,7 @@ Taken = TypeVar("Taken")
 
 _TOGETHER = 100  # control steps
 _DEAD_BAND = 0.01  # [m/s², rad/s²] within which an acceleration has no sign
+_TORQUE_BAND = 0.003  # [N m] or [N] a step, within which a torque's rate has none
 
 
 class Batch(Generic[Taken]):
@@ -44,6 +45,26 @@ class Batch(Generic[Taken]):
             self._take(waiting)
 
 
+class SignChanges:
+    """Counts changes of sign of each of several numbers, that leave a dead band in between.
+
+    Attributes:
+        counts: (k,) so far.
+    """
+
+    def __init__(self, count: int, band: float) -> None:
+        self.counts = np.zeros(count, dtype=int)
+        self._band = band
+        self._signs = np.zeros(count)
+
+    def add(self, values: Array) -> None:
+        """Take the next values, (steps, k)."""
+        for i, column in enumerate(values.T):
+            signs = np.append(self._signs[i], np.sign(column[np.abs(column) > self._band]))
+            self.counts[i] += np.count_nonzero(signs[1:] * signs[:-1] < 0.0)
+            self._signs[i] = signs[-1]
+
+
 class Changes:
     """Adds up over control steps.
 
@@ -54,16 +75,24 @@ class Changes:
 
     def __init__(self) -> None:
         self.path = self.torque_jump = 0.0
+        self._reversals: SignChanges | None = None
         self._torques: Array | None = None
         self._pose: Array | None = None
 
     def add(self, torques: Array, poses: Array) -> None:
         """Take the arm's torques (k, n_m) and the base's poses (k, 3) of the next control steps."""
-        jumps = np.abs(np.diff(_after(self._torques, torques), axis=0))
-        self.torque_jump = _largest(jumps.ravel(), self.torque_jump)
+        changes = np.diff(_after(self._torques, torques), axis=0)
+        self.torque_jump = _largest(np.abs(changes).ravel(), self.torque_jump)
+        self._reversals = self._reversals or SignChanges(torques.shape[1], _TORQUE_BAND)
+        self._reversals.add(changes)
         x, y, _ = np.diff(_after(self._pose, poses), axis=0).T
         self.path += float(np.hypot(x, y).sum())
         self._torques, self._pose = torques[-1], poses[-1]
+
+    @property
+    def torque_rate_sign_changes(self) -> int:
+        """How often the rate of the most restless torque changes its sign, at 3 N m/s and more."""
+        return 0 if self._reversals is None else int(self._reversals.counts.max())
 
 
 class Smoothness:
@@ -76,9 +105,8 @@ class Smoothness:
     def __init__(self, base: BaseKind) -> None:
         self._angular = [axis.angular for axis in base.axes]
         self._last: Array | None = None
-        self._sign = [0.0] * base.n_b
         self._jump = [0.0] * base.n_b
-        self._changes = [0] * base.n_b
+        self._signs = SignChanges(base.n_b, _DEAD_BAND)
 
     def add(self, values: Array) -> None:
         """Take the accelerations (k, n_b) of the next control steps."""
@@ -86,17 +114,14 @@ class Smoothness:
         self._last = values[-1]
         for i, jumps in enumerate(np.abs(changes).T):
             self._jump[i] = _largest(jumps, self._jump[i])
-            column = values[:, i]
-            signs = np.append(self._sign[i], np.sign(column[np.abs(column) > _DEAD_BAND]))
-            self._changes[i] += int(np.count_nonzero(signs[1:] * signs[:-1] < 0.0))
-            self._sign[i] = float(signs[-1])
+        self._signs.add(values)
 
     @property
     def jumps(self) -> tuple[float, float]:
         """[m/s²] and [rad/s²] largest change in one step."""
         return self._worst(self._jump, angular=False), self._worst(self._jump, angular=True)
 
-    def _worst(self, values: Sequence[float], *, angular: bool) -> float:
+    def _worst(self, values: Iterable[float], *, angular: bool) -> float:
         sides = zip(values, self._angular, strict=True)
         return max((value for value, turns in sides if turns == angular), default=0.0)
 
@@ -108,8 +133,8 @@ class Smoothness:
                 "angular_radps2": self.jumps[1],
             },
             f"{name}_sign_changes": {
-                "linear": int(self._worst(self._changes, angular=False)),
-                "angular": int(self._worst(self._changes, angular=True)),
+                "linear": int(self._worst(self._signs.counts, angular=False)),
+                "angular": int(self._worst(self._signs.counts, angular=True)),
             },
         }
 

@@ -223,6 +223,7 @@ class Recorder:
             **self._asked.figures("base_acceleration"),
             **self._inserted.figures("avoidance_acceleration"),
             "torque_jump_max_nm": self._changes.torque_jump,
+            "torque_rate_sign_changes": self._changes.torque_rate_sign_changes,
             "hand_force_max_n": self._hand_force_max,
             "hand_force_clear_max_n": self._hand_force_clear_max,
             "hand_speed_max_mps": self._hand_speed_max,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.avoidance.distances import ClosestPoints
+from app.avoidance.distances import ClosestPoints, DistanceMonitor
 from app.avoidance.repulsion import distance_jacobian
 from app.config import Config
 from app.robot.link_pairs import PairDistances
@@ -99,12 +99,12 @@ def _samples(pose: Pose) -> list[Sample]:
     state.update(measured)
     qdd_all = np.concatenate([robot.model.J_m_inv @ vd, qdd])
     fine, coarse = _differences(robot, motion, t, _H), _differences(robot, motion, t, 2 * _H)
-    reader = PairDistances(robot.model, robot.data.pairs.all)
-    reader.update_from(state.data)
+    monitor, config = DistanceMonitor(state, robot.data.pairs.all), Config()
+    near = monitor.find_closest_points(within=config.border.d_b, blend=config.activation.blend)
     found = []
-    for i, pair in enumerate(reader.pairs):
-        closest = ClosestPoints(pair, *reader.closest(i))
-        if not 0.0 < closest.d < Config().border.d_b:
+    for i, closest in enumerate(near):
+        pair = closest.pair
+        if not 0.0 < closest.d < config.border.d_b:
             continue
         if abs(fine[i] - coarse[i]) > _KINK * (1.0 + abs(fine[i])):
             found.append(Sample(pair.name, None))

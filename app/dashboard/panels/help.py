@@ -17,7 +17,7 @@ sideways) and how well the arm reaches it (R of (9)). When the arm comes nearer 
    better score, p_act between hand and p_t is where the force acts.
 2. The force pushes there, the stronger the nearer the arm is. It moves the base away and turns
    it to where it can move.
-3. A hierarchy of QPs puts this above the hand's own task, faded in by β from 0 at d_b to 1 at
+3. A QP puts this before the hand's own task, faded in by β from 0 at d_b to 1 at
    d_full, so nothing jumps. Torques go to the arm at 1 kHz, velocities to the base at 10 Hz.
 
 **Tabs.** *Why* says in words what happens now. *Plots* shows the last 20 s. *View* has layers and

@@ -23,8 +23,8 @@ _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
     ("arm against base", "the rows of T_rep: the repulsive method's", ("arm",)),
     ("between links", "the rows (20) that part links of the arm", ("links",)),
     ("hand's task", "w_2 of (26): the end-effector's task", ("hand",)),
-    ("posture, or arm left alone",
-     "the lowest level: what the arm's joints would do by themselves", ("posture", "free")),
+    ("posture, or arm left alone", "what the arm's joints would do by themselves",
+     ("posture", "free")),
 )  # fmt: skip
 _ZERO = ForceSplit((0, 0), (0, 0), (0, 0), (0, 0), (0, 0), 0, 0, 0, 0)
 
@@ -70,7 +70,7 @@ def _tables(snapshot: Snapshot, why: Explanation) -> str:
         _table("Near", _near_rows(snapshot, why))
         + _table("Force on the base", _force_rows(why), _columns(why.axes))
         + _table("Where it acts, p_act", _score_rows(why))
-        + _table("Given up, highest priority first", _level_rows(why.levels))
+        + _table("Given up, what weighs most first", _level_rows(why.levels))
         + _table("Limited by", _bound_rows(why))
     )
 
