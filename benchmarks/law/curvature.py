@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.avoidance.distances import ClosestPoints
+from app.avoidance.distances import ClosestPoints, DistanceMonitor
 from app.avoidance.repulsion import distance_jacobian
 from app.config import Config
 from app.robot.link_pairs import PairDistances
@@ -101,9 +101,11 @@ def _samples(pose: Pose) -> list[Sample]:
     fine, coarse = _differences(robot, motion, t, _H), _differences(robot, motion, t, 2 * _H)
     reader = PairDistances(robot.model, robot.data.pairs.all)
     reader.update_from(state.data)
+    config = Config()
+    monitor = DistanceMonitor(state, robot.data.pairs.all)
+    near = monitor.find_closest_points(within=config.border.d_b, blend=config.activation.blend)
     found = []
-    for i, pair in enumerate(reader.pairs):
-        closest = ClosestPoints(pair, *reader.closest(i))
+    for i, (pair, closest) in enumerate(zip(reader.pairs, near, strict=True)):
         if not 0.0 < closest.d < Config().border.d_b:
             continue
         if abs(fine[i] - coarse[i]) > _KINK * (1.0 + abs(fine[i])):
