@@ -238,24 +238,6 @@ def test_only_a_base_that_gives_way_needs_a_buffer(led):
     assert reading.approach_speed_max > 0.25
 
 
-def test_where_the_arm_cannot_hold_its_hand_no_buffer_suffices_for_an_approach(led):
-    """However little it lacks; a hand at rest needs nothing there either."""
-
-    def last(v: float, share: float) -> BufferReading:
-        watch = BufferWatch(changed(border__d_b=0.30))
-        state, pairs = led(v)
-        readings = [
-            watch.update(state, pairs, DT, gives_way=True, holding_share=share) for _ in range(60)
-        ]
-        return readings[-1]
-
-    assert 0.0 < last(0.12, 1.0).needed <= 0.30
-    for share in (0.0, 0.5, 0.999):
-        assert math.isinf(last(0.12, share).needed)
-        assert last(0.12, share).too_small
-        assert last(0.0, share).needed == 0.0
-
-
 def test_from_above_and_from_afar_nothing_counts(led):
     state, pairs = led(0.3)
     above = np.array([0.0, 0.3, math.sqrt(0.91)])

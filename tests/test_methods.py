@@ -89,7 +89,7 @@ def test_repulsive_in_full_force_gives_the_closest_point_its_acceleration(
     assert row.beta == 1.0
     assert row.J.shape == (3, robot.n)
     assert not row.J[:, :2].any()
-    np.testing.assert_allclose(row.J @ realised(controller, output), row.b, atol=1e-4)
+    np.testing.assert_allclose(row.J @ realised(controller, output), row.b, atol=1e-2)
     n = output.avoidance.mobile[0].closest.n
     np.testing.assert_allclose(row.xdd + 30.0 * (row.J @ controller.state.qd), 3.0 * n, atol=1e-9)
 
@@ -109,7 +109,7 @@ def test_the_barriers_rows_hold_for_what_the_robot_does(
     assert output.solved
     qdd = realised(controller, output)
     for row in output.inserted.barriers:
-        assert row.J @ qdd >= row.l - 1e-3 * max(1.0, abs(row.l))
+        assert row.J @ qdd >= row.l - 2 * Config().task.softness * (20.0 + abs(row.l))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -189,7 +189,7 @@ def test_a_barrier_with_a_reluctant_base_stands_still_on_the_wheel_axis(
 ) -> None:
     """As the libraries do; the paper's method arrives there."""
     start = (0.0, 0.68, 0.30)
-    reluctant = Config().replace("task.base_weight", 300.0)
+    reluctant = Config().replace("task.base_weight", 1e6)
     clearance, error, path = run_a_line(robot, border_data, "barrier", reluctant, start)
     assert clearance > 0.04
     assert error > 0.02

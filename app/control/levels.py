@@ -56,7 +56,7 @@ def level_readings(base: BaseKind, output: ControlOutput, workings: Workings) ->
     if arm.ee_task is not None:
         w = arm.ee_task.b - arm.ee_task.J @ qdd
         levels.append(Level("hand", _norm(w[:3]), _norm(w[3:])))
-    lowest = _norm(objective_slack(arm.objective, qdd, base.n_b))
+    lowest = _norm(objective_slack(arm.lowest, qdd, base.n_b))
     return (*levels, Level("posture" if output.tracking else "free", None, lowest))
 
 

@@ -20,6 +20,7 @@ class ArmSolve(NamedTuple):
         rows: Rows above the tasks: the method's against the base, then those between links.
         ee_task: T_ee, or None where the arm is guided.
         objective: The tasks without the rows, over q̈ (n,).
+        lowest: The posture alone, or what a guided arm does by itself, over q̈ (n,).
         limits: On q̈_m, the hard torques first, then joints, then barriers.
         qdd: (n,) q̈ of base and arm.
     """
@@ -27,6 +28,7 @@ class ArmSolve(NamedTuple):
     rows: tuple[TaskRows, ...]
     ee_task: EqualityTask | None
     objective: Objective
+    lowest: Objective
     limits: Limits
     qdd: Array
 

@@ -99,12 +99,14 @@ def _samples(pose: Pose) -> list[Sample]:
     state.update(measured)
     qdd_all = np.concatenate([robot.model.J_m_inv @ vd, qdd])
     fine, coarse = _differences(robot, motion, t, _H), _differences(robot, motion, t, 2 * _H)
-    monitor, config = DistanceMonitor(state, robot.data.pairs.all), Config()
+    reader = PairDistances(robot.model, robot.data.pairs.all)
+    reader.update_from(state.data)
+    config = Config()
+    monitor = DistanceMonitor(state, robot.data.pairs.all)
     near = monitor.find_closest_points(within=config.border.d_b, blend=config.activation.blend)
     found = []
-    for i, closest in enumerate(near):
-        pair = closest.pair
-        if not 0.0 < closest.d < config.border.d_b:
+    for i, (pair, closest) in enumerate(zip(reader.pairs, near, strict=True)):
+        if not 0.0 < closest.d < Config().border.d_b:
             continue
         if abs(fine[i] - coarse[i]) > _KINK * (1.0 + abs(fine[i])):
             found.append(Sample(pair.name, None))
