@@ -255,7 +255,7 @@ class Controller:
         softness = self._config.task.softness
         try:
             objective = insert_rows(objective, rows, softness)
-            qdd = self._solver.solve(objective, limits, softness, slot="base")
+            qdd = self._solver.solve(objective, limits, softness)
         except NoSolutionError:
             self.given_up += 1
             return base_rest_acceleration(state, self._config.task)
@@ -290,7 +290,7 @@ class Controller:
         whole = insert_rows(
             _with_base(objective, qdd_b), [_of_arm(row, qdd_b) for row in rows], softness
         )
-        qdd_m = self._solver.solve(whole, limits, softness, slot="arm")
+        qdd_m = self._solver.solve(whole, limits, softness)
         return ArmSolve(rows, T_ee, objective, limits, np.concatenate([qdd_b, qdd_m]))
 
     def _u_0(self, inserted: Inserted) -> Array:

@@ -60,18 +60,15 @@ class TaskQP:
     """
 
     def __init__(self) -> None:
-        self._qps: dict[tuple[str, int, int], proxqp.dense.QP] = {}
+        self._qps: dict[tuple[int, int], proxqp.dense.QP] = {}
 
-    def solve(
-        self, objective: Objective, limits: Limits, softness: float, *, slot: str = ""
-    ) -> Array:
+    def solve(self, objective: Objective, limits: Limits, softness: float) -> Array:
         """The optimum q̈, (n,).
 
         Args:
             objective: What is to be least.
             limits: Of q̈.
             softness: [-] ε of the soft ones.
-            slot: Calls with the same slot share their warm starts.
 
         Raises:
             NoSolutionError: The data are not finite, the hard limits contradict each other, or the
@@ -84,22 +81,19 @@ class TaskQP:
         if holds(C, l, u, x, _EPS):
             return x
         A, below, above = scaled_rows(L, C, l, u, x, hard, softness)
-        z = self._nearest(A, below, above, slot)[: len(x)]
-        return x + np.linalg.solve(L.T, z)
+        return x + np.linalg.solve(L.T, self._nearest(A, below, above)[: len(x)])
 
-    def _nearest(self, A: Array, l: Array, u: Array, slot: str) -> Array:
-        """The shortest v with l ≤ A v ≤ u, in units of the farthest that 0 is from a bound."""
+    def _nearest(self, A: Array, l: Array, u: Array) -> Array:
+        """The shortest v with l ≤ A v ≤ u; ProxQP has it in units of the farthest bound from 0."""
         far = max(float(l.max()), float(-u.min()))
-        key, l, u = (slot, *A.shape), l / far, u / far
-        for qp in (self._qps.pop(key, None), _make_qp(*A.shape)):  # a warm start can lead astray
-            if qp is None:
-                continue
-            qp.update(C=A, l=l, u=u)
-            qp.solve()
-            if qp.results.info.status == proxqp.PROXQP_SOLVED:
-                self._qps[key] = qp
-                return far * qp.results.x
-        raise NoSolutionError(f"ProxQP ended with {qp.results.info.status.name}")
+        qp = self._qps.get(A.shape)
+        if qp is None:
+            qp = self._qps[A.shape] = _make_qp(*A.shape)
+        qp.update(C=A, l=l / far, u=u / far)
+        qp.solve()
+        if qp.results.info.status != proxqp.PROXQP_SOLVED:
+            raise NoSolutionError(f"ProxQP ended with {qp.results.info.status.name}")
+        return far * qp.results.x
 
 
 def _make_qp(m: int, n: int) -> proxqp.dense.QP:
