@@ -76,11 +76,11 @@ class HoldingConfig(Strict):
     """Where the arm cannot hold its hand in place while the base moves, the base moves less."""
 
     speed: Annotated[float, Shown("arm holds at", advanced=True)] = Field(
-        default=0.3, ge=0.01, le=2.0
+        default=0.2, ge=0.01, le=2.0
     )
     """[m/s] of the hand at the joints' largest speeds: where it is less, the arm does not hold."""
     weight: Annotated[float, Shown("hand weighs", log=True)] = Field(
-        default=1000.0, ge=0.01, le=1e5
+        default=3000.0, ge=0.01, le=1e5
     )
     """[-] of a hand that the base would take along, in masses of the base."""
 

@@ -139,10 +139,7 @@ class PlainQP(TaskQP):
 
     limited = 0
 
-    def solve(
-        self, objective: Objective, limits: Limits, softness: float, *, slot: str = ""
-    ) -> Array:
-        del slot
+    def solve(self, objective: Objective, limits: Limits, softness: float) -> Array:
         (H, c), (C, l, u, hard) = objective, limits
         free = np.linalg.solve(H, -c)
         if ((C @ free >= l) & (C @ free <= u)).all():
@@ -195,18 +192,23 @@ def plain_arm_limits(
     )  # fmt: skip
 
 
-def plain_tracking(
-    state: RobotState, task: EqualityTask, q_posture: Array, config: TaskConfig
-) -> Objective:
-    """½ w ‖J q̈ - b‖² + ½ ‖q̈_m - k (q_p - q) + d q̇‖² + ½ w_b ‖q̈_b + k q̇_b‖²."""
-    m, (J, b) = state.measurement, task
+def plain_posture(state: RobotState, q_posture: Array, config: TaskConfig) -> Objective:
+    """½ ‖q̈_m - k (q_p - q) + d q̇ + z s⁵‖² + ½ w_b ‖q̈_b + k q̇_b‖²."""
+    m, (lower, upper) = state.measurement, state.model.q_limits
+    out = (2.0 * m.q_m - lower - upper) / (upper - lower)
     heavy = np.diag([config.base_weight] * 2 + [1.0] * state.model.n_m)
     wanted = np.concatenate([
         -config.base_damping * state.qd[:2],
-        config.posture_stiffness * (q_posture - m.q_m) - config.posture_damping * m.qd_m,
+        config.posture_stiffness * (q_posture - m.q_m)
+        - config.posture_damping * m.qd_m - config.centring * out**5,
     ])  # fmt: skip
-    w = config.ee_weight
-    return Objective(heavy + w * J.T @ J, -heavy @ wanted - w * J.T @ b)
+    return Objective(heavy, -heavy @ wanted)
+
+
+def plain_tracking(posture: Objective, task: EqualityTask, weight: float) -> Objective:
+    """The posture and ½ w ‖J q̈ - b‖²."""
+    J, b = task
+    return Objective(posture.H + weight * J.T @ J, posture.c - weight * b @ J)
 
 
 def plain_carried(state: RobotState, speed: float) -> Array:
@@ -239,6 +241,7 @@ def use_plain_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """While a plain controller steps: its rows, limits and objectives."""
     for name, part in (
         ("insert_rows", plain_rows), ("arm_limits", plain_arm_limits),
-        ("tracking_objective", plain_tracking), ("carried", plain_carried),
+        ("posture_objective", plain_posture), ("tracking_objective", plain_tracking),
+        ("carried", plain_carried),
     ):  # fmt: skip
         monkeypatch.setattr(controller_module, name, part)

@@ -15,6 +15,7 @@ from app.control.tasks import (
     Reference,
     end_effector_task,
     free_arm_torque,
+    posture_objective,
     tracking_objective,
 )
 from app.control.transition import insert_rows
@@ -133,7 +134,9 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     rows = [r for r in (avoidance.rows_m, *avoidance.rows_links) if r is not None]
     state, softness = controller.state, config.task.softness
     task = end_effector_task(state, reference, config.task)
-    objective = insert_rows(tracking_objective(state, task, m.q_m, config.task), rows, softness)
+    posture = posture_objective(state, m.q_m, config.task)
+    objective = tracking_objective(posture, task, config.task.ee_weight)
+    objective = insert_rows(objective, rows, softness)
     whole = TaskQP().solve(objective, robot_limits(state, config.limit), softness)
     asked = output.base_acceleration
     np.testing.assert_allclose(robot.J_m @ whole[:2], asked, atol=2e-2, rtol=2e-2)
@@ -153,8 +156,8 @@ def test_the_hands_task_comes_before_the_posture_by_its_weight(
     )
     off = []
     for weight in (1e1, 1e3, 1e5, 1e7):
-        config = Config().replace("task.ee_weight", weight).task
-        H, c = tracking_objective(controller.state, task, q_m + 0.5, config)
+        posture = posture_objective(controller.state, q_m + 0.5, Config().task)
+        H, c = tracking_objective(posture, task, weight)
         off.append(np.abs(task.J @ np.linalg.solve(H, -c) - task.b).max())
     assert all(a > 30 * b for a, b in pairwise(off))
     assert off[2] < 1e-2

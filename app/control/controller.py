@@ -23,6 +23,7 @@ from app.control.tasks import (
     end_effector_task,
     free_arm_torque,
     guided_objective,
+    posture_objective,
     tracking_objective,
     with_base_at_rest,
 )
@@ -248,8 +249,10 @@ class Controller:
             )
         else:
             assert self.q_posture is not None
-            T_ee = end_effector_task(state, reference, task)
-            objective = tracking_objective(state, T_ee, self.q_posture, self._config.task)
+            posture = posture_objective(state, self.q_posture, task)
+            objective = tracking_objective(
+                posture, end_effector_task(state, reference, task), task.ee_weight
+            )
         barriers = inserted.barriers if inserted.base_too else ()
         limits = robot_limits(state, self._config.limit, barriers)
         softness = self._config.task.softness
@@ -271,11 +274,13 @@ class Controller:
         """The arm's part of (29) with the acceleration that the base really has."""
         state, config = self.state, self._config
         if reference is None:
-            T_ee, objective = None, guided_objective(state, self._u_0(inserted))
+            T_ee, lowest = None, guided_objective(state, self._u_0(inserted))
+            objective = lowest
         else:
             assert self.q_posture is not None
             T_ee = end_effector_task(state, reference, config.task)
-            objective = tracking_objective(state, T_ee, self.q_posture, config.task)
+            lowest = posture_objective(state, self.q_posture, config.task)
+            objective = tracking_objective(lowest, T_ee, config.task.ee_weight)
         rows = (*inserted.rows_arm, *inserted.rows_links)
         qdd_b = self._model.J_m_inv @ base_acceleration
         limits = arm_limits(
@@ -291,7 +296,7 @@ class Controller:
             _with_base(objective, qdd_b), [_of_arm(row, qdd_b) for row in rows], softness
         )
         qdd_m = self._solver.solve(whole, limits, softness)
-        return ArmSolve(rows, T_ee, objective, limits, np.concatenate([qdd_b, qdd_m]))
+        return ArmSolve(rows, T_ee, objective, lowest, limits, np.concatenate([qdd_b, qdd_m]))
 
     def _u_0(self, inserted: Inserted) -> Array:
         """(n_m,) [N m or N] what a guided arm does by itself."""

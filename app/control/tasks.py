@@ -58,9 +58,7 @@ def end_effector_task(state: RobotState, reference: Reference, config: TaskConfi
     return EqualityTask(state.J_ee, xdd - state.Jdqd_ee)
 
 
-def tracking_objective(
-    state: RobotState, task: EqualityTask, q_posture: Array, config: TaskConfig
-) -> Objective:
+def tracking_objective(posture: Objective, task: EqualityTask, weight: float) -> Objective:
     """T_ee above the posture: ½ w ‖J_ee q̈ - b‖² beside it, with a weight w that decides.
 
     A strict level would ask for unbounded accelerations where a limit or another task makes it
@@ -69,15 +67,12 @@ def tracking_objective(
     Paper: Eq. (26).
 
     Args:
-        state: The robot's state.
+        posture: The lowest level.
         task: T_ee.
-        q_posture: (n_m,) the arm's posture.
-        config: Gains and weights.
+        weight: [-] w.
     """
-    H, c = posture_objective(state, q_posture, config)
     J, b = task
-    w = config.ee_weight
-    return Objective(H + w * (J.T @ J), c - w * (J.T @ b))
+    return Objective(posture.H + weight * (J.T @ J), posture.c - weight * (J.T @ b))
 
 
 def base_rest_acceleration(state: RobotState, config: TaskConfig) -> Array:
