@@ -94,8 +94,8 @@ class TaskConfig(Strict):
     """[1/s] velocity gain of the end-effector's task."""
     posture_stiffness: Annotated[float, Shown("posture k")] = Field(default=4.0, ge=0.0, le=100.0)
     """[1/s²] pull of the arm towards its starting pose, lowest level."""
-    centring: Annotated[float, Shown("keep off limits")] = Field(default=20.0, ge=0.0, le=200.0)
-    """[rad/s² or m/s²] towards the middle of a joint's range, at its limit; lowest level."""
+    centring: Annotated[float, Shown("off limits k")] = Field(default=8.0, ge=0.0, le=100.0)
+    """[1/s²] pull at a joint's limit towards the middle of its range, lowest level."""
     posture_damping: Annotated[float, Shown("posture d")] = Field(default=4.0, ge=0.0, le=100.0)
     """[1/s] damping of the arm, lowest level."""
     base_damping: Annotated[float, Shown("base rest k")] = Field(default=3.0, ge=0.0, le=20.0)

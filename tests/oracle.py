@@ -200,7 +200,7 @@ def plain_posture(state: RobotState, q_posture: Array, config: TaskConfig) -> Ob
     wanted = np.concatenate([
         -config.base_damping * state.qd[:2],
         config.posture_stiffness * (q_posture - m.q_m)
-        - config.posture_damping * m.qd_m - config.centring * out**5,
+        - config.posture_damping * m.qd_m - config.centring * (upper - lower) / 2 * out**5,
     ])  # fmt: skip
     return Objective(heavy, -heavy @ wanted)
 

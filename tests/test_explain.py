@@ -210,15 +210,15 @@ def test_the_hands_task_is_disturbed_exactly_where_it_has_slack(blank, slack, di
         ("nothing", "none", "Avoidance is off."),
         ("base", "none", "avoidance is off: nothing gives way"),
         ("above", "dbb", "base's top (its buffer is 15 cm), where no motion of the base helps"),
-        ("high above", "dbb", "the arm itself will stay 5 cm away"),
+        ("high above", "dbb", "the arm itself will stay 3 cm away"),
         ("last", "dbb", "and the arm itself keeps its distance."),
         ("inside", "dbb", "The hand is 4 mm inside the outline of the base's front"),
         ("edge", "dbb", "The hand is at the edge of the 15 cm buffer around the base's front"),
         ("links", "dbb", "within 9 cm of the shoulder (its buffer is 15 cm), so the arm pushes"),
         ("both", "dbb", "Hand and shoulder are pushed apart as well."),
         ("base", "repulsive", "pushes the arm away and does not ask the base"),
-        ("held", "barrier", "held back by the hard limit of 5 cm"),
-        ("base", "barrier", "only nearer than 5 cm is forbidden, so nothing gives way yet"),
+        ("held", "barrier", "held back by the hard limit of 3 cm"),
+        ("base", "barrier", "only nearer than 3 cm is forbidden, so nothing gives way yet"),
     ],
 )  # fmt: skip
 def test_each_state_has_its_reason(blank, near, controller, part):

@@ -84,8 +84,8 @@ def posture_objective(state: RobotState, q_posture: Array, config: TaskConfig) -
     """The arm towards a posture, the base to rest, the base's acceleration far costlier.
 
     Without it (26) leaves the null space of T_2 open: nine accelerations, six rows. A joint at the
-    share s of its way from the middle of its range to a limit is drawn back by s⁵ of `centring`:
-    hardly anything near the middle, enough at the limits that no wrist ends in a corner while the
+    share s of its way from the middle of its range to a limit is drawn back as if the way were s⁵:
+    hardly at all near the middle, and enough at a limit that no wrist ends in a corner while the
     tasks above leave another way.
 
     Args:
@@ -102,7 +102,7 @@ def posture_objective(state: RobotState, q_posture: Array, config: TaskConfig) -
     c[n_b:] = (
         config.posture_damping * m.qd_m
         - config.posture_stiffness * (q_posture - m.q_m)
-        + config.centring * out**5
+        + config.centring * half * out**5
     )
     return Objective(_posture_hessian(n, n_b, config.base_weight), c)
 
