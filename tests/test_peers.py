@@ -28,7 +28,7 @@ from benchmarks.peers.model import HAND, UNICYCLE, CommonModel, common_model
 from benchmarks.peers.names import PEERS, Peer, chosen
 from benchmarks.peers.paths import AXIS_OFFSETS, PATHS, axis_name, hand_paths
 from benchmarks.peers.picture import draw
-from benchmarks.peers.plan import D_MIN, DT, RATE, arrays_of, run_name, write_plan
+from benchmarks.peers.plan import DT, arrays_of, run_name, write_plan
 from benchmarks.peers.quick import pink_step
 from benchmarks.peers.rows import Row, empty_row, flaw, rows_of
 from benchmarks.peers.running import Motion, own_python, run_driver
@@ -220,10 +220,6 @@ def test_a_path_on_the_wheel_axis_begins_with_its_closest_point_there(
 def test_the_paths_are_those_that_are_asked_for() -> None:
     assert PATHS == ("side", "front", "axis-0mm", "axis-1mm", "axis-10mm", "axis-50mm")
     assert AXIS_OFFSETS == (0.0, 0.001, 0.010, 0.050)
-
-
-def test_all_are_asked_for_the_distance_and_rate_of_our_own_barrier() -> None:
-    assert (Config().barrier.d_min, Config().barrier.rate) == (D_MIN, RATE)
 
 
 # The drivers --------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ BASE_WEIGHTS = (300.0, 1.0)
 DT = 0.005
 """[s] between two steps of a library, and two samples of all."""
 D_MIN = 0.05
-"""[m] distance that no pair shall undercut; the default of our own `barrier` too."""
+"""[m] distance that no pair shall undercut; our own runs are given it too."""
 RATE = 20.0
 """[1/s] how fast a pair may close in on it, per distance left; likewise."""
 _HAND_COST = 10.0  # [1/m and 1/rad] of the hand's error; its square weighs in the objective
