@@ -23,13 +23,16 @@ settings.load_profile("patient")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files that are slow as a whole first, so that none is left for the end."""
+    """Files that are slow as a whole first; a page that was late is looked at again."""
 
     def is_slow(item: pytest.Item) -> bool:
         module = item.getparent(pytest.Module)
         return module is not None and any(m.name in {"slow", "browser"} for m in module.own_markers)
 
     items.sort(key=lambda item: not is_slow(item))
+    for item in items:
+        if item.get_closest_marker("browser"):  # it draws in software, beside all other tests
+            item.add_marker(pytest.mark.flaky(reruns=2))
 
 
 @pytest.fixture(scope="session")
