@@ -109,7 +109,7 @@ class TaskConfig(Strict):
     softness: Annotated[float, Shown(advanced=True, log=True)] = Field(
         default=1e-3, ge=1e-6, le=0.1
     )
-    """[-] of what is asked against a limit, or against a row in full force, what they give in."""
+    """[-] of what is asked against a row in full force, what it gives in; its square of a limit."""
 
 
 class LimitConfig(Strict):

@@ -51,7 +51,7 @@ def active_bounds(
         config: The parameters of the step.
     """
     limits, n_m = workings.arm.limits, state.model.n_m
-    low, high = met(limits, workings.arm.qdd[state.model.n_b :], config.task.softness)
+    low, high = met(limits, workings.arm.qdd[state.model.n_b :], config.task.softness**2)
     joints = state.model.description.arm.joints
     bounds = []
     for i in np.flatnonzero(low | high).tolist():

@@ -258,7 +258,7 @@ class Controller:
         softness = self._config.task.softness
         try:
             objective = insert_rows(objective, rows, softness)
-            qdd = self._solver.solve(objective, limits, softness)
+            qdd = self._solver.solve(objective, limits, softness**2)
         except NoSolutionError:
             self.given_up += 1
             return base_rest_acceleration(state, self._config.task)
@@ -295,7 +295,7 @@ class Controller:
         whole = insert_rows(
             _with_base(objective, qdd_b), [_of_arm(row, qdd_b) for row in rows], softness
         )
-        qdd_m = self._solver.solve(whole, limits, softness)
+        qdd_m = self._solver.solve(whole, limits, softness**2)
         return ArmSolve(rows, T_ee, objective, lowest, limits, np.concatenate([qdd_b, qdd_m]))
 
     def _u_0(self, inserted: Inserted) -> Array:
