@@ -14,6 +14,7 @@ from app.control.linear_algebra import holds, minimum, scaled_rows
 
 Array = np.ndarray
 
+_ENOUGH = 1e-6  # accuracy with which an answer is taken, if ProxQP finds no better one
 _EPS = 1e-10  # by which limits may be missed, and accuracy of ProxQP
 
 
@@ -91,8 +92,9 @@ class TaskQP:
             qp = self._qps[A.shape] = _make_qp(*A.shape)
         qp.update(C=A, l=l / far, u=u / far)
         qp.solve()
-        if qp.results.info.status != proxqp.PROXQP_SOLVED:
-            raise NoSolutionError(f"ProxQP ended with {qp.results.info.status.name}")
+        info = qp.results.info
+        if info.status != proxqp.PROXQP_SOLVED and not max(info.pri_res, info.dua_res) < _ENOUGH:
+            raise NoSolutionError(f"ProxQP ended with {info.status.name}")
         return far * qp.results.x
 
 
@@ -103,7 +105,7 @@ def _make_qp(m: int, n: int) -> proxqp.dense.QP:
     settings.eps_abs = _EPS
     settings.eps_rel = 0.0
     settings.eps_primal_inf = 1e-12  # the default calls feasible problems infeasible
-    settings.max_iter = 200
+    settings.max_iter = 1000
     settings.initial_guess = proxqp.InitialGuess.NO_INITIAL_GUESS
     rows = np.ones((m, n))
     qp.init(np.eye(n), np.zeros(n), None, None, rows, -np.ones(m), np.ones(m))
