@@ -66,7 +66,7 @@ class RepulsionConfig(Strict):
 class BarrierConfig(Strict):
     """The distance that the arm itself keeps from the base; also the compared method `barrier`."""
 
-    d_min: float = Field(default=0.0305, ge=0.0, le=0.30)
+    d_min: float = Field(default=0.031, ge=0.0, le=0.30)
     """[m] distance that is not undercut as long as the torques suffice."""
     rate: Annotated[float, Shown("approach")] = Field(default=30.0, ge=1.0, le=100.0)
     """[1/s] how fast a pair may close in on that distance, per distance left."""

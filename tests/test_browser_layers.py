@@ -145,7 +145,7 @@ LAYERS = (
     Layer("Closest points", of(lines), 70, 60),
     Layer("Acting points", of(acting), 60, 200),
     Layer("Names of points", of(named), 80, 80),
-    Layer("Person and base", of(pushed), 60, 200),
+    Layer("Person and base", of(pushed), 60, 150),
     Layer("Trails", passed, 12, 40),
 )
 

@@ -212,7 +212,7 @@ def test_no_hard_state_is_left_without_an_answer_and_no_torque_leaves_its_range(
         missed = misses(arm.limits, arm.qdd[2:])
         asked = misses(arm.limits, np.linalg.solve(*_of_arm(arm)))
         # [N m] A hand that is 0.2 m off in a step asks for thousands, and ProxQP may end early.
-        room = 1e-3 + 1e-8 * asked.max()
+        room = 5e-3 + 1e-8 * asked.max()
         assert missed[: arm.limits.hard].max() <= room
         u_a = state.M[2:] @ arm.qdd + state.h[2:]
         np.testing.assert_allclose(output.u_a, u_a, atol=room)  # nothing is clipped afterwards

@@ -82,6 +82,8 @@ class TaskQP:
         if holds(C, l, u, x, _EPS):
             return x
         A, below, above = scaled_rows(L, C, l, u, x, hard, softness)
+        if not np.isfinite(A).all():
+            raise NoSolutionError("the limits are not finite")
         return x + np.linalg.solve(L.T, self._nearest(A, below, above)[: len(x)])
 
     def _nearest(self, A: Array, l: Array, u: Array) -> Array:
