@@ -85,7 +85,7 @@ def test_pybullet_is_the_default_where_it_is_installed_else_mujoco(monkeypatch):
     assert default_plant() == chosen_plant(None) == "planar"
     monkeypatch.setattr(plants, "find_spec", lambda name: None)
     assert default_plant() == chosen_plant(None) == "mujoco"
-    with pytest.raises(ConfigError, match="planar needs pybullet.*--physics mujoco"):
+    with pytest.raises(ConfigError, match=r"planar needs pybullet.*--physics mujoco"):
         make_physics("planar", husky_panda())
 
 
