@@ -51,9 +51,10 @@ def _any_array(signature: str) -> Signature:
         return Signature(returned, given, None)
     as_they_come = tuple(
         types.Array(each.dtype, each.ndim, "A", readonly=True)
-        if isinstance(each, types.Array) else each
+        if isinstance(each, types.Array)
+        else each
         for each in given
-    )  # fmt: skip
+    )
     return Signature(returned, as_they_come, None)
 
 

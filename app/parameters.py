@@ -98,9 +98,12 @@ def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
     shown: Shown = marks.get("Shown", Shown())
     unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
     common = {
-        "path": f"{section}.{name}", "default": field.default, "help": text.strip(),
-        "label": shown.label or _words(name), "advanced": shown.advanced,
-    }  # fmt: skip
+        "path": f"{section}.{name}",
+        "default": field.default,
+        "help": text.strip(),
+        "label": shown.label or _words(name),
+        "advanced": shown.advanced,
+    }
     if get_origin(field.annotation) is Literal:
         return Choice(choices=get_args(field.annotation), **common)
     return Parameter(low=marks["Ge"].ge, high=marks["Le"].le, unit=unit, log=shown.log, **common)

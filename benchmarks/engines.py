@@ -33,12 +33,16 @@ from app.study.parameters import code_digest
 PLANTS = ("planar", "mujoco", "mujoco-contact")
 SCENARIOS = {
     "husky_panda": (
-        "guiding-lateral", "guiding-front", "guiding-above", "guiding-fold", "tracking",
+        "guiding-lateral",
+        "guiding-front",
+        "guiding-above",
+        "guiding-fold",
+        "tracking",
         "refrigerator",
     ),
     "husky_ur5": ("guiding-lateral", "guiding-front", "tracking"),
     "tiago": ("guiding-lateral", "guiding-front", "tracking"),
-}  # fmt: skip
+}
 BEGIN, END = "<!-- begin: python -m benchmarks.engines -->", "<!-- end -->"
 _STEPS = 40  # of each plant in a round
 
@@ -98,9 +102,11 @@ def _runs(
     """Figures of each scenario that is not done yet, by robot, scenario and plant."""
     for robot in robots:
         wanted = [
-            (scenario, plant) for scenario in SCENARIOS[robot] for plant in PLANTS
+            (scenario, plant)
+            for scenario in SCENARIOS[robot]
+            for plant in PLANTS
             if f"{robot} {scenario} {plant}" not in done
-        ]  # fmt: skip
+        ]
         if not wanted:
             continue
         try:
@@ -161,12 +167,26 @@ def time_study(cases: int, rounds: int = 3) -> dict[str, Any]:
                 begin = os.times()
                 subprocess.run(
                     [
-                        sys.executable, "-m", "app", "study", "--cases", str(cases),
-                        "--physics", name, "--processes", "1", "--seed", str(seed),
-                        "--out", folder, "--json",
+                        sys.executable,
+                        "-m",
+                        "app",
+                        "study",
+                        "--cases",
+                        str(cases),
+                        "--physics",
+                        name,
+                        "--processes",
+                        "1",
+                        "--seed",
+                        str(seed),
+                        "--out",
+                        folder,
+                        "--json",
                     ],
-                    check=True, capture_output=True, env={**os.environ, "OMP_NUM_THREADS": "1"},
-                )  # fmt: skip
+                    check=True,
+                    capture_output=True,
+                    env={**os.environ, "OMP_NUM_THREADS": "1"},
+                )
                 times.append(_of_children(os.times()) - _of_children(begin))
     return {"cases": cases, **{name: min(times) for name, times in taken.items()}}
 
@@ -194,16 +214,22 @@ def tables(kept: dict[str, Any]) -> str:
             cells.append(", ".join(str(row["contacts"]) if row else "" for row in rows))
             lines.append(f"| `{robot}`, `{name}` | " + " | ".join(cells) + " |")
     times = kept["times_us"]
-    lines += ["", "| plant | step and reading, median | least | of pybullet's least |",
-              "|---|---|---|---|"]  # fmt: skip
+    lines += [
+        "",
+        "| plant | step and reading, median | least | of pybullet's least |",
+        "|---|---|---|---|",
+    ]
     for name, t in times.items():
         share = t["least"] / times["planar"]["least"]
         lines.append(f"| `{name}` | {t['median']:.1f} µs | {t['least']:.1f} µs | {share:.2f} |")
     if study := kept.get("study"):
         factor = study["planar"] / study["mujoco"]
-        lines += ["", f"A study of {study['cases']} cases on one process took "
-                  f"{study['planar']:.0f} s with pybullet, {study['mujoco']:.0f} s with MuJoCo: "
-                  f"{factor:.2f} times as fast (the least of three each, in turn)."]  # fmt: skip
+        lines += [
+            "",
+            f"A study of {study['cases']} cases on one process took "
+            f"{study['planar']:.0f} s with pybullet, {study['mujoco']:.0f} s with MuJoCo: "
+            f"{factor:.2f} times as fast (the least of three each, in turn).",
+        ]
     return "\n".join(lines)
 
 

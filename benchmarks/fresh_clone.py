@@ -31,8 +31,11 @@ def main() -> None:
     parser.add_argument("--download", action="store_true", help="from empty caches first")
     parser.add_argument("--python", default="", help="as make's PYTHON")
     options = parser.parse_args()
-    found: dict[str, Any] = {"cores": os.cpu_count(), "load_before": os.getloadavg()[0],
-                             "installer": "uv" if shutil.which("uv") else "pip"}  # fmt: skip
+    found: dict[str, Any] = {
+        "cores": os.cpu_count(),
+        "load_before": os.getloadavg()[0],
+        "installer": "uv" if shutil.which("uv") else "pip",
+    }
     with tempfile.TemporaryDirectory(prefix="fresh clone ") as folder:
         if options.download:
             cache = Path(folder) / "cache"
@@ -55,9 +58,13 @@ def start(clone: Path, python: str) -> dict[str, float]:
     subprocess.run(["git", "clone", "--quiet", str(PROJECT), str(clone)], check=True)
     command = ["make", "run", "ARGS=--port 0", *([f"PYTHON={python}"] if python else [])]
     make = subprocess.Popen(
-        command, cwd=clone, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        command,
+        cwd=clone,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
         start_new_session=True,
-    )  # fmt: skip
+    )
     marks = [("clone_s", begin)]
     lines: list[str] = []
     try:

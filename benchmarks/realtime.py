@@ -94,14 +94,24 @@ def measure(args: Realtime, record: Path) -> dict[str, Any]:
     if args.drag and found["activation_max"] == 0.0:
         raise RuntimeError("the drag has not brought the hand into the buffer: no hard case")
     return {
-        "loop": args.loop, "client": args.client, "clients": args.clients, "dragged": args.drag,
+        "loop": args.loop,
+        "client": args.client,
+        "clients": args.clients,
+        "dragged": args.drag,
         "seconds": args.seconds,
-        "cores": os.cpu_count(), "load_before": load, **found,
-        "layers": args.layers, "ghosts": args.ghosts, "pictures_per_s": seen.pictures_per_s,
-        "shown_realtime_factor": shown, "overruns_since_reset": overruns,
-        "servers_cpu_percent": seen.servers_cpu, "loop_cpu_percent": seen.loop_cpu,
-        **(seen.done[0] if seen.done else {}), "other_clients": list(seen.done[1:]),
-    }  # fmt: skip
+        "cores": os.cpu_count(),
+        "load_before": load,
+        **found,
+        "layers": args.layers,
+        "ghosts": args.ghosts,
+        "pictures_per_s": seen.pictures_per_s,
+        "shown_realtime_factor": shown,
+        "overruns_since_reset": overruns,
+        "servers_cpu_percent": seen.servers_cpu,
+        "loop_cpu_percent": seen.loop_cpu,
+        **(seen.done[0] if seen.done else {}),
+        "other_clients": list(seen.done[1:]),
+    }
 
 
 class Seen(NamedTuple):

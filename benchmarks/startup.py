@@ -36,10 +36,18 @@ def main() -> None:
         finally:
             server.send_signal(signal.SIGINT)
             server.wait(timeout=30)
-    print(json.dumps(
-        {"page_answers_s": answered, "first_picture_s": drawn, "page_errors": errors,
-         "cores": os.cpu_count(), "load_before": load}, indent=2,
-    ))  # fmt: skip
+    print(
+        json.dumps(
+            {
+                "page_answers_s": answered,
+                "first_picture_s": drawn,
+                "page_errors": errors,
+                "cores": os.cpu_count(),
+                "load_before": load,
+            },
+            indent=2,
+        )
+    )
 
 
 def _address(server: subprocess.Popen[str]) -> str:

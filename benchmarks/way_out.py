@@ -46,14 +46,18 @@ def main(
             on_progress(k + 1)
     left = [row["clear_since_s"] for row in rows]
     result = {
-        "robot": robot, "physics": physics, "begin": begin, "starts": starts, "seed": seed,
+        "robot": robot,
+        "physics": physics,
+        "begin": begin,
+        "starts": starts,
+        "seed": seed,
         "left": sum(t is not None for t in left),
         "stayed_seeds": [seed + k for k, t in enumerate(left) if t is None],
         "slowest_s": max((t for t in left if t is not None), default=None),
         "solver_failures": sum(row["solver_failures"] for row in rows),
         "torque_jump_max_nm": max(row["torque_jump_max_nm"] for row in rows),
         "nearest_pairs": Counter(_nearest(row["min_distance_m"]) for row in rows),
-    }  # fmt: skip
+    }
     if json:
         print_json(result)
         return

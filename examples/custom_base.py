@@ -41,10 +41,15 @@ def main(duration: float = 8.0) -> dict[str, object]:
     """Guide the hand of the paper's arm towards the carriage from the front; the run's figures."""
     register_base_kind(RailBase)  # from now on robot.toml may say: kind = "rail"
     base = {
-        "kind": "rail", "link": "base_link", "mass_kg": 60.0, "inertia_kgm2": 16.0,
-        "max_linear_velocity_mps": 1.0, "max_linear_acceleration_mps2": 3.0,
-        "traction_limit_n": 300.0, "drive_time_constant_s": 0.05,
-    }  # fmt: skip
+        "kind": "rail",
+        "link": "base_link",
+        "mass_kg": 60.0,
+        "inertia_kgm2": 16.0,
+        "max_linear_velocity_mps": 1.0,
+        "max_linear_acceleration_mps2": 3.0,
+        "traction_limit_n": 300.0,
+        "drive_time_constant_s": 0.05,
+    }
     base["source"] = {
         name: "an example" for name, value in base.items() if isinstance(value, float)
     }

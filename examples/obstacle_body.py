@@ -18,9 +18,13 @@ CARGO = Box(type="box", size_m=(0.20, 0.40, 0.70), xyz_m=(-0.38, 0.0, 0.60))
 """[m] in the frame of l_m, which is base_link, 0.13 m above the floor."""
 
 COARSE = SamplingConfig(
-    pair_samples=20_000, cloud_samples=20_000, voxel_plan=0.03, voxel_height=0.02, rounds=1,
+    pair_samples=20_000,
+    cloud_samples=20_000,
+    voxel_plan=0.03,
+    voxel_height=0.02,
+    rounds=1,
     retries=1,
-)  # fmt: skip
+)
 """A border within seconds; leave it out for the usual one, which takes a minute, once."""
 
 

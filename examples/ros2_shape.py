@@ -43,8 +43,11 @@ def main(steps: int = 300) -> dict[str, Any]:
     """The node beside a simulated robot, without ROS; gives the last message of each topic."""
     model, sent, callbacks, timers = RobotModel(load_robot("husky_panda")), {}, {}, {}
     robot = make_physics("kinematic", model)
-    topics = Message(subscribe=callbacks.__setitem__, timer=timers.__setitem__,
-                     publisher=lambda topic: partial(sent.__setitem__, topic))  # fmt: skip
+    topics = Message(
+        subscribe=callbacks.__setitem__,
+        timer=timers.__setitem__,
+        publisher=lambda topic: partial(sent.__setitem__, topic),
+    )
     AvoidanceNode(ControlLoop(model), topics)
     for k in range(steps):
         now = robot.measure()

@@ -12,16 +12,25 @@ from app.robot.model import RobotModel
 from tests.robots import husky_panda
 
 _COMMON: dict[str, Any] = {
-    "link": "base_link", "mass_kg": 60.0, "inertia_kgm2": 16.0, "max_linear_velocity_mps": 1.0,
-    "max_linear_acceleration_mps2": 3.0, "traction_limit_n": 300.0, "drive_time_constant_s": 0.05,
-}  # fmt: skip
+    "link": "base_link",
+    "mass_kg": 60.0,
+    "inertia_kgm2": 16.0,
+    "max_linear_velocity_mps": 1.0,
+    "max_linear_acceleration_mps2": 3.0,
+    "traction_limit_n": 300.0,
+    "drive_time_constant_s": 0.05,
+}
 _OWN: dict[str, dict[str, Any]] = {
     "holonomic": {"max_angular_velocity_radps": 2.0, "max_angular_acceleration_radps2": 6.0},
     "car-like": {
-        "wheelbase_m": 0.8, "steering_limit_rad": 0.55, "steering_rate_radps": 2.0,
-        "wheel_radius_m": 0.165, "wheel_joints": (), "steering_joints": (),
+        "wheelbase_m": 0.8,
+        "steering_limit_rad": 0.55,
+        "steering_rate_radps": 2.0,
+        "wheel_radius_m": 0.165,
+        "wheel_joints": (),
+        "steering_joints": (),
     },
-}  # fmt: skip
+}
 _RECORDS: dict[str, type[BaseKind]] = {"holonomic": HolonomicBase, "car-like": CarLikeBase}
 KINDS = ("differential", *_RECORDS)
 

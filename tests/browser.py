@@ -72,9 +72,15 @@ class DashboardTab:
     """
 
     def __init__(
-        self, browser: Any, address: str, size: tuple[int, int] = (1280, 720),
-        *, first_visit: bool = False, dpr: float = 0.5, draws: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        browser: Any,
+        address: str,
+        size: tuple[int, int] = (1280, 720),
+        *,
+        first_visit: bool = False,
+        dpr: float = 0.5,
+        draws: bool = False,
+    ) -> None:
         """Open the page and wait until the first picture with the robot is drawn.
 
         Args:
@@ -180,9 +186,13 @@ class DashboardTab:
         return (difference > LEAST_DIFFERENCE) & self.scene_mask()
 
     def wait_for_change(
-        self, before: np.ndarray, least: int, places: np.ndarray | None = None, radius: int = 30,
+        self,
+        before: np.ndarray,
+        least: int,
+        places: np.ndarray | None = None,
+        radius: int = 30,
         seconds: float = 60.0,
-    ) -> np.ndarray:  # fmt: skip
+    ) -> np.ndarray:
         """Wait until so many pixels of the scene differ from a picture.
 
         Args:

@@ -166,9 +166,7 @@ class ScriptedLoop:
         self._v = -0.3 * snapshot.beta_m
         self._base[:2] += dt * self._v * np.array([np.cos(self._base[2]), np.sin(self._base[2])])
         self._wheel += dt * self._v / self.model.description.base.wheel_radius_m
-        stretches = [
-            pull.target - snapshot.p_ee for pull in snapshot.pulls if pull.link is None
-        ]  # fmt: skip
+        stretches = [pull.target - snapshot.p_ee for pull in snapshot.pulls if pull.link is None]
         if not stretches:
             return
         stretch = np.mean(stretches, axis=0)
@@ -191,21 +189,39 @@ class ScriptedLoop:
         quaternion = pin.Quaternion(state.T_world_ee.rotation).coeffs()  # x, y, z, w
         clearance = min(pair.d for pair in pairs if pair.mobile)
         snapshot = Snapshot(
-            t=self._t, base_pose=self._base.copy(), base_velocity=np.array([self._v, 0.0]),
+            t=self._t,
+            base_pose=self._base.copy(),
+            base_velocity=np.array([self._v, 0.0]),
             base_velocity_command=np.array([self._v, 0.0]),
-            base_acceleration=asked, avoidance_acceleration=asked,
-            wheel_angles=np.full(2, self._wheel), q_m=self._q.copy(), u_a=np.zeros(self.model.n_m),
-            p_ee=p_ee, wxyz_ee=quaternion[[3, 0, 1, 2]], pairs=pairs,
+            base_acceleration=asked,
+            avoidance_acceleration=asked,
+            wheel_angles=np.full(2, self._wheel),
+            q_m=self._q.copy(),
+            u_a=np.zeros(self.model.n_m),
+            p_ee=p_ee,
+            wxyz_ee=quaternion[[3, 0, 1, 2]],
+            pairs=pairs,
             acting=tuple(_acting(p, config) for p in pairs if p.mobile and p.beta > 0),
-            beta_m=beta_m, hand_target=target,
+            beta_m=beta_m,
+            hand_target=target,
             hand_force=sum((pull.force for pull in of_hand), np.zeros(3)),
-            ee_error=error, in_contact=any(p.d <= 0 for p in pairs),
-            arm_in_contact=False, solver_failures=0, step_time_us=212.0,
-            realtime_factor=self._speed, overruns=3, paused=self._paused, mode="guiding",
-            controller=self._controller, config=config, speed=self._speed, pulls=pulls,
+            ee_error=error,
+            in_contact=any(p.d <= 0 for p in pairs),
+            arm_in_contact=False,
+            solver_failures=0,
+            step_time_us=212.0,
+            realtime_factor=self._speed,
+            overruns=3,
+            paused=self._paused,
+            mode="guiding",
+            controller=self._controller,
+            config=config,
+            speed=self._speed,
+            pulls=pulls,
             buffer=BufferReading(0.0, 0.0, 0.0, 0.0, too_small=False, too_small_ever=False),
-            scenario=self._scenario, scenario_ends=60.0 if self._scenario else None,
-        )  # fmt: skip
+            scenario=self._scenario,
+            scenario_ends=60.0 if self._scenario else None,
+        )
         self._history.add(self._compare(snapshot, clearance))
 
     def _pull_reading(self, pull: Pull, p_ee: Array) -> PullReading:
@@ -226,8 +242,12 @@ class ScriptedLoop:
             snapshot,
             ghosts=tuple(
                 GhostReading(
-                    name, self._base_compared.copy(), snapshot.q_m, snapshot.wheel_angles,
-                    snapshot.p_ee, clearance,
+                    name,
+                    self._base_compared.copy(),
+                    snapshot.q_m,
+                    snapshot.wheel_angles,
+                    snapshot.p_ee,
+                    clearance,
                 )
                 for name in names
             ),
@@ -236,7 +256,7 @@ class ScriptedLoop:
                 for name in (snapshot.controller, *names)
             ),
             same=self._compared.same,
-        )  # fmt: skip
+        )
 
 
 def _scenario_name(command: Command, before: str) -> str:
@@ -289,8 +309,10 @@ def fake_clouds(model: RobotModel, spacing: float = 0.012) -> dict[str, Cloud]:
     """P_i of the pairs of L_m as a regular grid around l_m, as if every point could be reached."""
     mobile = MobileBody(model)
     margin = 0.32  # [m] a little more than the largest buffer distance
-    axes = [np.arange(low, high, spacing) for low, high in
-            zip(mobile.lower - margin, mobile.upper + margin, strict=True)]  # fmt: skip
+    axes = [
+        np.arange(low, high, spacing)
+        for low, high in zip(mobile.lower - margin, mobile.upper + margin, strict=True)
+    ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     grid = quantise_points(grid[grid[:, 2] > 0.0])
     d_m = mobile.distance(grid * 1e-4)

@@ -45,9 +45,17 @@ def random_snapshot(rng: np.random.Generator, t: float) -> Snapshot:
 
     mobile = [name for name in PAIRS if name.startswith("lm") and truth()]
     return Snapshot(
-        t=t, base_pose=vector(3), base_velocity=vector(2), base_velocity_command=vector(2),
-        base_acceleration=vector(2), avoidance_acceleration=vector(2), wheel_angles=vector(2),
-        q_m=vector(7), u_a=vector(7), p_ee=vector(3), wxyz_ee=vector(4),
+        t=t,
+        base_pose=vector(3),
+        base_velocity=vector(2),
+        base_velocity_command=vector(2),
+        base_acceleration=vector(2),
+        avoidance_acceleration=vector(2),
+        wheel_angles=vector(2),
+        q_m=vector(7),
+        u_a=vector(7),
+        p_ee=vector(3),
+        wxyz_ee=vector(4),
         pairs=tuple(
             PairReading(name, name.startswith("lm"), number(), number(), vector(3), vector(3))
             for name in PAIRS
@@ -55,13 +63,20 @@ def random_snapshot(rng: np.random.Generator, t: float) -> Snapshot:
         acting=tuple(
             ActingReading(name, vector(3), vector(3), vector(3), vector(3)) for name in mobile
         ),
-        beta_m=number(), hand_target=vector(3) if truth() else None, hand_force=vector(3),
-        ee_error=number(), in_contact=truth(), arm_in_contact=truth(),
+        beta_m=number(),
+        hand_target=vector(3) if truth() else None,
+        hand_force=vector(3),
+        ee_error=number(),
+        in_contact=truth(),
+        arm_in_contact=truth(),
         solver_failures=int(rng.integers(2**40)),
-        step_time_us=float(rng.choice([np.nan, 212.3])), realtime_factor=number(),
-        overruns=int(rng.integers(9)), paused=truth(),
+        step_time_us=float(rng.choice([np.nan, 212.3])),
+        realtime_factor=number(),
+        overruns=int(rng.integers(9)),
+        paused=truth(),
         mode=str(rng.choice(["guiding", "tracking"])),
-        controller=str(rng.choice(["dbb", "none"])), config=CONFIGS[rng.integers(len(CONFIGS))],
+        controller=str(rng.choice(["dbb", "none"])),
+        config=CONFIGS[rng.integers(len(CONFIGS))],
         buffer=BufferReading(
             number(), float(rng.choice([np.inf, 0.1])), number(), np.inf, truth(), truth()
         ),
@@ -85,7 +100,7 @@ def random_snapshot(rng: np.random.Generator, t: float) -> Snapshot:
         ),
         scenario_ends=number() if truth() else None,
         door=DoorView(DOORS[rng.integers(2)], number(), vector(3)) if truth() else None,
-    )  # fmt: skip
+    )
 
 
 def random_snapshots(seed: int, count: int) -> list[Snapshot]:

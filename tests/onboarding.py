@@ -35,9 +35,16 @@ def link(name: str, content: str = "") -> str:
 
 
 def joint(
-    name: str, kind: str, parent: str, child: str, *, xyz: str = "0 0 0", rpy: str = "0 0 0",
-    axis: str = "0 0 1", limit: str = 'lower="-2.5" upper="2.5" effort="60" velocity="2"',
-) -> str:  # fmt: skip
+    name: str,
+    kind: str,
+    parent: str,
+    child: str,
+    *,
+    xyz: str = "0 0 0",
+    rpy: str = "0 0 0",
+    axis: str = "0 0 1",
+    limit: str = 'lower="-2.5" upper="2.5" effort="60" velocity="2"',
+) -> str:
     limits = f"<limit {limit}/>" if kind != "fixed" else ""
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
@@ -55,9 +62,16 @@ def cart(*, wheel: str = WHEEL, wheel_rpy: str = "1.5708 0 0") -> list[str]:
     for name, y in (("left", 0.2), ("right", -0.2)):
         parts.append(link(f"{name}_wheel", solid(wheel, rpy=wheel_rpy)))
         parts.append(
-            joint(f"{name}_axle", "continuous", "base", f"{name}_wheel", axis="0 1 0",
-                  xyz=f"0.05 {y} -0.05", limit='effort="20" velocity="12"')
-        )  # fmt: skip
+            joint(
+                f"{name}_axle",
+                "continuous",
+                "base",
+                f"{name}_wheel",
+                axis="0 1 0",
+                xyz=f"0.05 {y} -0.05",
+                limit='effort="20" velocity="12"',
+            )
+        )
     return parts
 
 
@@ -128,8 +142,20 @@ def few_samples(cache: Path) -> Iterator[SamplingConfig]:
         patch.setattr(new_robot, "MEETING_SAMPLES", 1200)
         patch.setattr(new_robot, "PAIR_SAMPLES", 2000)
         patch.setattr(ready, "_SAMPLES", 800)
-        coarse = ReachConfig(spacing_m=0.12, orientations=4, restart_spacing_m=0.4,
-                             restart_orientations=1, restarts=2)  # fmt: skip
+        coarse = ReachConfig(
+            spacing_m=0.12,
+            orientations=4,
+            restart_spacing_m=0.4,
+            restart_orientations=1,
+            restarts=2,
+        )
         patch.setattr(reach, "COUNTING", coarse)
-        yield SamplingConfig(pair_samples=2000, cloud_samples=2000, voxel_plan=0.05,
-                             voxel_height=0.05, rounds=1, retries=1, sectors=2)  # fmt: skip
+        yield SamplingConfig(
+            pair_samples=2000,
+            cloud_samples=2000,
+            voxel_plan=0.05,
+            voxel_height=0.05,
+            rounds=1,
+            retries=1,
+            sectors=2,
+        )

@@ -172,9 +172,14 @@ def plain_rows(objective: Objective, rows: Sequence[TaskRows], softness: float) 
 
 
 def plain_arm_limits(
-    state: RobotState, config: LimitConfig, barriers: Sequence[BarrierRow], *, qdd_b: Array,
-    pushed: Array, torque: tuple[Array, Array],
-) -> Limits:  # fmt: skip
+    state: RobotState,
+    config: LimitConfig,
+    barriers: Sequence[BarrierRow],
+    *,
+    qdd_b: Array,
+    pushed: Array,
+    torque: tuple[Array, Array],
+) -> Limits:
     """Rows of torques, of joints, of barriers, as `arm_limits` says."""
     M, m, model = state.M, state.measurement, state.model
     there = state.h[2:] + M[2:, :2] @ qdd_b
@@ -187,9 +192,11 @@ def plain_arm_limits(
     C = np.vstack([M[2:, 2:], np.eye(model.n_m), *(row.J[2:] for row in barriers)])
     least = [row.l - row.J[:2] @ qdd_b - row.J[2:] @ extra for row in barriers]
     return Limits(
-        C, np.concatenate([torque[0] - there, lower, least]),
-        np.concatenate([torque[1] - there, upper, np.full(len(least), np.inf)]), model.n_m,
-    )  # fmt: skip
+        C,
+        np.concatenate([torque[0] - there, lower, least]),
+        np.concatenate([torque[1] - there, upper, np.full(len(least), np.inf)]),
+        model.n_m,
+    )
 
 
 def plain_posture(state: RobotState, q_posture: Array, config: TaskConfig) -> Objective:
@@ -197,11 +204,14 @@ def plain_posture(state: RobotState, q_posture: Array, config: TaskConfig) -> Ob
     m, (lower, upper) = state.measurement, state.model.q_limits
     out = (2.0 * m.q_m - lower - upper) / (upper - lower)
     heavy = np.diag([config.base_weight] * 2 + [1.0] * state.model.n_m)
-    wanted = np.concatenate([
-        -config.base_damping * state.qd[:2],
-        config.posture_stiffness * (q_posture - m.q_m)
-        - config.posture_damping * m.qd_m - config.centring * (upper - lower) / 2 * out**5,
-    ])  # fmt: skip
+    wanted = np.concatenate(
+        [
+            -config.base_damping * state.qd[:2],
+            config.posture_stiffness * (q_posture - m.q_m)
+            - config.posture_damping * m.qd_m
+            - config.centring * (upper - lower) / 2 * out**5,
+        ]
+    )
     return Objective(heavy, -heavy @ wanted)
 
 
@@ -240,8 +250,10 @@ def plain_controller(
 def use_plain_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """While a plain controller steps: its rows, limits and objectives."""
     for name, part in (
-        ("insert_rows", plain_rows), ("arm_limits", plain_arm_limits),
-        ("posture_objective", plain_posture), ("tracking_objective", plain_tracking),
+        ("insert_rows", plain_rows),
+        ("arm_limits", plain_arm_limits),
+        ("posture_objective", plain_posture),
+        ("tracking_objective", plain_tracking),
         ("carried", plain_carried),
-    ):  # fmt: skip
+    ):
         monkeypatch.setattr(controller_module, name, part)

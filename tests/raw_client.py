@@ -23,19 +23,28 @@ class RawClient:
     def __init__(self, address: str, origin: str | None = None) -> None:
         """Connect, and tell where the camera is: then the server has a client."""
         self._connection = connect(
-            address.replace("http://", "ws://"), origin=origin, max_size=None, compression=None,
+            address.replace("http://", "ws://"),
+            origin=origin,
+            max_size=None,
+            compression=None,
             subprotocols=[websockets.Subprotocol(f"viser-v{viser.__version__}")],
-        )  # fmt: skip
+        )
         self.received = 0
         self._thread = threading.Thread(target=self._drain, daemon=True)
         self._thread.start()
         self.send(
             _messages.ViewerCameraMessage(
-                wxyz=(1.0, 0.0, 0.0, 0.0), position=(2.0, 2.0, 1.5), fov=0.75, near=0.01,
-                far=100.0, image_height=900, image_width=1600, look_at=(0.0, 0.0, 0.4),
+                wxyz=(1.0, 0.0, 0.0, 0.0),
+                position=(2.0, 2.0, 1.5),
+                fov=0.75,
+                near=0.01,
+                far=100.0,
+                image_height=900,
+                image_width=1600,
+                look_at=(0.0, 0.0, 0.4),
                 up_direction=(0.0, 0.0, 1.0),
             )
-        )  # fmt: skip
+        )
 
     def send(self, message: Any) -> None:
         """Send one message of viser's."""

@@ -13,17 +13,24 @@ from app.simulation.run import run_scenario
 
 
 def short_run(
-    robot: RobotModel, data: BorderData, experiment: Experiment, duration: float,
+    robot: RobotModel,
+    data: BorderData,
+    experiment: Experiment,
+    duration: float,
     physics: str = "kinematic",
-) -> Run:  # fmt: skip
+) -> Run:
     """An experiment, cut short."""
     scenario = experiment.full().changed(duration=duration)
     return run_of(
         run_scenario(
-            robot, data, scenario, experiment.config(), controller=experiment.controller,
+            robot,
+            data,
+            scenario,
+            experiment.config(),
+            controller=experiment.controller,
             physics=physics,
         )
-    )  # fmt: skip
+    )
 
 
 def sources_of(robot: RobotModel, data: BorderData, runs: dict[Experiment, Run]) -> Sources:

@@ -33,8 +33,7 @@ def figures(kind: str, path: str, mode: str, physics: str = "kinematic") -> dict
 
 @pytest.mark.parametrize("kind", ["holonomic", "car-like"])
 @pytest.mark.parametrize(
-    ("path", "mode"),
-    [("left", "guiding"), ("right", "tracking"), ("front", "tracking")],
+    ("path", "mode"), [("left", "guiding"), ("right", "tracking"), ("front", "tracking")]
 )
 def test_the_base_gives_way_without_contact(kind: str, path: str, mode: str) -> None:
     result = figures(kind, path, mode)

@@ -23,10 +23,18 @@ from app.robot.model import RobotModel
 pytestmark = pytest.mark.slow
 
 KEYS = {
-    "step_p50_us", "step_p99_us", "step_max_us", "floor_p50_us", "step_all_p50_us",
-    "stages_p50_us", "step_p50_us_by_points", "border_build_s", "border_reselect_ms",
-    "rollout_realtime_factor", "peak_memory_mb",
-}  # fmt: skip
+    "step_p50_us",
+    "step_p99_us",
+    "step_max_us",
+    "floor_p50_us",
+    "step_all_p50_us",
+    "stages_p50_us",
+    "step_p50_us_by_points",
+    "border_build_s",
+    "border_reselect_ms",
+    "rollout_realtime_factor",
+    "peak_memory_mb",
+}
 
 
 @pytest.fixture(scope="module")
@@ -53,8 +61,14 @@ def test_a_recorded_path_is_answered_as_in_the_run(recorded, robot, border_data)
 def test_stages_are_parts_of_the_step(recorded, robot, border_data) -> None:
     stages = time_stages(Controller(robot, border_data, Config()), recorded[:1])
     assert set(stages) == {
-        "kinematics_dynamics", "distances", "acting_point", "task", "qp", "proxqp", "rest",
-    }  # fmt: skip
+        "kinematics_dynamics",
+        "distances",
+        "acting_point",
+        "task",
+        "qp",
+        "proxqp",
+        "rest",
+    }
     named = {name: t for name, t in stages.items() if name != "proxqp"}  # seldom needed
     assert min(named.values()) > 0.5
 

@@ -69,9 +69,7 @@ class Arm:
 
     def witness(self, q_m: np.ndarray) -> tuple[float, np.ndarray]:
         q = self.model.configuration((0, 0, 0), q_m)
-        pin.updateGeometryPlacements(
-            self.model.pin, self._data, self._geometry, self._placed, q
-        )  # fmt: skip
+        pin.updateGeometryPlacements(self.model.pin, self._data, self._geometry, self._placed, q)
         pin.computeDistances(self._geometry, self._placed)
         result = self._placed.distanceResults[0]
         return result.min_distance, np.array(result.getNearestPoint2())
@@ -93,9 +91,11 @@ class Arm:
         for start in starts:
             found = least_squares(
                 lambda q_m: self.witness(q_m)[1] - target,
-                np.clip(start, lower + 1e-6, upper - 1e-6), bounds=(lower, upper),
-                diff_step=1e-6, max_nfev=40,
-            )  # fmt: skip
+                np.clip(start, lower + 1e-6, upper - 1e-6),
+                bounds=(lower, upper),
+                diff_step=1e-6,
+                max_nfev=40,
+            )
             d, p = self.witness(found.x)
             if d > 0.03:
                 best = min(best, float(np.linalg.norm(p - target)))

@@ -35,9 +35,12 @@ def clouds():
 
 def voxels(sectors: int = 16) -> Voxels:
     return Voxels(
-        np.array([-0.495, -0.345, 0.0]), np.array([0.495, 0.345, 0.38]),
-        reach=0.32, size=np.array([0.008, 0.008, 0.005]), sectors=sectors,
-    )  # fmt: skip
+        np.array([-0.495, -0.345, 0.0]),
+        np.array([0.495, 0.345, 0.38]),
+        reach=0.32,
+        size=np.array([0.008, 0.008, 0.005]),
+        sectors=sectors,
+    )
 
 
 @pytest.mark.slow
@@ -139,9 +142,7 @@ def test_every_voxel_lies_in_one_sector_and_no_seam_on_the_wheels_axis():
 
 def test_a_base_too_large_to_be_kept_is_refused():
     with pytest.raises(DescriptionError, match="further than"):
-        Voxels(
-            np.full(3, -4.0), np.full(3, 4.0), reach=0.32, size=np.full(3, 0.01), sectors=1
-        )  # fmt: skip
+        Voxels(np.full(3, -4.0), np.full(3, 4.0), reach=0.32, size=np.full(3, 0.01), sectors=1)
 
 
 def die_outside(pid: int, job: int) -> int:
@@ -198,9 +199,13 @@ def test_ctrl_c_ends_the_sampling_at_once_and_leaves_no_process(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(CTRL_C)
     process = subprocess.Popen(
-        [sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        env={**os.environ, "PYTHONPATH": os.getcwd()}, start_new_session=True,
-    )  # fmt: skip
+        [sys.executable, str(script)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.getcwd()},
+        start_new_session=True,
+    )
     assert process.stdout is not None
     assert process.stdout.readline().startswith("started")
     start = time.monotonic()

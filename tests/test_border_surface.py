@@ -114,13 +114,21 @@ def test_the_desired_acceleration_jumps_twenty_times_less_than_with_the_points(
 
 @settings(max_examples=60, deadline=None)
 @given(
-    x=st.floats(-0.6, 0.6), y=st.floats(-0.5, 0.5), z=st.floats(0.0, 0.39),
-    direction=st.floats(0.0, 2 * np.pi), climb=st.floats(-1.0, 1.0),
-)  # fmt: skip
+    x=st.floats(-0.6, 0.6),
+    y=st.floats(-0.5, 0.5),
+    z=st.floats(0.0, 0.39),
+    direction=st.floats(0.0, 2 * np.pi),
+    climb=st.floats(-1.0, 1.0),
+)
 def test_near_points_outside_the_base_have_near_feet(
-    surface: BorderSurface, robot: RobotModel, x: float, y: float, z: float, direction: float,
+    surface: BorderSurface,
+    robot: RobotModel,
+    x: float,
+    y: float,
+    z: float,
+    direction: float,
     climb: float,
-) -> None:  # fmt: skip
+) -> None:
     """Away from medial axes: inside the base, over its top, and in the middle of a gap."""
     step = 1e-5 * np.array([np.cos(direction), np.sin(direction), climb])
     p = np.array([x, y, z])
@@ -196,10 +204,13 @@ def random_gaps(rng: np.random.Generator, heights: np.ndarray) -> list[list[Gap]
     """None or a gap at each height, some of them over the first ray, told from 1 m up to 2 m."""
     starts, widths = rng.uniform(0, RAYS, len(heights)), rng.uniform(1, 300, len(heights))
     return [
-        None if not 1.0 <= z <= 2.0 or rng.random() < 0.2
-        else [] if rng.random() < 0.1 else [Gap(a, a + w)]
+        None
+        if not 1.0 <= z <= 2.0 or rng.random() < 0.2
+        else []
+        if rng.random() < 0.1
+        else [Gap(a, a + w)]
         for z, a, w in zip(heights, starts, widths, strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def rays_of(gaps: list[Gap]) -> set[int]:
@@ -221,9 +232,13 @@ def test_gaps_only_get_narrower_and_no_end_leaps(seed: int) -> None:
                 further = STEEPEST_GAP * abs(heights[k] - heights[beside])
                 (gap,) = gaps
                 reach = max(
-                    [min(gap.last, o.last + t) - max(gap.first, o.first + t)
-                     for o in found[beside] for t in (-RAYS, 0, RAYS)], default=0.0,
-                )  # fmt: skip
+                    [
+                        min(gap.last, o.last + t) - max(gap.first, o.first + t)
+                        for o in found[beside]
+                        for t in (-RAYS, 0, RAYS)
+                    ],
+                    default=0.0,
+                )
                 wide = gap.last - gap.first
                 assert wide <= max(reach, 0.0) + 2 * further + 1e-9
 

@@ -44,8 +44,12 @@ def box(centre: np.ndarray, half: np.ndarray) -> Box:
 
 @pytest.fixture(scope="module")
 def towered() -> RobotModel:
-    post = Cylinder(type="cylinder", radius_m=POST_RADIUS, length_m=POST_TOP,
-                    xyz_m=(*POST_AT, POST_TOP / 2 - FLOOR))  # fmt: skip
+    post = Cylinder(
+        type="cylinder",
+        radius_m=POST_RADIUS,
+        length_m=POST_TOP,
+        xyz_m=(*POST_AT, POST_TOP / 2 - FLOOR),
+    )
     return with_mobile_shapes((box(*DECK), box(*TOWER), post))
 
 
@@ -150,8 +154,11 @@ def test_two_towers_without_a_deck_are_two_islands_and_a_frame_has_a_hole():
         found = offset.nearest(np.array([x, 0.0]), 0.2)
         assert found.xy == pytest.approx([np.sign(x) * 0.35, 0.0], abs=1e-3)
     sides = [((0.5, 0.0), (0.05, 0.55)), ((0.0, 0.5), (0.55, 0.05))]
-    frame = [box(np.array([*(s * np.array(c)), 0.3]), np.array([*h, 0.3]))
-             for c, h in sides for s in (1.0, -1.0)]  # fmt: skip
+    frame = [
+        box(np.array([*(s * np.array(c)), 0.3]), np.array([*h, 0.3]))
+        for c, h in sides
+        for s in (1.0, -1.0)
+    ]
     offset = OffsetContours(with_mobile_shapes(tuple(frame)), D_B)
     within = offset.nearest(np.array([0.25, 0.1]), 0.2)
     assert within.xy == pytest.approx([0.3, 0.1], abs=1e-3)  # 0.45 m less d_b
@@ -164,9 +171,12 @@ def test_slanted_and_hanging_shapes_and_those_of_corners_are_followed():
         Box(type="box", size_m=(0.8, 0.5, 0.3), xyz_m=(0.0, 0.0, 0.05)),
         Capsule(type="capsule", start_m=(0.3, 0.2, 0.1), end_m=(-0.4, 0.3, 1.0), radius_m=0.05),
         Box(type="box", size_m=(0.3, 0.3, 0.05), xyz_m=(-0.2, -0.3, 0.8)),
-        Hull(type="hull", xyz_m=(0.5, 0.0, 0.3),
-             vertices_m=((0.1, 0.0, 0.0), (-0.1, 0.1, 0.0), (-0.1, -0.1, 0.0), (0.0, 0.0, 0.4))),
-    )  # fmt: skip
+        Hull(
+            type="hull",
+            xyz_m=(0.5, 0.0, 0.3),
+            vertices_m=((0.1, 0.0, 0.0), (-0.1, 0.1, 0.0), (-0.1, -0.1, 0.0), (0.0, 0.0, 0.4)),
+        ),
+    )
     model = with_mobile_shapes(shapes)
     body, offset = MobileBody(model), OffsetContours(model, D_B)
     assert len(offset.rings) == 4
@@ -199,8 +209,12 @@ def test_a_gap_that_begins_at_a_height_opens_no_faster_than_the_foot_may_move(
 ) -> None:
     """All around the tower below 0.8 m, around its front only above."""
     turn = np.linspace(0.0, 2 * np.pi, 400, endpoint=False)
-    around = np.array([offset.nearest(TOWER[0][:2] + 0.5 * np.array([np.cos(a), np.sin(a)]), 0.7).xy
-                       for a in turn])  # fmt: skip
+    around = np.array(
+        [
+            offset.nearest(TOWER[0][:2] + 0.5 * np.array([np.cos(a), np.sin(a)]), 0.7).xy
+            for a in turn
+        ]
+    )
     layers = [
         np.column_stack([xy, np.full(len(xy), z)])
         for z in np.arange(0.6, 1.0, 0.004)
@@ -236,8 +250,10 @@ def test_a_hand_pulled_at_the_tower_meets_it_only_without_avoidance(controller: 
     tower = box(np.array([-0.42, 0.0, 0.7]), np.array([0.07, 0.15, 0.5]))
     model = with_mobile_shapes((box(*DECK), tower))
     data = load_border_data(husky_panda(), progress=False)
-    nothing = {name: make_cloud(name, np.empty((0, 3), np.int16), np.empty(0, np.uint16))
-               for name in data.clouds}  # fmt: skip
+    nothing = {
+        name: make_cloud(name, np.empty((0, 3), np.int16), np.empty(0, np.uint16))
+        for name in data.clouds
+    }
     data = type(data)(data.pairs, nothing, data.origin)
     line = scenario_by_name("guiding-above").changed(
         start=(0.05, 0.35, 0.95), move=(-0.45, -0.25, 0.0), duration=4.0

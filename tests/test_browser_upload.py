@@ -38,17 +38,28 @@ LATE = "Tried to update non-existent component"
 
 It applies changes after removals; what was removed with the old robot's page is gone either way.
 """
-SAMPLING = SamplingConfig(pair_samples=2000, cloud_samples=4000, voxel_plan=0.04,
-                          voxel_height=0.04, rounds=1, retries=1, sectors=2)  # fmt: skip
+SAMPLING = SamplingConfig(
+    pair_samples=2000,
+    cloud_samples=4000,
+    voxel_plan=0.04,
+    voxel_height=0.04,
+    rounds=1,
+    retries=1,
+    sectors=2,
+)
 
 
 def make_of_few(tell: Tell, request: Request) -> None:
     """What the process does that makes the robot; its border is kept beside the robots."""
     with few_samples(request.out.parent):
         finish(
-            request, tell=lambda text: tell(text, -1.0), processes=1, sampling=SAMPLING,
-            progress=False, on_progress=lambda share: tell("sampling the border", share),
-        )  # fmt: skip
+            request,
+            tell=lambda text: tell(text, -1.0),
+            processes=1,
+            sampling=SAMPLING,
+            progress=False,
+            on_progress=lambda share: tell("sampling the border", share),
+        )
 
 
 def kept_of_few(model: RobotModel) -> BorderData | None:
@@ -95,9 +106,11 @@ def test_a_zip_becomes_a_robot_whose_base_gives_way_to_the_hand(
     tab.page.get_by_text("Your own robot").click()
     for files, words in (
         ({"../toy.urdf": TOY}, "leads out of the zip by '..'"),
-        ({**good, "toy/toy.urdf": TOY.replace('xyz="0 0 0.34"', 'xyz="0 0 340"')},
-         "these look like millimetres"),
-    ):  # fmt: skip
+        (
+            {**good, "toy/toy.urdf": TOY.replace('xyz="0 0 0.34"', 'xyz="0 0 340"')},
+            "these look like millimetres",
+        ),
+    ):
         choose_file(tab, zipped(tmp_path, files))
         see(tab, words)
     choose_file(tab, zipped(tmp_path, good))

@@ -241,10 +241,7 @@ def test_only_a_base_that_gives_way_needs_a_buffer(led):
 def test_from_above_and_from_afar_nothing_counts(led):
     state, pairs = led(0.3)
     above = np.array([0.0, 0.3, math.sqrt(0.91)])
-    for pair in (
-        pairs[0]._replace(n=above),
-        pairs[0]._replace(d=0.31),
-    ):
+    for pair in (pairs[0]._replace(n=above), pairs[0]._replace(d=0.31)):
         watch = BufferWatch(changed(border__d_b=0.30))
         readings = [watch.update(state, [pair], DT, gives_way=True) for _ in range(101)]
         assert readings[-1].approach_speed_max == 0.0

@@ -30,15 +30,36 @@ pytestmark = pytest.mark.slow
 PROJECT = Path(__file__).parent.parent
 QUICK = ["run", "guiding-lateral", "--physics", "kinematic", "--duration", "0.05"]
 FIGURES = {
-    "scenario", "controller", "robot", "seed", "duration_s", "min_distance_m", "min_clearance_m",
-    "contacts", "arm_min_clearance_m", "arm_contacts", "ee_error_max_m", "ee_error_final_m",
-    "base_displacement_m", "base_yaw_rad", "activation_max", "base_acceleration_jump_max",
-    "torque_jump_max_nm", "solver_failures", "step_p50_us", "step_p99_us", "realtime_factor",
-}  # fmt: skip
+    "scenario",
+    "controller",
+    "robot",
+    "seed",
+    "duration_s",
+    "min_distance_m",
+    "min_clearance_m",
+    "contacts",
+    "arm_min_clearance_m",
+    "arm_contacts",
+    "ee_error_max_m",
+    "ee_error_final_m",
+    "base_displacement_m",
+    "base_yaw_rad",
+    "activation_max",
+    "base_acceleration_jump_max",
+    "torque_jump_max_nm",
+    "solver_failures",
+    "step_p50_us",
+    "step_p99_us",
+    "realtime_factor",
+}
 RELEASED = {
-    "base_path_after_release_m", "base_speed_final_mps", "hand_force_max_n",
-    "joint_speed_share_max", "solver_given_up", "stuck",
-}  # fmt: skip
+    "base_path_after_release_m",
+    "base_speed_final_mps",
+    "hand_force_max_n",
+    "joint_speed_share_max",
+    "solver_given_up",
+    "stuck",
+}
 UNITS = ("_s", "_m", "_rad", "_nm", "_n", "_us", "_mps", "_radps", "_mps2", "_radps2")
 
 
@@ -266,13 +287,16 @@ REFUSED = {
     "duration": ([*QUICK[:4], "--duration", "-1"], ["--duration", "0.01 to 3600 s"]),
     "duration inf": ([*QUICK[:4], "--duration", "inf"], ["--duration", "inf"]),
     "release after the end": (
-        ["run", "guiding-front", "--release-at", "9"], ["--release-at", "9.0 s", "0 to 8 s"],
+        ["run", "guiding-front", "--release-at", "9"],
+        ["--release-at", "9.0 s", "0 to 8 s"],
     ),
     "release before the start": (
-        ["run", "guiding-front", "--release-at", "-1"], ["--release-at", "-1.0 s", "0 to 8 s"],
+        ["run", "guiding-front", "--release-at", "-1"],
+        ["--release-at", "-1.0 s", "0 to 8 s"],
     ),
     "release of nobody": (
-        ["run", "tracking", "--release-at", "1"], ["--release-at", "nobody holds the hand"],
+        ["run", "tracking", "--release-at", "1"],
+        ["--release-at", "nobody holds the hand"],
     ),
     "release of no line": (["run", "way-out", "--release-at", "1"], ["--release-at", "has none"]),
     "seed": ([*QUICK, "--seed", "-1"], ["--seed", "-1"]),
@@ -288,11 +312,12 @@ REFUSED = {
     "in the base": ([*QUICK, "--start", "0.3", "0.2", "0.2"], ["no configuration"]),
     "led below": ([*QUICK, "--move", "0", "0", "-1"], ["below the floor"]),
     "tracked below": (
-        ["run", "tracking", "--duration", "0.1", "--move", "0", "0", "-1"], ["below the floor"],
+        ["run", "tracking", "--duration", "0.1", "--move", "0", "0", "-1"],
+        ["below the floor"],
     ),
     "led away": ([*QUICK, "--move", "1e9", "0", "0"], ["--move", "-10 to 10 m"]),
     "port": (["serve", "--port", "70000"], ["70000", "between 0 and 65535"]),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", REFUSED)
@@ -366,9 +391,11 @@ def test_help_names_every_command_and_the_unit_of_every_quantity(dbb):
     assert not [c for c in ("serve", "run", "pairs", "border", "robots") if c not in text]
     text = dbb("run", "--help").out
     for option, unit in {
-        "--start X Y Z": "[m]", "--move X Y Z": "[m]", "--duration FLOAT": "[s]",
+        "--start X Y Z": "[m]",
+        "--move X Y Z": "[m]",
+        "--duration FLOAT": "[s]",
         "--buffer-distance FLOAT": "[m]",
-    }.items():  # fmt: skip
+    }.items():
         assert unit in text.partition(option)[2][:120]
     assert not [name for name in SCENARIOS if name not in text]
 
@@ -377,8 +404,12 @@ def command(*args: str, **options) -> subprocess.Popen[str]:
     """The command in a process of its own, in a session of its own."""
     return subprocess.Popen(
         [sys.executable, "-m", "app", *args],
-        cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options,
-    )  # fmt: skip
+        cwd=PROJECT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
 
 
 def test_python_m_app_is_dbb():
@@ -423,8 +454,12 @@ def test_a_reader_that_goes_away_is_no_error():
     os.close(read)
     process = subprocess.run(
         [sys.executable, "-m", "app", "robots"],
-        cwd=PROJECT, stdout=write, stderr=subprocess.PIPE, text=True, timeout=60,
-    )  # fmt: skip
+        cwd=PROJECT,
+        stdout=write,
+        stderr=subprocess.PIPE,
+        text=True,
+        timeout=60,
+    )
     os.close(write)
     assert process.stderr == ""
     assert process.returncode == 1

@@ -126,16 +126,21 @@ def test_scores_are_those_of_the_steps(make):
     asked = np.array([step.output.base_acceleration for step in steps])
     torques = np.array([step.output.u_a for step in steps])
     mobile = [
-        d for step in steps for pair, d in
-        zip(step.output.avoidance.pairs, step.distances, strict=True)
+        d
+        for step in steps
+        for pair, d in zip(step.output.avoidance.pairs, step.distances, strict=True)
         if pair.closest.pair.a == "lm"
-    ]  # fmt: skip
+    ]
     expected = Score(
-        "dbb", min(mobile), steps[-1].ee_error, max(step.ee_error for step in steps),
+        "dbb",
+        min(mobile),
+        steps[-1].ee_error,
+        max(step.ee_error for step in steps),
         sum(float(np.hypot(*(b - a)[:2])) for a, b in pairwise(poses)),
-        *np.abs(np.diff(asked, axis=0)).max(axis=0), np.abs(np.diff(torques, axis=0)).max(),
+        *np.abs(np.diff(asked, axis=0)).max(axis=0),
+        np.abs(np.diff(torques, axis=0)).max(),
         sum(step.contacts.arm_base for step in steps),
-    )  # fmt: skip
+    )
     assert score == pytest.approx(expected)
     assert score.base_path > 1e-3
     assert ensemble.scores()[1].base_path < score.base_path

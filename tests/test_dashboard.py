@@ -380,8 +380,9 @@ def test_labels_stand_far_apart_or_at_one_point_on_sides_of_their_own(labels):
         near = [k for k, p in enumerate(places) if np.linalg.norm(p - place) < TOGETHER]
         if not any(there is places[k] for k in near):
             assert there is place
-            taken = [{s for p, s in zip(places, sides, strict=True) if p is places[k]}
-                     for k in near]  # fmt: skip
+            taken = [
+                {s for p, s in zip(places, sides, strict=True) if p is places[k]} for k in near
+            ]
             assert all(side in each for each in taken)
         else:
             same = [s for p, s in zip(places, sides, strict=True) if p is there]
@@ -431,8 +432,11 @@ def test_the_border_is_drawn_anew_only_when_it_has_changed(scene, borders):
 @pytest.mark.parametrize("quantity", ["determinant", "reachability", "score"])
 def test_legend_numbers_are_those_of_the_border(borders, clouds, quantity):
     field = ScoreField.of(husky_panda(), "lEE")
-    function = {"determinant": field.singularity, "reachability": field.reachability,
-                "score": field.score}[quantity]  # fmt: skip
+    function = {
+        "determinant": field.singularity,
+        "reachability": field.reachability,
+        "score": field.score,
+    }[quantity]
     for whole in (False, True):
         coloured = borders.coloured("lm-lEE", quantity, BorderConfig(), whole=whole)
         points = construct_dbb(clouds["lm-lEE"], 0.15, 0.01).points

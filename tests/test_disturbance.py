@@ -183,9 +183,11 @@ def test_a_mass_error_scales_gravity_and_inertia_of_the_arm_and_nothing_of_the_b
     mirrored.scale_arm_inertias(1 - error)
     for _ in range(5):
         m = Measurement(
-            rng.normal(size=3), rng.normal(size=2),
-            rng.uniform(robot.q_lower, robot.q_upper), rng.normal(size=7),
-        )  # fmt: skip
+            rng.normal(size=3),
+            rng.normal(size=2),
+            rng.uniform(robot.q_lower, robot.q_upper),
+            rng.normal(size=7),
+        )
         for state in (right, wrong, mirrored):
             state.update(m)
         np.testing.assert_allclose(wrong.g[2:], (1 + error) * right.g[2:], atol=1e-9)

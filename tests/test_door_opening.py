@@ -115,10 +115,14 @@ def random_door(seed: int) -> tuple[Hinged, float]:
     """A door, and by how much [rad] the first guess is wrong."""
     rng = np.random.default_rng(seed)
     door = Hinged(
-        side=(-1.0) ** seed, radius=rng.uniform(0.35, 0.75), yaw=rng.uniform(-3, 3),
-        inset=rng.uniform(-0.2, 0.2), friction=rng.uniform(0.0, 3.0),
-        stiffness=rng.uniform(1500, 8000), twist=rng.uniform(40, 200),
-    )  # fmt: skip
+        side=(-1.0) ** seed,
+        radius=rng.uniform(0.35, 0.75),
+        yaw=rng.uniform(-3, 3),
+        inset=rng.uniform(-0.2, 0.2),
+        friction=rng.uniform(0.0, 3.0),
+        stiffness=rng.uniform(1500, 8000),
+        twist=rng.uniform(40, 200),
+    )
     return door, math.radians(30.0) * (1, -1, rng.uniform(-1, 1))[seed // 2 % 3]
 
 
@@ -148,10 +152,18 @@ def run(door: Hinged, opening: DoorOpening, seconds: float) -> list[Sample]:
         along = tangent(estimate, door.side)
         error = math.atan2(estimate @ tangent(door.radial, 1.0), estimate @ door.radial)
         reference = opening.step(hand)
-        trace.append(Sample(
-            k * DT, error, float(np.linalg.norm(hand.force)), door.angle, opening.speed,
-            float(reference.velocity[:3] @ along), hand, reference,
-        ))  # fmt: skip
+        trace.append(
+            Sample(
+                k * DT,
+                error,
+                float(np.linalg.norm(hand.force)),
+                door.angle,
+                opening.speed,
+                float(reference.velocity[:3] @ along),
+                hand,
+                reference,
+            )
+        )
         door.follow(reference)
     return trace
 

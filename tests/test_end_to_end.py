@@ -125,8 +125,11 @@ def test_two_dashboards_cannot_listen_at_one_port(served):
     port = served.address.rpartition(":")[2]
     second = subprocess.run(
         [sys.executable, "-m", "app", "serve", "--port", port],
-        cwd=PROJECT, capture_output=True, text=True, timeout=PATIENCE,
-    )  # fmt: skip
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
     assert second.returncode == 2
     [line] = second.stderr.splitlines()
     assert port in line

@@ -35,9 +35,8 @@ def fridge_setting(robot: RobotModel, border_data: BorderData) -> Setting:
 def known_fridge(monkeypatch: pytest.MonkeyPatch, fridge_setting: Setting) -> None:
     """The search for the grasp, once for all tests: it takes seconds."""
     monkeypatch.setattr(
-        RefrigeratorScenario, "setting",
-        lambda self, model, data, config, seed: fridge_setting,
-    )  # fmt: skip
+        RefrigeratorScenario, "setting", lambda self, model, data, config, seed: fridge_setting
+    )
 
 
 @pytest.fixture
@@ -57,9 +56,15 @@ def make(robot: RobotModel, border_data: BorderData) -> Iterator:
 def numbers(step: Step) -> list[float]:
     """What is physical in a step."""
     return [
-        step.t, step.ee_error, *step.truth.q_m, *step.truth.base_pose, *step.output.u_a,
-        *step.hand_force, *step.distances, *step.contacts,
-    ]  # fmt: skip
+        step.t,
+        step.ee_error,
+        *step.truth.q_m,
+        *step.truth.base_pose,
+        *step.output.u_a,
+        *step.hand_force,
+        *step.distances,
+        *step.contacts,
+    ]
 
 
 def steps(ensemble: Ensemble, seconds: float) -> np.ndarray:

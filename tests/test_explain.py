@@ -39,21 +39,34 @@ LAST = BASE._replace(d=0.05, held=True)
 INSIDE = BASE._replace(d=-0.004, beta=1.0, held=True)
 HELD = BASE._replace(d=0.05, held=True, force=None)
 NEAR = {
-    "nothing": (), "base": (BASE,), "left": (BASE._replace(n=LEFT),),
-    "corner": (BASE._replace(n=CORNER, d=0.123), LINKS), "rear": (BASE._replace(n=REAR),),
-    "above": (ABOVE,), "high above": (ABOVE._replace(held=False, d=0.13),), "last": (LAST,),
-    "inside": (INSIDE,), "links": (LINKS,), "both": (BASE, LINKS), "held": (HELD, LINKS),
-    "edge": (BASE._replace(d=0.148),), "all": (ABOVE, BASE._replace(b="l3"), LINKS),
-}  # fmt: skip
+    "nothing": (),
+    "base": (BASE,),
+    "left": (BASE._replace(n=LEFT),),
+    "corner": (BASE._replace(n=CORNER, d=0.123), LINKS),
+    "rear": (BASE._replace(n=REAR),),
+    "above": (ABOVE,),
+    "high above": (ABOVE._replace(held=False, d=0.13),),
+    "last": (LAST,),
+    "inside": (INSIDE,),
+    "links": (LINKS,),
+    "both": (BASE, LINKS),
+    "held": (HELD, LINKS),
+    "edge": (BASE._replace(d=0.148),),
+    "all": (ABOVE, BASE._replace(b="l3"), LINKS),
+}
 MOTIONS = {"rest": (0.0, 0.0), "back": (-0.21, 0.3), "turns": (0.0, -0.5), "ahead": (0.4, 0.0)}
 BOUNDS = (
-    (), (Bound("panda_joint4", "torque", upper=True),),
+    (),
+    (Bound("panda_joint4", "torque", upper=True),),
     tuple(Bound(f"panda_joint{i}", "angular acceleration", upper=True) for i in range(1, 8)),
-)  # fmt: skip
+)
 LEVELS = (
-    Level("base", 0.0, 0.31), Level("arm", 0.0, None), Level("links", 12.0, None),
-    Level("hand", 92.9, 4.2), Level("posture", None, 0.6),
-)  # fmt: skip
+    Level("base", 0.0, 0.31),
+    Level("arm", 0.0, None),
+    Level("links", 12.0, None),
+    Level("hand", 92.9, 4.2),
+    Level("posture", None, 0.6),
+)
 
 
 @pytest.fixture(scope="module")
@@ -63,11 +76,19 @@ def blank() -> Snapshot:
 
 def explanation(near: tuple[NearPair, ...] = (), **fields: object) -> Explanation:
     why = Explanation(
-        controller="dbb", mode="guiding", solved=True, chain=CHAIN, near=near,
-        nearest=("lm", "lEE", near[0].d if near else 0.23), axes=(FORWARD, TURN),
-        base_avoidance=(0.0, 0.0), base_asked=(0.0, 0.0), base_given=(0.0, 0.0), levels=(),
+        controller="dbb",
+        mode="guiding",
+        solved=True,
+        chain=CHAIN,
+        near=near,
+        nearest=("lm", "lEE", near[0].d if near else 0.23),
+        axes=(FORWARD, TURN),
+        base_avoidance=(0.0, 0.0),
+        base_asked=(0.0, 0.0),
+        base_given=(0.0, 0.0),
+        levels=(),
         bounds=(),
-    )  # fmt: skip
+    )
     return why._replace(**fields)
 
 
@@ -157,14 +178,22 @@ def test_there_is_one_short_answer_for_every_state(blank, controller):
         if name != controller:
             continue
         why = explanation(
-            NEAR[near], controller=name, mode=mode, levels=levels, solved=solved,
+            NEAR[near],
+            controller=name,
+            mode=mode,
+            levels=levels,
+            solved=solved,
             bounds=(Bound("base", "speed", upper=True),),
-        )  # fmt: skip
+        )
         for contact in ((False, False), (True, False), (False, True)):
             text = said(
-                blank, why, base_velocity=MOTIONS[moves], in_contact=contact[0],
-                arm_in_contact=contact[1], ee_error=0.123,
-            )  # fmt: skip
+                blank,
+                why,
+                base_velocity=MOTIONS[moves],
+                in_contact=contact[0],
+                arm_in_contact=contact[1],
+                ee_error=0.123,
+            )
             assert len(text) <= LONGEST, text
             assert re.fullmatch(r"[A-Z].*\.", text), text
             assert not re.search(r"None|nan|\(\)|  |lm|lEE|l1", text), text
@@ -220,7 +249,7 @@ def test_the_hands_task_is_disturbed_exactly_where_it_has_slack(blank, slack, di
         ("held", "barrier", "held back by the hard limit of 3 cm"),
         ("base", "barrier", "only nearer than 3 cm is forbidden, so nothing gives way yet"),
     ],
-)  # fmt: skip
+)
 def test_each_state_has_its_reason(blank, near, controller, part):
     assert part in said(blank, explanation(NEAR[near], controller=controller))
 
@@ -260,14 +289,25 @@ def test_the_panel_has_the_same_rows_whatever_it_says(blank):
 
 def test_the_panel_shows_the_numbers_of_the_explanation(blank):
     why = explanation(
-        NEAR["base"], base_avoidance=(-0.4, -0.2), base_asked=(-0.35, -0.15), levels=LEVELS,
+        NEAR["base"],
+        base_avoidance=(-0.4, -0.2),
+        base_asked=(-0.35, -0.15),
+        levels=LEVELS,
         bounds=BOUNDS[1],
-    )  # fmt: skip
+    )
     text = re.sub(r"<[^>]*>", " ", why_html(replace(blank, explanation=why)))
     for part in (
-        "backward right, 143° to the right", "2.3·10⁻⁴", "98", "2.2·10⁻²", "−0.35", "92.90 m/s²",
-        "4.20 rad/s²", "panda_joint4: torque limit", "80 of 150 mm", "0.70",
-    ):  # fmt: skip
+        "backward right, 143° to the right",
+        "2.3·10⁻⁴",
+        "98",
+        "2.2·10⁻²",
+        "−0.35",
+        "92.90 m/s²",
+        "4.20 rad/s²",
+        "panda_joint4: torque limit",
+        "80 of 150 mm",
+        "0.70",
+    ):
         assert part in text, part
     assert re.search(r"moving away\s+80\s+−0.40\s+\+0.00", text)
     assert re.search(r"to the better score\s+60\s+\+0.00\s+−0.20", text)
@@ -277,9 +317,12 @@ def test_the_panel_shows_the_numbers_of_the_explanation(blank):
 @pytest.mark.parametrize("base", [DifferentialBase, HolonomicBase, CarLikeBase])
 def test_the_panel_names_the_measure_of_the_base(blank, base):
     why = explanation(
-        NEAR["base"], measure_label=base.measure_label, measure_hint=base.measure_hint,
-        measure_unit=base.measure_unit, score_formula=base.score_formula,
-    )  # fmt: skip
+        NEAR["base"],
+        measure_label=base.measure_label,
+        measure_hint=base.measure_hint,
+        measure_unit=base.measure_unit,
+        score_formula=base.score_formula,
+    )
     html, paper = why_html(replace(blank, explanation=why)), base is DifferentialBase
     assert ("far from singular, det" in html) == ("sign · det · R" in html) == paper
     assert ("measure of the base" in html) == ("(10): measure · R" in html) == (not paper)

@@ -63,9 +63,12 @@ def near(robot: RobotModel, pair: str, seed: int, low: float = 0.06, high: float
 
 
 def explained(
-    controller: Controller, m: Measurement, reference: Reference | None = None,
-    config: Config = AT_ONCE, command: np.ndarray = REST,
-) -> tuple[Explanation, ControlOutput]:  # fmt: skip
+    controller: Controller,
+    m: Measurement,
+    reference: Reference | None = None,
+    config: Config = AT_ONCE,
+    command: np.ndarray = REST,
+) -> tuple[Explanation, ControlOutput]:
     controller.reset()
     controller.configure(config)
     output = controller.step(m, reference)

@@ -11,14 +11,31 @@ from app.study.case import Case
 
 UNTIL = 1.1  # [s] the pull ends at 1.14 s
 PULL = Case(
-    study_seed=1, number=6, kind="side", redraws=0, robot="husky_panda", controller="dbb",
-    physics="planar", start=(-0.0570, -0.6461, 0.4800), move=(-0.0130, 0.3770, -0.2684),
-    speed=0.6083, duration=2.6416, moving=0.43216,
+    study_seed=1,
+    number=6,
+    kind="side",
+    redraws=0,
+    robot="husky_panda",
+    controller="dbb",
+    physics="planar",
+    start=(-0.0570, -0.6461, 0.4800),
+    move=(-0.0130, 0.3770, -0.2684),
+    speed=0.6083,
+    duration=2.6416,
+    moving=0.43216,
     q_m=(-1.16541, 1.20024, -1.00743, -1.69302, 2.15291, 2.65320, 0.0),
-    base_delay=0.18577, encoder_noise=0.00085, mass_error=0.0131, slip=0.0618, v_max=0.3375,
-    hand_f_max=40.0, hand_stiffness=300.0, hand_mass=0.0, release_at=None, regrasp_at=None,
+    base_delay=0.18577,
+    encoder_noise=0.00085,
+    mass_error=0.0131,
+    slip=0.0618,
+    v_max=0.3375,
+    hand_f_max=40.0,
+    hand_stiffness=300.0,
+    hand_mass=0.0,
+    release_at=None,
+    regrasp_at=None,
     seed=3141514894,
-)  # fmt: skip
+)
 
 
 def nearest_and_fastest(robot: RobotModel, data: BorderData) -> tuple[float, float]:

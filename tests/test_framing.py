@@ -36,9 +36,11 @@ def on_picture(points: Array, eye: Array, target: Array, window: Window) -> Arra
 
 
 @given(
-    seed=st.integers(0, 10**6), size=st.floats(0.05, 3.0),
-    aspect=st.floats(0.4, 4.0), covered=st.floats(0.0, 0.45),
-)  # fmt: skip
+    seed=st.integers(0, 10**6),
+    size=st.floats(0.05, 3.0),
+    aspect=st.floats(0.4, 4.0),
+    covered=st.floats(0.0, 0.45),
+)
 def test_all_is_seen_and_from_no_nearer_it_would_be(
     seed: int, size: float, aspect: float, covered: float
 ) -> None:

@@ -13,11 +13,26 @@ import pytest
 PROJECT = Path(__file__).resolve().parent.parent
 
 ROOMS = (
-    "errors", "strict", "system", "compiled", "parameters", "config", "config_file",
-    "robot", "border", "avoidance", "control", "simulation", "bench", "reproduce", "study",
-    "onboarding", "dashboard", "cli",
+    "errors",
+    "strict",
+    "system",
+    "compiled",
+    "parameters",
+    "config",
+    "config_file",
+    "robot",
+    "border",
+    "avoidance",
+    "control",
+    "simulation",
+    "bench",
+    "reproduce",
+    "study",
+    "onboarding",
+    "dashboard",
+    "cli",
     "__main__",
-)  # fmt: skip
+)
 """In the order of the data's way; the first seven and the last are single modules."""
 
 ONLY_IN = {

@@ -92,9 +92,12 @@ def test_a_pull_of_a_seed_and_number_is_the_same_whatever_else_is_drawn() -> Non
 
 def test_sides_are_those_of_the_bases_box() -> None:
     places = {
-        (0.9, 0.1, 0.3): "front", (0.0, -0.7, 0.3): "side", (-0.9, 0.0, 0.3): "back",
-        (0.9, 0.7, 0.3): "front corner", (0.0, 0.0, 0.6): "above",
-    }  # fmt: skip
+        (0.9, 0.1, 0.3): "front",
+        (0.0, -0.7, 0.3): "side",
+        (-0.9, 0.0, 0.3): "back",
+        (0.9, 0.7, 0.3): "front corner",
+        (0.0, 0.0, 0.6): "above",
+    }
     assert {p: side(p, ROBOT) for p in places} == places
 
 
@@ -132,9 +135,11 @@ def test_a_held_hand_far_from_the_base_stays_on_its_target() -> None:
     ],
 )
 def test_a_measurement_prints_one_json_object(
-    name: str, arguments: list[str], monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    arguments: list[str],
+    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.setattr(sys, "argv", ["law", name, *arguments, "--json"])
     main()
     result = json.loads(capsys.readouterr().out)

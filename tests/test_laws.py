@@ -112,9 +112,7 @@ def test_left_and_right_are_mirror_images(q_m: Array) -> None:
 
 
 @settings(max_examples=40, deadline=None)
-@given(
-    q_m=postures, x=st.floats(-5, 5), y=st.floats(-5, 5), yaw=st.floats(-np.pi, np.pi)
-)  # fmt: skip
+@given(q_m=postures, x=st.floats(-5, 5), y=st.floats(-5, 5), yaw=st.floats(-np.pi, np.pi))
 def test_where_the_world_frame_stands_does_not_matter(
     q_m: Array, x: float, y: float, yaw: float
 ) -> None:

@@ -40,10 +40,14 @@ def test_of_a_flood_the_newest_of_each_kind_is_left():
     rng = np.random.default_rng(0)
     configs = [Config().replace("border.d_b", d) for d in (0.10, 0.15, 0.20)]
     kinds = (
-        lambda k: pull(k * 1e-4), lambda k: Configure(configs[k % 3]), lambda k: Pause(k % 2 == 0),
-        lambda k: Choose(("dbb", "none")[k % 2]), lambda k: Speed(0.5 + k * 1e-5),
-        lambda k: Reset(), lambda k: StepOnce(),
-    )  # fmt: skip
+        lambda k: pull(k * 1e-4),
+        lambda k: Configure(configs[k % 3]),
+        lambda k: Pause(k % 2 == 0),
+        lambda k: Choose(("dbb", "none")[k % 2]),
+        lambda k: Speed(0.5 + k * 1e-5),
+        lambda k: Reset(),
+        lambda k: StepOnce(),
+    )
     sent = [kinds[i](k) for k, i in enumerate(rng.integers(len(kinds), size=10_000))]
     left = after(*sent)
     assert len(left) == len(kinds) < MOST

@@ -78,9 +78,11 @@ def test_work_apart_that_is_stopped_leaves_by_its_finally(tmp_path: Path) -> Non
     stopping = threading.Event()
     with pytest.raises(Stopped):
         run_apart(
-            wait_in_a_folder, str(tmp_path / "toy"), tell=lambda *_: stopping.set(),
+            wait_in_a_folder,
+            str(tmp_path / "toy"),
+            tell=lambda *_: stopping.set(),
             stopping=stopping,
-        )  # fmt: skip
+        )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -193,9 +195,13 @@ def server() -> Iterator[DashboardServer]:
     loop = ScriptedLoop(husky_panda())
     loop.start()
     made = serve_dashboard(
-        loop, husky_panda(), clouds(), port=0, parts=parts(),
+        loop,
+        husky_panda(),
+        clouds(),
+        port=0,
+        parts=parts(),
         start_loop=lambda *_: ScriptedLoop(husky_panda()),
-    )  # fmt: skip
+    )
     yield made
     made.stop()
     loop.stop()
@@ -236,9 +242,12 @@ def test_an_upload_is_asked_about_and_its_answers_make_the_request(
             own._request()
         client.set_widget(own._fields["left"], FIND)
         wait_for(lambda: own._fields["left"].value == FIND)
-        for number, words in ((0.1, "needs “Half track”, and no “Left wheel”"),
-                              (0.001, "0.001 m is not within 0.01 to 1 m"),
-                              (-1.0, "not within"), (float("nan"), "not within")):  # fmt: skip
+        for number, words in (
+            (0.1, "needs “Half track”, and no “Left wheel”"),
+            (0.001, "0.001 m is not within 0.01 to 1 m"),
+            (-1.0, "not within"),
+            (float("nan"), "not within"),
+        ):
             client.set_widget(own._fields["wheel_radius"], number)
             wait_for(lambda n=number: repr(own._fields["wheel_radius"].value) == repr(n))
             with pytest.raises(ConfigError, match=words):
@@ -353,9 +362,9 @@ def upload(client: RawClient, uuid: str, name: str, content: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stem", "name"), [("toy", "toy"), ("My Robot-2", "my_robot_2"), ("7dof", "robot_7dof"),
-                       ("é", "robot")],
-)  # fmt: skip
+    ("stem", "name"),
+    [("toy", "toy"), ("My Robot-2", "my_robot_2"), ("7dof", "robot_7dof"), ("é", "robot")],
+)
 def test_a_file_gives_a_name_that_a_robot_may_have(stem: str, name: str) -> None:
     assert robot_name(stem) == name
     assert Request("", "", "", Path("/x") / name).name == name

@@ -9,11 +9,7 @@ from app.avoidance.mobile_acceleration import (
     generate_mob_acc,
     resultant_force,
 )
-from app.robot.bases.differential import (
-    control_point_jacobian,
-    free_acceleration,
-    mobile_jacobian,
-)
+from app.robot.bases.differential import control_point_jacobian, free_acceleration, mobile_jacobian
 from app.robot.bases.kind import BaseForce
 from tests.robots import husky_panda
 

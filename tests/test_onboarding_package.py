@@ -93,16 +93,22 @@ WRONG_FILES: dict[str, tuple[dict[str, str | bytes], str]] = {
     "xacro": ({"a.urdf.xacro": XACRO}, "a xacro can hold Python"),
     "laughs": ({"toy.urdf": TOY.replace("<robot", LAUGHS + "<robot")}, "the XML entity 'a'"),
     "file entity": (
-        {"toy.urdf": TOY.replace("<robot", '<!DOCTYPE r [<!ENTITY p SYSTEM "file:///etc/passwd">]>'
-                                 "<robot")},
+        {
+            "toy.urdf": TOY.replace(
+                "<robot", '<!DOCTYPE r [<!ENTITY p SYSTEM "file:///etc/passwd">]><robot'
+            )
+        },
         "the XML entity 'p'",
     ),
     "laughing mesh": (
-        {"toy.urdf": with_mesh(TOY, "m.dae"), "m.dae": LAUGHS + "<COLLADA/>"}, "m.dae: it declares"
+        {"toy.urdf": with_mesh(TOY, "m.dae"), "m.dae": LAUGHS + "<COLLADA/>"},
+        "m.dae: it declares",
     ),
     "mesh of another encoding": (
-        {"toy.urdf": with_mesh(TOY, "m.dae"),
-         "m.dae": '<?xml version="1.0" encoding="UTF-16"?>' + LAUGHS + "<COLLADA/>"},
+        {
+            "toy.urdf": with_mesh(TOY, "m.dae"),
+            "m.dae": '<?xml version="1.0" encoding="UTF-16"?>' + LAUGHS + "<COLLADA/>",
+        },
         "m.dae: not well-formed",
     ),
     "mesh of no encoding": (
@@ -110,33 +116,42 @@ WRONG_FILES: dict[str, tuple[dict[str, str | bytes], str]] = {
         "m.dae: not well-formed",
     ),
     "mesh of many bytes": (
-        {"toy.urdf": with_mesh(TOY, "m.dae"),
-         "m.dae": '<?xml version="1.0" encoding="shift_jis"?><C/>'},
+        {
+            "toy.urdf": with_mesh(TOY, "m.dae"),
+            "m.dae": '<?xml version="1.0" encoding="shift_jis"?><C/>',
+        },
         "m.dae: not well-formed",
     ),
     "mesh outside": ({"u/toy.urdf": with_mesh(TOY, "../../m.stl")}, "outside of the package"),
     "mesh of the machine": ({"toy.urdf": with_mesh(TOY, "/etc/passwd")}, "outside of the package"),
     "mesh by file": ({"toy.urdf": with_mesh(TOY, "file:///etc/passwd")}, "outside of the package"),
     "mesh of a package": (
-        {"toy.urdf": with_mesh(TOY, "package://pybullet_data/a.stl")}, "no such file in the zip"
+        {"toy.urdf": with_mesh(TOY, "package://pybullet_data/a.stl")},
+        "no such file in the zip",
     ),
     "mesh of the net": ({"toy.urdf": with_mesh(TOY, "http://a.b/m.stl")}, "outside of the package"),
     "mesh missing": ({"toy.urdf": with_mesh(TOY, "meshes/m.stl")}, "no such file in the zip"),
     "mesh no mesh": ({"toy.urdf": with_mesh(TOY, "m.stl"), "m.stl": b"solid"}, "m.stl"),
-}  # fmt: skip
+}
 
 
 BAD_URDFS = {
     "no inertia": (re.sub(r"<inertial>.*?</inertial>", "", TOY), "--assume-inertia"),
     "mesh missing": (with_mesh(TOY, "meshes/none.stl"), "mesh meshes/none.stl: there is no"),
-    "joint twice": (TOY.replace('<joint name="elbow"', '<joint name="lift"'),
-                    "the joint 'lift' stands 2 times"),
-    "square wheel": (robot([*cart(wheel='<box size="0.2 0.05 0.1"/>', wheel_rpy="0 0 0"), *arm()]),
-                     "left_axle is no wheel"),
+    "joint twice": (
+        TOY.replace('<joint name="elbow"', '<joint name="lift"'),
+        "the joint 'lift' stands 2 times",
+    ),
+    "square wheel": (
+        robot([*cart(wheel='<box size="0.2 0.05 0.1"/>', wheel_rpy="0 0 0"), *arm()]),
+        "left_axle is no wheel",
+    ),
     "millimetres": (TOY.replace('size="0.08 0.12 0.08"', 'size="80 120 80"'), "millimetres"),
     "millimetres between": (TOY.replace('xyz="0.15 0 0.1"', 'xyz="150 0 100"'), "millimetres"),
-    "two parents": (robot([*cart(), *arm(), joint("rod", "revolute", "fore", "shoulder")]),
-                    "closed chain"),
+    "two parents": (
+        robot([*cart(), *arm(), joint("rod", "revolute", "fore", "shoulder")]),
+        "closed chain",
+    ),
     "a ring": (robot([*cart(), *arm(), joint("ring", "fixed", "hand", "base")]), "closed chain"),
     "no number": (TOY.replace('xyz="0.15 0 0.1"', 'xyz="0.15 nan 0.1"'), "should be 3 numbers"),
     "not XML": (TOY[:-20], "not well-formed"),
@@ -144,11 +159,12 @@ BAD_URDFS = {
     "laughs": (TOY.replace("<robot", LAUGHS + "<robot"), "the XML entity 'a'"),
     **{
         f"laughs in {encoding}": (
-            TOY.replace('"1.0"?>', f'"1.0" encoding="{encoding}"?>' + LAUGHS), "the XML entity 'a'"
+            TOY.replace('"1.0"?>', f'"1.0" encoding="{encoding}"?>' + LAUGHS),
+            "the XML entity 'a'",
         )
         for encoding in ("UTF-16", "foo", "shift_jis")
     },
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("case", BAD_URDFS)

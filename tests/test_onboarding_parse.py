@@ -48,8 +48,9 @@ def test_a_base_whose_axle_lies_along_x_is_turned_so_that_it_faces_x(tmp_path: P
     """The same robot with its base link turned by a quarter: the wheels say where ahead is."""
     turned = TOY.replace('xyz="0.05 0.2 -0.05"', 'xyz="-0.2 0.05 -0.05"')
     turned = turned.replace('xyz="0.05 -0.2 -0.05"', 'xyz="0.2 0.05 -0.05"')
-    turned = turned.replace('<axis xyz="0 1 0"/><limit effort="20"',
-                            '<axis xyz="1 0 0"/><limit effort="20"')  # fmt: skip
+    turned = turned.replace(
+        '<axis xyz="0 1 0"/><limit effort="20"', '<axis xyz="1 0 0"/><limit effort="20"'
+    )
     turned = turned.replace('rpy="1.5708 0 0"', 'rpy="0 1.5708 0"')
     wheels = parse(request(tmp_path, turned)).wheels
     np.testing.assert_allclose(wheels.T_base_floor.rotation @ [1, 0, 0], [0, 1, 0], atol=1e-9)
@@ -65,8 +66,10 @@ def test_the_arm_is_what_moves_between_base_and_tip(tmp_path: Path) -> None:
 
 
 def test_fingers_beside_the_chain_belong_to_the_link_that_carries_them(tmp_path: Path) -> None:
-    finger = [link("finger", solid('<box size="0.01 0.01 0.05"/>', mass=0.05)),
-              joint("grip", "prismatic", "wrist_link", "finger", xyz="0 0.02 0.1")]  # fmt: skip
+    finger = [
+        link("finger", solid('<box size="0.01 0.01 0.05"/>', mass=0.05)),
+        joint("grip", "prismatic", "wrist_link", "finger", xyz="0 0.02 0.1"),
+    ]
     found = parse(request(tmp_path, robot([*cart(), *arm(), *finger]))).arm
     assert tuple(j.name for j in found.joints) == ARM_JOINTS
     assert "finger" in found.segments[5]
@@ -90,8 +93,9 @@ def test_a_wheel_that_is_not_round_is_none(tmp_path: Path) -> None:
 
 
 def test_a_wheel_whose_axle_stands_upright_is_none(tmp_path: Path) -> None:
-    upright = TOY.replace('<axis xyz="0 1 0"/><limit effort="20"',
-                          '<axis xyz="0 0 1"/><limit effort="20"')  # fmt: skip
+    upright = TOY.replace(
+        '<axis xyz="0 1 0"/><limit effort="20"', '<axis xyz="0 0 1"/><limit effort="20"'
+    )
     assert "not level" in refused(tmp_path, upright, wheels=("left_axle", "right_axle"))
 
 
@@ -99,10 +103,20 @@ def test_wheels_of_two_sizes_are_not_guessed_between(tmp_path: Path) -> None:
     """A second pair, smaller, on the same floor: which of them drives has to be said."""
     second = []
     for name, y in (("fl", 0.2), ("fr", -0.2)):
-        second.append(link(name, solid('<cylinder radius="0.05" length="0.03"/>',
-                                       rpy="1.5708 0 0")))  # fmt: skip
-        second.append(joint(f"{name}_axle", "continuous", "base", name, axis="0 1 0",
-                            xyz=f"0.25 {y} -0.1", limit='effort="1" velocity="1"'))  # fmt: skip
+        second.append(
+            link(name, solid('<cylinder radius="0.05" length="0.03"/>', rpy="1.5708 0 0"))
+        )
+        second.append(
+            joint(
+                f"{name}_axle",
+                "continuous",
+                "base",
+                name,
+                axis="0 1 0",
+                xyz=f"0.25 {y} -0.1",
+                limit='effort="1" velocity="1"',
+            )
+        )
     text = robot([*cart(), *second, *arm()])
     assert "pairs of different radius" in refused(tmp_path, text)
     wheels = parse(request(tmp_path, text, wheels=("left_axle", "right_axle"))).wheels
@@ -199,9 +213,11 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
 
 def test_a_xacro_is_expanded(tmp_path: Path) -> None:
     pytest.importorskip("xacrodoc")
-    text = TOY.replace('<robot name="toy">',
-                       '<robot name="toy" xmlns:xacro="http://www.ros.org/wiki/xacro">'
-                       '<xacro:property name="r" value="0.1"/>')  # fmt: skip
+    text = TOY.replace(
+        '<robot name="toy">',
+        '<robot name="toy" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        '<xacro:property name="r" value="0.1"/>',
+    )
     text = text.replace('radius="0.1"', 'radius="${r}"')
     path = write(tmp_path, text, "toy.urdf.xacro")
     parsed = parse(Request(urdf=str(path), base="base", tip="hand", out=tmp_path / "made"))
@@ -214,16 +230,23 @@ def test_an_arm_of_its_own_file_is_put_on_the_base(tmp_path: Path) -> None:
     arm_file = write(tmp_path, robot(alone).replace('"column"', '"base"'), "arm.urdf")
     base_file = write(tmp_path, robot(cart()), "cart.urdf")
     parsed = parse(
-        Request(urdf=str(base_file), base="base", tip="hand", out=tmp_path / "made",
-                arm_urdf=str(arm_file), mount_xyz=(0.15, 0.0, 0.1))
-    )  # fmt: skip
+        Request(
+            urdf=str(base_file),
+            base="base",
+            tip="hand",
+            out=tmp_path / "made",
+            arm_urdf=str(arm_file),
+            mount_xyz=(0.15, 0.0, 0.1),
+        )
+    )
     assert parsed.arm.mount == "arm_base"
     one = parse(request(tmp_path, TOY))
     for made, whole in (("hand", "hand"), ("arm_base", "column")):
         np.testing.assert_allclose(
-            parsed.tree.pose(made, "base").homogeneous, one.tree.pose(whole, "base").homogeneous,
+            parsed.tree.pose(made, "base").homogeneous,
+            one.tree.pose(whole, "base").homogeneous,
             atol=1e-12,
-        )  # fmt: skip
+        )
 
 
 def test_an_impossible_inertia_is_refused(tmp_path: Path) -> None:

@@ -179,8 +179,9 @@ def test_a_hand_that_its_body_does_not_hold_fails(
 def test_the_ready_pose_is_outside_of_every_buffer(made: NewRobot) -> None:
     assert made.ready.clearance > 0.05  # [m] beyond it
     span = np.subtract(made.parsed.limits.upper, made.parsed.limits.lower)
-    left = np.minimum(made.ready.q_m - made.parsed.limits.lower,
-                      made.parsed.limits.upper - made.ready.q_m)  # fmt: skip
+    left = np.minimum(
+        made.ready.q_m - made.parsed.limits.lower, made.parsed.limits.upper - made.ready.q_m
+    )
     assert (left >= 0.09 * span).all()
 
 
@@ -220,9 +221,15 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     request = Request(urdf=urdf, base="base_link", tip="panda_hand", out=out)
     parsed = new_robot.parse(request)
     urdf = new_robot.rebased_urdf(
-        parsed.tree, parsed.arm, parsed.wheels.T_base_floor, parsed.geometry, parsed.inertias,
-        name="husky_fit", folder=parsed.folder, header="test",
-    )  # fmt: skip
+        parsed.tree,
+        parsed.arm,
+        parsed.wheels.T_base_floor,
+        parsed.geometry,
+        parsed.inertias,
+        name="husky_fit",
+        folder=parsed.folder,
+        header="test",
+    )
     path = write(request.out.parent, urdf)
     bare = new_robot._compiled(new_robot._bare(request, parsed, parsed.limits), path)
     units = make_units(bare, parsed.arm, parsed.geometry)

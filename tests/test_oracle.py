@@ -48,8 +48,10 @@ def moments(robot: RobotModel, data: BorderData, count: int, seed: int) -> list[
         reference = None
         if rng.random() < 0.5:
             at = finder.state.T_world_ee
-            pose = pin.SE3(at.rotation @ pin.exp3(0.01 * rng.normal(size=3)),
-                           at.translation + 0.005 * rng.normal(size=3))  # fmt: skip
+            pose = pin.SE3(
+                at.rotation @ pin.exp3(0.01 * rng.normal(size=3)),
+                at.translation + 0.005 * rng.normal(size=3),
+            )
             reference = Reference(pose, 0.1 * rng.normal(size=6), 0.1 * rng.normal(size=6))
         found.append(Moment(measurement, reference, rng.uniform(-0.3, 0.3, 2)))
     return found

@@ -126,9 +126,11 @@ def dbb(installed: Path, cwd: Path, *arguments: str) -> dict:
 def environment(installed: Path, cwd: Path) -> dict[str, str]:
     """Where Python finds the installed package first, and the user's cache is in `cwd`."""
     return {
-        **os.environ, "PYTHONPATH": str(installed), "XDG_CACHE_HOME": str(cwd / "cache"),
+        **os.environ,
+        "PYTHONPATH": str(installed),
+        "XDG_CACHE_HOME": str(cwd / "cache"),
         "NUMBA_DISABLE_JIT": "1",  # compiling once more would take half a minute
-    }  # fmt: skip
+    }
 
 
 def run(*command: str, cwd: Path, env: dict[str, str] | None = None) -> str:

@@ -51,9 +51,15 @@ def judge(common: CommonModel) -> Evaluator:
 def still(duration: float = 0.05) -> StartedLine:
     """A short path whose posture is known, so that nothing is searched."""
     return StartedLine(
-        "short", duration, "", "tracking", (0.0, 0.0, 0.5), (0.01, 0.0, 0.0), 1.0,
+        "short",
+        duration,
+        "",
+        "tracking",
+        (0.0, 0.0, 0.5),
+        (0.01, 0.0, 0.0),
+        1.0,
         tuple(READY.tolist()),
-    )  # fmt: skip
+    )
 
 
 # The common model ---------------------------------------------------------------------------------
@@ -297,12 +303,22 @@ def test_a_motion_that_cannot_be_judged_is_said_so(judge: Evaluator) -> None:
 def good_row(name: str, path: str, weight: float) -> Row:
     run = {"path": path, "base_weight": weight}
     return empty_row(name, PEERS[name], run, "ok", "", "9.9") | {
-        "clearance_m": 0.0512, "error_final_m": 0.055, "error_max_m": 0.055,
-        "turn_error_final_rad": 0.0, "turn_error_max_rad": 0.0, "base_path_m": 0.25,
-        "base_turned_rad": 0.1, "slip_m": 1e-9, "base_change_max_mps2": 3.0,
-        "base_turn_change_max_radps2": 1.0, "arm_change_max_radps2": 40.0, "solver_failures": 0,
-        "step_p50_us": 450.0, "step_p99_us": 900.0, "step_max_us": 1500.0,
-    }  # fmt: skip
+        "clearance_m": 0.0512,
+        "error_final_m": 0.055,
+        "error_max_m": 0.055,
+        "turn_error_final_rad": 0.0,
+        "turn_error_max_rad": 0.0,
+        "base_path_m": 0.25,
+        "base_turned_rad": 0.1,
+        "slip_m": 1e-9,
+        "base_change_max_mps2": 3.0,
+        "base_turn_change_max_radps2": 1.0,
+        "arm_change_max_radps2": 40.0,
+        "solver_failures": 0,
+        "step_p50_us": 450.0,
+        "step_p99_us": 900.0,
+        "step_max_us": 1500.0,
+    }
 
 
 def test_a_peer_that_cannot_be_installed_is_a_row_that_says_why(

@@ -42,9 +42,9 @@ def place(q_m: np.ndarray, push: Push) -> np.ndarray:
 
 def test_a_push_on_a_link_is_what_the_equation_of_motion_says(plant):
     """From rest, one step: M_aa q̈_a = Jᵀ f, J of the point by finite differences."""
-    J = np.array([
-        (place(READY + h, FOREARM) - place(READY - h, FOREARM)) / 2e-6 for h in 1e-6 * np.eye(7)
-    ]).T  # fmt: skip
+    J = np.array(
+        [(place(READY + h, FOREARM) - place(READY - h, FOREARM)) / 2e-6 for h in 1e-6 * np.eye(7)]
+    ).T
     state = RobotState(MODEL)
     state.update(plant.measure())
     plant.step(state.g[2:], (0.0, 0.0), np.zeros(3), [FOREARM])

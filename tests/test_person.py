@@ -50,9 +50,13 @@ STIFF = [300.0, 3000.0]  # [N/m]
 
 
 def swing(
-    config: HandConfig, body: float, steps: int, at: np.ndarray = AT, target: np.ndarray = AT,
+    config: HandConfig,
+    body: float,
+    steps: int,
+    at: np.ndarray = AT,
+    target: np.ndarray = AT,
     speed: float = 0.0,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A free body [kg] that a person took hold of at `at`: its places, speeds and the forces."""
     person, p, v = PersonHand(config, DT), at.astype(float), np.array([speed, 0.0, 0.0])
     places, speeds, forces = [], [], []

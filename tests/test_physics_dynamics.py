@@ -65,9 +65,12 @@ def test_inverse_dynamics_agree(plant, seed, accelerating):
     a = to_world.T @ a_bullet + bias_of_turning_axes(v)
     tau = pin.rnea(model, model.createData(), q, v, a)
     tau_bullet = pybullet.calculateInverseDynamics(
-        plant.world.robot, q_bullet.tolist(), (to_world @ v).tolist(), a_bullet.tolist(),
+        plant.world.robot,
+        q_bullet.tolist(),
+        (to_world @ v).tolist(),
+        a_bullet.tolist(),
         physicsClientId=plant.world.client,
-    )  # fmt: skip
+    )
     np.testing.assert_allclose(tau_bullet, to_world @ tau, **TOLERANCE)
 
 
@@ -82,13 +85,19 @@ def test_one_step_of_forward_dynamics_agrees(plant, seed):
     for joint, at, speed in zip(joints, q_bullet, to_world @ v, strict=True):
         pybullet.resetJointState(world.robot, joint, at, speed, physicsClientId=world.client)
     pybullet.setJointMotorControlArray(
-        world.robot, joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(joints),
+        world.robot,
+        joints,
+        pybullet.VELOCITY_CONTROL,
+        forces=[0.0] * len(joints),
         physicsClientId=world.client,
-    )  # fmt: skip
+    )
     pybullet.setJointMotorControlArray(
-        world.robot, joints, pybullet.TORQUE_CONTROL, forces=tau_bullet,
+        world.robot,
+        joints,
+        pybullet.TORQUE_CONTROL,
+        forces=tau_bullet,
         physicsClientId=world.client,
-    )  # fmt: skip
+    )
     world.step()
     states = pybullet.getJointStates(world.robot, joints, physicsClientId=world.client)
     a = pin.aba(model, model.createData(), q, v, to_world.T @ tau_bullet)

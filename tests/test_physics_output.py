@@ -49,9 +49,13 @@ def output(program: str) -> subprocess.CompletedProcess[str]:
     """What a program prints into pipes, where C's output is buffered."""
     return subprocess.run(
         [sys.executable, "-c", program],
-        cwd=PROJECT, env={**os.environ, "PYTHONPATH": str(PROJECT), "PYTHONUNBUFFERED": ""},
-        capture_output=True, text=True, check=True, timeout=120,
-    )  # fmt: skip
+        cwd=PROJECT,
+        env={**os.environ, "PYTHONPATH": str(PROJECT), "PYTHONUNBUFFERED": ""},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=120,
+    )
 
 
 @pytest.mark.slow

@@ -85,9 +85,11 @@ def test_a_commanded_velocity_is_followed(plant, command):
     trace = run(plant, 2.0, command)
     error = np.array([m.base_velocity for m in trace[1000:]]) - command
     v_limit, w_limit = {  # m/s, rad/s
-        "planar": (1e-5, 1e-5), "mujoco": (1e-5, 1e-5), "kinematic": (1e-8, 1e-8),
+        "planar": (1e-5, 1e-5),
+        "mujoco": (1e-5, 1e-5),
+        "kinematic": (1e-8, 1e-8),
         "mujoco-contact": (0.03, 0.06),
-    }[plant.kind]  # fmt: skip
+    }[plant.kind]
     assert np.abs(error[:, 0]).max() < v_limit
     assert np.abs(error[:, 1]).max() < w_limit
 
@@ -238,8 +240,9 @@ def test_the_base_slips_when_it_is_pushed_beyond_its_traction(planar):
     slid = {}
     for share in (0.9, 1.1):
         planar.reset(np.zeros(3), READY)
-        trace = run(planar, 0.5, (0.0, 0.0), force=np.array([share * limit, 0.0, 0.0]),
-                    torques=stiff)  # fmt: skip
+        trace = run(
+            planar, 0.5, (0.0, 0.0), force=np.array([share * limit, 0.0, 0.0]), torques=stiff
+        )
         slid[share] = trace[-1].base_pose[0]
     assert abs(slid[0.9]) < 1e-4
     # the tenth that exceeds the traction accelerates the whole robot

@@ -109,9 +109,12 @@ def test_ctrl_c_ends_the_counting_and_its_processes_and_keeps_nothing(tmp_path):
     # Another seed than the one that ships: an unfinished map must not be kept.
     process = subprocess.Popen(
         [sys.executable, "-m", "app", "reach", "--seed", "987", "--json", "--out", str(out)],
-        cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        cwd=PROJECT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         start_new_session=True,
-    )  # fmt: skip
+    )
     before = set((PROJECT / "dbb_cache").iterdir())
     deadline = time.monotonic() + 60
     while not (family := busy(process.pid)) and time.monotonic() < deadline:

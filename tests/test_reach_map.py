@@ -51,9 +51,16 @@ def changed(tmp_path, monkeypatch):
         arm = description.arm
         several = {
             name: getattr(arm, name)[:joints]
-            for name in ("joints", "max_velocity", "max_effort", "ready_position", "joint_damping",
-                         "position_lower", "position_upper")
-        }  # fmt: skip
+            for name in (
+                "joints",
+                "max_velocity",
+                "max_effort",
+                "ready_position",
+                "joint_damping",
+                "position_lower",
+                "position_upper",
+            )
+        }
         if edit(urdf) != urdf:  # a changed joint has its limits in the URDF
             several["position_lower"] = several["position_upper"] = None
             several["ready_position"] = (0.0, -0.7854, 0.0, -2.3562, 0.0, 1.5708, 0.7854)

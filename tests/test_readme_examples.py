@@ -77,7 +77,21 @@ def test_every_option_of_an_example_is_one_of_its_command(
 
 def test_there_is_an_example_of_every_command() -> None:
     assert {example.split()[1] for example in examples()} == {
-        "serve", "run", "report", "replay", "screenshot", "pairs", "border", "reproduce", "reach",
-        "robots", "study", "sweep", "config", "new-robot", "check-robot", "bench",
+        "serve",
+        "run",
+        "report",
+        "replay",
+        "screenshot",
+        "pairs",
+        "border",
+        "reproduce",
+        "reach",
+        "robots",
+        "study",
+        "sweep",
+        "config",
+        "new-robot",
+        "check-robot",
+        "bench",
         "compare-robots",
-    }  # fmt: skip
+    }

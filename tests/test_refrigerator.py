@@ -41,8 +41,12 @@ MIRROR = np.diag([1.0, -1.0, 1.0])
 
 def a_door(**changes) -> Door:
     given = {
-        "hinge": "left", "hinge_position": (1.0, 0.1), "yaw": 0.0, "width": 0.6, "friction": 1.0,
-    }  # fmt: skip
+        "hinge": "left",
+        "hinge_position": (1.0, 0.1),
+        "yaw": 0.0,
+        "width": 0.6,
+        "friction": 1.0,
+    }
     return Door(**{**given, **changes})
 
 
@@ -88,9 +92,14 @@ def session_of(
 ) -> Session:
     """At the beginning."""
     session = Session(
-        setting.model, setting.data, setting.config, controller=controller, plant=robot,
-        door=setting.door, physics=physics,
-    )  # fmt: skip
+        setting.model,
+        setting.data,
+        setting.config,
+        controller=controller,
+        plant=robot,
+        door=setting.door,
+        physics=physics,
+    )
     session.reset(setting.q_m, setting.base_pose)
     return session
 
@@ -328,13 +337,17 @@ def test_the_door_passes_through_the_arm_without_a_contact(make, kind: str):
     data, board = MODEL.pin.createData(), coal.Box(*door.size)
     pin.forwardKinematics(MODEL.pin, data, MODEL.configuration(HOME, READY))
     crossed = {
-        shape.part for shape in hulls.shapes
+        shape.part
+        for shape in hulls.shapes
         if coal.collide(
-            board, transform(pose), shape.geometry,
+            board,
+            transform(pose),
+            shape.geometry,
             transform(data.oMi[shape.joint] * shape.T),
-            coal.CollisionRequest(), coal.CollisionResult(),
+            coal.CollisionRequest(),
+            coal.CollisionResult(),
         )
-    }  # fmt: skip
+    }
     assert crossed
     assert crossed.isdisjoint(MODEL.description.mobile_body.covers)
     seen = run(plant, 0.5, lambda state: hold(state, READY))

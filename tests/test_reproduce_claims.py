@@ -19,13 +19,21 @@ MEASURED_APART = {"density"}  # figures whose claims are measured by real runs, 
 SMOOTH = {
     "avoidance_acceleration_jump_max": {"linear_mps2": 0.01, "angular_radps2": 0.01},
     "avoidance_acceleration_sign_changes": {"linear": 0, "angular": 1},
-    "torque_jump_max_nm": 0.01, "torque_rate_sign_changes": 0,
-}  # fmt: skip
+    "torque_jump_max_nm": 0.01,
+    "torque_rate_sign_changes": 0,
+}
 GOOD: dict[str, Any] = {
-    "min_clearance_m": 0.1, "ee_error_final_m": 1e-6, "base_displacement_m": 0.3, **SMOOTH,
-    "door_met_base_s": None, "door_min_distance_m": 0.1, "door_opened_80deg_at_s": 38.0,
-    "base_back_off_s": 20.0, "radial_error_at_5s_rad": -0.02, "hand_force_max_n": 20.0,
-}  # fmt: skip
+    "min_clearance_m": 0.1,
+    "ee_error_final_m": 1e-6,
+    "base_displacement_m": 0.3,
+    **SMOOTH,
+    "door_met_base_s": None,
+    "door_min_distance_m": 0.1,
+    "door_opened_80deg_at_s": 38.0,
+    "base_back_off_s": 20.0,
+    "radial_error_at_5s_rad": -0.02,
+    "hand_force_max_n": 20.0,
+}
 
 
 def run(back: float = 0.3, turn: float = -0.2, beta_step: float = 0.001, **figures: Any) -> Run:
@@ -34,9 +42,13 @@ def run(back: float = 0.3, turn: float = -0.2, beta_step: float = 0.001, **figur
     share = np.linspace(0.0, 1.0, n)
     beta = np.minimum(np.arange(n) * beta_step, 1.0)
     log = {
-        "t_s": 0.01 * np.arange(n), "base_x_m": -back * share, "base_y_m": 0.0 * share,
-        "base_yaw_rad": turn * share, "beta_lm-lEE": beta, "beta_lm-l3": 0.0 * beta,
-    }  # fmt: skip
+        "t_s": 0.01 * np.arange(n),
+        "base_x_m": -back * share,
+        "base_y_m": 0.0 * share,
+        "base_yaw_rad": turn * share,
+        "beta_lm-lEE": beta,
+        "beta_lm-l3": 0.0 * beta,
+    }
     return Run({**GOOD, **figures}, log)
 
 
@@ -69,8 +81,11 @@ def test_with_good_figures_every_claim_holds(claim: Claim, robot, border_data):
         (tracking.DBB, {"back": 0.01}, claims._moves_back),
         (tracking.DBB, {"back": -0.3}, claims._moves_back),
         (tracking.REPULSIVE, {"ee_error_final_m": 0.019}, claims._cannot_reach),
-        (tracking.REPULSIVE, {"ee_error_final_m": 0.1, "min_clearance_m": 0.029},
-         claims._cannot_reach),
+        (
+            tracking.REPULSIVE,
+            {"ee_error_final_m": 0.1, "min_clearance_m": 0.029},
+            claims._cannot_reach,
+        ),
         (tracking.NONE, {"min_clearance_m": 0.06}, claims._needed),
         (guiding.FRONT, {"back": 0.0}, claims._backs_off_in_front),
         (guiding.LATERAL, {"beta_step": 0.06}, claims._continuous_beta),
@@ -80,7 +95,8 @@ def test_with_good_figures_every_claim_holds(claim: Claim, robot, border_data):
         *((e, {"min_clearance_m": 0.0}, claims._any_direction) for e in DIRECTIONS.values()),
         *(
             (e, {"ee_error_final_m": 0.055}, claims._any_direction)
-            for e in DIRECTIONS.values() if e.scenario == "tracking"
+            for e in DIRECTIONS.values()
+            if e.scenario == "tracking"
         ),
         (refrigerator.NONE, {"door_met_base_s": 36.0}, claims._door_collides),
         (refrigerator.NONE, {"door_met_base_s": 24.0}, claims._door_collides),
@@ -97,7 +113,7 @@ def test_with_good_figures_every_claim_holds(claim: Claim, robot, border_data):
         (refrigerator.DBB, {"radial_error_at_5s_rad": 0.1}, claims._incomplete_knowledge),
         (refrigerator.DBB, {"hand_force_max_n": 51.0}, claims._incomplete_knowledge),
     ],
-)  # fmt: skip
+)
 def test_with_a_bad_figure_the_claim_does_not_hold(experiment, bad, fails, robot, border_data):
     runs = {**good_runs(), experiment: run(**bad)}
     assert not fails(sources_of(robot, border_data, runs)).holds
@@ -152,8 +168,11 @@ def test_a_claim_of_several_parts_holds_only_with_all_of_them():
 
 
 def test_the_way_forward_is_along_the_first_heading():
-    log = {"base_x_m": np.array([1.0, 1.0]), "base_y_m": np.array([0.0, 0.4]),
-           "base_yaw_rad": np.array([np.pi / 2, 0.0])}  # fmt: skip
+    log = {
+        "base_x_m": np.array([1.0, 1.0]),
+        "base_y_m": np.array([0.0, 0.4]),
+        "base_yaw_rad": np.array([np.pi / 2, 0.0]),
+    }
     assert claims.forward_motion(Run({}, log)) == pytest.approx(0.4)
 
 

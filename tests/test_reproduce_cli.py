@@ -51,8 +51,11 @@ def test_a_figure_without_runs_is_written_with_its_data_and_page(tmp_path):
     assert list(result["figures"]) == ["fig10"]
     assert (result["claims"], result["runs"]) == ([], {})
     assert sorted(p.name for p in out.iterdir()) == [
-        "fig10.csv", "fig10.png", "index.html", "metrics.json",
-    ]  # fmt: skip
+        "fig10.csv",
+        "fig10.png",
+        "index.html",
+        "metrics.json",
+    ]
     assert (out / "fig10.png").read_bytes().startswith(b"\x89PNG")
     with (out / "fig10.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -110,9 +113,12 @@ def test_ctrl_c_ends_it_and_its_workers(tmp_path):
     psutil = pytest.importorskip("psutil")
     with subprocess.Popen(
         [sys.executable, "-m", "app", "reproduce", "fig12", "--out", str(tmp_path)],
-        cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        cwd=PROJECT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         start_new_session=True,
-    ) as process:  # fmt: skip
+    ) as process:
         parent = psutil.Process(process.pid)
         until = time.monotonic() + 30.0
         while len(parent.children()) < 2 and time.monotonic() < until:

@@ -27,11 +27,12 @@ def sources(robot: RobotModel, border_data: BorderData) -> Sources:
     """A second of guiding into the buffer, for every experiment on a line."""
     run = short_run(robot, border_data, guiding.LATERAL, 2.0)
     return sources_of(
-        robot, border_data,
+        robot,
+        border_data,
         every(
             [*tracking.METHODS, tracking.NONE, tracking.WHEEL_AXIS, *guiding.NEEDS_COMPARED], run
         ),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")
@@ -52,10 +53,12 @@ def contains(table: Any, values: np.ndarray) -> bool:
     columns = [c for c in table.columns.values() if c.dtype.kind == "f"]
     n = len(values)
     return any(
-        any(np.array_equal(column[k : k + n], values, equal_nan=True)
-            for k in range(0, len(column) - n + 1, max(1, n)))
+        any(
+            np.array_equal(column[k : k + n], values, equal_nan=True)
+            for k in range(0, len(column) - n + 1, max(1, n))
+        )
         for column in columns
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.slow
@@ -84,8 +87,17 @@ def test_figures_have_a_number_labelled_axes_and_units(drawn):
 
 
 def test_columns_of_quantities_end_in_their_unit(drawn):
-    plain = ("set", "direction", "controller", "point", "step", "beta", "reachability", "fit",
-             "paper")  # fmt: skip
+    plain = (
+        "set",
+        "direction",
+        "controller",
+        "point",
+        "step",
+        "beta",
+        "reachability",
+        "fit",
+        "paper",
+    )
     units = ("_m", "_s", "_rad", "_mps2", "_radps2", "_m4prad4", "_us")
     for drawing in drawn.values():
         for table in drawing.tables.values():
@@ -165,10 +177,12 @@ def test_the_activation_is_the_controllers(drawn):
 
 def test_the_repulsive_line_is_what_is_asked_of_the_base(sources: Sources):
     run = sources.runs[guiding.LATERAL]
-    np.testing.assert_array_equal(guiding._asked(run, "repulsive")["linear_mps2"],
-                                  run.log["base_a_mps2"])  # fmt: skip
-    np.testing.assert_array_equal(guiding._asked(run, "dbb")["linear_mps2"],
-                                  run.log["avoidance_a_mps2"])  # fmt: skip
+    np.testing.assert_array_equal(
+        guiding._asked(run, "repulsive")["linear_mps2"], run.log["base_a_mps2"]
+    )
+    np.testing.assert_array_equal(
+        guiding._asked(run, "dbb")["linear_mps2"], run.log["avoidance_a_mps2"]
+    )
 
 
 def test_the_hands_path_is_the_robots_kinematics(sources: Sources):

@@ -15,14 +15,20 @@ LIMIT = {"value": 0.05, "unit": "m", "source": "Figure 10"}
 
 
 def section(**changes) -> Section:
-    start = Section("fig1", "Figure 1: a & b", PNG, "says <this>", {"d_min_m": 0.125}, ["so"],
-                    ["fig1.png"])  # fmt: skip
+    start = Section(
+        "fig1", "Figure 1: a & b", PNG, "says <this>", {"d_min_m": 0.125}, ["so"], ["fig1.png"]
+    )
     return start._replace(**changes)
 
 
 def claim(holds: bool) -> dict[str, object]:
-    return {"section": "4.2", "paper": "it <works>", "measured": "0.1 m", "holds": holds,
-            "limits": [LIMIT]}  # fmt: skip
+    return {
+        "section": "4.2",
+        "paper": "it <works>",
+        "measured": "0.1 m",
+        "holds": holds,
+        "limits": [LIMIT],
+    }
 
 
 class Reader(HTMLParser):

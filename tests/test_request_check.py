@@ -34,9 +34,8 @@ def test_what_does_not_go_together_is_refused() -> None:
     for words, fields in (
         ("--wheels: a holonomic base", {"kind": "holonomic", "wheels": ("l", "r")}),
         ("--wheel-radius: needs --half-track", {"wheel_radius": 0.1}),
-        ("and no --wheels",
-         {"wheel_radius": 0.1, "half_track": 0.3, "wheels": ("l", "r")}),
-    ):  # fmt: skip
+        ("and no --wheels", {"wheel_radius": 0.1, "half_track": 0.3, "wheels": ("l", "r")}),
+    ):
         with pytest.raises(ConfigError, match=words):
             check_request(asked(**fields))
     with pytest.raises(UnknownNameError, match="choose from: car-like, differential, holonomic"):

@@ -67,9 +67,15 @@ def robots(monkeypatch: pytest.MonkeyPatch) -> None:
     entries = [
         RobotEntry("husky_panda", "Husky", "differential base", None, False, False),
         RobotEntry(OTHER, "Other", "differential base", None, False, False),
-        RobotEntry("absent", "Absent", "", "the package 'x' is not installed; try: pip install x",
-                   False, False),
-    ]  # fmt: skip
+        RobotEntry(
+            "absent",
+            "Absent",
+            "",
+            "the package 'x' is not installed; try: pip install x",
+            False,
+            False,
+        ),
+    ]
     data = BorderData(None, clouds(), "cache")  # type: ignore[arg-type]
     monkeypatch.setattr(stage_change, "robot_entries", lambda: entries)
     monkeypatch.setattr(stage_change, "load_robot", lambda name: name)
@@ -137,12 +143,18 @@ def test_ten_changes_leave_nothing_behind() -> None:
             client = next(iter(server.viser.get_clients().values()))
             gui, scene = client.gui, client.scene
             threads.append(threading.active_count())
-            counts.append((
-                len(gui._gui_input_handle_from_uuid),
-                len(gui._container_handle_from_uuid), len(gui._panel_handle_from_uuid),
-                len(gui._command_handle_from_uuid), len(scene._handle_from_node_name),
-                len(client.camera._state.camera_cb), len(server.pages), len(loops.alive()),
-            ))  # fmt: skip
+            counts.append(
+                (
+                    len(gui._gui_input_handle_from_uuid),
+                    len(gui._container_handle_from_uuid),
+                    len(gui._panel_handle_from_uuid),
+                    len(gui._command_handle_from_uuid),
+                    len(scene._handle_from_node_name),
+                    len(client.camera._state.camera_cb),
+                    len(server.pages),
+                    len(loops.alive()),
+                )
+            )
         assert counts[1:] == [counts[1]] * 9
         assert counts[1][-1] == 1
         assert max(threads[2:]) <= threads[1]  # fewer, once the tour has asked the browser
@@ -158,9 +170,19 @@ def test_nothing_of_a_replaced_robot_waits_for_the_next_collection() -> None:
         shared, (page,) = server.shared, server.pages.values()
         old = {
             type(each).__name__: weakref.ref(each)
-            for each in (shared, shared.model, shared.parts, shared.borders, shared.record,
-                         shared.loop, page, page._scene, page.hand, page.timeline)
-        }  # fmt: skip
+            for each in (
+                shared,
+                shared.model,
+                shared.parts,
+                shared.borders,
+                shared.record,
+                shared.loop,
+                page,
+                page._scene,
+                page.hand,
+                page.timeline,
+            )
+        }
         del shared, page
         gc.disable()
         try:
@@ -236,8 +258,11 @@ def test_if_it_fails_the_old_robot_goes_on_and_the_page_says_why(
         assert title(server) == husky_panda().description.title
         panel = next(iter(server.pages.values())).robot_panel
         assert panel is not None
-        expected = {"refused": "does not come there", "crashed": "ZeroDivisionError: a defect",
-                    "cancelled": "cancelled"}[why]  # fmt: skip
+        expected = {
+            "refused": "does not come there",
+            "crashed": "ZeroDivisionError: a defect",
+            "cancelled": "cancelled",
+        }[why]
         wait_for(lambda: expected in panel._status.content, what="the reason")
         t = first.latest().t
         wait_for(lambda: first.latest().t > t, what="time to go on")

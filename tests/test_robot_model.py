@@ -73,10 +73,16 @@ def least_signed_distance(p: np.ndarray, shapes: list, placements: list) -> floa
     """[m] of a point to a union of shapes; negative inside."""
     probe, at, request = coal.Sphere(1e-9), coal.Transform3s(np.eye(3), p), coal.DistanceRequest()
     return min(
-        coal.distance(probe, at, shape, coal.Transform3s(T.rotation, T.translation), request,
-                      coal.DistanceResult())
+        coal.distance(
+            probe,
+            at,
+            shape,
+            coal.Transform3s(T.rotation, T.translation),
+            request,
+            coal.DistanceResult(),
+        )
         for shape, T in zip(shapes, placements, strict=True)
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.parametrize("name", husky_panda().body_names)

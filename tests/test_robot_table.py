@@ -44,9 +44,15 @@ def test_a_robot_that_cannot_be_loaded_has_a_row_that_says_why(monkeypatch: pyte
 
 @pytest.mark.parametrize(
     ("change", "passes"),
-    [({}, True), ({"clearance_m": 0.029}, False), ({"clearance_m": None}, False),
-     ({"hand_error_m": 0.0011}, False), ({"contacts": 1}, False), ({"solver_failures": 1}, False)],
-)  # fmt: skip
+    [
+        ({}, True),
+        ({"clearance_m": 0.029}, False),
+        ({"clearance_m": None}, False),
+        ({"hand_error_m": 0.0011}, False),
+        ({"contacts": 1}, False),
+        ({"solver_failures": 1}, False),
+    ],
+)
 def test_a_tracking_row_passes_within_all_limits_only(change: dict, passes: bool):
     row = {"clearance_m": 0.03, "hand_error_m": 0.001, "contacts": 0, "solver_failures": 0}
     assert table._passes(row | change, CASES[2]) is passes

@@ -51,8 +51,10 @@ def test_with_its_package_it_has_the_same_dynamics_in_both_libraries(name: str) 
 def test_a_missing_package_says_how_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     monkeypatch.setattr(assets, "share_folders", list)
-    for name, how in (("husky_ur5", r"pip install '\.\[robots\]'|pybullet_data"),
-                      ("stretch_se3", r"pip install '\.\[robots\]'")):  # fmt: skip
+    for name, how in (
+        ("husky_ur5", r"pip install '\.\[robots\]'|pybullet_data"),
+        ("stretch_se3", r"pip install '\.\[robots\]'"),
+    ):
         with pytest.raises(AssetError, match=how):
             resolved_urdf(load_robot(name))
     with pytest.raises(AssetError, match="pip install something"):

@@ -26,12 +26,18 @@ def moving_log() -> Log:
         angle = np.pi / 2 * k / 100
         snapshots.append(
             replace(
-                s, t=0.02 * k, config=Config(), in_contact=30 <= k < 40, arm_in_contact=False,
+                s,
+                t=0.02 * k,
+                config=Config(),
+                in_contact=30 <= k < 40,
+                arm_in_contact=False,
                 base_pose=np.array([2 * np.sin(angle), 2 - 2 * np.cos(angle), angle]),
                 pairs=tuple(pair._replace(d=0.3 - 0.003 * k, beta=k / 100) for pair in s.pairs),
-                u_a=np.full(7, -float(k)), ee_error=0.5 * k, hand_force=np.array([3.0, 4.0, 0.0]),
+                u_a=np.full(7, -float(k)),
+                ee_error=0.5 * k,
+                hand_force=np.array([3.0, 4.0, 0.0]),
             )
-        )  # fmt: skip
+        )
     return Log(meta_of(snapshots), tuple(snapshots))
 
 

@@ -41,9 +41,14 @@ def _figures(
 ) -> dict[str, Any]:
     scenario = LINES[name].changed(duration=duration)
     return run_scenario(
-        husky_panda(), border(), scenario, Config(), controller=controller, physics=physics,
+        husky_panda(),
+        border(),
+        scenario,
+        Config(),
+        controller=controller,
+        physics=physics,
         seed=seed,
-    ).figures  # fmt: skip
+    ).figures
 
 
 @cache

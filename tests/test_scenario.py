@@ -22,9 +22,14 @@ def scenario(request) -> LineScenario:
 
 def test_the_names_are_those_of_the_issue():
     assert set(SCENARIOS) == {
-        "guiding-lateral", "guiding-front", "guiding-above", "guiding-fold", "tracking",
-        "refrigerator", "way-out",
-    }  # fmt: skip
+        "guiding-lateral",
+        "guiding-front",
+        "guiding-above",
+        "guiding-fold",
+        "tracking",
+        "refrigerator",
+        "way-out",
+    }
     assert all(name == each.name for name, each in SCENARIOS.items())
     assert {n for n, each in LINES.items() if each.mode == "tracking"} == {"tracking"}
 
@@ -69,9 +74,14 @@ def test_the_reference_holds_the_orientation_and_has_the_points_motion(scenario)
 def test_a_change_keeps_the_rest(scenario):
     changed = scenario.changed(move=(0.1, 0.0, 0.0), duration=2.0)
     assert changed == LineScenario(
-        scenario.name, 2.0, scenario.about, scenario.mode, scenario.start, (0.1, 0.0, 0.0),
+        scenario.name,
+        2.0,
+        scenario.about,
+        scenario.mode,
+        scenario.start,
+        (0.1, 0.0, 0.0),
         scenario.moving,
-    )  # fmt: skip
+    )
     assert scenario.changed() == scenario
     assert scenario.changed(start=(1.0, 0.0, 0.5)).start == (1.0, 0.0, 0.5)
 

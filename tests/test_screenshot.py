@@ -152,8 +152,11 @@ def test_ctrl_c_ends_the_browser_too(tmp_path):
     out = tmp_path / "a.png"
     process = subprocess.Popen(
         [sys.executable, "-m", "app", "screenshot", "tracking", "--at", "29", "--out", str(out)],
-        cwd=PROJECT, start_new_session=True, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        cwd=PROJECT,
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     children: list[psutil.Process] = []
     try:
         deadline = time.monotonic() + 120

@@ -52,11 +52,21 @@ def pulled(session: Session, steps: int, target: np.ndarray | None = PULL) -> li
 def numbers(step: Step) -> np.ndarray:
     """All that is physical in a step, without the real time that it took."""
     m, out = step.measurement, step.output
-    return np.concatenate([
-        [step.t, step.ee_error, out.activation, out.avoidance.beta_m, out.solved],
-        *m, out.u_a, out.base_acceleration, step.base_command, step.hand_force, step.contacts,
-        *([pair.closest.d, *pair.closest.p_a, *pair.closest.p_b] for pair in out.avoidance.pairs),
-    ])  # fmt: skip
+    return np.concatenate(
+        [
+            [step.t, step.ee_error, out.activation, out.avoidance.beta_m, out.solved],
+            *m,
+            out.u_a,
+            out.base_acceleration,
+            step.base_command,
+            step.hand_force,
+            step.contacts,
+            *(
+                [pair.closest.d, *pair.closest.p_a, *pair.closest.p_b]
+                for pair in out.avoidance.pairs
+            ),
+        ]
+    )
 
 
 def same(a: list[Step], b: list[Step]) -> None:
@@ -168,9 +178,10 @@ def test_the_base_command_is_the_admittance_law_of_the_asked_acceleration(make, 
 def test_the_base_command_is_renewed_at_its_own_slow_rate(make):
     steps = pulled(make(), 2500)
     changes = [
-        k for k, (a, b) in enumerate(pairwise(steps), start=1)
+        k
+        for k, (a, b) in enumerate(pairwise(steps), start=1)
         if (a.base_command != b.base_command).any()
-    ]  # fmt: skip
+    ]
     assert len(changes) > 3
     period = round(Config().admittance.period / DT)
     assert {k % period for k in changes} == {changes[0] % period}

@@ -227,10 +227,16 @@ def test_a_run_that_breaks_off_is_a_row_that_says_why(sources, cases):
 @pytest.mark.slow
 def test_inside_of_an_envelope_every_case_lies_in_it(sources):
     envelope = Envelope(
-        speed=(0.1, 0.5, 0.9), base_delay=(0.0, 0.2, 0.3), force=((60.0, 50.0), (50.0, 40.0)),
-        v_max=(0.25, 0.9), encoder_noise=(0.0, 0.002), mass_error=(-0.1, 0.2), slip=(0.0, 0.2),
-        hand_stiffness=(300.0, 2000.0), hand_mass=(0.0, 1.5),
-    )  # fmt: skip
+        speed=(0.1, 0.5, 0.9),
+        base_delay=(0.0, 0.2, 0.3),
+        force=((60.0, 50.0), (50.0, 40.0)),
+        v_max=(0.25, 0.9),
+        encoder_noise=(0.0, 0.002),
+        mass_error=(-0.1, 0.2),
+        slip=(0.0, 0.2),
+        hand_stiffness=(300.0, 2000.0),
+        hand_mass=(0.0, 1.5),
+    )
     study = PARAMETERS.model_copy(update={"inside": True})
     for number in range(2):
         case = draw_case(study, number, sources, envelope)

@@ -40,11 +40,23 @@ STRONGEST = 100.0  # [N]
 
 def row(case: int, force: float, speed: float, delay: float, contacts: int) -> Row:
     return {
-        "case": case, "speed_mps": speed, "base_delay_s": delay, "v_max_mps": 0.5,
-        "encoder_noise_rad": 0.0, "mass_error": 0.0, "slip": 0.0, "hand_stiffness_npm": 500.0,
-        "hand_mass_kg": 1.0, "hand_f_max_n": 100.0, "hand_force_clear_max_n": force,
-        "contacts": contacts, "arm_contacts": 0, "solver_failures": 0, "nan": False, "error": None,
-    }  # fmt: skip
+        "case": case,
+        "speed_mps": speed,
+        "base_delay_s": delay,
+        "v_max_mps": 0.5,
+        "encoder_noise_rad": 0.0,
+        "mass_error": 0.0,
+        "slip": 0.0,
+        "hand_stiffness_npm": 500.0,
+        "hand_mass_kg": 1.0,
+        "hand_f_max_n": 100.0,
+        "hand_force_clear_max_n": force,
+        "contacts": contacts,
+        "arm_contacts": 0,
+        "solver_failures": 0,
+        "nan": False,
+        "error": None,
+    }
 
 
 def rows_by(law, count: int, seed: int = 0) -> list[Row]:
@@ -82,9 +94,13 @@ def test_a_known_limit_is_found_from_below_within_bands_and_margin():
 
 
 cases = st.builds(
-    row, st.integers(0, 10**6), st.floats(0.0, STRONGEST), st.floats(*RANGES.speed),
-    st.floats(*RANGES.base_delay), st.integers(0, 1),
-)  # fmt: skip
+    row,
+    st.integers(0, 10**6),
+    st.floats(0.0, STRONGEST),
+    st.floats(*RANGES.speed),
+    st.floats(*RANGES.base_delay),
+    st.integers(0, 1),
+)
 
 
 @settings(max_examples=200, deadline=None)
@@ -130,14 +146,28 @@ def test_a_run_that_broke_off_counts_with_the_force_of_its_spring():
 def test_beyond_what_was_drawn_nothing_is_inside():
     hardest = row(0, STRONGEST, RANGES.speed[1], RANGES.base_delay[1], 0)
     fitted = fit_envelope([hardest], RANGES)
-    good = {"speed": 0.4, "base_delay": 0.1, "v_max": 0.5, "encoder_noise": 0.0, "mass_error": 0.0,
-            "slip": 0.0, "hand_stiffness": 400.0, "hand_mass": 1.0}  # fmt: skip
+    good = {
+        "speed": 0.4,
+        "base_delay": 0.1,
+        "v_max": 0.5,
+        "encoder_noise": 0.0,
+        "mass_error": 0.0,
+        "slip": 0.0,
+        "hand_stiffness": 400.0,
+        "hand_mass": 1.0,
+    }
     assert fitted.holds(good, force=99.0)
     assert not fitted.holds(good, force=101.0)
     for name, value in {
-        "speed": 1.3, "base_delay": 0.5, "v_max": 0.2, "encoder_noise": 0.004, "mass_error": 0.25,
-        "slip": 0.4, "hand_stiffness": 250.0, "hand_mass": 3.0,
-    }.items():  # fmt: skip
+        "speed": 1.3,
+        "base_delay": 0.5,
+        "v_max": 0.2,
+        "encoder_noise": 0.004,
+        "mass_error": 0.25,
+        "slip": 0.4,
+        "hand_stiffness": 250.0,
+        "hand_mass": 3.0,
+    }.items():
         assert not fitted.holds({**good, name: value}, force=1.0), name
 
 

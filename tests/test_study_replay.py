@@ -29,12 +29,17 @@ from tests.raw_client import RawClient
 from tests.robots import husky_panda
 
 FAST = StudyParameters(
-    seed=1, controller="none", physics="kinematic",
+    seed=1,
+    controller="none",
+    physics="kinematic",
     ranges=StudyRange(
-        duration=0.4, speed=(0.9, 1.0), height=(0.2, 0.4), encoder_noise=(0.001, 0.002),
+        duration=0.4,
+        speed=(0.9, 1.0),
+        height=(0.2, 0.4),
+        encoder_noise=(0.001, 0.002),
         released=0.0,
     ),
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")
@@ -111,9 +116,13 @@ def test_the_dashboard_checks_what_a_case_names_before_it_loads_anything(file, c
 def loop(sources, case):
     def make_session() -> Session:
         return Session(
-            sources.model, sources.data, case.config(), controller=case.controller,
-            physics=case.physics, seed=case.seed,
-        )  # fmt: skip
+            sources.model,
+            sources.data,
+            case.config(),
+            controller=case.controller,
+            physics=case.physics,
+            seed=case.seed,
+        )
 
     loop = SimulationLoop(make_session, np.array(case.q_m))
     loop.start()

@@ -54,9 +54,12 @@ FAST = (
 def start(*args: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "app", *args],
-        cwd=PROJECT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        cwd=PROJECT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         start_new_session=True,
-    )  # fmt: skip
+    )
 
 
 def dbb(*args: str) -> tuple[int, str, str]:
@@ -97,12 +100,33 @@ def test_one_row_a_case_with_its_inputs_and_figures_and_none_of_the_machine(undi
     assert table["case"].to_pylist() == list(range(CASES))
     names = set(table.column_names)
     assert {
-        "kind", "start_x_m", "move_z_m", "speed_mps", "base_delay_s", "encoder_noise_rad",
-        "mass_error", "slip", "v_max_mps", "hand_f_max_n", "hand_stiffness_npm", "hand_mass_kg",
-        "release_at_s", "regrasp_at_s", "hand_force_max_n", "hand_force_clear_max_n",
-        "q7_rad", "seed", "min_distance_lm-lEE_m", "min_clearance_m", "contacts",
-        "arm_contacts", "ee_error_final_m", "solver_failures", "nan", "error",
-    } <= names  # fmt: skip
+        "kind",
+        "start_x_m",
+        "move_z_m",
+        "speed_mps",
+        "base_delay_s",
+        "encoder_noise_rad",
+        "mass_error",
+        "slip",
+        "v_max_mps",
+        "hand_f_max_n",
+        "hand_stiffness_npm",
+        "hand_mass_kg",
+        "release_at_s",
+        "regrasp_at_s",
+        "hand_force_max_n",
+        "hand_force_clear_max_n",
+        "q7_rad",
+        "seed",
+        "min_distance_lm-lEE_m",
+        "min_clearance_m",
+        "contacts",
+        "arm_contacts",
+        "ee_error_final_m",
+        "solver_failures",
+        "nan",
+        "error",
+    } <= names
     assert not names & set(TIMES)
     assert set(table["nan"].to_pylist()) == {False}
     assert all(0.0 < d < 2.0 for d in table["min_clearance_m"].to_pylist())

@@ -13,13 +13,7 @@ from scipy.special import beta
 
 from app.robot.meshes import shape_mesh
 from app.robot.shapes import Superquadric
-from app.robot.superquadric import (
-    INTERVALS,
-    around_box,
-    implicit,
-    onto_surface,
-    polytope_vertices,
-)
+from app.robot.superquadric import INTERVALS, around_box, implicit, onto_surface, polytope_vertices
 from app.strict import explain
 
 Array = np.ndarray
@@ -40,9 +34,11 @@ def random_shape(rng: np.random.Generator, greatest: float) -> tuple[Superquadri
     """A placed shape, and by how much [m] its distances may be too large."""
     axes = rng.uniform(0.03, 1.0, 3)
     shape = shape_of(
-        axes, *rng.uniform(0.1, greatest, 2), xyz_m=tuple(rng.uniform(-1, 1, 3)),
+        axes,
+        *rng.uniform(0.1, greatest, 2),
+        xyz_m=tuple(rng.uniform(-1, 1, 3)),
         rpy_rad=tuple(rng.uniform(-1.5, 1.5, 3)),
-    )  # fmt: skip
+    )
     return shape, DEVIATION[greatest] * axes.max()
 
 
@@ -66,10 +62,13 @@ def coal_distance(shape: Superquadric, other: coal.CollisionGeometry, pose: pin.
     """[m] signed distance between the placed shape and another at a pose."""
     at = shape.placement()
     return coal.distance(
-        shape.coal_geometry(), coal.Transform3s(at.rotation, at.translation), other,
-        coal.Transform3s(pose.rotation, pose.translation), coal.DistanceRequest(),
+        shape.coal_geometry(),
+        coal.Transform3s(at.rotation, at.translation),
+        other,
+        coal.Transform3s(pose.rotation, pose.translation),
+        coal.DistanceRequest(),
         coal.DistanceResult(),
-    )  # fmt: skip
+    )
 
 
 def distance_to_box(shape: Superquadric, half: Array, pose: pin.SE3) -> float:
@@ -80,11 +79,13 @@ def distance_to_box(shape: Superquadric, half: Array, pose: pin.SE3) -> float:
         p = start / max(gauge(start, shape), 1.0) * 0.99
         y = np.clip(T.actInv(p), -half, half)
         found = minimize(
-            lambda v: float(np.sum((v[:3] - T.act(v[3:])) ** 2)), np.concatenate([p, y]),
-            method="SLSQP", bounds=[(None, None)] * 3 + list(zip(-half, half, strict=True)),
+            lambda v: float(np.sum((v[:3] - T.act(v[3:])) ** 2)),
+            np.concatenate([p, y]),
+            method="SLSQP",
+            bounds=[(None, None)] * 3 + list(zip(-half, half, strict=True)),
             constraints={"type": "ineq", "fun": lambda v: 1.0 - gauge(v[:3], shape)},
             options={"maxiter": 400, "ftol": 1e-13},
-        )  # fmt: skip
+        )
         if gauge(found.x[:3], shape) < 1 + 1e-6:
             best = min(best, float(np.sqrt(max(found.fun, 0.0))))
     return best
@@ -99,10 +100,12 @@ def depth_of_point(shape: Superquadric, p: Array) -> float:
     best = float(np.linalg.norm(nearest[0] - p))
     for start in nearest:
         found = minimize(
-            lambda s: float(np.sum((s - p) ** 2)), start, method="SLSQP",
+            lambda s: float(np.sum((s - p) ** 2)),
+            start,
+            method="SLSQP",
             constraints={"type": "eq", "fun": lambda s: gauge(s, shape) - 1.0},
             options={"maxiter": 200, "ftol": 1e-13},
-        )  # fmt: skip
+        )
         if abs(gauge(found.x, shape) - 1.0) < 1e-6:
             best = min(best, float(np.sqrt(found.fun)))
     return best
@@ -150,10 +153,13 @@ def test_with_both_exponents_one_it_is_an_ellipsoid(seed: int):
         pose = random_pose(rng, 2.0)
         pose.translation *= 1.3 / min(gauge(pose.translation, shape), 1.0)
         true = coal.distance(
-            coal.Ellipsoid(*axes), coal.Transform3s.Identity(), ball,
-            coal.Transform3s(pose.rotation, pose.translation), coal.DistanceRequest(),
+            coal.Ellipsoid(*axes),
+            coal.Transform3s.Identity(),
+            ball,
+            coal.Transform3s(pose.rotation, pose.translation),
+            coal.DistanceRequest(),
             coal.DistanceResult(),
-        )  # fmt: skip
+        )
         assert true - 1e-5 < coal_distance(shape, ball, pose) < true + most * axes.max() + 1e-5
 
 
@@ -253,7 +259,7 @@ def test_the_polytope_cannot_be_changed_by_who_gets_it():
         ({"semi_axis_m": (0.1, 0.2, 0.3)}, "did you mean 'semi_axes_m'"),
         ({"xyz_m": (0.0, float("nan"), 0.0)}, "xyz_m[1]: Input should be a finite"),
     ],
-)  # fmt: skip
+)
 def test_a_bad_parameter_is_refused_with_its_name_and_what_would_be_right(change, message: str):
     given = {"type": "superquadric", "semi_axes_m": (0.1, 0.2, 0.3), "e1": 0.5, "e2": 0.5}
     Superquadric.model_validate(given)

@@ -22,13 +22,21 @@ from app.study.sweep_result import arrival, passes
 pytestmark = pytest.mark.slow
 
 QUICK = SweepPlan(
-    controllers=("dbb", "none"), speeds=(0.4,), step=90.0, wheel_axis=False, length=0.04,
-    hold=0.1, physics="kinematic",
-)  # fmt: skip
+    controllers=("dbb", "none"),
+    speeds=(0.4,),
+    step=90.0,
+    wheel_axis=False,
+    length=0.04,
+    hold=0.1,
+    physics="kinematic",
+)
 GOOD: dict[str, Any] = {
-    "ee_error_final_m": 1e-4, "min_clearance_m": 0.1, "contacts": 0, "arm_contacts": 0,
+    "ee_error_final_m": 1e-4,
+    "min_clearance_m": 0.1,
+    "contacts": 0,
+    "arm_contacts": 0,
     "solver_failures": 0,
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -76,8 +84,15 @@ def test_the_summary_is_the_worst_of_its_rows(quick) -> None:
 
 
 def test_keys_of_quantities_end_in_their_unit_and_all_is_json(quick) -> None:
-    plain = {"controller", "contacts", "arm_contacts", "floor_contacts", "activation_max",
-             "solver_failures", "passed"}  # fmt: skip
+    plain = {
+        "controller",
+        "contacts",
+        "arm_contacts",
+        "floor_contacts",
+        "activation_max",
+        "solver_failures",
+        "passed",
+    }
     for row in quick["paths"]:
         assert all(k.endswith(("_m", "_mps", "_deg", "_s", "_rad")) for k in row.keys() - plain)
     assert json.loads(json.dumps(quick, allow_nan=False)) == quick
@@ -140,9 +155,14 @@ def test_the_hand_has_arrived_when_it_stays_within_a_millimetre() -> None:
 
 @pytest.mark.parametrize(
     "flaw",
-    [{"ee_error_final_m": 0.0011}, {"min_clearance_m": 0.029}, {"contacts": 1},
-     {"arm_contacts": 1}, {"solver_failures": 1}],
-)  # fmt: skip
+    [
+        {"ee_error_final_m": 0.0011},
+        {"min_clearance_m": 0.029},
+        {"contacts": 1},
+        {"arm_contacts": 1},
+        {"solver_failures": 1},
+    ],
+)
 def test_any_one_flaw_fails_a_path(flaw: dict[str, Any]) -> None:
     assert passes(GOOD)
     assert not passes(GOOD | flaw)

@@ -24,11 +24,30 @@ def test_one_object_on_standard_output_and_the_files_that_it_names(tmp_path: Pat
     parameters.write_text('{"border": {"d_b": 0.14}}', encoding="utf-8")
     out = tmp_path / "made" / "on demand"
     done = dbb(
-        "--controller", "none,barrier", "none", "--step", "90", "--length", "0.02",
-        "--speed", "0.4", "--hold", "0", "--no-wheel-axis", "--physics", "kinematic",
-        "--processes", "1", "--base-weight", "7", "--parameters", str(parameters),
-        "--out", str(out), "--json",
-    )  # fmt: skip
+        "--controller",
+        "none,barrier",
+        "none",
+        "--step",
+        "90",
+        "--length",
+        "0.02",
+        "--speed",
+        "0.4",
+        "--hold",
+        "0",
+        "--no-wheel-axis",
+        "--physics",
+        "kinematic",
+        "--processes",
+        "1",
+        "--base-weight",
+        "7",
+        "--parameters",
+        str(parameters),
+        "--out",
+        str(out),
+        "--json",
+    )
     assert (done.returncode, done.stderr) == (0, "")
     result = json.loads(done.stdout)
     assert json.loads((out / "sweep.json").read_text(encoding="utf-8")) == result

@@ -24,9 +24,15 @@ from app.study.sweep_files import write_sweep
 from app.study.sweep_maps import newest_map, read_map
 
 ROW: dict[str, Any] = {
-    "speed_mps": 0.025, "start_clearance_m": 0.17, "ee_error_final_m": 1e-6,
-    "min_clearance_m": 0.1, "contacts": 0, "arm_contacts": 0, "time_s": 8.0, "passed": True,
-}  # fmt: skip
+    "speed_mps": 0.025,
+    "start_clearance_m": 0.17,
+    "ee_error_final_m": 1e-6,
+    "min_clearance_m": 0.1,
+    "contacts": 0,
+    "arm_contacts": 0,
+    "time_s": 8.0,
+    "passed": True,
+}
 ERROR, CLEARANCE, TIME = quantities([ROW])
 
 
@@ -47,15 +53,28 @@ def result(controllers: tuple[str, ...] = ("dbb", "barrier")) -> dict[str, Any]:
             above.append({**ROW, "controller": name, "place_x_m": x, "place_y_m": 0.345})
     unreachable = [
         {"kind": "side", "height_m": 0.3, "direction_deg": 180.0, "reason": "too far"},
-        {"kind": "wheel_axis", "height_m": 0.3, "direction_deg": 90.0, "offset_m": -0.05,
-         "reason": "too far"},
+        {
+            "kind": "wheel_axis",
+            "height_m": 0.3,
+            "direction_deg": 90.0,
+            "offset_m": -0.05,
+            "reason": "too far",
+        },
         {"kind": "above", "place_x_m": 0.495, "place_y_m": -0.345, "reason": "too far"},
-    ]  # fmt: skip
+    ]
     return {
-        "robot": "husky_panda", "mode": "tracking", "controllers": list(controllers),
-        "heights_m": [0.3], "speeds_mps": [0.025], "step_deg": 30.0, "length_m": 0.2,
-        "paths": paths, "wheel_axis": axis, "above": above, "unreachable": unreachable,
-    }  # fmt: skip
+        "robot": "husky_panda",
+        "mode": "tracking",
+        "controllers": list(controllers),
+        "heights_m": [0.3],
+        "speeds_mps": [0.025],
+        "step_deg": 30.0,
+        "length_m": 0.2,
+        "paths": paths,
+        "wheel_axis": axis,
+        "above": above,
+        "unreachable": unreachable,
+    }
 
 
 def wedges(ax: Any) -> list[Wedge]:
@@ -136,8 +155,9 @@ def test_files_hold_every_path_and_every_start_that_failed(tmp_path: Path) -> No
     assert len(rows) == count + 3
     assert sum(row["reason"] == "too far" for row in rows) == 3
     assert json.loads((tmp_path / "sweep.json").read_text(encoding="utf-8")) == {
-        **shown, "files": names,
-    }  # fmt: skip
+        **shown,
+        "files": names,
+    }
 
 
 def test_the_newest_map_of_a_folder_is_found_and_read(tmp_path: Path) -> None:

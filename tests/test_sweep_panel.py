@@ -79,9 +79,10 @@ def test_the_button_starts_a_sweep_with_what_is_chosen_and_stopping_the_server_e
     plans: list[SweepPlan] = []
     start = SweepJob.start
     monkeypatch.setattr(
-        SweepJob, "start",
+        SweepJob,
+        "start",
         lambda self, plan, folder: (plans.append(plan), start(self, plan, folder))[1],
-    )  # fmt: skip
+    )
     panel._start_or_stop()
     wait_for(lambda: "under way" in panel._text.content, 20.0)
     (plan,) = plans
@@ -108,8 +109,10 @@ def test_a_job_tells_how_far_it_is_and_leaves_its_files(tmp_path: Path) -> None:
     assert job.problem() is None
     assert job.done == 1.0
     assert sorted(p.name for p in (tmp_path / "made").iterdir()) == [
-        "sweep.csv", "sweep.json", "sweep_h1.9_v0.4.png",
-    ]  # fmt: skip
+        "sweep.csv",
+        "sweep.json",
+        "sweep_h1.9_v0.4.png",
+    ]
 
 
 def test_what_goes_wrong_in_the_other_process_is_told(tmp_path: Path) -> None:

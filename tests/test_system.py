@@ -21,18 +21,57 @@ THE_PLACE = PROJECT / "app" / "system.py"
 OTHERS = sorted(path for path in (PROJECT / "app").rglob("*.py") if path != THE_PLACE)
 
 MODULES = {
-    "ctypes", "fcntl", "grp", "mmap", "multiprocessing.shared_memory", "posix", "pty", "pwd",
-    "resource", "select", "syslog", "termios",
-}  # fmt: skip
+    "ctypes",
+    "fcntl",
+    "grp",
+    "mmap",
+    "multiprocessing.shared_memory",
+    "posix",
+    "pty",
+    "pwd",
+    "resource",
+    "select",
+    "syslog",
+    "termios",
+}
 """Modules of some systems only, and the one that calls C."""
 NAMES = {
-    "os": {"epoll", "eventfd", "fork", "forkpty", "getpgid", "kill", "killpg",
-           "memfd_create", "mkfifo", "nice", "pipe2", "pidfd_open", "setpgid", "setpriority",
-           "setsid", "uname", "wait4", "waitid", "WNOHANG"},
-    "signal": {"SIGALRM", "SIGCHLD", "SIGHUP", "SIGKILL", "SIGUSR1", "SIGUSR2", "alarm",
-               "pthread_kill", "pthread_sigmask", "setitimer", "sigwait"},
+    "os": {
+        "epoll",
+        "eventfd",
+        "fork",
+        "forkpty",
+        "getpgid",
+        "kill",
+        "killpg",
+        "memfd_create",
+        "mkfifo",
+        "nice",
+        "pipe2",
+        "pidfd_open",
+        "setpgid",
+        "setpriority",
+        "setsid",
+        "uname",
+        "wait4",
+        "waitid",
+        "WNOHANG",
+    },
+    "signal": {
+        "SIGALRM",
+        "SIGCHLD",
+        "SIGHUP",
+        "SIGKILL",
+        "SIGUSR1",
+        "SIGUSR2",
+        "alarm",
+        "pthread_kill",
+        "pthread_sigmask",
+        "setitimer",
+        "sigwait",
+    },
     "mp": {"get_context", "set_start_method", "Pipe", "Pool", "Process", "Queue", "Value"},
-}  # fmt: skip
+}
 """What a module has on some systems only, or does differently there. Names of `os` that begin with
 `sched_` or `SCHED_` count too."""
 FOR_A_REASON = {("app/dashboard/browser.py", "sys.platform"): "where a Mac keeps its browsers"}
@@ -191,9 +230,12 @@ if __name__ == "__main__":
     (tmp_path / "loop.py").write_text(code, encoding="utf-8")
     path = os.pathsep.join([str(tmp_path), str(PROJECT)])
     done = subprocess.run(
-        [sys.executable, str(tmp_path / "loop.py")], env={**os.environ, "PYTHONPATH": path},
-        capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+        [sys.executable, str(tmp_path / "loop.py")],
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.stdout.strip() == "ran", done.stderr[-2000:]
 
 

@@ -183,11 +183,13 @@ def run_into_walls(blend, seed: int, k_v: float) -> tuple[float, float]:
         d = normals @ p
         rows = [
             TaskRows(
-                J[None, :], np.zeros(1), np.array([60.0 - k_v * (J @ v)]),
+                J[None, :],
+                np.zeros(1),
+                np.array([60.0 - k_v * (J @ v)]),
                 activation(float(x), 0.15, 0.05),
             )
             for J, x in zip(normals, d, strict=True)
-        ]  # fmt: skip
+        ]
         v = v + dt * blend(free, rows)
         p = p + dt * v
         if (d > 0.151).all() and (normals @ v > 0.0).all():

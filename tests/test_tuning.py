@@ -73,11 +73,15 @@ class Desk:
         self.tuning = Tuning(self.sink, Config(), clock=self.clock)
         self.panels = [
             TuningPanel(
-                server.gui, self.tuning, Notices(server), paths,
-                robot=husky_panda().description, clock=self.clock,
+                server.gui,
+                self.tuning,
+                Notices(server),
+                paths,
+                robot=husky_panda().description,
+                clock=self.clock,
             )
             for server in servers
-        ]  # fmt: skip
+        ]
 
     def handle(self, path, viewer=0, face=0):
         return self.panels[viewer].knobs[path].handles[face]
@@ -385,8 +389,11 @@ def test_an_exponent_out_of_range_is_refused(desk, value):
 
 def test_what_is_changed_is_marked_on_its_label_and_folder_until_it_is_set_back(desk):
     def labels():
-        return {h.label for h in desk.panels[0]._gui._container_handle_from_uuid.values()
-                if isinstance(h, viser.GuiFolderHandle)}  # fmt: skip
+        return {
+            h.label
+            for h in desk.panels[0]._gui._container_handle_from_uuid.values()
+            if isinstance(h, viser.GuiFolderHandle)
+        }
 
     assert "Force" in labels()
     put(desk.handle("force.f_max"), 200.0, Person())
@@ -523,10 +530,20 @@ def deliver(gui, person, updates, uuid=None, monkeypatch=None):
 @pytest.mark.parametrize(
     "updates",
     [
-        {"value": "much"}, {"value": [0.2]}, {"value": None}, {"value": {}}, {}, [0.2], 3, None,
-        {"value": 0.2, "update_cb": []}, {"update_cb": []}, {"gui_api": 1}, {"removed": True},
+        {"value": "much"},
+        {"value": [0.2]},
+        {"value": None},
+        {"value": {}},
+        {},
+        [0.2],
+        3,
+        None,
+        {"value": 0.2, "update_cb": []},
+        {"update_cb": []},
+        {"gui_api": 1},
+        {"removed": True},
     ],
-)  # fmt: skip
+)
 def test_what_a_widget_cannot_hold_is_told_to_the_sender_and_changes_nothing(
     desk, updates, monkeypatch
 ):

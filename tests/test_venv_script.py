@@ -26,9 +26,13 @@ def venv(
             pytest.skip(f"no {tool}")
         (programs / tool).symlink_to(found)
     return subprocess.run(
-        [str(SCRIPT), *arguments], cwd=folder, capture_output=True, text=True, timeout=300,
+        [str(SCRIPT), *arguments],
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=300,
         env={**os.environ, "PATH": str(programs), "PYTHON": python},
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture

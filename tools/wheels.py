@@ -32,9 +32,12 @@ PROMISED = {
 }
 """Platforms and Pythons for which everything has to be there."""
 OPTIONAL = {
-    "pybullet": "pybullet", "pybullet-arm64": "pybullet's fork", "mujoco": "MuJoCo",
-    "mujoco-core": "MuJoCo", "eaik": "EAIK",
-}  # fmt: skip
+    "pybullet": "pybullet",
+    "pybullet-arm64": "pybullet's fork",
+    "mujoco": "MuJoCo",
+    "mujoco-core": "MuJoCo",
+    "eaik": "EAIK",
+}
 """What is not the same everywhere, and how the table calls it."""
 _MACOS = "14.0"  # the oldest one of the promise
 _AT_ONCE = 4
@@ -68,9 +71,12 @@ def compiled(arguments: list[str]) -> Outcome:
     command = [sys.executable, "-m", "uv", "pip", "compile", "--quiet", "--only-binary", ":all:"]
     done = subprocess.run(
         [*command, "--no-header", "--no-annotate", "--color", "never", *arguments],
-        cwd=PROJECT, env={**os.environ, "MACOSX_DEPLOYMENT_TARGET": _MACOS},
-        capture_output=True, text=True, timeout=_PATIENCE,
-    )  # fmt: skip
+        cwd=PROJECT,
+        env={**os.environ, "MACOSX_DEPLOYMENT_TARGET": _MACOS},
+        capture_output=True,
+        text=True,
+        timeout=_PATIENCE,
+    )
     if done.returncode == 0:
         lines = (line.partition("==")[0].strip() for line in done.stdout.splitlines())
         return frozenset(line for line in lines if line and not line.startswith("#"))

@@ -137,9 +137,13 @@ class SelfCollisionAvoidance:
         if acting is None:
             return PairState(closest, beta, None, np.zeros(3))
         f = avoidance_force(
-            p_b, acting.p_act, closest.d, self._state.R_world_base.T @ closest.n,
-            f_max=self._config.force.f_max, d_b=self._config.border.d_b,
-        )  # fmt: skip
+            p_b,
+            acting.p_act,
+            closest.d,
+            self._state.R_world_base.T @ closest.n,
+            f_max=self._config.force.f_max,
+            d_b=self._config.border.d_b,
+        )
         return PairState(closest, beta, acting, f)
 
     def _rows_between_links(self, others: list[PairState]) -> tuple[TaskRows, ...]:

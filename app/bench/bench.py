@@ -31,9 +31,14 @@ _RESELECTED = (0.10, 0.12, 0.18, 0.20, 0.15)  # [m] d_b that are asked for one a
 
 
 def bench(
-    model: RobotModel, data: BorderData, *, seed: int = 0, points: Sequence[int] = POINTS,
-    border: bool = True, on_stage: Callable[[str], None] = lambda _: None,
-) -> dict[str, Any]:  # fmt: skip
+    model: RobotModel,
+    data: BorderData,
+    *,
+    seed: int = 0,
+    points: Sequence[int] = POINTS,
+    border: bool = True,
+    on_stage: Callable[[str], None] = lambda _: None,
+) -> dict[str, Any]:
     """Measure all that `dbb bench` tells.
 
     Args:
@@ -61,13 +66,20 @@ def bench(
     if border:
         on_stage("a border from nothing")
     return {
-        "robot": model.description.name, "seed": seed, "cores": os.cpu_count(),
-        "load_before": load, **steps, "stages_p50_us": stages, "step_p50_us_by_points": by_count,
-        "border_build_s": _build(model) if border else None, "border_reselect_ms": reselect,
+        "robot": model.description.name,
+        "seed": seed,
+        "cores": os.cpu_count(),
+        "load_before": load,
+        **steps,
+        "stages_p50_us": stages,
+        "step_p50_us_by_points": by_count,
+        "border_build_s": _build(model) if border else None,
+        "border_reselect_ms": reselect,
         "rollout_realtime_factor": {str(n): x for n, x in rollouts.factors.items()},
-        "rollout_scaling": rollouts.scaling, "peak_memory_mb": memory,
+        "rollout_scaling": rollouts.scaling,
+        "peak_memory_mb": memory,
         "peak_memory_all_mb": peak_memory(),
-    }  # fmt: skip
+    }
 
 
 def _steps(model: RobotModel, data: BorderData, paths: Sequence[Path], seed: int) -> dict[str, Any]:
@@ -91,10 +103,12 @@ def _steps(model: RobotModel, data: BorderData, paths: Sequence[Path], seed: int
     p50, bare = float(np.median(active)), float(np.median(floors))
     return {
         "paths": [{"name": p.name, "start_m": p.start, "move_m": p.move} for p in PATHS],
-        "steps": len(alone.step), "active_steps": len(active),
+        "steps": len(alone.step),
+        "active_steps": len(active),
         "active_steps_by_pair": dict(zip(names, alone.active.sum(axis=0).tolist(), strict=True)),
         "border_points": {name: len(cloud) for name, cloud in data.clouds.items()},
-        "step_p50_us": p50, "step_p99_us": float(np.percentile(active, 99)),
+        "step_p50_us": p50,
+        "step_p99_us": float(np.percentile(active, 99)),
         "step_max_us": float(active.max()),
         "step_all_p50_us": float(np.median(alone.step)),
         "step_all_p99_us": float(np.percentile(alone.step, 99)),
@@ -103,10 +117,13 @@ def _steps(model: RobotModel, data: BorderData, paths: Sequence[Path], seed: int
         "step_own_p99_us": float(np.percentile(own[alone.both], 99)),
         "step_all_own_p50_us": float(np.median(own)),
         "step_all_own_p99_us": float(np.percentile(own, 99)),
-        "floor_p50_us": bare, "floor_ratio": p50 / bare,
-        "floor_qps": [dict(zip(("unknowns", "equalities", "inequalities"), size, strict=True))
-                      for size in floor.sizes],
-    }  # fmt: skip
+        "floor_p50_us": bare,
+        "floor_ratio": p50 / bare,
+        "floor_qps": [
+            dict(zip(("unknowns", "equalities", "inequalities"), size, strict=True))
+            for size in floor.sizes
+        ],
+    }
 
 
 def _reselect(model: RobotModel, data: BorderData) -> float:

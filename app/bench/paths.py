@@ -43,9 +43,11 @@ PATHS: tuple[LineScenario, ...] = (
 
 
 def record(
-    model: RobotModel, data: BorderData, seed: int,
+    model: RobotModel,
+    data: BorderData,
+    seed: int,
     on_progress: Callable[[float], None] = lambda _: None,
-) -> list[Path]:  # fmt: skip
+) -> list[Path]:
     """Run all `PATHS` and keep what the controller was given, one list a path.
 
     Args:

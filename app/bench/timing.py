@@ -38,9 +38,10 @@ class Times(NamedTuple):
 
 
 def time_steps(
-    controller: Controller, paths: Sequence[Path],
+    controller: Controller,
+    paths: Sequence[Path],
     after: Callable[[Moment, ControlOutput], None] = lambda _, __: None,
-) -> Times:  # fmt: skip
+) -> Times:
     """Time every step of all paths; the first path is begun once more, unmeasured, to warm up.
 
     Args:

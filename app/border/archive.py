@@ -69,10 +69,16 @@ def read(path: Path, *, key: str, layout: int) -> Content:
 def _arrays(content: Content, key: str, layout: int) -> dict[str, Array]:
     pairs = content.pairs
     header = _Header(
-        format=layout, key=key, mobile=pairs.mobile, manipulator=pairs.manipulator,
-        never=pairs.never, rates=pairs.rates, least_distance_m=pairs.least_distance_m,
-        samples=pairs.samples, seed=pairs.seed,
-    )  # fmt: skip
+        format=layout,
+        key=key,
+        mobile=pairs.mobile,
+        manipulator=pairs.manipulator,
+        never=pairs.never,
+        rates=pairs.rates,
+        least_distance_m=pairs.least_distance_m,
+        samples=pairs.samples,
+        seed=pairs.seed,
+    )
     arrays = {"header": np.frombuffer(header.model_dump_json().encode(), dtype=np.uint8)}
     for i, pair in enumerate(pairs.mobile):
         for part, array in _pack(content.clouds[pair.name]).items():
@@ -86,9 +92,14 @@ def _content(header: _Header, arrays: dict[str, Array]) -> Content:
         for group in (header.mobile, header.manipulator, header.never)
     )
     pairs = LinkPairs(
-        mobile, manipulator, never, header.rates, header.least_distance_m, header.samples,
+        mobile,
+        manipulator,
+        never,
+        header.rates,
+        header.least_distance_m,
+        header.samples,
         header.seed,
-    )  # fmt: skip
+    )
     clouds = {
         pair.name: _unpack(pair.name, *(arrays[f"cloud{i}_{part}"] for part in _PARTS))
         for i, pair in enumerate(mobile)

@@ -37,9 +37,13 @@ class BorderData:
 
 
 def load_border_data(
-    model: RobotModel, *, sampling: SamplingConfig | None = None, progress: bool = True,
-    processes: int | None = None, on_progress: Callable[[float], None] | None = None,
-) -> BorderData:  # fmt: skip
+    model: RobotModel,
+    *,
+    sampling: SamplingConfig | None = None,
+    progress: bool = True,
+    processes: int | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> BorderData:
     """Pairs and clouds of a robot.
 
     A file that is damaged or of another robot is never believed: it is sampled anew, with a
@@ -61,9 +65,13 @@ def load_border_data(
         return found
     pairs = find_link_pairs(model, samples=sampling.pair_samples, seed=sampling.seed)
     clouds = sample_clouds(
-        model, pairs.mobile, sampling, progress=progress, processes=processes,
+        model,
+        pairs.mobile,
+        sampling,
+        progress=progress,
+        processes=processes,
         on_progress=on_progress,
-    )  # fmt: skip
+    )
     key = border_key(model.description, sampling)
     _write(assets.cache_folder() / _name(model, key), archive.Content(pairs, clouds), key)
     return BorderData(pairs, clouds, "sampled")
@@ -71,7 +79,7 @@ def load_border_data(
 
 def kept_border_data(
     model: RobotModel, sampling: SamplingConfig | None = None
-) -> BorderData | None:  # fmt: skip
+) -> BorderData | None:
     """Pairs and clouds of a robot if they need not be sampled, else None.
 
     Raises:

@@ -17,9 +17,16 @@ import numpy as np
 Array = np.ndarray
 
 _UNREADABLE = (
-    OSError, ValueError, KeyError, EOFError, BadZipFile, zlib.error, NotImplementedError,
-    RuntimeError, MemoryError,
-)  # fmt: skip
+    OSError,
+    ValueError,
+    KeyError,
+    EOFError,
+    BadZipFile,
+    zlib.error,
+    NotImplementedError,
+    RuntimeError,
+    MemoryError,
+)
 
 
 class DamagedFileError(Exception):

@@ -76,9 +76,12 @@ def point_at(
     k, share = _between(heights, same, z)
     i = int(ray % rays) % rays
     return _point_of_edge(
-        _entry(vertices, i, k, share), _entry(vertices, i + 1, k, share),
-        _entry(tangents, i, k, share), _entry(tangents, i + 1, k, share), (ray % rays) % 1.0,
-    )  # fmt: skip
+        _entry(vertices, i, k, share),
+        _entry(vertices, i + 1, k, share),
+        _entry(tangents, i, k, share),
+        _entry(tangents, i + 1, k, share),
+        (ray % rays) % 1.0,
+    )
 
 
 @compiled(f"UniTuple(f8, 5)({_TABLES}, f8, f8, f8)")
@@ -107,9 +110,12 @@ def nearest_point(
             if away < least:
                 best, least = i, away
     x_n, y_n, t_x, t_y = _point_of_edge(
-        _entry(vertices, best, k, share), _entry(vertices, best + 1, k, share),
-        _entry(tangents, best, k, share), _entry(tangents, best + 1, k, share), best_along,
-    )  # fmt: skip
+        _entry(vertices, best, k, share),
+        _entry(vertices, best + 1, k, share),
+        _entry(tangents, best, k, share),
+        _entry(tangents, best + 1, k, share),
+        best_along,
+    )
     return x_n, y_n, t_x, t_y, best + best_along
 
 
@@ -127,9 +133,14 @@ def gap_at(heights: Array, centre: Array, half: Array, z: float) -> tuple[float,
 
 @compiled(f"UniTuple(f8, 4)({_TABLES}, f8[:], f8[:], f8[:])")
 def nearest_in_reach(
-    heights: Array, same: Array, vertices: Array, tangents: Array, centre: Array, half: Array,
+    heights: Array,
+    same: Array,
+    vertices: Array,
+    tangents: Array,
+    centre: Array,
+    half: Array,
     p: Array,
-) -> tuple[float, float, float, float]:  # fmt: skip
+) -> tuple[float, float, float, float]:
     """`nearest_point` to p (3,) at the nearest height there is, and at a gap's nearer end if in it.
 
     `centre` and `half` are those of the gaps, one a height, in rays.

@@ -39,9 +39,13 @@ class Flood:
     """
 
     def __init__(
-        self, model: RobotModel, reader: PairReader, voxels: Voxels, shell: tuple[float, float],
+        self,
+        model: RobotModel,
+        reader: PairReader,
+        voxels: Voxels,
+        shell: tuple[float, float],
         rng: np.random.Generator,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Prepare; `shell` [m] holds the least and the largest distance of a wanted point."""
         self._model, self._reader, self._voxels, self._rng = model, reader, voxels, rng
         self._low, self._high = shell

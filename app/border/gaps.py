@@ -90,9 +90,15 @@ def _narrowed(gap: Gap, beside: Sequence[Gap], further: float, rays: int) -> Gap
 
 @compiled("Tuple((f8[::1], f8[::1]))(f8[:], f8[:], f8[:], i8[:], i8[:], c16[:,:], f8, i8)")
 def widest_gaps(
-    x: Array, y: Array, ray: Array, first: Array, last: Array, vertices: Array, near: float,
+    x: Array,
+    y: Array,
+    ray: Array,
+    first: Array,
+    last: Array,
+    vertices: Array,
+    near: float,
     least_points: int,
-) -> tuple[Array, Array]:  # fmt: skip
+) -> tuple[Array, Array]:
     """The widest part of each contour near which there is no point.
 
     Args:

@@ -208,9 +208,10 @@ def ray_from(points_xy: Array, centre: Array) -> Array:
 
 
 _NOTHING = Rings(
-    np.empty((0, 2)), np.empty((0, RAYS + 1, 2)),
+    np.empty((0, 2)),
+    np.empty((0, RAYS + 1, 2)),
     Tables(np.empty(0), np.empty(0, bool), *np.empty((2, 0, RAYS + 1), complex)),
-)  # fmt: skip
+)
 
 
 def _outermost(

@@ -83,9 +83,8 @@ def distances(kind: int, size: Array, R: Array, p: Array, points: Array) -> Arra
 
 @compiled("f8[::1](i8, f8[:], f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8)")
 def ray_ends(
-    kind: int, size: Array, R: Array, p: Array, rays: Array, origin: Array, start: Array,
-    d_b: float,
-) -> Array:  # fmt: skip
+    kind: int, size: Array, R: Array, p: Array, rays: Array, origin: Array, start: Array, d_b: float
+) -> Array:
     """How far along each ray the shape's offset ends.
 
     The distance to a convex shape is a convex function along a ray: from any start on the rising

@@ -133,8 +133,11 @@ class Chain:
 
     def _add_unlimited(self) -> None:
         """One joint about the body's axis, or three about its point."""
-        kinds = {6: (), 5: (pin.JointModelRZ,), 3: (pin.JointModelRZ, pin.JointModelRY,
-                                                    pin.JointModelRX)}[self.asked]  # fmt: skip
+        kinds = {
+            6: (),
+            5: (pin.JointModelRZ,),
+            3: (pin.JointModelRZ, pin.JointModelRY, pin.JointModelRX),
+        }[self.asked]
         for i, kind in enumerate(kinds):
             self._end = self.pin.addJoint(self._end, kind(), self._placement, f"unlimited_{i}")
             self._placement = pin.SE3.Identity()

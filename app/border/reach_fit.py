@@ -90,10 +90,16 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
     left = y - polynomial(x)
     r_squared, rms = _radial_quality(x, y, left)
     return ReachFit(
-        A_per_m2=float(-a), B_m=float(B), C=float(c - a * B**2),
-        r_squared=r_squared, rms=rms, r_squared_positions=_explained(y, left),
-        rho_min_m=float(x.min()), rho_max_m=float(x.max()), points=len(x),
-    )  # fmt: skip
+        A_per_m2=float(-a),
+        B_m=float(B),
+        C=float(c - a * B**2),
+        r_squared=r_squared,
+        rms=rms,
+        r_squared_positions=_explained(y, left),
+        rho_min_m=float(x.min()),
+        rho_max_m=float(x.max()),
+        points=len(x),
+    )
 
 
 def _explained(y: Array, left: Array, weight: Array | None = None) -> float:

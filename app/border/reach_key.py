@@ -25,10 +25,12 @@ def reach_key(description: RobotDescription, body: str, config: ReachConfig) -> 
             "format": FORMAT,
             "robot": robot_content(description),
             "end_effector": [
-                arm.end_effector_link, arm.end_effector_xyz_m, arm.end_effector_rpy_rad,
+                arm.end_effector_link,
+                arm.end_effector_xyz_m,
+                arm.end_effector_rpy_rad,
                 arm.end_effector_link in description.body(body).covers,
             ],
             "body": body,
             "sampling": config.model_dump(),
         }
-    )  # fmt: skip
+    )

@@ -76,9 +76,14 @@ class ReachMap:
 
 
 def load_reach_map(
-    model: RobotModel, body: str, *, config: ReachConfig | None = None, recompute: bool = False,
-    progress: bool = True, processes: int | None = None,
-) -> ReachMap:  # fmt: skip
+    model: RobotModel,
+    body: str,
+    *,
+    config: ReachConfig | None = None,
+    recompute: bool = False,
+    progress: bool = True,
+    processes: int | None = None,
+) -> ReachMap:
     """The density of inverse kinematics solutions of a body's pose over the arm's whole workspace.
 
     Positions stand on a lattice in a ball around the mount that the arm cannot leave, each with the
@@ -125,9 +130,13 @@ def lattice(radius: float, spacing: float) -> Array:
 
 
 def _count(
-    model: RobotModel, body: str, config: ReachConfig, key: str, progress: bool,
+    model: RobotModel,
+    body: str,
+    config: ReachConfig,
+    key: str,
+    progress: bool,
     processes: int | None,
-) -> reach_archive.Counts:  # fmt: skip
+) -> reach_archive.Counts:
     make_context = partial(CountContext, model.description, body, config)
     context, p_base = make_context(), model.p_base()
     steps = lattice(context.chain.longest(p_base), context.spacing)
@@ -145,10 +154,15 @@ def _count(
             bar.advance(task)
     names = model.description.arm.joints
     header = reach_archive.Header(
-        key=key, body=body, p_base=(p_base[0], p_base[1], p_base[2]), seed=config.seed,
-        spacing_m=context.spacing, samples=context.orientations, method=context.solver.method,
+        key=key,
+        body=body,
+        p_base=(p_base[0], p_base[1], p_base[2]),
+        seed=config.seed,
+        spacing_m=context.spacing,
+        samples=context.orientations,
+        method=context.solver.method,
         free_joints=tuple(names[context.chain.joints[i]] for i in context.solver.free),
-    )  # fmt: skip
+    )
     return reach_archive.Counts(header, steps, np.concatenate(found))
 
 
@@ -163,10 +177,18 @@ def _as_map(
     if not best > 0:
         raise DescriptionError(f"{header.body}: no sampled pose has an inverse kinematics solution")
     return ReachMap(
-        body=header.body, points=p_base + offsets, found=found, samples=header.samples,
-        reach=PEAK * found / best, p_base=p_base, spacing_m=header.spacing_m, seed=header.seed,
-        method=header.method, free_joints=header.free_joints, origin=origin,
-    )  # fmt: skip
+        body=header.body,
+        points=p_base + offsets,
+        found=found,
+        samples=header.samples,
+        reach=PEAK * found / best,
+        p_base=p_base,
+        spacing_m=header.spacing_m,
+        seed=header.seed,
+        method=header.method,
+        free_joints=header.free_joints,
+        origin=origin,
+    )
 
 
 def _read(path: Path, key: str) -> reach_archive.Counts | None:
@@ -191,6 +213,11 @@ def _bar(shown: bool) -> Progress:
     # Without a terminal a bar that vanishes would leave an empty line behind.
     hidden = not (shown and console.is_terminal)
     return Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
-        TimeRemainingColumn(), console=console, disable=hidden, transient=True,
-    )  # fmt: skip
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeRemainingColumn(),
+        console=console,
+        disable=hidden,
+        transient=True,
+    )

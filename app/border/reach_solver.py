@@ -174,9 +174,12 @@ class RestartSolver:
             return np.vstack([error.rotation @ J[:3], pin.Jlog3(error.rotation) @ J[3:]])
 
         q[self._sought] = root(
-            miss, start[self._sought], jac=slope, method="hybr",
+            miss,
+            start[self._sought],
+            jac=slope,
+            method="hybr",
             options={"maxfev": 80, "xtol": 1e-10},
-        ).x  # fmt: skip
+        ).x
         return q
 
 

@@ -20,10 +20,14 @@ _SEED_JOBS = 16  # a fixed number, so that the samples do not depend on the numb
 
 
 def sample_clouds(
-    model: RobotModel, pairs: Sequence[Pair], config: SamplingConfig, *,
-    progress: bool = True, processes: int | None = None,
+    model: RobotModel,
+    pairs: Sequence[Pair],
+    config: SamplingConfig,
+    *,
+    progress: bool = True,
+    processes: int | None = None,
     on_progress: Callable[[float], None] | None = None,
-) -> dict[str, Cloud]:  # fmt: skip
+) -> dict[str, Cloud]:
     """P_i of Algorithm 1 for each pair: closest points on the arm's body, one a voxel.
 
     Random sampling alone leaves the base's sides almost empty. From every pose found, the flood
@@ -124,6 +128,11 @@ class _Sampler:
 
 def _bar(shown: bool) -> Progress:
     return Progress(
-        TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(), console=Console(stderr=True), disable=not shown, transient=True,
-    )  # fmt: skip
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.percentage:>3.0f} %"),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        disable=not shown,
+        transient=True,
+    )

@@ -43,9 +43,12 @@ class Context:
         self.config = config
         self.body = MobileBody(self.model)
         self.voxels = Voxels(
-            self.body.lower, self.body.upper, reach=config.d_high, sectors=config.sectors,
+            self.body.lower,
+            self.body.upper,
+            reach=config.d_high,
+            sectors=config.sectors,
             size=np.array([config.voxel_plan, config.voxel_plan, config.voxel_height]),
-        )  # fmt: skip
+        )
 
 
 class SeedJob(NamedTuple):
@@ -93,9 +96,12 @@ def flood_sector(context: Context, job: SectorJob) -> Kept:
     wanted = context.voxels.sector_mask(job.sector)
     wanted[job.taken] = False
     flood = Flood(
-        model, PairReader(model, job.pair), context.voxels, (config.d_low, config.d_high),
+        model,
+        PairReader(model, job.pair),
+        context.voxels,
+        (config.d_low, config.d_high),
         np.random.default_rng(job.seed),
-    )  # fmt: skip
+    )
     q_m = np.clip(job.sources.astype(float), model.q_lower, model.q_upper)
     found = flood.run(wanted, q_m, config.retries)
     distances = context.body.distance(found.points * POINT_UNIT)

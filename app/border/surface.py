@@ -154,9 +154,15 @@ def find_gap(border: Border, offset: OffsetContours) -> OpenPart:
     last = border.heights.searchsorted(heights + NEAR_HEIGHT, "right")
     points = border.points
     centre, width = widest_gaps(
-        points[:, 0].copy(), points[:, 1].copy(), offset.ray_of(points[:, :2]), first, last,
-        offset.tables.vertices, NEAR_CONTOUR, LEAST_POINTS,
-    )  # fmt: skip
+        points[:, 0].copy(),
+        points[:, 1].copy(),
+        offset.ray_of(points[:, :2]),
+        first,
+        last,
+        offset.tables.vertices,
+        NEAR_CONTOUR,
+        LEAST_POINTS,
+    )
     gaps = [
         None if np.isnan(w) else gaps_between([(c - w / 2, c + w / 2)])
         for c, w in zip(centre.tolist(), width.tolist(), strict=True)

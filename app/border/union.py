@@ -95,13 +95,17 @@ def _visible(
 ) -> tuple[float, float, float, float]:
     """The part of an edge that is shown and reached, and that which is shown, as shares of it."""
     hidden_low, hidden_high = _clip(
-        0.0, 1.0, shown[k, i] + share * (shown[up, i] - shown[k, i]),
+        0.0,
+        1.0,
+        shown[k, i] + share * (shown[up, i] - shown[k, i]),
         shown[k, i + 1] + share * (shown[up, i + 1] - shown[k, i + 1]),
-    )  # fmt: skip
+    )
     low, high = _clip(
-        hidden_low, hidden_high, reached[k, i] + share * (reached[up, i] - reached[k, i]),
+        hidden_low,
+        hidden_high,
+        reached[k, i] + share * (reached[up, i] - reached[k, i]),
         reached[k, i + 1] + share * (reached[up, i + 1] - reached[k, i + 1]),
-    )  # fmt: skip
+    )
     return low, high, hidden_low, hidden_high
 
 
@@ -122,9 +126,20 @@ def _take(
 
 @compiled()
 def _search_block(
-    vertices: Array, tangents: Array, shown: Array, reached: Array, clear: Array, k: int,
-    share: float, block: int, p: complex, first: float, best: Array, corners: Array, count: int,
-) -> int:  # fmt: skip
+    vertices: Array,
+    tangents: Array,
+    shown: Array,
+    reached: Array,
+    clear: Array,
+    k: int,
+    share: float,
+    block: int,
+    p: complex,
+    first: float,
+    best: Array,
+    corners: Array,
+    count: int,
+) -> int:
     """Look for nearer points on some edges of a ring, and add its corners to the `count` there are.
 
     Rows of `corners` are x, y, tangent, place, and whether the ring goes on there or ends.
@@ -197,12 +212,23 @@ def _search_corners(p: complex, best: Array, corners: Array, count: int) -> None
             _take(best, p, at, _square(p, at, t), corners[c, 4])
 
 
-@compiled("UniTuple(f8, 6)(i8[:], f8[:], c16[:,:], c16[:,:], f8[:,:], f8[:,:], b1[:,:], f8[:,:], "
-          "f8, f8, f8)")  # fmt: skip
+@compiled(
+    "UniTuple(f8, 6)(i8[:], f8[:], c16[:,:], c16[:,:], f8[:,:], f8[:,:], b1[:,:], f8[:,:], "
+    "f8, f8, f8)"
+)
 def nearest_of_union(
-    firsts: Array, heights: Array, vertices: Array, tangents: Array, shown: Array, reached: Array,
-    clear: Array, spans: Array, x: float, y: float, z: float,
-) -> tuple[float, float, float, float, float, float]:  # fmt: skip
+    firsts: Array,
+    heights: Array,
+    vertices: Array,
+    tangents: Array,
+    shown: Array,
+    reached: Array,
+    clear: Array,
+    spans: Array,
+    x: float,
+    y: float,
+    z: float,
+) -> tuple[float, float, float, float, float, float]:
     """The point of the union's contours that is nearest to (x, y), at the height nearest to z.
 
     Blocks of edges are searched from near to far, until the next one is farther than what was
@@ -246,9 +272,20 @@ def nearest_of_union(
         bounds[nearest] = np.inf
         j, b = nearest // blocks, nearest % blocks
         count = _search_block(
-            vertices, tangents, shown, reached, clear, int(rows[j]), float(shares[j]), b, p,
-            float(j * rays), best, corners, count,
-        )  # fmt: skip
+            vertices,
+            tangents,
+            shown,
+            reached,
+            clear,
+            int(rows[j]),
+            float(shares[j]),
+            b,
+            p,
+            float(j * rays),
+            best,
+            corners,
+            count,
+        )
     _search_corners(p, best, corners, count)
     if best[0] < np.inf:
         best[0] = abs(p - complex(best[2], best[3]))

@@ -41,9 +41,13 @@ def bench(
     model, data = load_robot_and_border(robot)
     with console.status("") as status:
         result = measure(
-            model, data, seed=seed, points=points, border=not no_border,
+            model,
+            data,
+            seed=seed,
+            points=points,
+            border=not no_border,
             on_stage=lambda text: status.update(f"{text} …"),
-        )  # fmt: skip
+        )
     if json:
         print_json(result)
         return

@@ -81,8 +81,14 @@ def _figures(model: RobotModel, data: BorderData, border: Border) -> dict[str, o
     """Figures of one border; its distances measured again, point by point, by the library."""
     cloud_points = len(data.clouds[border.pair])
     if not len(border):
-        return {"points": 0, "cloud_points": cloud_points, "points_beside_base": 0,
-                "max_deviation_m": None, "lowest_m": None, "highest_m": None}  # fmt: skip
+        return {
+            "points": 0,
+            "cloud_points": cloud_points,
+            "points_beside_base": 0,
+            "max_deviation_m": None,
+            "lowest_m": None,
+            "highest_m": None,
+        }
     body = MobileBody(model)
     deviation = np.abs(body.distance(border.points) - border.d_b)
     return {

@@ -51,9 +51,12 @@ def compare_robots(
     check_seed(seed)
     with progress_bar("robots", 1.0) as on_progress:
         result = robot_table(
-            robots or robot_names(), cases=[known[name] for name in case] or CASES, seed=seed,
-            processes=processes or default_processes(), on_progress=on_progress,
-        )  # fmt: skip
+            robots or robot_names(),
+            cases=[known[name] for name in case] or CASES,
+            seed=seed,
+            processes=processes or default_processes(),
+            on_progress=on_progress,
+        )
     if json:
         print_json(result)
     else:
@@ -61,8 +64,9 @@ def compare_robots(
 
 
 def _text(rows: list[dict[str, Any]]) -> str:
-    table = Table("robot", "case", "from", "controller", "clearance", "hand off", "base drove",
-                  "contacts", "")  # fmt: skip
+    table = Table(
+        "robot", "case", "from", "controller", "clearance", "hand off", "base drove", "contacts", ""
+    )
     for row in rows:
         title, clearance = row["title"], row.get("clearance_m")
         if "reason" in row:
@@ -70,11 +74,16 @@ def _text(rows: list[dict[str, Any]]) -> str:
             continue
         where = f"{row['direction_deg']:g}°, {row['height_m']:.2f} m"
         table.add_row(
-            title, row["case"], where, row["controller"],
+            title,
+            row["case"],
+            where,
+            row["controller"],
             "–" if clearance is None else f"{clearance:.3f} m",
-            f"{1000 * row['hand_error_m']:.3g} mm", f"{row['base_path_m']:.2f} m",
-            str(row["contacts"]), "✓" if row["passed"] else "✗",
-        )  # fmt: skip
+            f"{1000 * row['hand_error_m']:.3g} mm",
+            f"{row['base_path_m']:.2f} m",
+            str(row["contacts"]),
+            "✓" if row["passed"] else "✗",
+        )
     wide = Console(width=140, force_terminal=False)
     with wide.capture() as captured:
         wide.print(table)

@@ -13,10 +13,24 @@ from app.cli.ctrl_c import interrupts_kept
 from app.errors import DbbError
 
 _COMMANDS = (
-    "serve", "run", "pairs", "border", "reach", "report", "replay", "screenshot", "reproduce",
-    "study", "sweep", "bench", "config", "robots", "new-robot", "check-robot",
+    "serve",
+    "run",
+    "pairs",
+    "border",
+    "reach",
+    "report",
+    "replay",
+    "screenshot",
+    "reproduce",
+    "study",
+    "sweep",
+    "bench",
+    "config",
+    "robots",
+    "new-robot",
+    "check-robot",
     "compare-robots",
-)  # fmt: skip
+)
 
 
 def main(args: list[str] | None = None) -> None:

@@ -90,18 +90,41 @@ def new_robot(
 
     check_seed(seed)
     check_parameter("--buffer-distance", buffer_distance, "border.d_b")
-    for option, point in (("--mount-xyz", mount_xyz), ("--mount-rpy", mount_rpy),
-                          ("--tip-xyz", tip_xyz), ("--tip-rpy", tip_rpy)):  # fmt: skip
+    for option, point in (
+        ("--mount-xyz", mount_xyz),
+        ("--mount-rpy", mount_rpy),
+        ("--tip-xyz", tip_xyz),
+        ("--tip-rpy", tip_rpy),
+    ):
         check_point(option, point)
     zero = (0.0, 0.0, 0.0)
     request = Request(
-        urdf, base, tip, out, wheels=wheels, arm_urdf=arm_urdf, mount_xyz=mount_xyz or zero,
-        mount_rpy=mount_rpy or zero, mount=mount, tip_xyz=tip_xyz or zero, tip_rpy=tip_rpy or zero,
-        half_track=half_track, wheel_radius=wheel_radius, kind=kind, wheelbase=wheelbase,
-        steering_limit=steering_limit, steering_rate=steering_rate, ready=ready, bodies=bodies,
-        assume_inertia=assume_inertia, title=title, licence=licence, seed=seed, d_b=buffer_distance,
+        urdf,
+        base,
+        tip,
+        out,
+        wheels=wheels,
+        arm_urdf=arm_urdf,
+        mount_xyz=mount_xyz or zero,
+        mount_rpy=mount_rpy or zero,
+        mount=mount,
+        tip_xyz=tip_xyz or zero,
+        tip_rpy=tip_rpy or zero,
+        half_track=half_track,
+        wheel_radius=wheel_radius,
+        kind=kind,
+        wheelbase=wheelbase,
+        steering_limit=steering_limit,
+        steering_rate=steering_rate,
+        ready=ready,
+        bodies=bodies,
+        assume_inertia=assume_inertia,
+        title=title,
+        licence=licence,
+        seed=seed,
+        d_b=buffer_distance,
         file=file,
-    )  # fmt: skip
+    )
     check_request(request)
     begin = perf_counter()
     robot, data = finish(request, tell=lambda text: console.print(f"… {text}"))

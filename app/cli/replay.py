@@ -48,9 +48,14 @@ def replay(
         )
     out.write_text(page, encoding="utf-8")
     if json:
-        print_json({
-            "page": str(out), "scenario": read.meta.scenario, "robot": read.meta.robot,
-            "duration_s": duration, "size_bytes": out.stat().st_size,
-        })  # fmt: skip
+        print_json(
+            {
+                "page": str(out),
+                "scenario": read.meta.scenario,
+                "robot": read.meta.robot,
+                "duration_s": duration,
+                "size_bytes": out.stat().st_size,
+            }
+        )
     else:
         print(out)

@@ -45,9 +45,12 @@ def reproduce(
     text = f"{len(names)} figures" if len(names) > 1 else names[0]
     with progress_bar(text, work(names)) as on_progress:
         result = make(
-            names, out, seed=seed, processes=processes or default_processes(),
+            names,
+            out,
+            seed=seed,
+            processes=processes or default_processes(),
             on_progress=on_progress,
-        )  # fmt: skip
+        )
     if json:
         print_json(result)
     else:

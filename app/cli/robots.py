@@ -18,12 +18,17 @@ def robots(json: Json = False) -> None:
         print_json(
             {
                 "robots": [
-                    {"name": d.name, "title": d.title, "base": d.base.kind,
-                     "arm_joints": len(d.arm.joints), "bodies": [b.name for b in d.bodies]}
+                    {
+                        "name": d.name,
+                        "title": d.title,
+                        "base": d.base.kind,
+                        "arm_joints": len(d.arm.joints),
+                        "bodies": [b.name for b in d.bodies],
+                    }
                     for d in found
                 ]
             }
-        )  # fmt: skip
+        )
         return
     for d in found:
         print(f"{d.name:20} {d.title}: {d.base.kind} base, arm of {len(d.arm.joints)} joints")

@@ -132,13 +132,27 @@ def run(
     if replay_case is not None:
         case = read_case(replay_case)
         check_no_others(
-            scenario=scenario, start=start, move=move, duration=duration, release_at=release_at,
+            scenario=scenario,
+            start=start,
+            move=move,
+            duration=duration,
+            release_at=release_at,
             door_width=door_width,
-            hinge=hinge, hinge_position=hinge_position, door_friction=door_friction,
-            door_angle=door_angle, door_yaw=door_yaw, radial_guess=radial_guess,
-            opening_rate=opening_rate, base=base, begin=begin, encoder_noise=encoder_noise,
-            base_delay=base_delay, mass_error=mass_error, slip=slip, config=config,
-        )  # fmt: skip
+            hinge=hinge,
+            hinge_position=hinge_position,
+            door_friction=door_friction,
+            door_angle=door_angle,
+            door_yaw=door_yaw,
+            radial_guess=radial_guess,
+            opening_rate=opening_rate,
+            base=base,
+            begin=begin,
+            encoder_noise=encoder_noise,
+            base_delay=base_delay,
+            mass_error=mass_error,
+            slip=slip,
+            config=config,
+        )
         chosen, robot, seed = case.scenario(), case.robot, case.seed
     elif scenario is not None:
         check_name("scenario", scenario, SCENARIOS)
@@ -160,12 +174,21 @@ def run(
     if duration is not None:
         check_range("--duration", duration, *_DURATIONS, "s")
     chosen = chosen.changed(
-        start=start, move=move, duration=duration, release_at=release_at, door_width=door_width,
-        hinge=hinge, hinge_position=hinge_position, door_friction=door_friction,
-        door_angle=door_angle, door_yaw=door_yaw, radial_guess=radial_guess,
-        opening_rate=opening_rate, begin=begin,
+        start=start,
+        move=move,
+        duration=duration,
+        release_at=release_at,
+        door_width=door_width,
+        hinge=hinge,
+        hinge_position=hinge_position,
+        door_friction=door_friction,
+        door_angle=door_angle,
+        door_yaw=door_yaw,
+        radial_guess=radial_guess,
+        opening_rate=opening_rate,
+        begin=begin,
         base=None if base is None else (base[0], base[1], math.radians(base[2])),
-    )  # fmt: skip
+    )
     tuned = case.config() if case else configured(config)
     if border is not None:
         tuned = tuned.replace("border.kind", border)
@@ -181,9 +204,16 @@ def run(
     recording = None if log is None else RunLog(model, chosen, physics, seed)
     with progress_bar(f"{chosen.name}, {controller}", chosen.duration) as on_progress:
         result = run_scenario(
-            model, data, chosen, tuned, controller=controller, physics=physics, seed=seed,
-            on_progress=on_progress, on_step=recording.add if recording else None,
-        )  # fmt: skip
+            model,
+            data,
+            chosen,
+            tuned,
+            controller=controller,
+            physics=physics,
+            seed=seed,
+            on_progress=on_progress,
+            on_step=recording.add if recording else None,
+        )
     if out is not None:
         _write(out, result)
     if log is not None and recording is not None:

@@ -9,14 +9,7 @@ import tyro
 
 from app.cli.common import load_robot_and_border, print_json, progress_bar
 from app.cli.looks import Flag, LayerOption, ViewOption, is_dark
-from app.cli.options import (
-    Json,
-    check_file,
-    check_name,
-    check_range,
-    check_seed,
-    configured,
-)
+from app.cli.options import Json, check_file, check_name, check_range, check_seed, configured
 from app.control.controller import CONTROLLERS
 from app.robot.assets import load_robot
 from app.simulation.plants import chosen_plant
@@ -96,10 +89,20 @@ def screenshot(
     whole = pictures[0] if len(pictures) == 1 else strip(pictures, at, dark=look.dark)
     whole.save(out, optimize=True)
     if json:
-        print_json({
-            "picture": str(out), "scenario": scenario, "controller": controller, "robot": robot,
-            "seed": seed, "at_s": list(at), "width_px": whole.width, "height_px": whole.height,
-            "layer": layer, "view": view, "page": page,
-        })  # fmt: skip
+        print_json(
+            {
+                "picture": str(out),
+                "scenario": scenario,
+                "controller": controller,
+                "robot": robot,
+                "seed": seed,
+                "at_s": list(at),
+                "width_px": whole.width,
+                "height_px": whole.height,
+                "layer": layer,
+                "view": view,
+                "page": page,
+            }
+        )
     else:
         print(out)

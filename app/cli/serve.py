@@ -86,9 +86,13 @@ def serve(
 
         case = read_case(replay_case)
         check_no_others(
-            start=start, encoder_noise=encoder_noise, base_delay=base_delay,
-            mass_error=mass_error, slip=slip, config=config,
-        )  # fmt: skip
+            start=start,
+            encoder_noise=encoder_noise,
+            base_delay=base_delay,
+            mass_error=mass_error,
+            slip=slip,
+            config=config,
+        )
         robot, seed = case.robot, case.seed
     controller = controller or (case.controller if case else "dbb")
     physics = chosen_plant(physics or (case.physics if case else None))
@@ -143,15 +147,24 @@ def _serve(first: _First, child: LoopChild | None, *, host: str, port: int, swee
     model, data = load_robot_and_border(first.robot)
 
     def begin_loop(
-        model: RobotModel, data: BorderData, config: Config, controller: str,
-        q_start: np.ndarray | None = None, waiting: LoopChild | None = None,
-    ) -> ProcessLoop | SimulationLoop:  # fmt: skip
+        model: RobotModel,
+        data: BorderData,
+        config: Config,
+        controller: str,
+        q_start: np.ndarray | None = None,
+        waiting: LoopChild | None = None,
+    ) -> ProcessLoop | SimulationLoop:
         if q_start is None:  # of a robot that a viewer has chosen
             q_start = _start(model, data, config, None, first.seed)
         make_session = partial(
-            Session, model, data, config, controller=controller, physics=first.physics,
+            Session,
+            model,
+            data,
+            config,
+            controller=controller,
+            physics=first.physics,
             seed=first.seed,
-        )  # fmt: skip
+        )
         made = (
             ProcessLoop(make_session, q_start, waiting)
             if in_process
@@ -166,10 +179,16 @@ def _serve(first: _First, child: LoopChild | None, *, host: str, port: int, swee
         parts = RobotParts(model)  # while the simulation starts
         simulation.start()
         server = serve_dashboard(
-            simulation, model, data.clouds, host=host, port=port,
-            case=first.case.scenario() if first.case else None, sweeps=sweeps, parts=parts,
+            simulation,
+            model,
+            data.clouds,
+            host=host,
+            port=port,
+            case=first.case.scenario() if first.case else None,
+            sweeps=sweeps,
+            parts=parts,
             start_loop=begin_loop,
-        )  # fmt: skip
+        )
         print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
         server.run_forever()
     finally:

@@ -97,21 +97,30 @@ def study(
     if processes is not None:
         check_range("--processes", processes, 1, _MOST_PROCESSES)
     intervals = {
-        "speed": speed, "base_delay": base_delay, "encoder_noise": encoder_noise,
-        "mass_error": mass_error, "slip": slip, "v_max": v_max, "hand_f_max": hand_f_max,
-        "hand_stiffness": hand_stiffness, "hand_mass": hand_mass, "height": height,
-    }  # fmt: skip
+        "speed": speed,
+        "base_delay": base_delay,
+        "encoder_noise": encoder_noise,
+        "mass_error": mass_error,
+        "slip": slip,
+        "v_max": v_max,
+        "hand_f_max": hand_f_max,
+        "hand_stiffness": hand_stiffness,
+        "hand_mass": hand_mass,
+        "height": height,
+    }
     shares = {"duration": duration, "released": released, "regrasped": regrasped}
     for name, interval in intervals.items():
         _check_interval(name, interval)
     for name, value in shares.items():
         check_range(f"--{name}", value, *bounds(name))
     parameters = StudyParameters(
-        seed=seed, robot=robot, controller=controller, physics=physics, inside=inside,
-        ranges=StudyRange(
-            duration=duration, released=released, regrasped=regrasped, **intervals
-        ),
-    )  # fmt: skip
+        seed=seed,
+        robot=robot,
+        controller=controller,
+        physics=physics,
+        inside=inside,
+        ranges=StudyRange(duration=duration, released=released, regrasped=regrasped, **intervals),
+    )
     load_robot(robot)
     make_folder(out)
     # Imported here: dask and pyarrow would make every other command start later.
@@ -120,9 +129,13 @@ def study(
 
     with progress_bar(f"{cases} cases", cases) as on_progress:
         result = run_study(
-            parameters, cases, out, scheduler=scheduler,
-            processes=processes or default_processes(), on_progress=on_progress,
-        )  # fmt: skip
+            parameters,
+            cases,
+            out,
+            scheduler=scheduler,
+            processes=processes or default_processes(),
+            on_progress=on_progress,
+        )
     if json:
         print_json(result)
     else:
@@ -143,11 +156,15 @@ def _print_force(counts: dict[str, Any]) -> None:
     high = counts["to_n"]
     name = f"above {counts['from_n']:g}" if high is None else f"{counts['from_n']:g} to {high:g}"
     numbers = (
-        f"{counts[key]:{width}}" for key, width in (
-            ("cases", 5), ("failed", 6), ("entered_buffer", 6), ("bodies_overlap", 7),
+        f"{counts[key]:{width}}"
+        for key, width in (
+            ("cases", 5),
+            ("failed", 6),
+            ("entered_buffer", 6),
+            ("bodies_overlap", 7),
             ("contact", 7),
         )
-    )  # fmt: skip
+    )
     least, fastest = counts["least_clearance_m"], counts["hand_speed_max_mps"]
     ends = (f"{'–' if value is None else f'{value:.3f}':>10}" for value in (least, fastest))
     print(f"  {name:26} {' '.join(numbers)} {' '.join(ends)}")

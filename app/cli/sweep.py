@@ -100,10 +100,22 @@ def sweep(
 
     tuned = _config(config, parameters, buffer_distance, base_weight)
     plan = SweepPlan(
-        robot, _names(controller), _several("--height", height, _HEIGHTS, "m"),
-        _several("--speed", speed, _SPEEDS, "m/s"), step, mode, wheel_axis, above, above_spacing,
-        length, hold, start_distance, chosen_plant(physics), seed, tuned,
-    )  # fmt: skip
+        robot,
+        _names(controller),
+        _several("--height", height, _HEIGHTS, "m"),
+        _several("--speed", speed, _SPEEDS, "m/s"),
+        step,
+        mode,
+        wheel_axis,
+        above,
+        above_spacing,
+        length,
+        hold,
+        start_distance,
+        chosen_plant(physics),
+        seed,
+        tuned,
+    )
     _check(plan)
     if processes is not None:
         check_range("--processes", processes, 1, _MOST_PROCESSES)

@@ -17,9 +17,16 @@ from app.robot.state import RobotState
 
 Array = np.ndarray
 BoundKind = Literal[
-    "torque", "position", "velocity", "barrier", "torque rate", "acceleration",
-    "angular acceleration", "speed", "turning speed",
-]  # fmt: skip
+    "torque",
+    "position",
+    "velocity",
+    "barrier",
+    "torque rate",
+    "acceleration",
+    "angular acceleration",
+    "speed",
+    "turning speed",
+]
 
 TOLERANCE = 1e-5
 """[N m, rad/s² or m/s²] how near to a bound is at it: the accuracy that the QPs are held to."""

@@ -59,9 +59,16 @@ def _gain(v: float, a: float, T: float) -> float:
 
 @compiled("f8[::1](f8[:], f8[:,:], f8, f8, f8, f8, f8, f8, f8)")
 def _least_distance(
-    d_b: Array, channels: Array, v: float, late: float, kept: float, flat: float, f_max: float,
-    alpha_min: float, d_full: float,
-) -> Array:  # fmt: skip
+    d_b: Array,
+    channels: Array,
+    v: float,
+    late: float,
+    kept: float,
+    flat: float,
+    f_max: float,
+    alpha_min: float,
+    d_full: float,
+) -> Array:
     """[m] the largest d_* - x(d_*) of the module for each d_b (k,); minus infinity without any.
 
     Args:
@@ -167,12 +174,18 @@ def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Confi
     lead, force = dead_time(base, config), config.force
     ways = [
         _least_distance(
-            d_b, _channels(way, approach, base, config), approach.v,
-            lead + max(channel.delay for channel in way), 1.0 - config.disturbance.slip, flat,
-            force.f_max, force.alpha_min, config.activation.d_full,
+            d_b,
+            _channels(way, approach, base, config),
+            approach.v,
+            lead + max(channel.delay for channel in way),
+            1.0 - config.disturbance.slip,
+            flat,
+            force.f_max,
+            force.alpha_min,
+            config.activation.d_full,
         )
         for way in base.retreats()
-    ]  # fmt: skip
+    ]
     return np.max(ways, axis=0)
 
 

@@ -88,10 +88,13 @@ class BufferWatch:
         self._steps += 1
         needed, d_b = self._needed, self.config.border.d_b
         return BufferReading(
-            self._speed, needed, self._speed_max, self._needed_max,
+            self._speed,
+            needed,
+            self._speed_max,
+            self._needed_max,
             too_small=gives_way and needed > d_b,
             too_small_ever=gives_way and self._needed_max > d_b,
-        )  # fmt: skip
+        )
 
     def _sample(self, state: RobotState, pair: ClosestPoints, *, look: bool) -> None:
         """Read the speed of a pair; when a look is due, judge the mean: a tremor is no approach."""

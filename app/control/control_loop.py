@@ -42,9 +42,14 @@ class ControlLoop:
     """
 
     def __init__(
-        self, model: RobotModel, data: BorderData | None = None, config: Config | None = None, *,
-        name: str = "dbb", dt: float = 0.001,
-    ) -> None:  # fmt: skip
+        self,
+        model: RobotModel,
+        data: BorderData | None = None,
+        config: Config | None = None,
+        *,
+        name: str = "dbb",
+        dt: float = 0.001,
+    ) -> None:
         """Prepare.
 
         Args:

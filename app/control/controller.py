@@ -86,9 +86,14 @@ class Controller:
     """
 
     def __init__(
-        self, model: RobotModel, data: BorderData, config: Config, *, name: str = "dbb",
+        self,
+        model: RobotModel,
+        data: BorderData,
+        config: Config,
+        *,
+        name: str = "dbb",
         dt: float = 0.001,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Prepare the controller.
 
         Args:
@@ -193,9 +198,14 @@ class Controller:
             asked = base_rest_acceleration(self.state, self._config.task)
         self._u_a = np.minimum(np.maximum(u_a, torque[0]), torque[1])
         return ControlOutput(
-            self._u_a.copy(), asked, avoidance, inserted, workings is not None,
-            tracking=reference is not None, workings=workings,
-        )  # fmt: skip
+            self._u_a.copy(),
+            asked,
+            avoidance,
+            inserted,
+            workings is not None,
+            tracking=reference is not None,
+            workings=workings,
+        )
 
     def _watch_pushes(self, *, known: bool) -> None:
         if known:

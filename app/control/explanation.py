@@ -200,13 +200,16 @@ def _near_pair(
     if pair.beta == 0.0 and arm_beta == 0.0 and not held:
         return None
     return NearPair(
-        *closest.pair, mobile, float(closest.d), pair.beta,
+        *closest.pair,
+        mobile,
+        float(closest.d),
+        pair.beta,
         n=tuple((state.R_world_base.T @ closest.n).tolist()),
         above=n_z**2 if mobile else 0.0,
         arm_beta=arm_beta,
         held=held,
         force=_force_split(controller, output, pair),
-    )  # fmt: skip
+    )
 
 
 def _arm_beta(output: ControlOutput, pair: PairState) -> float:

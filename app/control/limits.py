@@ -64,9 +64,20 @@ def arm_limits(
     J = np.array([row.J for row in barriers]).reshape(len(barriers), model.n)
     least = np.array([row.l for row in barriers])
     bounds = _arm_bounds(
-        state.M, state.h, m.q_m, m.qd_m, model.q_limits, model.qd_limits, config.position_rate,
-        config.velocity_rate, qdd_b, *torque, J, least, pushed,
-    )  # fmt: skip
+        state.M,
+        state.h,
+        m.q_m,
+        m.qd_m,
+        model.q_limits,
+        model.qd_limits,
+        config.position_rate,
+        config.velocity_rate,
+        qdd_b,
+        *torque,
+        J,
+        least,
+        pushed,
+    )
     return Limits(*bounds, model.n_m)
 
 
@@ -75,10 +86,21 @@ def arm_limits(
     "f8[:], f8[:], f8[:], f8[:,:], f8[:], f8[:])"
 )
 def _arm_bounds(
-    M: Array, h: Array, q_m: Array, qd_m: Array, q_limits: Array, qd_limits: Array,
-    position_rate: float, velocity_rate: float, qdd_b: Array, low: Array, high: Array, J: Array,
-    least: Array, pushed: Array,
-) -> tuple[Array, Array, Array]:  # fmt: skip
+    M: Array,
+    h: Array,
+    q_m: Array,
+    qd_m: Array,
+    q_limits: Array,
+    qd_limits: Array,
+    position_rate: float,
+    velocity_rate: float,
+    qdd_b: Array,
+    low: Array,
+    high: Array,
+    J: Array,
+    least: Array,
+    pushed: Array,
+) -> tuple[Array, Array, Array]:
     """C, l and u of `arm_limits`: rows of torques, of joints, of barriers."""
     n_m, n_b, k = len(q_m), len(qdd_b), len(least)
     m = 2 * n_m + k

@@ -123,7 +123,5 @@ def _reaction(state: RobotState, pairs: Iterable[PairState], config: Config) -> 
     return u
 
 
-METHODS: dict[str, Method] = {
-    "dbb": dbb, "repulsive": repulsive, "barrier": barrier, "none": none,
-}  # fmt: skip
+METHODS: dict[str, Method] = {"dbb": dbb, "repulsive": repulsive, "barrier": barrier, "none": none}
 """By the controller's name."""

@@ -40,9 +40,7 @@ def cores() -> int:
     return max(1, (os.cpu_count() or 1) - 1)
 
 
-def run_apart(
-    work: Callable[..., Any], *args: Any, tell: Tell, stopping: threading.Event
-) -> Any:  # fmt: skip
+def run_apart(work: Callable[..., Any], *args: Any, tell: Tell, stopping: threading.Event) -> Any:
     """Run `work(tell, *args)` in a process of low priority, and wait for it.
 
     The process leads a group of its own, which ends with it, and when this process is gone.

@@ -22,9 +22,14 @@ def hidden_arrow(scene: viser.SceneApi, name: str, colour: Rgb) -> viser.ArrowHa
         colour: Of the arrow.
     """
     return scene.add_arrows(
-        name, np.zeros((1, 2, 3)), linear(np.array([colour]))[0], shaft_radius=0.008,
-        head_radius=0.020, head_length=HEAD_LENGTH, visible=False,
-    )  # fmt: skip
+        name,
+        np.zeros((1, 2, 3)),
+        linear(np.array([colour]))[0],
+        shaft_radius=0.008,
+        head_radius=0.020,
+        head_length=HEAD_LENGTH,
+        visible=False,
+    )
 
 
 def arrow(start: Array, force: Array) -> Array:

@@ -39,8 +39,9 @@ class BorderCloud:
         Returns:
             Whether something has, and `legends` is new.
         """
-        changed = [self._update(pair, quantity, view, border)
-                   for pair, quantity in view.borders.items()]  # fmt: skip
+        changed = [
+            self._update(pair, quantity, view, border) for pair, quantity in view.borders.items()
+        ]
         return any(changed)
 
     def _update(self, pair: str, quantity: str, view: View, border: BorderConfig) -> bool:
@@ -59,7 +60,11 @@ class BorderCloud:
         self._legends[pair] = coloured.legend
         # One message for points and colours: no browser may see one without the other.
         self._clouds[pair] = self._scene.add_point_cloud(
-            f"{ROOT}/border_{pair}", coloured.points, coloured.colours, point_size=POINT_SIZE,
-            point_shape="circle", precision="float32",
-        )  # fmt: skip
+            f"{ROOT}/border_{pair}",
+            coloured.points,
+            coloured.colours,
+            point_size=POINT_SIZE,
+            point_shape="circle",
+            precision="float32",
+        )
         return True

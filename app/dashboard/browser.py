@@ -20,19 +20,34 @@ VARIABLE = "DBB_BROWSER"
 """Environment variable that names the browser to use."""
 
 _NAMES = (
-    "chromium", "chromium-browser", "google-chrome-stable", "google-chrome", "chrome",
-    "microsoft-edge-stable", "brave-browser",
-)  # fmt: skip
+    "chromium",
+    "chromium-browser",
+    "google-chrome-stable",
+    "google-chrome",
+    "chrome",
+    "microsoft-edge-stable",
+    "brave-browser",
+)
 _APPLICATIONS = (
     "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
     "/Applications/Chromium.app/Contents/MacOS/Chromium",
 )
 # Mesa draws two to three times faster in software than Chromium's own SwiftShader.
-_MESA = ("--use-gl=angle", "--use-angle=gl-egl", "--ignore-gpu-blocklist",
-         "--disable-gpu-compositing")  # fmt: skip
+_MESA = (
+    "--use-gl=angle",
+    "--use-angle=gl-egl",
+    "--ignore-gpu-blocklist",
+    "--disable-gpu-compositing",
+)
 _SWIFTSHADER = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-_QUIET = ("--disable-quic", "--no-first-run", "--disable-background-networking",
-          "--disable-component-update", "--disable-sync", "--disable-dev-shm-usage")  # fmt: skip
+_QUIET = (
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-dev-shm-usage",
+)
 _RENDERER = """() => {
   const gl = document.createElement('canvas').getContext('webgl2');
   if (!gl) return null;

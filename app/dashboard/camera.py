@@ -173,7 +173,7 @@ class Camera:
 
 def placed(
     preset: Preset, snapshot: Snapshot, extent: Array, window: Window = ANY_WINDOW
-) -> tuple[Array, Array]:  # fmt: skip
+) -> tuple[Array, Array]:
     """Eye and target of a preset (3,) [m] in the world, turned with the base.
 
     Args:

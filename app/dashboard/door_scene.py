@@ -57,6 +57,10 @@ class DoorScene:
         T = door.pose(0.0) * pin.SE3(np.eye(3), door.centre + np.array([depth, 0.0, 0.0]))
         position, wxyz = to_viser(T)
         scene.add_box(
-            "/door/case", dimensions=(_DEPTH, door.width, door.height), color=_CASE, opacity=0.5,
-            position=position, wxyz=wxyz,
-        )  # fmt: skip
+            "/door/case",
+            dimensions=(_DEPTH, door.width, door.height),
+            color=_CASE,
+            opacity=0.5,
+            position=position,
+            wxyz=wxyz,
+        )

@@ -97,9 +97,13 @@ class Hand:
     """Gizmo on the end-effector, links that can be dragged, and the rubber bands of all pulls."""
 
     def __init__(
-        self, scene: viser.SceneApi, robot: RobotScene, grip: Grip, notices: Notices,
+        self,
+        scene: viser.SceneApi,
+        robot: RobotScene,
+        grip: Grip,
+        notices: Notices,
         arm_joints: dict[int, str],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Put the gizmo into the scene and listen to it and to the arm's links.
 
         Args:
@@ -130,9 +134,10 @@ class Hand:
         if not self.grip.holds_hand:
             self._gizmo.position = snapshot.p_ee
         stretched = [
-            pull for pull in snapshot.pulls
+            pull
+            for pull in snapshot.pulls
             if np.linalg.norm(pull.target - pull.point) > LEAST_STRETCH
-        ]  # fmt: skip
+        ]
         for i, (band, label) in enumerate(zip(self._bands, self._labels, strict=True)):
             band.visible = label.visible = i < len(stretched)
             if i < len(stretched):

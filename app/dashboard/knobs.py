@@ -32,9 +32,13 @@ class Knob:
     """
 
     def __init__(
-        self, gui: viser.GuiApi, tuning: Tuning, notices: Notices, path: str,
+        self,
+        gui: viser.GuiApi,
+        tuning: Tuning,
+        notices: Notices,
+        path: str,
         clock: Callable[[], float] = time.monotonic,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Add the widgets.
 
         Args:

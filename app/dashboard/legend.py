@@ -56,9 +56,14 @@ class Legend(NamedTuple):
 
 
 def make_legend(
-    pair: str, quantity: str, base: BaseKind, d_b: float, values: Array, drawn: int,
+    pair: str,
+    quantity: str,
+    base: BaseKind,
+    d_b: float,
+    values: Array,
+    drawn: int,
     top: float | None,
-) -> Legend:  # fmt: skip
+) -> Legend:
     """The legend of a border from the values of all its points.
 
     Args:

@@ -24,9 +24,8 @@ def hidden_line(
         pixels: Its width on the screen.
     """
     return scene.add_line_segments(
-        name, np.zeros((1, 2, 3)), colour, thickness=pixels, thickness_units="screen",
-        visible=False,
-    )  # fmt: skip
+        name, np.zeros((1, 2, 3)), colour, thickness=pixels, thickness_units="screen", visible=False
+    )
 
 
 def set_polyline(line: viser.LineSegmentsHandle, points: Array, colour: Rgb) -> None:

@@ -173,9 +173,12 @@ def make_new(tell: Tell, request: Request) -> None:
         tell(text, -1.0)
 
     finish(
-        request, tell=say, processes=cores(), progress=False,
+        request,
+        tell=say,
+        processes=cores(),
+        progress=False,
         on_progress=lambda share: tell(text, share),
-    )  # fmt: skip
+    )
 
 
 def _file_name(name: str) -> str:

@@ -53,9 +53,13 @@ class Notices:
         return guarded
 
     def _show(
-        self, client: viser.ClientHandle | None, title: str, text: str,
-        colour: Any, seconds: float | None,
-    ) -> None:  # fmt: skip
+        self,
+        client: viser.ClientHandle | None,
+        title: str,
+        text: str,
+        colour: Any,
+        seconds: float | None,
+    ) -> None:
         clients = [client] if client is not None else list(self._server.get_clients().values())
         for each in clients:
             each.add_notification(title, text, color=colour, auto_close_seconds=seconds)

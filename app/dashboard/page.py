@@ -48,9 +48,12 @@ class Page:
     """
 
     def __init__(
-        self, client: viser.ClientHandle, shared: Shared, notices: Notices,
+        self,
+        client: viser.ClientHandle,
+        shared: Shared,
+        notices: Notices,
         before: Page | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Fill the page of a client.
 
         Args:
@@ -61,9 +64,11 @@ class Page:
         """
         self._client, self._shared, self._notices = client, shared, notices
         plots = [plan.title for plan in shared.plans]
-        self.view = before.view.of_robot(shared.mobile, plots) if before else View.first(
-            shared.mobile, plots
-        )  # fmt: skip
+        self.view = (
+            before.view.of_robot(shared.mobile, plots)
+            if before
+            else View.first(shared.mobile, plots)
+        )
         self.timeline = Timeline(shared.loop)
         self.grip = Grip(shared.loop, notices, client.client_id)
         self.closed = False

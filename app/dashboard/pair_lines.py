@@ -16,13 +16,17 @@ Array = np.ndarray
 NODE = "/distances"
 LIFT = np.array([0.0, 0.0, 0.07])  # [m] of a label over its point, clear of the acting points
 _ANCHORS: tuple[Literal["bottom-left", "top-left", "bottom-right", "top-right"], ...] = (
-    "bottom-left", "top-left", "bottom-right", "top-right",
-)  # fmt: skip
+    "bottom-left",
+    "top-left",
+    "bottom-right",
+    "top-right",
+)
 """Quarters in which the labels stand in turn: those of one point do not overlap."""
 TOGETHER = 0.15  # [m] nearer labels stand at one point
 _END_ANCHORS: tuple[tuple[str, Literal["bottom-right", "top-left"]], ...] = (
-    ("p_a", "bottom-right"), ("p_b", "top-left"),
-)  # fmt: skip
+    ("p_a", "bottom-right"),
+    ("p_b", "top-left"),
+)
 """Points of a pair, and the side on which each one's name stands."""
 
 
@@ -34,11 +38,15 @@ class PairLines:
         nothing = np.zeros((len(names), 2, 3))
         self._thin, self._thick = (
             scene.add_line_segments(
-                f"{NODE}/{kind}", nothing, np.zeros((len(names), 2, 3), np.uint8),
-                thickness=pixels, thickness_units="screen", visible=False,
+                f"{NODE}/{kind}",
+                nothing,
+                np.zeros((len(names), 2, 3), np.uint8),
+                thickness=pixels,
+                thickness_units="screen",
+                visible=False,
             )
             for kind, pixels in (("outside", 1.5), ("inside", 4.0))
-        )  # fmt: skip
+        )
         self._scene = scene
         self._labels: dict[str, viser.LabelHandle] = {}
         self._ends: dict[str, tuple[list, list]] = {}

@@ -67,31 +67,46 @@ def plot_plans(model: RobotModel, names: list[str]) -> list[PlotPlan]:
     ]
     return [
         PlotPlan(
-            "distance [m]", tuple(distances), (*_series(len(names)), _THRESHOLD),
-            _soft(0.0, 0.4), 160, dashed=1,
+            "distance [m]",
+            tuple(distances),
+            (*_series(len(names)), _THRESHOLD),
+            _soft(0.0, 0.4),
+            160,
+            dashed=1,
         ),
         PlotPlan(
-            "activation β_m", (Curve("β_m", lambda s: s.beta_m),), (_BETA,), (-0.02, 1.05), 100,
+            "activation β_m",
+            (Curve("β_m", lambda s: s.beta_m),),
+            (_BETA,),
+            (-0.02, 1.05),
+            100,
             fill=True,
         ),
         PlotPlan(
             "base acceleration of avoidance, β ẍ",
             tuple(_avoidance(i, axis) for i, axis in enumerate(axes)),
             (*_series(len(axes) - 2), css(PERSON), css(ACTING))[-len(axes) :],
-            _soft(-1.0, 1.0), 125,
+            _soft(-1.0, 1.0),
+            125,
         ),
         PlotPlan(
             "torque of joint / its limit", tuple(torques), _series(len(torques)), (-1.05, 1.05), 140
         ),
         PlotPlan(
-            "hand off its target [mm]", (Curve("error", lambda s: 1000.0 * s.ee_error),),
-            (_BETA,), _soft(0.0, 5.0), 100,
+            "hand off its target [mm]",
+            (Curve("error", lambda s: 1000.0 * s.ee_error),),
+            (_BETA,),
+            _soft(0.0, 5.0),
+            100,
         ),
         PlotPlan(
-            "control step [µs]", (Curve("mean of 1 s", lambda s: s.step_time_us),),
-            (css(PERSON),), _soft(0.0, 1000.0), 100,
+            "control step [µs]",
+            (Curve("mean of 1 s", lambda s: s.step_time_us),),
+            (css(PERSON),),
+            _soft(0.0, 1000.0),
+            100,
         ),
-    ]  # fmt: skip
+    ]
 
 
 class Plots:
@@ -159,7 +174,8 @@ def _plot(gui: viser.GuiApi, plan: PlotPlan) -> viser.GuiUplotHandle:
         title=plan.title,
         # uPlot takes x for the time of day unless it is told otherwise.
         scales={
-            "x": uplot.Scale(time=False), "y": uplot.Scale(range=plan.y_range),
+            "x": uplot.Scale(time=False),
+            "y": uplot.Scale(range=plan.y_range),
             "cursor": uplot.Scale(range=(0.0, 1.0)),
         },
         axes=(uplot.Axis(size=38), uplot.Axis(size=48)),
@@ -167,7 +183,7 @@ def _plot(gui: viser.GuiApi, plan: PlotPlan) -> viser.GuiUplotHandle:
         cursor=uplot.Cursor(show=False),
         height=plan.height,
         padding=(10, 12, 0, 0),
-    )  # fmt: skip
+    )
 
 
 def _line(label: str, colour: str, **more: Any) -> uplot.Series:

@@ -114,9 +114,13 @@ class RobotScene:
     """A robot in a scene: visual meshes and, on demand, the convex bodies."""
 
     def __init__(
-        self, scene: viser.SceneApi, parts: RobotParts, root: str = ROOT,
-        *, ghost: Rgb | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        scene: viser.SceneApi,
+        parts: RobotParts,
+        root: str = ROOT,
+        *,
+        ghost: Rgb | None = None,
+    ) -> None:
         """Send all meshes.
 
         Args:
@@ -178,9 +182,12 @@ class RobotScene:
             vertices=np.asarray(visual.mesh.vertices),
             faces=np.asarray(visual.mesh.faces),
             color=visual.colour if self._ghost is None else self._ghost,
-            opacity=opacity, position=position, wxyz=wxyz,
-            cast_shadow=opacity is None, receive_shadow=opacity is None,
-        )  # fmt: skip
+            opacity=opacity,
+            position=position,
+            wxyz=wxyz,
+            cast_shadow=opacity is None,
+            receive_shadow=opacity is None,
+        )
 
     def _node(self, joint: int) -> str:
         return f"{self._path}/{self._parts.joint_name(joint) or 'fixed'}"

@@ -72,9 +72,14 @@ class Seat(NamedTuple):
 
 
 def take_pictures(
-    browser: web.Browser, snapshots: Sequence[Snapshot], times: Sequence[float], model: RobotModel,
-    clouds: Mapping[str, Cloud], look: Look, seat: Seat | None = None,
-) -> list[Image.Image]:  # fmt: skip
+    browser: web.Browser,
+    snapshots: Sequence[Snapshot],
+    times: Sequence[float],
+    model: RobotModel,
+    clouds: Mapping[str, Cloud],
+    look: Look,
+    seat: Seat | None = None,
+) -> list[Image.Image]:
     """Pictures at some times of a run, all from the same place.
 
     Args:
@@ -113,18 +118,26 @@ def strip(pictures: Sequence[Image.Image], times: Sequence[float], *, dark: bool
         whole.paste(picture, (k * width, 0))
         at = (k * width + size, size // 2)
         draw.text(
-            at, f"t = {t:g} s", fill=ink, font=font, stroke_width=max(size // 12, 1),
+            at,
+            f"t = {t:g} s",
+            fill=ink,
+            font=font,
+            stroke_width=max(size // 12, 1),
             stroke_fill=ground,
-        )  # fmt: skip
+        )
         if k:
             draw.line([(k * width, 0), (k * width, height)], fill=ink, width=1)
     return whole
 
 
 def _of_scene(
-    page: web.Page, film: Film, times: Sequence[float], model: RobotModel,
-    clouds: Mapping[str, Cloud], look: Look,
-) -> list[Image.Image]:  # fmt: skip
+    page: web.Page,
+    film: Film,
+    times: Sequence[float],
+    model: RobotModel,
+    clouds: Mapping[str, Cloud],
+    look: Look,
+) -> list[Image.Image]:
     with studio(film, model, clouds, layer=look.layer, dark=look.dark) as made:
         made.look(look.view, _middle([film.go_to(t) for t in times]))
         made.draw(times[0])
@@ -138,9 +151,14 @@ def _of_scene(
 
 
 def _of_page(
-    page: web.Page, film: Film, times: Sequence[float], model: RobotModel,
-    clouds: Mapping[str, Cloud], look: Look, seat: Seat | None,
-) -> list[Image.Image]:  # fmt: skip
+    page: web.Page,
+    film: Film,
+    times: Sequence[float],
+    model: RobotModel,
+    clouds: Mapping[str, Cloud],
+    look: Look,
+    seat: Seat | None,
+) -> list[Image.Image]:
     with own_server() as server:
         shared = Shared(film, model, clouds, None, DEFAULT_FOLDER)
         try:
@@ -215,6 +233,4 @@ def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
 def _middle(snapshots: Sequence[Snapshot]) -> Snapshot:
     """A snapshot with the mean place of base and hand of some."""
     base = np.mean([s.base_pose for s in snapshots], axis=0)
-    return replace(
-        snapshots[0], base_pose=base, p_ee=np.mean([s.p_ee for s in snapshots], axis=0)
-    )  # fmt: skip
+    return replace(snapshots[0], base_pose=base, p_ee=np.mean([s.p_ee for s in snapshots], axis=0))

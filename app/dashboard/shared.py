@@ -41,10 +41,17 @@ class Shared:
     """
 
     def __init__(
-        self, loop: LoopHandle, model: RobotModel, clouds: Mapping[str, Cloud],
-        case: Scenario | None, sweeps: Path, parts: RobotParts | None = None,
-        *, change: StageChange | None = None, before: Shared | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        loop: LoopHandle,
+        model: RobotModel,
+        clouds: Mapping[str, Cloud],
+        case: Scenario | None,
+        sweeps: Path,
+        parts: RobotParts | None = None,
+        *,
+        change: StageChange | None = None,
+        before: Shared | None = None,
+    ) -> None:
         """Load what pages need.
 
         Args:
@@ -80,7 +87,7 @@ class Shared:
         self.sweep_job.stop()
         after = Shared(
             stage.loop, stage.model, stage.clouds, None, self.sweeps, stage.parts, before=self
-        )  # fmt: skip
+        )
         self.tuning.move_to(stage.loop, stage.config)
         return after
 

@@ -20,13 +20,20 @@ def set_lights(scene: viser.SceneApi) -> None:
 def set_floor(scene: viser.SceneApi, *, dark: bool) -> None:
     """A grid of 0.1 m with lines of 1 m, that can be read on a dark or a light page."""
     scene.add_grid(
-        "/floor", width=8.0, height=8.0, cell_size=0.1, section_size=1.0,
+        "/floor",
+        width=8.0,
+        height=8.0,
+        cell_size=0.1,
+        section_size=1.0,
         cell_color=(58, 62, 68) if dark else (222, 225, 230),
         section_color=(98, 104, 114) if dark else (176, 182, 192),
-        cell_thickness=0.8, section_thickness=1.2,
-        fade_distance=9.0, fade_strength=1.5, shadow_opacity=0.35 if dark else 0.22,
+        cell_thickness=0.8,
+        section_thickness=1.2,
+        fade_distance=9.0,
+        fade_strength=1.5,
+        shadow_opacity=0.35 if dark else 0.22,
         infinite_grid=True,
-    )  # fmt: skip
+    )
 
 
 def set_theme(gui: viser.GuiApi, *, dark: bool) -> None:

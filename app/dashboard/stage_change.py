@@ -252,6 +252,8 @@ def sample_border(tell: Tell, name: str) -> BorderData:
     text = "sampling its border, once"
     tell(text, 0.0)
     return load_border_data(
-        RobotModel(load_robot(name)), progress=False, processes=cores(),
+        RobotModel(load_robot(name)),
+        progress=False,
+        processes=cores(),
         on_progress=lambda share: tell(text, share),
-    )  # fmt: skip
+    )

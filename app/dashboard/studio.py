@@ -34,9 +34,15 @@ class Studio:
     """
 
     def __init__(
-        self, server: viser.ViserServer, film: Film, model: RobotModel,
-        clouds: Mapping[str, Cloud], *, layer: str, dark: bool,
-    ) -> None:  # fmt: skip
+        self,
+        server: viser.ViserServer,
+        film: Film,
+        model: RobotModel,
+        clouds: Mapping[str, Cloud],
+        *,
+        layer: str,
+        dark: bool,
+    ) -> None:
         """Send what does not change.
 
         Args:

@@ -10,17 +10,32 @@ import viser
 from app.dashboard.notices import Notices
 
 STEPS = (
-    ("Drag the hand", "Pull one of the arrows at the gripper towards the base: a person's spring "
-     "pulls the hand along. Any link of the arm can be pulled by itself."),
-    ("Watch the base", "The coloured shell is the border around the base. Once the arm is inside, "
-     "the base moves away: yellow is where it moves well, blue is where it cannot go."),
-    ("Read why", "The tab **Why** on the left says in words and numbers what moves the base, and "
-     "**Key** what each colour and arrow means."),
-    ("Go back in time", "The slider below the scene shows the last minute again, with all readings "
-     "and plots. **Now** returns."),
-    ("Compare and tune", "**Scenario** plays the paper's experiments. **Compare** runs other "
-     "controllers on the same pull, **Tune** has every parameter."),
-)  # fmt: skip
+    (
+        "Drag the hand",
+        "Pull one of the arrows at the gripper towards the base: a person's spring "
+        "pulls the hand along. Any link of the arm can be pulled by itself.",
+    ),
+    (
+        "Watch the base",
+        "The coloured shell is the border around the base. Once the arm is inside, "
+        "the base moves away: yellow is where it moves well, blue is where it cannot go.",
+    ),
+    (
+        "Read why",
+        "The tab **Why** on the left says in words and numbers what moves the base, and "
+        "**Key** what each colour and arrow means.",
+    ),
+    (
+        "Go back in time",
+        "The slider below the scene shows the last minute again, with all readings "
+        "and plots. **Now** returns.",
+    ),
+    (
+        "Compare and tune",
+        "**Scenario** plays the paper's experiments. **Compare** runs other "
+        "controllers on the same pull, **Tune** has every parameter.",
+    ),
+)
 """Title and text of each step."""
 SEEN = "dbb-tour-seen"  # key in the browser's own storage
 _PATIENCE = 5.0  # [s] for the browser's answer

@@ -11,13 +11,25 @@ AT_REST = (0.01, 0.02)
 """[m/s], [rad/s] below which the base stands still."""
 
 _DIRECTIONS = (
-    "forward", "forward left", "left", "backward left",
-    "backward", "backward right", "right", "forward right",
-)  # fmt: skip
+    "forward",
+    "forward left",
+    "left",
+    "backward left",
+    "backward",
+    "backward right",
+    "right",
+    "forward right",
+)
 _PLACES = (
-    "front", "front left corner", "left side", "rear left corner",
-    "rear", "rear right corner", "right side", "front right corner",
-)  # fmt: skip
+    "front",
+    "front left corner",
+    "left side",
+    "rear left corner",
+    "rear",
+    "rear right corner",
+    "right side",
+    "front right corner",
+)
 _FROM_OUTSIDE = ("hand", "forearm", "upper arm", "shoulder")
 _TOP = 0.8  # [-] height of a normal from which on it points out of the top, as in activation.py
 

@@ -60,8 +60,11 @@ def arm_row(model: RobotModel) -> Row:
     )
     if seen.missed:
         text += f", {seen.deepest:.3f} m outside at most"
-    numbers = {"collisions": float(seen.collisions), "missed": float(seen.missed),
-               "missed_distance_m": seen.deepest}  # fmt: skip
+    numbers = {
+        "collisions": float(seen.collisions),
+        "missed": float(seen.missed),
+        "missed_distance_m": seen.deepest,
+    }
     outcome = "passed" if not seen.missed else "warned" if share <= _MISSED else "failed"
     return Row("arm's bodies", outcome, text, numbers)
 
@@ -109,14 +112,18 @@ def _collisions(model: RobotModel) -> _Seen:
         of[name] = list(range(len(units), len(units) + len(parts)))
         units += [unit._replace(index=of[name][0] + k) for k, unit in enumerate(parts)]
     wanted = [
-        (pair, a, b) for pair in candidate_pairs(model) for a in of[pair.a] for b in of[pair.b]
+        (pair, a, b)
+        for pair in candidate_pairs(model)
+        for a in of[pair.a]
+        for b in of[pair.b]
         if units[a].parts and units[b].parts
-    ]  # fmt: skip
+    ]
     q_m = sample_joints(model, _POSES, np.random.default_rng(2))
     pairs = [
-        (a.index, b.index) for a, b in combinations(units, 2)
+        (a.index, b.index)
+        for a, b in combinations(units, 2)
         if a.parts and b.parts and not neighbours(model, a, b)
-    ]  # fmt: skip
+    ]
     hulls = hull_distances(model, units, pairs, q_m)
     close = close_pairs(hulls, pairs, Config().border.d_b)
     possible = possible_poses(hulls, pairs, close)

@@ -53,11 +53,12 @@ def engines_row(model: RobotModel) -> Row:
     found = compare_engines(model)
     good = found.picture < SAME_PICTURE and found.depth < SAME_DEPTH
     return Row(
-        "engines", "passed" if good else "failed",
+        "engines",
+        "passed" if good else "failed",
         f"pictures differ in {found.picture:.1%} of their rays; of what touches in {found.poses} "
         f"poses, one engine alone has nothing deeper than {1e3 * found.depth:.1f} mm",
         {"picture_difference": found.picture, "contact_difference_m": found.depth},
-    )  # fmt: skip
+    )
 
 
 def _dynamics_row(name: str, model: RobotModel, engine: MujocoDynamics | BulletDynamics) -> Row:
@@ -76,11 +77,12 @@ def _dynamics_row(name: str, model: RobotModel, engine: MujocoDynamics | BulletD
     worst = max(worst_M, worst_h)
     good = worst < _AGREE
     return Row(
-        name, "passed" if good else "failed",
+        name,
+        "passed" if good else "failed",
         f"M and C q̇ + g differ from pinocchio's by {worst:.1e} of the largest entry"
         + ("" if good else "; give every link an <inertial>, 0 for frames"),
         {"M_difference": worst_M, "nle_difference": worst_h},
-    )  # fmt: skip
+    )
 
 
 def limits_row(model: RobotModel) -> Row:
@@ -99,8 +101,9 @@ def limits_row(model: RobotModel) -> Row:
         for name, speed, effort in zip(arm.joints, model.qd_max, model.tau_max, strict=True)
         if speed > _FASTEST or effort > _STRONGEST
     ]
-    wrong += [f"{name} moves no inertia" for name, m in zip(arm.joints, least, strict=True)
-              if m <= 1e-9]  # fmt: skip
+    wrong += [
+        f"{name} moves no inertia" for name, m in zip(arm.joints, least, strict=True) if m <= 1e-9
+    ]
     weak = [
         f"{name} holds {effort:g} of {most:.3g} N m (or N)"
         for name, effort, most in zip(arm.joints, model.tau_max, load, strict=True)

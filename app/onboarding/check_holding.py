@@ -109,8 +109,9 @@ def holding_row(model: RobotModel) -> Row:
     carried = carried_hand(model)
     numbers = {
         f"{what}_lost_{each.axis.velocity.rpartition('_')[0]}_share": getattr(each, what)
-        for each in carried for what in ("place", "pose")
-    }  # fmt: skip
+        for each in carried
+        for what in ("place", "pose")
+    }
     told = holding_warning(carried)
     if told:
         return Row("hand held", "warned", told, numbers)

@@ -33,9 +33,12 @@ class Row(NamedTuple):
 
 
 def check_robot(
-    description: RobotDescription, *, runs: bool = True,
-    tell: Callable[[str], None] = lambda _: None, processes: int | None = None,
-) -> Iterator[Row]:  # fmt: skip
+    description: RobotDescription,
+    *,
+    runs: bool = True,
+    tell: Callable[[str], None] = lambda _: None,
+    processes: int | None = None,
+) -> Iterator[Row]:
     """All checks of a description that could be read, one by one.
 
     A check that cannot be done fails with the reason; those that need it are left out.
@@ -56,7 +59,7 @@ def check_robot(
         limits_row,
         mujoco_row,
         ready_row,
-    )  # fmt: skip
+    )
     from app.onboarding.check_holding import holding_row
     from app.onboarding.check_run import run_row
 
@@ -69,10 +72,15 @@ def check_robot(
     yield Row(
         "pinocchio", "passed", f"loads: {model.n_m} joints, {len(model.body_names)} bodies", {}
     )
-    for name, check in (("pybullet", bullet_row), ("mujoco", mujoco_row),
-                        ("engines", engines_row), ("limits", limits_row),
-                        ("base's body", base_row), ("arm's bodies", arm_row),
-                        ("hand held", holding_row)):  # fmt: skip
+    for name, check in (
+        ("pybullet", bullet_row),
+        ("mujoco", mujoco_row),
+        ("engines", engines_row),
+        ("limits", limits_row),
+        ("base's body", base_row),
+        ("arm's bodies", arm_row),
+        ("hand held", holding_row),
+    ):
         tell(name)
         yield _done(name, check, model)
     tell("sampling pairs and border")

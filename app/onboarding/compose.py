@@ -14,9 +14,14 @@ PREFIX = "arm_"
 
 
 def compose(
-    base: Element, arm: Element, *, link: str, xyz: tuple[float, ...], rpy: tuple[float, ...],
+    base: Element,
+    arm: Element,
+    *,
+    link: str,
+    xyz: tuple[float, ...],
+    rpy: tuple[float, ...],
     arm_folder: Path,
-) -> Element:  # fmt: skip
+) -> Element:
     """One robot: the arm's root fixed to a link of the base.
 
     Names that both have get `arm_` before them on the arm, where the tip is looked for too.

@@ -65,8 +65,9 @@ def _contents(path: Path) -> Contents:
     above = {_link(joint, "child"): _link(joint, "parent") for joint in robot.findall("joint")}
     endless = tuple(
         str(joint.get("name"))
-        for joint in robot.findall("joint") if joint.get("type") == "continuous"
-    )  # fmt: skip
+        for joint in robot.findall("joint")
+        if joint.get("type") == "continuous"
+    )
     root = next((link for link in links if link not in above), links[0])
     return Contents(links, endless, root, max(links, key=lambda l: _depth(l, above)))
 

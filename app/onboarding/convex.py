@@ -80,10 +80,17 @@ def fit_capsule(points: Array) -> Capsule:
             low = high = (low + high) / 2
         start = np.concatenate([centre + (low - 1e-3) * axis, centre + (high + 1e-3) * axis])
         found = minimize(
-            volume, start, method="Nelder-Mead",
-            options={"maxiter": 400, "xatol": 2e-4, "fatol": 1e-7, "adaptive": True,
-                     "initial_simplex": _simplex(start)},
-        )  # fmt: skip
+            volume,
+            start,
+            method="Nelder-Mead",
+            options={
+                "maxiter": 400,
+                "xatol": 2e-4,
+                "fatol": 1e-7,
+                "adaptive": True,
+                "initial_simplex": _simplex(start),
+            },
+        )
         if best is None or found.fun < best.fun:
             best = found
     assert best is not None
@@ -127,9 +134,11 @@ def fit_hull(points: Array) -> Hull | Box:
         return fit_box(points)
     corners = _distinct(corners)
     return Hull(
-        type="hull", vertices_m=tuple(_three(c) for c in corners), xyz_m=_three(middle),
+        type="hull",
+        vertices_m=tuple(_three(c) for c in corners),
+        xyz_m=_three(middle),
         rpy_rad=_three(rpy),
-    )  # fmt: skip
+    )
 
 
 def support(shape: Shape, D: Array) -> Array:

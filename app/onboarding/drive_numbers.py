@@ -22,9 +22,12 @@ _GRAVITY = 9.81  # [m/s²]
 
 
 def base_numbers(
-    model: RobotModel, wheels: Wheels, q_m: Array, half_track: float | None,
+    model: RobotModel,
+    wheels: Wheels,
+    q_m: Array,
+    half_track: float | None,
     steering: Steering | None = None,
-) -> tuple[dict[str, Any], dict[str, str]]:  # fmt: skip
+) -> tuple[dict[str, Any], dict[str, str]]:
     """Fields of the description's base, and their sources.
 
     Args:

@@ -103,13 +103,20 @@ def find_steering(request: Request, tree: Tree, arm: Arm, T_base_floor: pin.SE3)
     speeds = [joint.velocity for joint, _, _ in found if joint.velocity]
     rate = request.steering_rate or (min(speeds) if speeds else _STEERING_RATE)
     sources["steering_rate_radps"] = (
-        "given: --steering-rate" if request.steering_rate
-        else "from the URDF: the slowest joint" if speeds else "assumed: as a small car's"
-    )  # fmt: skip
+        "given: --steering-rate"
+        if request.steering_rate
+        else "from the URDF: the slowest joint"
+        if speeds
+        else "assumed: as a small car's"
+    )
     return Steering(
-        wheelbase, limit, rate, tuple(j.name for _, rolling, _ in found for j in rolling),
-        tuple(joint.name for joint, _, _ in found), sources,
-    )  # fmt: skip
+        wheelbase,
+        limit,
+        rate,
+        tuple(j.name for _, rolling, _ in found for j in rolling),
+        tuple(joint.name for joint, _, _ in found),
+        sources,
+    )
 
 
 def _limit(joints: Sequence[Joint]) -> float:

@@ -16,10 +16,14 @@ from app.onboarding.write import whole_folder, write_robot
 
 
 def finish(
-    request: Request, *, tell: Callable[[str], None] = lambda _: None,
-    processes: int | None = None, sampling: SamplingConfig | None = None, progress: bool = True,
+    request: Request,
+    *,
+    tell: Callable[[str], None] = lambda _: None,
+    processes: int | None = None,
+    sampling: SamplingConfig | None = None,
+    progress: bool = True,
     on_progress: Callable[[float], None] | None = None,
-) -> tuple[NewRobot, BorderData]:  # fmt: skip
+) -> tuple[NewRobot, BorderData]:
     """Make a robot and write its folder.
 
     Args:
@@ -46,9 +50,12 @@ def finish(
         robot = make_robot(request, folder, tell=tell, processes=processes)
         tell("sampling the border")
         data = load_border_data(
-            robot.model, sampling=sampling, processes=processes, progress=progress,
+            robot.model,
+            sampling=sampling,
+            processes=processes,
+            progress=progress,
             on_progress=on_progress,
-        )  # fmt: skip
+        )
         tell("writing the report")
         write_robot(robot, folder)
         page = report_html(robot, robot.model, data)

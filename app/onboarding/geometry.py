@@ -101,8 +101,9 @@ def _link_geometry(
     link: Element, folder: Path, tags: tuple[str, ...] = ("collision", "visual")
 ) -> LinkGeometry:
     for tag in tags:
-        found = [_shape(element, f"link {link.get('name')!r}", folder)
-                 for element in link.findall(tag)]  # fmt: skip
+        found = [
+            _shape(element, f"link {link.get('name')!r}", folder) for element in link.findall(tag)
+        ]
         if found:
             return LinkGeometry(tuple(found), tag == "visual")
     return LinkGeometry((), False)

@@ -13,9 +13,12 @@ Array = np.ndarray
 
 
 def group_distances(
-    model: RobotModel, geometry: pin.GeometryModel, groups: Sequence[Sequence[int]],
-    pairs: Sequence[tuple[int, int]], q_m: Array,
-) -> Array:  # fmt: skip
+    model: RobotModel,
+    geometry: pin.GeometryModel,
+    groups: Sequence[Sequence[int]],
+    pairs: Sequence[tuple[int, int]],
+    q_m: Array,
+) -> Array:
     """(N, pairs) [m] signed distances between groups of shapes at poses (N, n_m).
 
     Args:

@@ -63,9 +63,14 @@ class Grouping(NamedTuple):
 
 
 def find_grouping(
-    model: RobotModel, base: FittedBody, meetings: Meetings, fitter: ArmFitter, *, d_b: float,
+    model: RobotModel,
+    base: FittedBody,
+    meetings: Meetings,
+    fitter: ArmFitter,
+    *,
+    d_b: float,
     count: int | None = None,
-) -> Grouping:  # fmt: skip
+) -> Grouping:
     """The best grouping of the arm's units into bodies.
 
     Args:
@@ -98,9 +103,14 @@ class _Search:
     """Tries groupings, those that can be best first."""
 
     def __init__(
-        self, model: RobotModel, base: FittedBody, meetings: Meetings, fitter: ArmFitter,
-        d_b: float, units: Sequence[int],
-    ) -> None:  # fmt: skip
+        self,
+        model: RobotModel,
+        base: FittedBody,
+        meetings: Meetings,
+        fitter: ArmFitter,
+        d_b: float,
+        units: Sequence[int],
+    ) -> None:
         self._model, self._base, self._meetings = model, base, meetings
         self._fitter, self._d_b, self._units = fitter, d_b, units
 
@@ -140,17 +150,23 @@ def judge(
     real, seen = hits.any(axis=1), (distances <= 0).any(axis=1)
     rates = dict(zip(names, (distances <= 0).mean(axis=0).tolist(), strict=True))
     near = dict(zip(names, (distances[free] < d_b).mean(axis=0).tolist(), strict=True))
-    truly = {name: _truly(meetings, hits, bodies[i], bodies[j])
-             for name, (i, j) in zip(names, pairs, strict=True)}  # fmt: skip
+    truly = {
+        name: _truly(meetings, hits, bodies[i], bodies[j])
+        for name, (i, j) in zip(names, pairs, strict=True)
+    }
     spurious = tuple(n for n in names if rates[n] > 0 and truly[n] == 0)
     always = tuple(n for n in names if rates[n] > 0 and near[n] > ALWAYS)
     missed = float((real & ~seen).sum() / max(1, real.sum()))
     false = float((seen & ~real).sum() / max(1, (~real).sum()))
     apart = sum(_apart(bodies, pair) for pair in meetings.close)
     cost = (
-        missed + _FALSE_COST * false + _BODY_COST * len(bodies) + _SPURIOUS_COST * len(spurious)
-        + _ALWAYS_COST * len(always) + _APART_COST * apart
-    )  # fmt: skip
+        missed
+        + _FALSE_COST * false
+        + _BODY_COST * len(bodies)
+        + _SPURIOUS_COST * len(spurious)
+        + _ALWAYS_COST * len(always)
+        + _APART_COST * apart
+    )
     return Verdict(missed, false, spurious, always, rates, near, cost)
 
 
@@ -167,11 +183,12 @@ def _add(geometry: pin.GeometryModel, model: RobotModel, body: FittedBody) -> li
     joint = model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint
     return [
         geometry.addGeometryObject(
-            pin.GeometryObject(f"{body.name}_{i}", joint, 0, fit.shape.placement(),
-                               fit.shape.coal_geometry())
+            pin.GeometryObject(
+                f"{body.name}_{i}", joint, 0, fit.shape.placement(), fit.shape.coal_geometry()
+            )
         )
         for i, fit in enumerate(body.fits)
-    ]  # fmt: skip
+    ]
 
 
 def _apart(bodies: Sequence[FittedBody], pair: tuple[int, int]) -> bool:
@@ -183,9 +200,10 @@ def _apart(bodies: Sequence[FittedBody], pair: tuple[int, int]) -> bool:
 def _truly(meetings: Meetings, hits: Array, a: FittedBody, b: FittedBody) -> int:
     """In how many poses links of both bodies meet."""
     columns = [
-        k for k, (u, v) in enumerate(meetings.pairs)
+        k
+        for k, (u, v) in enumerate(meetings.pairs)
         if (u in a.units and v in b.units) or (v in a.units and u in b.units)
-    ]  # fmt: skip
+    ]
     return int(hits[:, columns].any(axis=1).sum())
 
 
@@ -203,8 +221,8 @@ def _ranked(
             watched = [abs(of[u] - of[v]) > 1 for u, v in meetings.pairs]
             missed = (real & ~hits[:, watched].any(axis=1)).sum() / max(1, real.sum())
             uneven = sum(len(group) ** 2 for group in groups)
-            apart = _APART_COST * len([
-                1 for u, v in meetings.close if u > 1 and abs(of[u] - of[v]) > 1
-            ])  # fmt: skip
+            apart = _APART_COST * len(
+                [1 for u, v in meetings.close if u > 1 and abs(of[u] - of[v]) > 1]
+            )
             ranked.append((float(missed) + _BODY_COST * (count + 1) + apart, uneven, groups))
     return [(cost, groups) for cost, _, groups in sorted(ranked)]

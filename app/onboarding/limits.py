@@ -80,8 +80,9 @@ def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
     missing = [j.name for j, e in zip(arm.joints, limits.effort, strict=True) if not e]
     if not missing:
         return limits
-    load = _largest(model, lambda q: np.abs(pin.computeGeneralizedGravity(
-        model.pin, _data(model), q)[3:]))  # fmt: skip
+    load = _largest(
+        model, lambda q: np.abs(pin.computeGeneralizedGravity(model.pin, _data(model), q)[3:])
+    )
     effort = [
         e or float(max(_GRAVITY_SHARE * g, _LEAST_EFFORT[_kind(j)]))
         for j, e, g in zip(arm.joints, limits.effort, load, strict=True)

@@ -82,9 +82,10 @@ def sample_meetings(
     rng = np.random.default_rng(seed)
     q_m = sample_joints(model, samples, rng)
     pairs = tuple(
-        (a.index, b.index) for a, b in combinations(units, 2)
+        (a.index, b.index)
+        for a, b in combinations(units, 2)
         if a.parts and b.parts and not neighbours(model, a, b)
-    )  # fmt: skip
+    )
     distances = hull_distances(model, units, pairs, q_m)
     close = close_pairs(distances, pairs, d_b)
     met = _met(model, units, pairs, q_m, distances, close)
@@ -121,9 +122,13 @@ def hull_distances(
 
 
 def _met(
-    model: RobotModel, units: Sequence[Unit], pairs: Sequence[tuple[int, int]], q_m: Array,
-    distances: Array, close: frozenset[tuple[int, int]],
-) -> dict[tuple[int, int], Array]:  # fmt: skip
+    model: RobotModel,
+    units: Sequence[Unit],
+    pairs: Sequence[tuple[int, int]],
+    q_m: Array,
+    distances: Array,
+    close: frozenset[tuple[int, int]],
+) -> dict[tuple[int, int], Array]:
     data = model.pin.createData()
     possible = possible_poses(distances, pairs, close)
     met: dict[tuple[int, int], Array] = {}

@@ -109,9 +109,13 @@ def parse(request: Request) -> Parsed:
         in_arm = {link.get("name") for link in arm_robot.findall("link")}
         tip = PREFIX + tip if tip in taken and tip in in_arm else tip
         robot = compose(
-            robot, arm_robot, link=request.base, xyz=request.mount_xyz, rpy=request.mount_rpy,
+            robot,
+            arm_robot,
+            link=request.base,
+            xyz=request.mount_xyz,
+            rpy=request.mount_rpy,
             arm_folder=arm_path.parent,
-        )  # fmt: skip
+        )
     tree = make_tree(robot)
     arm = find_arm(tree, request.base, tip, request.mount)
     geometry = read_geometry(tree, path.parent)
@@ -124,9 +128,12 @@ def parse(request: Request) -> Parsed:
 
 
 def make_robot(
-    request: Request, folder: Path, *, tell: Callable[[str], None] = lambda _: None,
+    request: Request,
+    folder: Path,
+    *,
+    tell: Callable[[str], None] = lambda _: None,
     processes: int | None = None,
-) -> NewRobot:  # fmt: skip
+) -> NewRobot:
     """Everything but the border and the report.
 
     Args:
@@ -144,10 +151,16 @@ def make_robot(
     arm = parsed.arm
     header = f"Made by dbb new-robot from {request.told}; its sources and licences: SOURCES.md"
     urdf = rebased_urdf(
-        parsed.tree, arm, parsed.wheels.T_base_floor, parsed.geometry, parsed.inertias,
-        name=request.name, folder=parsed.folder, header=header,
+        parsed.tree,
+        arm,
+        parsed.wheels.T_base_floor,
+        parsed.geometry,
+        parsed.inertias,
+        name=request.name,
+        folder=parsed.folder,
+        header=header,
         home=folder,
-    )  # fmt: skip
+    )
     path = folder / "robot.urdf"
     path.write_text(urdf, encoding="utf-8")
     bare = _compiled(_bare(request, parsed, parsed.limits), path)
@@ -167,9 +180,10 @@ def make_robot(
     pairs = find_link_pairs(model, samples=PAIR_SAMPLES, seed=request.seed)
     tell("choosing the ready pose")
     ready = (
-        find_ready(model, pairs, d_b=request.d_b, seed=request.seed) if request.ready is None
+        find_ready(model, pairs, d_b=request.d_b, seed=request.seed)
+        if request.ready is None
         else judge_ready(model, pairs, np.array(request.ready), d_b=request.d_b)
-    )  # fmt: skip
+    )
     _fill(content, request, parsed, model, ready)
     model = _compiled(content, path)
     tell("counting the reachability")
@@ -179,14 +193,28 @@ def make_robot(
     tell("looking for places to guide the hand")
     places = find_places(model, pairs, request.d_b)
     content["lines"] = {
-        name: {"start_m": p.start, "move_m": p.move,
-               "source": {"start_m": p.source, "move_m": p.source}}
+        name: {
+            "start_m": p.start,
+            "move_m": p.move,
+            "source": {"start_m": p.source, "move_m": p.source},
+        }
         for name, p in places.items()
-    }  # fmt: skip
+    }
     robot = NewRobot(
-        request, parsed, urdf, content, _compiled(content, path), meetings, grouping.bodies,
-        grouping.verdict, pairs, ready, reach, places, [],
-    )  # fmt: skip
+        request,
+        parsed,
+        urdf,
+        content,
+        _compiled(content, path),
+        meetings,
+        grouping.bodies,
+        grouping.verdict,
+        pairs,
+        ready,
+        reach,
+        places,
+        [],
+    )
     return replace(robot, warnings=warnings_of(robot))
 
 
@@ -200,32 +228,50 @@ def _bare(request: Request, parsed: Parsed, limits: Limits) -> dict[str, Any]:
     ones = dict.fromkeys(sorted(fields), 1.0)
     dot = {"type": "sphere", "radius_m": 0.01}
     sourced = dict.fromkeys(
-        ("end_effector_xyz_m", "end_effector_rpy_rad", "position_lower", "position_upper",
-         "max_velocity", "max_effort", "ready_position", "joint_damping"), "assumed",
-    )  # fmt: skip
+        (
+            "end_effector_xyz_m",
+            "end_effector_rpy_rad",
+            "position_lower",
+            "position_upper",
+            "max_velocity",
+            "max_effort",
+            "ready_position",
+            "joint_damping",
+        ),
+        "assumed",
+    )
     return {
         "name": request.name,
         "title": request.title or request.name.replace("_", " "),
         "urdf": "robot.urdf",
         "licence": request.licence or "Of the files that the URDF refers to: see SOURCES.md.",
         "base": {
-            "kind": request.kind, "link": ROOT, **ones, **joints,
+            "kind": request.kind,
+            "link": ROOT,
+            **ones,
+            **joints,
             "source": dict.fromkeys(ones, "assumed"),
         },
         "arm": {
-            "mount_link": arm.mount, "joints": tuple(j.name for j in arm.joints),
-            "end_effector_link": arm.tip, "end_effector_xyz_m": request.tip_xyz,
-            "end_effector_rpy_rad": request.tip_rpy, "position_lower": limits.lower,
-            "position_upper": limits.upper, "max_velocity": limits.velocity,
-            "max_effort": tuple(e or 1.0 for e in limits.effort), "ready_position": middle,
-            "joint_damping": (0.0,) * n, "source": sourced,
+            "mount_link": arm.mount,
+            "joints": tuple(j.name for j in arm.joints),
+            "end_effector_link": arm.tip,
+            "end_effector_xyz_m": request.tip_xyz,
+            "end_effector_rpy_rad": request.tip_rpy,
+            "position_lower": limits.lower,
+            "position_upper": limits.upper,
+            "max_velocity": limits.velocity,
+            "max_effort": tuple(e or 1.0 for e in limits.effort),
+            "ready_position": middle,
+            "joint_damping": (0.0,) * n,
+            "source": sourced,
         },
         "bodies": [
             {"name": name, "source": "none", "frame": ROOT, "covers": (ROOT,), "shapes": [dot]}
             for name in ("lm", "l1")
         ],
         "reachability": {},
-    }  # fmt: skip
+    }
 
 
 def _fill(

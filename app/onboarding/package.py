@@ -70,8 +70,9 @@ def chosen_urdf(names: list[str], where: str, file: str | None) -> str:
             )
         return file
     if len(found) > 1:
-        raise RobotFileError(f"{where}: it holds {len(found)} URDFs; name one by --file: "
-                             f"{', '.join(found[:20])}")  # fmt: skip
+        raise RobotFileError(
+            f"{where}: it holds {len(found)} URDFs; name one by --file: {', '.join(found[:20])}"
+        )
     if found:
         return found[0]
     xacro = next((name for name in names if name.endswith(".xacro")), None)

@@ -34,8 +34,9 @@ def bodies_png(robot: NewRobot) -> bytes:
     units = make_units(model, robot.parsed.arm, robot.parsed.geometry)
     with styled():
         figure = new_figure(4.6)
-        spans = np.ptp(np.vstack([_seen(placed[u.joint], p.corners) for u in units
-                                  for p in u.parts]), axis=0)  # fmt: skip
+        spans = np.ptp(
+            np.vstack([_seen(placed[u.joint], p.corners) for u in units for p in u.parts]), axis=0
+        )
         panels = figure.subplots(1, 3, width_ratios=[spans[x] for _, x, _ in _VIEWS])
         for axes, (title, x, y) in zip(panels, _VIEWS, strict=True):
             for unit in units:
@@ -75,9 +76,13 @@ def border_png(robot: NewRobot, model: RobotModel, data: BorderData) -> bytes | 
             for k, cloud in enumerate(clouds):
                 points = construct_dbb(cloud, d_b, eps).same_height(z)
                 axes.plot(
-                    points[:, 0], points[:, 1], ".", markersize=3, label=cloud.pair,
+                    points[:, 0],
+                    points[:, 1],
+                    ".",
+                    markersize=3,
+                    label=cloud.pair,
                     color=BODY_COLOURS[(k + 2) % len(BODY_COLOURS)],
-                )  # fmt: skip
+                )
             axes.set_aspect("equal")
             axes.set_title(f"z = {z:.2f} m, d_b = {d_b:g} m")
             axes.set_xlabel("x [m]")

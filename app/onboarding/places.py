@@ -48,8 +48,9 @@ def find_places(model: RobotModel, pairs: LinkPairs, d_b: float) -> dict[str, Pl
     heights = [round(h, 3) for h in _heights(reachable)]
     found: dict[str, Place] = {}
     for name, lines in (
-        ("guiding-lateral", _lateral(body, mount)), ("guiding-front", _front(body, mount))
-    ):  # fmt: skip
+        ("guiding-lateral", _lateral(body, mount)),
+        ("guiding-front", _front(body, mount)),
+    ):
         place = _first(solver, list(lines), heights)
         if place is not None:
             found[name] = place
@@ -90,10 +91,11 @@ def _first(
             except UnreachableError:
                 continue
             return Place(
-                p, _point([*np.round(move, 3), 0.0]),
+                p,
+                _point([*np.round(move, 3), 0.0]),
                 "chosen: the first place, from far to near, where the arm can start clear of the "
                 "buffers; it leads to 0.125 m beside the base",
-            )  # fmt: skip
+            )
     return None
 
 

@@ -60,9 +60,12 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, d_b: float, seed: int) ->
     found = [judge.look(q) for q in poses]
     best = max(each.manipulability for each, _ in found) or 1.0
     scores = [
-        1.5 * min(each.clearance, _ENOUGH) / _ENOUGH + each.manipulability / best + place
-        - 0.5 * float(np.mean(np.abs(each.q_m - middle) / span)) for each, place in found
-    ]  # fmt: skip
+        1.5 * min(each.clearance, _ENOUGH) / _ENOUGH
+        + each.manipulability / best
+        + place
+        - 0.5 * float(np.mean(np.abs(each.q_m - middle) / span))
+        for each, place in found
+    ]
     return _tidy(judge, found[int(np.argmax(scores))][0])
 
 

@@ -22,8 +22,11 @@ def report_html(robot: NewRobot, model: RobotModel, data: BorderData) -> str:
     """
     parts = [f"<p class='lead'>Made by dbb new-robot from {escape(robot.request.told)}.</p>"]
     parts += ["<h2>Warnings</h2>", _list(robot.warnings or ["none"])]
-    parts += ["<h2>Bodies over meshes, in the ready pose</h2>",
-              picture_html("bodies over meshes", bodies_png(robot)), _bodies(robot)]  # fmt: skip
+    parts += [
+        "<h2>Bodies over meshes, in the ready pose</h2>",
+        picture_html("bodies over meshes", bodies_png(robot)),
+        _bodies(robot),
+    ]
     parts += ["<h2>Pairs</h2>", _pairs(robot, data), _verdict(robot)]
     if (png := border_png(robot, model, data)) is not None:
         parts += ["<h2>Border</h2>", picture_html("border at two heights", png)]
@@ -35,10 +38,18 @@ def report_html(robot: NewRobot, model: RobotModel, data: BorderData) -> str:
 
 def _bodies(robot: NewRobot) -> str:
     rows = [
-        (body.name, body.frame, ", ".join(body.links), fit.shape.type, f"{1e3 * fit.volume:.2f}",
-         f"{fit.over_cover:.2f}", f"{fit.protrusion:.3f}")
-        for body in robot.bodies for fit in body.fits
-    ]  # fmt: skip
+        (
+            body.name,
+            body.frame,
+            ", ".join(body.links),
+            fit.shape.type,
+            f"{1e3 * fit.volume:.2f}",
+            f"{fit.over_cover:.2f}",
+            f"{fit.protrusion:.3f}",
+        )
+        for body in robot.bodies
+        for fit in body.fits
+    ]
     return _table(
         ("body", "frame", "links", "shape", "volume [l]", "over hull's", "protrusion [m]"), rows
     )
@@ -47,16 +58,24 @@ def _bodies(robot: NewRobot) -> str:
 def _pairs(robot: NewRobot, data: BorderData) -> str:
     pairs, near = data.pairs, robot.verdict.near
     rows = [
-        (pair.name, group, f"{pairs.rates[pair.name]:.3%}",
-         f"{pairs.least_distance_m[pair.name]:+.3f}", f"{near.get(pair.name, 0.0):.0%}")
-        for group, each in (("L_m", pairs.mobile), ("L_m^c", pairs.manipulator),
-                            ("never", pairs.never))
+        (
+            pair.name,
+            group,
+            f"{pairs.rates[pair.name]:.3%}",
+            f"{pairs.least_distance_m[pair.name]:+.3f}",
+            f"{near.get(pair.name, 0.0):.0%}",
+        )
+        for group, each in (
+            ("L_m", pairs.mobile),
+            ("L_m^c", pairs.manipulator),
+            ("never", pairs.never),
+        )
         for pair in each
-    ]  # fmt: skip
+    ]
     return _table(
-        ("pair", "set", "in collision", "least distance [m]",
-         f"within {robot.request.d_b:g} m"), rows,
-    )  # fmt: skip
+        ("pair", "set", "in collision", "least distance [m]", f"within {robot.request.d_b:g} m"),
+        rows,
+    )
 
 
 def _verdict(robot: NewRobot) -> str:
@@ -72,10 +91,16 @@ def _verdict(robot: NewRobot) -> str:
 
 def _reach(robot: NewRobot) -> str:
     rows = [
-        (name, f"{r.A:.1f}", f"{r.B:.3f}", f"{r.C:.1f}",
-         "" if r.fit is None else f"{r.fit.r_squared:.3f}", r.source)
+        (
+            name,
+            f"{r.A:.1f}",
+            f"{r.B:.3f}",
+            f"{r.C:.1f}",
+            "" if r.fit is None else f"{r.fit.r_squared:.3f}",
+            r.source,
+        )
         for name, r in robot.reach.items()
-    ]  # fmt: skip
+    ]
     return _table(("body", "A [1/m²]", "B [m]", "C", "R²", "source"), rows)
 
 
@@ -86,8 +111,9 @@ def _numbers(robot: NewRobot) -> str:
         for key, source in record["source"].items():
             rows.append((part, key, _text(record[key]), source))
     for name, place in robot.places.items():
-        rows.append((name, "start_m, move_m", f"{_text(place.start)}; {_text(place.move)}",
-                     place.source))  # fmt: skip
+        rows.append(
+            (name, "start_m, move_m", f"{_text(place.start)}; {_text(place.move)}", place.source)
+        )
     return _table(("", "number", "value", "source"), rows)
 
 

@@ -33,9 +33,12 @@ BOUNDS = {
 }
 """By the field of `Request`."""
 OF_KIND = {
-    "half_track": "differential", "wheel_radius": "differential", "wheelbase": "car-like",
-    "steering_limit": "car-like", "steering_rate": "car-like",
-}  # fmt: skip
+    "half_track": "differential",
+    "wheel_radius": "differential",
+    "wheelbase": "car-like",
+    "steering_limit": "car-like",
+    "steering_rate": "car-like",
+}
 """Kind of base that a number belongs to."""
 
 

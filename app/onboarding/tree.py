@@ -211,10 +211,18 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
 
     bounded = kind in ("revolute", "prismatic")
     return Joint(
-        name, kind, ends[0], ends[1], T, axis / max(length, 1e-12),
-        stated("lower") if bounded else None, stated("upper") if bounded else None,
-        stated("effort"), stated("velocity"), element.find("mimic") is not None,
-    )  # fmt: skip
+        name,
+        kind,
+        ends[0],
+        ends[1],
+        T,
+        axis / max(length, 1e-12),
+        stated("lower") if bounded else None,
+        stated("upper") if bounded else None,
+        stated("effort"),
+        stated("velocity"),
+        element.find("mimic") is not None,
+    )
 
 
 def origin(element: Element, where: str) -> pin.SE3:

@@ -108,19 +108,24 @@ def add_hulls(geometry: pin.GeometryModel, units: Sequence[Unit]) -> list[list[i
     return [
         [
             geometry.addGeometryObject(
-                pin.GeometryObject(f"{part.link}_{i}", unit.joint, 0, pin.SE3.Identity(),
-                                   _hull(part.corners))
+                pin.GeometryObject(
+                    f"{part.link}_{i}", unit.joint, 0, pin.SE3.Identity(), _hull(part.corners)
+                )
             )
             for i, part in enumerate(unit.parts)
         ]
         for unit in units
-    ]  # fmt: skip
+    ]
 
 
 def _unit(
-    model: RobotModel, index: int, frame: str, links: tuple[str, ...], joint: int,
+    model: RobotModel,
+    index: int,
+    frame: str,
+    links: tuple[str, ...],
+    joint: int,
     geometry: Mapping[str, LinkGeometry],
-) -> Unit:  # fmt: skip
+) -> Unit:
     parts, surface = [], [np.zeros((0, 3))]
     D = directions(2)
     for link in links:

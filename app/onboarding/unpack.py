@@ -27,9 +27,13 @@ _CHUNK = 1 << 20  # [bytes]
 _BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # Of these a chunk is expanded at a time; bzip2 and LZMA expand all that they read.
 _UNREADABLE = (
-    zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError,
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+    NotImplementedError,
+    OSError,
     ValueError,  # a name that is not UTF-8
-)  # fmt: skip
+)
 
 
 def unpack(archive: Path, folder: Path) -> list[str]:

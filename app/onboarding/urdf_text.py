@@ -23,10 +23,17 @@ _ENDLESS = "1e6"  # [rad] limit of a joint that turns without end
 
 
 def rebased_urdf(
-    tree: Tree, arm: Arm, T_base_floor: pin.SE3, geometry: Mapping[str, LinkGeometry],
-    inertias: Mapping[str, LinkInertia], *, name: str, folder: Path, header: str,
+    tree: Tree,
+    arm: Arm,
+    T_base_floor: pin.SE3,
+    geometry: Mapping[str, LinkGeometry],
+    inertias: Mapping[str, LinkInertia],
+    *,
+    name: str,
+    folder: Path,
+    header: str,
     home: Path | None = None,
-) -> str:  # fmt: skip
+) -> str:
     """The text of the new URDF.
 
     The base and all below it, on a root on the floor, x forward. Meshes keep their files. A link

@@ -21,9 +21,13 @@ def warnings_of(robot: NewRobot) -> list[str]:
     """One sentence each, the gravest first."""
     held = holding_warning(carried_hand(robot.model, seed=robot.request.seed))
     return [
-        *_poses(robot), *filter(None, [held]), *_bodies(robot), *_joints(robot),
-        *_inertias(robot), *_base(robot),
-    ]  # fmt: skip
+        *_poses(robot),
+        *filter(None, [held]),
+        *_bodies(robot),
+        *_joints(robot),
+        *_inertias(robot),
+        *_base(robot),
+    ]
 
 
 def _poses(robot: NewRobot) -> list[str]:
@@ -98,8 +102,9 @@ def _joints(robot: NewRobot) -> list[str]:
     sources = robot.parsed.limits.source
     return [
         f"{field.replace('_', ' ')} of {text.partition('assumed for ')[2]} (assumed)"
-        for field, text in sources.items() if "assumed for" in text and field != "position_upper"
-    ]  # fmt: skip
+        for field, text in sources.items()
+        if "assumed for" in text and field != "position_upper"
+    ]
 
 
 def _inertias(robot: NewRobot) -> list[str]:

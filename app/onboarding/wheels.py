@@ -69,8 +69,10 @@ def find_wheels(tree: Tree, arm: Arm, folder: Path, given: tuple[str, str] | Non
     """
     found = _candidates(tree, arm, folder)
     if given is not None:
-        sides = [_named(tree, arm, folder, name, side) for name, side in
-                 zip(given, ("left", "right"), strict=True)]  # fmt: skip
+        sides = [
+            _named(tree, arm, folder, name, side)
+            for name, side in zip(given, ("left", "right"), strict=True)
+        ]
         left, right = sides
     else:
         pairs = _mirrored([w for w in found if isinstance(w, _Wheel)])
@@ -140,23 +142,26 @@ def _drive(
     """The whole drive: both sides with what is like the two wheels."""
     floor = float(np.mean([left.centre[2] - left.r, right.centre[2] - right.r]))
     like = {
-        w.joint.name: w for w in wheels
+        w.joint.name: w
+        for w in wheels
         if abs(w.r - left.r) <= _ALIKE * left.r and abs(w.centre[2] - w.r - floor) < _SAME_PLACE
-    }  # fmt: skip
+    }
     sideways = np.cross([0.0, 0.0, 1.0], forward)
     y = {name: float(w.centre @ sideways) for name, w in like.items()}
     y_left, y_right = (float(w.centre @ sideways) for w in (left, right))
-    sides = [
-        [n for n in like if abs(y[n] - own) < _SAME_PLACE] for own in (y_left, y_right)
-    ]  # fmt: skip
+    sides = [[n for n in like if abs(y[n] - own) < _SAME_PLACE] for own in (y_left, y_right)]
     middle = np.mean([np.mean([like[n].centre for n in side], axis=0) for side in sides], axis=0)
     rotation = np.column_stack([forward, sideways, [0.0, 0.0, 1.0]])
     speeds = [w.joint.velocity for w in (left, right) if w.joint.velocity]
     return Wheels(
-        left=tuple(sides[0]), right=tuple(sides[1]), r=left.r, b=abs(y_left - y_right) / 2,
+        left=tuple(sides[0]),
+        right=tuple(sides[1]),
+        r=left.r,
+        b=abs(y_left - y_right) / 2,
         T_base_floor=pin.SE3(rotation, np.array([middle[0], middle[1], floor])),
-        joint_velocity=min(speeds) if speeds else None, how=left.how,
-    )  # fmt: skip
+        joint_velocity=min(speeds) if speeds else None,
+        how=left.how,
+    )
 
 
 def _forward(left: _Wheel, right: _Wheel) -> Array:

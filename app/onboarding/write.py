@@ -64,8 +64,13 @@ def sources_text(robot: NewRobot) -> str:
         if path is not None:
             lines.append(f"- URDF of the {what}: `{path}`")
     meshes = sorted(set(_meshes(robot.urdf)))
-    packages = sorted({mesh.partition("://")[2].partition("/")[0] for mesh in meshes
-                       if mesh.startswith("package://")})  # fmt: skip
+    packages = sorted(
+        {
+            mesh.partition("://")[2].partition("/")[0]
+            for mesh in meshes
+            if mesh.startswith("package://")
+        }
+    )
     if packages:
         lines.append(f"- Meshes of the installed packages: {', '.join(f'`{p}`' for p in packages)}")
     loose = [mesh for mesh in meshes if not mesh.startswith("package://")]
@@ -78,10 +83,9 @@ def sources_text(robot: NewRobot) -> str:
     )
     warnings = "\n".join(f"- {warning}" for warning in robot.warnings) or "- none"
     return (
-        f"# Where {robot.content['title']} comes from\n\n" + "\n".join(lines)
-        + f"\n\n{copied}\n\n"
+        f"# Where {robot.content['title']} comes from\n\n" + "\n".join(lines) + f"\n\n{copied}\n\n"
         f"Licence: {licence}\n\n## Warnings of `dbb new-robot`\n\n{warnings}\n"
-    )  # fmt: skip
+    )
 
 
 def _meshes(urdf: str) -> list[str]:

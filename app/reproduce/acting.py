@@ -101,10 +101,14 @@ def _moments(sources: Sources, run: Run, rows: Sequence[int]) -> list[Moment]:
         same_height = border.same_height(float(closest.p_b[2]))
         found.append(
             Moment(
-                float(run.log["t_s"][k]), run.q_m[k], closest, same_height,
-                field.score(same_height), finder,
+                float(run.log["t_s"][k]),
+                run.q_m[k],
+                closest,
+                same_height,
+                field.score(same_height),
+                finder,
             )
-        )  # fmt: skip
+        )
     return found
 
 
@@ -183,9 +187,15 @@ def figure_10(sources: Sources) -> Drawing:
     for at, text in ((d_full, "task in full force"), (d_b, "buffer distance $d_b$")):
         ax.axvline(at, color=SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
         ax.annotate(
-            text, (at, 0.5), xytext=(4, 0), textcoords="offset points", rotation=90,
-            va="center", fontsize=9, color="#616E7C",
-        )  # fmt: skip
+            text,
+            (at, 0.5),
+            xytext=(4, 0),
+            textcoords="offset points",
+            rotation=90,
+            va="center",
+            fontsize=9,
+            color="#616E7C",
+        )
     ax.set(xlim=(0.0, 0.2), ylim=(-0.02, 1.05), xlabel="distance of the pair [m]")
     ax.set_ylabel(r"activation $\beta$ [–]")
     return Drawing(
@@ -222,11 +232,13 @@ def _found(sources: Sources, now: Moment, force: ForceConfig) -> tuple[ActingPoi
 def _shares(now: Moment, acting: ActingPoint, f: Array) -> dict[str, object]:
     along, across = components(now.closest.p_b, acting.p_n, f)
     return {
-        "distance_m": now.closest.d, "alpha_m": acting.alpha,
-        "force_n": float(np.linalg.norm(f)), "force_along_line_n": float(np.linalg.norm(along)),
+        "distance_m": now.closest.d,
+        "alpha_m": acting.alpha,
+        "force_n": float(np.linalg.norm(f)),
+        "force_along_line_n": float(np.linalg.norm(along)),
         "force_tangential_n": float(np.linalg.norm(across)),
         "share_along_line": float(np.linalg.norm(along) / max(np.linalg.norm(f), 1e-9)),
-    }  # fmt: skip
+    }
 
 
 def _slice(ax: Axes, model: RobotModel, now: Moment) -> PathCollection:
@@ -278,10 +290,19 @@ def _points(ax: Axes, now: Moment, acting: ActingPoint, names: bool = True) -> N
 
 def _arrow(ax: Axes, start: Array, end: Array, colour: str, text: str | None = None) -> None:
     arrow = ax.annotate(
-        "", _plan(end), _plan(start), zorder=5,
-        arrowprops={"arrowstyle": "-|>", "color": colour, "linewidth": 2.2, "shrinkA": 0,
-                    "shrinkB": 0, "mutation_scale": 14},
-    )  # fmt: skip
+        "",
+        _plan(end),
+        _plan(start),
+        zorder=5,
+        arrowprops={
+            "arrowstyle": "-|>",
+            "color": colour,
+            "linewidth": 2.2,
+            "shrinkA": 0,
+            "shrinkB": 0,
+            "mutation_scale": 14,
+        },
+    )
     arrow.set_in_layout(False)
     if text is not None:
         ax.plot([], [], color=colour, label=text)
@@ -301,10 +322,12 @@ def _point_table(now: Moment, found: dict[str, ActingPoint]) -> Table:
         (step, name, *point, acting.alpha)
         for step, acting in found.items()
         for name, point in (
-            ("p_b", now.closest.p_b), ("p_n", acting.p_n), ("p_t", acting.p_t),
+            ("p_b", now.closest.p_b),
+            ("p_n", acting.p_n),
+            ("p_t", acting.p_t),
             ("p_act", acting.p_act),
         )
-    ]  # fmt: skip
+    ]
     columns = zip(*rows, strict=True)
     names = ("step", "point", "x_m", "y_m", "z_m", "alpha_m")
     return Table({name: np.array(column) for name, column in zip(names, columns, strict=True)})

@@ -61,10 +61,14 @@ def judge(claim: Claim, sources: Sources) -> dict[str, object]:
     """The claim as a row of the report."""
     finding = claim.measure(sources)
     return {
-        "section": claim.section, "figure": claim.figure, "paper": claim.paper,
-        "measured": finding.measured, "values": finding.values, "holds": finding.holds,
+        "section": claim.section,
+        "figure": claim.figure,
+        "paper": claim.paper,
+        "measured": finding.measured,
+        "values": finding.values,
+        "holds": finding.holds,
         "limits": [limit._asdict() for limit in dict.fromkeys(finding.limits)],
-    }  # fmt: skip
+    }
 
 
 def claims_of(figures: Iterable[str]) -> list[Claim]:
@@ -96,15 +100,20 @@ def all_of(*findings: Finding) -> Finding:
         values |= finding.values
     return Finding(
         "; ".join(finding.measured for finding in findings),
-        all(finding.holds for finding in findings), values,
+        all(finding.holds for finding in findings),
+        values,
         tuple(limit for finding in findings for limit in finding.limits),
-    )  # fmt: skip
+    )
 
 
 def _held(
-    name: str, key: str, value: float | None, text: str, test: Callable[[float], bool],
+    name: str,
+    key: str,
+    value: float | None,
+    text: str,
+    test: Callable[[float], bool],
     *limits: Threshold,
-) -> Finding:  # fmt: skip
+) -> Finding:
     if value is None or not np.isfinite(value):
         return Finding(f"{name}: never (asked: {text})", False, {key: None}, limits)
     number = f"{value:.3g} {limits[0].unit}".strip()
@@ -198,14 +207,15 @@ def _smoother_than_repulsive(s: Sources) -> Finding:
         for name, experiments in guiding.COMPARED.items()
     }
     own = at_most(
-        "sign changes of a torque's rate", "dbb_torque_rate_sign_changes", changes["dbb"],
+        "sign changes of a torque's rate",
+        "dbb_torque_rate_sign_changes",
+        changes["dbb"],
         thresholds.TORQUE_SIGN_CHANGES,
-    )  # fmt: skip
+    )
     other = changes["repulsive"]
     than = Finding(
-        f"repulsive {other}", changes["dbb"] < other,
-        {"repulsive_torque_rate_sign_changes": other},
-    )  # fmt: skip
+        f"repulsive {other}", changes["dbb"] < other, {"repulsive_torque_rate_sign_changes": other}
+    )
     return all_of(own, than)
 
 
@@ -237,11 +247,16 @@ def _base_backs_off(s: Sources) -> Finding:
     begins = run.figures["base_back_off_s"]
     yaw = run.base_poses[:, 2] - run.base_poses[0, 2]
     return all_of(
-        between("base backs off from", "base_back_off_s", begins, thresholds.BACKS_FROM,
-                thresholds.BACKS_TO),
+        between(
+            "base backs off from",
+            "base_back_off_s",
+            begins,
+            thresholds.BACKS_FROM,
+            thresholds.BACKS_TO,
+        ),
         at_least("moves back", "backward_m", -forward_motion(run), thresholds.MOVED),
         at_least("turns clockwise by", "clockwise_rad", float(-yaw.min()), thresholds.TURNED),
-    )  # fmt: skip
+    )
 
 
 def _incomplete_knowledge(s: Sources) -> Finding:
@@ -249,10 +264,14 @@ def _incomplete_knowledge(s: Sources) -> Finding:
     error, force = figures["radial_error_at_5s_rad"], figures["hand_force_max_n"]
     size = None if error is None else abs(error)
     return all_of(
-        at_most("error of the radial direction after 5 s", "radial_error_rad", size,
-                thresholds.RADIAL_ERROR),
+        at_most(
+            "error of the radial direction after 5 s",
+            "radial_error_rad",
+            size,
+            thresholds.RADIAL_ERROR,
+        ),
         at_most("largest force of the hand", "hand_force_max_n", force, thresholds.HAND_FORCE),
-    )  # fmt: skip
+    )
 
 
 def _any_direction(s: Sources) -> Finding:
@@ -269,9 +288,7 @@ def _direction(name: str, run: Run, experiment: Experiment) -> Finding:
     ]
     if experiment.scenario == "tracking":
         error = figures["ee_error_final_m"]
-        found.append(
-            at_most("final error", f"{key}_ee_error_final_m", error, thresholds.REACHED)
-        )  # fmt: skip
+        found.append(at_most("final error", f"{key}_ee_error_final_m", error, thresholds.REACHED))
     return all_of(*found)
 
 
@@ -284,23 +301,29 @@ def _trade_off(s: Sources) -> Finding:
         for n, j, c in zip(count, jump, cost, strict=True)
     )
     surface = float(table["jump_max_m"][-1])
-    values = {"jump_sparse_m": float(jump[0]), "jump_dense_m": float(jump[-1]),
-              "find_sparse_us": float(cost[0]), "find_dense_us": float(cost[-1]),
-              "jump_surface_m": surface}  # fmt: skip
+    values = {
+        "jump_sparse_m": float(jump[0]),
+        "jump_dense_m": float(jump[-1]),
+        "find_sparse_us": float(cost[0]),
+        "find_dense_us": float(cost[-1]),
+        "jump_surface_m": surface,
+    }
     return Finding(
         f"largest jump and time of a search: {text}; as a surface {1e3 * surface:.0f} mm",
-        bool(jump[-1] < jump[0] and cost[-1] > cost[0]), dict(values),
-    )  # fmt: skip
+        bool(jump[-1] < jump[0] and cost[-1] > cost[0]),
+        dict(values),
+    )
 
 
 def _fast_enough(s: Sources) -> Finding:
     figures = density.run_at_50_000(s)
     median, slowest = figures["step_p50_us"], figures["step_p99_us"]
     return all_of(
-        at_most("whole control step, 99th percentile", "step_p99_us", slowest,
-                thresholds.CONTROL_STEP),
+        at_most(
+            "whole control step, 99th percentile", "step_p99_us", slowest, thresholds.CONTROL_STEP
+        ),
         Finding(f"median {median:.0f} µs, on this machine", True, {"step_p50_us": median}),
-    )  # fmt: skip
+    )
 
 
 def forward_motion(run: Run) -> float:
@@ -316,43 +339,129 @@ def beta_step(run: Run) -> float:
 
 
 CLAIMS = (
-    Claim("4.2.1", "fig12", "With the proposed method the hand reaches its target, without an "
-          "error of its position, and a collision is avoided.", _reaches, (tracking.DBB,)),
-    Claim("4.2.1", "fig11", "A force moves the base back as the hand approaches.",
-          _moves_back, (tracking.DBB,)),
-    Claim("4.2.1", "fig12", "The repulsive method avoids the collision, but the hand cannot reach "
-          "its target.", _cannot_reach, (tracking.REPULSIVE,)),
-    Claim("4.2.1", "fig12", "The avoidance is needed: the motion approaches the base.",
-          _needed, (tracking.DBB, tracking.NONE)),
-    Claim("4.2.2", "fig13", "Guided from the lateral direction, the robot avoids the collision by "
-          "a force on its base.", _guided(guiding.LATERAL), (guiding.LATERAL,)),
-    Claim("4.2.2", "fig13", "Guided from the front, it avoids the collision.",
-          _guided(guiding.FRONT), (guiding.FRONT,)),
-    Claim("4.2.2", "fig13", "Guided from the front, the base moves back.",
-          _backs_off_in_front, (guiding.FRONT,)),
-    Claim("4.2.2", "fig14", "The activation rises as the distance falls, and the task is inserted "
-          "continuously.", _continuous_beta, guiding.NEEDS),
-    Claim("4.2.2", "fig13", "Collisions are avoided whatever the direction of approach, the one "
-          "along which the base cannot move included.", _any_direction, tuple(DIRECTIONS.values())),
-    Claim("4.2.3", "fig18", "Without avoidance the door collides with the base at 30 s.",
-          _door_collides, (refrigerator.NONE,)),
-    Claim("4.2.3", "fig18", "With it the door never collides.",
-          _door_avoided, (refrigerator.DBB,)),
-    Claim("4.2.3", "fig17", "The door is opened completely at 40 s.",
-          _door_open, (refrigerator.DBB,)),
-    Claim("4.2.3", "fig17", "The base moves back and turns clockwise, beginning at 20 s.",
-          _base_backs_off, (refrigerator.DBB,)),
-    Claim("4.2.3", "fig17", "The adaptive controller opens the door with incomplete knowledge, by "
-          "estimating its radial direction.", _incomplete_knowledge, (refrigerator.DBB,)),
-    Claim("4.3", "fig15", "The desired accelerations of the base are smooth (the method as "
-          "printed, its border a cloud of points).", _smooth("points"), guiding.NEEDS_POINTS),
-    Claim("4.3", "fig15", "The same with the border as a continuous surface, which is not the "
-          "paper's but is used here.", _smooth("dbb"), guiding.NEEDS),
-    Claim("4.3", "fig15", "Command values are free from chattering, unlike the repulsive method's.",
-          _smoother_than_repulsive, guiding.NEEDS_COMPARED),
-    Claim("4.3", "density", "The denser the border, the more continuous the acting point and the "
-          "higher the cost.", _trade_off, (guiding.LATERAL,)),
-    Claim("4.3", "density", "With 50,000 points a border the algorithm runs at 1 kHz.",
-          _fast_enough),
-)  # fmt: skip
+    Claim(
+        "4.2.1",
+        "fig12",
+        "With the proposed method the hand reaches its target, without an "
+        "error of its position, and a collision is avoided.",
+        _reaches,
+        (tracking.DBB,),
+    ),
+    Claim(
+        "4.2.1",
+        "fig11",
+        "A force moves the base back as the hand approaches.",
+        _moves_back,
+        (tracking.DBB,),
+    ),
+    Claim(
+        "4.2.1",
+        "fig12",
+        "The repulsive method avoids the collision, but the hand cannot reach its target.",
+        _cannot_reach,
+        (tracking.REPULSIVE,),
+    ),
+    Claim(
+        "4.2.1",
+        "fig12",
+        "The avoidance is needed: the motion approaches the base.",
+        _needed,
+        (tracking.DBB, tracking.NONE),
+    ),
+    Claim(
+        "4.2.2",
+        "fig13",
+        "Guided from the lateral direction, the robot avoids the collision by a force on its base.",
+        _guided(guiding.LATERAL),
+        (guiding.LATERAL,),
+    ),
+    Claim(
+        "4.2.2",
+        "fig13",
+        "Guided from the front, it avoids the collision.",
+        _guided(guiding.FRONT),
+        (guiding.FRONT,),
+    ),
+    Claim(
+        "4.2.2",
+        "fig13",
+        "Guided from the front, the base moves back.",
+        _backs_off_in_front,
+        (guiding.FRONT,),
+    ),
+    Claim(
+        "4.2.2",
+        "fig14",
+        "The activation rises as the distance falls, and the task is inserted continuously.",
+        _continuous_beta,
+        guiding.NEEDS,
+    ),
+    Claim(
+        "4.2.2",
+        "fig13",
+        "Collisions are avoided whatever the direction of approach, the one "
+        "along which the base cannot move included.",
+        _any_direction,
+        tuple(DIRECTIONS.values()),
+    ),
+    Claim(
+        "4.2.3",
+        "fig18",
+        "Without avoidance the door collides with the base at 30 s.",
+        _door_collides,
+        (refrigerator.NONE,),
+    ),
+    Claim("4.2.3", "fig18", "With it the door never collides.", _door_avoided, (refrigerator.DBB,)),
+    Claim(
+        "4.2.3", "fig17", "The door is opened completely at 40 s.", _door_open, (refrigerator.DBB,)
+    ),
+    Claim(
+        "4.2.3",
+        "fig17",
+        "The base moves back and turns clockwise, beginning at 20 s.",
+        _base_backs_off,
+        (refrigerator.DBB,),
+    ),
+    Claim(
+        "4.2.3",
+        "fig17",
+        "The adaptive controller opens the door with incomplete knowledge, by "
+        "estimating its radial direction.",
+        _incomplete_knowledge,
+        (refrigerator.DBB,),
+    ),
+    Claim(
+        "4.3",
+        "fig15",
+        "The desired accelerations of the base are smooth (the method as "
+        "printed, its border a cloud of points).",
+        _smooth("points"),
+        guiding.NEEDS_POINTS,
+    ),
+    Claim(
+        "4.3",
+        "fig15",
+        "The same with the border as a continuous surface, which is not the "
+        "paper's but is used here.",
+        _smooth("dbb"),
+        guiding.NEEDS,
+    ),
+    Claim(
+        "4.3",
+        "fig15",
+        "Command values are free from chattering, unlike the repulsive method's.",
+        _smoother_than_repulsive,
+        guiding.NEEDS_COMPARED,
+    ),
+    Claim(
+        "4.3",
+        "density",
+        "The denser the border, the more continuous the acting point and the higher the cost.",
+        _trade_off,
+        (guiding.LATERAL,),
+    ),
+    Claim(
+        "4.3", "density", "With 50,000 points a border the algorithm runs at 1 kHz.", _fast_enough
+    ),
+)
 """In the order of the paper."""

@@ -21,14 +21,7 @@ from app.reproduce.drawing import Drawing, stacked
 from app.reproduce.experiments import Sources
 from app.reproduce.guiding import LATERAL
 from app.reproduce.motion import base_corners, closest_points
-from app.reproduce.style import (
-    INK,
-    METHOD_COLOURS,
-    PAIR_COLOURS,
-    SOFT,
-    new_figure,
-    panel_title,
-)
+from app.reproduce.style import INK, METHOD_COLOURS, PAIR_COLOURS, SOFT, new_figure, panel_title
 from app.robot.link_pairs import Closest
 from app.simulation.session import DT
 
@@ -173,9 +166,12 @@ def measured(found: dict[str, Path], fine: dict[str, Path]) -> dict[str, object]
         largest, finer = (float(step_sizes(p.p_act).max()) for p in (along, fine[kind]))
         linear, angular = jumps[kind].tolist()
         result[kind] = {
-            "step_max_m": largest, "step_max_finer_m": finer, "finer_ratio": largest / finer,
-            "acceleration_step_max_mps2": linear, "acceleration_step_max_radps2": angular,
-        }  # fmt: skip
+            "step_max_m": largest,
+            "step_max_finer_m": finer,
+            "finer_ratio": largest / finer,
+            "acceleration_step_max_mps2": linear,
+            "acceleration_step_max_radps2": angular,
+        }
     linear, angular = (jumps["points"] / jumps["surface"]).tolist()
     result["points_over_surface"] = {"linear_ratio": linear, "angular_ratio": angular}
     return result
@@ -186,15 +182,25 @@ def _columns(along: Path) -> dict[str, Array]:
     names = ("p_b_x_m", "p_b_y_m", "p_b_z_m", "p_act_x_m", "p_act_y_m", "p_act_z_m")
     columns = dict(zip(names, np.column_stack([along.p_b, along.p_act]).T, strict=True))
     linear, angular = along.xdd_m.T
-    return {"t_s": along.t, **columns, "p_act_step_m": steps, "base_a_mps2": linear,
-            "base_aw_radps2": angular}  # fmt: skip
+    return {
+        "t_s": along.t,
+        **columns,
+        "p_act_step_m": steps,
+        "base_a_mps2": linear,
+        "base_aw_radps2": angular,
+    }
 
 
 def _base_and_hand(ax: Axes, sources: Sources, along: Path) -> None:
     """The base's outline, the closest point's path, and the window around both paths."""
     ax.add_patch(Polygon(base_corners(sources.model)[:4, :2], facecolor="#EEF1F4", edgecolor=SOFT))
-    ax.plot(*along.p_b[:, :2].T, color=PAIR_COLOURS["lm-lEE"], linewidth=1.6,
-            linestyle=(0, (3, 2)), label="closest point of the hand")  # fmt: skip
+    ax.plot(
+        *along.p_b[:, :2].T,
+        color=PAIR_COLOURS["lm-lEE"],
+        linewidth=1.6,
+        linestyle=(0, (3, 2)),
+        label="closest point of the hand",
+    )
     ax.axvline(0.0, color=INK, linewidth=0.9, linestyle=(0, (1, 2)), zorder=1)
     shown = np.concatenate([along.p_b, along.p_act])[:, :2]
     low, high = shown.min(axis=0), shown.max(axis=0)

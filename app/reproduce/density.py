@@ -61,9 +61,12 @@ def figure_density(sources: Sources) -> Drawing:
     ):
         as_points = table["border"] == "points"
         ax.plot(
-            table["points"][as_points], table[column][as_points], "o-",
-            color=METHOD_COLOURS["points"], label="border of points, searched as printed",
-        )  # fmt: skip
+            table["points"][as_points],
+            table[column][as_points],
+            "o-",
+            color=METHOD_COLOURS["points"],
+            label="border of points, searched as printed",
+        )
         surface, name = float(table[column][-1]), "as a continuous surface (used here)"
         if ax is jump:
             level(ax, surface, name)
@@ -71,9 +74,12 @@ def figure_density(sources: Sources) -> Drawing:
             ax.axhline(surface, color="grey", linestyle=":", label=name)
             in_tree = table["border"] == "tree"
             ax.plot(
-                table["points"][in_tree], table[column][in_tree], "o--",
-                color=METHOD_COLOURS["points"], label="the same points in a tree of boxes",
-            )  # fmt: skip
+                table["points"][in_tree],
+                table[column][in_tree],
+                "o--",
+                color=METHOD_COLOURS["points"],
+                label="the same points in a tree of boxes",
+            )
         ax.set_xscale("log")
         ax.set_ylim(0.0, None)
         ax.set(xlabel="points of the border [–]", ylabel=label)
@@ -116,9 +122,14 @@ def trade_off(sources: Sources) -> Table:
     measured = [jump_and_cost(sources, ActingPointFinder(shape, field), path) for shape in shapes]
     jumps, typical, times = np.array(measured).T
     return Table(
-        {"border": kinds, "points": np.array([*counts, *counts, len(border)]), "jump_max_m": jumps,
-         "jump_p99_m": typical, "find_p50_us": times}
-    )  # fmt: skip
+        {
+            "border": kinds,
+            "points": np.array([*counts, *counts, len(border)]),
+            "jump_max_m": jumps,
+            "jump_p99_m": typical,
+            "find_p50_us": times,
+        }
+    )
 
 
 @lru_cache(maxsize=1)

@@ -126,9 +126,12 @@ def default_processes() -> int:
 
 
 def run_experiments(
-    experiments: Iterable[Experiment], *, seed: int = 0, processes: int = 1,
+    experiments: Iterable[Experiment],
+    *,
+    seed: int = 0,
+    processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
-) -> Runs:  # fmt: skip
+) -> Runs:
     """Do each experiment once.
 
     Args:
@@ -176,9 +179,14 @@ def _run(context: _Context, experiment: Experiment) -> Run:
 
     scenario = experiment.full()
     result = run_scenario(
-        sources.model, sources.data, scenario, experiment.config(),
-        controller=experiment.controller, seed=context.seed, on_progress=tick,
-    )  # fmt: skip
+        sources.model,
+        sources.data,
+        scenario,
+        experiment.config(),
+        controller=experiment.controller,
+        seed=context.seed,
+        on_progress=tick,
+    )
     tick(scenario.duration)
     return run_of(result)
 

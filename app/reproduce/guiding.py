@@ -148,9 +148,11 @@ def smoothness(run: Run, method: str) -> dict[str, object]:
     """
     inserted = ("avoidance_acceleration_jump_max", "avoidance_acceleration_sign_changes")
     asked = (
-        "base_acceleration_jump_max", "base_acceleration_sign_changes", "torque_jump_max_nm",
+        "base_acceleration_jump_max",
+        "base_acceleration_sign_changes",
+        "torque_jump_max_nm",
         "torque_rate_sign_changes",
-    )  # fmt: skip
+    )
     keys = asked if method == "repulsive" else (*inserted, *asked)
     return {key: run.figures[key] for key in keys}
 

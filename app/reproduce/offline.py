@@ -119,9 +119,14 @@ def figure_6(sources: Sources) -> Drawing:
     cut, curve = figure.add_subplot(1, 3, 2), figure.add_subplot(1, 3, 3)
     cut_table = _cut(reach_map, grid)
     shown = cut.scatter(
-        cut_table["x_m"], cut_table["y_m"], c=cut_table["reachability"], cmap=SCORE_MAP,
-        s=36, marker="s", linewidth=0,
-    )  # fmt: skip
+        cut_table["x_m"],
+        cut_table["y_m"],
+        c=cut_table["reachability"],
+        cmap=SCORE_MAP,
+        s=36,
+        marker="s",
+        linewidth=0,
+    )
     cut.set_aspect("equal")
     cut.set(xlabel="x of the base [m]", ylabel="y of the base [m]")
     panel_title(cut, "b", "cut at the mount's height")
@@ -130,10 +135,13 @@ def figure_6(sources: Sources) -> Drawing:
     rho = profile.rho_m
     fit_table = Table(
         {
-            "rho_m": rho, "reachability_mean": profile.mean, "reachability_spread": profile.spread,
-            "fit": fit.at(rho), "paper": field.C - field.A * (rho - field.B) ** 2,
+            "rho_m": rho,
+            "reachability_mean": profile.mean,
+            "reachability_spread": profile.spread,
+            "fit": fit.at(rho),
+            "paper": field.C - field.A * (rho - field.B) ** 2,
         }
-    )  # fmt: skip
+    )
     _draw_fit(curve, fit_table, fit.rho_min_m, fit.rho_max_m)
     return Drawing(
         "Figure 6: reachability of the hand",
@@ -142,15 +150,20 @@ def figure_6(sources: Sources) -> Drawing:
         figure,
         {"": fit_table, "cut": cut_table, "shells": shell_table},
         {
-            "A_per_m2": fit.A_per_m2, "B_m": fit.B_m, "C": fit.C, "r_squared": fit.r_squared,
-            "rms": fit.rms, "poses": reach_map.poses, "positions": len(reach_map.points),
+            "A_per_m2": fit.A_per_m2,
+            "B_m": fit.B_m,
+            "C": fit.C,
+            "r_squared": fit.r_squared,
+            "rms": fit.rms,
+            "poses": reach_map.poses,
+            "positions": len(reach_map.points),
         },
         [
             "The controller scores with the paper's coefficients.",
             f"(a) and (b) are averaged over {_SMOOTH * reach_map.spacing_m:g} m, as few poses are "
             "solved at each place.",
         ],
-    )  # fmt: skip
+    )
 
 
 class _Grid:
@@ -190,9 +203,8 @@ def _draw_shells(ax: Any, model: RobotModel, reach_map: ReachMap, grid: _Grid) -
         x, y, z = np.moveaxis(reach_map.p_base + radius[..., None] * rays, -1, 0)
         colour = colormaps[SCORE_MAP](level / PEAK)
         ax.plot_surface(
-            x, y, z, color=colour, alpha=alpha, linewidth=0, rstride=1, cstride=1,
-            shade=False,
-        )  # fmt: skip
+            x, y, z, color=colour, alpha=alpha, linewidth=0, rstride=1, cstride=1, shade=False
+        )
         ax.plot([], [], [], "s", color=colour, alpha=alpha, label=f"{level:g}")
         parts[f"{level:g}"] = _columns(np.column_stack([x.ravel(), y.ravel(), z.ravel()]))
     table = stacked(parts, "reachability")
@@ -202,9 +214,13 @@ def _draw_shells(ax: Any, model: RobotModel, reach_map: ReachMap, grid: _Grid) -
     _same_scale(ax, {k: table[k][known] for k in ("x_m", "y_m", "z_m")}, 0.9)
     ax.view_init(16, -68)
     ax.legend(
-        loc="upper center", bbox_to_anchor=(0.5, 0.02), ncols=3, fontsize=9, handletextpad=0.1,
+        loc="upper center",
+        bbox_to_anchor=(0.5, 0.02),
+        ncols=3,
+        fontsize=9,
+        handletextpad=0.1,
         title="reachability [–]",
-    )  # fmt: skip
+    )
     return table
 
 
@@ -223,9 +239,12 @@ def _draw_fit(ax: Any, table: Table, low: float, high: float) -> None:
     inside = (rho >= low) & (rho <= high)
     ax.plot(rho[inside], table["fit"][inside], color=METHOD_COLOURS["dbb"], label="fit of (9)")
     ax.plot(
-        rho, table["paper"], color=METHOD_COLOURS["repulsive"], linestyle="--",
+        rho,
+        table["paper"],
+        color=METHOD_COLOURS["repulsive"],
+        linestyle="--",
         label="the paper's (9)",
-    )  # fmt: skip
+    )
     ax.set(xlabel=r"distance from the mount $\rho$ [m]", ylabel="reachability [–]")
     ax.set_ylim(0.0, 1.25 * float(np.nanmax(mean)))
     ax.set_xlim(0.0, None)

@@ -8,10 +8,20 @@ from html import escape
 from typing import Any, NamedTuple
 
 _UNITS = {
-    "_m4prad4": "m⁴/rad⁴", "_radps2": "rad/s²", "_mps2": "m/s²", "_per_m2": "1/m²",
-    "_per_m": "1/m", "_rad": "rad", "_nm": "N m", "_us": "µs", "_m": "m", "_n": "N", "_s": "s",
-    "_radps": "rad/s", "_mps": "m/s",
-}  # fmt: skip
+    "_m4prad4": "m⁴/rad⁴",
+    "_radps2": "rad/s²",
+    "_mps2": "m/s²",
+    "_per_m2": "1/m²",
+    "_per_m": "1/m",
+    "_rad": "rad",
+    "_nm": "N m",
+    "_us": "µs",
+    "_m": "m",
+    "_n": "N",
+    "_s": "s",
+    "_radps": "rad/s",
+    "_mps": "m/s",
+}
 """Endings of keys; longer ones first where one ends in another."""
 
 _STYLE = """

@@ -84,9 +84,12 @@ def snapshot_figure(
             for ax, t in zip(axes, strip.times, strict=True):
                 _panel(ax, model, strip, paths[strip.letter], camera, photographer, t)
     figure.legend(
-        handles=list(legend), loc="outside lower center", ncols=len(legend), fontsize=10,
+        handles=list(legend),
+        loc="outside lower center",
+        ncols=len(legend),
+        fontsize=10,
         handlelength=2.2,
-    )  # fmt: skip
+    )
     return figure
 
 
@@ -124,9 +127,14 @@ def _seen(model: RobotModel, strip: Strip) -> Array:
 
 
 def _panel(
-    ax: Axes, model: RobotModel, strip: Strip, path: Table, camera: Camera,
-    photographer: Photographer, t: float,
-) -> None:  # fmt: skip
+    ax: Axes,
+    model: RobotModel,
+    strip: Strip,
+    path: Table,
+    camera: Camera,
+    photographer: Photographer,
+    t: float,
+) -> None:
     k = row_at(strip.run, t)
     poses = strip.run.base_poses
     picture = photographer.take(poses[k], strip.run.q_m[k], camera, strip.solids(k))
@@ -154,10 +162,19 @@ def _panel(
 def _aim(ax: Axes, picture: Picture, aim: Array) -> None:
     start, end = picture.pixels(aim)
     ax.annotate(
-        "", end, start, zorder=5,
-        arrowprops={"arrowstyle": "-|>", "color": TARGET, "linewidth": 1.6, "shrinkA": 0,
-                    "shrinkB": 3, "mutation_scale": 11},
-    )  # fmt: skip
+        "",
+        end,
+        start,
+        zorder=5,
+        arrowprops={
+            "arrowstyle": "-|>",
+            "color": TARGET,
+            "linewidth": 1.6,
+            "shrinkA": 0,
+            "shrinkB": 3,
+            "mutation_scale": 11,
+        },
+    )
     ax.plot(*end, **marker_style(TARGET, size=7))
 
 

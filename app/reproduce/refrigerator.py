@@ -80,11 +80,14 @@ def figure_16(sources: Sources) -> Drawing:
         figure,
         {"": table},
         {
-            "door_width_m": door.width, "hinge": door.hinge, "hinge_friction_nm": door.friction,
-            "exponent_e1": superquadric.e1, "exponent_e2": superquadric.e2,
+            "door_width_m": door.width,
+            "hinge": door.hinge,
+            "hinge_friction_nm": door.friction,
+            "exponent_e1": superquadric.e1,
+            "exponent_e2": superquadric.e2,
         },
         ["The CSV holds the door's sides and the semi-axes of its hyper-ellipsoid."],
-    )  # fmt: skip
+    )
 
 
 def figure_17(sources: Sources) -> Drawing:
@@ -97,10 +100,16 @@ def figure_17(sources: Sources) -> Drawing:
         )
         strips.append(
             Strip(
-                letter, METHOD_NAMES[experiment.controller], run, _TIMES, _yaw(door), _PITCH,
-                solids=_solids_of(run, door), marks=arc(door, run),
+                letter,
+                METHOD_NAMES[experiment.controller],
+                run,
+                _TIMES,
+                _yaw(door),
+                _PITCH,
+                solids=_solids_of(run, door),
+                marks=arc(door, run),
             )
-        )  # fmt: skip
+        )
     legend = legend_of(marks="arc of the door's edge")
     parts = {e.controller: paths[x].columns for x, e in zip("ab", NEEDS, strict=True)}
     return Drawing(
@@ -151,9 +160,10 @@ def refrigerator(door: Door, angle: float) -> list[Solid]:
     handle = np.array(
         [
             -door.thickness / 2 - door.handle_reach / 2,
-            -door.side * (door.width - door.handle_inset), door.handle_height,
+            -door.side * (door.width - door.handle_inset),
+            door.handle_height,
         ]
-    )  # fmt: skip
+    )
     return [
         Solid(_box(size, closed, behind), _BODY_COLOUR),
         Solid(_box(door.size, opened, door.centre), _DOOR_COLOUR),
@@ -215,8 +225,14 @@ def _box(size: Sequence[float], pose: pin.SE3, centre: Array) -> trimesh.Trimesh
 
 def _figures(run: Run) -> dict[str, object]:
     keys = (
-        "door_min_distance_m", "door_contacts", "door_met_base_s", "door_angle_final_rad",
-        "door_opened_80deg_at_s", "base_back_off_s", "base_yaw_rad", "hand_force_max_n",
+        "door_min_distance_m",
+        "door_contacts",
+        "door_met_base_s",
+        "door_angle_final_rad",
+        "door_opened_80deg_at_s",
+        "base_back_off_s",
+        "base_yaw_rad",
+        "hand_force_max_n",
         "radial_error_at_5s_rad",
-    )  # fmt: skip
+    )
     return {key: run.figures[key] for key in keys}

@@ -38,9 +38,13 @@ def work(names: Sequence[str]) -> float:
 
 
 def reproduce(
-    names: Sequence[str], out: Path, *, seed: int = 0, processes: int = 1,
+    names: Sequence[str],
+    out: Path,
+    *,
+    seed: int = 0,
+    processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Make figures with their data, judge the claims, and write all of it.
 
     Args:
@@ -89,13 +93,20 @@ def reproduce(
 def _make(drawing: Drawing, name: str, out: Path) -> Section:
     files = drawing.write(out, name)
     return Section(
-        name, drawing.title, files[0].read_bytes(), drawing.paper, drawing.measured,
-        drawing.remarks, [path.name for path in files],
-    )  # fmt: skip
+        name,
+        drawing.title,
+        files[0].read_bytes(),
+        drawing.paper,
+        drawing.measured,
+        drawing.remarks,
+        [path.name for path in files],
+    )
 
 
 def _figure(section: Section) -> dict[str, Any]:
     return {
-        "title": section.title, "files": list(section.files), "measured": dict(section.measured),
+        "title": section.title,
+        "files": list(section.files),
+        "measured": dict(section.measured),
         "remarks": list(section.remarks),
-    }  # fmt: skip
+    }

@@ -116,9 +116,11 @@ def plan_figure(log: Log, track: Track) -> Figure:
     for k, filled in ((0, False), (-1, True)):
         x, y, phi = track.base[k].tolist()
         ax.annotate(
-            "", (x + 0.2 * math.cos(phi), y + 0.2 * math.sin(phi)), (x, y),
+            "",
+            (x + 0.2 * math.cos(phi), y + 0.2 * math.sin(phi)),
+            (x, y),
             arrowprops={"arrowstyle": "-|>", "color": PATH if filled else SOFT, "linewidth": 1.6},
-        )  # fmt: skip
+        )
     targets = np.array([s.hand_target for s in log.snapshots if s.hand_target is not None])
     if len(targets):
         ax.plot(targets[:, 0], targets[:, 1], ":", color=TARGET, linewidth=1.4, label="pulled to")

@@ -124,15 +124,27 @@ def level(axes: Axes, value: float, text: str) -> None:
     """A dashed horizontal line with its name above its right end."""
     axes.axhline(value, color=SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
     axes.annotate(
-        text, (1.0, value), xycoords=axes.get_yaxis_transform(), xytext=(-2, 3),
-        textcoords="offset points", ha="right", va="bottom", fontsize=9, color="#616E7C",
+        text,
+        (1.0, value),
+        xycoords=axes.get_yaxis_transform(),
+        xytext=(-2, 3),
+        textcoords="offset points",
+        ha="right",
+        va="bottom",
+        fontsize=9,
+        color="#616E7C",
         path_effects=[patheffects.withStroke(linewidth=3, foreground="white")],
-    )  # fmt: skip
+    )
 
 
 def marker_style(colour: str, marker: str = "o", size: float = 9.0) -> dict[str, Any]:
     """Keywords of `plot` for one point that stands out on any ground."""
     return {
-        "color": colour, "marker": marker, "markersize": size, "markeredgecolor": "white",
-        "markeredgewidth": 1.2, "linestyle": "none", "zorder": 6,
-    }  # fmt: skip
+        "color": colour,
+        "marker": marker,
+        "markersize": size,
+        "markeredgecolor": "white",
+        "markeredgewidth": 1.2,
+        "linestyle": "none",
+        "zorder": 6,
+    }

@@ -77,9 +77,11 @@ def figure_12(sources: Sources) -> Drawing:
     panel_title(error, "b", "norm of the position error")
     for name, columns in parts.items():
         detail.semilogy(
-            columns["t_s"], np.maximum(columns["ee_error_m"], 1e-9),
-            color=METHOD_COLOURS[name], label=METHOD_NAMES[name],
-        )  # fmt: skip
+            columns["t_s"],
+            np.maximum(columns["ee_error_m"], 1e-9),
+            color=METHOD_COLOURS[name],
+            label=METHOD_NAMES[name],
+        )
     detail.set_ylabel("position error [m]")
     panel_title(detail, "b", "the same on a logarithmic scale")
     for ax in grid.flat:

@@ -62,9 +62,13 @@ class ArmDescription(Sourced):
         if len(set(self.joints)) != n:
             raise ValueError("`joints` names a joint twice")
         for name in (
-            "position_lower", "position_upper", "max_velocity", "max_effort",
-            "ready_position", "joint_damping",
-        ):  # fmt: skip
+            "position_lower",
+            "position_upper",
+            "max_velocity",
+            "max_effort",
+            "ready_position",
+            "joint_damping",
+        ):
             value = getattr(self, name)
             if value is not None and len(value) != n:
                 raise ValueError(f"{name}: needs {n} numbers, one a joint, has {len(value)}")

@@ -130,10 +130,13 @@ class RobotModel:
         )
         self.ee_frame = self.pin.addFrame(
             pin.Frame(
-                "end_effector", frame.parentJoint, parent, frame.placement * offset,
+                "end_effector",
+                frame.parentJoint,
+                parent,
+                frame.placement * offset,
                 pin.FrameType.OP_FRAME,
             )
-        )  # fmt: skip
+        )
 
     def _add_body(self, name: str) -> None:
         body = self.description.body(name)
@@ -145,12 +148,15 @@ class RobotModel:
         self.shape_ids[name] = [
             self.geometry.addGeometryObject(
                 pin.GeometryObject(
-                    f"{name}_{i}", frame.parentJoint, frame_id,
-                    frame.placement * shape.placement(), shape.coal_geometry(),
+                    f"{name}_{i}",
+                    frame.parentJoint,
+                    frame_id,
+                    frame.placement * shape.placement(),
+                    shape.coal_geometry(),
                 )
             )
             for i, shape in enumerate(body.shapes)
-        ]  # fmt: skip
+        ]
 
     def _frame(self, name: str, field: str) -> int:
         if not self.pin.existFrame(name):

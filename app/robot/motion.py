@@ -142,9 +142,8 @@ def point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
 
 @compiled("Tuple((f8[::1], f8, f8))(f8[:,:], f8[:,:], f8[:,:], f8[:,:], i8, i8, f8[:], f8[:])")
 def pair_motion(
-    J: Array, B: Array, twists: Array, biases: Array, joint_a: int, joint_b: int, p: Array,
-    n: Array,
-) -> tuple[Array, float, float]:  # fmt: skip
+    J: Array, B: Array, twists: Array, biases: Array, joint_a: int, joint_b: int, p: Array, n: Array
+) -> tuple[Array, float, float]:
     """As `RobotState.pair_motion`."""
     row = np.zeros(B.shape[1] + J.shape[1] - 3)
     relative = point_jacobian(J, B, joint_b, p) - point_jacobian(J, B, joint_a, p)

@@ -24,8 +24,14 @@ def begin(
         UnknownNameError: No such controller or plant.
     """
     session = Session(
-        setting.model, setting.data, setting.config, controller=controller, physics=physics,
-        seed=seed, plant=robot, door=setting.door,
-    )  # fmt: skip
+        setting.model,
+        setting.data,
+        setting.config,
+        controller=controller,
+        physics=physics,
+        seed=seed,
+        plant=robot,
+        door=setting.door,
+    )
     session.reset(setting.q_m, setting.base_pose)
     return session

@@ -27,10 +27,11 @@ class BulletDynamics:
         names = (*PLANAR_JOINTS, *model.description.arm.joints)
         self._joints = [self._world.joints[name] for name in names]
         moving = [
-            i for i in sorted(self._world.joints.values())
+            i
+            for i in sorted(self._world.joints.values())
             if pybullet.getJointInfo(self._world.robot, i, physicsClientId=self._world.client)[3]
             > -1
-        ]  # fmt: skip
+        ]
         self._order = [moving.index(joint) for joint in self._joints]
 
     def mass_and_bias(self, q_m: Array, qd: Array) -> tuple[Array, Array]:
@@ -52,10 +53,13 @@ class BulletDynamics:
         )
         nle = np.array(
             pybullet.calculateInverseDynamics(
-                world.robot, ordered[0].tolist(), ordered[1].tolist(), [0.0] * len(q),
+                world.robot,
+                ordered[0].tolist(),
+                ordered[1].tolist(),
+                [0.0] * len(q),
                 physicsClientId=world.client,
             )
-        )  # fmt: skip
+        )
         return reduced_dynamics(S, M[np.ix_(self._order, self._order)], nle[self._order], v)
 
     def close(self) -> None:

@@ -121,9 +121,12 @@ class BulletWorld:
         """(n,) [m] from each begin (n, 3) to the robot or the floor, towards its end; else inf."""
         length = np.linalg.norm(ends - begins, axis=1)
         rays = pybullet.rayTestBatch(begins.tolist(), ends.tolist(), physicsClientId=self.client)
-        return np.array([
-            each * ray[2] if ray[0] >= 0 else np.inf for each, ray in zip(length, rays, strict=True)
-        ])  # fmt: skip
+        return np.array(
+            [
+                each * ray[2] if ray[0] >= 0 else np.inf
+                for each, ray in zip(length, rays, strict=True)
+            ]
+        )
 
     def _on_floor(self, contact: tuple[Any, ...]) -> bool:
         """Whether it is one of the floor with a link that must not touch it."""
@@ -174,9 +177,13 @@ class BulletWorld:
             self.joints[info[1].decode()] = self.links[info[12].decode()] = i
         for i in self.links.values():
             pybullet.changeDynamics(
-                self.robot, i, linearDamping=0, angularDamping=0, jointDamping=0,
+                self.robot,
+                i,
+                linearDamping=0,
+                angularDamping=0,
+                jointDamping=0,
                 physicsClientId=client,
-            )  # fmt: skip
+            )
 
     def _filter(self, other: int, a: int, b: int, collide: bool) -> None:
         pybullet.setCollisionFilterPair(

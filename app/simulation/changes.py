@@ -128,10 +128,7 @@ class Smoothness:
     def figures(self, name: str) -> dict[str, object]:
         """Both, by linear and angular part."""
         return {
-            f"{name}_jump_max": {
-                "linear_mps2": self.jumps[0],
-                "angular_radps2": self.jumps[1],
-            },
+            f"{name}_jump_max": {"linear_mps2": self.jumps[0], "angular_radps2": self.jumps[1]},
             f"{name}_sign_changes": {
                 "linear": int(self._worst(self._signs.counts, angular=False)),
                 "angular": int(self._worst(self._signs.counts, angular=True)),

@@ -67,14 +67,16 @@ def collision_shapes(model: RobotModel, outer: Sequence[str] | None = None) -> C
     except AssetError as error:
         logging.getLogger(__name__).warning(
             "%s: what touches are its convex bodies, which are fatter than its links: %s",
-            description.name, error,
-        )  # fmt: skip
+            description.name,
+            error,
+        )
         return _bodies(model, outer)
     loaded = pin.buildGeomFromUrdfString(model.pin, text, pin.GeometryType.COLLISION)
     return CollisionShapes(
         [_shape(model.pin.frames[each.parentFrame].name, each) for each in loaded.geometryObjects],
-        link_contact_pairs(description, outer), description.mobile_body.covers,
-    )  # fmt: skip
+        link_contact_pairs(description, outer),
+        description.mobile_body.covers,
+    )
 
 
 def vertices(geometry: coal.CollisionGeometry) -> Array | None:
@@ -90,8 +92,9 @@ def _bodies(model: RobotModel, outer: Sequence[str] | None) -> CollisionShapes:
     description, objects = model.description, model.geometry.geometryObjects
     return CollisionShapes(
         [_shape(name, objects[i]) for name, ids in model.shape_ids.items() for i in ids],
-        body_contact_pairs(description, outer), (description.mobile_body.name,),
-    )  # fmt: skip
+        body_contact_pairs(description, outer),
+        (description.mobile_body.name,),
+    )
 
 
 def _shape(part: str, placed: pin.GeometryObject) -> CollisionShape:

@@ -107,9 +107,17 @@ class Compare:
     """What people have in common at all of them: "path", where they pull to, or "force"."""
 
 
-# fmt: off
 Command = (
-    Pull | Release | Configure | Choose | Pause | Speed | StepOnce
-    | Reset | Restart | Play | PlayScenario | Compare
+    Pull
+    | Release
+    | Configure
+    | Choose
+    | Pause
+    | Speed
+    | StepOnce
+    | Reset
+    | Restart
+    | Play
+    | PlayScenario
+    | Compare
 )
-# fmt: on

@@ -87,10 +87,14 @@ class ScoreKeeper:
         self._last = step
         self._batch.add(
             _Taken(
-                self._clearance(step), step.ee_error, step.contacts.arm_base,
-                step.output.u_a, step.truth.base_pose, step.output.base_acceleration,
+                self._clearance(step),
+                step.ee_error,
+                step.contacts.arm_base,
+                step.output.u_a,
+                step.truth.base_pose,
+                step.output.base_acceleration,
             )
-        )  # fmt: skip
+        )
 
     def _take(self, steps: Sequence[_Taken]) -> None:
         clearances, errors, contacts, torques, poses, asked = zip(*steps, strict=True)
@@ -114,10 +118,15 @@ class ScoreKeeper:
         """The score so far."""
         self._batch.flush()
         return Score(
-            self._session.controller.name, self._least,
-            0.0 if self._last is None else self._last.ee_error, self._error_max,
-            self._changes.path, *self._asked.jumps, self._changes.torque_jump, self._contacts,
-        )  # fmt: skip
+            self._session.controller.name,
+            self._least,
+            0.0 if self._last is None else self._last.ee_error,
+            self._error_max,
+            self._changes.path,
+            *self._asked.jumps,
+            self._changes.torque_jump,
+            self._contacts,
+        )
 
 
 class Ghost:
@@ -155,6 +164,10 @@ class Ghost:
         """How it stands after the last step."""
         session, measured = self.session, self.session.state.measurement
         return GhostReading(
-            session.controller.name, measured.base_pose, measured.q_m, session.wheel_angles,
-            session.state.T_world_ee.translation, self.keeper.clearance,
-        )  # fmt: skip
+            session.controller.name,
+            measured.base_pose,
+            measured.q_m,
+            session.wheel_angles,
+            session.state.T_world_ee.translation,
+            self.keeper.clearance,
+        )

@@ -86,11 +86,13 @@ class Door:
 
     def handle(self, angle: float) -> pin.SE3:
         """Pose of a hand at the handle: z into the door, x up."""
-        place = np.array([
-            -self.thickness / 2 - self.handle_reach,
-            -self.side * (self.width - self.handle_inset),
-            self.handle_height,
-        ])  # fmt: skip
+        place = np.array(
+            [
+                -self.thickness / 2 - self.handle_reach,
+                -self.side * (self.width - self.handle_inset),
+                self.handle_height,
+            ]
+        )
         axes = np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]])
         return self.pose(angle) * pin.SE3(axes, place)
 
@@ -109,9 +111,13 @@ class Door:
         x, y, z = at.translation.tolist()
         roll, pitch, yaw = pin.rpy.matrixToRpy(at.rotation).tolist()
         return Superquadric(
-            type="superquadric", xyz_m=(x, y, z), rpy_rad=(roll, pitch, yaw),
-            semi_axes_m=around_box(self.size, _E1, _E2), e1=_E1, e2=_E2,
-        )  # fmt: skip
+            type="superquadric",
+            xyz_m=(x, y, z),
+            rpy_rad=(roll, pitch, yaw),
+            semi_axes_m=around_box(self.size, _E1, _E2),
+            e1=_E1,
+            e2=_E2,
+        )
 
 
 class OpenDoor(NamedTuple):
@@ -143,9 +149,12 @@ def with_door(
         np.array(description.arm.end_effector_xyz_m),
     )
     body = BodyDescription(
-        source="a hyper-ellipsoid through the corners of the door (Figure 16b)", name=BODY,
-        frame=link, shapes=(door.superquadric(T_link_ee * T_ee_door),), covers=(link,),
-    )  # fmt: skip
+        source="a hyper-ellipsoid through the corners of the door (Figure 16b)",
+        name=BODY,
+        frame=link,
+        shapes=(door.superquadric(T_link_ee * T_ee_door),),
+        covers=(link,),
+    )
     hand = next(b.name for b in reversed(description.bodies) if b.name in description.reachability)
     reachability = {**description.reachability, BODY: description.reachability[hand]}
     pair = Pair(description.mobile_body.name, BODY)

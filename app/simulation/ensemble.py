@@ -190,10 +190,12 @@ class Ensemble:
         self.main, self.scenario = session, scenario
         self._holds.clear()
         same_force = self.comparison.same == "force"
-        self._replace_ghosts([
-            Ghost(other, scenario and scenario.leader(other), same_force=same_force)
-            for other in others
-        ])  # fmt: skip
+        self._replace_ghosts(
+            [
+                Ghost(other, scenario and scenario.leader(other), same_force=same_force)
+                for other in others
+            ]
+        )
         self._keeper = ScoreKeeper(session)
         self._leader = scenario and scenario.leader(session)
         self.ends = scenario and scenario.duration

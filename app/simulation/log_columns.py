@@ -122,10 +122,11 @@ def _one(field: str, name: str, kind: Kind = "float") -> Part:
 def _maybe(field: str, name: str) -> Part:
     """A number that may be None, and its cell is then empty."""
     return Part(
-        field, (Column(name, "float", optional=True),),
+        field,
+        (Column(name, "float", optional=True),),
         lambda value: (np.nan if value is None else value,),
         lambda cells: None if np.isnan(cells[0]) else cells[0],
-    )  # fmt: skip
+    )
 
 
 def _vector(field: str, *names: str, optional: bool = False) -> Part:
@@ -151,9 +152,12 @@ def _pairs(meta: LogMeta) -> Part:
         Column(name)
         for pair in meta.pairs
         for name in (
-            f"d_{pair}_m", f"beta_{pair}", *_point(f"p_a_{pair}", "m"), *_point(f"p_b_{pair}", "m")
+            f"d_{pair}_m",
+            f"beta_{pair}",
+            *_point(f"p_a_{pair}", "m"),
+            *_point(f"p_b_{pair}", "m"),
         )
-    ]  # fmt: skip
+    ]
 
     def split(pairs: Sequence[PairReading]) -> Sequence[Cell]:
         return [x for pair in pairs for x in (pair.d, pair.beta, *pair.p_a, *pair.p_b)]
@@ -162,11 +166,15 @@ def _pairs(meta: LogMeta) -> Part:
         groups = zip(meta.pairs, np.reshape(cells, (-1, 8)), strict=True)
         return tuple(
             PairReading(
-                name, name in meta.mobile_pairs, float(row[0]), float(row[1]),
-                frozen(row[2:5]), frozen(row[5:8]),
+                name,
+                name in meta.mobile_pairs,
+                float(row[0]),
+                float(row[1]),
+                frozen(row[2:5]),
+                frozen(row[5:8]),
             )
             for name, row in groups
-        )  # fmt: skip
+        )
 
     return Part("pairs", tuple(columns), split, join)
 
@@ -224,10 +232,13 @@ def _config(first: Config) -> Part:
 
 def _buffer() -> Part:
     columns = (
-        Column("approach_speed_mps"), Column("buffer_needed_m"), Column("approach_speed_max_mps"),
-        Column("buffer_needed_max_m"), Column("buffer_too_small", "bool"),
+        Column("approach_speed_mps"),
+        Column("buffer_needed_m"),
+        Column("approach_speed_max_mps"),
+        Column("buffer_needed_max_m"),
+        Column("buffer_too_small", "bool"),
         Column("buffer_too_small_ever", "bool"),
-    )  # fmt: skip
+    )
     return Part("buffer", columns, tuple, lambda cells: BufferReading(*cells))
 
 
@@ -235,9 +246,10 @@ def _door() -> Part:
     """The door's geometry as JSON, empty without one, its angle and the force on it."""
     nothing = ("", np.nan, np.nan, np.nan, np.nan)
     columns = (
-        Column("door", "text"), Column("door_angle_rad", "float", optional=True),
+        Column("door", "text"),
+        Column("door_angle_rad", "float", optional=True),
         *(Column(name, "float", optional=True) for name in _point("door_force", "n")),
-    )  # fmt: skip
+    )
 
     @lru_cache(maxsize=64)
     def text(door: Door) -> str:

@@ -50,9 +50,14 @@ class LogMeta(Strict):
 
     @classmethod
     def of(
-        cls, model: RobotModel, first: Snapshot, *, scenario: str = "", physics: str = "",
+        cls,
+        model: RobotModel,
+        first: Snapshot,
+        *,
+        scenario: str = "",
+        physics: str = "",
         seed: int = 0,
-    ) -> LogMeta:  # fmt: skip
+    ) -> LogMeta:
         """The meta data of a run that begins with a snapshot.
 
         Args:
@@ -65,15 +70,19 @@ class LogMeta(Strict):
         arm, base = model.description.arm, model.description.base
         kinds = (model.pin.joints[model.pin.getJointId(name)].shortname() for name in arm.joints)
         return cls(
-            robot=model.description.name, joints=tuple(arm.joints),
+            robot=model.description.name,
+            joints=tuple(arm.joints),
             joint_units=tuple("m" if "JointModelP" in kind else "rad" for kind in kinds),
             velocities=tuple(axis.velocity for axis in base.axes),
             accelerations=tuple(axis.acceleration for axis in base.axes),
             wheels=tuple(wheels.name for wheels in base.wheels),
             pairs=tuple(pair.name for pair in first.pairs),
             mobile_pairs=tuple(pair.name for pair in first.pairs if pair.mobile),
-            scenario=scenario, physics=physics, seed=seed, config=first.config,
-        )  # fmt: skip
+            scenario=scenario,
+            physics=physics,
+            seed=seed,
+            config=first.config,
+        )
 
 
 def header_text(meta: LogMeta, rows: int) -> str:

@@ -170,10 +170,8 @@ class SimulationLoop:
         snapshot = make_snapshot(ensemble.main, step, self._pacer, paused=self._paused)
         ghosts = tuple(map(ghost_reading, ensemble.ghosts))
         self._history.add(
-            replace(
-                snapshot, ghosts=ghosts, scores=ensemble.scores(), **self._course(ensemble)
-            )
-        )  # fmt: skip
+            replace(snapshot, ghosts=ghosts, scores=ensemble.scores(), **self._course(ensemble))
+        )
 
     def _course(self, ensemble: Ensemble) -> dict[str, Any]:
         """What a snapshot says beyond the session."""
@@ -248,8 +246,13 @@ class SimulationLoop:
         compared = bool(ensemble.ghosts)
         self._history.add(
             replace(
-                latest, config=main.config, controller=main.controller.name,
-                paused=self._paused, busy="", ghosts=latest.ghosts if compared else (),
-                scores=latest.scores if compared else (), **self._course(ensemble),
+                latest,
+                config=main.config,
+                controller=main.controller.name,
+                paused=self._paused,
+                busy="",
+                ghosts=latest.ghosts if compared else (),
+                scores=latest.scores if compared else (),
+                **self._course(ensemble),
             )
-        )  # fmt: skip
+        )

@@ -48,17 +48,23 @@ class MujocoDoor:
         robot.add_geom(body, _BODY, box, np.array(cabinet.size) / 2)
         door = robot.add_body(body, _DOOR, cabinet.T_hinge, cabinet.door_inertia)
         door.add_joint(
-            name=_HINGE, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1],
+            name=_HINGE,
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=[0, 0, 1],
             **robot.friction(self.door.friction),
-        )  # fmt: skip
+        )
         robot.add_geom(door, _DOOR, box, np.array(self.door.size) / 2, cabinet.T_centre)
         robot.allow(None, [FLOOR], [_BODY])
         robot.allow("door_base", [_DOOR], robot.geoms(*robot.mobile), firmness=_SEAL)
         robot.add_body(door, _GRIP, pin.SE3.Identity(), pin.Inertia.Zero()).add_site(name=_GRIP)
         robot.spec.add_equality(
-            name=_GRIP, type=mujoco.mjtEq.mjEQ_WELD, objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1=self._hand, name2=_GRIP, **_GRASP,
-        )  # fmt: skip
+            name=_GRIP,
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=self._hand,
+            name2=_GRIP,
+            **_GRASP,
+        )
         for kind in (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE):
             robot.spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=_GRIP)
 

@@ -27,9 +27,13 @@ class MujocoPlanar:
     """`Physics` with an ideal contact of the wheels up to their traction."""
 
     def __init__(
-        self, model: RobotModel, *, dt: float = 0.001, outer: Sequence[str] | None = None,
+        self,
+        model: RobotModel,
+        *,
+        dt: float = 0.001,
+        outer: Sequence[str] | None = None,
         door: OpenDoor | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Load the robot at rest in its ready position.
 
         Args:

@@ -40,9 +40,13 @@ class RobotSpec(Spec):
     """
 
     def __init__(
-        self, model: RobotModel, dt: float, outer: Sequence[str] | None,
-        *, free_root: pin.Inertia | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        model: RobotModel,
+        dt: float,
+        outer: Sequence[str] | None,
+        *,
+        free_root: pin.Inertia | None = None,
+    ) -> None:
         """Specify the robot over the floor.
 
         Args:
@@ -102,12 +106,14 @@ class RobotSpec(Spec):
         axis = J[:, source.joints[i].idx_v]  # in the joint's own frame
         slides = bool(np.any(axis[:3]))
         body.add_joint(
-            name=source.names[i], axis=axis[:3] if slides else axis[3:],
+            name=source.names[i],
+            axis=axis[:3] if slides else axis[3:],
             type=_JOINT.mjJNT_SLIDE if slides else _JOINT.mjJNT_HINGE,
             limited=mujoco.mjtLimited.mjLIMITED_TRUE,
             range=[model.q_lower[i - 2], model.q_upper[i - 2]],
-            solref_limit=[2.0 * self._dt, 1.0], solimp_limit=IMPEDANCE,
-        )  # fmt: skip
+            solref_limit=[2.0 * self._dt, 1.0],
+            solimp_limit=IMPEDANCE,
+        )
 
     def _add_shape(self, body: Any, name: str, shape: CollisionShape) -> None:
         points = vertices(shape.geometry)

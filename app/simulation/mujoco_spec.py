@@ -68,19 +68,34 @@ class Spec:
         axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
         self._inertias[name] = inertia.mass, moments
         return parent.add_body(
-            name=name, **_pose(T), mass=1.0, inertia=[1.0, 1.0, 1.0], explicitinertial=True,
-            ipos=inertia.lever, iquat=_quaternion(axes),
-        )  # fmt: skip
+            name=name,
+            **_pose(T),
+            mass=1.0,
+            inertia=[1.0, 1.0, 1.0],
+            explicitinertial=True,
+            ipos=inertia.lever,
+            iquat=_quaternion(axes),
+        )
 
     def add_geom(
-        self, body: Any, name: str, kind: mujoco.mjtGeom, size: Sequence[float] | Array = (),
-        T: pin.SE3 | None = None, mesh: str = "",
-    ) -> None:  # fmt: skip
+        self,
+        body: Any,
+        name: str,
+        kind: mujoco.mjtGeom,
+        size: Sequence[float] | Array = (),
+        T: pin.SE3 | None = None,
+        mesh: str = "",
+    ) -> None:
         """A shape at a pose in its body, that touches nothing but what `allow` names."""
         body.add_geom(
-            name=name, type=kind, size=[*size, 0, 0, 0][:3], **_pose(T or pin.SE3.Identity()),
-            meshname=mesh, contype=0, conaffinity=0,
-        )  # fmt: skip
+            name=name,
+            type=kind,
+            size=[*size, 0, 0, 0][:3],
+            **_pose(T or pin.SE3.Identity()),
+            meshname=mesh,
+            contype=0,
+            conaffinity=0,
+        )
 
     def add_motor(
         self, body: Any, name: str, kind: mujoco.mjtJoint, axis: Sequence[float], most: float
@@ -103,14 +118,21 @@ class Spec:
     def friction(self, most: float) -> dict[str, Any]:
         """A joint's dry friction [N or N m], which ends all motion that it can within a step."""
         return {
-            "frictionloss": most, "solref_friction": [-1.0, -_STIFFEST / self._dt],
+            "frictionloss": most,
+            "solref_friction": [-1.0, -_STIFFEST / self._dt],
             "solimp_friction": [_STIFFEST, _STIFFEST, 0.001, 0.5, 2.0],
-        }  # fmt: skip
+        }
 
     def allow(
-        self, group: str | None, some: Iterable[str], others: Iterable[str], *,
-        friction: float = _FRICTION, firmness: Sequence[float] = FIRM, **contact: Any,
-    ) -> None:  # fmt: skip
+        self,
+        group: str | None,
+        some: Iterable[str],
+        others: Iterable[str],
+        *,
+        friction: float = _FRICTION,
+        firmness: Sequence[float] = FIRM,
+        **contact: Any,
+    ) -> None:
         """Let each geom of some touch each of others.
 
         Args:
@@ -125,9 +147,12 @@ class Spec:
         for a, b in product(some, others):
             self.pairs[frozenset((a, b))] = group
             self.spec.add_pair(
-                geomname1=a, geomname2=b, condim=3 if friction else 1,
-                friction=[friction, friction, 0.0, 0.0, 0.0], **contact,
-            )  # fmt: skip
+                geomname1=a,
+                geomname2=b,
+                condim=3 if friction else 1,
+                friction=[friction, friction, 0.0, 0.0, 0.0],
+                **contact,
+            )
 
     def compile(self) -> mujoco.MjModel:
         """The model, with the inertias as they are."""

@@ -40,9 +40,13 @@ class MujocoWheels:
     """`Physics` with wheels that push on the floor."""
 
     def __init__(
-        self, model: RobotModel, *, dt: float = 0.001, outer: Sequence[str] | None = None,
+        self,
+        model: RobotModel,
+        *,
+        dt: float = 0.001,
+        outer: Sequence[str] | None = None,
         door: OpenDoor | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Load the robot at rest in its ready position.
 
         Args:

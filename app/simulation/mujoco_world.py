@@ -59,9 +59,8 @@ class MujocoWorld:
         return rows
 
     def step(
-        self, u_a: Array, speeds: Sequence[float], hand_force: Array,
-        pushes: Sequence[Push] = (),
-    ) -> None:  # fmt: skip
+        self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
+    ) -> None:
         """Advance by one step.
 
         Args:

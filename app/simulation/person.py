@@ -72,9 +72,15 @@ def _shorten(vector: Array, longest: float) -> None:
 
 @compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8)")
 def _pull(
-    hand: Array, target: Array, p_ee: Array, v_ee: Array, stiffness: float, damping: float,
-    f_max: float, dt: float,
-) -> tuple[Array, Array]:  # fmt: skip
+    hand: Array,
+    target: Array,
+    p_ee: Array,
+    v_ee: Array,
+    stiffness: float,
+    damping: float,
+    f_max: float,
+    dt: float,
+) -> tuple[Array, Array]:
     """Move the person's hand for one period: p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
 
     Args:
@@ -104,9 +110,16 @@ def _pull(
 
 @compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8, f8)")
 def _push_mass(
-    held: Array, p: Array, p_ee: Array, v_ee: Array, stiffness: float, damping: float,
-    f_max: float, mass: float, dt: float,
-) -> tuple[Array, Array]:  # fmt: skip
+    held: Array,
+    p: Array,
+    p_ee: Array,
+    v_ee: Array,
+    stiffness: float,
+    damping: float,
+    f_max: float,
+    mass: float,
+    dt: float,
+) -> tuple[Array, Array]:
     """Move the mass in the hand for one period; m ẍ = F - G, by the implicit Euler rule.
 
     F = K' (p - x) - D ẋ, no stronger than f_max, moves it, and the grip G = k (x - p_ee) +

@@ -35,9 +35,13 @@ def chosen_plant(name: str | None) -> str:
 
 
 def make_physics(
-    kind: str | None, model: RobotModel, *, dt: float = 0.001, seed: int = 0,
+    kind: str | None,
+    model: RobotModel,
+    *,
+    dt: float = 0.001,
+    seed: int = 0,
     door: OpenDoor | None = None,
-) -> Physics:  # fmt: skip
+) -> Physics:
     """The plant of that name, at rest in the robot's ready position.
 
     Args:

@@ -67,9 +67,11 @@ def ghost_reading(ghost: Ghost) -> GhostReading:
     """A ghost after its last control step; shares no memory with it, and is read-only."""
     reading = ghost.reading()
     return reading._replace(
-        base_pose=_frozen(reading.base_pose), q_m=_frozen(reading.q_m),
-        wheel_angles=_frozen(reading.wheel_angles), p_ee=_frozen(reading.p_ee),
-    )  # fmt: skip
+        base_pose=_frozen(reading.base_pose),
+        q_m=_frozen(reading.q_m),
+        wheel_angles=_frozen(reading.wheel_angles),
+        p_ee=_frozen(reading.p_ee),
+    )
 
 
 def _door_view(session: Session, step: Step) -> DoorView | None:

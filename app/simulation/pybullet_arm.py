@@ -24,9 +24,12 @@ class BulletArm:
         self._tool = arm.end_effector_xyz_m
         # pybullet puts a holding motor on every joint: torque control needs it off, once.
         pybullet.setJointMotorControlArray(
-            world.robot, self.joints, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self.joints),
+            world.robot,
+            self.joints,
+            pybullet.VELOCITY_CONTROL,
+            forces=[0.0] * len(self.joints),
             physicsClientId=world.client,
-        )  # fmt: skip
+        )
 
     def reset(self, q_m: Array) -> None:
         """Put the arm at rest at joints `q_m`, (n_m,) [rad or m]."""
@@ -38,9 +41,12 @@ class BulletArm:
     def drive(self, u_a: Array) -> None:
         """Torques (n_m,) [N m or N] for the next step."""
         pybullet.setJointMotorControlArray(
-            self._world.robot, self.joints, pybullet.TORQUE_CONTROL, forces=u_a.tolist(),
+            self._world.robot,
+            self.joints,
+            pybullet.TORQUE_CONTROL,
+            forces=u_a.tolist(),
             physicsClientId=self._world.client,
-        )  # fmt: skip
+        )
 
     def push(self, force: Array, pushes: Sequence[Push] = ()) -> None:
         """Forces of the world for the next step.

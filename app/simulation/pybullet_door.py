@@ -102,21 +102,30 @@ class BulletDoor:
             path = Path(folder) / "refrigerator.urdf"
             path.write_text(_refrigerator_urdf(self.door, self._cabinet), encoding="utf-8")
             body = pybullet.loadURDF(
-                str(path), basePosition=(*_AWAY, self._cabinet.T_world.translation[2]),
-                flags=pybullet.URDF_USE_INERTIA_FROM_FILE, physicsClientId=client,
-            )  # fmt: skip
+                str(path),
+                basePosition=(*_AWAY, self._cabinet.T_world.translation[2]),
+                flags=pybullet.URDF_USE_INERTIA_FROM_FILE,
+                physicsClientId=client,
+            )
         pybullet.changeDynamics(
-            body, _DOOR, contactStiffness=_SEAL_STIFFNESS, contactDamping=_SEAL_DAMPING,
+            body,
+            _DOOR,
+            contactStiffness=_SEAL_STIFFNESS,
+            contactDamping=_SEAL_DAMPING,
             physicsClientId=client,
-        )  # fmt: skip
+        )
         for i in (-1, _DOOR):
             pybullet.changeDynamics(
                 body, i, linearDamping=0, angularDamping=0, jointDamping=0, physicsClientId=client
             )
         pybullet.setJointMotorControl2(
-            body, _DOOR, pybullet.VELOCITY_CONTROL, targetVelocity=0.0, force=self.door.friction,
+            body,
+            _DOOR,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocity=0.0,
+            force=self.door.friction,
             physicsClientId=client,
-        )  # fmt: skip
+        )
         return body
 
     def _allow_contacts(self, mobile_links: Iterable[str]) -> None:
@@ -125,9 +134,13 @@ class BulletDoor:
         for link in self._world.links.values():
             for part in (-1, _DOOR):
                 pybullet.setCollisionFilterPair(
-                    self._world.robot, self.body, link, part,
-                    int(part == _DOOR and link in touching), physicsClientId=self._world.client,
-                )  # fmt: skip
+                    self._world.robot,
+                    self.body,
+                    link,
+                    part,
+                    int(part == _DOOR and link in touching),
+                    physicsClientId=self._world.client,
+                )
 
     def _take_hold(self) -> None:
         """Fix the hand to the door as the two are now; the frames stand at the end-effector."""
@@ -137,10 +150,16 @@ class BulletDoor:
         links = (robot, self._hand), (self.body, _DOOR)
         frames = [pin.SE3ToXYZQUAT(self._com_pose(*link).inverse() * T_ee) for link in links]
         self._grasp = pybullet.createConstraint(
-            robot, self._hand, self.body, _DOOR, pybullet.JOINT_FIXED, [0, 0, 0],
-            *(frame[:3].tolist() for frame in frames), *(frame[3:].tolist() for frame in frames),
+            robot,
+            self._hand,
+            self.body,
+            _DOOR,
+            pybullet.JOINT_FIXED,
+            [0, 0, 0],
+            *(frame[:3].tolist() for frame in frames),
+            *(frame[3:].tolist() for frame in frames),
             physicsClientId=client,
-        )  # fmt: skip
+        )
         pybullet.changeConstraint(self._grasp, maxForce=_GRASP_FORCE, physicsClientId=client)
 
     def _com_pose(self, body: int, link: int) -> pin.SE3:
@@ -152,9 +171,11 @@ class BulletDoor:
 
     def _hand_pose(self) -> pin.SE3:
         link = pybullet.getLinkState(
-            self._world.robot, self._hand, computeForwardKinematics=1,
+            self._world.robot,
+            self._hand,
+            computeForwardKinematics=1,
             physicsClientId=self._world.client,
-        )  # fmt: skip
+        )
         return pin.XYZQUATToSE3([*link[4], *link[5]]) * self._T_link_ee
 
 

@@ -30,9 +30,13 @@ class PybulletPlanar:
     """`Physics` with an ideal contact of the wheels up to their traction."""
 
     def __init__(
-        self, model: RobotModel, *, dt: float = 0.001, outer: Sequence[str] | None = None,
+        self,
+        model: RobotModel,
+        *,
+        dt: float = 0.001,
+        outer: Sequence[str] | None = None,
         door: OpenDoor | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Load the robot at rest in its ready position.
 
         Args:
@@ -94,10 +98,13 @@ class PybulletPlanar:
         velocity = self._drive.step(base_velocity)
         twist = world_twist((self._T @ velocity).tolist(), self._heading_now(), self.dt)
         pybullet.setJointMotorControlArray(
-            self.world.robot, self._planar, pybullet.VELOCITY_CONTROL,
-            targetVelocities=twist, forces=self._limits,
+            self.world.robot,
+            self._planar,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=twist,
+            forces=self._limits,
             physicsClientId=self.world.client,
-        )  # fmt: skip
+        )
         self.arm.drive(u_a)
         self.arm.push(hand_force, pushes)
         self.world.step()

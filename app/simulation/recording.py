@@ -105,14 +105,24 @@ class Recorder:
         out = step.output
         self._batch.add(
             _Taken(
-                step.t, step.duration, step.distances,
+                step.t,
+                step.duration,
+                step.distances,
                 max(map(_BETA, out.avoidance.pairs), default=0.0) >= 1.0,
-                step.contacts, not out.solved, step.ee_error, out.activation, step.hand_force,
-                out.u_a, step.truth.base_pose, out.base_acceleration,
-                out.inserted.base_acceleration, step.truth.qd_m, bool(step.pulls),
+                step.contacts,
+                not out.solved,
+                step.ee_error,
+                out.activation,
+                step.hand_force,
+                out.u_a,
+                step.truth.base_pose,
+                out.base_acceleration,
+                out.inserted.base_acceleration,
+                step.truth.qd_m,
+                bool(step.pulls),
                 step.hand_speed,
             )
-        )  # fmt: skip
+        )
 
     def _begin(self, step: Step) -> None:
         self._first = step
@@ -124,10 +134,23 @@ class Recorder:
 
     def _take(self, steps: Sequence[_Taken]) -> None:
         (
-            times, durations, distances, near, contacts, failed, errors, activations, forces,
-            torques, poses, asked, inserted, joint_speeds, held,
+            times,
+            durations,
+            distances,
+            near,
+            contacts,
+            failed,
+            errors,
+            activations,
+            forces,
+            torques,
+            poses,
+            asked,
+            inserted,
+            joint_speeds,
+            held,
             hand_speeds,
-        ) = zip(*steps, strict=True)  # fmt: skip
+        ) = zip(*steps, strict=True)
         self._durations += durations
         by_pair = zip(*distances, strict=True)
         self._least = [min(least, *now) for least, now in zip(self._least, by_pair, strict=True)]
@@ -270,15 +293,25 @@ def _columns(step: Step, axes: Sequence[Axis]) -> list[str]:
     joints = range(1, len(step.truth.q_m) + 1)
     pairs = [pair.closest.pair.name for pair in step.output.avoidance.pairs]
     return [
-        "t_s", "base_x_m", "base_y_m", "base_yaw_rad",
+        "t_s",
+        "base_x_m",
+        "base_y_m",
+        "base_yaw_rad",
         *(f"{name}_{axis.velocity}" for name in ("base", "command") for axis in axes),
-        *(f"q{i}_rad" for i in joints), *(f"qd{i}_radps" for i in joints),
+        *(f"q{i}_rad" for i in joints),
+        *(f"qd{i}_radps" for i in joints),
         *(f"u{i}_nm" for i in joints),
-        *(column for name in pairs for column in (f"d_{name}_m", f"beta_{name}")), "beta_m",
+        *(column for name in pairs for column in (f"d_{name}_m", f"beta_{name}")),
+        "beta_m",
         *(f"{name}_{axis.acceleration}" for name in ("base", "avoidance") for axis in axes),
-        "hand_fx_n", "hand_fy_n", "hand_fz_n", "ee_error_m", "contact", "arm_contact",
+        "hand_fx_n",
+        "hand_fy_n",
+        "hand_fz_n",
+        "ee_error_m",
+        "contact",
+        "arm_contact",
         *(() if step.door is None else door_columns(step)),
-    ]  # fmt: skip
+    ]
 
 
 def _values(step: Step) -> list[float]:
@@ -286,11 +319,20 @@ def _values(step: Step) -> list[float]:
     m, out = step.truth, step.output
     betas = map(_BETA, out.avoidance.pairs)
     return [
-        step.t, *m.base_pose.tolist(), *m.base_velocity.tolist(), *step.base_command.tolist(),
-        *m.q_m.tolist(), *m.qd_m.tolist(), *out.u_a.tolist(),
-        *chain.from_iterable(zip(step.distances, betas, strict=True)), out.avoidance.beta_m,
-        *out.base_acceleration.tolist(), *out.inserted.base_acceleration.tolist(),
-        *step.hand_force.tolist(), step.ee_error,
-        int(step.contacts.arm_base), int(step.contacts.arm_arm),
+        step.t,
+        *m.base_pose.tolist(),
+        *m.base_velocity.tolist(),
+        *step.base_command.tolist(),
+        *m.q_m.tolist(),
+        *m.qd_m.tolist(),
+        *out.u_a.tolist(),
+        *chain.from_iterable(zip(step.distances, betas, strict=True)),
+        out.avoidance.beta_m,
+        *out.base_acceleration.tolist(),
+        *out.inserted.base_acceleration.tolist(),
+        *step.hand_force.tolist(),
+        step.ee_error,
+        int(step.contacts.arm_base),
+        int(step.contacts.arm_arm),
         *(() if step.door is None else door_columns(step).values()),
-    ]  # fmt: skip
+    ]

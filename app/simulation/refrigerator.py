@@ -95,8 +95,10 @@ class RefrigeratorScenario(Scenario):
         return Door(
             hinge=self.hinge,
             hinge_position=self.hinge_position or (1.0, side * _HINGE_BESIDE),
-            yaw=math.radians(self.door_yaw), width=self.door_width, friction=self.door_friction,
-        )  # fmt: skip
+            yaw=math.radians(self.door_yaw),
+            width=self.door_width,
+            friction=self.door_friction,
+        )
 
     @property
     def base_pose(self) -> Array:
@@ -174,8 +176,10 @@ class _Opener:
         truth = self._door.radial(T_ee.translation)
         guess = self._opening.radial(T_ee)
         reading = DoorReading(
-            session.physics.door.angle(), wrench.force, float(wrench.force[:2] @ truth),
+            session.physics.door.angle(),
+            wrench.force,
+            float(wrench.force[:2] @ truth),
             math.atan2(truth[0] * guess[1] - truth[1] * guess[0], float(truth @ guess[:2])),
-        )  # fmt: skip
+        )
         reference = self._opening.step(HandReading(T_ee, velocity, wrench.force, wrench.torque))
         return Lead(reference=reference, door=reading)

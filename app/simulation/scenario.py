@@ -13,33 +13,58 @@ LINES = {
     scenario.name: scenario
     for scenario in (
         LineScenario(
-            "guiding-lateral", 8.0, "a person pulls the hand from the side towards the base",
-            "guiding", (0.30, 0.72, 0.30), (0.0, -0.25, 0.0), 0.6,
+            "guiding-lateral",
+            8.0,
+            "a person pulls the hand from the side towards the base",
+            "guiding",
+            (0.30, 0.72, 0.30),
+            (0.0, -0.25, 0.0),
+            0.6,
         ),
         LineScenario(
-            "guiding-front", 8.0, "a person pulls the hand from the front towards the base",
-            "guiding", (0.92, 0.10, 0.30), (-0.30, 0.0, 0.0), 0.6,
+            "guiding-front",
+            8.0,
+            "a person pulls the hand from the front towards the base",
+            "guiding",
+            (0.92, 0.10, 0.30),
+            (-0.30, 0.0, 0.0),
+            0.6,
         ),
         LineScenario(
-            "guiding-above", 8.0, "a person pulls the hand down onto the base's top",
-            "guiding", (-0.20, 0.15, 0.75), (0.0, 0.0, -0.40), 0.6,
+            "guiding-above",
+            8.0,
+            "a person pulls the hand down onto the base's top",
+            "guiding",
+            (-0.20, 0.15, 0.75),
+            (0.0, 0.0, -0.40),
+            0.6,
         ),
         LineScenario(
-            "guiding-fold", 8.0, "a person pulls the hand into the arm's own column",
-            "guiding", (0.75, 0.10, 0.75), (-0.40, -0.10, 0.0), 0.6,
+            "guiding-fold",
+            8.0,
+            "a person pulls the hand into the arm's own column",
+            "guiding",
+            (0.75, 0.10, 0.75),
+            (-0.40, -0.10, 0.0),
+            0.6,
         ),
         LineScenario(
-            "tracking", 30.0,
+            "tracking",
+            30.0,
             "the hand tracks a line of 0.2 m towards the base's side, its orientation held",
-            "tracking", (0.30, 0.68, 0.30), (0.0, -0.2, 0.0), 1.0,
+            "tracking",
+            (0.30, 0.68, 0.30),
+            (0.0, -0.2, 0.0),
+            1.0,
         ),
     )
-}  # fmt: skip
+}
 """Scenarios in which the hand is led on a straight line."""
 
 SCENARIOS: dict[str, Scenario] = {
-    **LINES, **{s.name: s for s in (RefrigeratorScenario(), WayOutScenario())}
-}  # fmt: skip
+    **LINES,
+    **{s.name: s for s in (RefrigeratorScenario(), WayOutScenario())},
+}
 
 
 _SAME_LINE = {"tracking": "guiding-lateral"}

@@ -224,11 +224,25 @@ class Session:
         )
         felt = person.hand if door is None else door.force
         step = Step(
-            self.t, measurement, output, command, target, felt, error,
-            self.physics.contacts(), duration, truth, self._truth.distances, self._look(output),
-            door, tuple(pulls), person, reference, self.controller.given_up,
+            self.t,
+            measurement,
+            output,
+            command,
+            target,
+            felt,
+            error,
+            self.physics.contacts(),
+            duration,
+            truth,
+            self._truth.distances,
+            self._look(output),
+            door,
+            tuple(pulls),
+            person,
+            reference,
+            self.controller.given_up,
             math.hypot(*state.v_ee[:3].tolist()),
-        )  # fmt: skip
+        )
         self.t += DT
         return step
 

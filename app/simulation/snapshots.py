@@ -165,9 +165,11 @@ class Photographer:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None,
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
         trace: TracebackType | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.close()
 
     def close(self) -> None:
@@ -177,9 +179,14 @@ class Photographer:
             self._client = -1
 
     def take(
-        self, base_pose: Sequence[float] | Array, q_m: Sequence[float] | Array, camera: Camera,
-        solids: Iterable[Solid] = (), *, robot: bool = True,
-    ) -> Picture:  # fmt: skip
+        self,
+        base_pose: Sequence[float] | Array,
+        q_m: Sequence[float] | Array,
+        camera: Camera,
+        solids: Iterable[Solid] = (),
+        *,
+        robot: bool = True,
+    ) -> Picture:
         """A picture of the robot.
 
         Args:
@@ -211,16 +218,22 @@ class Photographer:
         rgb = np.where(background[..., None], lit, rgb)
         return Picture(
             _smaller(rgb).round().astype(np.uint8),
-            _smaller(background[..., None].astype(float))[..., 0] > 0.5, *camera.matrices(),
-        )  # fmt: skip
+            _smaller(background[..., None].astype(float))[..., 0] > 0.5,
+            *camera.matrices(),
+        )
 
     def _sunlight(self, camera: Camera, floor: Array) -> Array:
         """(height, width) how bright the floor is: what the light does not see lies in shadow."""
         x, y, z = _LIGHT
         sun = Camera(
-            camera.target, _SUN, camera.yaw + math.atan2(y, x), math.atan2(z, math.hypot(x, y)),
-            _SHADOW_PIXELS, _SHADOW_PIXELS, 2 * math.atan(_SHADOW_SIZE / _SUN),
-        )  # fmt: skip
+            camera.target,
+            _SUN,
+            camera.yaw + math.atan2(y, x),
+            math.atan2(z, math.hypot(x, y)),
+            _SHADOW_PIXELS,
+            _SHADOW_PIXELS,
+            2 * math.atan(_SHADOW_SIZE / _SUN),
+        )
         covered = ndimage.gaussian_filter((self._shoot(sun)[1] >= 0).astype(float), _SOFTNESS)
         at = _project(floor.reshape(-1, 3), *sun.matrices())
         row, column = (1 - at[:, 1]) / 2 * _SHADOW_PIXELS, (at[:, 0] + 1) / 2 * _SHADOW_PIXELS
@@ -233,12 +246,20 @@ class Photographer:
         c, s = math.cos(camera.yaw), math.sin(camera.yaw)
         x, y, z = _LIGHT
         image = pybullet.getCameraImage(
-            camera.width, camera.height, view.T.ravel().tolist(), projection.T.ravel().tolist(),
-            lightDirection=[c * x - s * y, s * x + c * y, z], lightColor=[1, 1, 1],
-            lightDistance=10, shadow=0, lightAmbientCoeff=0.6, lightDiffuseCoeff=0.45,
-            lightSpecularCoeff=0.08, renderer=pybullet.ER_TINY_RENDERER,
+            camera.width,
+            camera.height,
+            view.T.ravel().tolist(),
+            projection.T.ravel().tolist(),
+            lightDirection=[c * x - s * y, s * x + c * y, z],
+            lightColor=[1, 1, 1],
+            lightDistance=10,
+            shadow=0,
+            lightAmbientCoeff=0.6,
+            lightDiffuseCoeff=0.45,
+            lightSpecularCoeff=0.08,
+            renderer=pybullet.ER_TINY_RENDERER,
             physicsClientId=self._client,
-        )  # fmt: skip
+        )
         shape = camera.height, camera.width
         rgb = np.reshape(image[2], (*shape, 4))[..., :3].astype(float)
         return rgb, np.reshape(image[4], shape)
@@ -267,9 +288,11 @@ class Photographer:
                 str(flat.export(file_type="obj", include_normals=True)), encoding="utf-8"
             )
             shape = pybullet.createVisualShape(
-                pybullet.GEOM_MESH, fileName=str(path), rgbaColor=list(solid.rgba),
+                pybullet.GEOM_MESH,
+                fileName=str(path),
+                rgbaColor=list(solid.rgba),
                 physicsClientId=self._client,
-            )  # fmt: skip
+            )
             return pybullet.createMultiBody(0, -1, shape, physicsClientId=self._client)
 
 

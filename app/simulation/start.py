@@ -62,9 +62,13 @@ class StartSolver:
         self._points_anywhere = bool(np.linalg.matrix_rank(J, tol=_LOST) == 6)
 
     def solve(
-        self, p_ee: tuple[float, float, float], *, seed: int = 0, turn: float = 0.0,
+        self,
+        p_ee: tuple[float, float, float],
+        *,
+        seed: int = 0,
+        turn: float = 0.0,
         tries: int = _SEEDS,
-    ) -> Array:  # fmt: skip
+    ) -> Array:
         """(n_m,) arm configuration with the end-effector at `p_ee` [m] in the world.
 
         Args:

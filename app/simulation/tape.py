@@ -63,9 +63,11 @@ class Tape:
 
 
 def filmed(
-    steps: Generator[tuple[Session, Step], None, None], scenario: Scenario, times: Sequence[float],
+    steps: Generator[tuple[Session, Step], None, None],
+    scenario: Scenario,
+    times: Sequence[float],
     on_progress: Callable[[float], None] = lambda _: None,
-) -> list[Snapshot]:  # fmt: skip
+) -> list[Snapshot]:
     """Snapshots of a run up to the last of some times, those of the times themselves among them.
 
     Args:

@@ -39,9 +39,10 @@ class Wheels:
         pin.forwardKinematics(full, data, pin.neutral(full))
         ids = [full.getJointId(n) for n in (*base.right_wheel_joints, *base.left_wheel_joints)]
         self.links = {
-            frame.name for frame in full.frames
+            frame.name
+            for frame in full.frames
             if frame.parentJoint in ids and frame.type == pin.FrameType.BODY
-        }  # fmt: skip
+        }
         places = [data.oMi[i] for i in ids] or [
             pin.SE3(np.eye(3), np.array([0.0, y, r]))
             for y in (-base.half_track_m, base.half_track_m)

@@ -105,10 +105,17 @@ class Case(Strict):
     def scenario(self) -> PosedLine:
         """The pull."""
         return PosedLine(
-            self.name, self.duration, f"{self.kind}, case {self.number} of a study", "guiding",
-            self.start, self.move, self.moving, self.q_m,
-            release_at=self.release_at, regrasp_at=self.regrasp_at,
-        )  # fmt: skip
+            self.name,
+            self.duration,
+            f"{self.kind}, case {self.number} of a study",
+            "guiding",
+            self.start,
+            self.move,
+            self.moving,
+            self.q_m,
+            release_at=self.release_at,
+            regrasp_at=self.regrasp_at,
+        )
 
     def config(self) -> Config:
         """The parameters: the defaults, but for what the case draws.

@@ -63,10 +63,16 @@ def cluster(scheduler: str | None, processes: int) -> Iterator[Client]:
 def _local(processes: int) -> Iterator[LocalCluster]:
     with interrupts_ignored():
         local = LocalCluster(
-            n_workers=processes, threads_per_worker=1, processes=True, host=_HOST,
-            dashboard_address=f"{_HOST}:0", worker_dashboard_address=f"{_HOST}:0",
-            scheduler_kwargs={"dashboard": False}, memory_limit=0, silence_logs=logging.CRITICAL,
-        )  # fmt: skip
+            n_workers=processes,
+            threads_per_worker=1,
+            processes=True,
+            host=_HOST,
+            dashboard_address=f"{_HOST}:0",
+            worker_dashboard_address=f"{_HOST}:0",
+            scheduler_kwargs={"dashboard": False},
+            memory_limit=0,
+            silence_logs=logging.CRITICAL,
+        )
     try:
         yield local
     finally:

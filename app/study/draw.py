@@ -28,9 +28,11 @@ _APART = 0.1, 0.9  # [-] of the time after the pull, for which the person does n
 
 
 def draw_case(
-    parameters: StudyParameters, number: int, sources: StudySources,
+    parameters: StudyParameters,
+    number: int,
+    sources: StudySources,
     envelope: Envelope | None = None,
-) -> Case:  # fmt: skip
+) -> Case:
     """The case of that number.
 
     Its random numbers come from a stream of its own, so it depends on the study and its number
@@ -54,13 +56,23 @@ def draw_case(
     move, duration, moving = _timed(move, drawn["speed"], ranges.duration)
     release_at, regrasp_at = _draw_release(ranges, duration, moving, rng)
     return Case(
-        study_seed=parameters.seed, number=number,
-        kind=f"{start.sector}, along" if along else start.sector, redraws=redraws,
-        robot=parameters.robot, controller=parameters.controller, physics=parameters.physics,
-        start=_triple(start.p), move=_triple(move), duration=duration, moving=moving,
-        release_at=release_at, regrasp_at=regrasp_at,
-        q_m=tuple(q_m.tolist()), seed=int(rng.integers(2**32)), **drawn,
-    )  # fmt: skip
+        study_seed=parameters.seed,
+        number=number,
+        kind=f"{start.sector}, along" if along else start.sector,
+        redraws=redraws,
+        robot=parameters.robot,
+        controller=parameters.controller,
+        physics=parameters.physics,
+        start=_triple(start.p),
+        move=_triple(move),
+        duration=duration,
+        moving=moving,
+        release_at=release_at,
+        regrasp_at=regrasp_at,
+        q_m=tuple(q_m.tolist()),
+        seed=int(rng.integers(2**32)),
+        **drawn,
+    )
 
 
 def _draw_values(

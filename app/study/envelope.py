@@ -35,10 +35,15 @@ _GRAIN = 1.0  # [N] to which forces are rounded, downwards
 _CONFIDENCE = 0.95  # [-] of the bound of a rate
 _OTHERS = ("v_max", "encoder_noise", "mass_error", "slip", "hand_stiffness", "hand_mass")
 _COLUMNS = {
-    "speed": "speed_mps", "base_delay": "base_delay_s", "v_max": "v_max_mps",
-    "encoder_noise": "encoder_noise_rad", "mass_error": "mass_error", "slip": "slip",
-    "hand_stiffness": "hand_stiffness_npm", "hand_mass": "hand_mass_kg",
-}  # fmt: skip
+    "speed": "speed_mps",
+    "base_delay": "base_delay_s",
+    "v_max": "v_max_mps",
+    "encoder_noise": "encoder_noise_rad",
+    "mass_error": "mass_error",
+    "slip": "slip",
+    "hand_stiffness": "hand_stiffness_npm",
+    "hand_mass": "hand_mass_kg",
+}
 FORCE = "hand_force_clear_max_n"
 """Column of a row with the force that was exerted before two bodies were near."""
 
@@ -185,23 +190,26 @@ def fit_envelope(rows: Sequence[Row], ranges: StudyRange) -> Envelope:
 
     def limit(i: int, j: int) -> float:
         easier = (
-            exerted(row) for row in bad
+            exerted(row)
+            for row in bad
             if row["speed_mps"] <= speed[i + 1] and row["base_delay_s"] <= delay[j + 1]
-        )  # fmt: skip
+        )
         as_hard = (
-            exerted(row) for row in good
+            exerted(row)
+            for row in good
             if row["speed_mps"] >= speed[i] and row["base_delay_s"] >= delay[j]
-        )  # fmt: skip
+        )
         safe = min(MARGIN * min(easier, default=math.inf), max(as_hard, default=0.0))
         return math.floor(safe / _GRAIN + 1e-9) * _GRAIN
 
     return Envelope(
-        speed=speed, base_delay=delay,
+        speed=speed,
+        base_delay=delay,
         force=tuple(
             tuple(limit(i, j) for j in range(len(delay) - 1)) for i in range(len(speed) - 1)
         ),
         **{name: getattr(ranges, name) for name in _OTHERS},
-    )  # fmt: skip
+    )
 
 
 def tally(rows: Sequence[Row]) -> Tally:

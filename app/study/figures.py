@@ -59,9 +59,10 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope) -> Figure:
         axes.stairs(limits, envelope.speed, baseline=None, color=INK, linewidth=2, zorder=3)
         last = j == bands - 1
         here = [
-            row for row in known
+            row
+            for row in known
             if edges[j] <= row["base_delay_s"] and (last or row["base_delay_s"] < edges[j + 1])
-        ]  # fmt: skip
+        ]
         points = _scatter(axes, here, "speed_mps", FORCE) or points
         axes.set_title(f"delay of the base {edges[j]:.2f} to {edges[j + 1]:.2f} s")
         axes.set_xlabel("speed of the person's hand [m/s]")
@@ -83,10 +84,12 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope, d_b: float) -> Figur
     inside = [row["min_clearance_m"] for row in known if envelope.holds_row(row)]
     outside = [row["min_clearance_m"] for row in known if not envelope.holds_row(row)]
     left.hist(
-        [np.clip(part, bins[0], bins[-1]) for part in (inside, outside)], bins=list(bins),
-        stacked=True, color=[_INSIDE, _OUTSIDE],
+        [np.clip(part, bins[0], bins[-1]) for part in (inside, outside)],
+        bins=list(bins),
+        stacked=True,
+        color=[_INSIDE, _OUTSIDE],
         label=[f"inside, {len(inside)}", f"outside, {len(outside)}"],
-    )  # fmt: skip
+    )
     for value in (0.0, d_b):
         left.axvline(value, color=TARGET if value == 0.0 else SOFT, linewidth=1.2)
     left.set_xlabel("least distance between arm and base [m]; the last bar holds all beyond")
@@ -134,9 +137,11 @@ def draw_places(rows: Sequence[Row], outline: Outline) -> Figure:
             end = np.add(begin, [row[f"move_{across}_m"], row[f"move_{up}_m"]])
             bad = failed(row)
             axes.plot(
-                *np.column_stack([begin, end]), color=TARGET if bad else SOFT, linewidth=0.8,
+                *np.column_stack([begin, end]),
+                color=TARGET if bad else SOFT,
+                linewidth=0.8,
                 alpha=0.9 if bad else 0.4,
-            )  # fmt: skip
+            )
         points = _scatter(axes, rows, f"start_{across}_m", f"start_{up}_m") or points
         axes.set_aspect("equal")
         axes.set_xlabel(f"{across} [m]")
@@ -153,10 +158,16 @@ def _scatter(axes: Axes, rows: Sequence[Row], x: str, y: str) -> PathCollection 
     points = None
     if good:
         points = axes.scatter(
-            [row[x] for row in good], [row[y] for row in good],
-            c=[row["min_clearance_m"] for row in good], cmap="viridis",
-            norm=Normalize(*_CLEARANCES), s=16, linewidths=0.4, edgecolors="white", zorder=4,
-        )  # fmt: skip
+            [row[x] for row in good],
+            [row[y] for row in good],
+            c=[row["min_clearance_m"] for row in good],
+            cmap="viridis",
+            norm=Normalize(*_CLEARANCES),
+            s=16,
+            linewidths=0.4,
+            edgecolors="white",
+            zorder=4,
+        )
     for rule, style in _MARKS.values():
         bad = [row for row in rows if failed(row) and rule(row)]
         axes.scatter([r[x] for r in bad], [r[y] for r in bad], zorder=5, **style)
@@ -164,9 +175,7 @@ def _scatter(axes: Axes, rows: Sequence[Row], x: str, y: str) -> PathCollection 
 
 
 _MARKS: dict[str, tuple[Callable[[Row], bool], dict]] = {
-    "arm met base": (
-        met_base, {"marker": "x", "s": 44, "c": TARGET},
-    ),
+    "arm met base": (met_base, {"marker": "x", "s": 44, "c": TARGET}),
     "within the arm": (
         lambda row: met_itself(row) and not met_base(row),
         {"marker": "+", "s": 54, "c": "#882E72"},
@@ -175,7 +184,7 @@ _MARKS: dict[str, tuple[Callable[[Row], bool], dict]] = {
         lambda row: not met_base(row) and not met_itself(row),
         {"marker": "^", "s": 34, "c": "#D55E00"},
     ),
-}  # fmt: skip
+}
 
 
 def _legend(figure: Figure) -> None:

@@ -59,10 +59,7 @@ class Approach:
         """What tells it from others of its kind; keys end in their unit."""
         if self.kind == "above":
             return {"place_x_m": self.place[0], "place_y_m": self.place[1]}
-        found: dict[str, object] = {
-            "height_m": self.height,
-            "direction_deg": self.direction_deg,
-        }
+        found: dict[str, object] = {"height_m": self.height, "direction_deg": self.direction_deg}
         return found | ({"offset_m": self.offset} if self.kind == "wheel_axis" else {})
 
 

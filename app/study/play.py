@@ -22,18 +22,24 @@ TIMES = ("step_p50_us", "step_p99_us", "realtime_factor")
 """Figures of a run that depend on the machine: no study keeps them."""
 
 _INPUTS = {
-    "speed": "speed_mps", "duration": "duration_s", "moving": "moving",
-    "release_at": "release_at_s", "regrasp_at": "regrasp_at_s",
-    "base_delay": "base_delay_s", "encoder_noise": "encoder_noise_rad", "mass_error": "mass_error",
-    "slip": "slip", "v_max": "v_max_mps", "hand_f_max": "hand_f_max_n",
-    "hand_stiffness": "hand_stiffness_npm", "hand_mass": "hand_mass_kg",
-}  # fmt: skip
+    "speed": "speed_mps",
+    "duration": "duration_s",
+    "moving": "moving",
+    "release_at": "release_at_s",
+    "regrasp_at": "regrasp_at_s",
+    "base_delay": "base_delay_s",
+    "encoder_noise": "encoder_noise_rad",
+    "mass_error": "mass_error",
+    "slip": "slip",
+    "v_max": "v_max_mps",
+    "hand_f_max": "hand_f_max_n",
+    "hand_stiffness": "hand_stiffness_npm",
+    "hand_mass": "hand_mass_kg",
+}
 _KNOWN = {"scenario", "controller", "robot", "seed", "duration_s", "physics", "stuck", *TIMES}
 
 
-def run_case(
-    case: Case, model: RobotModel, data: BorderData, *, log: bool = True
-) -> RunResult:  # fmt: skip
+def run_case(case: Case, model: RobotModel, data: BorderData, *, log: bool = True) -> RunResult:
     """The run of a case.
 
     Args:
@@ -46,9 +52,15 @@ def run_case(
         DbbError: It cannot be run on this robot.
     """
     return run_scenario(
-        model, data, case.scenario(), case.config(), controller=case.controller,
-        physics=case.physics, seed=case.seed, log=log,
-    )  # fmt: skip
+        model,
+        data,
+        case.scenario(),
+        case.config(),
+        controller=case.controller,
+        physics=case.physics,
+        seed=case.seed,
+        log=log,
+    )
 
 
 def play_case(case: Case, model: RobotModel, data: BorderData) -> Row:
@@ -101,13 +113,19 @@ def case_of(row: Row, parameters: StudyParameters) -> Case:
     """The case whose row of a study's table this is; the inverse of `inputs_of`."""
     joints = sum(f"q{i}_rad" in row for i in range(1, len(row)))
     return Case(
-        study_seed=parameters.seed, number=row["case"], kind=row["kind"], redraws=row["redraws"],
-        robot=parameters.robot, controller=parameters.controller, physics=parameters.physics,
+        study_seed=parameters.seed,
+        number=row["case"],
+        kind=row["kind"],
+        redraws=row["redraws"],
+        robot=parameters.robot,
+        controller=parameters.controller,
+        physics=parameters.physics,
         start=(row["start_x_m"], row["start_y_m"], row["start_z_m"]),
-        move=(row["move_x_m"], row["move_y_m"], row["move_z_m"]), seed=row["seed"],
+        move=(row["move_x_m"], row["move_y_m"], row["move_z_m"]),
+        seed=row["seed"],
         q_m=tuple(row[f"q{i}_rad"] for i in range(1, joints + 1)),
         **{name: row[column] for name, column in _INPUTS.items()},
-    )  # fmt: skip
+    )
 
 
 def flat(figures: Mapping[str, Any]) -> Row:

@@ -131,10 +131,15 @@ def map_legend(figure: Figure, *, axis: bool) -> None:
     if axis:
         handles.append(
             Line2D(
-                [], [], color=blue, marker="o", markeredgecolor=INK, linestyle="none",
+                [],
+                [],
+                color=blue,
+                marker="o",
+                markeredgecolor=INK,
+                linestyle="none",
                 label="along the wheel axis, $p_b$ at 0, ±1, ±10, ±50 mm",
             )
-        )  # fmt: skip
+        )
     figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=9.5)
 
 
@@ -153,23 +158,38 @@ def _frame(ax: Axes, plan: Plan, quantity: Quantity) -> None:
         radius = _INNER + (_OUTER - _INNER) * quantity.share(value)
         ax.add_patch(
             Circle(
-                (0, 0), radius, fill=False, color=TARGET if limit else SOFT, zorder=4,
-                linewidth=1.4 if limit else 0.7, linestyle=(0, (4, 2)) if limit else "-",
+                (0, 0),
+                radius,
+                fill=False,
+                color=TARGET if limit else SOFT,
+                zorder=4,
+                linewidth=1.4 if limit else 0.7,
+                linestyle=(0, (4, 2)) if limit else "-",
             )
-        )  # fmt: skip
+        )
         angle = math.radians(_MARKS_FROM + _MARKS_STEP * k)
         ax.annotate(
-            text, (radius * math.cos(angle), radius * math.sin(angle)), ha="center", va="center",
-            fontsize=7.5, color=TARGET if limit else "#52606D", zorder=8,
+            text,
+            (radius * math.cos(angle), radius * math.sin(angle)),
+            ha="center",
+            va="center",
+            fontsize=7.5,
+            color=TARGET if limit else "#52606D",
+            zorder=8,
             path_effects=[patheffects.withStroke(linewidth=2.5, foreground="white")],
-        )  # fmt: skip
+        )
     size = plan.upper - plan.lower
     ax.add_patch(
         Rectangle(
-            (plan.lower[0], plan.lower[1]), size[0], size[1], facecolor="#EEF1F4",
-            edgecolor=INK, linewidth=1.2, zorder=3,
+            (plan.lower[0], plan.lower[1]),
+            size[0],
+            size[1],
+            facecolor="#EEF1F4",
+            edgecolor=INK,
+            linewidth=1.2,
+            zorder=3,
         )
-    )  # fmt: skip
+    )
     ax.plot([0, 0], [-1.7, 1.7], color=INK, linewidth=0.9, linestyle=(0, (1, 2)), zorder=5)
     ax.add_patch(Circle((plan.mount[0], plan.mount[1]), 0.07, color=SOFT, zorder=4))
     tip = plan.upper[0]
@@ -179,9 +199,14 @@ def _frame(ax: Axes, plan: Plan, quantity: Quantity) -> None:
         angle = math.radians(degrees)
         far = 2.02 if degrees % 180 else 1.86
         ax.annotate(
-            text, (far * math.cos(angle), far * math.sin(angle)), ha="center", va="center",
-            fontsize=8.5, color=INK, rotation=-90 if degrees == 0 else 90 if degrees == 180 else 0,
-        )  # fmt: skip
+            text,
+            (far * math.cos(angle), far * math.sin(angle)),
+            ha="center",
+            va="center",
+            fontsize=8.5,
+            color=INK,
+            rotation=-90 if degrees == 0 else 90 if degrees == 180 else 0,
+        )
 
 
 def _radius(quantity: Quantity, value: float) -> float:
@@ -194,34 +219,58 @@ def _bar(ax: Axes, row: Row, quantity: Quantity, step: float) -> None:
     if value is None:
         ax.add_patch(
             Wedge(
-                (0, 0), _OUTER, *ends, width=_OUTER - _INNER, facecolor="white", edgecolor=NEVER,
-                hatch=_HATCH, linewidth=0.6, zorder=2,
+                (0, 0),
+                _OUTER,
+                *ends,
+                width=_OUTER - _INNER,
+                facecolor="white",
+                edgecolor=NEVER,
+                hatch=_HATCH,
+                linewidth=0.6,
+                zorder=2,
             )
-        )  # fmt: skip
+        )
     else:
         radius = _radius(quantity, value)
         ax.add_patch(
             Wedge(
-                (0, 0), radius, *ends, width=radius - _INNER, facecolor=quantity.colour(value),
-                linewidth=0, zorder=2,
+                (0, 0),
+                radius,
+                *ends,
+                width=radius - _INNER,
+                facecolor=quantity.colour(value),
+                linewidth=0,
+                zorder=2,
             )
-        )  # fmt: skip
+        )
     if row["contacts"] or row["arm_contacts"]:
         angle = math.radians(middle)
         ax.plot(
-            0.72 * math.cos(angle), 0.72 * math.sin(angle), marker="x", color=INK, markersize=4.5,
+            0.72 * math.cos(angle),
+            0.72 * math.sin(angle),
+            marker="x",
+            color=INK,
+            markersize=4.5,
             zorder=7,
-        )  # fmt: skip
+        )
 
 
 def _closed(ax: Axes, middle: float, step: float) -> None:
     """A direction without a clear start."""
     ax.add_patch(
         Wedge(
-            (0, 0), _OUTER, middle - step / 2, middle + step / 2, width=_OUTER - _INNER,
-            facecolor="white", edgecolor=UNREACHABLE, hatch=_HATCH, linewidth=0, zorder=1,
+            (0, 0),
+            _OUTER,
+            middle - step / 2,
+            middle + step / 2,
+            width=_OUTER - _INNER,
+            facecolor="white",
+            edgecolor=UNREACHABLE,
+            hatch=_HATCH,
+            linewidth=0,
+            zorder=1,
         )
-    )  # fmt: skip
+    )
 
 
 def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
@@ -231,13 +280,18 @@ def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
     turn = -rank if row["direction_deg"] < 180.0 else rank  # positive x is to the right
     angle = math.radians(row["direction_deg"] + _AXIS_STEP * turn)
     ax.plot(
-        _AXIS_RADIUS * math.cos(angle), _AXIS_RADIUS * math.sin(angle), marker="o", markersize=6.5,
-        markerfacecolor=face, markeredgecolor=edge, markeredgewidth=0.8, linestyle="none", zorder=6,
-    )  # fmt: skip
+        _AXIS_RADIUS * math.cos(angle),
+        _AXIS_RADIUS * math.sin(angle),
+        marker="o",
+        markersize=6.5,
+        markerfacecolor=face,
+        markeredgecolor=edge,
+        markeredgewidth=0.8,
+        linestyle="none",
+        zorder=6,
+    )
     if row.get("contacts") or row.get("arm_contacts"):
-        ax.plot(
-            1.9 * math.cos(angle), 1.9 * math.sin(angle), marker="x", color=INK, markersize=4,
-        )  # fmt: skip
+        ax.plot(1.9 * math.cos(angle), 1.9 * math.sin(angle), marker="x", color=INK, markersize=4)
 
 
 def _mark_colour(row: Row, quantity: Quantity) -> object:

@@ -49,12 +49,23 @@ def _frame(ax: Axes, plan: Plan) -> None:
     size = plan.upper - plan.lower
     ax.add_patch(
         Rectangle(
-            (plan.lower[0], plan.lower[1]), size[0], size[1], fill=False, edgecolor=INK,
-            linewidth=1.2, zorder=3,
+            (plan.lower[0], plan.lower[1]),
+            size[0],
+            size[1],
+            fill=False,
+            edgecolor=INK,
+            linewidth=1.2,
+            zorder=3,
         )
-    )  # fmt: skip
-    ax.plot([0, 0], [plan.lower[1] - 0.1, plan.upper[1] + 0.1], color=INK, linewidth=0.9,
-            linestyle=(0, (1, 2)), zorder=4)  # fmt: skip
+    )
+    ax.plot(
+        [0, 0],
+        [plan.lower[1] - 0.1, plan.upper[1] + 0.1],
+        color=INK,
+        linewidth=0.9,
+        linestyle=(0, (1, 2)),
+        zorder=4,
+    )
     ax.add_patch(Circle((plan.mount[0], plan.mount[1]), 0.05, color=SOFT, zorder=4))
     ax.set(xlabel="x of the base [m]", ylabel="y of the base [m]")
     ax.set(xlim=(plan.lower[0] - 0.15, plan.upper[0] + 0.15))

@@ -75,16 +75,34 @@ def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
     widest = 0.05 * math.ceil(max((row["start_clearance_m"] for row in rows), default=0.2) / 0.05)
     return (
         Quantity(
-            "ee_error_final_m", "final error of the hand", 1e-6, 0.3, ERROR_LIMIT,
-            ((1e-5, "10 µm"), (ERROR_LIMIT, "1 mm"), (0.1, "100 mm")), scale="logarithmic",
+            "ee_error_final_m",
+            "final error of the hand",
+            1e-6,
+            0.3,
+            ERROR_LIMIT,
+            ((1e-5, "10 µm"), (ERROR_LIMIT, "1 mm"), (0.1, "100 mm")),
+            scale="logarithmic",
         ),
         Quantity(
-            "min_clearance_m", "least distance to the base", 0.0, widest, CLEARANCE_LIMIT,
-            ((CLEARANCE_LIMIT, f"{CLEARANCE_LIMIT:g} m"), (widest / 2, f"{widest / 2:.3g} m"),
-             (widest, f"{widest:.3g} m")), scale="root", more_is_better=True,
+            "min_clearance_m",
+            "least distance to the base",
+            0.0,
+            widest,
+            CLEARANCE_LIMIT,
+            (
+                (CLEARANCE_LIMIT, f"{CLEARANCE_LIMIT:g} m"),
+                (widest / 2, f"{widest / 2:.3g} m"),
+                (widest, f"{widest:.3g} m"),
+            ),
+            scale="root",
+            more_is_better=True,
         ),
         Quantity(
-            "time_s", "time until within 1 mm", 0.0, longest, None,
+            "time_s",
+            "time until within 1 mm",
+            0.0,
+            longest,
+            None,
             ((longest / 2, f"{longest / 2:g} s"), (longest, f"{longest:g} s")),
         ),
-    )  # fmt: skip
+    )

@@ -47,27 +47,42 @@ _TEXTS = {
         "A pull that leads to where the base cannot give way, such as down onto its top, is "
         "resisted, and the hand ends far from its target: that is meant.",
     ),
-    "places": ("Starts and pulls in plan", "Lines lead from the start to where the hand is pulled"
-               " to; the base begins in the grey box. What failed is red."),
-}  # fmt: skip
+    "places": (
+        "Starts and pulls in plan",
+        "Lines lead from the start to where the hand is pulled"
+        " to; the base begins in the grey box. What failed is red.",
+    ),
+}
 
 _COLUMNS = {
-    "case": "case", "kind": "from", "hand_force_clear_max_n": "force until near [N]",
-    "hand_force_max_n": "largest force [N]", "speed_mps": "speed [m/s]",
-    "hand_stiffness_npm": "spring [N/m]", "hand_mass_kg": "hand [kg]",
-    "hand_f_max_n": "spring's limit [N]", "release_at_s": "let go [s]",
-    "base_delay_s": "delay [s]", "v_max_mps": "v_max [m/s]", "slip": "slip",
-    "mass_error": "mass error", "encoder_noise_rad": "noise [rad]",
-    "min_clearance_m": "least distance [m]", "contacts": "contact [ms]",
-    "arm_min_clearance_m": "within the arm [m]", "arm_contacts": "arm contact [ms]",
+    "case": "case",
+    "kind": "from",
+    "hand_force_clear_max_n": "force until near [N]",
+    "hand_force_max_n": "largest force [N]",
+    "speed_mps": "speed [m/s]",
+    "hand_stiffness_npm": "spring [N/m]",
+    "hand_mass_kg": "hand [kg]",
+    "hand_f_max_n": "spring's limit [N]",
+    "release_at_s": "let go [s]",
+    "base_delay_s": "delay [s]",
+    "v_max_mps": "v_max [m/s]",
+    "slip": "slip",
+    "mass_error": "mass error",
+    "encoder_noise_rad": "noise [rad]",
+    "min_clearance_m": "least distance [m]",
+    "contacts": "contact [ms]",
+    "arm_min_clearance_m": "within the arm [m]",
+    "arm_contacts": "arm contact [ms]",
     "solver_failures": "QPs without solution",
-}  # fmt: skip
+}
 
 
 def report_html(
-    rows: Sequence[Row], parameters: StudyParameters, summary: Mapping[str, Any],
+    rows: Sequence[Row],
+    parameters: StudyParameters,
+    summary: Mapping[str, Any],
     pictures: Mapping[str, bytes],
-) -> str:  # fmt: skip
+) -> str:
     """The page.
 
     Args:
@@ -95,8 +110,9 @@ def _lead(parameters: StudyParameters) -> str:
     ranges = parameters.ranges.model_dump()
     told = ", ".join(
         f"{name.replace('_', ' ')} {_number(v[0])} to {_number(v[1])}"
-        for name, v in ranges.items() if isinstance(v, tuple)
-    )  # fmt: skip
+        for name, v in ranges.items()
+        if isinstance(v, tuple)
+    )
     inside = " Only cases inside of the stated envelope were drawn." if parameters.inside else ""
     return (
         f"<p class='soft'>A person pulls the hand towards the base from random starts around and "
@@ -119,12 +135,14 @@ def _verdict(summary: Mapping[str, Any]) -> str:
         _exerted(s),
         f"Least distance between arm and base: {_number(least['0_%'])} m; of half of the runs "
         f"{_number(least['50_%'])} m or more, of 95 in 100 {_number(least['5_%'])} m or more."
-        if least else "",
+        if least
+        else "",
         f"Of {halves['cases']} cases inside of an envelope fitted without them {halves['failed']} "
         f"failed: with 95 % confidence fewer than {_percent(halves['rate_bound_95'])} do."
-        if halves["cases"] else "No case lies inside of an envelope fitted without it.",
+        if halves["cases"]
+        else "No case lies inside of an envelope fitted without it.",
         _stated(s["stated_envelope"]),
-    ]  # fmt: skip
+    ]
     return "".join(f"<p>{escape(line)}</p>\n" for line in lines if line)
 
 
@@ -178,8 +196,17 @@ def _envelope(summary: Mapping[str, Any]) -> str:
 
 
 def _forces(summary: Mapping[str, Any]) -> str:
-    head = ["force until near [N]", "cases", "failed", "in the buffer", "met base", "contact",
-            "within the arm", "least [m]", "fastest hand [m/s]"]  # fmt: skip
+    head = [
+        "force until near [N]",
+        "cases",
+        "failed",
+        "in the buffer",
+        "met base",
+        "contact",
+        "within the arm",
+        "least [m]",
+        "fastest hand [m/s]",
+    ]
     body = []
     for counts in summary["by_force"]:
         low, high, *rest = counts.values()

@@ -55,9 +55,13 @@ class _Context:
 
 
 def robot_table(
-    robots: Sequence[str], *, cases: Sequence[Case] = CASES, seed: int = 0, processes: int = 1,
+    robots: Sequence[str],
+    *,
+    cases: Sequence[Case] = CASES,
+    seed: int = 0,
+    processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
-) -> Row:  # fmt: skip
+) -> Row:
     """Lead each robot's hand towards its base from the side, the front and along the wheel axis.
 
     The start of each path is searched: the first height and direction from which the arm can begin
@@ -81,9 +85,10 @@ def robot_table(
             rows += found
             on_progress(k / len(jobs))
     limits = {
-        "clearance_limit_m": CLEARANCE_LIMIT, "hand_error_limit_m": ERROR_LIMIT,
+        "clearance_limit_m": CLEARANCE_LIMIT,
+        "hand_error_limit_m": ERROR_LIMIT,
         "guided_hand_error_limit_m": GUIDED_LIMIT,
-    }  # fmt: skip
+    }
     return {"seed": seed, "d_b_m": Config().border.d_b, **limits, "rows": rows}
 
 
@@ -119,12 +124,14 @@ def _run(loaded: _Loaded, job: _Job, start: Start, controller: str) -> Row:
         loaded.model, loaded.data, scenario, Config(), controller=controller, seed=job.seed
     ).figures
     row: Row = {
-        "controller": controller, **start.approach.where(),
+        "controller": controller,
+        **start.approach.where(),
         "clearance_m": figures["min_clearance_m"],
-        "hand_error_m": figures["ee_error_final_m"], "base_path_m": figures["base_path_m"],
+        "hand_error_m": figures["ee_error_final_m"],
+        "base_path_m": figures["base_path_m"],
         "contacts": sum(figures[key] for key in _TOUCHED),
         "solver_failures": figures["solver_failures"],
-    }  # fmt: skip
+    }
     row["passed"] = _passes(row, job.case)
     return {key: rounded(value) for key, value in row.items()}
 
@@ -137,6 +144,4 @@ def _passes(row: Row, case: Case) -> bool:
 
 
 def _plan(job: _Job) -> SweepPlan:
-    return SweepPlan(
-        robot=job.robot, mode=job.case.mode, length=job.case.length, seed=job.seed
-    )  # fmt: skip
+    return SweepPlan(robot=job.robot, mode=job.case.mode, length=job.case.length, seed=job.seed)

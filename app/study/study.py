@@ -19,9 +19,14 @@ from app.study.summary import summary_of
 
 
 def study(
-    parameters: StudyParameters, cases: int, out: Path, *, scheduler: str | None = None,
-    processes: int = 1, on_progress: Callable[[float], None] = lambda _: None,
-) -> dict[str, Any]:  # fmt: skip
+    parameters: StudyParameters,
+    cases: int,
+    out: Path,
+    *,
+    scheduler: str | None = None,
+    processes: int = 1,
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> dict[str, Any]:
     """Do the cases of a study that its folder does not hold yet, and write what it says.
 
     Args:
@@ -79,11 +84,15 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
     write_whole(out / "report.html", page.encode())
     result = {"parameters": identity_of(parameters), **summary}
     source = {
-        "seed": parameters.seed, "controller": parameters.controller,
-        "physics": parameters.physics, "code": code_digest(), "cases": len(rows),
-        "failed": summary["failed"], **_told("inside", summary["envelope"]["inside"]),
+        "seed": parameters.seed,
+        "controller": parameters.controller,
+        "physics": parameters.physics,
+        "code": code_digest(),
+        "cases": len(rows),
+        "failed": summary["failed"],
+        **_told("inside", summary["envelope"]["inside"]),
         **_told("inside_by_halves", summary["envelope"]["inside_by_halves"]),
-    }  # fmt: skip
+    }
     write_whole(out / "envelope.toml", as_toml(envelope, source).encode())
     write_json(out / "study.json", result)
     return result

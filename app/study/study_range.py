@@ -37,9 +37,12 @@ LOGARITHMIC = ("hand_stiffness",)
 """Those in which every factor is as likely as every other, not every difference."""
 
 _OWN = {
-    "speed": (0.01, 1.5, "m/s"), "height": (0.05, 2.0, "m"), "duration": (0.05, 60.0, "s"),
-    "released": (0.0, 1.0, ""), "regrasped": (0.0, 1.0, ""),
-}  # fmt: skip
+    "speed": (0.01, 1.5, "m/s"),
+    "height": (0.05, 2.0, "m"),
+    "duration": (0.05, 60.0, "s"),
+    "released": (0.0, 1.0, ""),
+    "regrasped": (0.0, 1.0, ""),
+}
 
 
 class StudyRange(Strict):

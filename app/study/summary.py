@@ -9,14 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from app.study.envelope import (
-    Envelope,
-    Tally,
-    exerted,
-    fit_envelope,
-    tally,
-    tally_by_halves,
-)
+from app.study.envelope import Envelope, Tally, exerted, fit_envelope, tally, tally_by_halves
 from app.study.parameters import StudyParameters
 from app.study.play import Row, entered_buffer, failed, met_base, met_itself
 
@@ -76,16 +69,20 @@ def by_force(rows: Sequence[Row]) -> list[dict[str, Any]]:
         here = [row for row in rows if low <= exerted(row) < high]
         least = [row["min_clearance_m"] for row in here if row.get("min_clearance_m") is not None]
         speeds = [row["hand_speed_max_mps"] for row in here if "hand_speed_max_mps" in row]
-        found.append({
-            "from_n": low, "to_n": high if math.isfinite(high) else None, "cases": len(here),
-            "failed": tally(here).failures,
-            "entered_buffer": sum(map(entered_buffer, here)),
-            "bodies_overlap": sum(map(met_base, here)),
-            "contact": sum(bool(row.get("contacts")) for row in here),
-            "arm_bodies_overlap": sum(map(met_itself, here)),
-            "least_clearance_m": min(least, default=None),
-            "hand_speed_max_mps": max(speeds, default=None),
-        })  # fmt: skip
+        found.append(
+            {
+                "from_n": low,
+                "to_n": high if math.isfinite(high) else None,
+                "cases": len(here),
+                "failed": tally(here).failures,
+                "entered_buffer": sum(map(entered_buffer, here)),
+                "bodies_overlap": sum(map(met_base, here)),
+                "contact": sum(bool(row.get("contacts")) for row in here),
+                "arm_bodies_overlap": sum(map(met_itself, here)),
+                "least_clearance_m": min(least, default=None),
+                "hand_speed_max_mps": max(speeds, default=None),
+            }
+        )
     return found
 
 
@@ -107,12 +104,13 @@ def _of_kind(rows: Sequence[Row]) -> dict[str, Any]:
     counts = _counts(rows)
     least = [row["min_clearance_m"] for row in rows if row.get("min_clearance_m") is not None]
     return {
-        "cases": len(rows), "failed": tally(rows).failures,
+        "cases": len(rows),
+        "failed": tally(rows).failures,
         "bodies_overlap": counts["bodies_overlap"],
         "arm_bodies_overlap": counts["arm_bodies_overlap"],
         "solver_failure": counts["solver_failure"],
         "least_clearance_m": min(least, default=None),
-    }  # fmt: skip
+    }
 
 
 def _quantiles(rows: Sequence[Row], column: str) -> dict[str, float] | None:
@@ -124,6 +122,4 @@ def _quantiles(rows: Sequence[Row], column: str) -> dict[str, float] | None:
 
 
 def _told(counted: Tally) -> dict[str, Any]:
-    return {
-        "cases": counted.cases, "failed": counted.failures, "rate_bound_95": counted.rate_bound,
-    }  # fmt: skip
+    return {"cases": counted.cases, "failed": counted.failures, "rate_bound_95": counted.rate_bound}

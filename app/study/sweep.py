@@ -91,9 +91,14 @@ def _find_starts(context: _Context, group: tuple[Approach, ...]) -> list[Start]:
 def _run(context: _Context, trial: Trial) -> Row:
     plan, scenario = context.plan, context.plan.scenario(trial)
     result = run_scenario(
-        context.model, context.data, scenario, plan.config, controller=trial.controller,
-        physics=plan.physics, seed=plan.seed,
-    )  # fmt: skip
+        context.model,
+        context.data,
+        scenario,
+        plan.config,
+        controller=trial.controller,
+        physics=plan.physics,
+        seed=plan.seed,
+    )
     target = scenario.position(scenario.duration)[0]
     return row_of(trial, context.model, run_of(result), target)
 

@@ -14,8 +14,17 @@ from app.study.polar import Plan, polar_map
 from app.study.polar_above import above_map
 from app.study.sweep_result import LISTS, Row
 
-_FIRST = ("kind", "controller", "height_m", "speed_mps", "direction_deg", "offset_m", "place_x_m",
-          "place_y_m", "passed")  # fmt: skip
+_FIRST = (
+    "kind",
+    "controller",
+    "height_m",
+    "speed_mps",
+    "direction_deg",
+    "offset_m",
+    "place_x_m",
+    "place_y_m",
+    "passed",
+)
 
 
 def write_sweep(result: Row, out: Path) -> list[str]:

@@ -95,10 +95,15 @@ class SweepPlan:
         duration = moving + self.hold
         move = self.length * trial.start.approach.inwards
         return StartedLine(
-            trial.start.approach.name, duration, "the hand is led towards the base", self.mode,
-            trial.start.p_ee, (float(move[0]), float(move[1]), float(move[2])),
-            moving / duration, trial.start.q_m,
-        )  # fmt: skip
+            trial.start.approach.name,
+            duration,
+            "the hand is led towards the base",
+            self.mode,
+            trial.start.p_ee,
+            (float(move[0]), float(move[1]), float(move[2])),
+            moving / duration,
+            trial.start.q_m,
+        )
 
 
 class Trial(NamedTuple):

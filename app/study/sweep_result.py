@@ -25,10 +25,18 @@ CLEARANCE_LIMIT = 0.03
 LISTS: dict[Kind, str] = {"side": "paths", "wheel_axis": "wheel_axis", "above": "above"}
 """Under which key of the JSON the paths of a kind stand."""
 _KEPT = (
-    "ee_error_final_m", "ee_error_max_m", "min_clearance_m", "arm_min_clearance_m", "contacts",
-    "arm_contacts", "floor_contacts", "base_displacement_m", "base_yaw_rad", "activation_max",
+    "ee_error_final_m",
+    "ee_error_max_m",
+    "min_clearance_m",
+    "arm_min_clearance_m",
+    "contacts",
+    "arm_contacts",
+    "floor_contacts",
+    "base_displacement_m",
+    "base_yaw_rad",
+    "activation_max",
     "solver_failures",
-)  # fmt: skip
+)
 
 
 def row_of(trial: Trial, model: RobotModel, run: Run, target: Array) -> Row:

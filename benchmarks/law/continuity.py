@@ -37,9 +37,10 @@ _OFF = np.array([0.003, -0.002, 0.001])  # [m] of the reference from the trackin
 _ASKED = 0.02, 0.05  # [m/s²] and [rad/s²] a step
 Kind = Literal["guided", "tracking", "tracking-limited"]
 KINDS: dict[Kind, tuple[str, str]] = {
-    "guided": ("guided", "robot"), "tracking": ("tracking", "wide"),
+    "guided": ("guided", "robot"),
+    "tracking": ("tracking", "wide"),
     "tracking-limited": ("tracking", "robot"),
-}  # fmt: skip
+}
 """Whether the law has a reference, and whose limits the arm has.
 
 A guided base knows none of the arm's; the last kind has changes of active limits in it, so that it
@@ -75,9 +76,14 @@ class Refinement(NamedTuple):
 
 
 def continuity(
-    options: Options, count: int = 1000, duration: float = 0.2, speed: float = 0.25,
-    refined: int = 12, first: int = 0, kinds: tuple[Kind, ...] = tuple(KINDS),
-) -> Report:  # fmt: skip
+    options: Options,
+    count: int = 1000,
+    duration: float = 0.2,
+    speed: float = 0.25,
+    refined: int = 12,
+    first: int = 0,
+    kinds: tuple[Kind, ...] = tuple(KINDS),
+) -> Report:
     """Walk smooth random motions of arm and base inside the buffer, in steps of 1 ms.
 
     Args:
@@ -97,12 +103,15 @@ def continuity(
         rows.append(_row(kind, paths, refined, options.jobs))
     judged = [row for row in rows if row["kind"] != "tracking-limited"]
     summary = {
-        "paths": count, "hand_speed_mps": speed, "asked_mps2": _ASKED[0], "asked_radps2": _ASKED[1],
+        "paths": count,
+        "hand_speed_mps": speed,
+        "asked_mps2": _ASKED[0],
+        "asked_radps2": _ASKED[1],
         "away_from_limits_mps2": largest(judged, "linear_mps2_per_ms"),
         "away_from_limits_radps2": largest(judged, "angular_radps2_per_ms"),
         "jump_mps2": largest(judged, "linear_jump_mps2"),
         "jump_radps2": largest(judged, "angular_jump_radps2"),
-    }  # fmt: skip
+    }
     return Report("continuity", rows, summary)
 
 
@@ -200,8 +209,9 @@ def _changes(path: Path, times: Sequence[float] | Array, h: float) -> Array:
             qdd_all = np.concatenate([state.model.J_m_inv @ base_acceleration, qdd])
             reference = Reference(
                 pin.SE3(state.T_world_ee.rotation, state.T_world_ee.translation + _OFF),
-                state.v_ee.copy(), state.J_ee @ qdd_all + state.Jdqd_ee,
-            )  # fmt: skip
+                state.v_ee.copy(),
+                state.J_ee @ qdd_all + state.Jdqd_ee,
+            )
         output = controller.step(measured, reference, base_acceleration=base_acceleration)
         asked.append(np.clip(output.base_acceleration, -most, most))
         touching.append(min(pair.closest.d for pair in output.avoidance.pairs) <= 0.0)

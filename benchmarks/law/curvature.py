@@ -69,12 +69,13 @@ def curvature(options: Options, count: int = 400, speed: float = 0.5) -> Report:
             rows.append(_row(pair, np.array(errors)))
     smooth = np.array([s.errors for s in samples if s.errors is not None])
     summary = {
-        "samples": len(samples), "kinks_left_out": sum(s.errors is None for s in samples),
+        "samples": len(samples),
+        "kinks_left_out": sum(s.errors is None for s in samples),
         **{
             f"{name}_error_95_mps2": float(np.quantile(np.abs(e), 0.95))
             for name, e in zip(_MODELS, smooth.T, strict=True)
         },
-    }  # fmt: skip
+    }
     return Report("curvature", rows, summary)
 
 
@@ -83,8 +84,10 @@ def _row(pair: str, errors: Array) -> dict[str, Any]:
     for name, e in zip(_MODELS, errors.T, strict=True):
         size = np.abs(e)
         found[f"{name}: median, 95 %, max"] = [
-            float(np.median(size)), float(np.quantile(size, 0.95)), float(size.max())
-        ]  # fmt: skip
+            float(np.median(size)),
+            float(np.quantile(size, 0.95)),
+            float(size.max()),
+        ]
         found[f"{name}: bias"] = float(e.mean())
     return found
 

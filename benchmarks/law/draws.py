@@ -22,9 +22,14 @@ _END = -0.15, 0.10  # [m] from the base's box to where the hand is led
 
 
 def named_pull(
-    options: Options, name: str, start: Point, move: Point, lead_s: float, stiffness: float,
+    options: Options,
+    name: str,
+    start: Point,
+    move: Point,
+    lead_s: float,
+    stiffness: float,
     f_max: float,
-) -> Pull:  # fmt: skip
+) -> Pull:
     """A pull from a given place.
 
     Raises:
@@ -34,16 +39,29 @@ def named_pull(
     if q is None:
         raise StudyError(f"{name}: the arm of {options.robot} does not reach {start}")
     return Pull(
-        name, options.robot, options.controller, tuple(q.tolist()), start, move, lead_s, stiffness,
+        name,
+        options.robot,
+        options.controller,
+        tuple(q.tolist()),
+        start,
+        move,
+        lead_s,
+        stiffness,
         f_max,
-    )  # fmt: skip
+    )
 
 
 def random_pull(
-    options: Options, number: int, rng: np.random.Generator, *, f_max: Interval,
-    stiffness: Interval, lead: Interval | None = None, speed: Interval = (0.2, 1.2),
+    options: Options,
+    number: int,
+    rng: np.random.Generator,
+    *,
+    f_max: Interval,
+    stiffness: Interval,
+    lead: Interval | None = None,
+    speed: Interval = (0.2, 1.2),
     above: float = 0.0,
-) -> Pull:  # fmt: skip
+) -> Pull:
     """A pull from a random place, within a cone towards the base.
 
     Args:
@@ -75,9 +93,16 @@ def random_pull(
     lasting = rng.uniform(*lead) if lead else length / rng.uniform(*speed)
     k = math.exp(rng.uniform(math.log(stiffness[0]), math.log(stiffness[1])))
     return Pull(
-        f"{number}{', above' if over else ''}", options.robot, options.controller,
-        tuple(q.tolist()), place.p, (x, y, z), float(lasting), k, float(rng.uniform(*f_max)),
-    )  # fmt: skip
+        f"{number}{', above' if over else ''}",
+        options.robot,
+        options.controller,
+        tuple(q.tolist()),
+        place.p,
+        (x, y, z),
+        float(lasting),
+        k,
+        float(rng.uniform(*f_max)),
+    )
 
 
 def side(place: Point, robot: str) -> str:

@@ -48,12 +48,13 @@ def energy(options: Options, count: int = 2, seconds: float = 20.0) -> Report:
     cases = [Restless(options, place, k, seconds) for place in PLACES for k in range(count)]
     rows = played(_play, cases, options.jobs, "runs")
     summary = {
-        "runs": len(rows), "work_least_j": least(rows, "work_least_j"),
+        "runs": len(rows),
+        "work_least_j": least(rows, "work_least_j"),
         "below_zero": sum(row["work_least_j"] < 0.0 for row in rows),
         "base_speed_max_mps": largest(rows, "base_speed_max_mps"),
         "least_distance_m": least(rows, "least_distance_m"),
         "failures": sum(row["failures"] for row in rows),
-    }  # fmt: skip
+    }
     return Report("energy", rows, summary)
 
 
@@ -85,10 +86,16 @@ def _play(case: Restless) -> dict[str, Any]:
             nearest, inside = min(nearest, d), inside + (d < Config().border.d_b)
         failures = session.controller.failures
     return {
-        "place": case.place, "number": case.number, "work_j": work, "work_least_j": lowest,
-        "joint_damping_j": damped, "base_speed_max_mps": base_speed,
-        "least_distance_m": nearest, "share_inside": inside / steps, "failures": failures,
-    }  # fmt: skip
+        "place": case.place,
+        "number": case.number,
+        "work_j": work,
+        "work_least_j": lowest,
+        "joint_damping_j": damped,
+        "base_speed_max_mps": base_speed,
+        "least_distance_m": nearest,
+        "share_inside": inside / steps,
+        "failures": failures,
+    }
 
 
 def _force(rng: np.random.Generator) -> Waves:

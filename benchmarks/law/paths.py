@@ -77,14 +77,23 @@ def follow(options: Options, curve: Curve, q_m: Sequence[float]) -> dict[str, An
             shares.append(joint_share(step, robot.model))
         failures = session.controller.failures
     return {
-        "kind": curve.kind, "duration_s": curve.duration,
-        "error_max_mm": worst, "at_s": worst_t, "leaves": worst > _LEAVES,
-        "at_limits": at_limits if worst > _LEAVES else "", "end_off_mm": end,
-        "ends_off": end > _LEAVES, "least_distance_m": nearest, "least_between_links_m": links,
-        "contact_steps": contacts, "joint_speed_share": max(shares), "steps": len(shares),
+        "kind": curve.kind,
+        "duration_s": curve.duration,
+        "error_max_mm": worst,
+        "at_s": worst_t,
+        "leaves": worst > _LEAVES,
+        "at_limits": at_limits if worst > _LEAVES else "",
+        "end_off_mm": end,
+        "ends_off": end > _LEAVES,
+        "least_distance_m": nearest,
+        "least_between_links_m": links,
+        "contact_steps": contacts,
+        "joint_speed_share": max(shares),
+        "steps": len(shares),
         "steps_over_1": sum(s > 1.0 for s in shares),
-        "steps_over_1.01": sum(s > 1.01 for s in shares), "failures": failures,
-    }  # fmt: skip
+        "steps_over_1.01": sum(s > 1.01 for s in shares),
+        "failures": failures,
+    }
 
 
 def _limits_met(model: Any, step: Step) -> str:
@@ -104,7 +113,9 @@ def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     errors = [row["error_max_mm"] for row in left]
     limits = Counter(name for row in left for name in row["at_limits"].split() or ["none"])
     return {
-        "paths": len(rows), "leave": len(left), "leave_share": len(left) / len(rows),
+        "paths": len(rows),
+        "leave": len(left),
+        "leave_share": len(left) / len(rows),
         "leave_by_kind": dict(Counter(row["kind"] for row in left)),
         "leave_median_mm": float(np.median(errors)) if left else None,
         "leave_max_mm": max(errors, default=None),
@@ -117,4 +128,4 @@ def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "joint_speed_share_max": largest(rows, "joint_speed_share"),
         "joint_speed_over_1.01": sum(row["steps_over_1.01"] > 0 for row in rows),
         "failures": sum(row["failures"] for row in rows),
-    }  # fmt: skip
+    }

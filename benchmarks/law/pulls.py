@@ -92,18 +92,25 @@ def play(case: Held) -> dict[str, Any]:
     steps.close()
     assert moment is not None
     return {
-        "case": pull.name, "side": side(pull.start, pull.robot),
+        "case": pull.name,
+        "side": side(pull.start, pull.robot),
         "person": f"{pull.f_max:.0f} N, {pull.stiffness:.0f} N/m",
-        "f_max_n": pull.f_max, "force_max_n": force, "person_speed_mps": person,
-        "least_distance_m": nearest, "overlap_m": max(0.0, -nearest),
+        "f_max_n": pull.f_max,
+        "force_max_n": force,
+        "person_speed_mps": person,
+        "least_distance_m": nearest,
+        "overlap_m": max(0.0, -nearest),
         "least_between_links_m": links,
-        "contact_steps": contacts, "hand_speed_after_mps": back,
+        "contact_steps": contacts,
+        "hand_speed_after_mps": back,
         "thrown": nearest < Config().border.d_b and back > _THROWN * person,
-        "torque_share": torque, "joint_speed_share": max(shares),
-        "steps": len(shares), "steps_over_1": sum(s > 1.0 for s in shares),
+        "torque_share": torque,
+        "joint_speed_share": max(shares),
+        "steps": len(shares),
+        "steps_over_1": sum(s > 1.0 for s in shares),
         "steps_over_1.01": sum(s > 1.01 for s in shares),
         "failures": moment.session.controller.failures,
-    }  # fmt: skip
+    }
 
 
 def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
@@ -123,4 +130,4 @@ def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "joint_speed_share_max": largest(rows, "joint_speed_share"),
         "joint_speed_over_1.01": sum(row["joint_speed_share"] > 1.01 for row in rows),
         "failures": sum(row["failures"] for row in rows),
-    }  # fmt: skip
+    }

@@ -96,24 +96,31 @@ def play(case: Release) -> dict[str, Any]:
         moment = steps.send(let_go)
     steps.close()
     return {
-        "case": pull.name, "side": side(pull.start, pull.robot),
+        "case": pull.name,
+        "side": side(pull.start, pull.robot),
         "person": f"{pull.f_max:.0f} N, {pull.stiffness:.0f} N/m",
-        "force_max_n": force, "d_release_m": d_release,
+        "force_max_n": force,
+        "d_release_m": d_release,
         "path_m": None if released is None else path,
         "turned_rad": None if released is None else turned,
         "speed_after_10s_mmps": speed_late,
-        "least_distance_m": nearest, "contact_steps": contacts, "joint_speed_share": share,
+        "least_distance_m": nearest,
+        "contact_steps": contacts,
+        "joint_speed_share": share,
         "failures": moment.session.controller.failures,
-    }  # fmt: skip
+    }
 
 
 def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     released = [row for row in rows if row["path_m"] is not None]
     front = [row for row in released if row["side"] == "front"]
     return {
-        "releases": len(released), "never_in_the_buffer": len(rows) - len(released),
-        "path_front_max_m": largest(front, "path_m"), "path_front_asked_m": _ASKED_FRONT,
-        "path_max_m": largest(released, "path_m"), "path_asked_m": _ASKED,
+        "releases": len(released),
+        "never_in_the_buffer": len(rows) - len(released),
+        "path_front_max_m": largest(front, "path_m"),
+        "path_front_asked_m": _ASKED_FRONT,
+        "path_max_m": largest(released, "path_m"),
+        "path_asked_m": _ASKED,
         "path_too_long": sum(row["path_m"] > _ASKED for row in released),
         "speed_after_10s_max_mmps": largest(released, "speed_after_10s_mmps"),
         "speed_asked_mmps": _ASKED_SPEED,
@@ -123,4 +130,4 @@ def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
         "least_distance_m": least(rows, "least_distance_m"),
         "with_contact": sum(row["contact_steps"] > 0 for row in rows),
         "failures": sum(row["failures"] for row in rows),
-    }  # fmt: skip
+    }

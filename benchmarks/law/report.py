@@ -31,10 +31,12 @@ def show(report: Report, options: Options) -> None:
     if options.json:
         print_json(
             {
-                "measurement": report.name, **asdict(options),
-                "summary": dict(report.summary), "rows": [dict(row) for row in report.rows],
+                "measurement": report.name,
+                **asdict(options),
+                "summary": dict(report.summary),
+                "rows": [dict(row) for row in report.rows],
             }
-        )  # fmt: skip
+        )
         return
     sys.stdout.write(markdown(report.rows) + "\n")
     for key, value in report.summary.items():

@@ -36,9 +36,11 @@ def speeds(options: Options, count: int = 24) -> Report:
 
 def _row(name: str, group: Sequence[dict[str, Any]]) -> dict[str, Any]:
     return {
-        "group": name, "runs": len(group), "share_max": largest(group, "joint_speed_share"),
+        "group": name,
+        "runs": len(group),
+        "share_max": largest(group, "joint_speed_share"),
         "runs_over_1.01": sum(row["steps_over_1.01"] > 0 for row in group),
         "steps": sum(row["steps"] for row in group),
         "steps_over_1": sum(row["steps_over_1"] for row in group),
         "steps_over_1.01": sum(row["steps_over_1.01"] for row in group),
-    }  # fmt: skip
+    }

@@ -81,9 +81,12 @@ def _quick(args: Peers) -> int:
     step = pink_step(model, data, environments=args.out / "envs", install=True)
     if args.json:
         print_json(
-            {"pink_step_p50_us": step.p50_us, "pink_step_p99_us": step.p99_us,
-             "reason": step.reason}
-        )  # fmt: skip
+            {
+                "pink_step_p50_us": step.p50_us,
+                "pink_step_p99_us": step.p99_us,
+                "reason": step.reason,
+            }
+        )
     elif step.p50_us is None:
         print(f"pink: {step.reason}")
     else:
@@ -101,9 +104,11 @@ def machine() -> dict[str, Any]:
     except OSError:
         pass
     return {
-        "processor": name, "cores": os.cpu_count(), "load_1min": os.getloadavg()[0],
+        "processor": name,
+        "cores": os.cpu_count(),
+        "load_1min": os.getloadavg()[0],
         "python": platform.python_version(),
-    }  # fmt: skip
+    }
 
 
 if __name__ == "__main__":

@@ -55,9 +55,13 @@ def ensure_environment(environment: Path, requirements: Sequence[str]) -> Path:
     else:
         _run([sys.executable, "-m", "venv", str(environment)])
         install = [
-            str(python_of(environment)), "-m", "pip", "install", "--quiet",
+            str(python_of(environment)),
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
             "--disable-pip-version-check",
-        ]  # fmt: skip
+        ]
     _run([*install, *requirements])
     (environment / _MARK).write_text(_text(requirements), encoding="utf-8")
     return python_of(environment)

@@ -107,9 +107,7 @@ def _link(robot: Element, name: str, description: RobotDescription | None = None
     link = SubElement(robot, "link", name=name)
     inertial = SubElement(link, "inertial")
     SubElement(inertial, "mass", value="1")
-    SubElement(
-        inertial, "inertia", ixx="0.01", ixy="0", ixz="0", iyy="0.01", iyz="0", izz="0.01"
-    )  # fmt: skip
+    SubElement(inertial, "inertia", ixx="0.01", ixy="0", ixz="0", iyy="0.01", iyz="0", izz="0.01")
     bodies = [] if description is None else [b for b in description.bodies if b.frame == name]
     shapes = [(body.name, shape) for body in bodies for shape in body.shapes]
     if len(shapes) > 1:

@@ -45,8 +45,10 @@ def draw(rows: Sequence[Row]) -> bytes:
             "One robot, one set of hand paths: where the hand ends, and how near the arm comes\n"
             "Libraries: velocities every 5 ms, no plant. Our own controllers: torques every 1 ms, "
             "with physics.",
-            x=0.01, ha="left", fontsize=12,
-        )  # fmt: skip
+            x=0.01,
+            ha="left",
+            fontsize=12,
+        )
         figure.legend(handles=_key(), loc="outside lower center", ncols=5, fontsize=9.5)
         return png_of(figure)
 
@@ -57,18 +59,26 @@ def _times(axes: Axes, names: Sequence[str], rows: Sequence[Row]) -> None:
         good = [row for row in rows if row["peer"] == name and row["status"] == "ok"]
         if not good:
             axes.annotate(
-                "no figures", (0.02, y), xycoords=axes.get_yaxis_transform(), va="center",
-                color=SOFT, fontsize=9,
-            )  # fmt: skip
+                "no figures",
+                (0.02, y),
+                xycoords=axes.get_yaxis_transform(),
+                va="center",
+                color=SOFT,
+                fontsize=9,
+            )
             continue
         p50, p99 = (np.median([r[key] for r in good]) for key in ("step_p50_us", "step_p99_us"))
         colour = METHOD_COLOURS.get(name, _LIBRARY)
         axes.barh(y, p50 / 1000, height=0.55, color=colour)
         axes.plot(p99 / 1000, y, marker="|", markersize=12, markeredgewidth=2, color=INK)
         axes.annotate(
-            f"{p50 / 1000:.2g} / {p99 / 1000:.2g} ms", (p99 / 1000, y), xytext=(6, 0),
-            textcoords="offset points", va="center", fontsize=9,
-        )  # fmt: skip
+            f"{p50 / 1000:.2g} / {p99 / 1000:.2g} ms",
+            (p99 / 1000, y),
+            xytext=(6, 0),
+            textcoords="offset points",
+            va="center",
+            fontsize=9,
+        )
     axes.set_xscale("log")
     axes.set_xlim(0.005, 60.0)
     axes.set_xticks([0.01, 0.1, 1.0, 10.0], ["0.01", "0.1", "1", "10"])
@@ -108,29 +118,39 @@ def _cell(axes: Axes, x: int, y: int, row: Row) -> None:
     text = f"{1000 * error:.0f} mm" if error >= 0.0095 else f"{1000 * error:.1f} mm"
     axes.annotate(
         text, (x, y - 0.13), ha="center", va="center", fontsize=9, color=ink, weight="bold"
-    )  # fmt: skip
+    )
     too_near = near < _NEARER * D_MIN
     axes.annotate(
         f"{1000 * near:.0f} mm", (x, y + 0.2), ha="center", va="center", fontsize=8, color=ink
-    )  # fmt: skip
+    )
     if too_near:
         axes.add_patch(
             Rectangle((x - 0.45, y - 0.42), 0.9, 0.84, fill=False, edgecolor=TARGET, linewidth=1.6)
-        )  # fmt: skip
+        )
 
 
 def _closed(axes: Axes, x: int, y: int, text: str) -> None:
     """A run without figures."""
     axes.add_patch(
         Rectangle(
-            (x - 0.47, y - 0.44), 0.94, 0.88, facecolor="white", edgecolor=SOFT, hatch=_HATCH,
+            (x - 0.47, y - 0.44),
+            0.94,
+            0.88,
+            facecolor="white",
+            edgecolor=SOFT,
+            hatch=_HATCH,
             linewidth=0.6,
         )
-    )  # fmt: skip
+    )
     axes.annotate(
-        text, (x, y), ha="center", va="center", fontsize=8.5, color=INK,
+        text,
+        (x, y),
+        ha="center",
+        va="center",
+        fontsize=8.5,
+        color=INK,
         bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.5},
-    )  # fmt: skip
+    )
 
 
 def _key() -> list[Patch | Line2D]:

@@ -37,9 +37,14 @@ def run_name(path: str, base_weight: float) -> str:
 
 
 def write_plan(
-    folder: Path, model: RobotModel, data: BorderData, paths: Mapping[str, StartedLine],
-    base_weights: tuple[float, ...] = BASE_WEIGHTS, *, physics: str = "planar",
-) -> tuple[dict[str, Any], CommonModel]:  # fmt: skip
+    folder: Path,
+    model: RobotModel,
+    data: BorderData,
+    paths: Mapping[str, StartedLine],
+    base_weights: tuple[float, ...] = BASE_WEIGHTS,
+    *,
+    physics: str = "planar",
+) -> tuple[dict[str, Any], CommonModel]:
     """Write `plan.json`, `paths.npz` and the URDFs into a folder that exists.
 
     Args:
@@ -58,19 +63,31 @@ def write_plan(
     (folder / "robot.urdf").write_text(common.planar, encoding="utf-8")
     (folder / "unicycle.urdf").write_text(common.unicycle, encoding="utf-8")
     plan = {
-        "planar_urdf": "robot.urdf", "unicycle_urdf": "unicycle.urdf", "paths": "paths.npz",
-        "hand": HAND, "planar_joints": PLANAR, "unicycle_joints": UNICYCLE,
-        "arm_joints": common.joints, "pairs": common.pairs,
-        "base_velocity": [limits.v_max, limits.omega_max], "arm_velocity": model.qd_max.tolist(),
-        "dt_s": DT, "d_min_m": D_MIN, "rate_per_s": RATE, "detection_m": _DETECTION,
-        "hand_cost": _HAND_COST, "arm_cost": _ARM_COST,
-        "robot": model.description.name, "physics": physics,
+        "planar_urdf": "robot.urdf",
+        "unicycle_urdf": "unicycle.urdf",
+        "paths": "paths.npz",
+        "hand": HAND,
+        "planar_joints": PLANAR,
+        "unicycle_joints": UNICYCLE,
+        "arm_joints": common.joints,
+        "pairs": common.pairs,
+        "base_velocity": [limits.v_max, limits.omega_max],
+        "arm_velocity": model.qd_max.tolist(),
+        "dt_s": DT,
+        "d_min_m": D_MIN,
+        "rate_per_s": RATE,
+        "detection_m": _DETECTION,
+        "hand_cost": _HAND_COST,
+        "arm_cost": _ARM_COST,
+        "robot": model.description.name,
+        "physics": physics,
         "lines": {name: _line(line) for name, line in paths.items()},
         "runs": [
             {"name": run_name(path, weight), "path": path, "base_weight": weight}
-            for weight in base_weights for path in paths
+            for weight in base_weights
+            for path in paths
         ],
-    }  # fmt: skip
+    }
     (folder / "plan.json").write_text(json.dumps(plan, indent=1), encoding="utf-8")
     arrays: dict[str, Any] = arrays_of(model, paths)
     np.savez(folder / "paths.npz", **arrays)
@@ -95,6 +112,8 @@ def arrays_of(model: RobotModel, paths: Mapping[str, StartedLine]) -> dict[str, 
 
 def _line(line: StartedLine) -> dict[str, Any]:
     return {
-        "q_m_rad": line.q_m, "start_m": line.start, "move_m": line.move,
+        "q_m_rad": line.q_m,
+        "start_m": line.start,
+        "move_m": line.move,
         "duration_s": line.duration,
-    }  # fmt: skip
+    }

@@ -36,9 +36,8 @@ class PinkStep(NamedTuple):
 
 
 def pink_step(
-    model: RobotModel, data: BorderData, *, environments: Path = ENVIRONMENTS,
-    install: bool = False,
-) -> PinkStep:  # fmt: skip
+    model: RobotModel, data: BorderData, *, environments: Path = ENVIRONMENTS, install: bool = False
+) -> PinkStep:
     """Measure it, in a process of its own; 3,000 steps, about three seconds.
 
     Args:

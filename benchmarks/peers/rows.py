@@ -22,9 +22,13 @@ AGREES = 1e-5
 
 
 def rows_of(
-    name: str, peer: Peer, plan: Mapping[str, Any], folder: Path, environments: Path,
+    name: str,
+    peer: Peer,
+    plan: Mapping[str, Any],
+    folder: Path,
+    environments: Path,
     judge: Evaluator,
-) -> list[Row]:  # fmt: skip
+) -> list[Row]:
     """Run one peer over a plan and judge it.
 
     Args:
@@ -58,16 +62,26 @@ def empty_row(
 ) -> Row:
     """The row of a run without a motion."""
     return {
-        "peer": name, "version": version, "level": peer.level, "path": run["path"],
-        "base_weight": run["base_weight"], "step_interval_s": peer.dt, "status": status,
+        "peer": name,
+        "version": version,
+        "level": peer.level,
+        "path": run["path"],
+        "base_weight": run["base_weight"],
+        "step_interval_s": peer.dt,
+        "status": status,
         "reason": reason,
-    }  # fmt: skip
+    }
 
 
 def _judged(
-    name: str, peer: Peer, run: Mapping[str, Any], done: Done, plan: Mapping[str, Any],
-    arrays: Mapping[str, Array], judge: Evaluator,
-) -> Row:  # fmt: skip
+    name: str,
+    peer: Peer,
+    run: Mapping[str, Any],
+    done: Done,
+    plan: Mapping[str, Any],
+    arrays: Mapping[str, Array],
+    judge: Evaluator,
+) -> Row:
     version = next(iter(done.versions.values()), "")
     motion = done.motions.get(run["name"])
     if motion is None:

@@ -14,9 +14,13 @@ from benchmarks.peers.names import PEERS
 from benchmarks.peers.rows import Row
 
 PATH_TITLES = {
-    "side": "side", "front": "front", "axis-0mm": "axis, x = 0", "axis-1mm": "1 mm",
-    "axis-10mm": "10 mm", "axis-50mm": "50 mm",
-}  # fmt: skip
+    "side": "side",
+    "front": "front",
+    "axis-0mm": "axis, x = 0",
+    "axis-1mm": "1 mm",
+    "axis-10mm": "10 mm",
+    "axis-50mm": "50 mm",
+}
 """For people, by the names of the paths."""
 
 
@@ -58,9 +62,13 @@ def _one(rows: Sequence[Row]) -> str:
     """Of one weighting: a line a peer."""
     paths = list(dict.fromkeys(row["path"] for row in rows))
     head = [
-        "", "step, p50 / p99", *(PATH_TITLES.get(path, path) for path in paths),
-        "least distance", "slip", "largest change, base / arm",
-    ]  # fmt: skip
+        "",
+        "step, p50 / p99",
+        *(PATH_TITLES.get(path, path) for path in paths),
+        "least distance",
+        "slip",
+        "largest change, base / arm",
+    ]
     lines = [f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     for name in dict.fromkeys(row["peer"] for row in rows):
         found = {row["path"]: row for row in rows if row["peer"] == name}

@@ -20,7 +20,8 @@ def add_case_button(gui: viser.GuiApi, sink: Sink, notices: Notices, scenario: S
         scenario: That begins where the loop begins after a reset.
     """
     button = gui.add_button(
-        "Play the case", icon=viser.Icon.PLAYER_TRACK_NEXT,
+        "Play the case",
+        icon=viser.Icon.PLAYER_TRACK_NEXT,
         hint=f"{scenario.about}: begins anew; whoever takes the hand ends it",
-    )  # fmt: skip
+    )
     button.on_click(notices.guard(lambda _: sink.send(Play(scenario))))  # type: ignore[arg-type]

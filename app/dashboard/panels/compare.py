@@ -25,7 +25,7 @@ _ROWS = (
     ("largest jump of ω̇", lambda score: f"{score.angular_jump:.3f} rad/s²"),
     ("… of a torque", lambda score: f"{score.torque_jump:.2f} N m"),
     ("steps in contact", lambda score: f"{score.contacts}"),
-)  # fmt: skip
+)
 
 
 class ComparePanel:

@@ -32,9 +32,12 @@ class ConfigFilePanel:
             "Save", icon=viser.Icon.DOWNLOAD, hint="For --config of dbb run, serve and sweep"
         )
         load = gui.add_upload_button(
-            "Load", icon=viser.Icon.UPLOAD, color="gray", mime_type=".toml",
+            "Load",
+            icon=viser.Icon.UPLOAD,
+            color="gray",
+            mime_type=".toml",
             hint="A TOML file; what is not in it goes to its default",
-        )  # fmt: skip
+        )
         save.on_click(notices.guard(self._save))  # type: ignore[arg-type]
         load.on_upload(notices.guard(self._load))  # type: ignore[arg-type]
 

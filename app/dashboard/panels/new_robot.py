@@ -24,11 +24,19 @@ FIND = "(find them)"
 _NUMBERS = ("half_track", "wheel_radius", "wheelbase", "steering_limit")
 """Fields of `Request` that are asked for as a number; 0 leaves them to the URDF."""
 _LABELS = {
-    "file": "URDF", "name": "Name", "base": "Base link", "tip": "Tip link", "kind": "Base",
-    "left": "Left wheel", "right": "Right wheel", "half_track": "Half track [m]",
-    "wheel_radius": "Wheel radius [m]", "wheelbase": "Wheelbase [m]",
-    "steering_limit": "Steering limit [rad]", "assume": "Assume masses",
-}  # fmt: skip
+    "file": "URDF",
+    "name": "Name",
+    "base": "Base link",
+    "tip": "Tip link",
+    "kind": "Base",
+    "left": "Left wheel",
+    "right": "Right wheel",
+    "half_track": "Half track [m]",
+    "wheel_radius": "Wheel radius [m]",
+    "wheelbase": "Wheelbase [m]",
+    "steering_limit": "Steering limit [rad]",
+    "assume": "Assume masses",
+}
 
 
 class NewRobotPanel:
@@ -84,10 +92,11 @@ class NewRobotPanel:
                 for name, hint in hints.items()
             },
             "assume": gui.add_checkbox(
-                _LABELS["assume"], False,
+                _LABELS["assume"],
+                False,
                 hint="From volumes, where the arm's URDF states none at all",
             ),
-        }  # fmt: skip
+        }
 
     def update(self) -> None:
         """Renew questions, texts and progress; what has not changed is not sent."""
@@ -162,10 +171,16 @@ class NewRobotPanel:
             name: float(value[name]) for name in _NUMBERS if self._suits(name) and value[name]
         }
         request = Request(
-            str(package.archive), value["base"], value["tip"], user_robots() / value["name"],
-            wheels=(left, right) if left else None, kind=value["kind"],
-            assume_inertia=value["assume"], file=value["file"], **numbers,
-        )  # fmt: skip
+            str(package.archive),
+            value["base"],
+            value["tip"],
+            user_robots() / value["name"],
+            wheels=(left, right) if left else None,
+            kind=value["kind"],
+            assume_inertia=value["assume"],
+            file=value["file"],
+            **numbers,
+        )
         try:
             check_request(request)
         except ConfigError as error:
@@ -178,10 +193,14 @@ def in_words(text: str) -> str:
     named = {option(name): f"“{_LABELS[name].partition(' [')[0]}”" for name in _NUMBERS}
     named |= {
         "--wheels LEFT RIGHT": "“Left wheel” and “Right wheel”",
-        "--wheels": "“Left wheel” and “Right wheel”", "--kind": "“Base”",
-        "--assume-inertia": "“Assume masses”", "--base": "“Base link”", "--tip": "“Tip link”",
-        "--file": "“URDF”", "--out": "“Name”",
-    }  # fmt: skip
+        "--wheels": "“Left wheel” and “Right wheel”",
+        "--kind": "“Base”",
+        "--assume-inertia": "“Assume masses”",
+        "--base": "“Base link”",
+        "--tip": "“Tip link”",
+        "--file": "“URDF”",
+        "--out": "“Name”",
+    }
     longest = sorted(named, key=len, reverse=True)
     pattern = "|".join(rf"{re.escape(name)}(?![\w-])" for name in longest)
     return re.sub(pattern, lambda found: named[found[0]], text)

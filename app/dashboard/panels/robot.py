@@ -30,9 +30,10 @@ class RobotPanel:
         self._shared, self._change = shared, shared.change
         self._entries: list[RobotEntry] = []
         self._list = gui.add_dropdown(
-            "Robot", ("",), hint="Those in robot_assets and in your own folder; what one viewer "
-            "chooses, all see.",
-        )  # fmt: skip
+            "Robot",
+            ("",),
+            hint="Those in robot_assets and in your own folder; what one viewer chooses, all see.",
+        )
         self._about = gui.add_html("")
         self._use = gui.add_button("Use this robot", icon=viser.Icon.ROBOT)
         self._cancel = gui.add_button("Cancel", icon=viser.Icon.X, color="gray", visible=False)

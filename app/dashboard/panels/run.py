@@ -41,18 +41,24 @@ class RunPanel:
         self._sink, self._robot = sink, robot
         self._shown: Snapshot | None = None
         self._scenario = gui.add_dropdown(
-            "Scenario", (FREE, *SCENARIOS),
+            "Scenario",
+            (FREE, *SCENARIOS),
             hint="Played from its beginning; whoever takes the hand ends it.",
-        )  # fmt: skip
+        )
         self._controller = gui.add_dropdown(
-            "Controller", CONTROLLERS,
+            "Controller",
+            CONTROLLERS,
             hint="dbb: the base gives way, as in the paper. repulsive: a force on the arm alone. "
             "barrier: each distance a hard inequality. none: no avoidance.",
-        )  # fmt: skip
+        )
         self._speed = gui.add_slider(
-            "Speed", min=SPEEDS[0], max=SPEEDS[1], step=0.1, initial_value=1.0,
+            "Speed",
+            min=SPEEDS[0],
+            max=SPEEDS[1],
+            step=0.1,
+            initial_value=1.0,
             hint="Simulated over real time, as far as the machine keeps up.",
-        )  # fmt: skip
+        )
         self._pause = gui.add_button("Pause", icon=viser.Icon.PLAYER_PAUSE)
         restart = gui.add_button("Restart", icon=viser.Icon.REFRESH, color="gray")
         self._status = gui.add_html("")
@@ -146,7 +152,7 @@ def status_html(snapshot: Snapshot) -> str:
         ("person pulls", pull if snapshot.pulls else "no", None),
         ("hand off target", f"{1000 * snapshot.ee_error:.0f} mm", None),
         ("base", f"{speed} m/s, {_signed(w)} rad/s", None),
-    ]  # fmt: skip
+    ]
     body = "".join(_status_row(*row) for row in rows)
     return (
         f'<table style="width:100%;font-size:.82em;line-height:1.6;padding:0 .7em">{body}</table>'

@@ -117,9 +117,14 @@ class SavePanel:
         past = [s for s in shared.loop.history(-1.0) if s.t <= shown.t] or [shown]
         with chromium() as browser:
             [picture] = take_pictures(
-                browser, past, [shown.t], shared.model, shared.clouds,
-                Look(width, height, dark=self._view.dark, page=True), seat,
-            )  # fmt: skip
+                browser,
+                past,
+                [shown.t],
+                shared.model,
+                shared.clouds,
+                Look(width, height, dark=self._view.dark, page=True),
+                seat,
+            )
         return "page.png", png(picture)
 
     def _log(self, name: str) -> Callable[[Any], tuple[str, bytes]]:

@@ -38,10 +38,11 @@ class SweepPanel:
         with self._box:
             self._text = gui.add_markdown("")
             self._button = gui.add_button(
-                "Make a map", icon=viser.Icon.RADAR,
+                "Make a map",
+                icon=viser.Icon.RADAR,
                 hint=f"Hand paths towards the base every {STEP:g}°, with the controller and the "
                 "parameters of now, in a process of low priority; takes some minutes.",
-            )  # fmt: skip
+            )
         self._image: viser.GuiImageHandle | None = None
         self._button.on_click(notices.guard(lambda _: self._start_or_stop()))  # type: ignore[arg-type]
         self.update()
@@ -73,9 +74,11 @@ class SweepPanel:
             return
         shared = self._shared
         plan = SweepPlan(
-            shared.model.description.name, (shared.loop.latest().controller,), step=STEP,
+            shared.model.description.name,
+            (shared.loop.latest().controller,),
+            step=STEP,
             config=shared.tuning.config,
-        )  # fmt: skip
+        )
         self._job.start(plan, self._folder)
         self._waiting = True
         self._button.label = "Stop"

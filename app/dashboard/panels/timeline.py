@@ -37,9 +37,13 @@ class TimelinePanel:
         with panel.add_tab("Time line", viser.Icon.HISTORY):
             self._text = gui.add_html("")
             self._slider = gui.add_slider(
-                "Back [s]", min=-REACH, max=0.0, step=FRAME, initial_value=0.0,
+                "Back [s]",
+                min=-REACH,
+                max=0.0,
+                step=FRAME,
+                initial_value=0.0,
                 hint="Shows the scene, readings and plots as they were; the simulation goes on.",
-            )  # fmt: skip
+            )
             back, on = tuple(_STEPS)[:2], tuple(_STEPS)[2:]
             go = gui.add_button_group("Go", (*back, _PAUSE, *on, _NOW))
             marks = gui.add_button_group("Interval", _MARKS)

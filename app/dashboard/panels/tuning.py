@@ -17,9 +17,13 @@ from app.dashboard.value_guard import guard_values
 from app.robot.description import RobotDescription
 
 MAIN = (
-    "border.d_b", "force.f_max", "repulsion.k_p", "admittance.mass", "admittance.damping",
+    "border.d_b",
+    "force.f_max",
+    "repulsion.k_p",
+    "admittance.mass",
+    "admittance.damping",
     "hand.stiffness",
-)  # fmt: skip
+)
 """What a first visitor may want to move."""
 _BEFORE_SCORE = "border"  # section after which the score stands, as in the paper
 
@@ -110,9 +114,12 @@ class TuningPanel:
                 Knob(self._gui, self._tuning, self._notices, path, self._clock) for path in paths
             ]
             reset = self._gui.add_button(
-                "Defaults", icon=viser.Icon.ARROW_BACK_UP, color="gray", disabled=True,
+                "Defaults",
+                icon=viser.Icon.ARROW_BACK_UP,
+                color="gray",
+                disabled=True,
                 hint="Set what stands above to its defaults",
-            )  # fmt: skip
+            )
         reset.on_click(self._notices.guard(lambda _: self._tuning.reset(paths)))  # type: ignore[arg-type]
         self.knobs |= dict(zip(paths, knobs, strict=True))
         self._folders.append(_Folder(handle, reset, title, knobs))

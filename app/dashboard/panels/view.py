@@ -16,9 +16,13 @@ class ViewPanel:
     """Boxes and choices, each of which assigns one field of the view."""
 
     def __init__(
-        self, gui: viser.GuiApi, view: View, notices: Notices, plots: list[str],
+        self,
+        gui: viser.GuiApi,
+        view: View,
+        notices: Notices,
+        plots: list[str],
         look: Callable[[str], None],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Build the tab in the GUI container that is now open.
 
         Args:

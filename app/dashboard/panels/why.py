@@ -23,9 +23,12 @@ _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
     ("arm against base", "the rows of T_rep: the repulsive method's", ("arm",)),
     ("between links", "the rows (20) that part links of the arm", ("links",)),
     ("hand's task", "w_2 of (26): the end-effector's task", ("hand",)),
-    ("posture, or arm left alone", "what the arm's joints would do by themselves",
-     ("posture", "free")),
-)  # fmt: skip
+    (
+        "posture, or arm left alone",
+        "what the arm's joints would do by themselves",
+        ("posture", "free"),
+    ),
+)
 _ZERO = ForceSplit((0, 0), (0, 0), (0, 0), (0, 0), (0, 0), 0, 0, 0, 0)
 
 
@@ -115,7 +118,10 @@ def _force_rows(why: Explanation) -> list[str]:
         _row("direction", towards, "from forward, as the base sees it", span=1 + len(why.axes)),
         _acceleration("moving away", away, away_acc, "the part along −n, Figure 7b", on=on),
         _acceleration(
-            "to the better score", turn, turn_acc, "the part across, by (12) and (13), Figure 7c",
+            "to the better score",
+            turn,
+            turn_acc,
+            "the part across, by (12) and (13), Figure 7c",
             on=on,
         ),
         _acceleration(
@@ -123,7 +129,7 @@ def _force_rows(why: Explanation) -> list[str]:
         ),
         _acceleration("asked of the base", None, why.base_asked, "the base's part of (29)"),
         _acceleration("the base really has", None, why.base_given, "of its drive, a command late"),
-    ]  # fmt: skip
+    ]
 
 
 def _score_rows(why: Explanation) -> list[str]:
@@ -132,9 +138,12 @@ def _score_rows(why: Explanation) -> list[str]:
         (why.measure_label, words.scientific(first.determinant) + unit, why.measure_hint),
         ("reachability R", f"{first.reachability:.0f}", "(9): how well the arm reaches the point"),
         ("score S", words.scientific(first.score) + unit, f"(10): {why.score_formula}"),
-        ("score without the step, p_n", words.scientific(first.score_near) + unit,
-         "S where the force would act without (12)"),
-    )  # fmt: skip
+        (
+            "score without the step, p_n",
+            words.scientific(first.score_near) + unit,
+            "S where the force would act without (12)",
+        ),
+    )
     return [_row(label, text if why.forces else _NONE, hint) for label, text, hint in values]
 
 
@@ -180,9 +189,13 @@ def _row(label: str, value: str, hint: str, *, span: int = 1) -> str:
 
 
 def _acceleration(
-    label: str, f: Sequence[float] | None, acceleration: Sequence[float], hint: str,
-    *, on: bool = True,
-) -> str:  # fmt: skip
+    label: str,
+    f: Sequence[float] | None,
+    acceleration: Sequence[float],
+    hint: str,
+    *,
+    on: bool = True,
+) -> str:
     """A row of newtons, m/s² and rad/s²; dashes where there is no force at all."""
     newtons = "" if f is None else f"{_size(f):.0f}"
     values = [newtons, *(words.signed(a) for a in acceleration)]

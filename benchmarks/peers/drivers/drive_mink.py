@@ -51,12 +51,13 @@ class Mink:
             mink.ConfigurationLimit(model),
             mink.VelocityLimit(model, velocities),
             mink.CollisionAvoidanceLimit(
-                model, [([a], [b]) for a, b in self._pairs],
+                model,
+                [([a], [b]) for a, b in self._pairs],
                 gain=plan["rate_per_s"] * plan["dt_s"],
                 minimum_distance_from_collisions=plan["d_min_m"],
                 collision_detection_distance=plan["detection_m"],
             ),
-        ]  # fmt: skip
+        ]
         self._constraints = [NoSlip()]
 
     def _geom(self, link: str) -> int:
@@ -72,9 +73,13 @@ class Mink:
         """See `Follower.step`."""
         self._hand.set_target(mink.SE3.from_matrix(target))
         velocity = mink.solve_ik(
-            self._configuration, self._tasks, self._dt, "daqp", limits=self._limits,
+            self._configuration,
+            self._tasks,
+            self._dt,
+            "daqp",
+            limits=self._limits,
             constraints=self._constraints,
-        )  # fmt: skip
+        )
         self._configuration.integrate_inplace(velocity, self._dt)
         return self._configuration.q
 

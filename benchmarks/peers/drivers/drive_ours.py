@@ -45,9 +45,10 @@ class Watch:
     def arrays(self) -> dict[str, Array]:
         """As `loop` says."""
         return {
-            "q": np.array(self._q), "step_s": np.array(self._times),
+            "q": np.array(self._q),
+            "step_s": np.array(self._times),
             "d_start": np.array(self._d_start),
-        }  # fmt: skip
+        }
 
 
 def main(source: Path, out: Path, controller: str) -> None:
@@ -59,17 +60,22 @@ def main(source: Path, out: Path, controller: str) -> None:
     for run in plan["runs"]:
         given = plan["lines"][run["path"]]
         line = StartedLine(
-            run["path"], given["duration_s"], "the hand is tracked", "tracking",
-            tuple(given["start_m"]), tuple(given["move_m"]), 1.0, tuple(given["q_m_rad"]),
-        )  # fmt: skip
+            run["path"],
+            given["duration_s"],
+            "the hand is tracked",
+            "tracking",
+            tuple(given["start_m"]),
+            tuple(given["move_m"]),
+            1.0,
+            tuple(given["q_m_rad"]),
+        )
         config = Config().replace("task.base_weight", run["base_weight"])
         config = config.replace("barrier.d_min", plan["d_min_m"])
         config = config.replace("barrier.rate", plan["rate_per_s"])
         watch = Watch(line.duration, every)
         figures = run_scenario(
-            model, data, line, config, controller=controller, physics=plan["physics"],
-            on_step=watch,
-        ).figures  # fmt: skip
+            model, data, line, config, controller=controller, physics=plan["physics"], on_step=watch
+        ).figures
         np.savez(out / f"{run['name']}.npz", failures=figures["solver_failures"], **watch.arrays())
 
 

@@ -43,9 +43,12 @@ class Pink:
                 pin.CollisionPair(*(shapes.getGeometryId(f"{link}_0") for link in pair))
             )
         self._configuration = Configuration(
-            model, model.createData(), q, collision_model=shapes,
+            model,
+            model.createData(),
+            q,
+            collision_model=shapes,
             collision_data=pin.GeometryData(shapes),
-        )  # fmt: skip
+        )
         cost = plan["hand_cost"]
         self._hand = FrameTask(plan["hand"], position_cost=cost, orientation_cost=cost)
         costs = np.full(model.nv, plan["arm_cost"])
@@ -53,10 +56,12 @@ class Pink:
         self._tasks = [self._hand, DampingTask(cost=costs)]
         self._barriers = [
             SelfCollisionBarrier(
-                len(plan["pairs"]), gain=plan["rate_per_s"], safe_displacement_gain=0.0,
+                len(plan["pairs"]),
+                gain=plan["rate_per_s"],
+                safe_displacement_gain=0.0,
                 d_min=plan["d_min_m"],
             )
-        ]  # fmt: skip
+        ]
         self._constraints, self._dt = [NoSlip()], plan["dt_s"]
 
     def distances(self) -> list[float]:
@@ -67,9 +72,14 @@ class Pink:
         """See `Follower.step`."""
         self._hand.set_target(pin.SE3(target))
         velocity = solve_ik(
-            self._configuration, self._tasks, self._dt, solver="daqp", barriers=self._barriers,
-            constraints=self._constraints, safety_break=False,
-        )  # fmt: skip
+            self._configuration,
+            self._tasks,
+            self._dt,
+            solver="daqp",
+            barriers=self._barriers,
+            constraints=self._constraints,
+            safety_break=False,
+        )
         self._configuration.integrate_inplace(velocity, self._dt)
         return self._configuration.q
 

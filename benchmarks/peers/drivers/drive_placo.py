@@ -19,9 +19,10 @@ class Placo:
         self._joints = [*plan["planar_joints"], *plan["arm_joints"]]
         source = Path(plan["planar_urdf"])
         self._robot = placo.RobotWrapper(
-            str(source.parent), placo.Flags.ignore_collisions,
+            str(source.parent),
+            placo.Flags.ignore_collisions,
             without_capsules(source.read_text(encoding="utf-8")),
-        )  # fmt: skip
+        )
         with tempfile.TemporaryDirectory() as folder:
             pairs = Path(folder) / "collisions.json"
             pairs.write_text(json.dumps(plan["pairs"]), encoding="utf-8")

@@ -43,9 +43,12 @@ class Roboplan:
         v, w = plan["base_velocity"]
         limit = VelocityLimit(oink, dt, np.array([w, v, *plan["arm_velocity"]]))
         options = SelfCollisionBarrierOptions(
-            n_collision_pairs=len(plan["pairs"]), gain=plan["rate_per_s"],
-            safe_displacement_gain=0.0, d_min=plan["d_min_m"], d_max=plan["detection_m"],
-        )  # fmt: skip
+            n_collision_pairs=len(plan["pairs"]),
+            gain=plan["rate_per_s"],
+            safe_displacement_gain=0.0,
+            d_min=plan["d_min_m"],
+            d_max=plan["detection_m"],
+        )
         self._constraints = [PositionLimit(oink), limit]
         self._barriers = [SelfCollisionBarrier(oink, self._scene, dt, options)]
         self._step = np.zeros(len(joints))
