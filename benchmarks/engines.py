@@ -25,10 +25,10 @@ from app.config import Config
 from app.errors import DbbError
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
-from app.simulation.plants import make_physics
+from app.simulation.plants.choice import make_physics
 from app.simulation.run import run_scenario
-from app.simulation.scenario import scenario_of
-from app.study.parameters import code_digest
+from app.simulation.scenarios.names import scenario_of
+from app.studies.pulls.parameters import code_digest
 
 PLANTS = ("planar", "mujoco", "mujoco-contact")
 SCENARIOS = {

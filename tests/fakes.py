@@ -15,8 +15,8 @@ from app.config import Config
 from app.control.buffer_watch import BufferReading
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.command_check import checked
-from app.simulation.commands import (
+from app.simulation.loop.command_check import checked
+from app.simulation.loop.commands import (
     Choose,
     Command,
     Compare,
@@ -30,10 +30,10 @@ from app.simulation.commands import (
     Speed,
     StepOnce,
 )
-from app.simulation.comparison import GhostReading, Score
-from app.simulation.history import History
 from app.simulation.people import PullReading, held_links, held_point
-from app.simulation.snapshot import ActingReading, PairReading, Snapshot
+from app.simulation.trace.comparison import GhostReading, Score
+from app.simulation.trace.history import History
+from app.simulation.trace.snapshot import ActingReading, PairReading, Snapshot
 
 Array = np.ndarray
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from app.dashboard.apart import Tell
+    from app.jobs.background import Tell
     from app.onboarding.request import Request
 
 
@@ -37,7 +37,7 @@ def wait_for_ever(tell: Tell, file: str) -> None:
 
 
 def wait_in_a_folder(tell: Tell, out: str) -> None:
-    from app.onboarding.write import whole_folder
+    from app.onboarding.write.folder import whole_folder
 
     with whole_folder(Path(out)):
         tell("waiting", 0.5)

@@ -15,7 +15,7 @@ from app.border.archive import Content, DamagedFileError
 from app.border.cache import load_border_data
 from app.border.cloud import make_cloud
 from app.border.key import border_key
-from app.border.sampling_config import SamplingConfig
+from app.border.sampling.config import SamplingConfig
 from app.robot import assets
 from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel

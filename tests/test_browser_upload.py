@@ -14,18 +14,19 @@ import numpy as np
 import pytest
 
 from app.border.cache import BorderData, kept_border_data
-from app.border.sampling_config import SamplingConfig
+from app.border.sampling.config import SamplingConfig
 from app.config import Config
-from app.dashboard import making, stage_change
-from app.dashboard.apart import Tell
-from app.dashboard.hand import GIZMO, SCALE
+from app.dashboard.drag import GIZMO, SCALE
+from app.dashboard.robots import robot_build as making
+from app.dashboard.robots import robot_switch as stage_change
 from app.dashboard.server import DashboardServer
-from app.onboarding.finish import finish
+from app.jobs.background import Tell
 from app.onboarding.request import Request
+from app.onboarding.write.make import finish
 from app.robot.model import RobotModel
-from app.simulation.loop import SimulationLoop
+from app.simulation.loop.loop import SimulationLoop
+from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import Session
-from app.simulation.start import StartSolver
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 from tests.onboarding import arm, cart, cube, few_samples, robot, with_mesh, zipped

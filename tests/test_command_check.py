@@ -8,8 +8,8 @@ import pytest
 
 from app.config import Config
 from app.errors import ConfigError, DbbError, TargetError, UnknownNameError
-from app.simulation.command_check import checked
-from app.simulation.commands import (
+from app.simulation.loop.command_check import checked
+from app.simulation.loop.commands import (
     Choose,
     Compare,
     Configure,
@@ -21,7 +21,7 @@ from app.simulation.commands import (
     Speed,
     StepOnce,
 )
-from app.simulation.scenario import SCENARIOS
+from app.simulation.scenarios.names import SCENARIOS
 
 NAN = float("nan")
 

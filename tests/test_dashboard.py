@@ -21,25 +21,32 @@ from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.border.score import ScoreField
 from app.config import BorderConfig
-from app.dashboard.arrows import arrow
-from app.dashboard.border_cloud import BorderCloud
-from app.dashboard.borders import MAX_POINTS, Borders, subsample
-from app.dashboard.colours import FULL, NEAR, REST, distance_colour, viridis
-from app.dashboard.hand import Grip, Hold
-from app.dashboard.legend import legend_html, make_legend, normalised, tick_texts
-from app.dashboard.notices import Notices
-from app.dashboard.pair_lines import TOGETHER, beside, segments
+from app.dashboard.drag import Grip, Hold
+from app.dashboard.notifications import Notices
 from app.dashboard.panels.run import buffer_text, pairs_html, status_html
-from app.dashboard.robot import LinkPoses
-from app.dashboard.scales import METRES_PER_NEWTON
+from app.dashboard.scene.arrows import arrow
+from app.dashboard.scene.border_cloud import BorderCloud
+from app.dashboard.scene.borders import MAX_POINTS, Borders, subsample
+from app.dashboard.scene.colours import FULL, NEAR, REST, distance_colour, viridis
+from app.dashboard.scene.legend import legend_html, make_legend, normalised, tick_texts
+from app.dashboard.scene.pair_lines import TOGETHER, beside, segments
+from app.dashboard.scene.robot import LinkPoses
+from app.dashboard.scene.scales import METRES_PER_NEWTON
+from app.dashboard.scene.visuals import (
+    GREY,
+    MAX_FACES,
+    MOST_FACES,
+    for_display,
+    load_visuals,
+    read_mesh,
+)
 from app.dashboard.server import check_address, serve_dashboard
 from app.dashboard.view import View
-from app.dashboard.visuals import GREY, MAX_FACES, MOST_FACES, for_display, load_visuals, read_mesh
 from app.errors import AssetError, ConfigError, DescriptionError, ServerError
 from app.robot.assets import package_roots, resolve_package_uri
 from app.robot.urdf import resolved_urdf
-from app.simulation.commands import Pull, Release
-from app.simulation.snapshot import PairReading
+from app.simulation.loop.commands import Pull, Release
+from app.simulation.trace.snapshot import PairReading
 from tests.dashboards import parts
 from tests.fakes import ScriptedLoop, fake_clouds
 from tests.raw_client import RawClient
@@ -326,7 +333,7 @@ def test_visuals_are_where_pinocchio_has_them_in_its_colours_and_sizes(tmp_path,
     mesh = tmp_path / "part.stl"
     trimesh.creation.box(extents=(0.1, 0.2, 0.4)).export(mesh)
     urdf = SEVERAL_VISUALS.format(mesh=mesh)
-    monkeypatch.setattr("app.dashboard.visuals.resolved_urdf", lambda _: urdf)
+    monkeypatch.setattr("app.dashboard.scene.visuals.resolved_urdf", lambda _: urdf)
     model = pin.buildModelFromXML(urdf)
     visuals = load_visuals(husky_panda().description, model)
     whole = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.VISUAL).geometryObjects
@@ -351,7 +358,7 @@ def test_a_mesh_that_says_nothing_sensible_is_named_by_its_link(wrong, words, mo
         f'<robot name="toy"><link name="lonely"><visual><geometry><mesh {file} {wrong}/>'
         "</geometry></visual></link></robot>"
     )
-    monkeypatch.setattr("app.dashboard.visuals.resolved_urdf", lambda _: urdf)
+    monkeypatch.setattr("app.dashboard.scene.visuals.resolved_urdf", lambda _: urdf)
     with pytest.raises(DescriptionError, match="lonely") as refusal:
         load_visuals(husky_panda().description, husky_panda().pin)
     assert words in str(refusal.value)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.dashboard.hand import GIZMO, SCALE
-from app.dashboard.tour import STEPS
-from app.simulation.commands import (
+from app.dashboard.drag import GIZMO, SCALE
+from app.dashboard.panels.tour import STEPS
+from app.simulation.loop.commands import (
     Choose,
     Compare,
     Configure,

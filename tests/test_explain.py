@@ -16,14 +16,14 @@ from app.control.active_bounds import Bound
 from app.control.controller import CONTROLLERS
 from app.control.explanation import Explanation, ForceSplit, NearPair
 from app.control.levels import Level
-from app.dashboard import words
-from app.dashboard.explain import LONGEST, sentence
+from app.dashboard.panels import phrases as words
+from app.dashboard.panels.explain import LONGEST, sentence
 from app.dashboard.panels.why import WhyPanel, why_html
 from app.robot.bases.car_like import CarLikeBase
 from app.robot.bases.differential import DifferentialBase
 from app.robot.bases.holonomic import HolonomicBase
 from app.robot.bases.kind import FORWARD, TURN
-from app.simulation.snapshot import Snapshot
+from app.simulation.trace.snapshot import Snapshot
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
 

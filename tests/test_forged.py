@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import pytest
 from viser import _messages
 
-from app.simulation.commands import Configure, Pause, Speed, StepOnce
+from app.simulation.loop.commands import Configure, Pause, Speed, StepOnce
 from tests.browser import wait_for
 from tests.dashboards import served_dashboard
 from tests.raw_client import RawClient

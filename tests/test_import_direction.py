@@ -16,6 +16,7 @@ ROOMS = (
     "errors",
     "strict",
     "system",
+    "jobs",
     "compiled",
     "parameters",
     "config",
@@ -26,14 +27,13 @@ ROOMS = (
     "control",
     "simulation",
     "bench",
-    "reproduce",
-    "study",
+    "studies",
     "onboarding",
     "dashboard",
     "cli",
     "__main__",
 )
-"""In the order of the data's way; the first seven and the last are single modules."""
+"""In the order of the data's way; jobs and the rooms from robot on are packages, the others single modules."""
 
 ONLY_IN = {
     "viser": {"dashboard"},
@@ -42,14 +42,14 @@ ONLY_IN = {
     "pybullet": {"simulation"},
     "pybullet_data": {"simulation"},
     "tyro": {"cli"},
-    "distributed": {"study"},
-    "pyarrow": {"study"},
-    "matplotlib": {"reproduce", "study", "onboarding"},
-    "mpl_toolkits": {"reproduce", "study"},
+    "distributed": {"studies"},
+    "pyarrow": {"studies"},
+    "matplotlib": {"studies", "onboarding"},
+    "mpl_toolkits": {"studies"},
 }
 """Libraries that belong to some rooms alone."""
 
-ONE_FILE = {"pyarrow": "simulation/log_file.py"}
+ONE_FILE = {"pyarrow": "simulation/trace/log_file.py"}
 """The one file outside of its rooms that may import a library. A log is Parquet like the table of a
 study, and the dashboard writes logs too, without what a study needs."""
 

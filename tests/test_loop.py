@@ -15,7 +15,7 @@ from app.config import Config
 from app.errors import AssetError, LoopError, TargetError, UnknownNameError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.commands import (
+from app.simulation.loop.commands import (
     Choose,
     Compare,
     Configure,
@@ -28,11 +28,11 @@ from app.simulation.commands import (
     Speed,
     StepOnce,
 )
-from app.simulation.loop import SimulationLoop
-from app.simulation.scenario import LINES
+from app.simulation.loop.loop import SimulationLoop
+from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session
-from app.simulation.snapshot import Snapshot
-from app.simulation.start import StartSolver
+from app.simulation.trace.snapshot import Snapshot
 
 START = LINES["guiding-lateral"].start
 PULL = Pull((START[0], START[1] - 0.25, START[2]))
@@ -375,7 +375,7 @@ def test_a_flood_of_commands_is_obeyed_in_a_few(loop: SimulationLoop, monkeypatc
     loop.send(Pause(True))
     until(loop, lambda s: s.paused)
     steps: list[float] = []
-    monkeypatch.setattr("app.simulation.loop._IDLE", 0.05)
+    monkeypatch.setattr("app.simulation.loop.loop._IDLE", 0.05)
     for k in range(10_000):
         d_b = (0.10, 0.12, 0.14, 0.16)[k % 4]
         loop.send(Configure(CONFIGS[d_b]) if k % 2 else Pull((0.4, 0.7, 0.3 + 1e-5 * k)))

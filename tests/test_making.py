@@ -12,17 +12,17 @@ from pathlib import Path
 import pytest
 from viser import _messages
 
-from app.dashboard import making as making_module
-from app.dashboard.apart import Stopped, run_apart
-from app.dashboard.making import Making
 from app.dashboard.page import Page
 from app.dashboard.panels.new_robot import FIND, in_words, making_html, robot_name
 from app.dashboard.panels.report import report_html
+from app.dashboard.robots import robot_build as making_module
+from app.dashboard.robots.robot_build import Making
+from app.dashboard.robots.robot_switch import StageChange
 from app.dashboard.server import DashboardServer, serve_dashboard
-from app.dashboard.stage_change import StageChange
 from app.errors import ConfigError, LoopError, RobotFileError
-from app.onboarding.contents import look_into
-from app.onboarding.package import LARGEST_URDF
+from app.jobs.background import Stopped, run_apart
+from app.onboarding.read.contents import look_into
+from app.onboarding.read.package import LARGEST_URDF
 from app.onboarding.request import Request
 from tests.browser import wait_for
 from tests.dashboards import clouds, parts

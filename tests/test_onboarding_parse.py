@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from app.errors import DbbError, RobotFileError
-from app.onboarding.finish import finish
 from app.onboarding.new_robot import parse
+from app.onboarding.read.tree import make_tree
 from app.onboarding.request import Request
-from app.onboarding.tree import make_tree
+from app.onboarding.write.make import finish
 from tests.onboarding import ARM_JOINTS, arm, cart, joint, link, robot, solid, write
 
 TOY = robot([*cart(), *arm()])

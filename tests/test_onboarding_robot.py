@@ -11,26 +11,27 @@ import numpy as np
 import pytest
 
 from app.errors import AssetError
-from app.onboarding import check_bodies, new_robot
-from app.onboarding.bodies import ArmFitter, fit_base
-from app.onboarding.check_bodies import arm_row, base_row
-from app.onboarding.check_dynamics import bullet_row, limits_row, mujoco_row
-from app.onboarding.finish import finish
-from app.onboarding.grouping import find_grouping
-from app.onboarding.meetings import sample_meetings
+from app.onboarding import new_robot
+from app.onboarding.check import bodies as check_bodies
+from app.onboarding.check.bodies import arm_row, base_row
+from app.onboarding.check.dynamics import bullet_row, limits_row, mujoco_row
+from app.onboarding.fit.bodies import ArmFitter, fit_base
+from app.onboarding.fit.collision_sampling import sample_meetings
+from app.onboarding.fit.grouping import find_grouping
+from app.onboarding.fit.rigid_groups import make_units
 from app.onboarding.new_robot import NewRobot
+from app.onboarding.read.source import mesh_address
 from app.onboarding.request import Request
-from app.onboarding.source import mesh_address
-from app.onboarding.units import make_units
-from app.onboarding.urdf_text import mesh_name
+from app.onboarding.write.make import finish
+from app.onboarding.write.urdf_text import mesh_name
 from app.robot import assets
 from app.robot.assets import ASSETS, load_robot, resolve_package_uri, robot_names
 from app.robot.description import RobotDescription, load_description
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
 from app.robot.urdf import resolved_urdf
-from app.simulation.contact_pairs import body_contact_pairs
-from app.simulation.scenario import scenario_by_name, scenario_of
+from app.simulation.plants.contact_pairs import body_contact_pairs
+from app.simulation.scenarios.names import scenario_by_name, scenario_of
 from tests.onboarding import (
     ARM_JOINTS,
     arm,

@@ -11,11 +11,11 @@ import pytest
 
 from app.config import Config
 from app.errors import LoopError, TargetError
-from app.simulation.commands import Configure, Pause, PlayScenario, Pull, Reset
-from app.simulation.history import History
-from app.simulation.loop_child import LoopChild
-from app.simulation.process_loop import ProcessLoop
+from app.simulation.loop.child import LoopChild
+from app.simulation.loop.commands import Configure, Pause, PlayScenario, Pull, Reset
+from app.simulation.loop.process_loop import ProcessLoop
 from app.simulation.session import Session
+from app.simulation.trace.history import History
 from tests.fakes import ScriptedLoop
 
 pytestmark = pytest.mark.slow

@@ -13,7 +13,7 @@ from app.cli.main import main
 from app.config import Config
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
-from app.simulation.start import StartSolver
+from app.simulation.scenarios.start import StartSolver
 from tests.readme import README, section
 
 

@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from app.reproduce.page import Section, label, page_html
+from app.studies.page import Section, label, page_html
 
 PNG = bytes(range(256))
 LIMIT = {"value": 0.05, "unit": "m", "source": "Figure 10"}

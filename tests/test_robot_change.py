@@ -13,16 +13,17 @@ import pytest
 
 from app.border.cache import BorderData
 from app.config import Config
-from app.dashboard import robot, stage_change
-from app.dashboard.hand import Hold
+from app.dashboard.drag import Hold
 from app.dashboard.memory import give_back
-from app.dashboard.robot_list import RobotEntry
+from app.dashboard.robots import robot_switch as stage_change
+from app.dashboard.robots.robot_list import RobotEntry
+from app.dashboard.robots.robot_switch import StageChange
+from app.dashboard.scene import robot
 from app.dashboard.server import DashboardServer, serve_dashboard
-from app.dashboard.stage_change import StageChange
 from app.dashboard.view import HIDDEN, View
 from app.errors import LoopError, UnreachableError
 from app.robot.model import RobotModel
-from app.simulation.commands import Pull
+from app.simulation.loop.commands import Pull
 from tests.browser import wait_for
 from tests.dashboards import clouds, parts, served_dashboard
 from tests.fakes import ScriptedLoop

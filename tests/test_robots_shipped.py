@@ -7,8 +7,8 @@ import importlib.util
 import pytest
 
 from app.errors import AssetError
-from app.onboarding.check_bodies import base_row
-from app.onboarding.check_dynamics import bullet_row, limits_row, mujoco_row
+from app.onboarding.check.bodies import base_row
+from app.onboarding.check.dynamics import bullet_row, limits_row, mujoco_row
 from app.robot import assets
 from app.robot.assets import load_robot, package_roots, resolve_package_uri, robot_names
 from app.robot.model import RobotModel

@@ -15,13 +15,13 @@ import pytest
 from PIL import Image
 
 from app.config import Config
-from app.dashboard.browser import VARIABLE, browser_path
-from app.dashboard.film import Film
-from app.dashboard.screenshot import Look, strip, take_pictures
+from app.dashboard.export.browser import VARIABLE, browser_path
+from app.dashboard.export.recorded_loop import Film
+from app.dashboard.export.screenshot import Look, strip, take_pictures
 from app.errors import BrowserError
 from app.simulation.run import steps_of
-from app.simulation.scenario import scenario_by_name
-from app.simulation.tape import filmed
+from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.trace.tape import filmed
 from tests.logs import random_snapshots
 
 PROJECT = Path(__file__).parent.parent

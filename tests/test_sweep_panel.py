@@ -15,8 +15,8 @@ import pytest
 from app.dashboard.panels.sweep import STEP, SweepPanel
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.errors import OutputError
-from app.study.sweep_job import SweepJob
-from app.study.sweep_plan import SweepPlan
+from app.studies.sweep.job import SweepJob
+from app.studies.sweep.plan import SweepPlan
 from tests.dashboards import clouds, parts
 from tests.fakes import ScriptedLoop
 from tests.raw_client import RawClient
@@ -61,7 +61,7 @@ def panel(dashboard: DashboardServer) -> Iterator[SweepPanel]:
 def test_without_a_map_there_is_a_line_and_a_new_map_appears_by_itself(
     panel: SweepPanel, tmp_path: Path
 ) -> None:
-    from app.study.sweep_files import write_sweep
+    from app.studies.sweep.files import write_sweep
 
     assert "No map" in panel._text.content
     assert panel._image is None

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from app.dashboard.timeline import FRAME, REACH, Timeline
-from app.simulation.history import History
+from app.simulation.trace.history import History
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
 

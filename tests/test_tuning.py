@@ -16,15 +16,15 @@ from viser import _messages
 
 from app.config import Config, parameter, sections, tunable
 from app.config_file import MOST_BYTES, parse_config, save_config
-from app.dashboard.knobs import LONGEST, MARK, PATIENCE, slider_step
-from app.dashboard.notices import Notices
+from app.dashboard.guards.value_guard import guard_values
+from app.dashboard.notifications import Notices
 from app.dashboard.panels.config_file import file_name
+from app.dashboard.panels.parameter_widgets import LONGEST, MARK, PATIENCE, slider_step
 from app.dashboard.panels.tuning import MAIN, TuningPanel, score_html
 from app.dashboard.tuning import BURST, MOST_STEPS, Tuning
-from app.dashboard.value_guard import guard_values
 from app.errors import ConfigError
 from app.parameters import Choice, Parameter
-from app.simulation.commands import Configure
+from app.simulation.loop.commands import Configure
 from tests.robots import husky_panda
 
 TUNABLES = {each.path: each for section in sections() for each in section.tunables}

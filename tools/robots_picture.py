@@ -12,14 +12,14 @@ from matplotlib.axes import Axes
 
 from app.border.mobile import MobileBody
 from app.border.offset import OffsetContours
-from app.onboarding.geometry import read_geometry
-from app.onboarding.pictures import BODY_COLOURS, _fill, _placements, _seen, body_corners
-from app.onboarding.source import read_source
-from app.onboarding.tree import make_tree
-from app.onboarding.units import units_of_links
-from app.reproduce.style import SOFT, new_figure, png_of, styled
+from app.onboarding.fit.rigid_groups import units_of_links
+from app.onboarding.read.geometry import read_geometry
+from app.onboarding.read.source import read_source
+from app.onboarding.read.tree import make_tree
+from app.onboarding.write.pictures import BODY_COLOURS, _fill, _placements, _seen, body_corners
 from app.robot.assets import load_robot, urdf_path
 from app.robot.model import RobotModel
+from app.studies.style import SOFT, new_figure, png_of, styled
 
 D_B = 0.15  # [m]
 ALONG, ACROSS, UP = (-0.7, 1.1), (-0.85, 0.65), (-0.05, 1.6)  # [m] what is seen

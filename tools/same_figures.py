@@ -15,7 +15,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from app.simulation.scenario import SCENARIOS
+from app.simulation.scenarios.names import SCENARIOS
 
 PROJECT = Path(__file__).resolve().parent.parent
 TIMES = {"step_p50_us", "step_p99_us", "realtime_factor"}

@@ -12,8 +12,8 @@ from app.border import archive
 from app.border.checked_file import DamagedFileError
 from app.border.cloud import Cloud
 from app.border.key import FORMAT, border_key
-from app.border.sampling import sample_clouds
-from app.border.sampling_config import SamplingConfig
+from app.border.sampling.config import SamplingConfig
+from app.border.sampling.pairs import sample_clouds
 from app.robot import assets
 from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.model import RobotModel

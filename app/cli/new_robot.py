@@ -84,9 +84,9 @@ def new_robot(
         json: Print one JSON object on standard output and nothing else there.
     """
     # Imported here: matplotlib, scipy and trimesh would make every other command start later.
-    from app.onboarding.finish import finish
     from app.onboarding.request import Request
     from app.onboarding.request_check import check_request
+    from app.onboarding.write.make import finish
 
     check_seed(seed)
     check_parameter("--buffer-distance", buffer_distance, "border.d_b")

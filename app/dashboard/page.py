@@ -6,31 +6,31 @@ import numpy as np
 import viser
 
 from app.config import Config
-from app.dashboard.camera import PRESETS, Camera
-from app.dashboard.hand import Grip, Hand
-from app.dashboard.legend import key_html, legend_html
-from app.dashboard.notices import Notices
+from app.dashboard.drag import Grip, Hand
+from app.dashboard.notifications import Notices
 from app.dashboard.panels.case import add_case_button
 from app.dashboard.panels.compare import ComparePanel
 from app.dashboard.panels.help import add_help
+from app.dashboard.panels.plots import Plots
 from app.dashboard.panels.robot import RobotPanel, change_html
 from app.dashboard.panels.run import FREE, RunPanel
 from app.dashboard.panels.save import SavePanel
+from app.dashboard.panels.shortcuts import Shortcut, add_shortcuts, keys_text
 from app.dashboard.panels.sweep import SweepPanel
 from app.dashboard.panels.timeline import TimelinePanel
+from app.dashboard.panels.tour import Tour
 from app.dashboard.panels.tuning import MAIN, TuningPanel
 from app.dashboard.panels.view import ViewPanel
 from app.dashboard.panels.why import WhyPanel
-from app.dashboard.plots import Plots
-from app.dashboard.scene import Scene
+from app.dashboard.scene.camera import PRESETS, Camera
+from app.dashboard.scene.legend import key_html, legend_html
+from app.dashboard.scene.scene import Scene
+from app.dashboard.scene.theme import set_theme
 from app.dashboard.shared import Shared
-from app.dashboard.shortcuts import Shortcut, add_shortcuts, keys_text
-from app.dashboard.stage import set_theme
 from app.dashboard.timeline import Timeline
-from app.dashboard.tour import Tour
 from app.dashboard.view import View
-from app.simulation.scenario import SCENARIOS
-from app.simulation.snapshot import Snapshot
+from app.simulation.scenarios.names import SCENARIOS
+from app.simulation.trace.snapshot import Snapshot
 
 Array = np.ndarray
 
@@ -129,7 +129,7 @@ class Page:
         """Look from a preset, at the instant that is shown.
 
         Args:
-            preset: A key of `app.dashboard.camera.PRESETS`.
+            preset: A key of `app.dashboard.scene.camera.PRESETS`.
         """
         self._camera.use(preset, self.timeline.shown())
 

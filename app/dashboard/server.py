@@ -14,19 +14,19 @@ from pathlib import Path
 import viser
 
 from app.border.cloud import Cloud
-from app.dashboard.camera import PRESETS, placed, set_first_look
-from app.dashboard.listening import close_server, open_server
-from app.dashboard.notices import Notices
+from app.dashboard.guards.listening import close_server, open_server
+from app.dashboard.notifications import Notices
 from app.dashboard.page import Page, show_failure
 from app.dashboard.panels.sweep import DEFAULT_FOLDER
-from app.dashboard.robot import RobotParts
+from app.dashboard.robots.robot_switch import NewStage, StageChange, StartLoop
+from app.dashboard.scene.camera import PRESETS, placed, set_first_look
+from app.dashboard.scene.robot import RobotParts
+from app.dashboard.scene.theme import set_theme
 from app.dashboard.shared import Shared
-from app.dashboard.stage import set_theme
-from app.dashboard.stage_change import NewStage, StageChange, StartLoop
 from app.errors import LoopError, ServerError
 from app.robot.model import RobotModel
-from app.simulation.leading import Scenario
-from app.simulation.loop import LoopHandle
+from app.simulation.loop.loop import LoopHandle
+from app.simulation.scenarios.leading import Scenario
 
 logger = logging.getLogger(__name__)
 

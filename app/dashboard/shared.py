@@ -6,18 +6,18 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from app.border.cloud import Cloud
-from app.dashboard.borders import Borders
-from app.dashboard.making import Making
-from app.dashboard.plots import plot_plans
+from app.dashboard.panels.plots import plot_plans
 from app.dashboard.record import Record
-from app.dashboard.robot import RobotParts
-from app.dashboard.stage_change import NewStage, StageChange
-from app.dashboard.trails import Tracks
+from app.dashboard.robots.robot_build import Making
+from app.dashboard.robots.robot_switch import NewStage, StageChange
+from app.dashboard.scene.borders import Borders
+from app.dashboard.scene.robot import RobotParts
+from app.dashboard.scene.trails import Tracks
 from app.dashboard.tuning import Tuning
 from app.robot.model import RobotModel
-from app.simulation.leading import Scenario
-from app.simulation.loop import LoopHandle
-from app.study.sweep_job import SweepJob
+from app.simulation.loop.loop import LoopHandle
+from app.simulation.scenarios.leading import Scenario
+from app.studies.sweep.job import SweepJob
 
 
 class Shared:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from app.simulation.loop import LoopHandle
-from app.simulation.snapshot import Snapshot
+from app.simulation.loop.loop import LoopHandle
+from app.simulation.trace.snapshot import Snapshot
 
 REACH = 60.0
 """[s] how far back a viewer can look."""

@@ -6,7 +6,7 @@ from copy import copy
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
-from app.dashboard.legend import QUANTITIES
+from app.dashboard.scene.legend import QUANTITIES
 
 HIDDEN = "hidden"
 """Instead of a quantity: the border is not drawn."""

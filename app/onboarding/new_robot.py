@@ -10,26 +10,26 @@ from typing import Any
 import numpy as np
 
 from app.errors import RobotFileError
-from app.onboarding.arm import Arm, find_arm
-from app.onboarding.bodies import ArmFitter, FittedBody, fit_base
-from app.onboarding.compose import PREFIX, compose
-from app.onboarding.drive_numbers import base_numbers
-from app.onboarding.drives import Steering, drive_fields, find_drive
-from app.onboarding.geometry import LinkGeometry, read_geometry, total_extent
-from app.onboarding.grouping import Verdict, find_grouping
-from app.onboarding.inertia import LinkInertia, read_inertias
-from app.onboarding.limits import Limits, completed, damping, read_limits
-from app.onboarding.meetings import Meetings, sample_meetings
-from app.onboarding.places import Place, find_places
-from app.onboarding.reach import Reach, find_reach
-from app.onboarding.ready import RULE, Ready, find_ready, judge_ready
+from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
+from app.onboarding.fit.collision_sampling import Meetings, sample_meetings
+from app.onboarding.fit.grouping import Verdict, find_grouping
+from app.onboarding.fit.guiding_lines import Place, find_places
+from app.onboarding.fit.reach import Reach, find_reach
+from app.onboarding.fit.ready import RULE, Ready, find_ready, judge_ready
+from app.onboarding.fit.rigid_groups import make_units
+from app.onboarding.read.arm import Arm, find_arm
+from app.onboarding.read.compose import PREFIX, compose
+from app.onboarding.read.drive_numbers import base_numbers
+from app.onboarding.read.drives import Steering, drive_fields, find_drive
+from app.onboarding.read.geometry import LinkGeometry, read_geometry, total_extent
+from app.onboarding.read.inertia import LinkInertia, read_inertias
+from app.onboarding.read.limits import Limits, completed, damping, read_limits
+from app.onboarding.read.source import locate, read_source
+from app.onboarding.read.tree import Tree, make_tree
+from app.onboarding.read.wheels import Wheels
 from app.onboarding.request import Request
-from app.onboarding.source import locate, read_source
-from app.onboarding.tree import Tree, make_tree
-from app.onboarding.units import make_units
-from app.onboarding.urdf_text import ROOT, rebased_urdf
-from app.onboarding.warn import warnings_of
-from app.onboarding.wheels import Wheels
+from app.onboarding.write.urdf_text import ROOT, rebased_urdf
+from app.onboarding.write.warn import warnings_of
 from app.robot.description import KINDS, RobotDescription
 from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.model import RobotModel

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import viser
 
-from app.dashboard.hand import Sink
-from app.dashboard.notices import Notices
-from app.simulation.commands import Play
-from app.simulation.leading import Scenario
+from app.dashboard.drag import Sink
+from app.dashboard.notifications import Notices
+from app.simulation.loop.commands import Play
+from app.simulation.scenarios.leading import Scenario
 
 
 def add_case_button(gui: viser.GuiApi, sink: Sink, notices: Notices, scenario: Scenario) -> None:

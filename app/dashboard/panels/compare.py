@@ -5,12 +5,12 @@ from __future__ import annotations
 import viser
 
 from app.control.controller import CONTROLLERS
-from app.dashboard.colours import GHOSTS, css
-from app.dashboard.hand import Sink
-from app.dashboard.notices import Notices
-from app.simulation.commands import Compare
-from app.simulation.comparison import Score
-from app.simulation.snapshot import Snapshot
+from app.dashboard.drag import Sink
+from app.dashboard.notifications import Notices
+from app.dashboard.scene.colours import GHOSTS, css
+from app.simulation.loop.commands import Compare
+from app.simulation.trace.comparison import Score
+from app.simulation.trace.snapshot import Snapshot
 
 NOBODY = "nobody"
 """Choice of no further robot."""

@@ -8,7 +8,7 @@ from typing import Any
 import viser
 
 from app.config_file import decode_config, save_config
-from app.dashboard.notices import Notices
+from app.dashboard.notifications import Notices
 from app.dashboard.tuning import Tuning
 from app.errors import ConfigError
 

@@ -8,14 +8,14 @@ from typing import Any
 
 import viser
 
-from app.dashboard.making import Making, Package
-from app.dashboard.notices import Notices
+from app.dashboard.guards.upload_guard import guard_uploads, taken_upload
+from app.dashboard.notifications import Notices
 from app.dashboard.panels.widgets import renew, renew_bar, small
-from app.dashboard.upload_guard import guard_uploads, taken_upload
+from app.dashboard.robots.robot_build import Making, Package
 from app.errors import ConfigError
+from app.onboarding.read.unpack import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
 from app.onboarding.request import NAME, Request
 from app.onboarding.request_check import BOUNDS, OF_KIND, check_request, option
-from app.onboarding.unpack import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
 from app.robot.assets import user_robots
 from app.robot.description import KINDS
 

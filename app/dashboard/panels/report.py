@@ -6,7 +6,7 @@ import re
 
 import viser
 
-from app.dashboard.notices import Notices
+from app.dashboard.notifications import Notices
 from app.errors import AssetError
 from app.robot.assets import robot_folder
 

@@ -6,13 +6,13 @@ from html import escape
 
 import viser
 
-from app.dashboard.notices import Notices
+from app.dashboard.notifications import Notices
 from app.dashboard.panels.new_robot import NewRobotPanel
 from app.dashboard.panels.report import show_report
 from app.dashboard.panels.widgets import renew, renew_bar, small
-from app.dashboard.robot_list import RobotEntry
+from app.dashboard.robots.robot_list import RobotEntry
+from app.dashboard.robots.robot_switch import Progress
 from app.dashboard.shared import Shared
-from app.dashboard.stage_change import Progress
 from app.errors import ConfigError
 
 

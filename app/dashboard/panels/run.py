@@ -8,14 +8,14 @@ import viser
 
 from app.control.buffer_watch import BufferReading, needed_text
 from app.control.controller import CONTROLLERS
-from app.dashboard.colours import SERIES, css, distance_colour
-from app.dashboard.hand import Sink
-from app.dashboard.notices import Notices
+from app.dashboard.drag import Sink
+from app.dashboard.notifications import Notices
+from app.dashboard.scene.colours import SERIES, css, distance_colour
 from app.robot.description import RobotDescription
-from app.simulation.command_check import SPEEDS
-from app.simulation.commands import Choose, Pause, PlayScenario, Reset, Restart, Speed
-from app.simulation.scenario import SCENARIOS, own_line
-from app.simulation.snapshot import PairReading, Snapshot
+from app.simulation.loop.command_check import SPEEDS
+from app.simulation.loop.commands import Choose, Pause, PlayScenario, Reset, Restart, Speed
+from app.simulation.scenarios.names import SCENARIOS, own_line
+from app.simulation.trace.snapshot import PairReading, Snapshot
 
 FREE = "free: drag the hand"
 """Choice of no scenario."""

@@ -15,16 +15,16 @@ import numpy as np
 import viser
 from PIL import Image
 
-from app.dashboard.notices import Notices
+from app.dashboard.notifications import Notices
+from app.dashboard.scene.theme import BACKGROUND
 from app.dashboard.shared import Shared
-from app.dashboard.stage import BACKGROUND
 from app.dashboard.timeline import Timeline
 from app.dashboard.view import View
 from app.errors import DbbError, LogError
-from app.simulation.snapshot import Snapshot
+from app.simulation.trace.snapshot import Snapshot
 
 if TYPE_CHECKING:
-    from app.simulation.log_meta import LogMeta
+    from app.simulation.trace.log_meta import LogMeta
 
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
 """[px] least, most and first size of a picture."""
@@ -108,8 +108,8 @@ class SavePanel:
     def _whole_page(self, client: viser.ClientHandle) -> tuple[str, bytes]:
         """The page as this viewer has it, but for the open tabs, drawn by a browser of our own."""
         # Imported here: they draw pages such as the one that holds this panel.
-        from app.dashboard.browser import chromium
-        from app.dashboard.screenshot import Look, Seat, take_pictures
+        from app.dashboard.export.browser import chromium
+        from app.dashboard.export.screenshot import Look, Seat, take_pictures
 
         width, height = self._size()
         shown, shared = self._timeline.shown(), self._shared
@@ -146,14 +146,16 @@ class SavePanel:
         return make
 
     def _write(self, path: Path) -> Path:
-        from app.simulation.log import write_log  # its tables take time that the first page waits
+        from app.simulation.trace.log import (
+            write_log,  # its tables take time that the first page waits
+        )
 
         snapshots = self._timeline.interval()
         write_log(path, snapshots, self._meta(snapshots[0]))
         return path
 
     def _meta(self, first: Snapshot) -> LogMeta:
-        from app.simulation.log_meta import LogMeta
+        from app.simulation.trace.log_meta import LogMeta
 
         return LogMeta.of(self._shared.model, first, scenario=first.scenario)
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import viser
 
-from app.dashboard.notices import Notices
+from app.dashboard.notifications import Notices
 from app.dashboard.shared import Shared
-from app.study.sweep_maps import newest_map, read_map
-from app.study.sweep_plan import SweepPlan
+from app.studies.sweep.maps import newest_map, read_map
+from app.studies.sweep.plan import SweepPlan
 
 STEP = 15.0
 """[deg] between two directions of a map that is made here."""

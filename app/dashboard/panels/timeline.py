@@ -6,11 +6,11 @@ import math
 
 import viser
 
-from app.dashboard.hand import Sink
-from app.dashboard.notices import Notices
+from app.dashboard.drag import Sink
+from app.dashboard.notifications import Notices
 from app.dashboard.timeline import FRAME, REACH, Timeline
-from app.simulation.commands import Pause, StepOnce
-from app.simulation.snapshot import Snapshot
+from app.simulation.loop.commands import Pause, StepOnce
+from app.simulation.trace.snapshot import Snapshot
 
 WIDTH = 520  # [px]
 _STEPS = {"−1 s": -1.0, "−20 ms": -FRAME, "+20 ms": FRAME, "+1 s": 1.0}

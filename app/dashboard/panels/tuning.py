@@ -9,11 +9,11 @@ from typing import Any
 import viser
 
 from app.config import Config, sections
-from app.dashboard.knobs import Knob
-from app.dashboard.notices import Notices
+from app.dashboard.guards.value_guard import guard_values
+from app.dashboard.notifications import Notices
 from app.dashboard.panels.config_file import ConfigFilePanel
+from app.dashboard.panels.parameter_widgets import Knob
 from app.dashboard.tuning import Tuning
-from app.dashboard.value_guard import guard_values
 from app.robot.description import RobotDescription
 
 MAIN = (

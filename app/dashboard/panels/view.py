@@ -7,8 +7,8 @@ from typing import Any
 
 import viser
 
-from app.dashboard.camera import PRESETS
-from app.dashboard.notices import Notices
+from app.dashboard.notifications import Notices
+from app.dashboard.scene.camera import PRESETS
 from app.dashboard.view import CHOICES, View
 
 

@@ -8,11 +8,11 @@ import viser
 
 from app.control.explanation import Explanation, ForceSplit
 from app.control.levels import Level, LevelName
-from app.dashboard import words
-from app.dashboard.colours import FULL, REST, css, distance_colour
-from app.dashboard.explain import sentence
+from app.dashboard.panels import phrases as words
+from app.dashboard.panels.explain import sentence
+from app.dashboard.scene.colours import FULL, REST, css, distance_colour
 from app.robot.bases.kind import Axis, acceleration_symbol
-from app.simulation.snapshot import Snapshot
+from app.simulation.trace.snapshot import Snapshot
 
 BOUNDS_SHOWN = 3
 """Lines for limits that were met; of more than that the number is told."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.dashboard.stage_change import Progress
+from app.dashboard.robots.robot_switch import Progress
 
 
 def small(html: str) -> str:

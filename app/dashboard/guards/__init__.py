@@ -1,0 +1,1 @@
+"""What may reach the server, and what may not."""

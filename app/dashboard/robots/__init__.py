@@ -1,0 +1,1 @@
+"""Changing and building robots from the page."""

@@ -1,0 +1,1 @@
+"""Work in other processes: pools, and background jobs that report progress and can be stopped."""
