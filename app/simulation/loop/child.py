@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING
 
-from app.jobs.interrupts import interrupts_ignored
+from app.jobs.process import starting_children
 from app.simulation.loop.process import run_loop
 from app.system import SPAWN
 
@@ -35,7 +35,7 @@ class LoopChild:
             target=run_loop, args=(theirs_in, theirs_out), name="simulation", daemon=True
         )
         self._one_waits = threading.Lock()  # of two threads that wait, one would learn nothing
-        with interrupts_ignored():
+        with starting_children():
             self._process.start()
         for connection in (theirs_in, theirs_out):  # else its end would not close the pipes
             connection.close()

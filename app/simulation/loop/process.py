@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import pickle
-import signal
 import sys
 import traceback
 from contextlib import suppress
@@ -14,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from app.errors import LoopError
+from app.jobs.process import follow_parent
 from app.simulation.loop.gc_freeze import settled
 from app.simulation.loop.loop import SimulationLoop
 from app.system import come_first
@@ -47,7 +47,7 @@ def run_loop(commands: Connection, snapshots: Connection) -> None:
         commands: Gives first how to make the session and the arm's start, then commands.
         snapshots: Takes `Started`, then snapshots, and a `Failure` if it came to one.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent obeys Ctrl-C, and then closes
+    follow_parent()
     sys.setswitchinterval(_SWITCH)
     come_first(_NICENESS)
     try:
