@@ -13,14 +13,14 @@ import pytest
 from viser import _messages
 
 from app.dashboard.page import Page
-from app.dashboard.panels.new_robot import FIND, in_words, making_html, robot_name
+from app.dashboard.panels.new_robot import FIND, build_html, in_words, robot_name
 from app.dashboard.panels.report import report_html
-from app.dashboard.robots import robot_build as making_module
-from app.dashboard.robots.robot_build import Making
-from app.dashboard.robots.robot_switch import StageChange
+from app.dashboard.robots import robot_build
+from app.dashboard.robots.robot_build import RobotBuild
+from app.dashboard.robots.robot_switch import RobotSwitch
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.errors import ConfigError, LoopError, RobotFileError
-from app.jobs.background import Stopped, run_apart
+from app.jobs.process import Cancelled, run_in_process
 from app.onboarding.read.contents import look_into
 from app.onboarding.read.package import LARGEST_URDF
 from app.onboarding.request import Request
@@ -47,8 +47,8 @@ TOY = robot([*cart(), *arm()])
 
 def test_work_apart_tells_and_returns() -> None:
     told: list[float] = []
-    pid = run_apart(
-        count_up, 4, tell=lambda _, share: told.append(share), stopping=threading.Event()
+    pid = run_in_process(
+        count_up, 4, report=lambda _, share: told.append(share), cancelled=threading.Event()
     )
     assert told == [0.0, 0.25, 0.5, 0.75]
     assert pid != os.getpid()
@@ -62,26 +62,28 @@ def test_work_apart_that_fails_says_why() -> None:
         (ZeroDivisionError("a defect"), LoopError, "ZeroDivisionError: a defect"),
     ):
         with pytest.raises(error, match=words):
-            run_apart(fail_with, raised, tell=lambda *_: None, stopping=stopping)
+            run_in_process(fail_with, raised, report=lambda *_: None, cancelled=stopping)
     with pytest.raises(LoopError, match="status 7"):
-        run_apart(vanish, tell=lambda *_: None, stopping=stopping)
+        run_in_process(vanish, report=lambda *_: None, cancelled=stopping)
 
 
 def test_work_apart_ends_when_it_is_told_to_with_all_that_it_has_started(tmp_path: Path) -> None:
     stopping, file = threading.Event(), tmp_path / "child"
-    with pytest.raises(Stopped):
-        run_apart(wait_for_ever, str(file), tell=lambda *_: stopping.set(), stopping=stopping)
+    with pytest.raises(Cancelled):
+        run_in_process(
+            wait_for_ever, str(file), report=lambda *_: stopping.set(), cancelled=stopping
+        )
     wait_for(lambda: gone(int(file.read_text())), what="the end of the child's child")
 
 
 def test_work_apart_that_is_stopped_leaves_by_its_finally(tmp_path: Path) -> None:
     stopping = threading.Event()
-    with pytest.raises(Stopped):
-        run_apart(
+    with pytest.raises(Cancelled):
+        run_in_process(
             wait_in_a_folder,
             str(tmp_path / "toy"),
-            tell=lambda *_: stopping.set(),
-            stopping=stopping,
+            report=lambda *_: stopping.set(),
+            cancelled=stopping,
         )
     assert list(tmp_path.iterdir()) == []
 
@@ -95,14 +97,14 @@ def gone(pid: int) -> bool:
 
 
 @pytest.fixture
-def making(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Making]:
+def making(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RobotBuild]:
     monkeypatch.setenv("DBB_ROBOTS", str(tmp_path / "user"))
-    made = Making(StageChange(None))
+    made = RobotBuild(RobotSwitch(None))
     yield made
     made.close()
 
 
-def ended(making: Making) -> None:
+def ended(making: RobotBuild) -> None:
     wait_for(lambda: making.progress is None, what="the end of it")
 
 
@@ -143,7 +145,7 @@ def chain(links: int, joints: int) -> str:
 
 
 def test_a_zip_is_kept_until_another_comes_or_the_server_ends(
-    making: Making, tmp_path: Path
+    making: RobotBuild, tmp_path: Path
 ) -> None:
     content = zipped(tmp_path, {"toy.urdf": TOY}).read_bytes()
     making.receive("../My Robot (2).ZIP", content)
@@ -156,35 +158,37 @@ def test_a_zip_is_kept_until_another_comes_or_the_server_ends(
     ended(making)
     assert making.package is None
     assert "not a zip" in making.problem
-    assert "not a zip" in making_html(making)
+    assert "not a zip" in build_html(making)
     assert not first.exists()
 
 
 def test_a_robot_is_made_once_and_can_be_stopped(
-    making: Making, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    making: RobotBuild, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     request = Request("toy.zip", "base", "hand", tmp_path / "user" / "toy")
-    monkeypatch.setattr(making_module, "make_new", wait_for_ever_for_a_request)
-    making.make(request)
+    monkeypatch.setattr(robot_build, "build_robot", wait_for_ever_for_a_request)
+    making.build(request)
     wait_for(lambda: making.progress is None or making.progress.text == "waiting", what="work")
     with pytest.raises(ConfigError, match="cancel that first"):
-        making.make(request)
+        making.build(request)
     making.cancel()
     ended(making)
     assert "cancelled" in making.problem
     assert list((tmp_path / "user").iterdir()) == []
     with pytest.raises(ConfigError, match="there is a robot 'husky_panda' already"):
-        making.make(Request("toy.zip", "base", "hand", tmp_path / "user" / "husky_panda"))
+        making.build(Request("toy.zip", "base", "hand", tmp_path / "user" / "husky_panda"))
     with pytest.raises(RobotFileError, match="letters, digits"):
-        making.make(Request("toy.zip", "base", "hand", tmp_path / "user" / "a b"))
+        making.build(Request("toy.zip", "base", "hand", tmp_path / "user" / "a b"))
 
 
-def test_what_new_robot_refuses_is_told_and_nothing_is_left(making: Making, tmp_path: Path) -> None:
+def test_what_new_robot_refuses_is_told_and_nothing_is_left(
+    making: RobotBuild, tmp_path: Path
+) -> None:
     """The whole way, in its own process."""
     making.receive("toy.zip", zipped(tmp_path, {"toy.urdf": TOY}).read_bytes())
     ended(making)
     assert making.package is not None
-    making.make(Request(str(making.package.archive), "bse", "hand", tmp_path / "user" / "toy"))
+    making.build(Request(str(making.package.archive), "bse", "hand", tmp_path / "user" / "toy"))
     ended(making)
     assert "the URDF has no link 'bse' (did you mean 'base'?)" in making.problem
     assert list((tmp_path / "user").iterdir()) == []
@@ -285,10 +289,10 @@ def test_only_what_suits_the_kind_of_base_is_asked_and_answers_to_the_rest_do_no
 def test_an_upload_is_not_kept_by_the_page_and_not_at_all_once_it_is_a_robot(
     server: DashboardServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(making_module, "make_new", nothing_for_a_request)
+    monkeypatch.setattr(robot_build, "build_robot", nothing_for_a_request)
     with visitor(server) as (client, page):
         assert page.robot_panel is not None
-        own, made = page.robot_panel._own, server.shared.making
+        own, made = page.robot_panel._own, server.shared.robot_build
         before = made.package
         content = zipped(tmp_path, {"toy/toy.urdf": TOY}).read_bytes()
         upload(client, own._upload._impl.uuid, "toy.zip", content)
@@ -297,9 +301,9 @@ def test_an_upload_is_not_kept_by_the_page_and_not_at_all_once_it_is_a_robot(
         archive = made.package.archive
         assert archive.read_bytes() == content
         assert own._upload.value.content == b""
-        made.make(Request(str(archive), "base", "hand", tmp_path / "toy"))
+        made.build(Request(str(archive), "base", "hand", tmp_path / "toy"))
         ended(made)
-        assert made.made == "toy", made.problem
+        assert made.built == "toy", made.problem
         assert made.package is None
         assert not archive.exists()
         wait_for(lambda: "is made" in own._status.content, what="the good news")
@@ -323,7 +327,7 @@ def test_a_second_upload_is_asked_about_its_own_links(
             content = zipped(tmp_path, {"toy/toy.urdf": urdf}).read_bytes()
             upload(client, own._upload._impl.uuid, "toy.zip", content)
             wait_for(lambda tip=tip: own._fields["tip"].value == tip, what="the questions")
-            wait_for(lambda: server.shared.making.progress is None)
+            wait_for(lambda: server.shared.robot_build.progress is None)
 
 
 def test_an_upload_that_is_too_large_or_too_many_is_refused_before_it_is_kept(

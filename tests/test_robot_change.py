@@ -15,9 +15,9 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.dashboard.drag import Hold
 from app.dashboard.memory import give_back
-from app.dashboard.robots import robot_switch as stage_change
+from app.dashboard.robots import robot_switch
 from app.dashboard.robots.robot_list import RobotEntry
-from app.dashboard.robots.robot_switch import StageChange
+from app.dashboard.robots.robot_switch import RobotSwitch
 from app.dashboard.scene import robot
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.dashboard.view import HIDDEN, View
@@ -78,12 +78,12 @@ def robots(monkeypatch: pytest.MonkeyPatch) -> None:
         ),
     ]
     data = BorderData(None, clouds(), "cache")  # type: ignore[arg-type]
-    monkeypatch.setattr(stage_change, "robot_entries", lambda: entries)
-    monkeypatch.setattr(stage_change, "load_robot", lambda name: name)
+    monkeypatch.setattr(robot_switch, "robot_entries", lambda: entries)
+    monkeypatch.setattr(robot_switch, "load_robot", lambda name: name)
     monkeypatch.setattr(
-        stage_change, "RobotModel", lambda name: other() if name == OTHER else husky_panda()
+        robot_switch, "RobotModel", lambda name: other() if name == OTHER else husky_panda()
     )
-    monkeypatch.setattr(stage_change, "kept_border_data", lambda _: data)
+    monkeypatch.setattr(robot_switch, "kept_border_data", lambda _: data)
     seen = parts().visuals
     monkeypatch.setattr(robot, "load_visuals", lambda *_: list(seen))  # else seconds each time
 
@@ -91,8 +91,8 @@ def robots(monkeypatch: pytest.MonkeyPatch) -> None:
 def choose(server: DashboardServer, name: str) -> None:
     """Begin a change as the panel does, and wait until it has ended in one way or the other."""
     shared = server.shared
-    shared.change.begin(name, shared.tuning.config, "dbb", shared.loop)
-    wait_for(lambda: shared.change.progress is None, what="the end of the change")
+    shared.robot_switch.begin(name, shared.tuning.config, "dbb", shared.loop)
+    wait_for(lambda: shared.robot_switch.progress is None, what="the end of the change")
 
 
 @contextmanager
@@ -243,7 +243,7 @@ def test_if_it_fails_the_old_robot_goes_on_and_the_page_says_why(
 ) -> None:
     loops = Loops()
     with served_dashboard(start_loop=loops) as (server, _), viewer(server):
-        first, change = server.shared.loop, server.shared.change
+        first, change = server.shared.loop, server.shared.robot_switch
         if why == "refused":
             loops.refuses = Config()
         else:
@@ -253,7 +253,7 @@ def test_if_it_fails_the_old_robot_goes_on_and_the_page_says_why(
                 if why == "crashed":
                     raise ZeroDivisionError("a defect")
 
-            monkeypatch.setattr(stage_change, "kept_border_data", fails)
+            monkeypatch.setattr(robot_switch, "kept_border_data", fails)
         choose(server, OTHER)
         assert server.shared.loop is first
         assert title(server) == husky_panda().description.title
@@ -272,9 +272,9 @@ def test_if_it_fails_the_old_robot_goes_on_and_the_page_says_why(
 
 
 def test_a_list_that_is_looked_for_again_meanwhile_is_a_list() -> None:
-    entries = stage_change.robot_entries()
+    entries = robot_switch.robot_entries()
 
-    class Restless(StageChange):
+    class Restless(RobotSwitch):
         """Another thread looks again as soon as the list is kept."""
 
         def __setattr__(self, name: str, value: object) -> None:
@@ -315,7 +315,7 @@ def test_a_page_that_cannot_be_made_does_not_hold_up_the_change(
 
 def test_a_robot_that_is_not_there_or_not_whole_is_refused_at_once() -> None:
     with served_dashboard(start_loop=Loops()) as (server, _):
-        change = server.shared.change
+        change = server.shared.robot_switch
         for name, words in (("absent", "pip install x"), ("nobody", "no robot 'nobody'")):
             with pytest.raises(Exception, match=words):
                 change.begin(name, Config(), "dbb", server.shared.loop)

@@ -17,7 +17,7 @@ from app.config import Config
 from app.control.controller import CONTROLLERS
 from app.robot.assets import robot_names
 from app.robot.model import RobotModel
-from app.simulation.loop.child import LoopChild
+from app.simulation.loop.process_loop import LoopChild
 from app.simulation.plants.choice import chosen_plant
 from app.simulation.scenarios.names import LINES
 

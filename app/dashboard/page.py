@@ -7,6 +7,7 @@ import viser
 
 from app.config import Config
 from app.dashboard.drag import Grip, Hand
+from app.dashboard.job import Job
 from app.dashboard.notifications import Notices
 from app.dashboard.panels.case import add_case_button
 from app.dashboard.panels.compare import ComparePanel
@@ -44,6 +45,7 @@ class Page:
         view: What the viewer has chosen to see.
         timeline: The viewer's place in time.
         grip: What the viewer holds.
+        save_job: Makes the viewer's files.
         closed: Whether the viewer is gone.
     """
 
@@ -71,6 +73,7 @@ class Page:
         )
         self.timeline = Timeline(shared.loop)
         self.grip = Grip(shared.loop, notices, client.client_id)
+        self.save_job = before.save_job if before else Job()
         self.closed = False
         refusal = shared.loop.latest().refusal
         self._refusals = 0 if refusal is None else refusal.number  # of before this viewer came
@@ -194,11 +197,11 @@ class Page:
                 gui, shared.tuning, notices, robot=shared.model.description
             )
         self.robot_panel: RobotPanel | None = None
-        if shared.change.possible:
+        if shared.robot_switch.possible:
             with tabs.add_tab("Robot"):
                 self.robot_panel = RobotPanel(gui, shared, notices)
         with tabs.add_tab("Save"):
-            SavePanel(gui, shared, self.timeline, self.view, notices)
+            SavePanel(gui, shared, self.timeline, self.view, self.save_job, notices)
         with tabs.add_tab("Help"):
             add_help(gui, keys_text(self._shortcuts()))
 
@@ -236,7 +239,7 @@ class Page:
 
     def _tell_change(self) -> None:
         """Above all tabs: that another robot is being made ready."""
-        html = change_html(self._shared.change.progress)
+        html = change_html(self._shared.robot_switch.progress)
         if self._change.content != html:
             self._change.content = html
             self._change.visible = bool(html)

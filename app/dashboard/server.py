@@ -18,7 +18,7 @@ from app.dashboard.guards.listening import close_server, open_server
 from app.dashboard.notifications import Notices
 from app.dashboard.page import Page, show_failure
 from app.dashboard.panels.sweep import DEFAULT_FOLDER
-from app.dashboard.robots.robot_switch import NewStage, StageChange, StartLoop
+from app.dashboard.robots.robot_switch import RobotSwitch, RunningRobot, StartLoop
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
 from app.dashboard.scene.robot import RobotParts
 from app.dashboard.scene.theme import set_theme
@@ -76,9 +76,11 @@ class DashboardServer:
             LoopError: On the way out, if the simulation or the drawing has ended with an error;
                 until then the page stays and shows it.
         """
-        with contextlib.suppress(KeyboardInterrupt):
-            self._stopping.wait()
-        self.stop()
+        try:
+            with contextlib.suppress(KeyboardInterrupt):
+                self._stopping.wait()
+        finally:
+            self.stop()
         error = self.shared.loop.error or self.error
         if error is not None:
             raise LoopError(f"the simulation ended: {type(error).__name__}: {error}") from error
@@ -88,6 +90,8 @@ class DashboardServer:
         self._stopping.set()
         if self._thread is not threading.current_thread():
             self._thread.join(timeout=5.0)
+        for page in list(self.pages.values()):
+            page.save_job.cancel()
         self.shared.close()
         close_server(self.viser)
 
@@ -99,6 +103,7 @@ class DashboardServer:
         page = self.pages.get(client.client_id)
         if page is not None:
             page.close()
+            page.save_job.cancel()
         self._gone.put(client.client_id)
 
     def _draw_until_stopped(self) -> None:
@@ -117,7 +122,7 @@ class DashboardServer:
         while not self._stopping.wait(max(0.0, due - time.monotonic())):
             begin = time.monotonic()
             self._open_and_close_pages()
-            self._change_robot()
+            self._switch_robot()
             self.shared.update()
             self._draw_pages(texts=self.pictures % TEXTS_EVERY == 0)
             self.pictures += 1
@@ -144,21 +149,21 @@ class DashboardServer:
         while not self._gone.empty():
             self.pages.pop(self._gone.get(), None)
 
-    def _change_robot(self) -> None:
+    def _switch_robot(self) -> None:
         """If another robot has become ready, give every viewer a page of it."""
-        change = self.shared.change
-        stage = change.take()
-        if stage is None:
+        switch = self.shared.robot_switch
+        robot = switch.take()
+        if robot is None:
             return
         try:
-            self._show(stage)
+            self._show(robot)
         finally:
-            change.shown()  # even if drawing ends here: its thread waits for this
-        note = f": {stage.note}" if stage.note else "; parameters stay as they were set"
-        self._notices.tell(f"{stage.model.description.title} is here{note}.")
+            switch.shown()  # even if drawing ends here: its thread waits for this
+        note = f": {robot.note}" if robot.note else "; parameters stay as they were set"
+        self._notices.tell(f"{robot.model.description.title} is here{note}.")
 
-    def _show(self, stage: NewStage) -> None:
-        self.shared = self.shared.followed_by(stage)
+    def _show(self, robot: RunningRobot) -> None:
+        self.shared = self.shared.followed_by(robot)
         self._failure = None
         for number, page in list(self.pages.items()):
             self.pages[number] = page.with_robot(self.shared)
@@ -208,8 +213,8 @@ def serve_dashboard(
         AssetError: A mesh of the robot is not there.
     """
     check_address(host, port)
-    change = StageChange(start_loop)
-    shared = Shared(loop, model, clouds, case, sweeps, parts, change=change)
+    switch = RobotSwitch(start_loop)
+    shared = Shared(loop, model, clouds, case, sweeps, parts, robot_switch=switch)
     server = open_server(host, port)
     try:
         if port not in (0, server.get_port()):

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from app.border.cloud import Cloud
+from app.dashboard.job import Job
 from app.dashboard.panels.plots import plot_plans
 from app.dashboard.record import Record
-from app.dashboard.robots.robot_build import Making
-from app.dashboard.robots.robot_switch import NewStage, StageChange
+from app.dashboard.robots.robot_build import RobotBuild
+from app.dashboard.robots.robot_switch import RobotSwitch, RunningRobot
 from app.dashboard.scene.borders import Borders
 from app.dashboard.scene.robot import RobotParts
 from app.dashboard.scene.trails import Tracks
@@ -17,7 +18,6 @@ from app.dashboard.tuning import Tuning
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios.leading import Scenario
-from app.studies.sweep.job import SweepJob
 
 
 class Shared:
@@ -36,8 +36,8 @@ class Shared:
         case: A scenario that begins where the loop does, for a button that plays it, or None.
         sweeps: Folder of the maps of sweeps.
         sweep_job: A sweep that a viewer has begun.
-        change: Of the robot.
-        making: Of a new robot from an uploaded zip.
+        robot_switch: To another robot.
+        robot_build: Of a new robot from an uploaded zip.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Shared:
         sweeps: Path,
         parts: RobotParts | None = None,
         *,
-        change: StageChange | None = None,
+        robot_switch: RobotSwitch | None = None,
         before: Shared | None = None,
     ) -> None:
         """Load what pages need.
@@ -61,7 +61,7 @@ class Shared:
             case: A scenario that a button plays, or None.
             sweeps: Folder of the maps of sweeps.
             parts: The robot's meshes if they have been read already.
-            change: Of the robot; without, it cannot be changed.
+            robot_switch: To another robot; without, it cannot be switched.
             before: What was shared with another robot: of it stay the parameters, with their
                 history, and what is under way for new robots.
         """
@@ -75,27 +75,26 @@ class Shared:
         self.parts = parts or RobotParts(model)
         self.borders = Borders(model, clouds)
         self.tuning = Tuning(loop, first.config) if before is None else before.tuning
-        self.change = before.change if before else change or StageChange(None)
-        self.making = before.making if before else Making(self.change)
+        self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)
+        self.robot_build = before.robot_build if before else RobotBuild(self.robot_switch)
         self.plans = plot_plans(model, self.pairs)
         self.record = Record(curve for plan in self.plans for curve in plan.curves)
         self.tracks = Tracks()
-        self.sweep_job = SweepJob()
+        self.sweep_job = Job()
 
-    def followed_by(self, stage: NewStage) -> Shared:
+    def followed_by(self, robot: RunningRobot) -> Shared:
         """The same with another robot; what was started for this one ends."""
-        self.sweep_job.stop()
+        self.sweep_job.close()
         after = Shared(
-            stage.loop, stage.model, stage.clouds, None, self.sweeps, stage.parts, before=self
+            robot.loop, robot.model, robot.clouds, None, self.sweeps, robot.parts, before=self
         )
-        self.tuning.move_to(stage.loop, stage.config)
+        self.tuning.move_to(robot.loop, robot.config)
         return after
 
     def close(self) -> None:
         """End what was started beside the simulation."""
-        self.sweep_job.stop()
-        self.making.close()
-        self.change.close()
+        for job in (self.sweep_job, self.robot_build, self.robot_switch):
+            job.close()
 
     def update(self) -> None:
         """Take in what is new."""

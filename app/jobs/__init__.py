@@ -1,1 +1,1 @@
-"""Work in other processes: pools, and background jobs that report progress and can be stopped."""
+"""Child processes: a pool of workers, and single jobs with progress and cancellation."""

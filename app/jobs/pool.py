@@ -1,11 +1,10 @@
-"""The same work on all cores: a pool of processes that ends cleanly on Ctrl-C."""
+"""Process pool: the same function for many jobs on all cores, in the order of the jobs."""
 
 from __future__ import annotations
 
 import logging
 import multiprocessing as mp
 import os
-import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -13,6 +12,7 @@ from functools import partial
 from types import TracebackType
 from typing import Any, TypeVar
 
+from app.jobs.process import follow_parent, starting_children
 from app.system import SPAWN
 
 Job = TypeVar("Job")
@@ -65,7 +65,9 @@ class Workers:
         done = 0
         if self._executor is not None:
             try:
-                for result in self._executor.map(partial(_run, function), jobs):
+                with starting_children():  # the first submission starts all of them
+                    results = self._executor.map(partial(_run, function), jobs)
+                for result in results:
                     done += 1
                     yield result
             except BrokenProcessPool:
@@ -81,8 +83,7 @@ class Workers:
 
 def _start_worker(make_context: Callable[[], Any]) -> None:
     global _context
-    # Ctrl-C reaches the whole group; the parent alone answers it, by ending its workers.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    follow_parent()
     _context = make_context()
 
 

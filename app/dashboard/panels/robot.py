@@ -6,12 +6,12 @@ from html import escape
 
 import viser
 
+from app.dashboard.job import Progress
 from app.dashboard.notifications import Notices
 from app.dashboard.panels.new_robot import NewRobotPanel
 from app.dashboard.panels.report import show_report
 from app.dashboard.panels.widgets import renew, renew_bar, small
 from app.dashboard.robots.robot_list import RobotEntry
-from app.dashboard.robots.robot_switch import Progress
 from app.dashboard.shared import Shared
 from app.errors import ConfigError
 
@@ -27,7 +27,7 @@ class RobotPanel:
             shared: Simulation, parameters and the change of the robot.
             notices: For what goes wrong.
         """
-        self._shared, self._change = shared, shared.change
+        self._shared, self._switch = shared, shared.robot_switch
         self._entries: list[RobotEntry] = []
         self._list = gui.add_dropdown(
             "Robot",
@@ -42,20 +42,20 @@ class RobotPanel:
         self._status = gui.add_html("")
         for handle, callback in (
             (self._use, lambda _: self._begin()),
-            (self._cancel, lambda _: self._change.cancel()),
+            (self._cancel, lambda _: self._switch.cancel()),
             (self._report, lambda event: show_report(event.client, self._name(), notices)),
         ):
             handle.on_click(notices.guard(callback))  # type: ignore[arg-type]
         self._renew_list()
         self._choose(shared.model.description.name)
-        self._own = NewRobotPanel(gui, shared.making, notices)
+        self._own = NewRobotPanel(gui, shared.robot_build, notices)
         self.update()
 
     def update(self) -> None:
         """Renew list, texts and progress; what has not changed is not sent."""
-        if self._change.entries is not self._entries:
+        if self._switch.entries is not self._entries:
             self._renew_list()
-        progress, chosen = self._change.progress, self._chosen()
+        progress, chosen = self._switch.progress, self._chosen()
         here = chosen is not None and chosen.name == self._shared.model.description.name
         ended = self._shared.loop.error is not None  # then the same robot can be had again
         usable = chosen is not None and chosen.problem is None and (ended or not here)
@@ -64,12 +64,12 @@ class RobotPanel:
         renew(self._cancel, "visible", progress is not None)
         renew(self._report, "visible", chosen is not None and chosen.report)
         renew_bar(self._bar, progress)
-        renew(self._status, "content", status_html(progress, self._change.problem))
+        renew(self._status, "content", status_html(progress, self._switch.problem))
         self._own.update()
 
     def _begin(self) -> None:
         shared = self._shared
-        self._change.begin(
+        self._switch.begin(
             self._name(), shared.tuning.config, shared.loop.latest().controller, shared.loop
         )
 
@@ -94,9 +94,9 @@ class RobotPanel:
 
     def _renew_list(self) -> None:
         chosen = next((e.name for e in self._entries if e.label == self._list.value), "")
-        self._entries = self._change.entries
+        self._entries = self._switch.entries
         self._list.options = tuple(entry.label for entry in self._entries) or ("",)
-        self._choose(self._shared.making.made or chosen)
+        self._choose(self._shared.robot_build.built or chosen)
 
 
 def change_html(progress: Progress | None) -> str:

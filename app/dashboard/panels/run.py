@@ -12,8 +12,7 @@ from app.dashboard.drag import Sink
 from app.dashboard.notifications import Notices
 from app.dashboard.scene.colours import SERIES, css, distance_colour
 from app.robot.description import RobotDescription
-from app.simulation.loop.command_check import SPEEDS
-from app.simulation.loop.commands import Choose, Pause, PlayScenario, Reset, Restart, Speed
+from app.simulation.loop.commands import SPEEDS, Choose, Pause, Play, Reset, Restart, Speed
 from app.simulation.scenarios.names import SCENARIOS, own_line
 from app.simulation.trace.snapshot import PairReading, Snapshot
 
@@ -89,7 +88,7 @@ class RunPanel:
         if scenario == FREE:
             self._sink.send(Reset())
         else:
-            self._sink.send(PlayScenario(scenario, own_line(self._robot, scenario)))
+            self._sink.send(Play.named(scenario, own_line(self._robot, scenario)))
 
     def update(self, newest: Snapshot, shown: Snapshot) -> None:
         """Renew the readings; what has not changed is not sent.

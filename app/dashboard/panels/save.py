@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import tempfile
-import threading
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
@@ -15,12 +12,15 @@ import numpy as np
 import viser
 from PIL import Image
 
+from app.dashboard.job import Job
 from app.dashboard.notifications import Notices
 from app.dashboard.scene.theme import BACKGROUND
 from app.dashboard.shared import Shared
 from app.dashboard.timeline import Timeline
 from app.dashboard.view import View
+from app.dashboard.work import write_replay, write_report
 from app.errors import DbbError, LogError
+from app.jobs.process import Report
 from app.simulation.trace.snapshot import Snapshot
 
 if TYPE_CHECKING:
@@ -29,16 +29,24 @@ if TYPE_CHECKING:
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
 """[px] least, most and first size of a picture."""
 _PATIENCE = 30.0  # [s] for a browser to draw a picture
-_LONGEST = 600.0  # [s] for a report or a replay
 _LOGS = {"Log (CSV)": "log.csv", "Log (Parquet)": "log.parquet"}
-_PAGES = {"Report (HTML)": ("report", "report.html"), "Replay (HTML)": ("replay", "replay.html")}
+_PAGES = {
+    "Report (HTML)": ("report.html", write_report),
+    "Replay (HTML)": ("replay.html", write_replay),
+}
 
 
 class SavePanel:
     """Buttons, each of which ends in a download of the viewer who pressed it."""
 
     def __init__(
-        self, gui: viser.GuiApi, shared: Shared, timeline: Timeline, view: View, notices: Notices
+        self,
+        gui: viser.GuiApi,
+        shared: Shared,
+        timeline: Timeline,
+        view: View,
+        job: Job,
+        notices: Notices,
     ) -> None:
         """Build the tab in the GUI container that is now open.
 
@@ -47,10 +55,11 @@ class SavePanel:
             shared: Robot and simulation.
             timeline: Whose marked interval is saved.
             view: Whether the page is dark, for the ground of pictures.
+            job: Makes the viewer's files, one after the other.
             notices: For what goes wrong.
         """
         self._shared, self._timeline, self._view, self._notices = shared, timeline, view, notices
-        self._busy = threading.Lock()
+        self._job = job
         with gui.add_folder("Picture"):
             self._sizes = {
                 name: gui.add_number(f"{name} [px]", first, min=least, max=most, step=1)
@@ -61,19 +70,18 @@ class SavePanel:
         with gui.add_folder("The marked interval, or all that is kept"):
             for label, name in _LOGS.items():
                 self._button(gui, label, viser.Icon.TABLE, self._log(name))
-            for label, (command, name) in _PAGES.items():
-                self._button(gui, label, viser.Icon.MOVIE, self._page(command, name))
+            for label, (name, write) in _PAGES.items():
+                self._button(gui, label, viser.Icon.MOVIE, self._page(name, write))
         gui.add_markdown("Parameters are saved in the tab *Tune*.")
 
     def _button(
         self, gui: viser.GuiApi, label: str, icon: Any, make: Callable[[Any], tuple[str, bytes]]
     ) -> None:
-        """A button that makes a file in a thread of its own and sends it."""
+        """A button that makes a file beside the simulation and sends it."""
 
         def pressed(event: viser.GuiEvent) -> None:
-            if not self._busy.acquire(blocking=False):
-                raise LogError("one file after the other: the last one is still being made")
-            threading.Thread(target=work, args=(event.client,), daemon=True).start()
+            if (client := event.client) is not None:
+                self._job.start(label, "is being made", lambda: work(client))
 
         def work(client: viser.ClientHandle) -> None:
             note = client.add_notification(label, "is being made …", loading=True)
@@ -85,7 +93,6 @@ class SavePanel:
             except Exception as error:  # the person who pressed must learn of it
                 self._notices.fail(client, error)
             finally:
-                self._busy.release()
                 note.remove()
 
         gui.add_button(label, icon=icon).on_click(self._notices.guard(pressed))  # type: ignore[arg-type]
@@ -134,13 +141,15 @@ class SavePanel:
 
         return make
 
-    def _page(self, command: str, name: str) -> Callable[[Any], tuple[str, bytes]]:
-        """A page that `dbb` makes of the log in a process of its own: it takes seconds of work."""
+    def _page(
+        self, name: str, write: Callable[[Report, Path, Path], None]
+    ) -> Callable[[Any], tuple[str, bytes]]:
+        """A page of the log, written in a process of its own: it takes seconds of work."""
 
         def make(_: Any) -> tuple[str, bytes]:
             with tempfile.TemporaryDirectory() as folder:
                 log, page = self._write(Path(folder) / "log.parquet"), Path(folder) / name
-                run_dbb(command, str(log), "--out", str(page))
+                self._job.run(write, log, page)
                 return name, page.read_bytes()
 
         return make
@@ -189,19 +198,3 @@ def png(picture: Image.Image) -> bytes:
     file = BytesIO()
     picture.save(file, "PNG")
     return file.getvalue()
-
-
-def run_dbb(*args: str) -> None:
-    """Run a command of this program in a process of low priority.
-
-    Raises:
-        LogError: With the last line that it wrote, if it fails.
-    """
-    command = ["nice", "-n", "10", sys.executable, "-m", "app", *args]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_LONGEST)
-    except subprocess.TimeoutExpired:
-        raise LogError(f"dbb {args[0]} took longer than {_LONGEST:.0f} s") from None
-    if done.returncode != 0:
-        lines = done.stderr.strip().splitlines() or ["no message"]
-        raise LogError(f"dbb {args[0]}: {lines[-1]}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from app.dashboard.robots.robot_switch import Progress
+from app.dashboard.job import Progress
 
 
 def small(html: str) -> str:

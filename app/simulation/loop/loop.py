@@ -1,4 +1,4 @@
-"""The loop: a thread owns the session, keeps to real time, obeys commands, publishes snapshots.
+"""Live loop: a thread owns the session, keeps to real time, obeys commands, publishes snapshots.
 
 Whoever draws sees only `LoopHandle`: commands in, immutable snapshots out, nothing shared. So the
 thread may live in another process without a change on the other side.
@@ -15,7 +15,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from app.errors import DbbError, LoopError
-from app.simulation.loop.command_check import checked
 from app.simulation.loop.commands import (
     Choose,
     Command,
@@ -28,13 +27,14 @@ from app.simulation.loop.commands import (
     Restart,
     Speed,
     StepOnce,
+    check_command,
 )
 from app.simulation.loop.ensemble import Ensemble
 from app.simulation.loop.mailbox import Mailbox
 from app.simulation.loop.pacing import Pacer
 from app.simulation.people import held_links
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.history import History
+from app.simulation.trace.history import SNAPSHOTS_KEPT, History
 from app.simulation.trace.publishing import ghost_reading, make_snapshot
 from app.simulation.trace.snapshot import Refusal, Snapshot
 
@@ -53,9 +53,13 @@ class LoopHandle(Protocol):
     """Names of the arm's frames that can be pulled, once it has started."""
 
     def send(self, command: Command) -> None:
-        """Leave a command; it is obeyed before the next control step.
+        """Leave a command; it is obeyed before one of the next control steps.
 
         Of commands that replace one another, such as two pulls, only the newest is obeyed.
+
+        Raises:
+            UnknownNameError: A pull's link is none of `links`.
+            LoopError: Too many commands wait.
         """
         ...
 
@@ -76,19 +80,22 @@ class SimulationLoop:
         links: Where the arm can be held, once it has started.
     """
 
-    def __init__(self, make_session: Callable[[], Session], q_start: Array) -> None:
+    def __init__(
+        self, make_session: Callable[[], Session], q_start: Array, *, kept: int = SNAPSHOTS_KEPT
+    ) -> None:
         """Prepare; `start` begins.
 
         Args:
             make_session: Called once, in the loop's own thread, which then owns the session.
             q_start: (n_m,) arm configuration at the start and after each reset.
+            kept: How many snapshots `history` goes back.
         """
         self.error: BaseException | None = None
         self.links: tuple[str, ...] = ()
         self._make_session = make_session
         self._q_start = np.array(q_start)
         self._mailbox = Mailbox()
-        self._history = History()
+        self._history = History(kept)
         self._ready = threading.Event()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulation", daemon=True)
@@ -118,19 +125,16 @@ class SimulationLoop:
             self._thread.join(timeout=5.0)
 
     def send(self, command: Command) -> None:
-        """Leave a command; it is obeyed before the next control step.
-
-        Raises:
-            DbbError: It can never be obeyed (`command_check.checked`), or too many wait.
-        """
-        self._mailbox.put(checked(command, self.links))
+        """See `LoopHandle.send`."""
+        check_command(command, self.links)
+        self._mailbox.put(command)
 
     def latest(self) -> Snapshot:
-        """The newest snapshot."""
+        """See `LoopHandle.latest`."""
         return self._history.latest
 
     def history(self, after: float) -> list[Snapshot]:
-        """Snapshots of the last 60 s with t > `after` [s], oldest first."""
+        """See `LoopHandle.history`."""
         return self._history.after(after)
 
     def _run(self) -> None:

@@ -1,4 +1,4 @@
-"""Commands on their way: of those that replace one another only the newest is kept."""
+"""Mailbox of commands: of those that replace one another only the newest is kept."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from app.simulation.loop.commands import (
     Configure,
     Pause,
     Play,
-    PlayScenario,
     Pull,
     Release,
     Reset,
@@ -25,7 +24,7 @@ MOST = 64
 kinds."""
 
 _STATES = (Configure, Choose, Pause, Speed)
-_BEGINNINGS = (Reset, Restart, Play, PlayScenario)
+_BEGINNINGS = (Reset, Restart, Play)
 
 
 class Mailbox:

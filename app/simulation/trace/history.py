@@ -6,14 +6,16 @@ from collections import deque
 
 from app.simulation.trace.snapshot import Snapshot
 
-_LENGTH = 3000  # snapshots kept: 60 s at 50 Hz
+SNAPSHOTS_KEPT = 3000
+"""60 s at 50 Hz."""
 
 
 class History:
     """A bounded record in order of time; when time goes back, it begins anew."""
 
-    def __init__(self) -> None:
-        self._kept: deque[Snapshot] = deque(maxlen=_LENGTH)
+    def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
+        """Empty; the newest snapshots stay, so many of them."""
+        self._kept: deque[Snapshot] = deque(maxlen=kept)
         self._latest: Snapshot | None = None
 
     @property

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import cast
@@ -12,7 +14,6 @@ from dask import config as dask_config
 from distributed import Client, LocalCluster
 
 from app.errors import StudyError
-from app.jobs.interrupts import interrupts_ignored
 from app.studies.pulls.parameters import code_digest
 
 _PATIENCE = 10.0  # [s] for a scheduler to answer
@@ -61,7 +62,7 @@ def cluster(scheduler: str | None, processes: int) -> Iterator[Client]:
 
 @contextmanager
 def _local(processes: int) -> Iterator[LocalCluster]:
-    with interrupts_ignored():
+    with _interrupts_ignored():
         local = LocalCluster(
             n_workers=processes,
             threads_per_worker=1,
@@ -77,6 +78,22 @@ def _local(processes: int) -> Iterator[LocalCluster]:
         yield local
     finally:
         local.close()
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Ctrl-C is ignored meanwhile, and for good by the processes that dask's threads start.
+
+    Only the main thread can say so; in others nothing changes.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def workers_of(client: Client) -> int:

@@ -1,4 +1,4 @@
-"""Ctrl-C ends a command as one that was interrupted, whatever compiled code makes of it."""
+"""A signal ends a command by its convention, whatever compiled code makes of it."""
 
 from __future__ import annotations
 
@@ -60,6 +60,26 @@ def test_an_interrupted_command_says_so_in_one_line(command, monkeypatch, capsys
     assert end.value.code == 130
     assert capsys.readouterr().err == "dbb: interrupted\n"
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_other_ending_signals_leave_by_every_finally(number, monkeypatch):
+    tidied = []
+
+    def command(_: object) -> None:
+        try:
+            signal.raise_signal(number)
+        except SystemExit:
+            tidied.append(True)
+            raise ValueError("as compiled code makes of it") from None
+
+    monkeypatch.setattr("app.cli.signals._LONGEST", 3600.0)
+    monkeypatch.setattr(ENTRY, "_run", command)
+    with pytest.raises(SystemExit) as end:
+        main(["run"])
+    assert end.value.code == 128 + number
+    assert tidied == [True]
+    assert signal.getsignal(number) is signal.SIG_DFL
 
 
 def test_what_a_command_says_after_it_was_interrupted_is_heard(monkeypatch, capsys):
