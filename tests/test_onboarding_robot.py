@@ -20,6 +20,7 @@ from app.onboarding.fit.collision_sampling import sample_meetings
 from app.onboarding.fit.grouping import find_grouping
 from app.onboarding.fit.rigid_groups import make_units
 from app.onboarding.new_robot import NewRobot
+from app.onboarding.read.parse import parse
 from app.onboarding.read.source import mesh_address
 from app.onboarding.request import Request
 from app.onboarding.write.make import finish
@@ -110,7 +111,7 @@ def test_a_folder_that_python_takes_for_a_package_is_still_the_robots_own(
     address = mesh_address(str(mesh), tmp_path)
     assert address == "package://some_robots/.toy-x/package/m.stl"
     for reference in (address, str(mesh)):
-        assert mesh_name(reference, tmp_path, mesh.parent.parent) == "package/m.stl"
+        assert mesh_name(mesh_address(reference, tmp_path), mesh.parent.parent) == "package/m.stl"
 
 
 @pytest.mark.parametrize("folder", ["a & b", 'a"b', "toy", "link", "../toy-other/../toy"])
@@ -134,9 +135,9 @@ def test_meshes_below_the_robots_own_folder_are_named_by_the_path_in_it(
         home / mesh,
         real / mesh,
     ):
-        assert mesh_name(str(reference), home, home) == "package/m.stl"
-    assert mesh_name(str(beside), home, home) == str(beside)
-    assert mesh_name("../toy-other/m.stl", real, home) == str(beside)
+        assert mesh_name(mesh_address(str(reference), home), home) == "package/m.stl"
+    assert mesh_name(mesh_address(str(beside), home), home) == str(beside)
+    assert mesh_name(mesh_address("../toy-other/m.stl", real), home) == str(beside)
 
 
 def test_the_description_is_the_urdf_on_the_floor(made: NewRobot) -> None:
@@ -220,7 +221,7 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     out = tmp_path_factory.mktemp("fit") / "husky_fit"
     urdf = str(ASSETS / "husky_panda" / "robot.urdf")
     request = Request(urdf=urdf, base="base_link", tip="panda_hand", out=out)
-    parsed = new_robot.parse(request)
+    parsed = parse(request)
     urdf = new_robot.rebased_urdf(
         parsed.tree,
         parsed.arm,
@@ -228,7 +229,6 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
         parsed.geometry,
         parsed.inertias,
         name="husky_fit",
-        folder=parsed.folder,
         header="test",
     )
     path = write(request.out.parent, urdf)

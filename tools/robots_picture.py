@@ -14,7 +14,7 @@ from app.border.mobile import MobileBody
 from app.border.offset import OffsetContours
 from app.onboarding.fit.rigid_groups import units_of_links
 from app.onboarding.read.geometry import read_geometry
-from app.onboarding.read.source import read_source
+from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
 from app.onboarding.write.pictures import BODY_COLOURS, _fill, _placements, _seen, body_corners
 from app.robot.assets import load_robot, urdf_path
@@ -30,7 +30,7 @@ def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
     """The ready pose seen along an axis: hulls of the links in grey, bodies over them."""
     placed = _placements(model, np.array(model.description.arm.ready_position))
     path = urdf_path(model.description)
-    geometry = read_geometry(make_tree(read_source(path)), path.parent)
+    geometry = read_geometry(make_tree(read_robot(path)))
     for units in units_of_links(model, geometry).values():
         for unit in units:
             for part in unit.parts:

@@ -14,8 +14,7 @@ from app.dashboard.panels.widgets import renew, renew_bar, small
 from app.dashboard.robots.robot_build import Package, RobotBuild
 from app.errors import ConfigError
 from app.onboarding.read.unpack import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
-from app.onboarding.request import NAME, Request
-from app.onboarding.request_check import BOUNDS, OF_KIND, check_request, option
+from app.onboarding.request import BOUNDS, NAME, OF_KIND, Request, check_request, option
 from app.robot.assets import user_robots
 from app.robot.description import KINDS
 

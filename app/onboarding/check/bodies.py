@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import combinations
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from app.onboarding.fit.collision_sampling import (
 )
 from app.onboarding.fit.rigid_groups import Unit, neighbours, units_of_links
 from app.onboarding.read.geometry import read_geometry
-from app.onboarding.read.source import read_source
+from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
 from app.robot.assets import urdf_path
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
@@ -104,8 +103,7 @@ def pairs_row(model: RobotModel, data: BorderData) -> Row:
 
 
 def _geometry(model: RobotModel) -> dict:
-    path = urdf_path(model.description)
-    return read_geometry(make_tree(read_source(path)), Path(path).parent)
+    return read_geometry(make_tree(read_robot(urdf_path(model.description))))
 
 
 def _collisions(model: RobotModel) -> _Seen:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -34,12 +35,24 @@ class Place(NamedTuple):
     source: str
 
 
-def find_places(model: RobotModel, pairs: LinkPairs, d_b: float) -> dict[str, Place]:
+def find_places(
+    model: RobotModel,
+    pairs: LinkPairs,
+    d_b: float,
+    *,
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> dict[str, Place]:
     """Lines towards the base from its side and its front, by the scenario's name.
 
     From 0.43 m beside the box around l_m (0.25 m where the arm is short) to 0.125 m, as with the
     paper's robot, at the height nearest to 0.8 of the box at which the arm can start. A side that
     the arm does not reach has none.
+
+    Args:
+        model: The robot.
+        pairs: Its pairs.
+        d_b: [m] buffer distance.
+        on_progress: Called with the share of the places that was looked at, 0 to 1.
     """
     solver = StartSolver(model, pairs, d_b)
     body, mount = MobileBody(model), model.p_base()
@@ -47,11 +60,11 @@ def find_places(model: RobotModel, pairs: LinkPairs, d_b: float) -> dict[str, Pl
     reachable = min(top, float(mount[2]) + 0.4)
     heights = [round(h, 3) for h in _heights(reachable)]
     found: dict[str, Place] = {}
-    for name, lines in (
-        ("guiding-lateral", _lateral(body, mount)),
-        ("guiding-front", _front(body, mount)),
-    ):
-        place = _first(solver, list(lines), heights)
+    ways = {"guiding-lateral": _lateral(body, mount), "guiding-front": _front(body, mount)}
+    for k, (name, lines) in enumerate(ways.items()):
+        place = _first(
+            solver, list(lines), heights, lambda share, k=k: on_progress((k + share) / len(ways))
+        )
         if place is not None:
             found[name] = place
     return found
@@ -79,23 +92,26 @@ def _front(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:
 
 
 def _first(
-    solver: StartSolver, lines: list[tuple[Array, Array]], heights: list[float]
+    solver: StartSolver,
+    lines: list[tuple[Array, Array]],
+    heights: list[float],
+    on_progress: Callable[[float], None],
 ) -> Place | None:
-    for start, move in lines:
-        for z in heights:
-            p = _point([*np.round(start, 3), z])
-            if not solver.reaches(p):
-                continue
-            try:
-                solver.solve(p, tries=_TRIES)
-            except UnreachableError:
-                continue
-            return Place(
-                p,
-                _point([*np.round(move, 3), 0.0]),
-                "chosen: the first place, from far to near, where the arm can start clear of the "
-                "buffers; it leads to 0.125 m beside the base",
-            )
+    for k, ((start, move), z) in enumerate(product(lines, heights)):
+        on_progress(k / (len(lines) * len(heights)))
+        p = _point([*np.round(start, 3), z])
+        if not solver.reaches(p):
+            continue
+        try:
+            solver.solve(p, tries=_TRIES)
+        except UnreachableError:
+            continue
+        return Place(
+            p,
+            _point([*np.round(move, 3), 0.0]),
+            "chosen: the first place, from far to near, where the arm can start clear of the "
+            "buffers; it leads to 0.125 m beside the base",
+        )
     return None
 
 

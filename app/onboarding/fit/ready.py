@@ -6,12 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.avoidance.distances import DistanceMonitor
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.robot.state import RobotState, at_rest
-from app.simulation.scenarios.posture import manipulability
-from app.simulation.scenarios.start import FloorDistance
+from app.simulation.scenarios.posture import PostureSearch, manipulability
 
 Array = np.ndarray
 
@@ -24,6 +21,7 @@ _SAMPLES = 6000
 _KEPT = 0.1  # [-] share of a joint's range kept from either limit
 _ENOUGH = 0.15  # [m] beyond the buffer
 _FLOOR = 0.1  # [m] between the arm and the floor
+_BAD = 1e3  # [-] makes the worth of the worst pose more than zero: a pose is always chosen
 
 
 class Ready(NamedTuple):
@@ -51,59 +49,57 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, d_b: float, seed: int) ->
         d_b: [m] buffer distance.
         seed: Of the poses.
     """
-    rng = np.random.default_rng(seed)
-    span = model.q_upper - model.q_lower
-    span = np.minimum(span, 2 * np.pi)  # nobody waits with a joint wound up
-    middle = (model.q_upper + model.q_lower) / 2
+    rng, judge = np.random.default_rng(seed), _Judge(model, pairs, d_b)
+    search, middle = judge.search, judge.search.middle
+    span = np.minimum(search.span, 2 * np.pi)  # nobody waits with a joint wound up
     poses = middle + (rng.random((_SAMPLES, model.n_m)) - 0.5) * (1 - 2 * _KEPT) * span
-    judge = _Judge(model, pairs, d_b)
-    found = [judge.look(q) for q in poses]
-    best = max(each.manipulability for each, _ in found) or 1.0
-    scores = [
-        1.5 * min(each.clearance, _ENOUGH) / _ENOUGH
-        + each.manipulability / best
-        + place
-        - 0.5 * float(np.mean(np.abs(each.q_m - middle) / span))
-        for each, place in found
-    ]
-    return _tidy(judge, found[int(np.argmax(scores))][0])
+    best = max(map(judge.manipulability, poses)) or 1.0
+
+    def worth(q_m: Array) -> float:
+        ready = judge.look(q_m)
+        return (
+            _BAD
+            + 1.5 * min(ready.clearance, _ENOUGH) / _ENOUGH
+            + ready.manipulability / best
+            + judge.placed()
+            - 0.5 * float(np.mean(np.abs(q_m - middle) / span))
+        )
+
+    found = search.best(poses, worth).q_m
+    assert found is not None
+    return judge.look(np.round(found, 2))
 
 
 def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array, *, d_b: float) -> Ready:
     """What is near in a pose that was given."""
-    return _Judge(model, pairs, d_b).look(np.asarray(q_m, dtype=float))[0]
-
-
-def _tidy(judge: _Judge, ready: Ready) -> Ready:
-    """The same with two decimals."""
-    return judge.look(np.round(ready.q_m, 2))[0]
+    return _Judge(model, pairs, d_b).look(np.asarray(q_m, dtype=float))
 
 
 class _Judge:
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
-        self._state, self._d_b = RobotState(model), d_b
-        self._monitor = DistanceMonitor(self._state, pairs.all)
+        self.search = PostureSearch(model, pairs, d_b)
         self._names = [pair.name for pair in pairs.all]
-        self._floor = FloorDistance(self._state)
         self._mount = model.p_base()
 
-    def look(self, q: Array) -> tuple[Ready, float]:
-        """A pose, and how well the hand is placed: up to 1, below 0 where it cannot be used."""
-        state = self._state
-        state.update_kinematics(at_rest(state.model, q))
-        distances = self._monitor.distances()
+    def look(self, q_m: Array) -> Ready:
+        """What is near in a pose."""
+        m = self.manipulability(q_m)
+        distances = self.search.distances()
         i = int(np.argmin(distances)) if distances else -1
-        clearance = distances[i] - self._d_b if distances else np.inf
-        J = state.J_ee[:, state.model.n_b :]
-        m = manipulability(J) if len(q) >= 6 else float(np.sqrt(np.linalg.det(J[:3] @ J[:3].T)))
-        ready = Ready(q, float(clearance), self._names[i] if distances else "", m)
-        return ready, self._placed()
+        clearance = distances[i] - self.search.d_b if distances else np.inf
+        return Ready(q_m, float(clearance), self._names[i] if distances else "", m)
 
-    def _placed(self) -> float:
-        at = self._state.T_world_ee
+    def manipulability(self, q_m: Array) -> float:
+        """√det(J Jᵀ) of the hand in a pose, of its place alone with fewer than six joints."""
+        self.search.place(q_m)
+        return manipulability(self.search.J_hand if len(q_m) >= 6 else self.search.J_hand[:3])
+
+    def placed(self) -> float:
+        """[-] how well the hand is placed: up to 1.2, far below 0 where it cannot be used."""
+        at = self.search.state.T_world_ee
         out = at.translation - self._mount
         away = float(np.hypot(*out[:2]))
-        if self._floor.least() < _FLOOR or away < 0.05:
+        if self.search.above_floor() < _FLOOR or away < 0.05:
             return -10.0
         ahead = out[0] / away  # 1 in front, 0 beside, -1 behind
         points = at.rotation[:, 2]

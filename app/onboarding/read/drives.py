@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,9 +39,7 @@ class Steering(NamedTuple):
     sources: dict[str, str]
 
 
-def find_drive(
-    request: Request, tree: Tree, arm: Arm, folder: Path
-) -> tuple[Wheels, Steering | None]:
+def find_drive(request: Request, tree: Tree, arm: Arm) -> tuple[Wheels, Steering | None]:
     """The wheels that the kind of base needs, and its steering.
 
     A holonomic base needs none: its frame is that of its link, put on the floor below its shapes.
@@ -51,12 +48,11 @@ def find_drive(
         RobotFileError: The URDF has not what the kind needs; names the option that helps.
     """
     if request.kind == "holonomic":
-        floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, floor_below(tree, arm, folder)]))
+        floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, floor_below(tree, arm)]))
         return Wheels((), (), 0.0, 0.0, floor, None, ""), None
     if request.wheel_radius is not None and request.half_track is not None:
-        r, b = request.wheel_radius, request.half_track
-        return stated_wheels(tree, arm, folder, r, b), None
-    wheels = find_wheels(tree, arm, folder, request.wheels)
+        return stated_wheels(tree, arm, request.wheel_radius, request.half_track), None
+    wheels = find_wheels(tree, arm, request.wheels)
     if request.kind == "car-like":
         return wheels, find_steering(request, tree, arm, wheels.T_base_floor)
     return wheels, None

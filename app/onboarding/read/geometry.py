@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +11,7 @@ import numpy as np
 import trimesh
 
 from app.errors import RobotFileError
-from app.onboarding.read.source import mesh_address, mesh_path
+from app.onboarding.read.source import mesh_path
 from app.onboarding.read.tree import Tree, numbers, origin
 
 Array = np.ndarray
@@ -65,57 +64,48 @@ class LinkGeometry(NamedTuple):
         return sum(abs(float(s.hull.volume)) for s in self.shapes)
 
 
-def read_geometry(tree: Tree, folder: Path) -> dict[str, LinkGeometry]:
+def read_geometry(tree: Tree) -> dict[str, LinkGeometry]:
     """The geometry of every link, by its name; a link may have none.
 
     Raises:
         RobotFileError: A mesh is missing or cannot be read, or a size is no metre's.
     """
-    return {name: _link_geometry(link, folder) for name, link in tree.links.items()}
+    return {name: _link_geometry(link) for name, link in tree.links.items()}
 
 
-def read_shapes(tree: Tree, link: str, folder: Path) -> tuple[LinkShape, ...]:
+def read_shapes(tree: Tree, link: str) -> tuple[LinkShape, ...]:
     """A link's collision shapes, or the visual ones where it has no collision.
 
     Raises:
         RobotFileError: As `read_geometry`.
     """
-    return _link_geometry(tree.links[link], folder).shapes
+    return _link_geometry(tree.links[link]).shapes
 
 
-def looks(tree: Tree, link: str, folder: Path) -> LinkGeometry:
+def looks(tree: Tree, link: str) -> LinkGeometry:
     """A link's visual shapes, or the collision ones where it has no visual.
 
     Raises:
         RobotFileError: As `read_geometry`.
     """
-    return _link_geometry(tree.links[link], folder, ("visual", "collision"))
+    return _link_geometry(tree.links[link], ("visual", "collision"))
 
 
-def total_extent(geometry: Mapping[str, LinkGeometry]) -> int:
-    """How many links have a shape."""
-    return sum(bool(each.shapes) for each in geometry.values())
-
-
-def _link_geometry(
-    link: Element, folder: Path, tags: tuple[str, ...] = ("collision", "visual")
-) -> LinkGeometry:
+def _link_geometry(link: Element, tags: tuple[str, ...] = ("collision", "visual")) -> LinkGeometry:
     for tag in tags:
-        found = [
-            _shape(element, f"link {link.get('name')!r}", folder) for element in link.findall(tag)
-        ]
+        found = [_shape(element, f"link {link.get('name')!r}") for element in link.findall(tag)]
         if found:
             return LinkGeometry(tuple(found), tag == "visual")
     return LinkGeometry((), False)
 
 
-def _shape(element: Element, where: str, folder: Path) -> LinkShape:
+def _shape(element: Element, where: str) -> LinkShape:
     T = origin(element, where).homogeneous
     holder = element.find("geometry")
     if holder is None or not len(holder):
         raise RobotFileError(f"{where}: a {element.tag} has no geometry")
     shape = holder[0]
-    mesh, radius = _mesh_of(shape, where, folder)
+    mesh, radius = _mesh_of(shape, where)
     hull = _hull(mesh, where).copy()
     hull.apply_transform(T)
     size = float(hull.extents.max())
@@ -127,7 +117,7 @@ def _shape(element: Element, where: str, folder: Path) -> LinkShape:
     return LinkShape(hull, _surface(hull), shape.tag, radius)
 
 
-def _mesh_of(shape: Element, where: str, folder: Path) -> tuple[trimesh.Trimesh, float | None]:
+def _mesh_of(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]:
     def length(key: str) -> float:
         value = float(numbers(shape, key, (0.0,), where)[0])
         if not value > 0:
@@ -148,8 +138,7 @@ def _mesh_of(shape: Element, where: str, folder: Path) -> tuple[trimesh.Trimesh,
         return mesh, length("radius")
     if shape.tag != "mesh":
         raise RobotFileError(f"{where}: a <{shape.tag}> is no shape of a URDF")
-    path = mesh_path(mesh_address(str(shape.get("filename")), folder))
-    mesh = _load(path, where).copy()
+    mesh = _load(mesh_path(str(shape.get("filename"))), where).copy()
     mesh.apply_scale(numbers(shape, "scale", (1.0, 1.0, 1.0), where))
     return mesh, None
 

@@ -10,9 +10,8 @@ from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
 from app.errors import RobotFileError
-from app.onboarding.read.source import read_source
+from app.onboarding.read.source import read_source, refuse_entities
 from app.onboarding.read.unpack import unpack
-from app.onboarding.read.xml_safety import refuse_entities
 
 FOLDER = "package"
 """Where a package lies in the robot's own folder."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -51,7 +50,7 @@ class _Wheel(NamedTuple):
     how: str
 
 
-def find_wheels(tree: Tree, arm: Arm, folder: Path, given: tuple[str, str] | None = None) -> Wheels:
+def find_wheels(tree: Tree, arm: Arm, given: tuple[str, str] | None = None) -> Wheels:
     """The wheels.
 
     Without `given`, they are the round links on level axles fixed to the base that stand on the
@@ -60,17 +59,16 @@ def find_wheels(tree: Tree, arm: Arm, folder: Path, given: tuple[str, str] | Non
     Args:
         tree: The robot.
         arm: Its arm.
-        folder: Of the URDF, for meshes by a relative path.
         given: Joints or links of a left and a right wheel; those of the same shape on the same side
             and height go with them.
 
     Raises:
         RobotFileError: What was given is no wheel, or there are none or several to choose from.
     """
-    found = _candidates(tree, arm, folder)
+    found = _candidates(tree, arm)
     if given is not None:
         sides = [
-            _named(tree, arm, folder, name, side)
+            _named(tree, arm, name, side)
             for name, side in zip(given, ("left", "right"), strict=True)
         ]
         left, right = sides
@@ -102,24 +100,23 @@ def find_wheels(tree: Tree, arm: Arm, folder: Path, given: tuple[str, str] | Non
     return _drive(tree, left, right, wheels, forward)
 
 
-def stated_wheels(tree: Tree, arm: Arm, folder: Path, r: float, b: float) -> Wheels:
+def stated_wheels(tree: Tree, arm: Arm, r: float, b: float) -> Wheels:
     """A base whose URDF has no wheels: the floor is below its shapes, ahead is its link's x.
 
     Args:
         tree: The robot.
         arm: Its arm.
-        folder: Of the URDF, for meshes by a relative path.
         r: [m] radius of the wheels.
         b: [m] half track.
 
     Raises:
         RobotFileError: The base has no shapes.
     """
-    floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, floor_below(tree, arm, folder)]))
+    floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, floor_below(tree, arm)]))
     return Wheels((), (), r, b, floor, None, "given: --wheel-radius")
 
 
-def floor_below(tree: Tree, arm: Arm, folder: Path) -> float:
+def floor_below(tree: Tree, arm: Arm) -> float:
     """[m] the height of the lowest point of the base's shapes in its link's frame.
 
     Raises:
@@ -128,7 +125,7 @@ def floor_below(tree: Tree, arm: Arm, folder: Path) -> float:
     lows = [
         float((tree.pose(link, arm.base).act(corner))[2])
         for link in arm.base_links
-        for shape in read_shapes(tree, link, folder)
+        for shape in read_shapes(tree, link)
         for corner in np.asarray(shape.hull.bounding_box.vertices)
     ]
     if not lows:
@@ -181,7 +178,7 @@ def _forward(left: _Wheel, right: _Wheel) -> Array:
     return np.cross(across, [0.0, 0.0, 1.0])
 
 
-def _candidates(tree: Tree, arm: Arm, folder: Path) -> list[_Wheel | str]:
+def _candidates(tree: Tree, arm: Arm) -> list[_Wheel | str]:
     """What turns on the base: wheels, and why the others are none."""
     rigid = set(rigid_to_base(tree, arm))
     taken = {joint.name for joint in arm.joints}
@@ -190,13 +187,13 @@ def _candidates(tree: Tree, arm: Arm, folder: Path) -> list[_Wheel | str]:
         if joint.parent not in rigid or joint.name in taken or not _turns_round(joint):
             continue
         try:
-            found.append(_wheel(tree, arm, folder, joint))
+            found.append(_wheel(tree, arm, joint))
         except RobotFileError as error:
             found.append(str(error))
     return found
 
 
-def _named(tree: Tree, arm: Arm, folder: Path, name: str, side: str) -> _Wheel:
+def _named(tree: Tree, arm: Arm, name: str, side: str) -> _Wheel:
     joint = tree.joints.get(name) or tree.joint_of.get(name)
     if joint is None:
         turning = [j.name for j in tree.joints.values() if _turns_round(j)]
@@ -211,7 +208,7 @@ def _named(tree: Tree, arm: Arm, folder: Path, name: str, side: str) -> _Wheel:
     if joint.parent not in rigid_to_base(tree, arm):
         raise RobotFileError(f"--wheels: {joint.name} is a caster's wheel: its fork turns too")
     try:
-        return _wheel(tree, arm, folder, joint)
+        return _wheel(tree, arm, joint)
     except RobotFileError as error:
         raise RobotFileError(f"--wheels: {error}") from None
 
@@ -223,19 +220,19 @@ def _turns_round(joint: Joint) -> bool:
     return joint.kind == "revolute" and span > 4 * np.pi
 
 
-def _wheel(tree: Tree, arm: Arm, folder: Path, joint: Joint) -> _Wheel:
+def _wheel(tree: Tree, arm: Arm, joint: Joint) -> _Wheel:
     T = tree.pose(joint.child, arm.base)
     axis = T.rotation @ joint.axis
     if np.linalg.norm(axis[:2]) < _LEVEL:
         raise RobotFileError(f"{joint.name} is no wheel: its axis is not level")
     links = tree.rigid(joint.child)
-    touched = [s for link in links for s in read_shapes(tree, link, folder)]
+    touched = [s for link in links for s in read_shapes(tree, link)]
     if not touched:
         raise RobotFileError(f"{joint.name}: {joint.child} has no shape to read a radius from")
     try:
         r, how = _radius(touched, joint)
     except RobotFileError:  # a wheel may collide as a box: then what is seen counts
-        r, how = _radius([s for link in links for s in looks(tree, link, folder).shapes], joint)
+        r, how = _radius([s for link in links for s in looks(tree, link).shapes], joint)
     return _Wheel(joint, T.translation.copy(), axis, r, how)
 
 

@@ -20,7 +20,7 @@ def report_html(robot: NewRobot, model: RobotModel, data: BorderData) -> str:
         model: The compiled robot.
         data: Its border.
     """
-    parts = [f"<p class='lead'>Made by dbb new-robot from {escape(robot.request.told)}.</p>"]
+    parts = [f"<p class='lead'>Made by dbb new-robot from {escape(_sources(robot))}.</p>"]
     parts += ["<h2>Warnings</h2>", _list(robot.warnings or ["none"])]
     parts += [
         "<h2>Bodies over meshes, in the ready pose</h2>",
@@ -34,6 +34,11 @@ def report_html(robot: NewRobot, model: RobotModel, data: BorderData) -> str:
         parts += ["<h2>Reachability</h2>", picture_html("reachability over distance", png)]
     parts += [_reach(robot), "<h2>Base and arm</h2>", _numbers(robot)]
     return document(f"New robot: {robot.content['title']}", "\n".join(parts))
+
+
+def _sources(robot: NewRobot) -> str:
+    arm = robot.request.arm_urdf
+    return robot.request.told + (f" and its arm from {arm}" if arm else "")
 
 
 def _bodies(robot: NewRobot) -> str:

@@ -14,7 +14,7 @@ import pinocchio as pin
 from app.onboarding.read.arm import Arm
 from app.onboarding.read.geometry import LinkGeometry
 from app.onboarding.read.inertia import LinkInertia
-from app.onboarding.read.source import mesh_address, mesh_path
+from app.onboarding.read.source import mesh_path
 from app.onboarding.read.tree import Tree
 
 ROOT = "floor_point"
@@ -30,7 +30,6 @@ def rebased_urdf(
     inertias: Mapping[str, LinkInertia],
     *,
     name: str,
-    folder: Path,
     header: str,
     home: Path | None = None,
 ) -> str:
@@ -47,7 +46,6 @@ def rebased_urdf(
         geometry: Of the links.
         inertias: Of the links.
         name: Of the robot.
-        folder: Of the old URDF, for meshes by a relative path.
         header: A comment at the top.
         home: Of the new URDF, for meshes that lie below it.
     """
@@ -64,25 +62,20 @@ def rebased_urdf(
     for link in tree.below(arm.base):
         if (above := tree.joint_of.get(link)) is not None and link != arm.base:
             robot.append(_joint(_find(tree.robot, "joint", above.name)))
-        robot.append(_link(tree.links[link], geometry[link], inertias[link], folder, home))
+        robot.append(_link(tree.links[link], geometry[link], inertias[link], home))
     ElementTree.indent(robot)
     return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
 
 
-def mesh_name(reference: str, folder: Path, home: Path | None) -> str:
+def mesh_name(address: str, home: Path | None) -> str:
     """How the new URDF names a mesh: below its own folder, which will move, by the path in it.
 
     That comes first, also where Python takes a folder above for a package.
 
     Args:
-        reference: What the old URDF says.
-        folder: The old URDF's own.
-        home: The new one's own, or None if it has no meshes.
-
-    Raises:
-        RobotFileError: There is no such file.
+        address: As `mesh_address` gives it.
+        home: The new URDF's folder, or None if it has no meshes.
     """
-    address = mesh_address(reference, folder)
     if home is not None:
         path, home = mesh_path(address).resolve(), home.resolve()
         if path.is_relative_to(home):
@@ -94,9 +87,7 @@ def _find(robot: Element, tag: str, name: str) -> Element:
     return next(each for each in robot.findall(tag) if each.get("name") == name)
 
 
-def _link(
-    old: Element, geometry: LinkGeometry, inertia: LinkInertia, folder: Path, home: Path | None
-) -> Element:
+def _link(old: Element, geometry: LinkGeometry, inertia: LinkInertia, home: Path | None) -> Element:
     link = Element("link", name=str(old.get("name")))
     if inertia.assumed:
         link.append(ElementTree.Comment(f" inertia assumed: {inertia.assumed} "))
@@ -109,7 +100,7 @@ def _link(
                 if (found := each.find(child)) is not None:
                     part.append(deepcopy(found))
             for mesh in part.iter("mesh"):
-                mesh.set("filename", mesh_name(str(mesh.get("filename")), folder, home))
+                mesh.set("filename", mesh_name(str(mesh.get("filename")), home))
             if tag == "visual" and (material := each.find("material")) is not None:
                 part.append(_colour_only(material))
     return link

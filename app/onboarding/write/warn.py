@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _MISSED = 0.02  # [-] share of collisions that no pair sees
 _OVER = 2.0  # [-] volume of a body over that of what it holds
-_FREE = 0.02  # [-] share of random poses outside of all buffers
+_FITTED = 0.6  # [-] R² of (9) over the counted reachability; of the paper's arm above 0.9
 
 
 def warnings_of(robot: NewRobot) -> list[str]:
@@ -24,6 +24,7 @@ def warnings_of(robot: NewRobot) -> list[str]:
         *_poses(robot),
         *filter(None, [held]),
         *_bodies(robot),
+        *_reaches(robot),
         *_joints(robot),
         *_inertias(robot),
         *_base(robot),
@@ -96,6 +97,24 @@ def _unwatched(robot: NewRobot) -> str:
             best = float(rate)
             names = f"{units[u].links[0]} and {units[v].links[0]} ({rate:.1%} of the poses)"
     return names
+
+
+def _reaches(robot: NewRobot) -> list[str]:
+    told = [
+        f"the reachability of {name} is counted, but (9) fits it badly, with an R² of "
+        f"{reach.fit.r_squared:.2f}: the scores of the border follow it only roughly"
+        for name, reach in robot.reach.items()
+        if reach.fit is not None and reach.fit.r_squared < _FITTED
+    ]
+    bare = [
+        link
+        for body in robot.bodies
+        for link in body.links
+        if not robot.parsed.geometry[link].shapes and robot.parsed.inertias[link].inertia.mass > 0
+    ]
+    if bare:
+        told.append(f"no shape, so no body stands for them: {', '.join(bare)}")
+    return told
 
 
 def _joints(robot: NewRobot) -> list[str]:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from app.avoidance.distances import DistanceMonitor
 from app.border.mobile import MobileBody
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.robot.state import RobotState, at_rest
 from app.simulation.plants.door import Door
-from app.simulation.scenarios.posture import best_posture, manipulability
+from app.simulation.scenarios.posture import Found, PostureSearch, manipulability
 
 Array = np.ndarray
 
@@ -26,7 +25,6 @@ _JOINT_MARGIN = 0.015  # [-] share of a joint's range kept from its limits
 _BUFFER_MARGIN = 0.005  # [m] beyond the buffer
 _MOST_INSIDE = 0.07  # [m] that a pair may be inside of its buffer on the way
 _AHEAD = np.radians(np.arange(3, 94, 3))  # of the door's turning for which there has to be room
-_TO_MIDDLE = 1e-5  # [-] weight of the joints' middle in the search
 _CORRECTIONS = 4  # [-] steps of Newton's method for each turn of the door
 _TO_START = 0.5  # [-] share of the way back to the starting posture in each of them
 
@@ -52,12 +50,9 @@ class GraspSolver:
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         """Prepare for a robot and a buffer distance [m]."""
-        self._model, self._d_b = model, d_b
-        self._state = RobotState(model)
-        self._monitor = DistanceMonitor(self._state, [*pairs.mobile, *pairs.manipulator])
+        self._model = model
+        self._search = PostureSearch(model, pairs, d_b)
         self._front = float(MobileBody(model).upper[0])
-        self._range = model.q_upper - model.q_lower
-        self._middle = (model.q_upper + model.q_lower) / 2
 
     def solve(self, base_pose: Array, door: Door, angle: float, *, seed: int = 0) -> Grasp:
         """The arm at the handle of a door that is open by `angle` [rad].
@@ -72,25 +67,35 @@ class GraspSolver:
             UnreachableError: There is none.
         """
         rng = np.random.default_rng(seed)
-        best, best_room = None, 0.0
+        best = Found(None, 0.0, Counter())
+        target = pin.SE3.Identity()
         for roll in _ROLLS:
-            target = _rolled(door.handle(angle), roll)
-            for _ in range(_SEEDS):
-                guess = self._middle + (rng.random(self._model.n_m) - 0.5) * self._range
-                q_m = self._search(base_pose, target, guess)
-                room = self._room(base_pose, target, q_m, _TOLERANCE, _BUFFER_MARGIN)
-                if room > 0.0:
-                    room = self._room_ahead(base_pose, door, angle, roll, q_m, room)
-                if room > best_room:
-                    best, best_room = Grasp(q_m, target), room
-        if best is None:
+            rolled = _rolled(door.handle(angle), roll)
+            self._search.stand(base_pose)
+            found = self._search.best(
+                self._search.guesses(rng, _SEEDS),
+                lambda q, roll=roll: self._judge(base_pose, door, angle, roll, q),
+                target=rolled,
+            )
+            if found.quality > best.quality:
+                best, target = found, rolled
+        if best.q_m is None:
             x, y, z = door.handle(angle).translation
             raise UnreachableError(
                 f"no configuration of the arm brings the hand to the handle at "
                 f"({x:.2f}, {y:.2f}, {z:.2f}) m from a base at ({base_pose[0]:.2f}, "
                 f"{base_pose[1]:.2f}) m; place base and handle 0.7 to 1.1 m from each other"
             )
-        return best
+        return Grasp(best.q_m, target)
+
+    def _judge(self, base_pose: Array, door: Door, angle: float, roll: float, q_m: Array) -> float:
+        """What a posture at the handle is worth: the door's turns that it can follow, and room."""
+        self._search.stand(base_pose)
+        room = self._room(_rolled(door.handle(angle), roll), q_m, _TOLERANCE, _BUFFER_MARGIN)
+        if room > 0.0:
+            room = self._room_ahead(base_pose, door, angle, roll, q_m, room)
+            self._search.stand(base_pose)
+        return room
 
     def _room_ahead(
         self, base_pose: Array, door: Door, angle: float, roll: float, q_start: Array, room: float
@@ -102,10 +107,10 @@ class GraspSolver:
         q_m, followed = q_start, 0
         for turned in _AHEAD:
             target = _rolled(door.handle(angle + turned), roll)
-            base = self._backed_off(base_pose, door, angle + turned)
+            self._search.stand(self._backed_off(base_pose, door, angle + turned))
             for _ in range(_CORRECTIONS):
-                q_m = self._corrected(base, target, q_m, q_start)
-            if (there := self._room(base, target, q_m, _LOOSE, -_MOST_INSIDE)) <= 0.0:
+                q_m = self._corrected(target, q_m, q_start)
+            if (there := self._room(target, q_m, _LOOSE, -_MOST_INSIDE)) <= 0.0:
                 break
             followed, room = followed + 1, min(room, there)
         return followed + room
@@ -116,67 +121,35 @@ class GraspSolver:
         x, y, heading = base_pose
         forwards = np.array([np.cos(heading), np.sin(heading)])
         gap = float((edge[:2] - [x, y]) @ forwards) - self._front
-        return np.array([*(np.array([x, y]) + min(gap - self._d_b, 0.0) * forwards), heading])
+        return np.array(
+            [*(np.array([x, y]) + min(gap - self._search.d_b, 0.0) * forwards), heading]
+        )
 
-    def _error(self, base_pose: Array, target: pin.SE3, q_m: Array) -> Array:
-        """(6,) from the end-effector to the target, in the end-effector's frame."""
-        self._state.update(at_rest(self._state.model, q_m, base_pose))
-        return pin.log6(self._state.T_world_ee.actInv(target)).vector
-
-    def _linearised(self, base_pose: Array, target: pin.SE3, q_m: Array) -> tuple[Array, Array]:
-        """(6,) the error, and (6, n_m) its derivative by the joints."""
-        error = self._error(base_pose, target, q_m)
-        R = self._state.T_world_ee.rotation.T
-        J_m = self._state.J_ee[:, self._state.model.n_b :]
-        J = np.vstack([R @ J_m[:3], R @ J_m[3:]])
-        return error, -pin.Jlog6(pin.exp6(-error)) @ J
-
-    def _corrected(self, base_pose: Array, target: pin.SE3, q_m: Array, q_start: Array) -> Array:
+    def _corrected(self, target: pin.SE3, q_m: Array, q_start: Array) -> Array:
         """(n_m,) one step towards the target, and in its null space towards a posture."""
-        error, J = self._linearised(base_pose, target, q_m)
+        error, J = self._search.linearised(q_m, target)
         back = _TO_START * (q_start - q_m)
         return q_m + back - np.linalg.pinv(J, 1e-3) @ (error + J @ back)
 
-    def _search(self, base_pose: Array, target: pin.SE3, guess: Array) -> Array:
-        """Least squares on the pose, drawn a little to the joints' middle."""
-        margin = 2 * _JOINT_MARGIN * self._range
-        bounds = self._model.q_lower + margin, self._model.q_upper - margin
-
-        def residual(q: Array) -> Array:
-            drawn = _TO_MIDDLE * (q - self._middle) / self._range
-            return np.concatenate([10.0 * self._error(base_pose, target, q), drawn])
-
-        def jacobian(q: Array) -> Array:
-            J = self._linearised(base_pose, target, q)[1]
-            return np.vstack([10.0 * J, np.diag(_TO_MIDDLE / self._range)])
-
-        return best_posture(residual, jacobian, guess, bounds)
-
-    def _room(
-        self, base_pose: Array, target: pin.SE3, q_m: Array, tolerance: float, clearance: float
-    ) -> float:
+    def _room(self, target: pin.SE3, q_m: Array, tolerance: float, clearance: float) -> float:
         """[-] above zero and below one if the configuration may be used; more is better.
 
         Args:
-            base_pose: (3,) x, y [m] and heading [rad] of the base.
             target: Where the hand has to be.
             q_m: (n_m,) [rad or m] the arm's joints.
             tolerance: [m] and [rad] of the hand's pose.
             clearance: [m] least distance of a pair, beyond its buffer.
         """
-        if np.abs(self._error(base_pose, target, q_m)).max() > tolerance:
+        search = self._search
+        search.place(q_m)
+        if np.abs(pin.log6(search.state.T_world_ee.actInv(target)).vector).max() > tolerance:
             return 0.0
-        beyond = min(c.d for c in self._monitor.find_closest_points()) - self._d_b
-        if beyond < clearance:
+        beyond = min(search.distances()) - search.d_b
+        joints = search.joint_room(q_m)
+        if beyond < clearance or joints < _JOINT_MARGIN:
             return 0.0
-        left = np.minimum(q_m - self._model.q_lower, self._model.q_upper - q_m)
-        if (left < _JOINT_MARGIN * self._range).any():
-            return 0.0
-        J = self._state.J_ee[:, self._state.model.n_b :]
-        joints = float(np.min(left / self._range))
-        return (
-            min(joints, 0.15) + 2 * min(manipulability(J), 0.05) + 5 * min(beyond - clearance, 0.1)
-        )
+        bending = manipulability(search.J_hand)
+        return min(joints, 0.15) + 2 * min(bending, 0.05) + 5 * min(beyond - clearance, 0.1)
 
 
 def _rolled(pose: pin.SE3, roll: float) -> pin.SE3:

@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from app.avoidance.distances import ClosestPoints, DistanceMonitor
+from app.avoidance.distances import ClosestPoints
 from app.border.cache import BorderData
 from app.config import Config
 from app.errors import ConfigError, UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.robot.state import RobotState, at_rest
 from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
 
 if TYPE_CHECKING:
@@ -74,12 +73,9 @@ class TroubledStarts:
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         """Prepare for a robot and a buffer distance [m]."""
         # Imported here: scipy would make every command start later.
-        from app.simulation.scenarios.start import FloorDistance
+        from app.simulation.scenarios.posture import PostureSearch
 
-        self._model, self._pairs, self._d_b = model, pairs, d_b
-        self._state = RobotState(model)
-        self._monitor = DistanceMonitor(self._state, [*pairs.mobile, *pairs.manipulator])
-        self._floor = FloorDistance(self._state)
+        self._pairs, self._search = pairs, PostureSearch(model, pairs, d_b)
 
     def draw(self, begin: Begin, seed: int) -> Array:
         """(n_m,) an arm configuration of that kind, the same for the same seed.
@@ -90,8 +86,7 @@ class TroubledStarts:
         rng = np.random.default_rng([seed, BEGINS.index(begin)])
         wanted = self._kinds(begin)
         for k in rng.permutation(len(wanted)):
-            q_m = self._search(wanted[k], rng)
-            if q_m is not None:
+            if (q_m := self._first(wanted[k], rng)) is not None:
                 return q_m
         raise UnreachableError(
             f"no configuration of the arm begins with {begin!r} in {_TRIES} tries a pair"
@@ -101,7 +96,7 @@ class TroubledStarts:
         """What may be wrong at the start, one condition on the closest points of all pairs each."""
         mobile = range(len(self._pairs.mobile))
         arm = range(len(mobile), len(mobile) + len(self._pairs.manipulator))
-        depth = (-DEEPEST, 0.0) if begin == "penetration" else (0.0, self._d_b)
+        depth = (-DEEPEST, 0.0) if begin == "penetration" else (0.0, self._search.d_b)
         kinds: list[Callable[[Sequence[ClosestPoints]], bool]] = []
         if begin != "arm":
             kinds += [_worst(i, depth, above) for i in mobile for above in (True, False)]
@@ -109,16 +104,17 @@ class TroubledStarts:
             kinds += [_worst(i, depth, None) for i in arm]
         return kinds
 
-    def _search(
+    def _first(
         self, wanted: Callable[[Sequence[ClosestPoints]], bool], rng: np.random.Generator
     ) -> Array | None:
-        model = self._model
-        for _ in range(_TRIES):
-            q_m = rng.uniform(model.q_lower, model.q_upper)
-            self._state.update(at_rest(model, q_m))
-            if wanted(self._monitor.find_closest_points()) and self._floor.least() > _FLOOR_MARGIN:
-                return q_m
-        return None
+        """The first of random postures above the floor for which a condition holds."""
+        search, model = self._search, self._search.model
+        guesses = (rng.uniform(model.q_lower, model.q_upper) for _ in range(_TRIES))
+        return search.best(
+            guesses,
+            lambda _: float(wanted(search.closest()) and search.above_floor() > _FLOOR_MARGIN),
+            enough=1.0,
+        ).q_m
 
 
 def _worst(
