@@ -9,6 +9,7 @@ import numpy as np
 from app.avoidance.barrier import BarrierRow
 from app.compiled import compiled
 from app.config import LimitConfig
+from app.control.linear_algebra import minimum
 from app.control.qp import Limits
 from app.robot.state import RobotState
 
@@ -76,7 +77,7 @@ def arm_limits(
         *torque,
         J,
         least,
-        pushed,
+        -minimum(state.M[model.n_b :, model.n_b :], pushed)[0],
     )
     return Limits(*bounds, model.n_m)
 
@@ -99,9 +100,9 @@ def _arm_bounds(
     high: Array,
     J: Array,
     least: Array,
-    pushed: Array,
+    extra: Array,
 ) -> tuple[Array, Array, Array]:
-    """C, l and u of `arm_limits`: rows of torques, of joints, of barriers."""
+    """C, l and u of `arm_limits`: rows of torques, of joints, of barriers; `extra` is M_aa⁻¹ r."""
     n_m, n_b, k = len(q_m), len(qdd_b), len(least)
     m = 2 * n_m + k
     C, l, u = np.zeros((m, n_m)), np.empty(m), np.full(m, np.inf)
@@ -123,7 +124,6 @@ def _arm_bounds(
         )
         C[n_m + i, i] = 1.0
         l[n_m + i], u[n_m + i] = min(lower, upper), max(lower, upper)
-    extra = np.linalg.solve(M[n_b:, n_b:].copy(), pushed)
     for i in range(k):
         l[2 * n_m + i] = least[i]
         for j in range(n_b):

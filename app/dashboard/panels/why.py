@@ -8,6 +8,7 @@ import viser
 
 from app.control.explanation import Explanation, ForceSplit
 from app.control.levels import Level, LevelName
+from app.dashboard.base_measures import measure_of
 from app.dashboard.panels import phrases as words
 from app.dashboard.panels.explain import sentence
 from app.dashboard.scene.colours import FULL, REST, css, distance_colour
@@ -133,11 +134,12 @@ def _force_rows(why: Explanation) -> list[str]:
 
 
 def _score_rows(why: Explanation) -> list[str]:
-    first, unit = why.forces[0] if why.forces else _ZERO, f" {why.measure_unit}"
+    first, measure = why.forces[0] if why.forces else _ZERO, measure_of(why.base_kind)
+    unit = f" {measure.unit}"
     values = (
-        (why.measure_label, words.scientific(first.determinant) + unit, why.measure_hint),
+        (measure.label, words.scientific(first.determinant) + unit, measure.hint),
         ("reachability R", f"{first.reachability:.0f}", "(9): how well the arm reaches the point"),
-        ("score S", words.scientific(first.score) + unit, f"(10): {why.score_formula}"),
+        ("score S", words.scientific(first.score) + unit, f"(10): {measure.score}"),
         (
             "score without the step, p_n",
             words.scientific(first.score_near) + unit,

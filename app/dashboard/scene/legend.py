@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from app.dashboard.base_measures import measure_of
 from app.dashboard.scene.colours import (
     ACCELERATION,
     ACTING,
@@ -76,10 +77,11 @@ def make_legend(
         top: [m] height up to which it is drawn, None if all of it.
     """
     low, high = float(values.min()), float(values.max())
+    measure = measure_of(base.kind)
     title, unit = {
-        "determinant": (base.measure_title, base.measure_unit),
+        "determinant": (measure.title, measure.unit),
         "reachability": ("reachability R, (9)", ""),
-        "score": ("score S, (10)", base.measure_unit),
+        "score": ("score S, (10)", measure.unit),
     }[quantity]
     return Legend(pair, title, unit, d_b, low, high, drawn, len(values), top)
 

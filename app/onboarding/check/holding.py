@@ -13,6 +13,7 @@ from app.robot.bases.kind import Axis
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
+from app.simulation.trace.axis_columns import axis_name
 
 Array = np.ndarray
 
@@ -108,7 +109,7 @@ def holding_row(model: RobotModel) -> Row:
     """Warns where the base takes the hand along: it gives way less there."""
     carried = carried_hand(model)
     numbers = {
-        f"{what}_lost_{each.axis.velocity.rpartition('_')[0]}_share": getattr(each, what)
+        f"{what}_lost_{axis_name(each.axis)}_share": getattr(each, what)
         for each in carried
         for what in ("place", "pose")
     }

@@ -11,6 +11,7 @@ from pydantic import Field, ValidationError
 from app.config import Config
 from app.errors import LogError
 from app.robot.model import RobotModel
+from app.simulation.trace.axis_columns import acceleration_column, velocity_column
 from app.simulation.trace.snapshot import Snapshot
 from app.strict import Strict, explain
 
@@ -73,8 +74,8 @@ class LogMeta(Strict):
             robot=model.description.name,
             joints=tuple(arm.joints),
             joint_units=tuple("m" if "JointModelP" in kind else "rad" for kind in kinds),
-            velocities=tuple(axis.velocity for axis in base.axes),
-            accelerations=tuple(axis.acceleration for axis in base.axes),
+            velocities=tuple(map(velocity_column, base.axes)),
+            accelerations=tuple(map(acceleration_column, base.axes)),
             wheels=tuple(wheels.name for wheels in base.wheels),
             pairs=tuple(pair.name for pair in first.pairs),
             mobile_pairs=tuple(pair.name for pair in first.pairs if pair.mobile),

@@ -17,6 +17,7 @@ from app.robot.bases.kind import Axis
 from app.robot.model import RobotModel
 from app.simulation.plants.interface import Contacts
 from app.simulation.session import Step
+from app.simulation.trace.axis_columns import acceleration_column, velocity_column
 from app.simulation.trace.changes import Batch, Changes, Smoothness
 from app.simulation.trace.door_record import DoorRecord, door_columns
 from app.simulation.trace.stuck import find_stuck
@@ -297,13 +298,13 @@ def _columns(step: Step, axes: Sequence[Axis]) -> list[str]:
         "base_x_m",
         "base_y_m",
         "base_yaw_rad",
-        *(f"{name}_{axis.velocity}" for name in ("base", "command") for axis in axes),
+        *(f"{name}_{velocity_column(axis)}" for name in ("base", "command") for axis in axes),
         *(f"q{i}_rad" for i in joints),
         *(f"qd{i}_radps" for i in joints),
         *(f"u{i}_nm" for i in joints),
         *(column for name in pairs for column in (f"d_{name}_m", f"beta_{name}")),
         "beta_m",
-        *(f"{name}_{axis.acceleration}" for name in ("base", "avoidance") for axis in axes),
+        *(f"{name}_{acceleration_column(axis)}" for name in ("base", "avoidance") for axis in axes),
         "hand_fx_n",
         "hand_fy_n",
         "hand_fz_n",
