@@ -33,7 +33,7 @@ ROOMS = (
     "cli",
     "__main__",
 )
-"""In the order of the data's way; jobs and the rooms from robot on are packages, the others single modules."""
+"""In the order of the data's way."""
 
 ONLY_IN = {
     "viser": {"dashboard"},
