@@ -28,12 +28,12 @@ from app.errors import ServerError
 _LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half of that
 _LARGEST_PICTURE = 32 * 2**20  # [bytes] what a page that was asked for a picture may answer
 _POLICY = (
-    "default-src 'none'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval' blob: data:; "
+    "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data: blob:; "
     "connect-src 'self' ws://{host} data: blob:; worker-src 'self' blob: data:; "
     "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
-"""viser's page is one file with its scripts in it; it speaks to this server and to nobody else."""
+"""viser's page has its scripts in it and compiles its markdown; it speaks to nobody else."""
 
 
 @dataclass(frozen=True)
