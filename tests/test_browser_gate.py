@@ -94,7 +94,8 @@ def test_the_own_page_cannot_be_made_to_connect_elsewhere(page):
         wait_for(server.get_clients, what="a client")
         outcome = page.evaluate(
             """url => new Promise(done => {
-                document.addEventListener("securitypolicyviolation", e => done(e.violatedDirective));
+                document.addEventListener(
+                    "securitypolicyviolation", e => done(e.violatedDirective));
                 try { new WebSocket(url) } catch (e) { done("connect-src") }
             })""",
             foreign.replace("http", "ws"),
