@@ -12,11 +12,9 @@ import pytest
 import viser
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from viser import _messages
 
 from app.config import Config, parameter, sections, tunable
 from app.config_file import MOST_BYTES, parse_config, save_config
-from app.dashboard.guards.value_guard import guard_values
 from app.dashboard.notifications import Notices
 from app.dashboard.panels.config_file import file_name
 from app.dashboard.panels.parameter_widgets import LONGEST, MARK, PATIENCE, slider_step
@@ -514,59 +512,3 @@ def test_a_loaded_file_is_as_good_as_one_that_is_typed(desk):
     upload(desk, save_config(Config().replace("hand.f_max", 20.0)).encode())
     desk.update()
     assert desk.sees("hand.f_max", viewer=1) == 20.0
-
-
-# Values that no browser sends
-
-
-def deliver(gui, person, updates, uuid=None, monkeypatch=None):
-    """Hand a message to whatever handles updates, as viser's connection does."""
-    monkeypatch.setattr(gui, "_resolve_client", lambda _: person)
-    message = _messages.GuiUpdateMessage(uuid, updates)
-    for handler in list(gui._websock_interface._incoming_handlers[_messages.GuiUpdateMessage]):
-        asyncio.run(handler(1, message))
-
-
-@pytest.mark.parametrize(
-    "updates",
-    [
-        {"value": "much"},
-        {"value": [0.2]},
-        {"value": None},
-        {"value": {}},
-        {},
-        [0.2],
-        3,
-        None,
-        {"value": 0.2, "update_cb": []},
-        {"update_cb": []},
-        {"gui_api": 1},
-        {"removed": True},
-    ],
-)
-def test_what_a_widget_cannot_hold_is_told_to_the_sender_and_changes_nothing(
-    desk, updates, monkeypatch
-):
-    gui, handle, sender = desk.panels[0]._gui, desk.handle(D_B), Person()
-    state = dict(vars(handle._impl))
-    deliver(gui, sender, updates, handle._impl.uuid, monkeypatch)
-    assert len(sender.notes) == 1
-    assert [m.updates for m in sender.messages] == [{"value": 0.15}]
-    assert {**vars(handle._impl), "update_timestamp": 0} == {**state, "update_timestamp": 0}
-    assert (desk.tuning.config, desk.sink.commands) == (Config(), [])
-
-
-@pytest.mark.parametrize("uuid", [None, 3, [], {}, "nobody"])
-def test_a_message_to_no_widget_changes_nothing(desk, uuid, monkeypatch):
-    sender = Person()
-    deliver(desk.panels[0]._gui, sender, {"value": 0.2}, uuid, monkeypatch)
-    assert sender.messages == []
-    assert desk.sink.commands == []
-
-
-def test_a_good_value_passes_the_guard(desk, monkeypatch):
-    sender = Person()
-    guard_values(desk.panels[0]._gui, Notices(desk.panels[0]._gui._owner))  # again: no second guard
-    deliver(desk.panels[0]._gui, sender, {"value": 0.2}, desk.handle(D_B)._impl.uuid, monkeypatch)
-    assert desk.sink.commands == [Configure(Config().replace(D_B, 0.2))]
-    assert sender.notes == []

@@ -14,6 +14,7 @@ from pathlib import Path
 import viser
 
 from app.border.cloud import Cloud
+from app.dashboard.guards.gate import Limits
 from app.dashboard.guards.listening import close_server, open_server
 from app.dashboard.notifications import Notices
 from app.dashboard.page import Page, show_failure
@@ -24,6 +25,7 @@ from app.dashboard.scene.robot import RobotParts
 from app.dashboard.scene.theme import set_theme
 from app.dashboard.shared import Shared
 from app.errors import LoopError, ServerError
+from app.onboarding.read.unpack import LARGEST_ARCHIVE
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios.leading import Scenario
@@ -215,7 +217,7 @@ def serve_dashboard(
     check_address(host, port)
     switch = RobotSwitch(start_loop)
     shared = Shared(loop, model, clouds, case, sweeps, parts, robot_switch=switch)
-    server = open_server(host, port)
+    server = open_server(host, port, Limits(upload=LARGEST_ARCHIVE))
     try:
         if port not in (0, server.get_port()):
             raise ServerError(f"port {port} was taken while the server started; try --port 0")

@@ -8,7 +8,7 @@ from typing import Any
 
 import viser
 
-from app.dashboard.guards.upload_guard import guard_uploads, taken_upload
+from app.dashboard.guards.listening import taken_upload
 from app.dashboard.notifications import Notices
 from app.dashboard.panels.widgets import renew, renew_bar, small
 from app.dashboard.robots.robot_build import Package, RobotBuild
@@ -51,7 +51,6 @@ class NewRobotPanel:
         """
         self._build, self._package = build, None
         self._shown_urdf = ""
-        guard_uploads(gui, notices, LARGEST_ARCHIVE)
         with gui.add_folder("Your own robot", expand_by_default=False):
             gui.add_html(about_html())
             self._upload = gui.add_upload_button(

@@ -9,7 +9,6 @@ from typing import Any
 import viser
 
 from app.config import Config, sections
-from app.dashboard.guards.value_guard import guard_values
 from app.dashboard.notifications import Notices
 from app.dashboard.panels.config_file import ConfigFilePanel
 from app.dashboard.panels.parameter_widgets import Knob
@@ -61,7 +60,6 @@ class TuningPanel:
         self._folders: list[_Folder] = []
         self._seen: Config | None = None
         self._all: viser.GuiCheckboxHandle | None = None
-        guard_values(gui, notices)
         if paths is None:
             self._add_everything(robot)
         else:
