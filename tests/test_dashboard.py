@@ -15,7 +15,6 @@ import trimesh
 import viser
 from hypothesis import given
 from hypothesis import strategies as st
-from viser import _messages
 
 from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
@@ -251,12 +250,6 @@ def test_an_address_that_cannot_be_bound_is_refused_at_once(host, port):
     with pytest.raises(ServerError, match="cannot listen"):
         check_address(host, port)
     assert time.monotonic() - begin < 5.0
-
-
-def test_no_client_can_open_a_public_tunnel(dashboard):
-    handlers = dashboard.viser._websock_server._incoming_handlers
-    assert _messages.GuiUpdateMessage in handlers
-    assert _messages.ShareUrlRequest not in handlers
 
 
 def test_nothing_is_printed_by_serving(loop, clouds, capfd):

@@ -57,7 +57,7 @@ def test_a_missing_package_says_how_it_is_installed(monkeypatch: pytest.MonkeyPa
     ):
         with pytest.raises(AssetError, match=how):
             resolved_urdf(load_robot(name))
-    with pytest.raises(AssetError, match="pip install something"):
+    with pytest.raises(AssetError, match="'something' is not installed"):
         resolve_package_uri("package://something/a.stl")
 
 

@@ -1,7 +1,7 @@
 """Whether the figures of runs are the same: in two environments, or before and after a change.
 
-`python -m tools.same_figures keep FILE` runs scenarios by `dbb run --json`, with controllers and
-robots given, and keeps the figures; `... compare FILE` runs the same cases again, with `--python` in
+`python -m tools.same_figures keep FILE` runs scenarios by `dbb run --json`, with controllers
+and robots given, and keeps the figures; `... compare FILE` runs them again, with `--python` in
 another environment, and prints what differs by more than `--tolerance` (0: to the bit), times left
 out. Both run the code of the current folder, so that two checkouts can be compared.
 """

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 from types import FrameType
 
 from app.errors import DbbError
+from app.system import ENDING
 
-_ENDING = [signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hasattr(signal, "SIGHUP") else [])]
 _LONGEST = 2.0  # [s] for a command to end after SIGTERM or SIGHUP; its children take 2.5 s more
 _received: list[int] = []
 
@@ -30,7 +30,7 @@ def ending_signals_raised() -> Iterator[None]:
     _received.clear()
     before = {}
     if threading.current_thread() is threading.main_thread():
-        for number in _ENDING:
+        for number in ENDING:
             handler = signal.getsignal(number)
             # A signal that is ignored stays so; a handler of others, such as a test's, too.
             if handler in (signal.default_int_handler, signal.SIG_DFL):

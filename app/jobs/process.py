@@ -20,7 +20,7 @@ from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
 
 from app.errors import DbbError, LoopError
-from app.system import SPAWN, end_group, lead_group, step_back
+from app.system import SPAWN, end_group, interrupt_blocked, lead_group, step_back
 
 Report = Callable[[str, float], None]
 """Takes the present activity, and the share of the work done, 0 to 1; below 0 if unknown."""
@@ -57,16 +57,13 @@ def starting_children() -> Iterator[None]:
 
     Ctrl-C is blocked, not ignored: one that comes meanwhile reaches this process afterwards.
     """
-    blocked, before = set(), os.environ.get(_SAFE_PATH)
+    before = os.environ.get(_SAFE_PATH)
     os.environ[_SAFE_PATH] = "1"
     resource_tracker.ensure_running()  # its own start would unblock Ctrl-C
-    if hasattr(signal, "pthread_sigmask"):
-        blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
-        yield
+        with interrupt_blocked():
+            yield
     finally:
-        if hasattr(signal, "pthread_sigmask"):
-            signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         if before is None:
             os.environ.pop(_SAFE_PATH, None)
         else:
