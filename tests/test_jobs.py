@@ -13,15 +13,15 @@ import pytest
 
 PROJECT = Path(__file__).resolve().parent.parent
 
-PARENT = """
-import sys, tempfile, threading, time
+PARENT = r"""
+import os, sys, tempfile, threading, time
 from pathlib import Path
 from app.jobs.pool import Workers
 from app.jobs.process import run_in_process
 from app.cli.signals import ending_signals_raised
 
 def wait(made, job):
-    print("started", flush=True)
+    os.write(1, b"started\n")
     time.sleep(60)
 
 def wait_in_a_folder(report, folder):

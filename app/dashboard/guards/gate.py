@@ -22,7 +22,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from app.dashboard.guards.messages import RefusedError, Uploads, checked
+from app.dashboard.guards.messages import GarbageError, RefusedError, Uploads, checked
 from app.errors import ServerError
 
 _LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half of that
@@ -168,7 +168,7 @@ class _Checked:
         return getattr(self._connection, name)
 
     async def recv(self) -> bytes:
-        """The next message that viser may see; the sender of any other is told."""
+        """The next message that viser may see; who sends another is told, or is no page."""
         while True:
             data = await self._connection.recv()
             try:
@@ -178,6 +178,8 @@ class _Checked:
                     self._uploads,
                     lambda uuid: self._gate.widget(self, uuid),
                 )
+            except GarbageError as garbage:
+                await self._connection.close(1008, str(garbage)[:100])
             except RefusedError as refused:
                 self._gate.on_refused(self, refused)
 

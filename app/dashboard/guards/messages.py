@@ -50,6 +50,10 @@ class RefusedError(ValueError):
         self.message = message
 
 
+class GarbageError(RefusedError):
+    """What is no message of a page at all: whoever sends it is none."""
+
+
 def _record(message: type) -> type:
     """A record with the fields of a message of viser, whose types msgspec checks."""
     hints = get_type_hints(message)
@@ -118,17 +122,18 @@ def checked(data: object, largest: int, uploads: Uploads, widget: Callable[[str]
         widget: Finds a widget of the page by its name; None if there is none.
 
     Raises:
-        RefusedError: It is none that a page sends, or its values are not of their kinds.
+        GarbageError: It is none that a page sends, or of other types.
+        RefusedError: Its values are not of their kinds, not finite or too large.
     """
     if not isinstance(data, bytes):
-        raise RefusedError("this is no message")
+        raise GarbageError("this is no message")
     picture = len(data) > largest
     if picture and b"GetRenderResponseMessage" not in data[:200]:
         raise RefusedError(f"a message of {len(data) / 1e6:.0f} MB")
     try:
         message = _decoder.decode(data)
     except (msgspec.DecodeError, RecursionError) as error:
-        raise RefusedError(f"this is no message ({error})") from None
+        raise GarbageError(f"this is no message ({error})") from None
     if isinstance(message, _RECORDS[_messages.GetRenderResponseMessage]):
         return data
     if picture:
