@@ -7,6 +7,7 @@ from itertools import product
 from typing import Any, NamedTuple
 
 from app.control.controller import CONTROLLERS
+from benchmarks.peers.names import PEERS
 from benchmarks.peers.table import markdown as peers_table
 
 Figures = Mapping[str, Any]
@@ -306,7 +307,7 @@ def buffer_table(found: Figures) -> str:
     rows = [dict(row) for row in found["rows"]["rows"]]
     speeds = [f"{row.pop('v_mps'):.2f} m/s" for row in rows]
     cells = [[f"{need:.2f} m" if need else "none" for need in row.values()] for row in rows]
-    head = ["speed of the hand", *rows[0]]
+    head = ["speed", *rows[0]]
     return grid(head, [[v, *line] for v, line in zip(speeds, cells, strict=True)])
 
 
@@ -391,9 +392,9 @@ SETS: dict[str, ResultSet] = {
         default=False,
     ),
     "peers": ResultSet(
-        {"rows": ("benchmarks.peers", "--allow-missing", "--json")},
-        keep_all,
-        lambda found: peers_table(found["rows"]["rows"]).strip(),
+        {name: ("benchmarks.peers", "--only", name, "--json") for name in PEERS},
+        lambda printed: printed["rows"],
+        lambda found: peers_table([row for rows in found.values() for row in rows]).strip(),
         default=False,
     ),
 }

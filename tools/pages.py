@@ -24,6 +24,7 @@ from unittest import mock
 from app.cli.main import main as dbb
 from app.config import sections
 from app.parameters import Parameter
+from app.studies.pulls.draw_range import LOGARITHMIC, StudyRange
 from tools import results
 from tools.measured import grid
 
@@ -31,7 +32,7 @@ PROJECT = Path(__file__).resolve().parent.parent
 BLOCK = re.compile(r"^(<!-- generated: (.+?) -->\n)(.*?)^(<!-- end -->)$", re.S | re.M)
 COMMAND = re.compile(r"^\W*([a-z][a-z-]+) {2,}[A-Z]", re.M)
 """A command in the help of `dbb`: its name, then what it does."""
-WIDTH = "88"  # [-] characters of a command's help
+WIDTH = "124"  # [-] characters of a command's help
 
 
 def pages() -> list[Path]:
@@ -79,6 +80,19 @@ def parameters() -> str:
         table = grid(["name", "default", "range", "unit", "meaning"], rows)
         parts.append(f"## `[{section.name}]`\n\n{section.about}\n\n{table}")
     return "\n\n".join(parts)
+
+
+def study_range() -> str:
+    """What `dbb study` draws its cases from, from the record of app/studies/pulls/draw_range.py."""
+    rows = []
+    for name, field in StudyRange.model_fields.items():
+        unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
+        value = field.default
+        drawn = " to ".join(f"{x:g}" for x in value) if isinstance(value, tuple) else f"{value:g}"
+        if name in LOGARITHMIC:
+            text += " Every factor is as likely as every other."
+        rows.append([f"`--{name.replace('_', '-')}`", drawn.replace("-", "−"), unit, text.strip()])
+    return grid(["option", "default", "unit", "meaning"], rows)
 
 
 def commands() -> str:
@@ -138,6 +152,7 @@ BLOCKS: dict[str, Callable[..., str]] = {
     "results": results.table,
     "parameters": parameters,
     "commands": commands,
+    "study_range": study_range,
     "rooms": rooms,
     "step": step,
 }
