@@ -1,4 +1,4 @@
-"""The README's picture of the robots: bodies over the hulls of their links, and their borders.
+"""The picture of the robots: bodies over the hulls of their links, and their borders.
 
 python tools/robots_picture.py docs/pictures/robots.png husky_panda tiago …
 """

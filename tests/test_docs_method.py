@@ -1,4 +1,4 @@
-"""The README says what is so: its index of equations, its files, its fields."""
+"""The page on the method says what is so: its index of equations; and the one on descriptions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from app.robot.description import (
     RobotDescription,
 )
 from app.robot.shapes import Box, Capsule, ConvexMesh, Cylinder, Hull, Sphere
-from tests.readme import PROJECT, README, section
+from tests.readme import PROJECT, page, section
 
 EQUATIONS = range(1, 30)
 MARK = re.compile(r"^\s*Paper: Eq\. ((?:\(\d+\)(?:, )?)+)", re.MULTILINE)
@@ -44,7 +44,9 @@ def numbers(text: str) -> frozenset[int]:
 def index() -> list[Line]:
     """The lines of the table "Where each equation is"."""
     rows = re.findall(
-        r"^\| (\(.*?\)) \| `(.*?)` \| `(.*?)` \|$", section("Where each equation is"), re.M
+        r"^\| (\(.*?\)) \| `(.*?)` \| `(.*?)` \|$",
+        section("Where each equation is", page("method")),
+        re.M,
     )
     return [Line(numbers(equations), function, test) for equations, function, test in rows]
 
@@ -113,15 +115,7 @@ def test_every_public_function_that_is_an_equation_stands_in_the_index() -> None
 
 
 def test_the_method_prints_every_equation_once_and_in_order() -> None:
-    assert [int(n) for n in re.findall(r"\\tag\{(\d+)\}", section("The method"))] == list(EQUATIONS)
-
-
-def test_every_file_that_the_readme_names_exists() -> None:
-    linked = re.findall(r"\]\(([^)#:]+)\)", README)
-    spoken = re.findall(r"`((?:app|tests|robot_assets|dbb_cache)/[\w./]*)`", README)
-    assert "docs/pictures/page.png" in linked
-    missing = [name for name in {*linked, *spoken} if not (PROJECT / name).exists()]
-    assert [name for name in missing if "NAME" not in name] == []
+    assert [int(n) for n in re.findall(r"\\tag\{(\d+)\}", page("method"))] == list(EQUATIONS)
 
 
 @pytest.mark.parametrize(
@@ -135,8 +129,8 @@ def test_every_file_that_the_readme_names_exists() -> None:
         ("`[lines.SCENARIO]`", LinePlace),
     ],
 )
-def test_every_field_of_a_description_is_in_the_readme(heading: str, record: type) -> None:
-    (row,) = re.findall(rf"^\| {re.escape(heading)} \| (.*) \|$", section("Another robot"), re.M)
+def test_every_field_of_a_description_is_documented(heading: str, record: type) -> None:
+    (row,) = re.findall(rf"^\| {re.escape(heading)} \| (.*) \|$", page("robot_toml"), re.M)
     words = set(re.findall(r"[A-Za-z_]\w*", " ".join(re.findall(r"`([^`]*)`", row))))
     tables = {"base", "arm", "bodies", "reachability", "lines"}
     fields = set(record.model_fields) - (tables if record is RobotDescription else {"source"})
