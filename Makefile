@@ -42,7 +42,7 @@ browser: $(VENV)/.installed
 	tools/browser.sh $(VENV)
 
 $(VENV)/.installed: pyproject.toml
-	tools/venv.sh $(VENV) .
+	tools/venv.sh $(VENV) '.[all]'
 	$(KERNELS)
 	touch $@
 
