@@ -54,7 +54,7 @@ browser: $(VENV)/.installed
 	tools/browser.sh $(VENV)
 
 $(VENV)/.installed: pyproject.toml
-	tools/venv.sh $(VENV) .
+	tools/venv.sh $(VENV) '.[all]'
 	$(KERNELS)
 	touch $@
 

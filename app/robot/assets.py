@@ -24,7 +24,10 @@ SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
 
 _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
-_WITH_PYBULLET = "it comes with pybullet, on the Pythons for which docs/install.md has it"
+_WITH_PYBULLET = (
+    "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons for which "
+    "docs/install.md has it"
+)
 
 
 def cache_folder() -> Path:
