@@ -71,6 +71,7 @@ def test_the_wheel_holds_descriptions_and_of_borders_and_maps_the_shipped_ones_a
     assert sorted(name for name in names if name.endswith(".npz")) == [
         f"app/dbb_cache/{name}" for name in sorted([SHIPPED, *MAPS])
     ]
+    assert "app/studies/page.html.j2" in names
     outside = {name for name in names if not name.startswith(("app/", "dbb_mobile_manipulator-"))}
     assert outside == set()
     assert wheel.stat().st_size < 12e6  # [byte]

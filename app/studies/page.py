@@ -1,11 +1,14 @@
-"""`index.html`: all figures and claims on one page that needs nothing else."""
+"""The one report kit: a page of parts with text, pictures and tables, which needs nothing else."""
 
 from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from html import escape
+from functools import cache
+from importlib.resources import files
 from typing import Any, NamedTuple
+
+from jinja2 import Environment, StrictUndefined, Template
 
 _UNITS = {
     "_m4prad4": "m⁴/rad⁴",
@@ -24,95 +27,93 @@ _UNITS = {
 }
 """Endings of keys; longer ones first where one ends in another."""
 
-_STYLE = """
-:root { color-scheme: light; --ink: #1f2933; --soft: #616e7c; --line: #e4e7eb; }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 1180px; padding: 2.5rem 1.5rem 4rem; color: var(--ink);
-  font: 16px/1.55 system-ui, sans-serif; background: #fff; }
-h1 { font-size: 1.9rem; line-height: 1.2; margin: 0 0 .4rem; }
-h2 { font-size: 1.25rem; margin: 3rem 0 .8rem; }
-h3 { font-size: .8rem; letter-spacing: .06em; text-transform: uppercase; color: var(--soft);
-  margin: 0 0 .4rem; }
-.lead { color: var(--soft); max-width: 46rem; }
-nav a { display: inline-block; margin: 0 .9rem .2rem 0; color: #0072b2; text-decoration: none; }
-table { border-collapse: collapse; width: 100%; font-size: .9rem; }
-th, td { text-align: left; vertical-align: top; padding: .45rem .7rem .45rem 0;
-  border-bottom: 1px solid var(--line); }
-td.number { font-variant-numeric: tabular-nums; white-space: nowrap; }
-img { width: 100%; height: auto; display: block; border: 1px solid var(--line);
-  border-radius: 6px; }
-.sides { display: grid; grid-template-columns: 2fr 3fr; gap: 2.2rem; margin-top: 1.1rem; }
-.yes, .no { font-weight: 600; white-space: nowrap; }
-.yes { color: #00664a; } .no { color: #b3261e; }
-.source { color: var(--soft); font-size: .78rem; }
-.scroll { overflow-x: auto; }
-@media (max-width: 760px) { .sides { grid-template-columns: 1fr; } }
-"""
 
-
-class Section(NamedTuple):
-    """One figure on the page.
+class Cell(NamedTuple):
+    """A cell of a table that is more than its text.
 
     Attributes:
-        name: As the command calls it.
-        title: Its number in the paper and what it shows.
-        png: The picture.
-        paper: What the paper says about it, in our words.
-        measured: What was measured here; keys end in their unit.
-        remarks: One sentence each.
-        files: Names of its files.
+        text: What it says.
+        notes: Lines in small print below it.
+        mark: `yes`, `no` or nothing, for its colour.
     """
 
-    name: str
-    title: str
-    png: bytes
-    paper: str
-    measured: Mapping[str, Any]
-    remarks: Sequence[str]
-    files: Sequence[str]
+    text: str
+    notes: Sequence[str] = ()
+    mark: str = ""
 
 
-def page_html(sections: Sequence[Section], claims: Sequence[Mapping[str, Any]], about: str) -> str:
-    """The page.
+class Grid(NamedTuple):
+    """A table.
+
+    Attributes:
+        head: Titles of the columns, or none.
+        rows: Its cells, plain text or `Cell`.
+        numbers: Whether the columns after the first are numbers, which are not broken.
+    """
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str | Cell]]
+    numbers: bool = False
+
+
+class Part(NamedTuple):
+    """A part of a page, in the order in which it is shown.
+
+    Attributes:
+        title: Its heading, and what its picture shows.
+        name: What the page's links call it, or nothing if none leads to it.
+        text: Paragraphs.
+        png: A picture, which stands in the page itself.
+        tables: Tables.
+        points: A list of sentences.
+        note: A last line, in grey.
+        sides: Two parts side by side.
+    """
+
+    title: str = ""
+    name: str = ""
+    text: Sequence[str] = ()
+    png: bytes | None = None
+    tables: Sequence[Grid] = ()
+    points: Sequence[str] = ()
+    note: str = ""
+    sides: Sequence[Part] = ()
+
+
+def page_html(title: str, lead: str, parts: Sequence[Part]) -> str:
+    """The page; all that it is given is text and no markup.
 
     Args:
-        sections: The figures.
-        claims: Rows of the table of claims, as `claims.judge` gives them.
-        about: One sentence about what was run.
+        title: Its title and heading.
+        lead: A sentence or two below it.
+        parts: The parts; those with a name are linked to at the top.
     """
-    hold = sum(bool(claim["holds"]) for claim in claims)
-    links = "".join(
-        f'<a href="#{escape(s.name)}">{escape(s.title.split(":")[0])}</a>' for s in sections
+    return _template().render(title=title, lead=lead, parts=parts)
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    tally = f"{hold} of {len(claims)} claims hold here. " if claims else ""
-    return document(
-        "The paper's experiments, reproduced",
-        "<p class='lead'>Reactive Self-Collision Avoidance for a Differentially Driven Mobile "
-        f"Manipulator, in simulation. {tally}{escape(about)}</p>\n<nav>{links}</nav>\n"
-        + (_claims(claims) if claims else "")
-        + "".join(map(_section, sections)),
-    )
+    environment.filters["base64"] = lambda png: b64encode(png).decode("ascii")
+    return environment.from_string(files("app.studies").joinpath("page.html.j2").read_text("utf-8"))
 
 
-def document(title: str, body: str) -> str:
-    """A page that needs nothing else.
-
-    Args:
-        title: Plain text, also its heading.
-        body: HTML.
-    """
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n"
-        f"<body>\n<h1>{escape(title)}</h1>\n{body}</body>\n</html>\n"
-    )
-
-
-def picture_html(text: str, png: bytes) -> str:
-    """A picture that stands in the page itself; `text` for those who do not see it."""
-    data = b64encode(png).decode("ascii")
-    return f'<img alt="{escape(text)}" src="data:image/png;base64,{data}">\n'
+def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
+    """Tables of figures; cases with figures of their own stand side by side."""
+    plain = _flat({k: v for k, v in measured.items() if not isinstance(v, Mapping)})
+    cases = {k: _flat(v) for k, v in measured.items() if isinstance(v, Mapping)}
+    keys = dict.fromkeys(key for case in cases.values() for key in case)
+    grids = [
+        Grid((), [(label(key), _text(value)) for key, value in plain.items()], numbers=True),
+        Grid(
+            ("", *cases),
+            [(label(key), *(_text(case.get(key)) for case in cases.values())) for key in keys],
+            numbers=True,
+        ),
+    ]
+    return [grid for grid in grids if grid.rows]
 
 
 def label(key: str) -> str:
@@ -121,58 +122,6 @@ def label(key: str) -> str:
         if key.endswith(ending) and len(key) > len(ending):
             return f"{key.removesuffix(ending).replace('_', ' ')} [{unit}]"
     return key.replace("_", " ")
-
-
-def _claims(claims: Sequence[Mapping[str, Any]]) -> str:
-    rows = "".join(
-        f"<tr><td>§{escape(c['section'])}</td><td>{escape(c['paper'])}</td>"
-        f"<td>{escape(c['measured'])}{_limits(c['limits'])}</td>"
-        f"<td>{_verdict(c['holds'])}</td></tr>\n"
-        for c in claims
-    )
-    return (
-        '<h2>What the paper claims</h2>\n<div class="scroll"><table>\n'
-        "<tr><th></th><th>The paper says</th><th>Measured here</th><th>Holds</th></tr>\n"
-        f"{rows}</table></div>\n"
-    )
-
-
-def _limits(limits: Sequence[Mapping[str, Any]]) -> str:
-    """Where the numbers come from against which the measured ones were held."""
-    lines = (f"{x['value']:g} {x['unit']}".strip() + f": {x['source']}" for x in limits)
-    return "".join(f'<br><span class="source">{escape(line)}</span>' for line in lines)
-
-
-def _verdict(holds: bool) -> str:
-    return '<span class="yes">✓ holds</span>' if holds else '<span class="no">✗ does not</span>'
-
-
-def _section(section: Section) -> str:
-    remarks = "".join(f"<p>{escape(remark)}</p>" for remark in section.remarks)
-    return (
-        f'<h2 id="{escape(section.name)}">{escape(section.title)}</h2>\n'
-        f"{picture_html(section.title, section.png)}"
-        f'<div class="sides"><div><h3>The paper says</h3><p>{escape(section.paper)}</p></div>\n'
-        f'<div><h3>Measured here</h3><div class="scroll">{measured_html(section.measured)}</div>'
-        f'{remarks}<p class="lead">{escape(", ".join(section.files))}</p></div></div>\n'
-    )
-
-
-def measured_html(measured: Mapping[str, Any]) -> str:
-    """A table of figures; cases with figures of their own stand side by side."""
-    plain = {k: v for k, v in measured.items() if not isinstance(v, Mapping)}
-    cases = {k: v for k, v in measured.items() if isinstance(v, Mapping)}
-    rows = "".join(_row(label(key), [value]) for key, value in _flat(plain).items())
-    tables = f"<table>{rows}</table>" if rows else ""
-    if cases:
-        columns = {name: _flat(case) for name, case in cases.items()}
-        keys = dict.fromkeys(key for column in columns.values() for key in column)
-        head = "".join(f"<th>{escape(name)}</th>" for name in columns)
-        body = "".join(
-            _row(label(key), [column.get(key) for column in columns.values()]) for key in keys
-        )
-        tables += f"<table><tr><th></th>{head}</tr>{body}</table>"
-    return tables
 
 
 def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -184,11 +133,6 @@ def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
         else:
             flat[key] = value
     return flat
-
-
-def _row(name: str, values: Sequence[Any]) -> str:
-    cells = "".join(f'<td class="number">{escape(_text(value))}</td>' for value in values)
-    return f"<tr><td>{escape(name)}</td>{cells}</tr>"
 
 
 def _text(value: Any) -> str:

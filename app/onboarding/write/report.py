@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from html import escape
-
 from app.border.cache import BorderData
 from app.onboarding.new_robot import NewRobot
 from app.onboarding.write.pictures import bodies_png, border_png, reach_png
 from app.robot.model import RobotModel
-from app.studies.page import document, picture_html
+from app.studies.page import Grid, Part, page_html
 
 
 def report_html(robot: NewRobot, model: RobotModel, data: BorderData) -> str:
@@ -20,20 +17,25 @@ def report_html(robot: NewRobot, model: RobotModel, data: BorderData) -> str:
         model: The compiled robot.
         data: Its border.
     """
-    parts = [f"<p class='lead'>Made by dbb new-robot from {escape(_sources(robot))}.</p>"]
-    parts += ["<h2>Warnings</h2>", _list(robot.warnings or ["none"])]
-    parts += [
-        "<h2>Bodies over meshes, in the ready pose</h2>",
-        picture_html("bodies over meshes", bodies_png(robot)),
-        _bodies(robot),
+    pictures = (
+        ("Border", "border", border_png(robot, model, data)),
+        ("Reachability", "reachability", reach_png(robot)),
+    )
+    parts = [
+        Part("Warnings", points=robot.warnings or ["none"]),
+        Part(
+            "Bodies over meshes, in the ready pose",
+            "bodies",
+            png=bodies_png(robot),
+            tables=[_bodies(robot)],
+        ),
+        Part("Pairs", "pairs", tables=[_pairs(robot, data)], points=_verdict(robot)),
+        *(Part(title, name, png=png) for title, name, png in pictures if png is not None),
+        Part("Coefficients of (9)", tables=[_reach(robot)]),
+        Part("Base and arm", "numbers", tables=[_numbers(robot)]),
     ]
-    parts += ["<h2>Pairs</h2>", _pairs(robot, data), _verdict(robot)]
-    if (png := border_png(robot, model, data)) is not None:
-        parts += ["<h2>Border</h2>", picture_html("border at two heights", png)]
-    if (png := reach_png(robot)) is not None:
-        parts += ["<h2>Reachability</h2>", picture_html("reachability over distance", png)]
-    parts += [_reach(robot), "<h2>Base and arm</h2>", _numbers(robot)]
-    return document(f"New robot: {robot.content['title']}", "\n".join(parts))
+    lead = f"Made by dbb new-robot from {_sources(robot)}."
+    return page_html(f"New robot: {robot.content['title']}", lead, parts)
 
 
 def _sources(robot: NewRobot) -> str:
@@ -41,7 +43,7 @@ def _sources(robot: NewRobot) -> str:
     return robot.request.told + (f" and its arm from {arm}" if arm else "")
 
 
-def _bodies(robot: NewRobot) -> str:
+def _bodies(robot: NewRobot) -> Grid:
     rows = [
         (
             body.name,
@@ -55,12 +57,12 @@ def _bodies(robot: NewRobot) -> str:
         for body in robot.bodies
         for fit in body.fits
     ]
-    return _table(
+    return Grid(
         ("body", "frame", "links", "shape", "volume [l]", "over hull's", "protrusion [m]"), rows
     )
 
 
-def _pairs(robot: NewRobot, data: BorderData) -> str:
+def _pairs(robot: NewRobot, data: BorderData) -> Grid:
     pairs, near = data.pairs, robot.verdict.near
     rows = [
         (
@@ -77,24 +79,22 @@ def _pairs(robot: NewRobot, data: BorderData) -> str:
         )
         for pair in each
     ]
-    return _table(
+    return Grid(
         ("pair", "set", "in collision", "least distance [m]", f"within {robot.request.d_b:g} m"),
         rows,
     )
 
 
-def _verdict(robot: NewRobot) -> str:
+def _verdict(robot: NewRobot) -> list[str]:
     verdict, ready = robot.verdict, robot.ready
-    return _list(
-        [
-            f"collisions of links that no pair sees: {verdict.missed:.1%} of those in random poses",
-            f"random poses without a collision in which bodies meet: {verdict.false:.1%}",
-            f"ready pose: {ready.nearest} is nearest, {ready.clearance:+.3f} m from its buffer",
-        ]
-    )
+    return [
+        f"collisions of links that no pair sees: {verdict.missed:.1%} of those in random poses",
+        f"random poses without a collision in which bodies meet: {verdict.false:.1%}",
+        f"ready pose: {ready.nearest} is nearest, {ready.clearance:+.3f} m from its buffer",
+    ]
 
 
-def _reach(robot: NewRobot) -> str:
+def _reach(robot: NewRobot) -> Grid:
     rows = [
         (
             name,
@@ -106,10 +106,10 @@ def _reach(robot: NewRobot) -> str:
         )
         for name, r in robot.reach.items()
     ]
-    return _table(("body", "A [1/m²]", "B [m]", "C", "R²", "source"), rows)
+    return Grid(("body", "A [1/m²]", "B [m]", "C", "R²", "source"), rows)
 
 
-def _numbers(robot: NewRobot) -> str:
+def _numbers(robot: NewRobot) -> Grid:
     rows = []
     for part in ("base", "arm"):
         record = robot.content[part]
@@ -119,22 +119,10 @@ def _numbers(robot: NewRobot) -> str:
         rows.append(
             (name, "start_m, move_m", f"{_text(place.start)}; {_text(place.move)}", place.source)
         )
-    return _table(("", "number", "value", "source"), rows)
+    return Grid(("", "number", "value", "source"), rows)
 
 
 def _text(value: object) -> str:
     if isinstance(value, (tuple, list)):
         return ", ".join(_text(each) for each in value)
     return f"{value:.5g}" if isinstance(value, float) else str(value)
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    titles = "".join(f"<th>{escape(title)}</th>" for title in head)
-    body = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>\n" for row in rows
-    )
-    return f'<div class="scroll"><table><tr>{titles}</tr>\n{body}</table></div>'
-
-
-def _list(lines: Sequence[str]) -> str:
-    return "<ul>" + "".join(f"<li>{escape(line)}</li>" for line in lines) + "</ul>"

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 from app.studies.drawing import Drawing
-from app.studies.page import Section, page_html
+from app.studies.page import Cell, Grid, Part, measured_grids, page_html
 from app.studies.paper.claims import claims_of, judge
 from app.studies.paper.experiments import (
     ROBOT,
@@ -65,19 +65,28 @@ def reproduce(
     loaded = load_sources()
     runs = run_experiments(experiments, seed=seed, processes=processes, on_progress=on_progress)
     sources = Sources(loaded.model, loaded.data, loaded.config, runs)
-    sections, done = [], duration(experiments)
+    figures: dict[str, dict[str, Any]] = {}
+    parts, done = [], duration(experiments)
     for name in names:
         with styled():
-            sections.append(_make(FIGURES[name].draw(sources), name, out))
+            drawing = FIGURES[name].draw(sources)
+            files = drawing.write(out, name)
+        parts.append(figure_part(name, drawing, files))
+        figures[name] = {
+            "title": drawing.title,
+            "files": [path.name for path in files],
+            "measured": dict(drawing.measured),
+            "remarks": list(drawing.remarks),
+        }
         done += _DRAWING
         on_progress(done)
     claims = [judge(claim, sources) for claim in claims_of(names)]
     about = f"Robot {ROBOT}, seed {seed}, {len(runs)} runs."
-    (out / "index.html").write_text(page_html(sections, claims, about), encoding="utf-8")
+    (out / "index.html").write_text(paper_page(parts, claims, about), encoding="utf-8")
     result = {
         "robot": ROBOT,
         "seed": seed,
-        "figures": {s.name: _figure(s) for s in sections},
+        "figures": figures,
         "claims": claims,
         "claims_that_hold": sum(bool(claim["holds"]) for claim in claims),
         "claims_that_do_not": sum(not claim["holds"] for claim in claims),
@@ -90,23 +99,56 @@ def reproduce(
     return result
 
 
-def _make(drawing: Drawing, name: str, out: Path) -> Section:
-    files = drawing.write(out, name)
-    return Section(
-        name,
-        drawing.title,
-        files[0].read_bytes(),
-        drawing.paper,
-        drawing.measured,
-        drawing.remarks,
-        [path.name for path in files],
+def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], about: str) -> str:
+    """`index.html`: all claims, then all figures.
+
+    Args:
+        figures: As `figure_part` makes them.
+        claims: Rows of the table of claims, as `claims.judge` gives them.
+        about: One sentence about what was run.
+    """
+    hold = sum(bool(claim["holds"]) for claim in claims)
+    tally = f"{hold} of {len(claims)} claims hold here. " if claims else ""
+    lead = (
+        "Reactive Self-Collision Avoidance for a Differentially Driven Mobile Manipulator, in "
+        f"simulation. {tally}{about}"
     )
+    first = [_claims_part(claims)] if claims else []
+    return page_html("The paper's experiments, reproduced", lead, [*first, *figures])
 
 
-def _figure(section: Section) -> dict[str, Any]:
-    return {
-        "title": section.title,
-        "files": list(section.files),
-        "measured": dict(section.measured),
-        "remarks": list(section.remarks),
-    }
+def figure_part(name: str, drawing: Drawing, files: Sequence[Path]) -> Part:
+    """One figure: the picture, and what the paper says beside what was measured.
+
+    Args:
+        name: As the command calls it.
+        drawing: The figure.
+        files: What was written of it, the picture first.
+    """
+    measured = Part(
+        "Measured here",
+        tables=measured_grids(drawing.measured),
+        points=drawing.remarks,
+        note=", ".join(path.name for path in files),
+    )
+    paper = Part("The paper says", text=[drawing.paper])
+    return Part(drawing.title, name, png=files[0].read_bytes(), sides=(paper, measured))
+
+
+def _claims_part(claims: Sequence[Mapping[str, Any]]) -> Part:
+    rows = [
+        (
+            f"§{claim['section']}",
+            claim["paper"],
+            Cell(claim["measured"], [_limit(limit) for limit in claim["limits"]]),
+            Cell("✓ holds", mark="yes") if claim["holds"] else Cell("✗ does not", mark="no"),
+        )
+        for claim in claims
+    ]
+    head = ("", "The paper says", "Measured here", "Holds")
+    return Part("What the paper claims", tables=[Grid(head, rows)])
+
+
+def _limit(limit: Mapping[str, Any]) -> str:
+    """Where the number comes from against which the measured one was held."""
+    return f"{limit['value']:g} {limit['unit']}".strip() + f": {limit['source']}"

@@ -2,34 +2,16 @@
 
 from __future__ import annotations
 
-from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from html import escape
 from itertools import pairwise
 from typing import Any
 
+from app.studies.page import Grid, Part, page_html
 from app.studies.pulls.envelope import Envelope, exerted
 from app.studies.pulls.parameters import StudyParameters
 from app.studies.pulls.play import Row, failed
 
 _MOST_FAILURES = 200  # rows of the table of failures
-
-_STYLE = """
-:root { color-scheme: light; --ink: #1f2933; --soft: #616e7c; --line: #e4e7eb; }
-* { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 1180px; padding: 2.5rem 1.5rem 4rem; color: var(--ink);
-  font: 16px/1.55 system-ui, sans-serif; background: #fff; }
-h1 { font-size: 1.9rem; line-height: 1.2; margin: 0 0 .4rem; }
-h2 { font-size: 1.25rem; margin: 2.6rem 0 .6rem; }
-p { max-width: 52rem; } .soft { color: var(--soft); }
-table { border-collapse: collapse; font-size: .88rem; }
-th, td { text-align: left; padding: .35rem 1rem .35rem 0; border-bottom: 1px solid var(--line);
-  font-variant-numeric: tabular-nums; white-space: nowrap; }
-img { width: 100%; height: auto; display: block; border: 1px solid var(--line);
-  border-radius: 6px; }
-.scroll { overflow-x: auto; }
-.bad { color: #b3261e; font-weight: 600; }
-"""
 
 _TEXTS = {
     "envelope": (
@@ -92,18 +74,15 @@ def report_html(
         pictures: PNG by the name of the figure.
     """
     title = f"{summary['cases']:,} random pulls, {parameters.controller}"
-    return (
-        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n"
-        f"<h1>{escape(title)}</h1>\n{_lead(parameters)}{_verdict(summary)}"
-        + "".join(_picture(name, png) for name, png in pictures.items())
-        + _envelope(summary)
-        + _forces(summary)
-        + _kinds(summary)
-        + _failures(rows, parameters)
-        + "</body>\n</html>\n"
-    )
+    parts = [
+        Part(text=_verdict(summary)),
+        *(Part(_TEXTS[name][0], name, [_TEXTS[name][1]], png) for name, png in pictures.items()),
+        _envelope(summary),
+        _forces(summary),
+        _kinds(summary),
+        _failures(rows),
+    ]
+    return page_html(title, _lead(parameters), parts)
 
 
 def _lead(parameters: StudyParameters) -> str:
@@ -115,15 +94,15 @@ def _lead(parameters: StudyParameters) -> str:
     )
     inside = " Only cases inside of the stated envelope were drawn." if parameters.inside else ""
     return (
-        f"<p class='soft'>A person pulls the hand towards the base from random starts around and "
-        f"above it. Robot {escape(parameters.robot)}, plant {escape(parameters.physics)}, seed "
-        f"{parameters.seed}; {escape(told)} (SI units), the stiffness logarithmically, all else "
+        f"A person pulls the hand towards the base from random starts around and "
+        f"above it. Robot {parameters.robot}, plant {parameters.physics}, seed "
+        f"{parameters.seed}; {told} (SI units), the stiffness logarithmically, all else "
         f"uniformly; {_percent(parameters.ranges.released)} let go on the way, and of these "
-        f"{_percent(parameters.ranges.regrasped)} take hold again.{inside}</p>\n"
+        f"{_percent(parameters.ranges.regrasped)} take hold again.{inside}"
     )
 
 
-def _verdict(summary: Mapping[str, Any]) -> str:
+def _verdict(summary: Mapping[str, Any]) -> list[str]:
     s, least = summary, summary["min_clearance_m"]
     halves = s["envelope"]["inside_by_halves"]
     lines = [
@@ -143,7 +122,7 @@ def _verdict(summary: Mapping[str, Any]) -> str:
         else "No case lies inside of an envelope fitted without it.",
         _stated(s["stated_envelope"]),
     ]
-    return "".join(f"<p>{escape(line)}</p>\n" for line in lines if line)
+    return [line for line in lines if line]
 
 
 def _exerted(s: Mapping[str, Any]) -> str:
@@ -169,21 +148,12 @@ def _stated(stated: Mapping[str, Any]) -> str:
     )
 
 
-def _picture(name: str, png: bytes) -> str:
-    title, text = _TEXTS[name]
-    data = b64encode(png).decode("ascii")
-    return (
-        f'<h2 id="{name}">{escape(title)}</h2>\n<p>{escape(text)}</p>\n'
-        f'<img alt="{escape(title)}" src="data:image/png;base64,{data}">\n'
-    )
-
-
-def _envelope(summary: Mapping[str, Any]) -> str:
+def _envelope(summary: Mapping[str, Any]) -> Part:
     """F* of the fitted envelope and of the stated one, one row a band of speed."""
     fitted = Envelope.model_validate(
         {k: v for k, v in summary["envelope"].items() if not k.startswith("inside")}
     )
-    text = "<h2>F*, the largest force inside [N]</h2>\n"
+    tables = []
     for title, envelope in (("these cases", fitted), ("the project states", Envelope.stated())):
         head = [f"speed [m/s] ({title})"]
         head += [f"delay {a:.2f} to {b:.2f} s" for a, b in pairwise(envelope.base_delay)]
@@ -191,11 +161,11 @@ def _envelope(summary: Mapping[str, Any]) -> str:
             [f"{a:.3g} to {b:.3g}", *map(_number, limits)]
             for (a, b), limits in zip(pairwise(envelope.speed), envelope.force, strict=True)
         ]
-        text += _table(head, body) + "<br>\n"
-    return text
+        tables.append(Grid(head, body, numbers=True))
+    return Part("F*, the largest force inside [N]", tables=tables)
 
 
-def _forces(summary: Mapping[str, Any]) -> str:
+def _forces(summary: Mapping[str, Any]) -> Part:
     head = [
         "force until near [N]",
         "cases",
@@ -212,35 +182,28 @@ def _forces(summary: Mapping[str, Any]) -> str:
         low, high, *rest = counts.values()
         name = f"above {low:g}" if high is None else f"{low:g} to {high:g}"
         body.append([name, *map(_number, rest)])
-    return "<h2>By the force that was exerted</h2>\n" + _table(head, body)
+    return Part("By the force that was exerted", tables=[Grid(head, body, numbers=True)])
 
 
-def _kinds(summary: Mapping[str, Any]) -> str:
+def _kinds(summary: Mapping[str, Any]) -> Part:
     head = ["from", "cases", "failed", "met base", "within the arm", "no solution", "least [m]"]
     body = [[kind, *map(_number, counts.values())] for kind, counts in summary["by_kind"].items()]
-    return "<h2>By where the pull comes from</h2>\n" + _table(head, body)
+    return Part("By where the pull comes from", tables=[Grid(head, body, numbers=True)])
 
 
-def _failures(rows: Sequence[Row], parameters: StudyParameters) -> str:
+def _failures(rows: Sequence[Row]) -> Part:
     bad = [row for row in rows if failed(row)]
     if not bad:
-        return "<h2>How it fails</h2>\n<p>No case failed.</p>\n"
+        return Part("How it fails", text=["No case failed."])
     bad.sort(key=exerted)
     body = [[_number(row.get(name)) for name in _COLUMNS] for row in bad[:_MOST_FAILURES]]
     more = f" The weakest {_MOST_FAILURES} of {len(bad)}." if len(bad) > _MOST_FAILURES else ""
-    return (
-        f"<h2>How it fails</h2>\n<p>Weakest first.{more} <code>dbb run --replay-case "
-        f"failures/case-NNNNN.json</code> plays one again, <code>dbb serve --replay-case</code> "
-        f"shows it.</p>\n" + _table(list(_COLUMNS.values()), body)
+    text = (
+        f"Weakest first.{more} `dbb run --replay-case failures/case-NNNNN.json` plays one again, "
+        "`dbb serve --replay-case` shows it."
     )
-
-
-def _table(head: Sequence[str], body: Sequence[Sequence[str]]) -> str:
-    top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-    lines = "".join(
-        "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>\n" for row in body
-    )
-    return f'<div class="scroll"><table>\n<tr>{top}</tr>\n{lines}</table></div>\n'
+    grid = Grid(list(_COLUMNS.values()), body, numbers=True)
+    return Part("How it fails", text=[text], tables=[grid])
 
 
 def _number(value: Any) -> str:

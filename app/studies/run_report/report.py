@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from html import escape
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from matplotlib.figure import Figure
 
 from app.config import parameter
+from app.errors import ConfigError
 from app.simulation.trace.log import Log
-from app.studies.page import document, measured_html, picture_html
+from app.studies.page import Grid, Part, measured_grids, page_html
 from app.studies.run_report.figures import (
     base_figure,
     distances_figure,
@@ -31,24 +31,36 @@ _FIGURES: dict[str, tuple[str, Callable[[Log, Track], Figure]]] = {
 
 
 def run_report(log: Log) -> str:
-    """The page of a run: key numbers, figures, and which parameters were not the defaults.
+    """The page of a run: its verdict and figures, its numbers, and the parameters it changed.
 
     Args:
         log: As `read_log` gives it, or made from snapshots.
     """
     track = track_of(log)
+    numbers = key_numbers(log, track)
     title = f"{log.meta.scenario or 'A person leads the hand'}, {_controllers(log)}"
-    links = "".join(f'<a href="#{name}">{text}</a>' for name, (text, _) in _FIGURES.items())
-    body = [
-        f'<p class="lead">{escape(_about(log))}</p>\n<nav>{links}</nav>\n',
-        f'<h2>Key numbers</h2>\n<div class="scroll">{measured_html(_shown(log, track))}</div>\n',
-        _changes(log),
-    ]
+    parts = [Part(text=[_verdict(numbers)])]
     with styled():
-        for name, (text, draw) in _FIGURES.items():
-            png = png_of(draw(log, track))
-            body.append(f'<h2 id="{name}">{text}</h2>\n{picture_html(text, png)}')
-    return document(title, "".join(body))
+        parts += [
+            Part(text, name, png=png_of(draw(log, track)))
+            for name, (text, draw) in _FIGURES.items()
+        ]
+    parts += [Part("Key numbers", "numbers", tables=measured_grids(_shown(numbers))), _changes(log)]
+    return page_html(title, _about(log), parts)
+
+
+def _verdict(numbers: Mapping[str, Any]) -> str:
+    """One sentence: whether anything touched, how near it came, and where the hand ended."""
+    rows = numbers["rows_in_contact"]
+    touched = f"In contact in {rows} rows" if rows else "No contact"
+    least = numbers["least_distance_m"]
+    near = ""
+    if least:
+        pair = min(least, key=least.get)
+        near = f"; least distance {1e3 * least[pair]:.1f} mm, of {pair}"
+        near += " (between their bodies, which are fatter than the links)"
+    ended = f"; the hand ended {1e3 * numbers['final_error_m']:.1f} mm from where it was led"
+    return f"{touched}{near}{ended}."
 
 
 def _controllers(log: Log) -> str:
@@ -65,10 +77,10 @@ def _about(log: Log) -> str:
     )
 
 
-def _shown(log: Log, track: Track) -> dict[str, Any]:
+def _shown(numbers: Mapping[str, Any]) -> dict[str, Any]:
     """Key numbers; those of each pair and each joint stand one below the other."""
     shown: dict[str, Any] = {}
-    for key, value in key_numbers(log, track).items():
+    for key, value in numbers.items():
         if isinstance(value, dict):
             stem, _, unit = key.rpartition("_")
             shown |= {f"{stem} {name}_{unit}": number for name, number in value.items()}
@@ -77,27 +89,20 @@ def _shown(log: Log, track: Track) -> dict[str, Any]:
     return shown
 
 
-def _changes(log: Log) -> str:
+def _changes(log: Log) -> Part:
     """A table of the parameters that were not the defaults."""
     changes = config_changes([s.config for s in log.snapshots])
-    if not changes:
-        return "<h2>Parameters</h2>\n<p>All were the defaults.</p>\n"
-    rows = "".join(
-        f"<tr><td>{escape(path)}</td><td>{escape(_unit(path))}</td>"
-        f'<td class="number">{escape(_value(default))}</td>'
-        f'<td class="number">{escape(_value(had))}</td></tr>\n'
-        for path, default, had in changes
-    )
-    return (
-        '<h2>Parameters</h2>\n<div class="scroll"><table>\n<tr><th>changed</th><th>unit</th>'
-        f"<th>default</th><th>here</th></tr>\n{rows}</table></div>\n"
-    )
+    rows = [(path, _unit(path), _value(default), _value(had)) for path, default, had in changes]
+    if not rows:
+        return Part("Parameters", "parameters", text=["All were the defaults."])
+    head = ("changed", "unit", "default", "here")
+    return Part("Parameters", "parameters", tables=[Grid(head, rows, numbers=True)])
 
 
 def _unit(path: str) -> str:
     try:
         unit = parameter(path).unit
-    except KeyError:  # a choice has no range
+    except ConfigError:  # a choice has no range
         return ""
     return "" if unit == "-" else unit
 
