@@ -68,6 +68,12 @@ def test_a_caption_says_command_commit_and_machine(counting: Path) -> None:
     assert results.machine() in caption
 
 
+def test_kept_numbers_have_six_digits_and_all_else_stays() -> None:
+    given = {"a": [0.123456789, 12345678.9, 3], "b": None, "c": "0.123456789", "d": -1e-13 / 3}
+    kept = {"a": [0.123457, 12345700.0, 3], "b": None, "c": "0.123456789", "d": -3.33333e-14}
+    assert results.rounded(given) == kept
+
+
 @pytest.mark.parametrize("name", SETS)
 def test_every_table_is_one_of_markdown_with_as_many_cells_in_each_line(name: str) -> None:
     found = results.figures(name)

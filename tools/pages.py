@@ -176,13 +176,16 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tools.pages", description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing; 1 if a page is stale")
     options = parser.parse_args()
-    found = list(stale())
-    for path in found:
-        print(path.relative_to(PROJECT))
-        if not options.check:
-            text = path.read_text(encoding="utf-8")
-            path.write_text(generated(text), encoding="utf-8")
-    return int(options.check and bool(found))
+    if options.check:
+        found = [path.relative_to(PROJECT) for path in stale()]
+        print(*found, sep="\n", end="\n" if found else "")
+        return int(bool(found))
+    for path in pages():
+        text = path.read_text(encoding="utf-8")
+        if (new := generated(text)) != text:
+            path.write_text(new, encoding="utf-8")
+            print(path.relative_to(PROJECT))
+    return 0
 
 
 if __name__ == "__main__":

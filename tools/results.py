@@ -109,10 +109,19 @@ def measure(name: str, again: bool) -> bool:
             "commit": at,
             "machine": machine(),
             "date": datetime.now(timezone.utc).date().isoformat(),
-            "figures": SETS[name].keep(json.loads(done.stdout)),
+            "figures": rounded(SETS[name].keep(json.loads(done.stdout))),
         }
         write(name, {each: rows[each] for each in wanted if each in rows})
     return good
+
+
+def rounded(value: Any) -> Any:
+    """With six digits that count in each number: the last ones of a run are not the same twice."""
+    if isinstance(value, dict):
+        return {key: rounded(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [rounded(each) for each in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def _environment() -> dict[str, str]:
