@@ -98,9 +98,9 @@ class LoopError(DbbError):
 
 
 EXTRAS = {
-    "dashboard": ("fast_simplification", "PIL", "playwright", "viser", "websockets"),
+    "dashboard": ("fast_simplification", "msgspec", "PIL", "playwright", "viser", "websockets"),
     "onboarding": ("eaik", "xacrodoc"),
-    "studies": ("dask", "distributed", "matplotlib", "mpl_toolkits"),
+    "studies": ("dask", "distributed", "jinja2", "matplotlib", "mpl_toolkits"),
     "sim": ("mujoco", "pyarrow", "pybullet", "pybullet_data", "scipy", "trimesh"),
 }
 """The extras of the package, and the modules that each brings; all bring those of `sim`. The first

@@ -36,6 +36,7 @@ NAMED_OTHERWISE = {
     "PIL": "pillow",
     "pybullet_data": "pybullet",
     "dask": "distributed",
+    "msgspec": "viser",
     "websockets": "viser",
 }
 """Packages by a module of another name that they or their dependencies bring."""

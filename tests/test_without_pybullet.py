@@ -34,7 +34,7 @@ def no_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("no_meshes")
 def test_a_mesh_that_comes_with_pybullet_says_so() -> None:
-    with pytest.raises(AssetError, match="it comes with pybullet, on the Pythons"):
+    with pytest.raises(AssetError, match="it comes with pybullet: pip install"):
         resolve_package_uri("package://pybullet_data/husky/meshes/base_link.stl")
 
 

@@ -85,7 +85,7 @@ def turning(sources: Sources) -> Moment:
 
     def smaller(now: Moment) -> float:
         acting, f = _found(sources, now, sources.config.force)
-        return min(np.linalg.norm(v) for v in components(now.closest.p_b, acting.p_n, f))
+        return min(float(np.linalg.norm(v)) for v in components(now.closest.p_b, acting.p_n, f))
 
     return max(_moments(sources, run, inside.tolist()), key=smaller)
 
