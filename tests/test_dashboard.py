@@ -22,6 +22,7 @@ from app.border.score import ScoreField
 from app.config import BorderConfig
 from app.dashboard.drag import Grip, Hold
 from app.dashboard.notifications import Notices
+from app.dashboard.page import Page
 from app.dashboard.panels.run import buffer_text, pairs_html, status_html
 from app.dashboard.scene.arrows import arrow
 from app.dashboard.scene.border_cloud import BorderCloud
@@ -229,6 +230,28 @@ def test_garbage_ends_the_connection_of_its_sender_only(dashboard):
                 assert not rude._thread.is_alive(), "still connected"
         wait_for(lambda: len(dashboard.pages) == 1)
     assert dashboard.error is None
+
+
+@pytest.mark.parametrize("step", ["draw", "__init__"])
+def test_a_page_that_fails_ends_alone(dashboard, step, monkeypatch, caplog):
+    def fails(*_, **__):
+        raise ZeroDivisionError("a defect of one page")
+
+    with RawClient(dashboard.address):
+        first = page_of(dashboard)
+        with monkeypatch.context() as patch:
+            if step == "draw":
+                patch.setattr(first, "draw", fails)
+            else:
+                patch.setattr(Page, "__init__", fails)
+            with RawClient(dashboard.address):
+                wait_for(lambda: "a defect of one page" in caplog.text)
+                before = dashboard.pictures
+                wait_for(lambda: dashboard.pictures > before + 3)
+                assert len(dashboard.pages) == (2 if step == "draw" else 1)
+                assert first.closed is (step == "draw")
+                assert dashboard.error is None
+        wait_for(lambda: len(dashboard.pages) == 1)
 
 
 # The server

@@ -31,6 +31,7 @@ from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios.leading import Scenario
 
 logger = logging.getLogger(__name__)
+_PAGE_ENDED = "This page has ended; reload it. The simulation and other pages go on"
 
 FRAME = 1 / 30  # [s] between two pictures
 TEXTS_EVERY = 3  # pictures between two renewals of panels, plots and labels: 10 Hz
@@ -140,12 +141,22 @@ class DashboardServer:
     def _draw_pages(self, *, texts: bool) -> None:
         for page in self.pages.values():
             if not page.closed:
-                page.draw(texts=texts)
+                try:
+                    page.draw(texts=texts)
+                except Exception as error:  # of this viewer alone
+                    logger.exception("a page has ended")
+                    page.close()
+                    page.fail(_PAGE_ENDED, error)
 
     def _open_and_close_pages(self) -> None:
         while not self._arrived.empty():
             client = self._arrived.get()
-            page = self.pages[client.client_id] = Page(client, self.shared, self._notices)
+            try:
+                page = self.pages[client.client_id] = Page(client, self.shared, self._notices)
+            except Exception as error:  # of this viewer alone
+                logger.exception("a page could not be built")
+                show_failure(client.gui, _PAGE_ENDED, error)
+                continue
             if self._failure is not None:
                 page.fail(*self._failure)
         while not self._gone.empty():
