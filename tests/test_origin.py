@@ -10,8 +10,8 @@ import viser
 import websockets
 from websockets.asyncio.client import connect
 
-from app.dashboard.guards import origin
-from app.dashboard.guards.origin import foreign_origins_refused, is_allowed
+from app.dashboard import origin
+from app.dashboard.origin import foreign_origins_refused, is_allowed
 from app.errors import ServerError
 
 

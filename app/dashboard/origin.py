@@ -1,4 +1,4 @@
-"""Refuses pages of other origins: viser itself takes a connection from any page in the browser."""
+"""Origin check: pages of other origins are refused, which viser itself would accept."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def is_allowed(origin: str | None, host: str | None, own_name: str) -> bool:
     Args:
         origin: The request's header `Origin`; None for programs that are no browsers.
         host: Its header `Host`.
-        own_name: The name that the server was told to listen at.
+        own_name: The name that the server listens at.
     """
     if host is None:
         return origin is None
@@ -58,7 +58,7 @@ def foreign_origins_refused(own_name: str) -> Iterator[None]:
     viser has no place for such a check: what it hands to `websockets` when it starts is wrapped.
 
     Args:
-        own_name: The name that the server is told to listen at.
+        own_name: The name that the server listens at.
 
     Raises:
         ServerError: No server was started in the expected way; it must not be used.
