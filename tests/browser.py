@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from app.dashboard.export import browser as browser_of_app
-from app.dashboard.panels.tour import SEEN
+from app.dashboard.panels.help import SEEN
 from app.errors import BrowserError
 
 REQUIRED = "DBB_REQUIRE_BROWSER"

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from app.border.cloud import Cloud
 from app.dashboard.page import Page
-from app.dashboard.robots.robot_switch import StartLoop
+from app.dashboard.robot_switch import StartLoop
 from app.dashboard.scene.robot import RobotParts
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.simulation.loop.commands import Compare, Pause, Reset, Speed

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from app.dashboard.guards.listening import close_server, open_server
+from app.dashboard.viser_compat import close_server, open_server
 from tests.browser import wait_for
 
 pytestmark = [pytest.mark.browser, pytest.mark.slow]

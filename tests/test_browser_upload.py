@@ -16,8 +16,8 @@ import pytest
 from app.border.cache import BorderData, kept_border_data
 from app.border.sampling.config import SamplingConfig
 from app.config import Config
+from app.dashboard import robot_build, robot_switch
 from app.dashboard.drag import GIZMO, SCALE
-from app.dashboard.robots import robot_build, robot_switch
 from app.dashboard.server import DashboardServer
 from app.jobs.process import Report
 from app.onboarding.request import Request

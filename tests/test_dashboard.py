@@ -21,17 +21,15 @@ from app.border.mobile import MobileBody
 from app.border.score import ScoreField
 from app.config import BorderConfig
 from app.dashboard.drag import Grip, Hold
-from app.dashboard.notifications import Notices
+from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
 from app.dashboard.panels.run import buffer_text, pairs_html, status_html
-from app.dashboard.scene.arrows import arrow
-from app.dashboard.scene.border_cloud import BorderCloud
-from app.dashboard.scene.borders import MAX_POINTS, Borders, subsample
+from app.dashboard.scene.borders import MAX_POINTS, BorderCloud, Borders, subsample
 from app.dashboard.scene.colours import FULL, NEAR, REST, distance_colour, viridis
 from app.dashboard.scene.legend import legend_html, make_legend, normalised, tick_texts
+from app.dashboard.scene.lines import METRES_PER_NEWTON, arrow
 from app.dashboard.scene.pair_lines import TOGETHER, beside, segments
 from app.dashboard.scene.robot import LinkPoses
-from app.dashboard.scene.scales import METRES_PER_NEWTON
 from app.dashboard.scene.visuals import (
     GREY,
     MAX_FACES,
@@ -100,9 +98,9 @@ def wait_for(condition, seconds=5.0):
 
 
 def held(link=None):
-    """A grip that has taken hold, the commands it sends, and the one who sees its notices."""
+    """A grip that has taken hold, the commands it sends, and the one who sees its notifier."""
     sink, client = Recorder(), Recorder()
-    grip = Grip(sink, Notices(sink), 7)
+    grip = Grip(sink, Notifier(sink), 7)
     grip.take(Hold(*link) if link else Hold())
     return grip, sink, client
 
@@ -169,7 +167,7 @@ def test_an_exception_of_a_callback_is_shown_to_who_caused_it(error, title):
     def fails(_):
         raise error
 
-    asyncio.run(Notices(everybody).guard(fails)(SimpleNamespace(client=client)))
+    asyncio.run(Notifier(everybody).guard(fails)(SimpleNamespace(client=client)))
     [(shown, text)] = client.notes
     assert shown.startswith(title)
     assert str(error) in text

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.dashboard.drag import GIZMO, SCALE
-from app.dashboard.panels.tour import STEPS
+from app.dashboard.panels.help import STEPS
 from app.simulation.loop.commands import (
     Choose,
     Compare,

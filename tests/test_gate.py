@@ -18,10 +18,10 @@ from viser import _messages
 from websockets.asyncio import server as websockets_server
 from websockets.asyncio.client import connect
 
-from app.dashboard.guards.gate import Gate, Limits, is_allowed
-from app.dashboard.guards.listening import _Buffer, close_server, open_server
-from app.dashboard.guards.messages import RefusedError, Uploads, checked, is_alike
-from app.dashboard.notifications import Notices
+from app.dashboard.gate import Gate, Limits, is_allowed
+from app.dashboard.messages import RefusedError, Uploads, checked, is_alike
+from app.dashboard.notifications import Notifier
+from app.dashboard.viser_compat import _Buffer, close_server, open_server
 from app.errors import ServerError
 from tests.browser import wait_for
 from tests.raw_client import RawClient
@@ -386,7 +386,7 @@ def test_what_a_widget_cannot_hold_is_told_to_its_sender_who_gets_the_value_back
     updates, monkeypatch
 ):
     told, sent = [], []
-    monkeypatch.setattr(Notices, "warn", lambda _, client, text: told.append(text))
+    monkeypatch.setattr(Notifier, "warn", lambda _, client, text: told.append(text))
     with served() as server:
         slider = server.gui.add_slider("x", min=0.0, max=1.0, step=0.1, initial_value=0.3)
         state = dict(vars(slider._impl))

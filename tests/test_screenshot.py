@@ -16,7 +16,7 @@ from PIL import Image
 
 from app.config import Config
 from app.dashboard.export.browser import VARIABLE, browser_path
-from app.dashboard.export.recorded_loop import Film
+from app.dashboard.export.offscreen import RecordedLoop
 from app.dashboard.export.screenshot import Look, strip, take_pictures
 from app.errors import BrowserError
 from app.simulation.run import steps_of
@@ -68,7 +68,7 @@ def test_a_run_is_filmed_up_to_the_last_time_that_is_asked_for(snapshots):
 
 def test_a_film_shows_what_had_been_until_a_time():
     rows = random_snapshots(1, 40)
-    film = Film(rows)
+    film = RecordedLoop(rows)
     for k in (39, 0, 17):
         assert film.go_to(rows[k].t) is rows[k]
         assert film.latest() is rows[k]

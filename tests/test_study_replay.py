@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from app.cli.main import main
-from app.dashboard.notifications import Notices
-from app.dashboard.panels.case import add_case_button
+from app.dashboard.notifications import Notifier
+from app.dashboard.panels.run import add_case_button
 from app.dashboard.server import serve_dashboard
 from app.simulation.loop.commands import Play, Pull, Reset
 from app.simulation.loop.loop import SimulationLoop
@@ -186,7 +186,7 @@ class FakeGui:
 def test_the_button_plays_the_case_of_the_page(case):
     gui, sent = FakeGui(), []
     sink = SimpleNamespace(send=sent.append)
-    add_case_button(gui, sink, Notices(gui), case.scenario())
+    add_case_button(gui, sink, Notifier(gui), case.scenario())
     assert gui.labels == ["Play the case"]
     asyncio.run(gui.press(SimpleNamespace(client=None)))
     assert sent == [Play(case.scenario())]

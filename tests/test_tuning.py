@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 
 from app.config import Config, parameter, sections, tunable
 from app.config_file import MOST_BYTES, parse_config, save_config
-from app.dashboard.notifications import Notices
-from app.dashboard.panels.config_file import file_name
+from app.dashboard.notifications import Notifier
 from app.dashboard.panels.parameter_widgets import LONGEST, MARK, PATIENCE, slider_step
-from app.dashboard.panels.tuning import MAIN, TuningPanel, score_html
+from app.dashboard.panels.tuning import MAIN, TuningPanel, file_name, score_html
 from app.dashboard.tuning import BURST, MOST_STEPS, Tuning
 from app.errors import ConfigError
 from app.parameters import Choice, Parameter
@@ -73,7 +72,7 @@ class Desk:
             TuningPanel(
                 server.gui,
                 self.tuning,
-                Notices(server),
+                Notifier(server),
                 paths,
                 robot=husky_panda().description,
                 clock=self.clock,
@@ -82,7 +81,7 @@ class Desk:
         ]
 
     def handle(self, path, viewer=0, face=0):
-        return self.panels[viewer].knobs[path].handles[face]
+        return self.panels[viewer].widgets[path].handles[face]
 
     def sees(self, path, viewer=0):
         return self.handle(path, viewer).value
@@ -259,7 +258,7 @@ def test_loading_and_resetting_are_one_step_each():
 
 
 def test_every_parameter_has_widgets_with_its_range_unit_value_and_help(desk):
-    assert list(desk.panels[0].knobs) == list(TUNABLES)
+    assert list(desk.panels[0].widgets) == list(TUNABLES)
     for path, about in TUNABLES.items():
         handle = desk.handle(path)
         assert handle.value == about.default, path
@@ -357,7 +356,7 @@ def test_a_flood_of_refused_values_is_answered_now_and_then(desk):
 
 
 def test_a_logarithmic_slider_and_its_exact_box_go_together(desk):
-    box, slider = desk.panels[0].knobs["task.base_weight"].handles
+    box, slider = desk.panels[0].widgets["task.base_weight"].handles
     assert (slider.min, slider.max, slider.value) == (0.0, 6.0, 3.0)
     put(slider, 2.5, Person())
     assert desk.tuning.value("task.base_weight") == box.value == 316.0
@@ -369,7 +368,7 @@ def test_a_logarithmic_slider_and_its_exact_box_go_together(desk):
     assert 10 ** desk.handle("task.base_weight", 1, 1).value == pytest.approx(1234.5)
     assert desk.tuning.value("task.base_weight") == 1234.5
     for path in (path for path in NUMBERS if parameter(path).log):
-        _, slider = desk.panels[0].knobs[path].handles
+        _, slider = desk.panels[0].widgets[path].handles
         for end, value in ((slider.min, parameter(path).low), (slider.max, parameter(path).high)):
             put(slider, end, Person())
             assert desk.tuning.value(path) == value
@@ -422,7 +421,7 @@ def test_buttons_undo_redo_and_say_when_there_is_nothing(desk):
 def test_defaults_of_a_folder_leave_the_others(servers):
     servers[0].gui.reset()
     desk = Desk(servers[:1], MAIN)
-    assert tuple(desk.panels[0].knobs) == MAIN
+    assert tuple(desk.panels[0].widgets) == MAIN
     desk.tuning.set(D_B, 0.2)
     desk.tuning.set("border.eps", 0.015)
     press(servers[0].gui, "Defaults")

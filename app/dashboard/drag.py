@@ -1,4 +1,4 @@
-"""The viewer's hand: who drags the gizmo or a link pulls it there, who lets go releases it."""
+"""Drag: a viewer pulls the end-effector by a gizmo, or any link of the arm by itself."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import viser
 
-from app.dashboard.notifications import Notices
+from app.dashboard.notifications import Notifier
 from app.dashboard.scene.colours import PERSON
 from app.dashboard.scene.lines import hidden_line, set_polyline
 from app.dashboard.scene.robot import RobotScene
@@ -48,17 +48,17 @@ class Hold(NamedTuple):
 class Grip:
     """What one viewer holds. Several may pull at once: their forces add."""
 
-    def __init__(self, sink: Sink, notices: Notices, who: int) -> None:
-        """A hand that holds nothing.
+    def __init__(self, sink: Sink, notifier: Notifier, who: int) -> None:
+        """Nothing held.
 
         Args:
             sink: Where pulls go.
-            notices: For what is not possible.
+            notifier: For what is not possible.
             who: Number of the viewer.
         """
-        self._sink, self._notices, self._who = sink, notices, who
+        self._sink, self._notifier, self._who = sink, notifier, who
         self._hold: Hold | None = None
-        self._told = False
+        self._warned = False
 
     @property
     def holds_hand(self) -> bool:
@@ -74,16 +74,16 @@ class Grip:
         """Take hold of the robot; of what was held before, the person lets go."""
         if self._hold is not None:
             self.release()
-        self._hold, self._told = hold, False
+        self._hold, self._warned = hold, False
 
     def pull(self, target: Array, client: viser.ClientHandle | None) -> None:
         """Pull what is held to a place (3,) [m] in the world, or to the floor below it."""
         if self._hold is None:
             return
         x, y, z = (float(value) for value in target)
-        if z < 0.0 and not self._told:
-            self._told = True  # once a drag, not twenty times a second
-            self._notices.warn(client, "The floor is at z = 0: the hand stays above it.")
+        if z < 0.0 and not self._warned:
+            self._warned = True  # once a drag, not twenty times a second
+            self._notifier.warn(client, "The floor is at z = 0: the hand stays above it.")
         self._sink.send(Pull((x, y, max(z, 0.0)), *self._hold, who=self._who))
 
     def release(self) -> None:
@@ -93,7 +93,7 @@ class Grip:
             self._sink.send(Release(self._who))
 
 
-class Hand:
+class DragHandles:
     """Gizmo on the end-effector, links that can be dragged, and the rubber bands of all pulls."""
 
     def __init__(
@@ -101,7 +101,7 @@ class Hand:
         scene: viser.SceneApi,
         robot: RobotScene,
         grip: Grip,
-        notices: Notices,
+        notifier: Notifier,
         arm_joints: dict[int, str],
     ) -> None:
         """Put the gizmo into the scene and listen to it and to the arm's links.
@@ -110,17 +110,17 @@ class Hand:
             scene: Of the viewer.
             robot: Whose links may be dragged.
             grip: What the viewer holds.
-            notices: For what goes wrong.
+            notifier: For what goes wrong.
             arm_joints: Names of the arm's joints, by their index in the drawn model.
         """
         self.grip = grip
         self._gizmo = scene.add_transform_controls(
             GIZMO, scale=SCALE, disable_rotations=True, depth_test=False, opacity=0.7
         )
-        self._gizmo.on_update(notices.guard(self._drag_gizmo))  # type: ignore[arg-type]
+        self._gizmo.on_update(notifier.guard(self._drag_gizmo))  # type: ignore[arg-type]
         for joint, mesh in robot.links:
             if joint in arm_joints:
-                self._listen(mesh, robot, joint, arm_joints[joint], notices)
+                self._listen(mesh, robot, joint, arm_joints[joint], notifier)
         self._bands = [hidden_line(scene, f"/pull/{i}", PERSON, 3.0) for i in range(_MOST_BANDS)]
         self._labels = [
             scene.add_label(
@@ -163,7 +163,7 @@ class Hand:
             self.grip.pull(np.asarray(event.target.position), event.client)
 
     def _listen(
-        self, mesh: viser.MeshHandle, robot: RobotScene, joint: int, name: str, notices: Notices
+        self, mesh: viser.MeshHandle, robot: RobotScene, joint: int, name: str, notifier: Notifier
     ) -> None:
         def dragged(event: viser.SceneNodeDragEvent) -> None:
             if event.phase == "end":
@@ -175,4 +175,4 @@ class Hand:
                 self.grip.take(Hold(name, (float(point[0]), float(point[1]), float(point[2]))))
             self.grip.pull(np.array(event.end_position), event.client)
 
-        mesh.on_drag(notices.guard(dragged))  # type: ignore[arg-type]
+        mesh.on_drag(notifier.guard(dragged))  # type: ignore[arg-type]

@@ -5,15 +5,27 @@ All viewers see the same job. Work that takes a core runs in a process of its ow
 
 from __future__ import annotations
 
+import gc
 import logging
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from app.dashboard.memory import give_back
 from app.errors import ConfigError, DbbError
 from app.jobs.process import Cancelled, run_in_process
+from app.system import give_freed_memory_back
+
+
+def give_back() -> None:
+    """Collect what only cycles hold, and give the freed memory back.
+
+    Python looks for old cycles only once they are a quarter of all objects, and few objects may
+    hold much: a model, a border, an open pipe.
+    """
+    gc.collect()
+    give_freed_memory_back()
+
 
 logger = logging.getLogger(__name__)
 

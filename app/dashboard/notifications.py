@@ -1,4 +1,4 @@
-"""Messages to the people at the browsers; and callbacks whose exceptions become such messages."""
+"""Notifications to viewers, and callbacks whose exceptions become notifications."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from app.errors import DbbError
 logger = logging.getLogger(__name__)
 
 
-class Notices:
+class Notifier:
     """Notifications, to one client or to all."""
 
     def __init__(self, server: viser.ViserServer) -> None:
@@ -23,7 +23,7 @@ class Notices:
         """Something was refused; goes away by itself."""
         self._show(client, "Not possible", text, "orange", 6.0)
 
-    def tell(self, text: str) -> None:
+    def inform(self, text: str) -> None:
         """Something that all viewers should know; goes away by itself."""
         self._show(None, "Robot", text, "blue", 6.0)
 

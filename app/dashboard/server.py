@@ -1,4 +1,4 @@
-"""The server: binds the address, runs the one thread that draws, and ends cleanly."""
+"""Dashboard server: binds the address, runs the one drawing thread, and ends cleanly."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from pathlib import Path
 import viser
 
 from app.border.cloud import Cloud
-from app.dashboard.guards.gate import Limits
-from app.dashboard.guards.listening import close_server, open_server
-from app.dashboard.notifications import Notices
+from app.dashboard.export.screenshot import page_picture
+from app.dashboard.gate import Limits
+from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page, show_failure
 from app.dashboard.panels.sweep import DEFAULT_FOLDER
-from app.dashboard.robots.robot_switch import RobotSwitch, RunningRobot, StartLoop
+from app.dashboard.robot_switch import RobotSwitch, RunningRobot, StartLoop
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
 from app.dashboard.scene.robot import RobotParts
 from app.dashboard.scene.theme import set_theme
-from app.dashboard.shared import Shared
+from app.dashboard.shared import SharedState
+from app.dashboard.viser_compat import close_server, open_server
 from app.errors import LoopError, ServerError
 from app.onboarding.read.unpack import LARGEST_ARCHIVE
 from app.robot.model import RobotModel
@@ -49,7 +50,7 @@ class DashboardServer:
         error: Why the drawing thread ended, if it did.
     """
 
-    def __init__(self, viser_server: viser.ViserServer, shared: Shared) -> None:
+    def __init__(self, viser_server: viser.ViserServer, shared: SharedState) -> None:
         """Begin to draw.
 
         Args:
@@ -61,7 +62,7 @@ class DashboardServer:
         self.pages: dict[int, Page] = {}
         self.pictures = 0
         self.error: BaseException | None = None
-        self._notices = Notices(viser_server)
+        self._notifier = Notifier(viser_server)
         self._failure: tuple[str, BaseException] | None = None
         self._arrived: queue.SimpleQueue[viser.ClientHandle] = queue.SimpleQueue()
         self._gone: queue.SimpleQueue[int] = queue.SimpleQueue()
@@ -102,7 +103,7 @@ class DashboardServer:
         self._arrived.put(client)
 
     async def _part(self, client: viser.ClientHandle) -> None:
-        """Let go at once of what a viewer held who is gone."""
+        """A viewer is gone: what he held is released at once."""
         page = self.pages.get(client.client_id)
         if page is not None:
             page.close()
@@ -118,7 +119,7 @@ class DashboardServer:
             self.error = error
             logger.exception("drawing ended")
             self._fail("Drawing has ended", error)
-            self._tell_late_viewers()
+            self._show_to_late_viewers()
 
     def _draw_frames(self) -> None:
         due = time.monotonic()
@@ -152,7 +153,9 @@ class DashboardServer:
         while not self._arrived.empty():
             client = self._arrived.get()
             try:
-                page = self.pages[client.client_id] = Page(client, self.shared, self._notices)
+                page = self.pages[client.client_id] = Page(
+                    client, self.shared, self._notifier, page_picture
+                )
             except Exception as error:  # of this viewer alone
                 logger.exception("a page could not be built")
                 show_failure(client.gui, _PAGE_ENDED, error)
@@ -173,7 +176,7 @@ class DashboardServer:
         finally:
             switch.shown()  # even if drawing ends here: its thread waits for this
         note = f": {robot.note}" if robot.note else "; parameters stay as they were set"
-        self._notices.tell(f"{robot.model.description.title} is here{note}.")
+        self._notifier.inform(f"{robot.model.description.title} is here{note}.")
 
     def _show(self, robot: RunningRobot) -> None:
         self.shared = self.shared.followed_by(robot)
@@ -187,8 +190,8 @@ class DashboardServer:
         for page in self.pages.values():
             page.fail(title, error)
 
-    def _tell_late_viewers(self) -> None:
-        """When nothing is drawn any more, still say so to whoever opens the page."""
+    def _show_to_late_viewers(self) -> None:
+        """When nothing is drawn any more, still show it to new viewers."""
         while not self._stopping.wait(0.2):
             while not self._arrived.empty() and self._failure is not None:
                 show_failure(self._arrived.get().gui, *self._failure)
@@ -227,7 +230,7 @@ def serve_dashboard(
     """
     check_address(host, port)
     switch = RobotSwitch(start_loop)
-    shared = Shared(loop, model, clouds, case, sweeps, parts, robot_switch=switch)
+    shared = SharedState(loop, model, clouds, parts, case=case, sweeps=sweeps, robot_switch=switch)
     server = open_server(host, port, Limits(upload=LARGEST_ARCHIVE))
     try:
         if port not in (0, server.get_port()):
@@ -239,7 +242,7 @@ def serve_dashboard(
         raise
 
 
-def _set_first_picture(server: viser.ViserServer, shared: Shared) -> None:
+def _set_first_picture(server: viser.ViserServer, shared: SharedState) -> None:
     """What is to be seen until a viewer's own page is there."""
     set_theme(server.gui, dark=True)
     set_first_look(server, *placed(PRESETS["iso"], shared.loop.latest(), shared.parts.extent))

@@ -1,4 +1,4 @@
-"""The configuration that all viewers share: what was changed, by steps that can be undone."""
+"""Shared configuration of all viewers: each change is a step that can be undone."""
 
 from __future__ import annotations
 

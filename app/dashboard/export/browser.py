@@ -1,4 +1,4 @@
-"""A headless Chromium with WebGL: finds one, starts it, ends it."""
+"""Headless Chromium with WebGL: found, started and ended."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run as one HTML file that plays in any browser, without a server or a network."""
+"""Replay: a run as one HTML file that plays in any browser, without a server or a network."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from collections.abc import Callable, Mapping
 from html import escape
 
 from app.border.cloud import Cloud
-from app.dashboard.export.offscreen import studio
-from app.dashboard.export.recorded_loop import Film
+from app.dashboard.export.offscreen import RecordedLoop, offscreen_scene
 from app.robot.model import RobotModel
 from app.simulation.trace.log import Log
 
@@ -41,7 +40,9 @@ def replay_html(
     """
     begin, end = log.snapshots[0].t, log.snapshots[-1].t
     pictures = 1 + round((end - begin) * RATE)
-    with studio(Film(log.snapshots), model, clouds, layer=layer, dark=dark) as made:
+    with offscreen_scene(
+        RecordedLoop(log.snapshots), model, clouds, layer=layer, dark=dark
+    ) as made:
         made.look(view, log.snapshots[0])
         made.draw(begin)
         recording = made.server.get_scene_serializer()

@@ -1,4 +1,4 @@
-"""Pictures of snapshots without a display: the scene alone, or the whole dashboard."""
+"""Screenshots without a display: the scene alone, or the whole dashboard."""
 
 from __future__ import annotations
 
@@ -14,15 +14,21 @@ import viser
 from PIL import Image, ImageDraw, ImageFont
 
 from app.border.cloud import Cloud
-from app.dashboard.export.browser import new_context
-from app.dashboard.export.offscreen import address_of, choose_layer, own_server, studio
-from app.dashboard.export.recorded_loop import Film
-from app.dashboard.notifications import Notices
+from app.dashboard.export.browser import chromium, new_context
+from app.dashboard.export.offscreen import (
+    RecordedLoop,
+    address_of,
+    choose_layer,
+    offscreen_scene,
+    own_server,
+)
+from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
+from app.dashboard.panels.help import SEEN
 from app.dashboard.panels.sweep import DEFAULT_FOLDER
-from app.dashboard.panels.tour import SEEN
-from app.dashboard.shared import Shared
-from app.dashboard.view import View
+from app.dashboard.scene.scene import SceneData
+from app.dashboard.shared import SharedState
+from app.dashboard.view import Viewpoint
 from app.errors import BrowserError
 from app.robot.model import RobotModel
 from app.simulation.trace.snapshot import Snapshot
@@ -58,19 +64,6 @@ class Look(NamedTuple):
     page: bool = False
 
 
-class Seat(NamedTuple):
-    """What a viewer sees, and where from.
-
-    Attributes:
-        view: The viewer's layers.
-        eye, target: (3,) [m] where the viewer's camera is and what it looks at, in the world.
-    """
-
-    view: View
-    eye: np.ndarray
-    target: np.ndarray
-
-
 def take_pictures(
     browser: web.Browser,
     snapshots: Sequence[Snapshot],
@@ -78,7 +71,7 @@ def take_pictures(
     model: RobotModel,
     clouds: Mapping[str, Cloud],
     look: Look,
-    seat: Seat | None = None,
+    viewpoint: Viewpoint | None = None,
 ) -> list[Image.Image]:
     """Pictures at some times of a run, all from the same place.
 
@@ -89,21 +82,44 @@ def take_pictures(
         model: The robot.
         clouds: P_i of every pair of L_m, by the pair's name.
         look: What they show.
-        seat: Of the viewer whose page is pictured, in place of the layer and the view of `look`.
+        viewpoint: Of the viewer whose page is pictured, in place of `look`'s layer and view.
 
     Raises:
         BrowserError: Its page does not open.
         AssetError: A mesh of the robot is not there.
     """
-    film = Film(snapshots)
+    loop = RecordedLoop(snapshots)
     context = new_context(browser, (look.width, look.height))
     try:
         page = context.new_page()
         if look.page:
-            return _of_page(page, film, times, model, clouds, look, seat)
-        return _of_scene(page, film, times, model, clouds, look)
+            return _of_page(page, loop, times, model, clouds, look, viewpoint)
+        return _of_scene(page, loop, times, model, clouds, look)
     finally:
         context.close()
+
+
+def page_picture(
+    data: SceneData, snapshots: Sequence[Snapshot], viewpoint: Viewpoint, size: tuple[int, int]
+) -> Image.Image:
+    """The whole page as a viewer has it, but for the open tabs, drawn by a browser of its own.
+
+    Args:
+        data: Robot and borders.
+        snapshots: In order of time; the last one is shown.
+        viewpoint: Of the viewer.
+        size: [px] width and height.
+
+    Raises:
+        BrowserError: There is no browser, or its page does not open.
+    """
+    look = Look(*size, dark=viewpoint.view.dark, page=True)
+    times = [snapshots[-1].t]
+    with chromium() as browser:
+        [picture] = take_pictures(
+            browser, snapshots, times, data.model, data.clouds, look, viewpoint
+        )
+    return picture
 
 
 def strip(pictures: Sequence[Image.Image], times: Sequence[float], *, dark: bool) -> Image.Image:
@@ -132,14 +148,14 @@ def strip(pictures: Sequence[Image.Image], times: Sequence[float], *, dark: bool
 
 def _of_scene(
     page: web.Page,
-    film: Film,
+    loop: RecordedLoop,
     times: Sequence[float],
     model: RobotModel,
     clouds: Mapping[str, Cloud],
     look: Look,
 ) -> list[Image.Image]:
-    with studio(film, model, clouds, layer=look.layer, dark=look.dark) as made:
-        made.look(look.view, _middle([film.go_to(t) for t in times]))
+    with offscreen_scene(loop, model, clouds, layer=look.layer, dark=look.dark) as made:
+        made.look(look.view, _middle([loop.go_to(t) for t in times]))
         made.draw(times[0])
         _open(page, made.server)
         page.add_style_tag(content=_ONLY_SCENE)
@@ -152,36 +168,36 @@ def _of_scene(
 
 def _of_page(
     page: web.Page,
-    film: Film,
+    loop: RecordedLoop,
     times: Sequence[float],
     model: RobotModel,
     clouds: Mapping[str, Cloud],
     look: Look,
-    seat: Seat | None,
+    viewpoint: Viewpoint | None,
 ) -> list[Image.Image]:
     with own_server() as server:
-        shared = Shared(film, model, clouds, None, DEFAULT_FOLDER)
+        shared = SharedState(loop, model, clouds, sweeps=DEFAULT_FOLDER)
         try:
             _open(page, server)
             client = _client_of(server)
             client.local_storage.set_item(SEEN, "yes")  # no tour for who only takes a picture
-            shown = Page(client, shared, Notices(server))
+            shown = Page(client, shared, Notifier(server))
             shown.view.dark = look.dark
             choose_layer(shown.view, look.layer)
-            if seat is not None:
-                shown.view.take_over(seat.view)
+            if viewpoint is not None:
+                shown.view.take_over(viewpoint.view)
             pictures = []
-            film.go_to(times[0])
+            loop.go_to(times[0])
             shared.update()
             shown.draw(texts=True)
             _settled(page, server)  # from now on it is known what the panels leave of the scene
             for t in times:
-                film.go_to(t)
+                loop.go_to(t)
                 shared.update()
-                if seat is None:
+                if viewpoint is None:
                     shown.look(look.view)
                 else:
-                    shown.sit(seat.eye, seat.target)
+                    shown.sit(viewpoint.eye, viewpoint.target)
                 for _ in range(2):  # what the first drawing of a panel makes, the second fills
                     shown.draw(texts=True)
                 pictures.append(_settled(page, server))

@@ -1,4 +1,4 @@
-"""Why the robot moved, in one plain sentence for whoever has never read the paper."""
+"""Explanation in words: why the robot moved, in one plain sentence."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def sentence(snapshot: Snapshot) -> str:
 
 
 def hand_is_disturbed(why: Explanation) -> bool:
-    """Whether the end-effector's task gave up more than what nobody notices."""
+    """Whether the end-effector's task gave up more than what nobody notifier."""
     return any(
         (level.linear or 0.0) > UNDISTURBED[0] or (level.angular or 0.0) > UNDISTURBED[1]
         for level in why.levels
@@ -166,7 +166,7 @@ def _off_target(snapshot: Snapshot) -> str:
 
 
 def _beside(d: float, snapshot: Snapshot) -> str:
-    """A distance, told from the buffer where the two are near one another."""
+    """A distance, to the millimetre where it is near the buffer distance."""
     near = abs(d - snapshot.config.border.d_b) < 0.01
     return f"{100 * d:.1f} cm" if near else words.length(d)
 

@@ -8,10 +8,11 @@ from typing import Any
 
 import viser
 
-from app.dashboard.guards.listening import taken_upload
-from app.dashboard.notifications import Notices
-from app.dashboard.panels.widgets import renew, renew_bar, small
-from app.dashboard.robots.robot_build import Package, RobotBuild
+from app.dashboard.markup import problem, small
+from app.dashboard.notifications import Notifier
+from app.dashboard.panels.widgets import renew, renew_bar
+from app.dashboard.robot_build import Package, RobotBuild
+from app.dashboard.viser_compat import taken_upload
 from app.errors import ConfigError
 from app.onboarding.read.unpack import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
 from app.onboarding.request import BOUNDS, NAME, OF_KIND, Request, check_request, option
@@ -41,13 +42,13 @@ _LABELS = {
 class NewRobotPanel:
     """Upload, the questions that a URDF leaves open, and how far the work is."""
 
-    def __init__(self, gui: viser.GuiApi, build: RobotBuild, notices: Notices) -> None:
+    def __init__(self, gui: viser.GuiApi, build: RobotBuild, notifier: Notifier) -> None:
         """Build the folder in the GUI container that is now open.
 
         Args:
             gui: Of the viewer.
             build: What was uploaded and is built, common to all viewers.
-            notices: For what goes wrong.
+            notifier: For what goes wrong.
         """
         self._build, self._package = build, None
         self._shown_urdf = ""
@@ -61,9 +62,9 @@ class NewRobotPanel:
             self._fields = self._questions(gui)
             self._make = gui.add_button("Make it", icon=viser.Icon.HAMMER, visible=False)
             self._cancel = gui.add_button("Cancel", icon=viser.Icon.X, color="gray", visible=False)
-        self._upload.on_upload(notices.guard(self._receive))  # type: ignore[arg-type]
-        self._make.on_click(notices.guard(lambda _: build.build(self._request())))  # type: ignore[arg-type]
-        self._cancel.on_click(notices.guard(lambda _: build.cancel()))  # type: ignore[arg-type]
+        self._upload.on_upload(notifier.guard(self._receive))  # type: ignore[arg-type]
+        self._make.on_click(notifier.guard(lambda _: build.build(self._request())))  # type: ignore[arg-type]
+        self._cancel.on_click(notifier.guard(lambda _: build.cancel()))  # type: ignore[arg-type]
         self.update()
 
     @staticmethod
@@ -226,7 +227,7 @@ def build_html(build: RobotBuild) -> str:
         share = f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else ""
         return small(f"<b>{escape(progress.title)}</b>: {escape(progress.text)}{share} …")
     if build.problem:
-        return small(f'<span style="color:#e03131">{escape(in_words(build.problem))}</span>')
+        return small(problem(in_words(build.problem)))
     if build.built:
         return small(
             f"<b>{escape(build.built)}</b> is made: it is in the list above, with its report. "

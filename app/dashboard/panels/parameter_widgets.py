@@ -1,4 +1,4 @@
-"""One parameter as widgets: what a person sets is checked, what others set is shown."""
+"""Parameter widgets: what a viewer sets is checked, what others set is shown."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from typing import Any
 import viser
 
 from app.config import tunable
-from app.dashboard.notifications import Notices
+from app.dashboard.notifications import Notifier
+from app.dashboard.panels.widgets import renew
 from app.dashboard.tuning import Tuning
 from app.errors import ConfigError
 from app.parameters import Choice, Parameter
 
 PATIENCE = 2.0
-"""[s] a refused value stands before it is set back: who types 0.2 begins with 0."""
+"""[s] a refused value stands before it is set back: typing 0.2 begins with 0."""
 LONGEST = 6.0
 """[s] of refused values on end, such as a flood, after which they are answered all the same."""
 DECIMALS = 6
@@ -25,17 +26,17 @@ MARK = "\N{NO-BREAK SPACE}•"
 """Behind the label of what is not at its default."""
 
 
-class Knob:
+class ParameterWidgets:
     """Widgets of one parameter in the GUI container that is open when it is made.
 
-    A value that is refused changes nothing, is told to who sent it, and is set back.
+    A value that is refused changes nothing, is reported to its sender, and is set back.
     """
 
     def __init__(
         self,
         gui: viser.GuiApi,
         tuning: Tuning,
-        notices: Notices,
+        notifier: Notifier,
         path: str,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -44,17 +45,17 @@ class Knob:
         Args:
             gui: Of the page or of one client.
             tuning: What they show and change.
-            notices: Tells who sent a value that it was refused.
+            notifier: Reports refused values to their senders.
             path: Of the parameter.
             clock: [s] tells how long a refused value has stood.
         """
         self.about = tunable(path)
-        self._tuning, self._notices, self._clock = tuning, notices, clock
+        self._tuning, self._notifier, self._clock = tuning, notifier, clock
         self._shown, self._marked = tuning.value(path), False
         self._refused: _Refused | None = None
         self._faces = _faces(gui, self.about, self._shown)
         for face in self._faces:
-            face.handle.on_update(notices.guard(self._listen(face)))
+            face.handle.on_update(notifier.guard(self._listen(face)))
         self.update()
 
     @property
@@ -75,8 +76,7 @@ class Knob:
     def show(self, *, visible: bool) -> None:
         """Show or hide the widgets."""
         for handle in self.handles:
-            if handle.visible != visible:
-                handle.visible = visible
+            renew(handle, "visible", visible)
 
     def update(self) -> None:
         """Show what holds by now; answer a refused value that has stood long enough.
@@ -89,7 +89,7 @@ class Knob:
         if refused is not None and refused.is_due(self._clock()):
             self._refused = None
             self._put(value)
-            self._notices.warn(refused.client, str(refused.error))
+            self._notifier.warn(refused.client, str(refused.error))
         if value != self._shown:
             self._put(value)
         marked = value != self.about.default
@@ -144,8 +144,7 @@ class _Face:
         return shown
 
     def put(self, value: float | str) -> None:
-        if self.handle.value != value:
-            self.handle.value = value
+        renew(self.handle, "value", value)
 
 
 class _Exponent(_Face):

@@ -1,4 +1,4 @@
-"""Numbers as a person says them: directions, places on the base, bodies, motions, limits."""
+"""Numbers in words: directions, places on the base, bodies, motions, limits."""
 
 from __future__ import annotations
 

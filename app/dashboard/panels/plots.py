@@ -1,4 +1,4 @@
-"""Plots of the last seconds on one axis of time, with a cursor where the viewer looks."""
+"""Plots: curves of the last seconds on one axis of time, with a cursor at the shown instant."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 import viser
 from viser import uplot
 
+from app.dashboard.panels.timeline import Timeline
 from app.dashboard.record import Curve, Record
 from app.dashboard.scene.colours import ACTING, PERSON, SERIES, css
-from app.dashboard.timeline import Timeline
 from app.dashboard.view import View
 from app.robot.bases.kind import Axis, acceleration_symbol
 from app.robot.model import RobotModel
@@ -172,7 +172,7 @@ def _plot(gui: viser.GuiApi, plan: PlotPlan) -> viser.GuiUplotHandle:
         data=tuple(np.zeros(1) for _ in range(len(lines) + 1)),
         series=(uplot.Series(label="t [s]"), *lines),
         title=plan.title,
-        # uPlot takes x for the time of day unless it is told otherwise.
+        # uPlot takes x for the time of day by default.
         scales={
             "x": uplot.Scale(time=False),
             "y": uplot.Scale(range=plan.y_range),

@@ -1,4 +1,4 @@
-"""Tab "Save": pictures, logs, reports and replays, made beside the simulation and downloaded."""
+"""Tab "Save": pictures, logs, reports and replays to download."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ import viser
 from PIL import Image
 
 from app.dashboard.job import Job
-from app.dashboard.notifications import Notices
+from app.dashboard.notifications import Notifier
+from app.dashboard.panels.timeline import Timeline
+from app.dashboard.scene.scene import SceneData
 from app.dashboard.scene.theme import BACKGROUND
-from app.dashboard.shared import Shared
-from app.dashboard.timeline import Timeline
-from app.dashboard.view import View
+from app.dashboard.shared import SharedState
+from app.dashboard.view import View, Viewpoint
 from app.dashboard.work import write_replay, write_report
 from app.errors import DbbError, LogError
 from app.jobs.process import Report
@@ -35,6 +36,9 @@ _PAGES = {
     "Replay (HTML)": ("replay.html", write_replay),
 }
 
+PagePicture = Callable[[SceneData, list[Snapshot], Viewpoint, tuple[int, int]], Image.Image]
+"""Draws the whole page at the last of the snapshots, so many [px] wide and high."""
+
 
 class SavePanel:
     """Buttons, each of which ends in a download of the viewer who pressed it."""
@@ -42,11 +46,12 @@ class SavePanel:
     def __init__(
         self,
         gui: viser.GuiApi,
-        shared: Shared,
+        shared: SharedState,
         timeline: Timeline,
         view: View,
         job: Job,
-        notices: Notices,
+        notifier: Notifier,
+        page_picture: PagePicture | None = None,
     ) -> None:
         """Build the tab in the GUI container that is now open.
 
@@ -56,9 +61,10 @@ class SavePanel:
             timeline: Whose marked interval is saved.
             view: Whether the page is dark, for the ground of pictures.
             job: Makes the viewer's files, one after the other.
-            notices: For what goes wrong.
+            notifier: For what goes wrong.
+            page_picture: Draws whole pages; without, there is no button for it.
         """
-        self._shared, self._timeline, self._view, self._notices = shared, timeline, view, notices
+        self._shared, self._timeline, self._view, self._notifier = shared, timeline, view, notifier
         self._job = job
         with gui.add_folder("Picture"):
             self._sizes = {
@@ -66,7 +72,10 @@ class SavePanel:
                 for name, (least, most, first) in SIZES.items()
             }
             self._button(gui, "Picture (PNG)", viser.Icon.CAMERA, self._scene)
-            self._button(gui, "Whole page (PNG)", viser.Icon.BROWSER, self._whole_page)
+            if page_picture is not None:
+                self._button(
+                    gui, "Whole page (PNG)", viser.Icon.BROWSER, self._whole_page(page_picture)
+                )
         with gui.add_folder("The marked interval, or all that is kept"):
             for label, name in _LOGS.items():
                 self._button(gui, label, viser.Icon.TABLE, self._log(name))
@@ -89,13 +98,13 @@ class SavePanel:
                 name, content = make(client)
                 client.send_file_download(name, content, save_immediately=True)
             except DbbError as error:
-                self._notices.warn(client, str(error))
+                self._notifier.warn(client, str(error))
             except Exception as error:  # the person who pressed must learn of it
-                self._notices.fail(client, error)
+                self._notifier.fail(client, error)
             finally:
                 note.remove()
 
-        gui.add_button(label, icon=icon).on_click(self._notices.guard(pressed))  # type: ignore[arg-type]
+        gui.add_button(label, icon=icon).on_click(self._notifier.guard(pressed))  # type: ignore[arg-type]
 
     def _size(self) -> tuple[int, int]:
         """[px] the wanted width and height."""
@@ -112,27 +121,14 @@ class SavePanel:
             raise LogError(f"the browser gave no picture: {error}") from None
         return "scene.png", png(on_ground(pixels, BACKGROUND[self._view.dark]))
 
-    def _whole_page(self, client: viser.ClientHandle) -> tuple[str, bytes]:
-        """The page as this viewer has it, but for the open tabs, drawn by a browser of our own."""
-        # Imported here: they draw pages such as the one that holds this panel.
-        from app.dashboard.export.browser import chromium
-        from app.dashboard.export.screenshot import Look, Seat, take_pictures
+    def _whole_page(self, page_picture: PagePicture) -> Callable[[Any], tuple[str, bytes]]:
+        def make(client: viser.ClientHandle) -> tuple[str, bytes]:
+            shown = self._timeline.shown()
+            viewpoint = Viewpoint(self._view, client.camera.position, client.camera.look_at)
+            past = [s for s in self._shared.loop.history(-1.0) if s.t <= shown.t] or [shown]
+            return "page.png", png(page_picture(self._shared, past, viewpoint, self._size()))
 
-        width, height = self._size()
-        shown, shared = self._timeline.shown(), self._shared
-        seat = Seat(self._view, client.camera.position, client.camera.look_at)
-        past = [s for s in shared.loop.history(-1.0) if s.t <= shown.t] or [shown]
-        with chromium() as browser:
-            [picture] = take_pictures(
-                browser,
-                past,
-                [shown.t],
-                shared.model,
-                shared.clouds,
-                Look(width, height, dark=self._view.dark, page=True),
-                seat,
-            )
-        return "page.png", png(picture)
+        return make
 
     def _log(self, name: str) -> Callable[[Any], tuple[str, bytes]]:
         def make(_: Any) -> tuple[str, bytes]:

@@ -7,8 +7,9 @@ from pathlib import Path
 import viser
 
 from app.dashboard.job import Job, Progress
-from app.dashboard.notifications import Notices
-from app.dashboard.shared import Shared
+from app.dashboard.notifications import Notifier
+from app.dashboard.panels.widgets import renew
+from app.dashboard.shared import SharedState
 from app.dashboard.work import sweep_to_files
 from app.errors import OutputError
 from app.studies.sweep.maps import newest_map, read_map
@@ -17,22 +18,22 @@ from app.studies.sweep.plan import SweepPlan
 STEP = 15.0
 """[deg] between two directions of a map that is made here."""
 DEFAULT_FOLDER = Path("out/sweep")
-"""Where `dbb sweep` writes if it is told nothing else."""
+"""Where `dbb sweep` writes by default."""
 _LOOK_EVERY = 20  # updates between two looks into the folder
 
 
 class SweepPanel:
     """A map, a line of text, and the button that starts and stops a sweep."""
 
-    def __init__(self, gui: viser.GuiApi, shared: Shared, notices: Notices) -> None:
+    def __init__(self, gui: viser.GuiApi, shared: SharedState, notifier: Notifier) -> None:
         """Build the folder, closed, in the GUI container that is now open.
 
         Args:
             gui: Of the viewer.
             shared: Tells robot, controller, parameters and folder; its job is common to all.
-            notices: For what goes wrong.
+            notifier: For what goes wrong.
         """
-        self._gui, self._shared, self._notices = gui, shared, notices
+        self._gui, self._shared, self._notifier = gui, shared, notifier
         self._job, self._folder = shared.sweep_job, shared.sweeps
         self._waiting = False
         self._map: tuple[Path, int] | None = None
@@ -47,7 +48,7 @@ class SweepPanel:
                 "parameters of now, in a process of low priority; takes some minutes.",
             )
         self._image: viser.GuiImageHandle | None = None
-        self._button.on_click(notices.guard(lambda _: self._start_or_stop()))  # type: ignore[arg-type]
+        self._button.on_click(notifier.guard(lambda _: self._start_or_stop()))  # type: ignore[arg-type]
         self.update()
 
     def update(self) -> None:
@@ -59,13 +60,11 @@ class SweepPanel:
             if not self._waiting:
                 self._updates = 0
                 if self._job.problem:
-                    self._notices.warn(None, f"No map was made: {self._job.problem}")
+                    self._notifier.warn(None, f"No map was made: {self._job.problem}")
         if self._updates % _LOOK_EVERY == 0:
             self._look()
         self._updates += 1
-        text = self._status(progress)
-        if self._text.content != text:
-            self._text.content = text
+        renew(self._text, "content", self._status(progress))
 
     def _start_or_stop(self) -> None:
         if self._job.progress is not None:

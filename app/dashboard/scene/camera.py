@@ -1,4 +1,4 @@
-"""One viewer's camera: views by name, and a camera that follows the base."""
+"""Camera of one viewer: views by name, and following the base."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import viser
 
 from app.dashboard.drag import SCALE
 from app.dashboard.scene.framing import ANY_WINDOW, FIELD_OF_VIEW, UP, Window, fit
+from app.dashboard.viser_compat import image_size
 from app.simulation.trace.snapshot import Snapshot
 
 Array = np.ndarray
@@ -84,8 +85,7 @@ class Camera:
     @property
     def window(self) -> Window:
         """Where the viewer's scene is drawn, as far as that is known."""
-        state = self._client.camera._state  # its `aspect` divides by a height that may be 0
-        return Window.of(state.image_width, state.image_height, _COVERED)
+        return Window.of(*image_size(self._client), _COVERED)
 
     def fit(self, extent: Array) -> None:
         """From now on show a robot of this extent (N, 3) [m], in the base's frame."""
@@ -195,7 +195,7 @@ def placed(
 
 
 def set_first_look(server: viser.ViserServer, eye: Array, target: Array) -> None:
-    """Where whoever opens the page of a server looks from at first.
+    """Where new viewers of a server look from at first.
 
     Args:
         server: Of the page.

@@ -26,7 +26,7 @@ _VIRIDIS = np.array(
 """(11, 3) evenly spaced anchors of matplotlib's public-domain map, low to high."""
 
 SERIES: tuple[str, ...] = ("#e4572e", "#f2a541", "#3b8ea5", "#7b6cd9", "#4caf7d", "#b56576")
-"""One colour a link pair, in the order of the snapshot; told apart on white and on black."""
+"""One colour a link pair, in the order of the snapshot; distinct on white and on black."""
 
 REST: Rgb = (128, 138, 150)
 """A pair outside of its buffer."""

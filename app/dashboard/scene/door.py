@@ -1,4 +1,4 @@
-"""The refrigerator whose door the hand opens."""
+"""Refrigerator: case, door and handle."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pinocchio as pin
 import viser
 
 from app.dashboard.scene.colours import Rgb
-from app.dashboard.scene.poses import to_viser
+from app.dashboard.scene.robot import to_viser
 from app.simulation.plants.door import Door
 from app.simulation.trace.snapshot import DoorView
 

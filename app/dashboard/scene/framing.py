@@ -1,4 +1,4 @@
-"""Where a camera has to stand so that all of a robot is in the free part of a picture."""
+"""Framing: the nearest camera that sees all of a robot in the free part of a picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Colour bars of the borders, in the unit of what they show; and what all else means."""
+"""Legend: colour bars of the borders, in their units, and the key to all other signs."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from app.dashboard.base_measures import measure_of
+from app.dashboard.markup import mark, minus
 from app.dashboard.scene.colours import (
     ACCELERATION,
     ACTING,
@@ -21,7 +22,7 @@ from app.dashboard.scene.colours import (
     css,
     viridis_css,
 )
-from app.dashboard.scene.scales import METRES_PER_ACCELERATION, METRES_PER_NEWTON
+from app.dashboard.scene.lines import METRES_PER_ACCELERATION, METRES_PER_NEWTON
 from app.robot.bases.kind import BaseKind
 
 Array = np.ndarray
@@ -145,15 +146,15 @@ def _bar_html(legend: Legend) -> str:
 
 
 def _dash(colour: Rgb) -> str:
-    return f'<b style="color:{css(colour)}">―</b>'
+    return mark("―", css(colour))
 
 
 def _dot(colour: Rgb) -> str:
-    return f'<span style="color:{css(colour)}">●</span>'
+    return mark("●", css(colour))
 
 
 def _arrow(colour: Rgb) -> str:
-    return f'<b style="color:{css(colour)}">→</b>'
+    return mark("→", css(colour))
 
 
 def tick_texts(low: float, high: float) -> tuple[list[str], str]:
@@ -167,9 +168,5 @@ def tick_texts(low: float, high: float) -> tuple[list[str], str]:
     power = 0 if -1 <= power <= 3 else 3 * (power // 3)
     digits = 2 - (0 if largest == 0 else math.floor(math.log10(largest)) - power)
     ticks = [(low + u * (high - low)) / 10.0**power for u in (0.0, 0.5, 1.0)]
-    texts = [_minus(f"{tick:.{max(digits, 0)}f}") for tick in ticks]
-    return texts, f"10<sup>{_minus(str(power))}</sup> " if power else ""
-
-
-def _minus(text: str) -> str:
-    return text.replace("-", "−")
+    texts = [minus(f"{tick:.{max(digits, 0)}f}") for tick in ticks]
+    return texts, f"10<sup>{minus(str(power))}</sup> " if power else ""

@@ -1,4 +1,4 @@
-"""Lines between the closest points of all link pairs, with their distances on demand."""
+"""Distances: lines between the closest points of all link pairs, with labels on demand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The robot in the scene: meshes sent once under frames that move."""
+"""Robot: meshes sent once, under frames that move."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import trimesh
 import viser
 
 from app.dashboard.scene.colours import Rgb
-from app.dashboard.scene.poses import from_viser, moved, to_viser
 from app.dashboard.scene.visuals import GREY, Visual, for_display, load_visuals
 from app.errors import AssetError
 from app.robot.description import RobotDescription
@@ -19,6 +18,24 @@ from app.robot.model import RobotModel
 from app.robot.urdf import bare_urdf
 
 Array = np.ndarray
+
+
+def to_viser(T: pin.SE3) -> tuple[Array, Array]:
+    """Position (3,) [m] and quaternion wxyz (4,) of a pose."""
+    xyzquat = np.array(pin.SE3ToXYZQUAT(T))
+    return xyzquat[:3], xyzquat[[6, 3, 4, 5]]
+
+
+def from_viser(position: Array, wxyz: Array) -> pin.SE3:
+    """The pose of a position (3,) [m] and a quaternion wxyz (4,)."""
+    return pin.XYZQUATToSE3(np.concatenate([position, wxyz[1:], wxyz[:1]]))
+
+
+def moved(T: pin.SE3, points: np.ndarray) -> np.ndarray:
+    """(N, 3) points of one frame in another."""
+    return points @ T.rotation.T + T.translation
+
+
 logger = logging.getLogger(__name__)
 
 ROOT = "/robot"

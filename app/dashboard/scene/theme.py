@@ -1,4 +1,4 @@
-"""Everything around the robot in one viewer's page: floor, lights and theme."""
+"""Theme: floor, lights, and a dark or light page."""
 
 from __future__ import annotations
 

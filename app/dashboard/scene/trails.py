@@ -1,4 +1,4 @@
-"""Where base and hand have been: two lines, with a point wherever one has moved a little."""
+"""Trails: where base and hand have been, with a point for each centimetre."""
 
 from __future__ import annotations
 

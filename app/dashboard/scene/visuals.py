@@ -1,4 +1,4 @@
-"""The robot's visual meshes, read off the URDF and made light enough for a browser."""
+"""Visual meshes of a URDF, decimated for a browser."""
 
 from __future__ import annotations
 

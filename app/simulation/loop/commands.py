@@ -1,6 +1,6 @@
 """Commands to the live loop: immutable records that are valid once they exist.
 
-A record that can never be obeyed cannot be made, so whoever makes it gets the error. What only the
+A record that can never be obeyed cannot be made, so its maker gets the error. What only the
 session knows is refused later, by a snapshot's `refusal`.
 """
 

@@ -1,4 +1,4 @@
-"""The robot that is led, in the session that its scenario needs, and ghosts beside it."""
+"""Ensemble: the session that a scenario or a person leads, and compared sessions beside it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MOST_PULLS = 8
 
 
 class Ensemble:
-    """What the loop steps: it begins anew where it is told to, led by a scenario or by the person.
+    """All that the loop steps; commands begin it anew at a scenario's start or at the free one.
 
     Attributes:
         main: The session of the robot that is led. The free one serves all scenarios but those

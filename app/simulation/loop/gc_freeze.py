@@ -1,4 +1,4 @@
-"""The garbage collector during a run: it looks at what the run makes, not at what was there."""
+"""Garbage collection during a run: objects of before the run are left out."""
 
 from __future__ import annotations
 

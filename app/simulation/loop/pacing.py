@@ -1,4 +1,4 @@
-"""Keeping to real time, or a multiple of it, and saying honestly how well."""
+"""Pacing: steps of a fixed period in real time, or a multiple of it, and how well it is kept."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ class Pacer:
 
     @property
     def realtime_factor(self) -> float:
-        """[-] simulated over real time in the last second; as wanted before it can be told."""
+        """[-] simulated over real time in the last second; as wanted before it is known."""
         if len(self._marks) < 2:
             return self._speed
         (begin, first), (end, last) = self._marks[0], self._marks[-1]

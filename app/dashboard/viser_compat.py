@@ -1,6 +1,6 @@
-"""Opens and closes viser's servers: silent, behind a gate, with a queue that loses no wake-up.
+"""Viser's servers, silent and behind a gate; and every use of viser's private names.
 
-The only module that names what is private in viser (`tests/test_gate.py` fails if it changes).
+A queue of messages loses no wake-up here. `tests/test_gate.py` fails if a private name changes.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from viser import _messages
 from viser.infra import _infra
 from viser.infra._async_message_buffer import AsyncMessageBuffer
 
-from app.dashboard.guards.gate import Gate, Limits
-from app.dashboard.guards.messages import RefusedError
-from app.dashboard.notifications import Notices
+from app.dashboard.gate import Gate, Limits
+from app.dashboard.messages import RefusedError
+from app.dashboard.notifications import Notifier
 
 
 def open_server(host: str, port: int, limits: Limits | None = None) -> viser.ViserServer:
@@ -37,7 +37,7 @@ def open_server(host: str, port: int, limits: Limits | None = None) -> viser.Vis
     gate = Gate(host, limits or Limits())
     with _silence(), gate.closed():
         server = viser.ViserServer(host=host, port=port, verbose=False)
-    notices = Notices(server)
+    notifier = Notifier(server)
 
     def client_of(connection: Any) -> viser.ClientHandle | None:
         live = list(server._websock_server._live_connections.items())
@@ -53,7 +53,7 @@ def open_server(host: str, port: int, limits: Limits | None = None) -> viser.Vis
         client = client_of(connection)
         if client is None:
             return
-        notices.warn(client, f"Refused: {refused}.")
+        notifier.warn(client, f"Refused: {refused}.")
         shown = widget(connection, getattr(refused.message, "uuid", ""))
         if shown is not None and not shown._impl.is_button:
             client._websock_connection.queue_message(
@@ -74,6 +74,12 @@ def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
     """What was uploaded by a button, which would keep it until the next one."""
     file, button._impl.value = button.value, viser.UploadedFile("", b"")
     return file
+
+
+def image_size(client: viser.ClientHandle) -> tuple[float, float]:
+    """[px] width and height of a viewer's scene; 0 while unknown."""
+    state = client.camera._state
+    return state.image_width, state.image_height
 
 
 def _widget(gui: viser.GuiApi, uuid: str) -> Any:

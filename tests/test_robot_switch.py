@@ -13,11 +13,10 @@ import pytest
 
 from app.border.cache import BorderData
 from app.config import Config
+from app.dashboard import robot_switch
 from app.dashboard.drag import Hold
-from app.dashboard.memory import give_back
-from app.dashboard.robots import robot_switch
-from app.dashboard.robots.robot_list import RobotEntry
-from app.dashboard.robots.robot_switch import RobotSwitch
+from app.dashboard.job import give_back
+from app.dashboard.robot_switch import RobotEntry, RobotSwitch
 from app.dashboard.scene import robot
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.dashboard.view import HIDDEN, View
@@ -225,7 +224,7 @@ def test_parameters_that_do_not_suit_the_robot_fall_back_and_the_viewers_are_tol
     loops = Loops()
     told: list[str] = []
     with served_dashboard(start_loop=loops) as (server, _), viewer(server):
-        server._notices.tell = told.append  # type: ignore[method-assign]
+        server._notifier.inform = told.append  # type: ignore[method-assign]
         server.shared.tuning.set("border.d_b", 0.3)
         loops.refuses = server.shared.tuning.config
         choose(server, OTHER)

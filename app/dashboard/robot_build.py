@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from app.dashboard.job import Job
-from app.dashboard.robots.robot_switch import RobotSwitch
+from app.dashboard.robot_switch import RobotSwitch
 from app.dashboard.work import build_robot
 from app.errors import ConfigError
 from app.jobs.process import Cancelled

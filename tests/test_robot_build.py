@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 from viser import _messages
 
+from app.dashboard import robot_build
 from app.dashboard.page import Page
 from app.dashboard.panels.new_robot import FIND, build_html, in_words, robot_name
-from app.dashboard.panels.report import report_html
-from app.dashboard.robots import robot_build
-from app.dashboard.robots.robot_build import RobotBuild
-from app.dashboard.robots.robot_switch import RobotSwitch
+from app.dashboard.panels.robot import report_html
+from app.dashboard.robot_build import RobotBuild
+from app.dashboard.robot_switch import RobotSwitch
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.errors import ConfigError, LoopError, RobotFileError
 from app.jobs.process import Cancelled, run_in_process

@@ -22,7 +22,7 @@ from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from app.dashboard.guards.messages import GarbageError, RefusedError, Uploads, checked
+from app.dashboard.messages import GarbageError, RefusedError, Uploads, checked
 from app.errors import ServerError
 
 _LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half of that

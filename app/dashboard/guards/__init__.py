@@ -1,1 +1,0 @@
-"""What may reach the server, and what may not."""

@@ -1,1 +1,0 @@
-"""Changing and building robots from the page."""
