@@ -9,14 +9,14 @@ from app.border.cloud import Cloud
 from app.dashboard.export.offscreen import studio
 from app.dashboard.export.recorded_loop import Film
 from app.robot.model import RobotModel
-from app.simulation.trace.log import Log
+from app.simulation.trace.trace import Trace
 
 RATE = 25.0  # [Hz] pictures of a second
 _TEXTS_EVERY = 5  # pictures between two renewals of labels and trails
 
 
 def replay_html(
-    log: Log,
+    log: Trace,
     model: RobotModel,
     clouds: Mapping[str, Cloud],
     *,

@@ -9,8 +9,7 @@ from app.dashboard.drag import Sink
 from app.dashboard.notifications import Notices
 from app.dashboard.scene.colours import GHOSTS, css
 from app.simulation.loop.commands import Compare
-from app.simulation.trace.comparison import Score
-from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.snapshot import Score, Snapshot
 
 NOBODY = "nobody"
 """Choice of no further robot."""
