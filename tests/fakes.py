@@ -30,9 +30,14 @@ from app.simulation.loop.commands import (
     check_command,
 )
 from app.simulation.people import PullReading, held_links, held_point
-from app.simulation.trace.comparison import GhostReading, Score
 from app.simulation.trace.history import History
-from app.simulation.trace.snapshot import ActingReading, PairReading, Snapshot
+from app.simulation.trace.snapshot import (
+    ActingReading,
+    GhostReading,
+    PairReading,
+    Score,
+    Snapshot,
+)
 
 Array = np.ndarray
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -11,10 +12,16 @@ from app.config import Config
 from app.control.buffer_watch import BufferReading
 from app.simulation.people import PullReading
 from app.simulation.plants.door import Door
-from app.simulation.trace.comparison import GhostReading, Score
-from app.simulation.trace.log_columns import frozen
-from app.simulation.trace.log_meta import LogMeta
-from app.simulation.trace.snapshot import ActingReading, DoorView, PairReading, Snapshot
+from app.simulation.trace.columns import frozen
+from app.simulation.trace.snapshot import (
+    ActingReading,
+    DoorView,
+    GhostReading,
+    PairReading,
+    Score,
+    Snapshot,
+)
+from app.simulation.trace.trace import Trace
 from tests.robots import husky_panda
 
 PAIRS = ("lm-lEE", "lm-l3", "l1-lEE", "l1-l3", "l2-lEE")
@@ -99,7 +106,16 @@ def random_snapshot(rng: np.random.Generator, t: float) -> Snapshot:
             if truth()
         ),
         scenario_ends=number() if truth() else None,
-        door=DoorView(DOORS[rng.integers(2)], number(), vector(3)) if truth() else None,
+        door=DoorView(DOORS[rng.integers(2)], number(), vector(3), number(), number(), truth())
+        if truth()
+        else None,
+        qd_m=vector(7) if truth() else None,
+        activation=number(),
+        floor_contact=truth(),
+        given_up=int(rng.integers(9)),
+        hand_speed=number(),
+        people=int(rng.integers(3)),
+        duration_us=float(rng.choice([np.nan, 198.7])),
     )
 
 
@@ -110,9 +126,10 @@ def random_snapshots(seed: int, count: int) -> list[Snapshot]:
     return [random_snapshot(rng, float(t)) for t in times]
 
 
-def meta_of(snapshots: list[Snapshot]) -> LogMeta:
-    """Meta data of a run of the paper's robot."""
-    return LogMeta.of(husky_panda(), snapshots[0], scenario="tracking", physics="planar", seed=7)
+def trace_of(snapshots: Sequence[Snapshot]) -> Trace:
+    """The trace of a run of the paper's robot."""
+    about = {"scenario": "tracking", "physics": "planar", "seed": 7}
+    return Trace.of_snapshots(husky_panda(), snapshots, **about)
 
 
 def difference(a: Any, b: Any, where: str = "") -> str:

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from app.dashboard.export.browser import new_context
-from app.simulation.trace.log import read_log
+from app.simulation.trace.trace import read_trace
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 
@@ -64,7 +64,7 @@ def test_a_picture_has_the_asked_size_and_shows_the_scene(tab, tmp_path):
 def test_a_log_holds_the_marked_interval(tab, tmp_path, kind):
     path = download(tab, f"Log ({kind})", tmp_path)
     assert path.suffix == f".{kind.lower()}"
-    times = [snapshot.t for snapshot in read_log(path).snapshots]
+    times = [snapshot.t for snapshot in read_trace(path).snapshots]
     np.testing.assert_allclose(times, np.arange(BEGIN, END + 0.01, 0.02), atol=1e-6)
 
 

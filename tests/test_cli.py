@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import logging
 import math
@@ -23,7 +22,7 @@ from app.cli.main import main
 from app.robot import assets
 from app.robot.state import Measurement, RobotState
 from app.simulation.scenarios.names import SCENARIOS
-from app.simulation.trace.log import read_log
+from app.simulation.trace.trace import read_trace
 
 pytestmark = pytest.mark.slow
 
@@ -163,7 +162,7 @@ def test_a_run_is_logged_where_log_says_and_the_log_can_be_read(dbb, tmp_path, e
     outcome = dbb(*QUICK, "--seed", "4", "--log", str(path), "--json")
     assert outcome.status == 0, outcome.err
     json.loads(outcome.out)
-    log = read_log(path)
+    log = read_trace(path)
     assert [round(s.t, 3) for s in log.snapshots] == [0.0, 0.02, 0.04]
     assert (log.meta.scenario, log.meta.seed) == ("guiding-lateral", 4)
 
@@ -179,14 +178,11 @@ def test_start_and_move_are_obeyed(dbb, robot, tmp_path):
     path = ["--start", "0.35", "0.75", "0.4", "--move", "0", "-0.2", "0"]
     args = [*QUICK[:4], "--duration", "0.2", *path, "--out", str(tmp_path)]
     assert json.loads(dbb(*args, "--json").out)["duration_s"] == 0.2
-    rows = list(csv.DictReader((tmp_path / "log.csv").open(encoding="utf-8")))
+    log = read_trace(tmp_path / "log.csv")
     state = RobotState(robot)
-    q_m = np.array([float(rows[0][f"q{i}_rad"]) for i in range(1, 8)])
-    state.update(Measurement(np.zeros(3), np.zeros(2), q_m, np.zeros(7)))
+    state.update(Measurement(np.zeros(3), np.zeros(2), log.of("q_m")[0], np.zeros(7)))
     np.testing.assert_allclose(state.T_world_ee.translation, [0.35, 0.75, 0.4], atol=1e-5)
-    force = np.array([[float(row[f"hand_f{axis}_n"]) for axis in "xyz"] for row in rows]).mean(
-        axis=0
-    )
+    force = log.of("hand_force").mean(axis=0)
     assert force[1] < -0.1
     assert abs(force[1]) > 3 * np.hypot(force[0], force[2])
 
@@ -216,21 +212,18 @@ def test_a_disturbance_out_of_its_range_is_refused_by_name(dbb, command, option,
 def test_disturbances_are_obeyed_and_zero_is_none(dbb, tmp_path):
     args = ["run", "guiding-front", "--physics", "kinematic", "--duration", "0.3", "--json"]
 
-    def log(*more: str) -> np.ndarray:
+    def torques(*more: str) -> np.ndarray:
         assert dbb(*args, *more, "--out", str(tmp_path)).status == 0
-        return np.genfromtxt(tmp_path / "log.csv", delimiter=",", names=True)
+        return read_trace(tmp_path / "log.csv").of("u_a")
 
-    def torques(table: np.ndarray) -> np.ndarray:
-        return np.array([table[f"u{i}_nm"] for i in range(1, 8)]).T
-
-    plain = torques(log())
-    nothing = torques(log("--encoder-noise", "0", "--base-delay", "0", "--slip", "0"))
+    plain = torques()
+    nothing = torques("--encoder-noise", "0", "--base-delay", "0", "--slip", "0")
     np.testing.assert_allclose(nothing, plain, atol=1e-9)
-    np.testing.assert_allclose(torques(log("--mass-error", "0.2"))[0], 1.2 * plain[0], atol=1e-6)
-    noisy = torques(log("--encoder-noise", "0.002"))
+    np.testing.assert_allclose(torques("--mass-error", "0.2")[0], 1.2 * plain[0], atol=1e-6)
+    noisy = torques("--encoder-noise", "0.002")
     assert np.abs(noisy - plain).max() > 1e-3
-    np.testing.assert_allclose(torques(log("--encoder-noise", "0.002")), noisy, atol=1e-9)
-    assert np.abs(torques(log("--encoder-noise", "0.002", "--seed", "1")) - noisy).max() > 1e-3
+    np.testing.assert_allclose(torques("--encoder-noise", "0.002"), noisy, atol=1e-9)
+    assert np.abs(torques("--encoder-noise", "0.002", "--seed", "1") - noisy).max() > 1e-3
 
 
 def test_a_buffer_that_is_too_small_is_one_warning_that_says_how_much_it_takes(dbb):
@@ -251,13 +244,15 @@ def test_out_writes_the_log_and_the_printed_figures(dbb, tmp_path):
     out = tmp_path / "made" / "on demand"
     outcome = dbb(*QUICK, "--out", str(out), "--json")
     assert (out / "metrics.json").read_text(encoding="utf-8") == outcome.out
-    rows = list(csv.DictReader((out / "log.csv").open(encoding="utf-8")))
-    assert [float(row["t_s"]) for row in rows] == pytest.approx([0.0, 0.01, 0.02, 0.03, 0.04])
-    plain = {"contact", "arm_contact", "beta_m"}
-    names = [n for n in rows[0] if n not in plain and not n.startswith("beta_")]
-    assert not [name for name in names if not name.endswith(UNITS)]
-    least = min(float(row["d_lm-lEE_m"]) for row in rows)
-    assert least >= json.loads(outcome.out)["min_distance_m"]["lm-lEE"]
+    log = read_trace(out / "log.csv")
+    np.testing.assert_allclose(log.t, np.arange(len(log)) * 0.001, atol=1e-9)
+    assert log["d_lm-lEE_m"].min() == json.loads(outcome.out)["min_distance_m"]["lm-lEE"]
+    assert outcome.err.split() == [
+        "wrote",
+        str(out / "log.csv"),
+        "wrote",
+        str(out / "metrics.json"),
+    ]
     assert sorted(p.name for p in out.iterdir()) == ["log.csv", "metrics.json"]
 
 

@@ -17,8 +17,7 @@ from app.simulation.loop.ensemble import Ensemble
 from app.simulation.scenarios.names import LINES, SCENARIOS
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.comparison import Score
-from app.simulation.trace.publishing import ghost_reading
+from app.simulation.trace.snapshot import Score
 
 pytestmark = pytest.mark.slow
 
@@ -165,7 +164,7 @@ def test_scenarios_resets_and_parameters_are_for_all(make, q_start):
     step = ensemble.step()
     assert (step.output.tracking, step.t) == (False, 0.0)
     assert ensemble.scores()[0].error_max == 0.0  # they count anew
-    reading = ghost_reading(ensemble.ghosts[1])
+    reading = ensemble.ghosts[1].reading()
     assert reading.controller == "none"
     assert reading.clearance == pytest.approx(min(step.distances[:2]), abs=1e-6)
     np.testing.assert_allclose(reading.p_ee, LATERAL.start, atol=1e-4)

@@ -19,7 +19,7 @@ from app.simulation.scenarios.leading import Setting
 from app.simulation.scenarios.names import SCENARIOS
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.publishing import make_snapshot
+from app.simulation.trace.snapshot import make_snapshot
 
 LATERAL = SCENARIOS["guiding-lateral"]
 TRACKING = SCENARIOS["tracking"]

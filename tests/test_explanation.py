@@ -27,7 +27,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.loop.pacing import Pacer
 from app.simulation.session import Session
-from app.simulation.trace.publishing import make_snapshot
+from app.simulation.trace.snapshot import make_snapshot
 
 AT_ONCE = Config().replace("limit.torque_rate", 1e6)
 UNHELD = AT_ONCE.replace("holding.weight", 0.01)

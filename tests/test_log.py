@@ -18,16 +18,13 @@ from app.errors import LogError, OutputError
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
 from app.simulation.scenarios.names import scenario_by_name
-from app.simulation.trace.log import LogTable, read_log, write_log
-from app.simulation.trace.log_columns import NOT_LOGGED, parts
-from app.simulation.trace.run_log import RunLog
-from app.simulation.trace.snapshot import Snapshot
-from app.simulation.trace.tape import Tape
-from tests.logs import difference, meta_of, random_snapshots
+from app.simulation.trace.metrics import metrics
+from app.simulation.trace.snapshot import QUANTITIES, Snapshot
+from app.simulation.trace.trace import read_trace
+from tests.logs import difference, random_snapshots, trace_of
 
 FORMATS = ("csv", "parquet")
-UNITS = ("_s", "_m", "_rad", "_nm", "_n", "_us", "_mps", "_radps", "_mps2", "_radps2")
-WITHOUT_UNIT = ("beta_", "q_ee_", "buffer_too_small")
+NOT_LOGGED = ("busy", "refusal", "explanation")
 
 
 @pytest.mark.parametrize("ending", FORMATS)
@@ -38,9 +35,9 @@ WITHOUT_UNIT = ("beta_", "q_ee_", "buffer_too_small")
 def test_a_log_that_is_read_is_the_one_that_was_written(tmp_path, ending, seed, count):
     snapshots = random_snapshots(seed, count)
     path = tmp_path / f"log.{ending}"
-    write_log(path, snapshots, meta_of(snapshots))
-    log = read_log(path)
-    assert log.meta == meta_of(snapshots)
+    trace_of(snapshots).write(path)
+    log = read_trace(path)
+    assert log.meta == trace_of(snapshots).meta
     assert difference(log.snapshots, tuple(snapshots)) == ""
     assert not log.snapshots[0].q_m.flags.writeable
 
@@ -50,7 +47,7 @@ def test_the_same_snapshots_give_the_same_bytes(tmp_path, ending):
     snapshots = random_snapshots(1, 20)
     files = [tmp_path / f"{name}.{ending}" for name in "ab"]
     for file in files:
-        write_log(file, snapshots, meta_of(snapshots))
+        trace_of(snapshots).write(file)
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
@@ -63,90 +60,86 @@ def test_the_comparison_of_these_tests_sees_a_single_bit():
     assert difference(a, b).startswith(".q_m")
 
 
-def test_every_field_is_logged_or_said_not_to_be():
-    logged = [part.field for part in parts(meta_of(random_snapshots(0, 1)))]
-    assert sorted([*logged, *NOT_LOGGED]) == sorted(f.name for f in fields(Snapshot))
-
-
-def test_columns_of_numbers_end_in_their_unit():
-    columns = [column for part in parts(meta_of(random_snapshots(0, 1))) for column in part.columns]
-    assert len({column.name for column in columns}) == len(columns)
-    for column in columns:
-        if column.kind == "float" and not column.name.startswith(WITHOUT_UNIT):
-            assert column.name.endswith((*UNITS, "realtime_factor", "speed")), column.name
+def test_every_field_is_logged_or_about_the_moment():
+    assert sorted([*QUANTITIES, *NOT_LOGGED]) == sorted(f.name for f in fields(Snapshot))
 
 
 @pytest.fixture(scope="module")
 def taken(robot: RobotModel, border_data: BorderData):
-    """A second of a person's pull that enters the buffer, taken while it ran."""
+    """A second of a person's pull that enters the buffer."""
     scenario = scenario_by_name("guiding-front").changed(duration=1.0)
-    log, seen = RunLog(robot, scenario, "kinematic", 5), []
-    tape = Tape(seen.append, scenario)
-
-    def on_step(session, step):
-        log.add(session, step)
-        tape.add(session, step)
-
-    run_scenario(
-        robot, border_data, scenario, Config(), physics="kinematic", seed=5, on_step=on_step
-    )
-    return log, seen
+    run = (robot, border_data, scenario, Config())
+    return run_scenario(*run, physics="kinematic", seed=5, drawn=True).trace
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("ending", FORMATS)
-def test_a_run_is_logged_fifty_times_a_second_and_comes_back(taken, tmp_path, ending):
-    run_log, seen = taken
+def test_a_run_is_logged_each_step_drawn_fifty_times_a_second_and_comes_back(
+    taken, tmp_path, ending
+):
     path = tmp_path / f"run.{ending}"
-    run_log.write(path)
-    log = read_log(path)
+    taken.write(path)
+    log = read_trace(path)
+    np.testing.assert_array_equal(log.table, taken.table)
+    np.testing.assert_allclose(log.t, np.arange(1000) * 0.001, atol=1e-9)
+    assert difference(log.meta, taken.meta) == ""
     default = {f.name: f.default for f in fields(Snapshot) if f.name in NOT_LOGGED}
-    kept = [replace(s, **default) for s in seen]
-    assert difference(log.snapshots, tuple(kept)) == ""
+    kept = tuple(replace(s, **default) for s in taken.snapshots)
+    assert difference(log.snapshots, kept) == ""
     np.testing.assert_allclose([s.t for s in log.snapshots], np.arange(50) * 0.02, atol=1e-9)
     assert (log.meta.scenario, log.meta.physics, log.meta.seed) == ("guiding-front", "kinematic", 5)
     assert max(s.beta_m for s in log.snapshots) > 0.1
     assert any(s.acting for s in log.snapshots)
+    assert log.at(0.431).t == pytest.approx(0.44)
 
 
 def test_the_snapshots_of_a_run_say_which_scenario_leads_the_hand(taken):
-    assert {(s.scenario, s.scenario_ends) for s in taken[1]} == {("guiding-front", 1.0)}
+    assert {(s.scenario, s.scenario_ends) for s in taken.snapshots} == {("guiding-front", 1.0)}
+    assert np.isnan([s.step_time_us for s in taken.snapshots]).all()
 
 
-def test_logs_of_the_same_run_are_the_same_to_the_qp_solvers_last_digits(robot, border_data, taken):
-    """Nothing of the wall clock is in them."""
-    scenario = scenario_by_name("guiding-front").changed(duration=0.1)
-    again: list[Snapshot] = []
-    tape = Tape(again.append, scenario)
-    first = [s for s in taken[1] if s.t == 0.0]
-    run_scenario(
-        robot, border_data, scenario, Config(), physics="kinematic", seed=5, on_step=tape.add
+def test_a_file_written_before_there_was_a_row_for_each_step_is_read(tmp_path):
+    """Format 1: rows at 50 Hz, without the quantities that came later."""
+    snapshots = [replace(s, qd_m=None, activation=0.0) for s in random_snapshots(7, 3)]
+    path, trace = tmp_path / "log.parquet", trace_of(snapshots)
+    trace.write(path)
+    table = pq.read_table(path)
+    header = json.loads(table.schema.metadata[b"dbb_log"])
+    header["dbb_log"]["format"] = 1
+    del header["dbb_log"]["joint_speeds"], header["dbb_log"]["stuck"]
+    columns = [c for q in QUANTITIES.values() for c in q.columns(trace.meta)]
+    table = table.drop_columns([c.name for c in columns if c.since > 1])
+    pq.write_table(
+        table.replace_schema_metadata({b"dbb_log": json.dumps(header)}),
+        path,
+        write_page_checksum=True,
     )
-    np.testing.assert_allclose(again[0].u_a, first[0].u_a, atol=1e-6)
-    assert np.isnan([s.step_time_us for s in again]).all()
+    log = read_trace(path)
+    for one, other in zip(log.snapshots, snapshots, strict=True):
+        assert difference(one.pairs, other.pairs) == ""
+        assert (one.qd_m, one.given_up, one.floor_contact) == (None, 0, False)
+    assert metrics(log)["joint_speed_share_max"] is None
 
 
-def test_snapshots_out_of_order_of_other_pairs_or_none_at_all_are_refused(tmp_path):
+def test_snapshots_out_of_order_of_other_pairs_or_none_at_all_are_refused():
     a, b = random_snapshots(4, 2)
-    meta = meta_of([a])
     with pytest.raises(LogError, match="follows one at"):
-        write_log(tmp_path / "log.csv", [b, a], meta)
+        trace_of([b, a])
     with pytest.raises(LogError, match="no snapshots"):
-        LogTable(meta).write(tmp_path / "log.csv")
+        trace_of([])
     object.__setattr__(b, "pairs", b.pairs[1:])
     with pytest.raises(LogError, match="link pairs"):
-        write_log(tmp_path / "log.csv", [a, b], meta)
-    assert list(tmp_path.iterdir()) == []
+        trace_of([a, b])
 
 
 def test_an_ending_or_a_folder_that_is_no_good_is_named(tmp_path):
     snapshots = random_snapshots(5, 1)
     with pytest.raises(LogError, match=r"log\.xlsx: a log ends in \.csv or \.parquet"):
-        write_log(tmp_path / "log.xlsx", snapshots, meta_of(snapshots))
+        trace_of(snapshots).write(tmp_path / "log.xlsx")
     with pytest.raises(OutputError, match="cannot write"):
-        write_log(tmp_path / "none" / "log.csv", snapshots, meta_of(snapshots))
+        trace_of(snapshots).write(tmp_path / "none" / "log.csv")
     with pytest.raises(LogError, match="no such file"):
-        read_log(tmp_path / "log.csv")
+        read_trace(tmp_path / "log.csv")
 
 
 @pytest.fixture
@@ -154,11 +147,11 @@ def csv_lines(tmp_path):
     """A good CSV by its lines, and what writes and reads another."""
     snapshots = random_snapshots(6, 4)
     path = tmp_path / "log.csv"
-    write_log(path, snapshots, meta_of(snapshots))
+    trace_of(snapshots).write(path)
 
     def read(lines: list[str]):
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        return read_log(path)
+        return read_trace(path)
 
     return path.read_text(encoding="utf-8").splitlines(), read
 
@@ -207,7 +200,7 @@ def test_meta_data_are_checked_field_by_field(csv_lines):
     (head, *rest), read = csv_lines
     for change, words in (
         (lambda d: d["dbb_log"].update(robto="x"), "robto: unknown field .did you mean 'robot'"),
-        (lambda d: d["dbb_log"].update(format=2), "format"),
+        (lambda d: d["dbb_log"].update(format=3), "format"),
         (lambda d: d["dbb_log"].pop("joints"), "joints: missing"),
         (lambda d: d["dbb_log"]["config"]["border"].update(d_b=9.0), r"config\.border\.d_b"),
         (lambda d: d["dbb_log"]["joint_units"].pop(), "joint_units"),
@@ -219,25 +212,25 @@ def test_meta_data_are_checked_field_by_field(csv_lines):
 
 
 def test_parameters_of_a_row_out_of_their_range_are_refused(tmp_path):
-    snapshots = [s for s in random_snapshots(8, 12) if s.config != Config()]
+    first, *others = random_snapshots(8, 12)
     path = tmp_path / "log.csv"
-    write_log(path, snapshots, meta_of(snapshots).model_copy(update={"config": Config()}))
+    trace_of([replace(first, config=Config()), *others]).write(path)
     text = path.read_text(encoding="utf-8")
     assert '""border.d_b"": 0.2' in text
     path.write_text(text.replace('""border.d_b"": 0.2', '""border.d_b"": 7.2'), encoding="utf-8")
     with pytest.raises(LogError, match=r"config_changes: border\.d_b"):
-        read_log(path)
+        read_trace(path)
 
 
 def test_a_parquet_file_with_any_byte_of_its_data_changed_is_not_believed(tmp_path):
     snapshots = random_snapshots(9, 30)
     path = tmp_path / "log.parquet"
-    write_log(path, snapshots, meta_of(snapshots))
+    trace_of(snapshots).write(path)
     whole = path.read_bytes()
     for at in np.linspace(4, len(whole) - 9, 60).astype(int):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])
         try:
-            log = read_log(path)
+            log = read_trace(path)
         except LogError:
             continue
         # What is left of the file are names and statistics that nobody reads.
@@ -245,7 +238,7 @@ def test_a_parquet_file_with_any_byte_of_its_data_changed_is_not_believed(tmp_pa
     for end in (0, 3, len(whole) // 2, len(whole) - 1):
         path.write_bytes(whole[:end])
         with pytest.raises(LogError):
-            read_log(path)
+            read_trace(path)
 
 
 def test_parquet_of_something_else_is_no_log(tmp_path):
@@ -254,4 +247,4 @@ def test_parquet_of_something_else_is_no_log(tmp_path):
     path = Path(tmp_path) / "log.parquet"
     pq.write_table(pa.table({"t_s": [0.0]}), path)
     with pytest.raises(LogError, match="no meta data of a log"):
-        read_log(path)
+        read_trace(path)

@@ -24,8 +24,8 @@ from app.simulation.plants.interface import Contacts
 from app.simulation.scenarios.leading import Setting
 from app.simulation.scenarios.refrigerator import _RANGES, RefrigeratorScenario
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.door_record import door_distance
-from app.simulation.trace.recording import Recorder
+from app.simulation.trace.metrics import metrics
+from app.simulation.trace.trace import Recorder
 from tests.robots import husky_panda
 
 Array = np.ndarray
@@ -418,16 +418,16 @@ def whole_run(
 ) -> tuple[dict[str, Any], list[Step]]:
     """Figures and every hundredth step, of a run that ends early, at the latest at 41 s."""
     session = session_of(setting, robot, controller)
-    leader, recorder, trace = RefrigeratorScenario().leader(session), Recorder(setting.model), []
+    leader, recorder, trace = RefrigeratorScenario().leader(session), Recorder(), []
     for k in range(41_000):
         step = session.step(*leader(session))
-        recorder.add(step)
+        recorder.add(session, step)
         if k % 100 == 0:
             trace.append(step)
         if ends(step):
             break
     session.close()
-    return dict(recorder.figures()), trace
+    return metrics(recorder.trace()), trace
 
 
 def opening(step: Step) -> float:
@@ -437,7 +437,8 @@ def opening(step: Step) -> float:
 
 def overlaps(step: Step) -> bool:
     """Whether door and base have met."""
-    return door_distance(step) < -1e-3
+    pairs = zip(step.output.avoidance.pairs, step.distances, strict=True)
+    return next(d for pair, d in pairs if pair.closest.pair.b == BODY) < -1e-3
 
 
 @pytest.mark.slow

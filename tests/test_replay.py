@@ -11,7 +11,8 @@ import pytest
 
 from app.cli.main import main
 from app.dashboard.export.browser import new_context
-from app.simulation.trace.log import read_log, write_log
+from app.simulation.trace.trace import Trace, read_trace
+from tests.robots import husky_panda
 
 pytestmark = pytest.mark.slow
 
@@ -75,9 +76,10 @@ def test_it_plays_from_a_file_with_the_network_off(browser, replay):
 
 def test_ten_seconds_stay_below_ten_megabytes(tmp_path, replay, capsys):
     """The same run seven times over, each time from its beginning."""
-    log = read_log(replay.with_suffix(".parquet"))
+    log = read_trace(replay.with_suffix(".parquet"))
     rows = [replace(s, t=s.t + 1.5 * k) for k in range(7) for s in log.snapshots]
-    write_log(tmp_path / "long.csv", rows, log.meta)
+    again = Trace.of_snapshots(husky_panda(), rows, scenario=log.meta.scenario)
+    again.write(tmp_path / "long.csv")
     page = tmp_path / "long.html"
     capsys.readouterr()
     main(["replay", str(tmp_path / "long.csv"), "--out", str(page), "--light", "--json"])

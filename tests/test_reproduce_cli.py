@@ -99,9 +99,10 @@ def test_a_figure_agrees_with_the_run_of_its_scenario(tmp_path, capfd):
     with (tmp_path / "fig14.csv").open(encoding="utf-8") as file:
         drawn = [row for row in csv.DictReader(file) if row["direction"] == "lateral"]
     with (log / "log.csv").open(encoding="utf-8") as file:
-        logged = list(csv.DictReader(file))
+        next(file)  # about the run
+        logged = list(csv.DictReader(file))[::10]
     for column in ("t_s", "d_lm-lEE_m", "beta_lm-l3"):
-        assert [row[column] for row in drawn] == [row[column] for row in logged]
+        assert [float(row[column]) for row in drawn] == [float(row[column]) for row in logged]
     (claim,) = result["claims"]
     assert claim["holds"] is True
     assert claim["limits"]

@@ -187,7 +187,7 @@ def test_the_repulsive_line_is_what_is_asked_of_the_base(sources: Sources):
 
 def test_the_hands_path_is_the_robots_kinematics(sources: Sources):
     run = sources.runs[guiding.LATERAL]
-    path, state = motion.hand_path(sources.model, run), RobotState(sources.model)
+    path, state = run.log.of("p_ee"), RobotState(sources.model)
     for k in (0, 77, 199):
         m = state.measurement._replace(base_pose=run.base_poses[k], q_m=run.q_m[k])
         state.update(m)
@@ -234,7 +234,7 @@ def test_snapshots_are_drawn_with_the_paths_of_the_csv(sources: Sources, monkeyp
     assert all(image.std() > 15 for image in images)
     table = drawing.tables[""]
     half = len(table) // 2
-    hand = motion.hand_path(sources.model, sources.runs[guiding.LATERAL])[::10]
+    hand = sources.runs[guiding.LATERAL].log.of("p_ee")[::10]
     np.testing.assert_array_equal(table["hand_y_m"][:half], hand[:, 1])
 
 

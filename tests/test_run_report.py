@@ -11,15 +11,15 @@ import pytest
 
 from app.cli.main import main
 from app.config import Config
-from app.simulation.trace.log import Log, write_log
-from app.studies.run_report.numbers import config_changes, key_numbers, spans, track_of
-from app.studies.run_report.report import run_report
-from tests.logs import meta_of, random_snapshots
+from app.simulation.trace.trace import Trace
+from app.studies.run_report.figures import spans
+from app.studies.run_report.report import config_changes, key_numbers, run_report
+from tests.logs import random_snapshots, trace_of
 
 pytestmark = pytest.mark.slow
 
 
-def moving_log() -> Log:
+def moving_log() -> Trace:
     """The base drives a quarter of a circle of 2 m to the left; distances fall from 0.3 m to 0."""
     snapshots = []
     for k, s in enumerate(random_snapshots(2, 101)):
@@ -35,25 +35,28 @@ def moving_log() -> Log:
                 pairs=tuple(pair._replace(d=0.3 - 0.003 * k, beta=k / 100) for pair in s.pairs),
                 u_a=np.full(7, -float(k)),
                 ee_error=0.5 * k,
+                activation=0.25,
+                door=None,
                 hand_force=np.array([3.0, 4.0, 0.0]),
             )
         )
-    return Log(meta_of(snapshots), tuple(snapshots))
+    return trace_of(snapshots)
 
 
 def test_key_numbers_are_those_of_the_motion():
     log = moving_log()
-    numbers = key_numbers(log, track_of(log))
+    numbers = key_numbers(log)
     assert numbers["duration_s"] == pytest.approx(2.0)
     assert numbers["base_path_m"] == pytest.approx(np.pi, rel=1e-4)
     assert numbers["base_displacement_m"] == pytest.approx(np.sqrt(8.0))
-    assert numbers["base_turn_rad"] == pytest.approx(np.pi / 2)
-    assert numbers["least_distance_m"] == pytest.approx(dict.fromkeys(log.meta.pairs, 0.0))
-    assert numbers["largest_activation"] == 1.0
-    assert (numbers["largest_error_m"], numbers["final_error_m"]) == (50.0, 50.0)
-    assert numbers["largest_hand_force_n"] == pytest.approx(5.0)
-    assert set(numbers["largest_torque_nm"].values()) == {100.0}
-    assert numbers["rows_in_contact"] == 10
+    assert numbers["base_yaw_rad"] == pytest.approx(np.pi / 2)
+    assert numbers["min_distance_m"] == pytest.approx(dict.fromkeys(log.meta.pairs, 0.0))
+    assert numbers["activation_max"] == 0.25  # of what was inserted, whatever the pairs' are
+    assert (numbers["ee_error_max_m"], numbers["ee_error_final_m"]) == (50.0, 50.0)
+    assert numbers["hand_force_max_n"] == pytest.approx(5.0)
+    assert numbers["effort_max"] == {f"u_panda_joint{i}_nm": 100.0 for i in range(1, 8)}
+    assert numbers["contacts"] == 10
+    assert numbers["torque_jump_max_nm"] is None  # its rows are not control steps
 
 
 def test_spans_cover_what_is_flagged_and_nothing_else():
@@ -76,25 +79,26 @@ def test_every_changed_parameter_is_listed_with_all_its_values():
 
 def test_the_page_stands_alone_and_tells_numbers_changes_and_figures(tmp_path):
     log = moving_log()
-    changed = log.snapshots[0].config.replace("border.d_b", 0.2)
+    changed = log.snapshots[0].config.replace("border.d_b", 0.2).replace("border.kind", "points")
     rows = (replace(log.snapshots[0], config=changed, controller="<none>"), *log.snapshots[1:])
-    page = run_report(Log(log.meta, rows))
+    page = run_report(trace_of(rows))
     assert not re.findall(r"""(?:src|href)=["'](?!data:|#)""", page)
     assert "http" not in re.sub(r'src="data:[^"]*"', "", page)
     assert page.count('src="data:image/png;base64,') == 5
     assert "border.d_b" in page
     assert "0.2, then 0.15" in page
+    assert "points, then surface" in page  # a choice, which has no unit
     assert "&lt;none&gt;" in page
     assert "<none>" not in page
 
 
 def test_dbb_report_writes_the_page_and_prints_the_numbers(tmp_path, capsys):
     log = moving_log()
-    write_log(tmp_path / "log.csv", log.snapshots, log.meta)
+    log.write(tmp_path / "log.csv")
     page = tmp_path / "new" / "report.html"
     main(["report", str(tmp_path / "log.csv"), "--out", str(page), "--json"])
     numbers = json.loads(capsys.readouterr().out)
-    assert numbers["base_path_m"] == key_numbers(log, track_of(log))["base_path_m"]
+    assert numbers["base_path_m"] == key_numbers(log)["base_path_m"]
     assert page.read_text(encoding="utf-8").startswith("<!doctype html>")
 
 

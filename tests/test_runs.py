@@ -16,7 +16,8 @@ from app.simulation.run import run_scenario
 from app.simulation.scenarios.names import LINES
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session
-from app.simulation.trace.recording import Recorder
+from app.simulation.trace.metrics import metrics
+from app.simulation.trace.trace import Recorder
 from tests.robots import husky_panda
 
 pytestmark = pytest.mark.slow
@@ -178,16 +179,16 @@ def mirrored_run(robot: RobotModel, q_start: np.ndarray) -> tuple[dict[str, Any]
     """guiding-lateral from the right: figures, and where the hand began."""
     scenario = LINES["guiding-lateral"]
     session = Session(robot, border(), Config())
-    recorder = Recorder(robot)
+    recorder = Recorder()
     try:
         session.reset(q_start)
         began = session.T_world_ee.translation.copy()
         for _ in range(round(scenario.duration / DT)):
             pull = scenario.position(session.t)[0] * [1.0, -1.0, 1.0]
-            recorder.add(session.step(pull=pull))
+            recorder.add(session, session.step(pull=pull))
     finally:
         session.close()
-    return recorder.figures(), began
+    return metrics(recorder.trace()), began
 
 
 def test_every_controller_has_been_run():

@@ -21,7 +21,7 @@ from app.dashboard.export.screenshot import Look, strip, take_pictures
 from app.errors import BrowserError
 from app.simulation.run import steps_of
 from app.simulation.scenarios.names import scenario_by_name
-from app.simulation.trace.tape import filmed
+from app.simulation.trace.trace import filmed
 from tests.logs import random_snapshots
 
 PROJECT = Path(__file__).parent.parent

@@ -140,7 +140,8 @@ def begun(loop: SimulationLoop) -> None:
 
 def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, case, loop):
     """Each snapshot is a row of the run's log, to the last digit, noise included."""
-    log = {round(r["t_s"], 3): r for r in run_case(case, sources.model, sources.data).recorder.rows}
+    trace = run_case(case, sources.model, sources.data).trace
+    log = {round(t, 3): k for k, t in enumerate(trace.t)}
     loop.send(Play(case.scenario()))
     begun(loop)
     end, seen = time.monotonic() + 60, {}
@@ -151,9 +152,9 @@ def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, case, loop)
     same = [s for t, s in seen.items() if round(t, 3) in log]
     assert len(same) > 10
     for s in same:
-        row = log[round(s.t, 3)]
-        assert [row[f"q{i}_rad"] for i in range(1, 8)] == s.q_m.tolist()
-        assert row["ee_error_m"] == s.ee_error
+        k = log[round(s.t, 3)]
+        assert trace.of("q_m")[k].tolist() == s.q_m.tolist()
+        assert trace.of("ee_error")[k] == s.ee_error
     assert max(s.t for s in seen.values()) < case.duration
     assert loop.latest().hand_target is None
 

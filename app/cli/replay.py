@@ -25,7 +25,7 @@ def replay(
     """Make one HTML file of a log that plays the run in any browser, without a network.
 
     Args:
-        log: File that `dbb run --log` wrote.
+        log: File that `dbb run --log` or `--out` wrote.
         out: The HTML file.
         layer: What the border is coloured by; none hides it.
         view: Where the run is looked at from at first.
@@ -35,11 +35,11 @@ def replay(
     """
     # Imported here: viser and pyarrow would make every other command start later.
     from app.dashboard.export.replay import replay_html
-    from app.simulation.trace.log import read_log
+    from app.simulation.trace.trace import read_trace
 
     ground = is_dark(dark=dark, light=light)
     check_file("--out", out, (".html",))
-    read = read_log(log)
+    read = read_trace(log)
     model, data = load_robot_and_border(read.meta.robot)
     duration = read.snapshots[-1].t - read.snapshots[0].t
     with progress_bar(out.name, duration) as on_progress:

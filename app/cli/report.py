@@ -20,20 +20,19 @@ def report(
     """Make one HTML file of a log, with figures and key numbers, that needs nothing else.
 
     Args:
-        log: File that `dbb run --log` wrote.
+        log: File that `dbb run --log` or `--out` wrote.
         out: The HTML file.
         json: Print the key numbers as one JSON object on standard output and nothing else there.
     """
     # Imported here: matplotlib and pyarrow would make every other command start later.
-    from app.simulation.trace.log import read_log
-    from app.studies.run_report.numbers import key_numbers, track_of
-    from app.studies.run_report.report import run_report
+    from app.simulation.trace.trace import read_trace
+    from app.studies.run_report.report import key_numbers, run_report
 
     check_file("--out", out, (".html",))
-    read = read_log(log)
-    out.write_text(run_report(read), encoding="utf-8")
+    run = read_trace(log)
+    out.write_text(run_report(run), encoding="utf-8")
     if json:
-        about = {"scenario": read.meta.scenario, "robot": read.meta.robot, "seed": read.meta.seed}
-        print_json({**about, "page": str(out), **key_numbers(read, track_of(read))})
+        about = {"scenario": run.meta.scenario, "robot": run.meta.robot, "seed": run.meta.seed}
+        print_json({**about, "page": str(out), **key_numbers(run)})
     else:
         print(out)

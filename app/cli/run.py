@@ -94,9 +94,9 @@ def run(
             configuration's).
         config: File of parameters, TOML, as `dbb config` or the dashboard writes it; what is not in
             it is at its default, and other options come before it.
-        out: Folder for `log.csv` and `metrics.json`.
-        log: File ending in .csv or .parquet for 50 rows a second with all that the dashboard draws;
-            `dbb report` and `dbb replay` take it.
+        out: Folder for `log.csv`, the same as `--log`, and `metrics.json`.
+        log: File ending in .csv or .parquet for the trace: a row a control step, and in each
+            twentieth all that the dashboard draws; `dbb report` and `dbb replay` take it.
         seed: Seed of everything random in the run.
         json: Print one JSON object on standard output and nothing else there.
         encoder_noise: [rad] standard deviation of the noise of each joint's measured position; its
@@ -125,7 +125,6 @@ def run(
     # Imported here: scipy would make every other command start later.
     from app.control.buffer_watch import buffer_warning
     from app.simulation.run import run_scenario
-    from app.simulation.trace.run_log import RunLog
     from app.studies.pulls.case import check_no_others, read_case
 
     case = None
@@ -201,7 +200,6 @@ def run(
     make_folder(out)
     check_file("--log", log, (".csv", ".parquet"))
     model, data = load_robot_and_border(robot)
-    recording = None if log is None else RunLog(model, chosen, physics, seed)
     with progress_bar(f"{chosen.name}, {controller}", chosen.duration) as on_progress:
         result = run_scenario(
             model,
@@ -212,13 +210,11 @@ def run(
             physics=physics,
             seed=seed,
             on_progress=on_progress,
-            on_step=recording.add if recording else None,
+            drawn=out is not None or log is not None,
         )
-    if out is not None:
-        _write(out, result)
-    if log is not None and recording is not None:
-        recording.write(log)
-    if warning := buffer_warning(result.recorder.buffer, tuned):
+    for path in _write(result, out, log):
+        print(f"wrote {path}", file=sys.stderr)
+    if warning := buffer_warning(result.trace.buffer, tuned):
         print(f"warning: {warning}", file=sys.stderr)
     if json:
         print_json(result.figures)
@@ -227,9 +223,15 @@ def run(
         print(f"{key:28} {_text(value)}")
 
 
-def _write(out: Path, result: RunResult) -> None:
-    result.recorder.write_log(out / "log.csv")
+def _write(result: RunResult, out: Path | None, log: Path | None) -> list[Path]:
+    """Write what was asked for; returns what was written."""
+    logs = [path for path in (out and out / "log.csv", log) if path is not None]
+    for path in logs:
+        result.trace.write(path)
+    if out is None:
+        return logs
     (out / "metrics.json").write_text(as_json(result.figures), encoding="utf-8")
+    return [*logs, out / "metrics.json"]
 
 
 def _text(value: object) -> str:

@@ -63,7 +63,7 @@ def screenshot(
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.screenshot import Look, strip, take_pictures
     from app.simulation.run import steps_of
-    from app.simulation.trace.tape import filmed
+    from app.simulation.trace.trace import filmed
 
     check_name("scenario", scenario, SCENARIOS)
     chosen = scenario_of(load_robot(robot), scenario)

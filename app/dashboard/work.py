@@ -63,11 +63,11 @@ def sweep_to_files(report: Report, plan: SweepPlan, folder: Path) -> None:
 
 def write_report(report: Report, log: Path, page: Path) -> None:
     """The report of a log as a page."""
-    from app.simulation.trace.log import read_log
+    from app.simulation.trace.trace import read_trace
     from app.studies.run_report.report import run_report
 
     report("drawing the figures", -1.0)
-    page.write_text(run_report(read_log(log)), encoding="utf-8")
+    page.write_text(run_report(read_trace(log)), encoding="utf-8")
 
 
 def write_replay(report: Report, log: Path, page: Path) -> None:
@@ -76,9 +76,9 @@ def write_replay(report: Report, log: Path, page: Path) -> None:
     from app.dashboard.export.replay import replay_html
     from app.robot.assets import load_robot
     from app.robot.model import RobotModel
-    from app.simulation.trace.log import read_log
+    from app.simulation.trace.trace import read_trace
 
-    read = read_log(log)
+    read = read_trace(log)
     duration = max(read.snapshots[-1].t - read.snapshots[0].t, 1e-9)
     model = RobotModel(load_robot(read.meta.robot))
     clouds = load_border_data(model, progress=False).clouds

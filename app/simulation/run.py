@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator
 from contextlib import closing
 from time import perf_counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from app.border.cache import BorderData
 from app.config import Config
@@ -15,14 +15,15 @@ from app.simulation.plants.choice import chosen_plant
 from app.simulation.scenarios.begin import begin
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.recording import Recorder
+from app.simulation.trace.metrics import metrics
+from app.simulation.trace.trace import Recorder, Trace
 
 
 class RunResult(NamedTuple):
-    """Figures of a run and its recorder."""
+    """Figures of a run and its trace."""
 
-    figures: dict[str, object]
-    recorder: Recorder
+    figures: dict[str, Any]
+    trace: Trace
 
 
 def steps_of(
@@ -75,7 +76,7 @@ def run_scenario(
     seed: int = 0,
     on_progress: Callable[[float], None] = lambda _: None,
     on_step: Callable[[Session, Step], None] | None = None,
-    log: bool = True,
+    drawn: bool = False,
 ) -> RunResult:
     """Run a scenario and take its figures; arguments and errors are those of `steps_of`.
 
@@ -88,34 +89,34 @@ def run_scenario(
         physics: Kind of plant; the default one if not given.
         seed: Of everything random in the run.
         on_progress: Called now and then with the simulated time [s].
-        on_step: Called after each control step, such as to take snapshots.
-        log: Whether the recorder keeps rows for the log, or figures only.
+        on_step: Called after each control step.
+        drawn: Whether the trace has snapshots, to be written and replayed.
     """
     physics = chosen_plant(physics)
-    recorder: Recorder | None = None
-    begun = perf_counter()
+    recorder = Recorder(scenario, drawn=drawn, physics=physics, seed=seed)
+    begun: float | None = None
     steps = steps_of(
         model, data, scenario, config, controller=controller, physics=physics, seed=seed
     )
     with settled(), closing(steps):
         for k, (session, step) in enumerate(steps):
-            if recorder is None:
-                recorder, begun = Recorder(session.model, log=log), perf_counter() - step.duration
-            recorder.add(step)
+            begun = begun or perf_counter() - step.duration
+            recorder.add(session, step)
             if on_step is not None:
                 on_step(session, step)
             if k % 100 == 0:
                 on_progress(session.t)
+    assert begun is not None, "a scenario lasts at least one step"
     elapsed = perf_counter() - begun
-    assert recorder is not None, "a scenario lasts at least one step"
-    figures: dict[str, object] = {
+    trace = recorder.trace()
+    figures = {
         "scenario": scenario.name,
         "controller": controller,
         "robot": model.description.name,
         "seed": seed,
         "duration_s": scenario.duration,
         "physics": physics,
-        **recorder.figures(),
+        **metrics(trace),
         "realtime_factor": scenario.duration / elapsed,
     }
-    return RunResult(figures, recorder)
+    return RunResult(figures, trace)

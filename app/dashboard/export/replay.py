@@ -8,14 +8,14 @@ from html import escape
 from app.border.cloud import Cloud
 from app.dashboard.export.offscreen import RecordedLoop, offscreen_scene
 from app.robot.model import RobotModel
-from app.simulation.trace.log import Log
+from app.simulation.trace.trace import Trace
 
 RATE = 25.0  # [Hz] pictures of a second
 _TEXTS_EVERY = 5  # pictures between two renewals of labels and trails
 
 
 def replay_html(
-    log: Log,
+    log: Trace,
     model: RobotModel,
     clouds: Mapping[str, Cloud],
     *,

@@ -11,8 +11,7 @@ from app.dashboard.notifications import Notifier
 from app.dashboard.panels.widgets import renew
 from app.dashboard.scene.colours import GHOSTS, css
 from app.simulation.loop.commands import Compare
-from app.simulation.trace.comparison import Score
-from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.snapshot import Score, Snapshot
 
 NOBODY = "nobody"
 """Choice of no further robot."""

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import viser
@@ -23,9 +23,7 @@ from app.dashboard.work import write_replay, write_report
 from app.errors import DbbError, LogError
 from app.jobs.process import Report
 from app.simulation.trace.snapshot import Snapshot
-
-if TYPE_CHECKING:
-    from app.simulation.trace.log_meta import LogMeta
+from app.simulation.trace.trace import Trace
 
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
 """[px] least, most and first size of a picture."""
@@ -151,18 +149,10 @@ class SavePanel:
         return make
 
     def _write(self, path: Path) -> Path:
-        from app.simulation.trace.log import (
-            write_log,  # its tables take time that the first page waits
-        )
-
         snapshots = self._timeline.interval()
-        write_log(path, snapshots, self._meta(snapshots[0]))
+        scenario = snapshots[0].scenario
+        Trace.of_snapshots(self._shared.model, snapshots, scenario=scenario).write(path)
         return path
-
-    def _meta(self, first: Snapshot) -> LogMeta:
-        from app.simulation.trace.log_meta import LogMeta
-
-        return LogMeta.of(self._shared.model, first, scenario=first.scenario)
 
 
 def checked_size(name: str, value: object) -> int:

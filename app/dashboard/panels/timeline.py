@@ -9,6 +9,7 @@ import viser
 from app.dashboard.drag import Sink
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels.widgets import renew
+from app.errors import LogError
 from app.simulation.loop.commands import Pause, StepOnce
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
@@ -88,11 +89,21 @@ class Timeline:
             self.begin = None
 
     def interval(self) -> list[Snapshot]:
-        """The snapshots of the marked interval, or all that are kept, oldest first."""
+        """The snapshots of the marked interval, or all that are kept, oldest first.
+
+        Raises:
+            LogError: Nothing of the interval is kept any more.
+        """
         kept = self._loop.history(-1.0)
         low = -1.0 if self.begin is None else self.begin
         high = kept[-1].t if self.end is None else self.end
-        return [snapshot for snapshot in kept if low - 1e-9 <= snapshot.t <= high + 1e-9]
+        marked = [snapshot for snapshot in kept if low - 1e-9 <= snapshot.t <= high + 1e-9]
+        if not marked:
+            raise LogError(
+                f"the marked interval ended at {high:.1f} s, and only the last {REACH:.0f} s are "
+                f"kept, from {kept[0].t:.1f} s on: mark another"
+            )
+        return marked
 
     def _go_to(self, t: float) -> None:
         kept = self._loop.history(-1.0)

@@ -11,7 +11,8 @@ from app.simulation.people import Hold
 from app.simulation.scenarios.begin import begin
 from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.comparison import Ghost, Score, ScoreKeeper
+from app.simulation.trace.comparison import Ghost, ScoreKeeper
+from app.simulation.trace.snapshot import Score
 
 Array = np.ndarray
 

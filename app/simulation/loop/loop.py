@@ -35,8 +35,7 @@ from app.simulation.loop.pacing import Pacer
 from app.simulation.people import held_links
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.history import SNAPSHOTS_KEPT, History
-from app.simulation.trace.publishing import ghost_reading, make_snapshot
-from app.simulation.trace.snapshot import Refusal, Snapshot
+from app.simulation.trace.snapshot import Refusal, Snapshot, make_snapshot
 
 Array = np.ndarray
 
@@ -172,7 +171,7 @@ class SimulationLoop:
 
     def _publish(self, ensemble: Ensemble, step: Step) -> None:
         snapshot = make_snapshot(ensemble.main, step, self._pacer, paused=self._paused)
-        ghosts = tuple(map(ghost_reading, ensemble.ghosts))
+        ghosts = tuple(ghost.reading() for ghost in ensemble.ghosts)
         self._history.add(
             replace(snapshot, ghosts=ghosts, scores=ensemble.scores(), **self._course(ensemble))
         )

@@ -2,131 +2,77 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
-
-import numpy as np
+import math
 
 from app.simulation.people import Hold, PersonForces
 from app.simulation.scenarios.leading import Lead, Leader
 from app.simulation.session import Session, Step
-from app.simulation.trace.changes import Batch, Changes, Smoothness
-
-Array = np.ndarray
+from app.simulation.trace.columns import frozen
+from app.simulation.trace.metrics import clearance, jumps, largest, path, torque_jump, total
+from app.simulation.trace.snapshot import GhostReading, Score
+from app.simulation.trace.trace import Recorder
 
 SAMES = ("path", "force")
 """What robots that are compared have in common: where people pull to, or how strongly."""
 MOST_GHOSTS = 2
 """Robots that run beside the one that is led."""
 
-
-class GhostReading(NamedTuple):
-    """A robot beside the one that is led, at one instant."""
-
-    controller: str
-    base_pose: Array
-    """(3,) x, y [m], φ [rad]."""
-    q_m: Array
-    """(n_m,) arm joints."""
-    wheel_angles: Array
-    """(2,) [rad] of the right and the left side, for drawing."""
-    p_ee: Array
-    """(3,) [m] end-effector in the world."""
-    clearance: float
-    """[m] least distance of the pairs of L_m now."""
-
-
-class Score(NamedTuple):
-    """What a robot came to since the comparison began."""
-
-    controller: str
-    clearance: float
-    """[m] least distance of any pair of L_m."""
-    error: float
-    """[m] from the end-effector to its reference, or to where a person pulls it, now."""
-    error_max: float
-    """[m] the largest."""
-    base_path: float
-    """[m] way of the base's centre."""
-    acceleration_jump: float
-    """[m/s²] largest change in one step of the v̇ that is asked of the base."""
-    angular_jump: float
-    """[rad/s²] the same of ω̇."""
-    torque_jump: float
-    """[N m] largest change of a torque of the arm in one step."""
-    contacts: int
-    """Control steps in which arm and base touched."""
-
-
-class _Taken(NamedTuple):
-    """What the score needs of a control step."""
-
-    clearance: float
-    ee_error: float
-    contact: bool
-    u_a: Array
-    base_pose: Array
-    base_acceleration: Array
+_NEEDED = ("t", "pairs", "ee_error", "in_contact", "u_a", "base_pose", "base_acceleration")
+_TOGETHER = 100  # control steps that are looked at together, which is far quicker
 
 
 class ScoreKeeper:
-    """Takes each control step of one robot; keeps its score."""
+    """Takes each control step of one robot; keeps its score, in bounded memory."""
 
     def __init__(self, session: Session) -> None:
         """Begin to count."""
         self._session = session
-        self._base = session.model.body_names[0]
-        self._least, self._error_max = float("inf"), 0.0
-        self._last: Step | None = None
-        self._batch: Batch[_Taken] = Batch(self._take)
-        self._changes, self._asked = Changes(), Smoothness(session.model.description.base)
-        self._contacts = 0
+        self._recorder = Recorder(quantities=_NEEDED)
+        self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+        self._rows = 0
+        self._clearance = math.inf
 
     def add(self, step: Step) -> None:
         """Take one control step."""
-        self._last = step
-        self._batch.add(
-            _Taken(
-                self._clearance(step),
-                step.ee_error,
-                step.contacts.arm_base,
-                step.output.u_a,
-                step.truth.base_pose,
-                step.output.base_acceleration,
-            )
-        )
-
-    def _take(self, steps: Sequence[_Taken]) -> None:
-        clearances, errors, contacts, torques, poses, asked = zip(*steps, strict=True)
-        self._least = min(self._least, *clearances)
-        self._error_max = max(self._error_max, *errors)
-        self._contacts += sum(contacts)
-        self._changes.add(np.array(torques), np.array(poses))
-        self._asked.add(np.array(asked))
-
-    def _clearance(self, step: Step) -> float:
-        pairs = zip(step.output.avoidance.pairs, step.distances, strict=True)
-        mobile = (d for pair, d in pairs if pair.closest.pair.a == self._base)
-        return min(mobile, default=float("inf"))
+        self._recorder.add(self._session, step)
+        if len(self._recorder) > _TOGETHER:
+            self._look()
 
     @property
     def clearance(self) -> float:
         """[m] least distance of the pairs of L_m at the last step."""
-        return float("inf") if self._last is None else self._clearance(self._last)
+        self._look()
+        return self._clearance
 
     def score(self) -> Score:
         """The score so far."""
-        self._batch.flush()
-        return Score(
-            self._session.controller.name,
-            self._least,
-            0.0 if self._last is None else self._last.ee_error,
-            self._error_max,
-            self._changes.path,
-            *self._asked.jumps,
-            self._changes.torque_jump,
-            self._contacts,
+        self._look()
+        return self._score._replace(controller=self._session.controller.name)
+
+    def _look(self) -> None:
+        """Add up the rows since the last look; changes are from its last row on."""
+        if not len(self._recorder):
+            return
+        block = self._recorder.taken()
+        new = block.rows(slice(1 if self._rows else 0, None))
+        self._rows += len(new)
+        if not len(new):
+            return
+        score, jump = self._score, jumps(block, "base_acceleration")
+        least = clearance(new, mobile=True)
+        self._score = Score(
+            score.controller,
+            score.clearance if least is None else min(score.clearance, least),
+            float(new.of("ee_error")[-1]),
+            largest(new.of("ee_error"), score.error_max),
+            score.base_path + path(block),
+            max(score.acceleration_jump, jump["linear_mps2"]),
+            max(score.angular_jump, jump["angular_radps2"]),
+            torque_jump(block, score.torque_jump),
+            score.contacts + total(new, "in_contact"),
         )
+        now = clearance(new.rows(slice(-1, None)), mobile=True)
+        self._clearance = math.inf if now is None else now
 
 
 class Ghost:
@@ -161,13 +107,13 @@ class Ghost:
         self.keeper.add(self.session.step(*lead, holds=holds, forces=forces))
 
     def reading(self) -> GhostReading:
-        """How it stands after the last step."""
+        """How it stands after the last step; shares no memory with it, and is read-only."""
         session, measured = self.session, self.session.state.measurement
         return GhostReading(
             session.controller.name,
-            measured.base_pose,
-            measured.q_m,
-            session.wheel_angles,
-            session.state.T_world_ee.translation,
+            frozen(measured.base_pose),
+            frozen(measured.q_m),
+            frozen(session.wheel_angles),
+            frozen(session.state.T_world_ee.translation),
             self.keeper.clearance,
         )

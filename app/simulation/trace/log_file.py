@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-from array import array
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,12 +14,12 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from app.errors import LogError, OutputError
-from app.simulation.trace.log_columns import Column
+from app.simulation.trace.columns import Column
 
 SUFFIXES = ".csv", ".parquet"
 """The ending of a file's name says which of the two it is."""
 
-Cells = Sequence[Any] | np.ndarray | array
+Cells = Sequence[Any] | np.ndarray
 _KEY = b"dbb_log"
 _COMMENT = "# "
 _TYPES = {"float": pa.float64(), "int": pa.int64(), "bool": pa.bool_(), "text": pa.string()}
@@ -81,27 +80,37 @@ def read_table(path: Path) -> tuple[str, Mapping[str, Any]]:
     return header, {name: table.column(name) for name in table.column_names}
 
 
-def cells_of(column: Column, values: Any) -> list[Any]:
+def column_of(column: Column, values: Any, filled: int | None = None) -> list[Any]:
     """The cells of a column that `read_table` gave, checked.
+
+    Args:
+        column: What it must be.
+        values: As in the file.
+        filled: How many cells have something in them; all if not given.
 
     Raises:
         LogError: They are of another kind, or one is empty that may not be.
     """
-    kind = _TYPES[column.kind]
-    if not column.optional and column.kind != "text" and values.null_count:
-        raise LogError(f"column {column.name}: {values.null_count} cells are empty")
+    empty = values.null_count - (0 if filled is None else len(values) - filled)
+    if not column.optional and column.kind != "text" and empty:
+        raise LogError(f"column {column.name}: {abs(empty)} cells are empty")
     try:
-        cells = values.cast(kind).to_pylist()
+        cells = values.cast(_TYPES[column.kind]).to_pylist()
     except pa.ArrowException as error:
         raise LogError(f"column {column.name}: {str(error).splitlines()[0]}") from None
-    empty = {"float": float("nan"), "text": ""}.get(column.kind)
-    return [empty if cell is None else cell for cell in cells]
+    nothing = "" if column.kind == "text" else float("nan")
+    return [nothing if cell is None else cell for cell in cells]
 
 
 def _array(column: Column, values: Cells) -> pa.Array:
-    if isinstance(values, array):
-        values = np.array(values, bool if column.kind == "bool" else None)
-    return pa.array(values, _TYPES[column.kind], from_pandas=column.optional)
+    """Its cells as the file has them; empty where they are None or, if optional, not-a-number."""
+    kind = _TYPES[column.kind]
+    if not isinstance(values, np.ndarray):
+        return pa.array(values, kind, from_pandas=column.optional)
+    nothing = np.isnan(values) if column.optional else None
+    if column.kind != "float":
+        values = np.nan_to_num(values).astype(bool if column.kind == "bool" else np.int64)
+    return pa.array(values, kind, mask=nothing)
 
 
 def _csv(header: str, table: pa.Table) -> bytes:

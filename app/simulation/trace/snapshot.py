@@ -1,20 +1,49 @@
-"""What the loop publishes: immutable records that may cross a process border."""
+"""The record of a run: each quantity once, with its columns, its units and how a step gives it.
+
+A `Snapshot` is all of them at one instant, as it is drawn; a `Trace` is their columns over time. A
+new quantity is one more field here: log files, reports and live readings follow from it.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from typing import Annotated, Any, NamedTuple, get_type_hints
 
 import numpy as np
+import pinocchio as pin
+from pydantic import TypeAdapter
 
+from app.avoidance.self_collision import PairState
 from app.config import Config
 from app.control.buffer_watch import BufferReading
-from app.control.explanation import Explanation
+from app.control.explanation import Explanation, explain
+from app.robot.state import RobotState
+from app.simulation.loop.pacing import Clock
 from app.simulation.people import PullReading
 from app.simulation.plants.door import Door
-from app.simulation.trace.comparison import GhostReading, Score
+from app.simulation.session import Session, Step
+from app.simulation.trace.columns import (
+    NAN,
+    Cell,
+    Column,
+    Quantity,
+    column_names,
+    config_changes,
+    drawn,
+    drawn_numbers,
+    frozen,
+    number,
+    numbers,
+    records,
+)
+from app.simulation.trace.meta import TraceMeta
 
 Array = np.ndarray
+
+_DOOR = TypeAdapter(Door)
 
 
 class PairReading(NamedTuple):
@@ -50,7 +79,7 @@ class ActingReading(NamedTuple):
 
 
 class DoorView(NamedTuple):
-    """A door that the hand holds."""
+    """A door that the hand holds; what is not-a-number is not known once its opening is over."""
 
     door: Door
     """Its geometry, which does not change: `door.pose(angle)` is T_world_door."""
@@ -58,6 +87,50 @@ class DoorView(NamedTuple):
     """[rad] how far it is open."""
     force: Array
     """(3,) [N] that the hand exerts on it while it opens it, in the world."""
+    radial_force: float = NAN
+    """[N] the part of the force towards the hinge's true place."""
+    radial_error: float = NAN
+    """[rad] of the estimated radial direction, positive counter-clockwise."""
+    contact: bool = False
+    """It touches the base."""
+
+
+class GhostReading(NamedTuple):
+    """A robot beside the one that is led, at one instant."""
+
+    controller: str
+    base_pose: Array
+    """(3,) x, y [m], φ [rad]."""
+    q_m: Array
+    """(n_m,) [rad or m] arm joints."""
+    wheel_angles: Array
+    """(n_w,) [rad] of the base's `wheels`, for drawing."""
+    p_ee: Array
+    """(3,) [m] end-effector in the world."""
+    clearance: float
+    """[m] least distance of the pairs of L_m now."""
+
+
+class Score(NamedTuple):
+    """What a robot came to since the comparison began."""
+
+    controller: str
+    clearance: float
+    """[m] least distance of any pair of L_m."""
+    error: float
+    """[m] from the end-effector to its reference, or to where a person pulls it, now."""
+    error_max: float
+    """[m] the largest."""
+    base_path: float
+    """[m] way of the base's centre."""
+    acceleration_jump: float
+    """[m/s²] largest change in one step of the v̇ that is asked of the base."""
+    angular_jump: float
+    """[rad/s²] the same of ω̇."""
+    torque_jump: float
+    """[N m] largest change of a torque of the arm in one step."""
+    contacts: int
+    """Control steps in which arm and base touched."""
 
 
 class Refusal(NamedTuple):
@@ -68,82 +141,253 @@ class Refusal(NamedTuple):
     message: str
 
 
+def _pairs() -> Quantity:
+    """d, β, p_a and p_b of each pair."""
+
+    def columns(meta: TraceMeta) -> Sequence[Column]:
+        often = [n for x in ("d_{pair}_m", "beta_{pair}") for n in column_names(x, meta)]
+        points = [n for x in "ab" for n in column_names(f"p_{x}_{{pair}}_{{xyz}}_m", meta)]
+        return [*(Column(name, often=True) for name in often), *map(Column, points)]
+
+    def take(session: Session, step: Step) -> tuple[PairReading, ...]:
+        base = session.model.body_names[0]
+        return tuple(
+            PairReading(c.pair.name, c.pair.a == base, d, beta, frozen(c.p_a), frozen(c.p_b))
+            for (c, beta, *_), d in zip(step.output.avoidance.pairs, step.distances, strict=True)
+        )
+
+    def row(_: Session, step: Step) -> Sequence[float]:
+        return [*step.distances, *(pair.beta for pair in step.output.avoidance.pairs)]
+
+    def cells(pairs: Sequence[PairReading], _: TraceMeta) -> Sequence[Cell]:
+        of_pairs = list(zip(*pairs, strict=True))[2:]  # without name and kind
+        return np.concatenate(of_pairs, axis=None).tolist()
+
+    def value(cells: Sequence[float], meta: TraceMeta) -> tuple[PairReading, ...]:
+        n = len(meta.pairs)
+        p_a, p_b = map(frozen, np.reshape(cells[2 * n :], (2, n, 3)))
+        mobile = [pair in meta.mobile_pairs for pair in meta.pairs]
+        of_pair = zip(meta.pairs, mobile, cells[:n], cells[n : 2 * n], p_a, p_b, strict=True)
+        return tuple(map(PairReading._make, of_pair))
+
+    return Quantity(columns, cells, value, take, row)
+
+
+def _acting() -> Quantity:
+    """p_n, p_t, p_act and f of each pair of L_m; empty while the pair has none."""
+    templates = (
+        *(f"{p}_{{mobile}}_{{xyz}}_m" for p in ("p_n", "p_t", "p_act")),
+        "f_{mobile}_{xyz}_n",
+    )
+
+    def columns(meta: TraceMeta) -> Sequence[Column]:
+        return [Column(n, optional=True) for each in templates for n in column_names(each, meta)]
+
+    def take(session: Session, step: Step) -> tuple[ActingReading, ...]:
+        if step.output.inserted.rows_m is None:
+            return ()
+        mobile = step.output.avoidance.mobile
+        return tuple(_acting_reading(session.state, p) for p in mobile if p.acting is not None)
+
+    def cells(acting: Sequence[ActingReading], meta: TraceMeta) -> Sequence[Cell]:
+        points = {name: points for name, *points in acting}
+        nothing = np.full((4, 3), NAN)
+        groups = [points.get(pair, nothing) for pair in meta.mobile_pairs]
+        return np.swapaxes(groups, 0, 1).ravel().tolist()
+
+    def value(cells: Sequence[float], meta: TraceMeta) -> tuple[ActingReading, ...]:
+        groups = np.swapaxes(np.reshape(cells, (4, -1, 3)), 0, 1)
+        return tuple(
+            ActingReading(name, *map(frozen, points))
+            for name, points in zip(meta.mobile_pairs, groups, strict=True)
+            if not np.isnan(points).all()
+        )
+
+    return Quantity(columns, cells, value, take)
+
+
+def _buffer() -> Quantity:
+    """How fast the arm comes, and how large d_b should have been."""
+    numbers = "approach_speed_mps buffer_needed_m approach_speed_max_mps buffer_needed_max_m"
+    flags = "buffer_too_small buffer_too_small_ever"
+    columns = [
+        *(Column(name, often=True) for name in numbers.split()),
+        *(Column(name, "bool", often=True) for name in flags.split()),
+    ]
+    return Quantity(
+        lambda _: columns,
+        lambda buffer, _: buffer,
+        lambda cells, _: BufferReading(*cells[:4], *map(bool, cells[4:])),
+        lambda _, step: step.buffer,
+        lambda _, step: step.buffer,
+    )
+
+
+def _door() -> Quantity:
+    """The door's geometry as JSON, empty without one, and how its opening goes."""
+    nothing = ("", *(NAN,) * 7)
+    names = ("door_angle_rad", *(f"door_force_{axis}_n" for axis in "xyz"))
+    columns = (
+        Column("door", "text"),
+        *(Column(name, "float", True, True) for name in names),
+        *(Column(name, "float", True, True, 2) for name in ("radial_force_n", "radial_error_rad")),
+        Column("door_contact", "bool", True, True, 2),
+    )
+
+    def take(session: Session, step: Step) -> DoorView | None:
+        if session.door is None:
+            return None
+        door, touches = session.door.door, step.contacts.door_base
+        if step.door is None:
+            assert session.physics.door is not None, "a plant with a door"
+            return DoorView(
+                door, session.physics.door.angle(), frozen(np.zeros(3)), contact=touches
+            )
+        angle, force, *radial = step.door
+        return DoorView(door, angle, frozen(force), *radial, contact=touches)
+
+    def row(session: Session, step: Step) -> Sequence[float]:
+        view = take(session, step)
+        return nothing[1:] if view is None else (view.angle, *view.force.tolist(), *view[3:])
+
+    def cells(view: DoorView | None, _: TraceMeta) -> Sequence[Cell]:
+        if view is None:
+            return nothing
+        return (_door_text(view.door), view.angle, *view.force.tolist(), *view[3:])
+
+    def value(cells: Sequence[Any], _: TraceMeta) -> DoorView | None:
+        text, angle, x, y, z, *radial, contact = cells
+        if not text:
+            return None
+        return DoorView(_door_of(text), angle, frozen((x, y, z)), *radial, contact=contact == 1.0)
+
+    return Quantity(lambda _: columns, cells, value, take, row)
+
+
 @dataclass(frozen=True)
 class Snapshot:
-    """The whole simulation at one instant."""
+    """The whole simulation at one instant: every quantity of its record.
 
-    t: float
+    Each is a column, or several, of a trace: a `number` or `numbers` at each control step, what is
+    `drawn` where a snapshot is taken. How it follows from a step (o, with the session s after it)
+    stands beside it, or is known to who publishes the snapshot. What has no columns is about the
+    moment.
+    """
+
+    t: Annotated[float, number("t_s", "float", lambda s, o: o.t)]
     """[s] simulated time since the last reset."""
-    base_pose: Array
+    base_pose: Annotated[Array, numbers("base_{pose}", lambda s, o: o.truth.base_pose)]
     """(3,) x, y [m], φ [rad]."""
-    base_velocity: Array
-    """(n_b,) [m/s or rad/s] measured along the base's axes: v, ω of a differential one."""
-    base_velocity_command: Array
+    base_velocity: Annotated[Array, numbers("base_{velocity}", lambda s, o: o.truth.base_velocity)]
+    """(n_b,) [m/s or rad/s] true, along the base's axes: v, ω of a differential one."""
+    base_velocity_command: Annotated[
+        Array, numbers("command_{velocity}", lambda s, o: o.base_command)
+    ]
     """(n_b,) [m/s or rad/s] commanded, renewed at 10 Hz."""
-    base_acceleration: Array
+    base_acceleration: Annotated[
+        Array, numbers("base_{acceleration}", lambda s, o: o.output.base_acceleration)
+    ]
     """(n_b,) [m/s² or rad/s²] that the HQP asks of the base."""
-    avoidance_acceleration: Array
+    avoidance_acceleration: Annotated[
+        Array, numbers("avoidance_{acceleration}", lambda s, o: o.output.inserted.base_acceleration)
+    ]
     """(n_b,) β times the desired accelerations of (16), as in Figure 15; 0 if the controller does
     not insert them."""
-    wheel_angles: Array
+    wheel_angles: Annotated[Array, drawn_numbers("wheel_{wheel}_rad", lambda s, o: s.wheel_angles)]
     """(n_w,) [rad] of the base's `wheels`, for drawing: the right and the left side."""
-    q_m: Array
-    """(n_m,) arm joints."""
-    u_a: Array
-    """(n_m,) [N m] arm torques."""
-    p_ee: Array
+    q_m: Annotated[Array, numbers("q_{joint}_{position}", lambda s, o: o.truth.q_m)]
+    """(n_m,) [rad or m] arm joints."""
+    u_a: Annotated[Array, numbers("u_{joint}_{effort}", lambda s, o: o.output.u_a)]
+    """(n_m,) [N m or N] arm torques."""
+    p_ee: Annotated[Array, numbers("p_ee_{xyz}_m", lambda s, o: s.state.T_world_ee.translation)]
     """(3,) [m] end-effector in the world."""
-    wxyz_ee: Array
+    wxyz_ee: Annotated[Array, drawn_numbers("q_ee_{wxyz}", lambda s, o: _wxyz(s.state))]
     """(4,) its orientation as a quaternion."""
-    pairs: tuple[PairReading, ...]
+    pairs: Annotated[tuple[PairReading, ...], _pairs()]
     """All link pairs, those of L_m first."""
-    acting: tuple[ActingReading, ...]
+    acting: Annotated[tuple[ActingReading, ...], _acting()]
     """Acting points of the pairs of L_m inside their buffer, if the controller uses them."""
-    beta_m: float
+    beta_m: Annotated[float, number("beta_m", "float", lambda s, o: o.output.avoidance.beta_m)]
     """[-] of (28)."""
-    hand_target: Array | None
+    hand_target: Annotated[
+        Array | None,
+        drawn_numbers("hand_target_{xyz}_m", lambda s, o: o.hand_target, optional=True),
+    ]
     """(3,) [m] where the (first) person pulls the end-effector, or None if nobody does."""
-    hand_force: Array
+    hand_force: Annotated[Array, numbers("hand_force_{xyz}_n", lambda s, o: o.hand_force)]
     """(3,) [N] the force on the end-effector: of all persons there, or of a door."""
-    ee_error: float
+    ee_error: Annotated[float, number("ee_error_m", "float", lambda s, o: o.ee_error)]
     """[m] from the end-effector to its reference or to where the person pulls, else 0."""
-    in_contact: bool
+    in_contact: Annotated[bool, number("contact", "bool", lambda s, o: o.contacts.arm_base)]
     """Arm and base touch."""
-    arm_in_contact: bool
+    arm_in_contact: Annotated[bool, number("arm_contact", "bool", lambda s, o: o.contacts.arm_arm)]
     """Parts of the arm touch."""
-    solver_failures: int
+    solver_failures: Annotated[
+        int, number("solver_failures", "int", lambda s, o: s.controller.failures)
+    ]
     """QPs without a solution since the last reset."""
-    step_time_us: float
+    step_time_us: Annotated[float, drawn("step_time_us", "float")]
     """[µs] mean duration of a control step over the last second."""
-    realtime_factor: float
+    realtime_factor: Annotated[float, drawn("realtime_factor", "float")]
     """[-] simulated over real time in the last second."""
-    overruns: int
+    overruns: Annotated[int, drawn("overruns", "int")]
     """Control steps since the last reset that missed their period of 1 ms, over the speed: their
     own work took longer, or they began after it was over."""
-    paused: bool
-    mode: str
+    paused: Annotated[bool, drawn("paused", "bool")]
+    mode: Annotated[
+        str, drawn("mode", "text", lambda s, o: "tracking" if o.output.tracking else "guiding")
+    ]
     """"guiding", or "tracking" while the arm follows a reference."""
-    controller: str
-    config: Config
+    controller: Annotated[str, drawn("controller", "text", lambda s, o: s.controller.name)]
+    config: Annotated[Config, config_changes(lambda s, o: s.config)]
     """The parameters in force; a scenario may firm those that it was given."""
-    buffer: BufferReading
+    buffer: Annotated[BufferReading, _buffer()]
     """Whether d_b is enough for how fast the arm comes."""
-    pulls: tuple[PullReading, ...] = ()
+    pulls: Annotated[
+        tuple[PullReading, ...],
+        records("pulls_json", PullReading, lambda s, o: tuple(map(_frozen_pull, o.pulls))),
+    ] = ()
     """All that hold the robot, a scenario's person as number -1."""
-    ghosts: tuple[GhostReading, ...] = ()
+    ghosts: Annotated[tuple[GhostReading, ...], records("ghosts_json", GhostReading)] = ()
     """Robots that run the same input with other controllers, after the control step of `t`."""
-    scores: tuple[Score, ...] = ()
+    scores: Annotated[tuple[Score, ...], records("scores_json", Score)] = ()
     """Since the comparison began: of this robot, then of the ghosts; empty without ghosts."""
-    same: str = ""
+    same: Annotated[str, drawn("ghosts_have_the_same", "text")] = ""
     """What is the same at the ghosts, "path" or "force", or empty without ghosts."""
-    scenario: str = ""
+    scenario: Annotated[str, drawn("scenario", "text")] = ""
     """Name of the scenario that leads the hand, or empty while it is free."""
-    scenario_ends: float | None = None
+    scenario_ends: Annotated[float | None, drawn("scenario_ends_s", "float", optional=True)] = None
     """[s] simulated time at which the scenario ends, or None while the hand is free."""
-    door: DoorView | None = None
+    door: Annotated[DoorView | None, _door()] = None
     """The door that the hand holds, also after its scenario."""
-    speed: float = 1.0
+    speed: Annotated[float, drawn("speed", "float")] = 1.0
     """[-] the wanted `realtime_factor`."""
+    qd_m: Annotated[
+        Array | None, numbers("qd_{joint}_{speed}", lambda s, o: o.truth.qd_m, since=2)
+    ] = None
+    """(n_m,) [rad/s or m/s] speeds of the arm's joints; from here on None or 0 in older files."""
+    activation: Annotated[
+        float, number("activation", "float", lambda s, o: o.output.activation, since=2)
+    ] = 0.0
+    """[-] the largest activation of the rows that the controller inserted, 0 if none was."""
+    floor_contact: Annotated[
+        bool, number("floor_contact", "bool", lambda s, o: o.contacts.arm_floor, since=2)
+    ] = False
+    """Arm and floor touch."""
+    given_up: Annotated[
+        int, number("solver_given_up", "int", lambda s, o: s.controller.given_up, since=2)
+    ] = 0
+    """QPs of lower levels that were given up since the last reset."""
+    hand_speed: Annotated[
+        float, number("hand_speed_mps", "float", lambda s, o: o.hand_speed, since=2)
+    ] = 0.0
+    """[m/s] true speed of the end-effector."""
+    people: Annotated[int, number("people", "int", lambda s, o: len(o.pulls), since=2)] = 0
+    """How many hold the robot."""
+    duration_us: Annotated[
+        float, number("duration_us", "float", lambda s, o: 1e6 * o.duration, since=2)
+    ] = NAN
+    """[µs] real time that the controller took in this step."""
     busy: str = ""
     """What is being prepared while time stands still, or empty."""
     refusal: Refusal | None = None
@@ -155,3 +399,65 @@ class Snapshot:
     def held(self) -> PullReading | None:
         """The pull that has lasted longest, or None if nobody holds the robot."""
         return self.pulls[0] if self.pulls else None
+
+
+QUANTITIES: dict[str, Quantity] = {
+    name: hint.__metadata__[0]
+    for name, hint in get_type_hints(Snapshot, globals(), include_extras=True).items()
+    if hasattr(hint, "__metadata__")
+}
+"""All that is recorded, by the fields of `Snapshot`."""
+
+
+def make_snapshot(
+    session: Session, step: Step, clock: Clock, *, paused: bool, **course: Any
+) -> Snapshot:
+    """The whole simulation at a control step; shares no memory with it, and is read-only.
+
+    Args:
+        session: After the step.
+        step: The last one.
+        clock: Says how real time goes.
+        paused: Whether time stands still.
+        course: What else is known, by the fields of `Snapshot`.
+    """
+    values = {name: q.take(session, step) for name, q in QUANTITIES.items() if q.take is not None}
+    fields = {k: frozen(v) if isinstance(v, np.ndarray) else v for k, v in values.items()}
+    return Snapshot(
+        **fields,
+        step_time_us=clock.step_time_us,
+        realtime_factor=clock.realtime_factor,
+        overruns=clock.overruns,
+        paused=paused,
+        explanation=explain(session.controller, step.output, session.config, step.base_command),
+        **course,
+    )
+
+
+def _acting_reading(state: RobotState, pair: PairState) -> ActingReading:
+    acting = pair.acting
+    assert acting is not None
+    points = (state.to_world(p) for p in (acting.p_n, acting.p_t, acting.p_act))
+    force = state.R_world_base @ pair.f
+    return ActingReading(pair.closest.pair.name, *map(frozen, (*points, force)))
+
+
+def _frozen_pull(pull: PullReading) -> PullReading:
+    who, link, *vectors = pull
+    return PullReading(who, link, *map(frozen, vectors))
+
+
+def _wxyz(state: RobotState) -> Array:
+    """(4,) orientation of the end-effector."""
+    x, y, z, w = pin.Quaternion(state.T_world_ee.rotation).coeffs()
+    return np.array([w, x, y, z])
+
+
+@lru_cache(maxsize=64)
+def _door_text(door: Door) -> str:
+    return json.dumps(asdict(door))
+
+
+@lru_cache(maxsize=64)
+def _door_of(text: str) -> Door:
+    return _DOOR.validate_json(text)

@@ -21,6 +21,7 @@ from app.simulation.run import RunResult, run_scenario
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import LineScenario, Point
 from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.trace.trace import Trace
 from app.system import SPAWN
 
 Array = np.ndarray
@@ -29,6 +30,7 @@ ROBOT = "husky_panda"
 """The paper's robot."""
 MOST_PROCESSES = 2
 """More than two is possible, but each needs 0.5 GB."""
+_LOG_EVERY = 10  # control steps between two rows that figures and claims are made of
 _LOOK = 0.2  # [s] between two looks at how far the workers are
 
 
@@ -76,11 +78,11 @@ class Run(NamedTuple):
 
     Attributes:
         figures: As `dbb run --json` prints them.
-        log: Columns of its `log.csv`, each (N,).
+        log: Its trace, a row a hundredth of a second.
     """
 
     figures: dict[str, Any]
-    log: dict[str, Array]
+    log: Trace
 
     @property
     def base_poses(self) -> Array:
@@ -90,8 +92,7 @@ class Run(NamedTuple):
     @property
     def q_m(self) -> Array:
         """(N, n_m) [rad or m] the arm's joints."""
-        n_m = sum(f"q{i}_rad" in self.log for i in range(1, len(self.log)))
-        return np.column_stack([self.log[f"q{i}_rad"] for i in range(1, n_m + 1)])
+        return self.log.of("q_m")
 
 
 Runs = dict[Experiment, Run]
@@ -193,8 +194,7 @@ def _run(context: _Context, experiment: Experiment) -> Run:
 
 def run_of(result: RunResult) -> Run:
     """A run's figures and log, as other processes and the figures take them."""
-    rows = result.recorder.rows
-    return Run(result.figures, {key: np.array([row[key] for row in rows]) for key in rows[0]})
+    return Run(result.figures, result.trace.rows(slice(None, None, _LOG_EVERY)))
 
 
 @contextmanager

@@ -47,7 +47,7 @@ def figure_13(sources: Sources) -> Drawing:
     paths, strips = {}, []
     for letter, (name, experiment) in zip("ab", DIRECTIONS.items(), strict=True):
         run, scenario = sources.runs[experiment], experiment.full()
-        paths[letter] = Table(path_columns(sources.model, run))
+        paths[letter] = Table(path_columns(run))
         times = [round(share * scenario.duration, 1) for share in _SHARES]
         text = f"guided from the {name} direction"
         strips.append(Strip(letter, text, run, times, _VIEWS[name], aim=experiment.aim()))

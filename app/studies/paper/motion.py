@@ -1,4 +1,4 @@
-"""Where the robot's parts were in a run, from its log."""
+"""Where the robot's parts are at a posture."""
 
 from __future__ import annotations
 
@@ -11,24 +11,8 @@ import pinocchio as pin
 from app.border.mobile import MobileBody
 from app.robot.link_pairs import Closest, Pair, PairDistances
 from app.robot.model import RobotModel
-from app.studies.paper.experiments import Run
 
 Array = np.ndarray
-
-
-def row_at(run: Run, t: float) -> int:
-    """Index of the log's row nearest to a time t [s]."""
-    return int(np.abs(run.log["t_s"] - t).argmin())
-
-
-def hand_path(model: RobotModel, run: Run) -> Array:
-    """(N, 3) [m] the end-effector in the world, at each row of the log."""
-    data = model.pin.createData()
-    path = []
-    for pose, q_m in zip(run.base_poses, run.q_m, strict=True):
-        pin.forwardKinematics(model.pin, data, model.configuration(pose, q_m))
-        path.append(pin.updateFramePlacement(model.pin, data, model.ee_frame).translation.copy())
-    return np.array(path)
 
 
 def closest_points(model: RobotModel, pair: Pair, q_m: Iterable[Array]) -> list[Closest]:

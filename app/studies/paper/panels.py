@@ -15,7 +15,7 @@ from app.robot.model import RobotModel
 from app.simulation.snapshots import Camera, Photographer, Picture, Solid
 from app.studies.drawing import Table
 from app.studies.paper.experiments import Run
-from app.studies.paper.motion import base_corners, extent, hand_path, row_at, to_world
+from app.studies.paper.motion import base_corners, extent, to_world
 from app.studies.style import HAND, PATH, SOFT, TARGET, WIDTH, marker_style, new_figure
 
 Array = np.ndarray
@@ -52,9 +52,9 @@ class Strip:
     marks: Array | None = None
 
 
-def path_columns(model: RobotModel, run: Run, every: int = 10) -> dict[str, Array]:
+def path_columns(run: Run, every: int = 10) -> dict[str, Array]:
     """Columns of where base and hand were, each `every` rows of the log."""
-    hand = hand_path(model, run)[::every]
+    hand = run.log.of("p_ee")[::every]
     names = ("t_s", "base_x_m", "base_y_m", "base_yaw_rad")
     columns = {name: run.log[name][::every] for name in names}
     return columns | {f"hand_{axis}_m": hand[:, i] for i, axis in enumerate("xyz")}
@@ -116,7 +116,7 @@ def _camera(model: RobotModel, strips: Sequence[Strip]) -> Camera:
 
 def _seen(model: RobotModel, strip: Strip) -> Array:
     """(N, 3) [m] what the pictures of a row have to show."""
-    rows = [row_at(strip.run, t) for t in strip.times]
+    rows = [strip.run.log.row_at(t) for t in strip.times]
     seen = [extent(model, strip.run.base_poses[k], strip.run.q_m[k]) for k in rows]
     seen += [solid.mesh.bounding_box.vertices for k in rows for solid in strip.solids(k)]
     if strip.aim is not None:
@@ -135,7 +135,7 @@ def _panel(
     photographer: Photographer,
     t: float,
 ) -> None:
-    k = row_at(strip.run, t)
+    k = strip.run.log.row_at(t)
     poses = strip.run.base_poses
     picture = photographer.take(poses[k], strip.run.q_m[k], camera, strip.solids(k))
     ax.imshow(picture.rgb, interpolation="antialiased")

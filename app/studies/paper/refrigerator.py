@@ -96,7 +96,7 @@ def figure_17(sources: Sources) -> Drawing:
     for letter, experiment in zip("ab", NEEDS, strict=True):
         run, door = sources.runs[experiment], _door(experiment)
         paths[letter] = Table(
-            path_columns(sources.model, run) | {"door_angle_rad": run.log["door_angle_rad"][::10]}
+            path_columns(run) | {"door_angle_rad": run.log["door_angle_rad"][::10]}
         )
         strips.append(
             Strip(

@@ -37,7 +37,7 @@ def figure_11(sources: Sources) -> Drawing:
     paths, strips = {}, []
     for letter, experiment in zip("ab", METHODS, strict=True):
         run = sources.runs[experiment]
-        paths[letter] = Table(path_columns(sources.model, run))
+        paths[letter] = Table(path_columns(run))
         text = METHOD_NAMES[experiment.controller]
         strips.append(Strip(letter, text, run, _TIMES, _VIEW, aim=experiment.aim()))
     figure = snapshot_figure(

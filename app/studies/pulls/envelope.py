@@ -13,7 +13,7 @@ from pydantic import Field, ValidationError, model_validator
 from typing_extensions import Self
 
 from app.errors import StudyError
-from app.simulation.trace.recording import NEAR
+from app.simulation.trace.metrics import NEAR
 from app.strict import NonNegative, Strict, explain
 from app.studies.pulls.draw_range import Interval, StudyRange
 from app.studies.pulls.play import Row, failed

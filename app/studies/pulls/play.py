@@ -39,14 +39,13 @@ _INPUTS = {
 _KNOWN = {"scenario", "controller", "robot", "seed", "duration_s", "physics", "stuck", *TIMES}
 
 
-def run_case(case: Case, model: RobotModel, data: BorderData, *, log: bool = True) -> RunResult:
+def run_case(case: Case, model: RobotModel, data: BorderData) -> RunResult:
     """The run of a case.
 
     Args:
         case: What happens.
         model: The robot.
         data: Its pairs and clouds.
-        log: Whether rows are kept for a log, or figures only.
 
     Raises:
         DbbError: It cannot be run on this robot.
@@ -59,7 +58,6 @@ def run_case(case: Case, model: RobotModel, data: BorderData, *, log: bool = Tru
         controller=case.controller,
         physics=case.physics,
         seed=case.seed,
-        log=log,
     )
 
 
@@ -69,11 +67,11 @@ def play_case(case: Case, model: RobotModel, data: BorderData) -> Row:
     A run that breaks off is a row too: `error` says why, and its figures are missing.
     """
     try:
-        result = run_case(case, model, data, log=False)
+        result = run_case(case, model, data)
     except (DbbError, ValueError, ArithmeticError) as error:
         return {**inputs_of(case), "nan": False, "error": f"{type(error).__name__}: {error}"}
     figures = flat(result.figures)
-    nan = not (result.recorder.finite and all(map(_finite, figures.values())))
+    nan = not (result.trace.finite and all(map(_finite, figures.values())))
     kept = {key: rounded(value) if _finite(value) else None for key, value in figures.items()}
     return {**inputs_of(case), **kept, "nan": nan, "error": None}
 

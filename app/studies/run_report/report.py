@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from matplotlib.figure import Figure
 
-from app.config import parameter
+from app.config import Config, parameter
 from app.errors import ConfigError
-from app.simulation.trace.log import Log
+from app.simulation.trace.metrics import extremes, metrics
+from app.simulation.trace.trace import Trace
 from app.studies.page import Grid, Part, measured_grids, page_html
 from app.studies.run_report.figures import (
     base_figure,
@@ -18,69 +19,74 @@ from app.studies.run_report.figures import (
     plan_figure,
     torques_figure,
 )
-from app.studies.run_report.numbers import Track, config_changes, key_numbers, track_of
 from app.studies.style import png_of, styled
 
-_FIGURES: dict[str, tuple[str, Callable[[Log, Track], Figure]]] = {
+_FIGURES: dict[str, tuple[str, Callable[[Trace], Figure]]] = {
     "distances": ("Distances and activations", distances_figure),
-    "base": ("Accelerations and velocities of the base", lambda _, track: base_figure(track)),
-    "hand": ("The hand", lambda _, track: hand_figure(track)),
+    "base": ("Accelerations and velocities of the base", base_figure),
+    "hand": ("The hand", hand_figure),
     "torques": ("Torques of the arm", torques_figure),
     "plan": ("From above", plan_figure),
 }
 
 
-def run_report(log: Log) -> str:
-    """The page of a run: its verdict and figures, its numbers, and the parameters it changed.
+def run_report(run: Trace) -> str:
+    """The page of a run: key numbers, figures, and which parameters were not the defaults.
 
     Args:
-        log: As `read_log` gives it, or made from snapshots.
+        run: As `read_trace` gives it, or made from snapshots.
     """
-    track = track_of(log)
-    numbers = key_numbers(log, track)
-    title = f"{log.meta.scenario or 'A person leads the hand'}, {_controllers(log)}"
-    parts = [Part(text=[_verdict(numbers)])]
+    title = f"{run.meta.scenario or 'A person leads the hand'}, {_controllers(run)}"
+    parts = [Part(text=[_verdict(run)])]
     with styled():
         parts += [
-            Part(text, name, png=png_of(draw(log, track)))
-            for name, (text, draw) in _FIGURES.items()
+            Part(text, name, png=png_of(draw(run))) for name, (text, draw) in _FIGURES.items()
         ]
-    parts += [Part("Key numbers", "numbers", tables=measured_grids(_shown(numbers))), _changes(log)]
-    return page_html(title, _about(log), parts)
+    parts += [Part("Key numbers", "numbers", tables=measured_grids(_shown(run))), _changes(run)]
+    return page_html(title, _about(run), parts)
 
 
-def _verdict(numbers: Mapping[str, Any]) -> str:
+def _verdict(run: Trace) -> str:
     """One sentence: whether anything touched, how near it came, and where the hand ended."""
-    rows = numbers["rows_in_contact"]
-    touched = f"In contact in {rows} rows" if rows else "No contact"
-    least = numbers["least_distance_m"]
-    near = ""
+    figures = metrics(run)
+    touched = f"In contact in {figures['contacts']} steps" if figures["contacts"] else "No contact"
+    least, near = figures["min_distance_m"], ""
     if least:
         pair = min(least, key=least.get)
         near = f"; least distance {1e3 * least[pair]:.1f} mm, of {pair}"
         near += " (between their bodies, which are fatter than the links)"
-    ended = f"; the hand ended {1e3 * numbers['final_error_m']:.1f} mm from where it was led"
+    ended = f"; the hand ended {1e3 * figures['ee_error_final_m']:.1f} mm from where it was led"
     return f"{touched}{near}{ended}."
 
 
-def _controllers(log: Log) -> str:
-    return ", then ".join(dict.fromkeys(s.controller for s in log.snapshots))
+def _controllers(run: Trace) -> str:
+    return ", then ".join(dict.fromkeys(s.controller for s in run.snapshots))
 
 
-def _about(log: Log) -> str:
-    meta, first, last = log.meta, log.snapshots[0], log.snapshots[-1]
+def _about(run: Trace) -> str:
+    meta, first, last = run.meta, run.snapshots[0], run.snapshots[-1]
     plant = f"plant {meta.physics}, " if meta.physics else ""
     return (
         f"Robot {meta.robot}, {plant}seed {meta.seed}; {first.t:.2f} s to {last.t:.2f} s, "
-        f"{len(log.snapshots)} rows. The figures are those of the rows: what happens between "
-        "two of them is not seen."
+        f"{len(run)} rows{_between(run)}."
     )
 
 
-def _shown(numbers: Mapping[str, Any]) -> dict[str, Any]:
+def _between(run: Trace) -> str:
+    if run.each_step:
+        return ", one a control step"
+    return ". The figures are those of the rows: what happens between two of them is not seen"
+
+
+def key_numbers(run: Trace) -> dict[str, Any]:
+    """The figures of a run, as `dbb run --json` has them, and its extremes; keys as there."""
+    return {**extremes(run), **metrics(run)}
+
+
+def _shown(run: Trace) -> dict[str, Any]:
     """Key numbers; those of each pair and each joint stand one below the other."""
     shown: dict[str, Any] = {}
-    for key, value in numbers.items():
+    for key, value in key_numbers(run).items():
         if isinstance(value, dict):
             stem, _, unit = key.rpartition("_")
             shown |= {f"{stem} {name}_{unit}": number for name, number in value.items()}
@@ -89,9 +95,9 @@ def _shown(numbers: Mapping[str, Any]) -> dict[str, Any]:
     return shown
 
 
-def _changes(log: Log) -> Part:
+def _changes(run: Trace) -> Part:
     """A table of the parameters that were not the defaults."""
-    changes = config_changes([s.config for s in log.snapshots])
+    changes = config_changes([s.config for s in run.snapshots])
     rows = [(path, _unit(path), _value(default), _value(had)) for path, default, had in changes]
     if not rows:
         return Part("Parameters", "parameters", text=["All were the defaults."])
@@ -102,9 +108,24 @@ def _changes(log: Log) -> Part:
 def _unit(path: str) -> str:
     try:
         unit = parameter(path).unit
-    except ConfigError:  # a choice has no range
+    except ConfigError:  # a choice has no unit
         return ""
     return "" if unit == "-" else unit
+
+
+def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
+    """Parameters that differ from the defaults in any of the configurations.
+
+    Returns:
+        Path as in `border.d_b`, default, and the values it had, in order, joined if there are more.
+    """
+    changes = []
+    for section, defaults in Config().model_dump().items():
+        for name, default in defaults.items():
+            had = list(dict.fromkeys(getattr(getattr(c, section), name) for c in configs))
+            if had != [default]:
+                changes.append((f"{section}.{name}", default, had[0] if len(had) == 1 else had))
+    return changes
 
 
 def _value(value: Any) -> str:

@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from app.robot.model import RobotModel
 from app.studies.paper.experiments import Run
-from app.studies.paper.motion import hand_path
 from app.studies.pulls.rounding import rounded
 from app.studies.sweep.paths import KINDS, Kind
 from app.studies.sweep.paths_start import Start
@@ -39,18 +37,17 @@ _KEPT = (
 )
 
 
-def row_of(trial: Trial, model: RobotModel, run: Run, target: Array) -> Row:
+def row_of(trial: Trial, run: Run, target: Array) -> Row:
     """Figures of one path; keys end in their unit.
 
     They are rounded to nanometres and the like (`rounded`).
 
     Args:
         trial: What was run.
-        model: The robot.
         run: What it gave.
         target: (3,) [m] where the hand was led to.
     """
-    off = np.linalg.norm(hand_path(model, run) - target, axis=1)
+    off = np.linalg.norm(run.log.of("p_ee") - target, axis=1)
     found: Row = {"controller": trial.controller, **trial.start.approach.where()}
     found |= {"speed_mps": trial.speed}
     found |= dict(zip(("start_x_m", "start_y_m", "start_z_m"), trial.start.p_ee, strict=True))

@@ -100,7 +100,7 @@ def _run(context: _Context, trial: Trial) -> Row:
         seed=plan.seed,
     )
     target = scenario.position(scenario.duration)[0]
-    return row_of(trial, context.model, run_of(result), target)
+    return row_of(trial, run_of(result), target)
 
 
 def _settings(plan: SweepPlan) -> Row:

@@ -1,0 +1,222 @@
+"""Figures of merit of a run, for `dbb run`, sweeps, studies, claims, ghosts and reports."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from app.simulation.plants.door import BODY
+from app.simulation.trace.trace import Trace
+
+Array = np.ndarray
+
+NEAR = 0.01
+"""[m] between two bodies that is as good as contact: the person's force counts until then."""
+
+_DEAD_BAND = 0.01  # [m/s², rad/s²] within which an acceleration has no sign
+_TORQUE_BAND = 0.003  # [N m] or [N] a step, within which a torque's rate has none
+_OPENED = math.radians(80)  # [rad] when a door counts as opened
+_ESTIMATE_AT = 5.0  # [s] when the estimate of the radial direction is judged
+_BACKED_OFF = 0.01  # [m] of the base's motion from which on it counts as one
+
+
+def metrics(run: Trace) -> dict[str, Any]:
+    """All figures of a run; keys end in their unit.
+
+    `buffer_needed_m` is None where no d_b suffices; `clear_since_s`, since when no pair has been
+    within the distance of full activation, is None if one still is; `base_path_after_release_m`,
+    since anybody last held the robot, if nobody does at the end; `hand_force_max_n` is the
+    person's on the end-effector, or that on a door that it holds, `hand_force_clear_max_n` the same
+    until two bodies first came nearer than 10 mm; `stuck` says where and why a tracked hand stops
+    short of a resting target, or is None. Changes from one control step to the next are None for a
+    log that has not all of them.
+    """
+    figures = {key: figure(run) for key, figure in FIGURES.items()}
+    if not run.each_step:
+        figures |= dict.fromkeys(k for k in figures if k.endswith(("_jump_max", "_sign_changes")))
+        figures["torque_jump_max_nm"] = None
+    opening = run.rows(~np.isnan(run["radial_error_rad"]))
+    return figures | ({key: figure(opening) for key, figure in DOOR.items()} if opening else {})
+
+
+def clearance(run: Trace, *, mobile: bool) -> float | None:
+    """[m] least distance of the pairs with the base, or of those within the arm; None if none."""
+    chosen = [(pair in run.meta.mobile_pairs) == mobile for pair in run.meta.pairs]
+    return float(run.distances[:, chosen].min()) if any(chosen) else None
+
+
+def path(run: Trace) -> float:
+    """[m] way of the base's centre."""
+    return float(np.hypot(*np.diff(run.of("base_pose")[:, :2], axis=0).T).sum())
+
+
+def largest(values: Array, at_least: float = 0.0) -> float:
+    """What is not a number is not the largest."""
+    return float(np.fmax.reduce(values, axis=None, initial=at_least))
+
+
+def jumps(run: Trace, quantity: str) -> dict[str, float]:
+    """Largest change of an acceleration of the base in one step, linear and angular."""
+    changes = np.abs(np.diff(run.of(quantity), axis=0))
+    return {
+        "linear_mps2": largest(changes[:, ~run.angular]),
+        "angular_radps2": largest(changes[:, run.angular]),
+    }
+
+
+def torque_jump(run: Trace, at_least: float = 0.0) -> float:
+    """[N m or N] largest change of what moves a joint in one step."""
+    return largest(np.abs(np.diff(run.of("u_a"), axis=0)), at_least)
+
+
+def sign_changes(values: Array, band: float) -> int:
+    """How often the most restless of some numbers (N, k) changes its sign, beyond a dead band."""
+    signs = (np.sign(column[np.abs(column) > band]) for column in values.T)
+    return max((int((s[1:] != s[:-1]).sum()) for s in signs), default=0)
+
+
+def _base_sign_changes(run: Trace, quantity: str) -> dict[str, int]:
+    values = run.of(quantity)
+    return {
+        "linear": sign_changes(values[:, ~run.angular], _DEAD_BAND),
+        "angular": sign_changes(values[:, run.angular], _DEAD_BAND),
+    }
+
+
+def _path_after_release(run: Trace) -> float | None:
+    held = np.flatnonzero(run.of("people"))
+    if not len(held) or held[-1] == len(run.t) - 1:
+        return None
+    return path(run.rows(slice(held[-1], None)))
+
+
+def _clear_since(run: Trace) -> float | None:
+    near = np.flatnonzero((run.betas >= 1.0).any(axis=1))
+    if not len(near):
+        return 0.0
+    return None if near[-1] == len(run.t) - 1 else float(run.t[near[-1]])
+
+
+def _force(run: Trace) -> Array:
+    return np.linalg.norm(run.of("hand_force"), axis=1)
+
+
+def _clear_force(run: Trace) -> float:
+    near = np.flatnonzero((run.distances < NEAR).any(axis=1))
+    return largest(_force(run)[: near[0] + 1 if len(near) else None])
+
+
+def _joint_speed_share(run: Trace) -> float | None:
+    most = run.meta.joint_speeds
+    return largest(np.abs(run.of("qd_m")) / most) if most else None
+
+
+def _percentile(run: Trace, q: float) -> float | None:
+    durations = run.of("duration_us")
+    return None if np.isnan(durations).any() else float(np.percentile(durations, q))
+
+
+def _displacement(run: Trace) -> Array:
+    return run.of("base_pose")[-1] - run.of("base_pose")[0]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _last(run: Trace, quantity: str) -> Any:
+    return run.of(quantity)[-1].item()
+
+
+def total(run: Trace, quantity: str) -> int:
+    """In how many rows something holds."""
+    return int(run.of(quantity).sum())
+
+
+FIGURES: dict[str, Callable[[Trace], Any]] = {
+    "min_distance_m": lambda r: dict(
+        zip(r.meta.pairs, r.distances.min(axis=0).tolist(), strict=True)
+    ),
+    "min_clearance_m": lambda r: clearance(r, mobile=True),
+    "contacts": lambda r: total(r, "in_contact"),
+    "arm_min_clearance_m": lambda r: clearance(r, mobile=False),
+    "arm_contacts": lambda r: total(r, "arm_in_contact"),
+    "floor_contacts": lambda r: total(r, "floor_contact"),
+    "ee_error_max_m": lambda r: largest(r.of("ee_error")),
+    "ee_error_final_m": lambda r: _last(r, "ee_error"),
+    "base_displacement_m": lambda r: float(np.hypot(*_displacement(r)[:2])),
+    "base_path_m": path,
+    "base_path_after_release_m": _path_after_release,
+    "base_speed_final_mps": lambda r: math.hypot(*r.of("base_velocity")[-1, ~r.angular]),
+    "base_yaw_rad": lambda r: float(_displacement(r)[2]),
+    "activation_max": lambda r: largest(r.of("activation")),
+    "base_acceleration_jump_max": lambda r: jumps(r, "base_acceleration"),
+    "base_acceleration_sign_changes": lambda r: _base_sign_changes(r, "base_acceleration"),
+    "avoidance_acceleration_jump_max": lambda r: jumps(r, "avoidance_acceleration"),
+    "avoidance_acceleration_sign_changes": lambda r: _base_sign_changes(
+        r, "avoidance_acceleration"
+    ),
+    "torque_jump_max_nm": torque_jump,
+    "torque_rate_sign_changes": lambda r: sign_changes(np.diff(r.of("u_a"), axis=0), _TORQUE_BAND),
+    "hand_force_max_n": lambda r: largest(_force(r)),
+    "hand_force_clear_max_n": _clear_force,
+    "hand_speed_max_mps": lambda r: largest(r.of("hand_speed")),
+    "joint_speed_share_max": _joint_speed_share,
+    "clear_since_s": _clear_since,
+    "approach_speed_max_mps": lambda r: r.buffer.approach_speed_max,
+    "buffer_needed_m": lambda r: _finite(r.buffer.needed_max),
+    "solver_failures": lambda r: int(_last(r, "solver_failures")),
+    "solver_given_up": lambda r: int(_last(r, "given_up")),
+    "stuck": lambda r: r.meta.stuck,
+    "step_p50_us": lambda r: _percentile(r, 50),
+    "step_p99_us": lambda r: _percentile(r, 99),
+}
+"""How each figure follows from a trace."""
+
+
+def _first(run: Trace, holds: Array) -> float | None:
+    """[s] when something (N,) first held, or None."""
+    return float(run.t[np.argmax(holds)]) if holds.any() else None
+
+
+def _door_distance(run: Trace) -> Array:
+    """(N,) [m] between the mobile robot and the door."""
+    return run[f"d_{next(pair for pair in run.meta.pairs if pair.endswith(BODY))}_m"]
+
+
+def _moved(run: Trace) -> Array:
+    """(N,) [m] of the base from where it began."""
+    return np.hypot(*(run.of("base_pose") - run.of("base_pose")[0])[:, :2].T)
+
+
+def _radial_error(run: Trace) -> float | None:
+    late = np.flatnonzero(run.t >= _ESTIMATE_AT)
+    return float(run["radial_error_rad"][late[0]]) if len(late) else None
+
+
+DOOR: dict[str, Callable[[Trace], Any]] = {
+    "door_angle_final_rad": lambda r: float(r["door_angle_rad"][-1]),
+    "door_opened_80deg_at_s": lambda r: _first(r, r["door_angle_rad"] >= _OPENED),
+    "door_min_distance_m": lambda r: float(_door_distance(r).min()),
+    "door_contacts": lambda r: int(r["door_contact"].sum()),
+    "first_door_contact_s": lambda r: _first(r, r["door_contact"] > 0),
+    "door_met_base_s": lambda r: _first(r, (r["door_contact"] > 0) | (_door_distance(r) <= 0.0)),
+    "radial_error_at_5s_rad": _radial_error,
+    "base_back_off_s": lambda r: _first(r, _moved(r) >= _BACKED_OFF),
+}
+"""The same of the opening of a door; a time that never came is None."""
+
+
+def extremes(run: Trace) -> dict[str, Any]:
+    """Duration, and largest speeds of the base and torques and forces of the arm, by column."""
+    speeds = np.abs(run.of("base_velocity"))
+    efforts = np.abs(run.of("u_a")).max(axis=0)
+    return {
+        "duration_s": float(run.t[-1] - run.t[0]),
+        "base_speed_max_mps": float(np.hypot.reduce(speeds[:, ~run.angular], axis=1).max()),
+        "base_turn_max_radps": largest(speeds[:, run.angular]),
+        "effort_max": dict(zip(run.names("u_a"), efforts.tolist(), strict=True)),
+    }

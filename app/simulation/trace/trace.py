@@ -1,0 +1,393 @@
+"""The trace of a run: every quantity over time, in memory, in a file, and as snapshots."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from typing_extensions import Self
+
+from app.control.buffer_watch import BufferReading
+from app.errors import DbbError, LogError, did_you_mean
+from app.robot.model import RobotModel
+from app.simulation.scenarios.leading import Scenario
+from app.simulation.session import DT, Session, Step
+from app.simulation.trace.columns import NAN, Column
+from app.simulation.trace.meta import TraceMeta, header_text, read_header
+from app.simulation.trace.snapshot import QUANTITIES, Snapshot, make_snapshot
+from app.simulation.trace.stuck import find_stuck
+
+Array = np.ndarray
+
+EVERY = 20
+"""Control steps between two snapshots: 50 Hz, as the live loop publishes them."""
+
+
+class Layout(NamedTuple):
+    """Where each quantity stands in a trace's table.
+
+    Attributes:
+        meta: About the run.
+        columns: Of the table, in order: those that have a number at each control step.
+        slices: By quantity; one number for those that have one column.
+        index: By the columns' names.
+    """
+
+    meta: TraceMeta
+    columns: tuple[Column, ...]
+    slices: dict[str, slice | int]
+    index: dict[str, int]
+
+    @classmethod
+    def of(cls, meta: TraceMeta, names: Iterable[str] = QUANTITIES) -> Self:
+        """The layout for some quantities."""
+        columns: list[Column] = []
+        slices: dict[str, slice | int] = {}
+        for name in names:
+            begin = len(columns)
+            whole = QUANTITIES[name].columns(meta)
+            columns += (column for column in whole if column.often)
+            slices[name] = begin if QUANTITIES[name].single else slice(begin, len(columns))
+        index = {column.name: i for i, column in enumerate(columns)}
+        return cls(meta, tuple(columns), slices, index)
+
+
+class Trace:
+    """A run over time.
+
+    Attributes:
+        meta: About the run as a whole.
+        table: (N, C) what is kept at each row, in order of time.
+        snapshots: What was drawn: of some rows or of all.
+    """
+
+    def __init__(self, layout: Layout, table: Array, snapshots: Sequence[Snapshot] = ()) -> None:
+        """Put together what a `Recorder` has taken, or what was read.
+
+        Args:
+            layout: Names the table's columns.
+            table: (N, C) its rows.
+            snapshots: Each at the time of a row.
+        """
+        self.meta, self.table, self.snapshots = layout.meta, table, tuple(snapshots)
+        self._layout = layout
+
+    @classmethod
+    def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot], **about: Any) -> Self:
+        """A trace with the rows of these snapshots.
+
+        Args:
+            model: The robot.
+            snapshots: In order of time, at least one.
+            about: As in `TraceMeta.of`: scenario, physics, seed.
+
+        Raises:
+            LogError: There is none, one is not later than the one before, or has other pairs.
+        """
+        if not snapshots:
+            raise LogError("a log of no snapshots")
+        first = snapshots[0]
+        pairs = {pair.name: pair.mobile for pair in first.pairs}
+        layout = Layout.of(TraceMeta.of(model, pairs, first.config, **about))
+        rows, last = [], -math.inf
+        for s in snapshots:
+            if not s.t > last:
+                raise LogError(f"a snapshot at {s.t:g} s follows one at {last:g} s")
+            if tuple(pair.name for pair in s.pairs) != layout.meta.pairs:
+                raise LogError(f"at {s.t:g} s the link pairs are not those of the log")
+            last = s.t
+            cells = _cells_of(s, layout.meta)
+            rows.append([float(cells[column]) for column in layout.columns])
+        return cls(layout, np.array(rows), snapshots)
+
+    def __len__(self) -> int:
+        """How many rows it has."""
+        return len(self.table)
+
+    def __getitem__(self, column: str) -> Array:
+        """(N,) a column of the table by its name, such as `d_lm-lEE_m`."""
+        return self.table[:, self._layout.index[column]]
+
+    def of(self, quantity: str) -> Array:
+        """(N,) or (N, k) a quantity of the table by its name, a field of `Snapshot`."""
+        return self.table[:, self._layout.slices[quantity]]
+
+    def names(self, quantity: str) -> list[str]:
+        """Names of the columns of a quantity of the table that has several."""
+        place = self._layout.slices[quantity]
+        assert isinstance(place, slice)
+        return [column.name for column in self._layout.columns[place]]
+
+    @property
+    def t(self) -> Array:
+        """(N,) [s] times of the rows."""
+        return self.of("t")
+
+    @property
+    def distances(self) -> Array:
+        """(N, P) [m] signed distances of the pairs."""
+        return self.of("pairs")[:, : len(self.meta.pairs)]
+
+    @property
+    def betas(self) -> Array:
+        """(N, P) [-] activations of the pairs."""
+        return self.of("pairs")[:, len(self.meta.pairs) :]
+
+    @property
+    def buffer(self) -> BufferReading:
+        """Whether d_b was enough, at the last row."""
+        return BufferReading(*self.of("buffer")[-1].tolist())
+
+    @property
+    def angular(self) -> Array:
+        """(n_b,) which axes of the base turn it."""
+        return np.array([name.endswith("_radps") for name in self.meta.velocities])
+
+    @property
+    def finite(self) -> bool:
+        """Whether all torques and poses of the base are numbers."""
+        return bool(np.isfinite(self.of("u_a")).all() and np.isfinite(self.of("base_pose")).all())
+
+    @property
+    def each_step(self) -> bool:
+        """Whether it has a row for each control step."""
+        return bool((np.diff(self.t) < 1.5 * DT).all())
+
+    def row_at(self, t: float) -> int:
+        """Number of the row nearest to a time [s]."""
+        return int(np.abs(self.t - t).argmin())
+
+    def at(self, t: float) -> Snapshot:
+        """What is drawn at a time [s]: the snapshot nearest to it."""
+        return min(self.snapshots, key=lambda snapshot: abs(snapshot.t - t))
+
+    def rows(self, which: slice | Array) -> Trace:
+        """Some rows of the table, without snapshots."""
+        return Trace(self._layout, self.table[which])
+
+    def write(self, path: Path) -> None:
+        """Write it as CSV or Parquet, by the ending of its name, whole or not at all.
+
+        Raises:
+            LogError: Its ending is neither.
+            OutputError: It cannot be written there.
+        """
+        from app.simulation.trace.log_file import write_cells  # pyarrow takes long to import
+
+        rows = len(self.table)
+        drawn: dict[Column, list[Any]] = {}
+        places = np.searchsorted(self.t, [s.t for s in self.snapshots])
+        for k, snapshot in zip(places.tolist(), self.snapshots, strict=True):
+            for column, cell in _cells_of(snapshot, self.meta).items():
+                if not column.often:
+                    drawn.setdefault(column, [None] * rows)[k] = cell
+        table = dict(zip(self._layout.columns, self.table.T, strict=True))
+        cells = {
+            column: table[column] if column.often else drawn.get(column, [None] * rows)
+            for column in _columns(self.meta)
+        }
+        write_cells(path, header_text(self.meta, rows), cells)
+
+
+def read_trace(path: Path) -> Trace:
+    """Read the file of a trace; nothing in it is believed unseen.
+
+    Raises:
+        LogError: There is none, it is damaged, or its columns are not those of a trace.
+    """
+    from app.simulation.trace.log_file import column_of, read_table  # pyarrow takes long to import
+
+    header, found = read_table(path)
+    try:
+        meta, rows = read_header(header)
+        known = _columns(meta)
+        _check_names(found, known, meta.format)
+        modes = column_of(Column("mode", "text"), found["mode"])
+        drawn = [k for k, mode in enumerate(modes) if mode]
+        cells = {
+            c: column_of(c, found[c.name], None if c.often else len(drawn))
+            if c.name in found
+            else [NAN if c.kind == "float" else 0] * rows
+            for c in known
+        }
+        layout = Layout.of(meta)
+        _check_rows(cells[layout.columns[0]], rows)
+        table = np.column_stack([np.asarray(cells[c], dtype=float) for c in layout.columns])
+        return Trace(layout, table, _snapshots(meta, cells, drawn))
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from None
+
+
+class Recorder:
+    """Takes every control step of a run."""
+
+    def __init__(
+        self,
+        scenario: Scenario | None = None,
+        *,
+        quantities: Iterable[str] = QUANTITIES,
+        drawn: bool = False,
+        also: Iterable[int] = (),
+        **about: Any,
+    ) -> None:
+        """Nothing is recorded.
+
+        Args:
+            scenario: Which leads the hand from the first step to the last.
+            quantities: What is recorded, by the fields of `Snapshot`.
+            drawn: Whether a snapshot of each twentieth step is kept too, the first among them.
+            also: Numbers of further control steps of which a snapshot is wanted.
+            about: As in `TraceMeta.of`: physics, seed.
+        """
+        self._scenario, self._drawn, self._also = scenario, drawn, frozenset(also)
+        self._about = {"scenario": scenario.name if scenario else "", **about}
+        self._names = list(quantities)
+        self._rows = [row for name in self._names if (row := QUANTITIES[name].row) is not None]
+        self._layout: Layout | None = None
+        self._cells = array("d")  # a fifth of a list's memory, and nothing for the collector
+        self._last: tuple[Session, Step] | None = None
+        self.snapshots: list[Snapshot] = []
+
+    def add(self, session: Session, step: Step) -> None:
+        """Take one control step, and the session after it."""
+        if self._layout is None:
+            self._begin(session, step)
+        self._last = session, step
+        cells: list[float] = []
+        for row in self._rows:
+            cells += row(session, step)
+        self._cells.extend(cells)
+        if self._drawn:
+            self._draw(session, step)
+
+    def trace(self) -> Trace:
+        """What has been recorded so far."""
+        assert self._layout is not None, "no step was recorded"
+        assert self._last is not None
+        session, step = self._last
+        stuck = find_stuck(session.model, step)
+        meta = self._layout.meta.model_copy(update={"stuck": stuck and stuck.as_json()})
+        return Trace(self._layout._replace(meta=meta), self._table(), self.snapshots)
+
+    def taken(self) -> Trace:
+        """What has been recorded since the last call, and the row before it."""
+        assert self._layout is not None, "no step was recorded"
+        trace = Trace(self._layout, self._table())
+        del self._cells[: -len(self._layout.columns)]
+        return trace
+
+    def __len__(self) -> int:
+        """How many rows there are."""
+        return len(self._cells) // len(self._layout.columns) if self._layout else 0
+
+    def _table(self) -> Array:
+        assert self._layout is not None
+        return np.array(self._cells).reshape(-1, len(self._layout.columns))
+
+    def _begin(self, session: Session, step: Step) -> None:
+        base = session.model.body_names[0]
+        closest = [state.closest.pair for state in step.output.avoidance.pairs]
+        pairs = {pair.name: pair.a == base for pair in closest}
+        meta = TraceMeta.of(session.model, pairs, session.config, **self._about)
+        self._layout = Layout.of(meta, self._names)
+
+    def _draw(self, session: Session, step: Step) -> None:
+        k = round(step.t / DT)
+        if k % EVERY and k not in self._also:
+            return
+        course = {}
+        if self._scenario is not None:
+            course = {"scenario": self._scenario.name, "scenario_ends": self._scenario.duration}
+        self.snapshots.append(make_snapshot(session, step, NoClock(), paused=False, **course))
+
+
+class NoClock:
+    """A run that keeps to no clock has nothing to tell about it, and is then the same each time."""
+
+    overruns = 0
+    realtime_factor = step_time_us = NAN
+
+
+def filmed(
+    steps: Generator[tuple[Session, Step], None, None],
+    scenario: Scenario,
+    times: Sequence[float],
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> list[Snapshot]:
+    """Snapshots of a run up to the last of some times, those of the times themselves among them.
+
+    Args:
+        steps: The run, as `app.simulation.run.steps_of` gives it; it is ended here.
+        scenario: Which leads the hand.
+        times: [s] within the scenario's duration.
+        on_progress: Called now and then with the simulated time [s].
+    """
+    last = round(scenario.duration / DT) - 1
+    wanted = {min(round(t / DT), last) for t in times}
+    recorder = Recorder(scenario, quantities=(), drawn=True, also=wanted)
+    with closing(steps):
+        for k, (session, step) in enumerate(steps):
+            recorder.add(session, step)
+            if k % 100 == 0:
+                on_progress(step.t)
+            if k == max(wanted):
+                break
+    return recorder.snapshots
+
+
+def _columns(meta: TraceMeta) -> list[Column]:
+    """All columns of a file, in order."""
+    return [column for quantity in QUANTITIES.values() for column in quantity.columns(meta)]
+
+
+def _cells_of(snapshot: Snapshot, meta: TraceMeta) -> dict[Column, Any]:
+    """All cells of a snapshot."""
+    return {
+        column: cell
+        for name, quantity in QUANTITIES.items()
+        for column, cell in zip(
+            quantity.columns(meta), quantity.cells(getattr(snapshot, name), meta), strict=True
+        )
+    }
+
+
+def _snapshots(
+    meta: TraceMeta, cells: Mapping[Column, Sequence[Any]], drawn: Sequence[int]
+) -> list[Snapshot]:
+    """The snapshots in these rows of a file."""
+    fields: dict[str, list[Any]] = {}
+    for name, quantity in QUANTITIES.items():
+        columns = quantity.columns(meta)
+        rows = zip(*([cells[column][k] for k in drawn] for column in columns), strict=True)
+        try:
+            fields[name] = [quantity.value(row, meta) for row in rows]
+        except (DbbError, ValueError, TypeError, KeyError, AttributeError) as error:
+            names = ", ".join(column.name for column in columns[:3])
+            raise LogError(f"columns {names}: {error}") from None
+    by_row = zip(*fields.values(), strict=True)
+    return [Snapshot(**dict(zip(fields, row, strict=True))) for row in by_row]
+
+
+def _check_names(found: Iterable[str], known: Sequence[Column], since: int) -> None:
+    given, wanted = set(found), [column.name for column in known]
+    for name in found:
+        if name not in wanted:
+            raise LogError(f"unknown column {name!r}{did_you_mean(name, wanted)}")
+    missing = [c.name for c in known if c.name not in given and c.since <= since]
+    if missing:
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise LogError(f"column {missing[0]!r} is missing{more}")
+
+
+def _check_rows(times: Sequence[float], rows: int) -> None:
+    if len(times) != rows:
+        raise LogError(f"it has {len(times)} rows, and its meta data say {rows}")
+    gaps = np.diff(times)
+    if not (gaps > 0.0).all():
+        k = int(np.argmin(gaps > 0.0))
+        raise LogError(f"its times are not in order: {times[k + 1]:g} s follows {times[k]:g} s")
