@@ -94,6 +94,7 @@ class Trace:
         first = snapshots[0]
         pairs = {pair.name: pair.mobile for pair in first.pairs}
         layout = Layout.of(TraceMeta.of(model, pairs, first.config, **about))
+        columns = _columns(layout.meta)
         rows, last = [], -math.inf
         for s in snapshots:
             if not s.t > last:
@@ -101,8 +102,8 @@ class Trace:
             if tuple(pair.name for pair in s.pairs) != layout.meta.pairs:
                 raise LogError(f"at {s.t:g} s the link pairs are not those of the log")
             last = s.t
-            cells = _cells_of(s, layout.meta)
-            rows.append([float(cells[column]) for column in layout.columns])
+            cells = zip(columns, _cells_of(s, layout.meta), strict=True)
+            rows.append([float(cell) for column, cell in cells if column.often])
         return cls(layout, np.array(rows), snapshots)
 
     def __len__(self) -> int:
@@ -179,18 +180,14 @@ class Trace:
         """
         from app.simulation.trace.log_file import write_cells  # pyarrow takes long to import
 
-        rows = len(self.table)
-        drawn: dict[Column, list[Any]] = {}
+        rows, columns = len(self.table), _columns(self.meta)
+        cells: dict[Column, Any] = {column: [None] * rows for column in columns}
+        cells |= zip(self._layout.columns, self.table.T, strict=True)
         places = np.searchsorted(self.t, [s.t for s in self.snapshots])
         for k, snapshot in zip(places.tolist(), self.snapshots, strict=True):
-            for column, cell in _cells_of(snapshot, self.meta).items():
+            for column, cell in zip(columns, _cells_of(snapshot, self.meta), strict=True):
                 if not column.often:
-                    drawn.setdefault(column, [None] * rows)[k] = cell
-        table = dict(zip(self._layout.columns, self.table.T, strict=True))
-        cells = {
-            column: table[column] if column.often else drawn.get(column, [None] * rows)
-            for column in _columns(self.meta)
-        }
+                    cells[column][k] = cell
         write_cells(path, header_text(self.meta, rows), cells)
 
 
@@ -345,15 +342,9 @@ def _columns(meta: TraceMeta) -> list[Column]:
     return [column for quantity in QUANTITIES.values() for column in quantity.columns(meta)]
 
 
-def _cells_of(snapshot: Snapshot, meta: TraceMeta) -> dict[Column, Any]:
-    """All cells of a snapshot."""
-    return {
-        column: cell
-        for name, quantity in QUANTITIES.items()
-        for column, cell in zip(
-            quantity.columns(meta), quantity.cells(getattr(snapshot, name), meta), strict=True
-        )
-    }
+def _cells_of(snapshot: Snapshot, meta: TraceMeta) -> list[Any]:
+    """All cells of a snapshot, in the columns' order."""
+    return [x for name, q in QUANTITIES.items() for x in q.cells(getattr(snapshot, name), meta)]
 
 
 def _snapshots(
