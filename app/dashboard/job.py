@@ -16,6 +16,9 @@ from app.errors import ConfigError, DbbError
 from app.jobs.process import Cancelled, run_in_process
 from app.system import give_freed_memory_back
 
+logger = logging.getLogger(__name__)
+_PATIENCE = 10.0  # [s] for a thread to end
+
 
 def give_back() -> None:
     """Collect what only cycles hold, and give the freed memory back.
@@ -25,11 +28,6 @@ def give_back() -> None:
     """
     gc.collect()
     give_freed_memory_back()
-
-
-logger = logging.getLogger(__name__)
-
-_PATIENCE = 10.0  # [s] for a thread to end
 
 
 @dataclass(frozen=True)

@@ -57,10 +57,10 @@ def row(*cells: str, hint: str = "", style: str = "") -> str:
     return f"<tr{title}{_style(style)}>{''.join(cells)}</tr>"
 
 
-def cell(html: str = "", *styles: str, span: int = 1) -> str:
-    """A cell over so many columns."""
-    across = f' colspan="{span}"' if span > 1 else ""
-    return f"<td{across}{_style(*styles)}>{html}</td>"
+def cell(html: str = "", *styles: str, span: int = 1, head: bool = False) -> str:
+    """A cell over so many columns; `head` for the title of a column of data."""
+    name, across = "th" if head else "td", f' colspan="{span}"' if span > 1 else ""
+    return f"<{name}{across}{_style(*styles)}>{html}</{name}>"
 
 
 def mark(sign: str, colour: str) -> str:

@@ -83,6 +83,9 @@ def write_replay(report: Report, log: Path, page: Path) -> None:
     model = RobotModel(load_robot(read.meta.robot))
     clouds = load_border_data(model, progress=False).clouds
     text = replay_html(
-        read, model, clouds, on_progress=lambda t: report("drawing the pictures", t / duration)
+        read,
+        model,
+        clouds,
+        on_progress=lambda t: report("drawing the pictures", min(t / duration, 1.0)),
     )
     page.write_text(text, encoding="utf-8")

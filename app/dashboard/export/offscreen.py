@@ -18,6 +18,10 @@ from app.robot.model import RobotModel
 from app.simulation.loop.commands import Command
 from app.simulation.trace.snapshot import Snapshot
 
+HOST = "127.0.0.1"
+LAYERS = ("determinant", "reachability", "score", "none")
+"""What a border may be coloured by; without a border, none."""
+
 
 class RecordedLoop:
     """The interface of the simulation's loop over recorded snapshots.
@@ -51,11 +55,6 @@ class RecordedLoop:
     def history(self, after: float) -> list[Snapshot]:
         """Snapshots with t > `after` [s] up to the one at which it stands, oldest first."""
         return list(self.snapshots[bisect_right(self._times, after) : self._at + 1])
-
-
-HOST = "127.0.0.1"
-LAYERS = ("determinant", "reachability", "score", "none")
-"""What a border may be coloured by; without a border, none."""
 
 
 class OffscreenScene:

@@ -79,7 +79,7 @@ def scores_html(scores: tuple[Score, ...]) -> str:
         return small("nothing compared", FAINT)
     colours = ["currentColor", *(css(colour) for colour in GHOSTS)]
     heads = (
-        cell(f"{mark('●', colour)} <b>{score.controller}</b>", RIGHT)
+        cell(f"{mark('●', colour)} {score.controller}", RIGHT, "font-weight:600", head=True)
         for score, colour in zip(scores, colours, strict=False)
     )
     rows = (

@@ -10,33 +10,6 @@ import viser
 
 from app.dashboard.notifications import Notifier
 
-
-class Shortcut(NamedTuple):
-    """One command.
-
-    Attributes:
-        label: In the palette.
-        key: That triggers it, or None.
-        action: What it does.
-    """
-
-    label: str
-    key: Any
-    action: Callable[[], None]
-
-
-def add_shortcuts(gui: viser.GuiApi, shortcuts: list[Shortcut], notifier: Notifier) -> None:
-    """Enter the commands into a viewer's palette."""
-    for shortcut in shortcuts:
-        command = gui.add_command(shortcut.label, hotkey=shortcut.key)
-        command.on_trigger(notifier.guard(lambda _, action=shortcut.action: action()))  # type: ignore[arg-type]
-
-
-def keys_text(shortcuts: list[Shortcut]) -> str:
-    """The keys and what they do, as a line of markdown."""
-    return ", ".join(f"`{s.key}` {s.label.lower()}" for s in shortcuts if s.key is not None)
-
-
 TEXT = """
 **Drag the hand** by the arrows at the gripper, or any link of the arm by itself: a person's spring
 pulls it there. The stack lets the arm follow, and the base gets out of its way.
@@ -62,18 +35,6 @@ robots and yours, *Save* pictures, logs and replays.
 Several people may look at once: each has a view and a place in time of his own; the simulation
 is one, and whoever pulls adds a force.
 """
-
-
-def add_help(gui: viser.GuiApi, keys: str) -> None:
-    """Build the tab in the GUI container that is now open.
-
-    Args:
-        gui: Of the viewer.
-        keys: The shortcuts, as text.
-    """
-    gui.add_markdown(TEXT.format(keys=keys))
-
-
 STEPS = (
     (
         "Drag the hand",
@@ -104,6 +65,42 @@ STEPS = (
 """Title and text of each step."""
 SEEN = "dbb-tour-seen"  # key in the browser's own storage
 _PATIENCE = 5.0  # [s] for the browser's answer
+
+
+class Shortcut(NamedTuple):
+    """One command.
+
+    Attributes:
+        label: In the palette.
+        key: That triggers it, or None.
+        action: What it does.
+    """
+
+    label: str
+    key: Any
+    action: Callable[[], None]
+
+
+def add_shortcuts(gui: viser.GuiApi, shortcuts: list[Shortcut], notifier: Notifier) -> None:
+    """Enter the commands into a viewer's palette."""
+    for shortcut in shortcuts:
+        command = gui.add_command(shortcut.label, hotkey=shortcut.key)
+        command.on_trigger(notifier.guard(lambda _, action=shortcut.action: action()))  # type: ignore[arg-type]
+
+
+def keys_text(shortcuts: list[Shortcut]) -> str:
+    """The keys and what they do, as a line of markdown."""
+    return ", ".join(f"`{s.key}` {s.label.lower()}" for s in shortcuts if s.key is not None)
+
+
+def add_help(gui: viser.GuiApi, keys: str) -> None:
+    """Build the tab in the GUI container that is now open.
+
+    Args:
+        gui: Of the viewer.
+        keys: The shortcuts, as text.
+    """
+    gui.add_markdown(TEXT.format(keys=keys))
 
 
 class Tour:

@@ -19,6 +19,13 @@ from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.names import SCENARIOS, own_line
 from app.simulation.trace.snapshot import PairReading, Snapshot
 
+FREE = "free: drag the hand"
+"""Choice of no scenario."""
+BAR_RANGE = 0.5  # [m] distance that fills a bar of the table
+STEP = 0.001  # [s] of one control step
+_SIZE = "font-size:.82em"
+GOOD, BAD = "#2f9e5b", css((222, 49, 40))
+
 
 def add_case_button(gui: viser.GuiApi, sink: Sink, notifier: Notifier, scenario: Scenario) -> None:
     """Build it in the GUI container that is now open.
@@ -35,14 +42,6 @@ def add_case_button(gui: viser.GuiApi, sink: Sink, notifier: Notifier, scenario:
         hint=f"{scenario.about}: begins anew; whoever takes the hand ends it",
     )
     button.on_click(notifier.guard(lambda _: sink.send(Play(scenario))))  # type: ignore[arg-type]
-
-
-FREE = "free: drag the hand"
-"""Choice of no scenario."""
-BAR_RANGE = 0.5  # [m] distance that fills a bar of the table
-STEP = 0.001  # [s] of one control step
-_SIZE = "font-size:.82em"
-GOOD, BAD = "#2f9e5b", css((222, 49, 40))
 
 
 class RunPanel:

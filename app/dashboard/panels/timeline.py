@@ -18,6 +18,10 @@ REACH = 60.0
 """[s] how far back a viewer can look."""
 FRAME = 0.02
 """[s] between two snapshots."""
+WIDTH = 520  # [px]
+_STEPS = {"−1 s": -1.0, "−20 ms": -FRAME, "+20 ms": FRAME, "+1 s": 1.0}
+_PAUSE, _NOW = "Stop / go", "Now"
+_MARKS = ("Mark begin", "Mark end", "No marks")
 
 
 class Timeline:
@@ -111,12 +115,6 @@ class Timeline:
             self._reference = kept[-1].t
         self._shown = min(kept, key=lambda snapshot: abs(snapshot.t - t))
         self._reference = max(self._reference, self._shown.t)
-
-
-WIDTH = 520  # [px]
-_STEPS = {"−1 s": -1.0, "−20 ms": -FRAME, "+20 ms": FRAME, "+1 s": 1.0}
-_PAUSE, _NOW = "Stop / go", "Now"
-_MARKS = ("Mark begin", "Mark end", "No marks")
 
 
 class TimelinePanel:

@@ -19,6 +19,16 @@ from app.errors import ConfigError
 from app.robot.description import RobotDescription
 
 FIRST_NAME = "tuning"
+MAIN = (
+    "border.d_b",
+    "force.f_max",
+    "repulsion.k_p",
+    "admittance.mass",
+    "admittance.damping",
+    "hand.stiffness",
+)
+"""What a first visitor may want to move."""
+_BEFORE_SCORE = "border"  # section after which the score stands, as in the paper
 
 
 class ConfigFilePanel:
@@ -68,18 +78,6 @@ def file_name(name: str) -> str:
     """A name for a file on any system, as in `stiff arm.toml`."""
     safe = re.sub(r"[^\w .+-]", "-", name).strip(" .")
     return f"{safe or FIRST_NAME}.toml"
-
-
-MAIN = (
-    "border.d_b",
-    "force.f_max",
-    "repulsion.k_p",
-    "admittance.mass",
-    "admittance.damping",
-    "hand.stiffness",
-)
-"""What a first visitor may want to move."""
-_BEFORE_SCORE = "border"  # section after which the score stands, as in the paper
 
 
 class TuningPanel:

@@ -28,6 +28,11 @@ Array = np.ndarray
 MAX_POINTS = 20_000
 """Points drawn; more of them only hide what lies behind and slow the browser down."""
 _KEPT = 16  # clouds and surfaces that are kept for other viewers
+POINT_SIZE = 0.0035  # [m] small enough to see the acting points behind it
+_GRAIN = 0.002  # [m] of height by which the slice has to change to be sent anew
+_EVERY = 3  # rays of the contour between two drawn points
+_ON_DARK: Rgb = (255, 255, 255)
+_ON_LIGHT: Rgb = (20, 24, 30)
 
 
 class ColouredCloud(NamedTuple):
@@ -126,9 +131,6 @@ def _make_room(cache: dict) -> None:
         cache.pop(next(iter(cache)))
 
 
-POINT_SIZE = 0.0035  # [m] small enough to see the acting points behind it
-
-
 class BorderCloud:
     """Draws each pair's border anew whenever its quantity, d_b or ε has changed."""
 
@@ -184,12 +186,6 @@ class BorderCloud:
             precision="float32",
         )
         return True
-
-
-_GRAIN = 0.002  # [m] of height by which the slice has to change to be sent anew
-_EVERY = 3  # rays of the contour between two drawn points
-_ON_DARK: Rgb = (255, 255, 255)
-_ON_LIGHT: Rgb = (20, 24, 30)
 
 
 class BorderSlice:

@@ -20,6 +20,9 @@ _ECHO = 0.3  # [s] after which what comes back from a browser holds what was set
 _PATIENCE = 2.0  # [s] after which nothing is waited for any more
 _SETTLING = 8.0  # [s] in which a page still takes its shape
 _COVERED = 168.0  # [px] of the scene, from below, that the time line lies over
+_CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
+_HAND = 0.12 * _CORNERS  # [m] what has to be seen around the hand
+_NEAR_HAND = 0.22 * _CORNERS  # [m] the same if the hand alone is looked at
 
 
 class Preset(NamedTuple):
@@ -43,9 +46,6 @@ PRESETS = {
     "hand": Preset(np.array([0.55, 0.75, 0.45]), of_hand=True),
 }
 """Views by name."""
-_CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
-_HAND = 0.12 * _CORNERS  # [m] what has to be seen around the hand
-_NEAR_HAND = 0.22 * _CORNERS  # [m] the same if the hand alone is looked at
 
 
 class _Look(NamedTuple):

@@ -36,6 +36,11 @@ _ANCHORS: dict[str, Literal["bottom-right", "top-right", "top-left"]] = {
     "p_t": "top-right",
     "p_act": "top-left",
 }
+_LEAST_ACCELERATION = 0.02  # [m/s²] and [rad/s²] smaller ones are not drawn
+_MOST_ARC = np.deg2rad(300.0)  # [rad] longer arcs would close
+_RADIUS = 0.22  # [m] of the arc
+_ARROW_LIFT = 0.06  # [m] of both over the base's top
+_ARC_POINTS = 24
 
 
 class _Marks:
@@ -123,13 +128,6 @@ def pushing_arrow(p_act: Array, force: Array, top: float) -> Array:
     return arrow(end - METRES_PER_NEWTON * np.asarray(force), force)
 
 
-_LEAST = 0.02  # [m/s²] and [rad/s²] smaller ones are not drawn
-_MOST_ARC = np.deg2rad(300.0)  # [rad] longer arcs would close
-_RADIUS = 0.22  # [m] of the arc
-_LIFT = 0.06  # [m] of both over the base's top
-_ARC_POINTS = 24
-
-
 class Motion:
     """Arrows of forces in the world and of accelerations over the base."""
 
@@ -142,7 +140,7 @@ class Motion:
             axes: Of the base, along which its accelerations are.
         """
         self._axes = axes
-        self._z = top + _LIFT
+        self._z = top + _ARROW_LIFT
         self._person = hidden_arrow(scene, "/person", PERSON)
         self._v = hidden_arrow(scene, f"{ROOT}/v", ACCELERATION)
         self._w_arc = hidden_line(scene, f"{ROOT}/w_arc", ACCELERATION, 4.0)
@@ -156,11 +154,11 @@ class Motion:
         if self._person.visible:
             self._person.points = arrow(snapshot.p_ee, force)
         forward, left, w = planar(self._axes, snapshot.base_acceleration)
-        self._v.visible = view.motion and np.hypot(forward, left) > _LEAST
+        self._v.visible = view.motion and np.hypot(forward, left) > _LEAST_ACCELERATION
         if self._v.visible:
             x, y = METRES_PER_ACCELERATION * forward, METRES_PER_ACCELERATION * left
             self._v.points = np.array([[[0.0, 0.0, self._z], [x, y, self._z]]])
-        turns = view.motion and abs(w) > _LEAST
+        turns = view.motion and abs(w) > _LEAST_ACCELERATION
         self._w_arc.visible = self._w_head.visible = turns
         if turns:
             points = arc(w, self._z)

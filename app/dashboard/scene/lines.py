@@ -16,6 +16,7 @@ LEAST_FORCE = 0.5  # [N] weaker forces get no arrow, whose head would be longer 
 
 
 Array = np.ndarray
+HEAD_LENGTH = 0.035  # [m]
 
 
 def hidden_line(
@@ -49,9 +50,6 @@ def set_polylines(line: viser.LineSegmentsHandle, lines: Sequence[Array], colour
         line.colors = np.array(colour, np.uint8)
     segments = [np.stack([points[:-1], points[1:]], axis=1) for points in lines]
     line.points = np.concatenate(segments).astype(np.float32)
-
-
-HEAD_LENGTH = 0.035  # [m]
 
 
 def hidden_arrow(scene: viser.SceneApi, name: str, colour: Rgb) -> viser.ArrowHandle:

@@ -18,6 +18,13 @@ from app.robot.model import RobotModel
 from app.robot.urdf import bare_urdf
 
 Array = np.ndarray
+logger = logging.getLogger(__name__)
+ROOT = "/robot"
+"""Scene node that moves with the base: origin on the floor below the base's centre, x forward."""
+BODY: Rgb = (64, 156, 224)
+BODY_OPACITY = 0.28  # [-]
+GHOST_OPACITY = 0.30  # [-]
+_AROUND = np.array([0.15, 0.15, 0.0])  # [m] of a border around the base
 
 
 def to_viser(T: pin.SE3) -> tuple[Array, Array]:
@@ -34,16 +41,6 @@ def from_viser(position: Array, wxyz: Array) -> pin.SE3:
 def moved(T: pin.SE3, points: np.ndarray) -> np.ndarray:
     """(N, 3) points of one frame in another."""
     return points @ T.rotation.T + T.translation
-
-
-logger = logging.getLogger(__name__)
-
-ROOT = "/robot"
-"""Scene node that moves with the base: origin on the floor below the base's centre, x forward."""
-BODY: Rgb = (64, 156, 224)
-BODY_OPACITY = 0.28  # [-]
-GHOST_OPACITY = 0.30  # [-]
-_AROUND = np.array([0.15, 0.15, 0.0])  # [m] of a border around the base
 
 
 class LinkPoses:
