@@ -18,7 +18,7 @@ from app.avoidance.barrier import BarrierRow
 from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
-from app.border.offset import RAYS, OffsetContours
+from app.border.offset import OffsetContours
 from app.border.score import ScoreField
 from app.border.surface import BorderSurface, Foot
 from app.config import Config, LimitConfig, TaskConfig
@@ -77,19 +77,19 @@ class PlainState(RobotState):
 
 
 class PlainSurface:
-    """The nearest point of a border by trying every edge of its contour."""
+    """The nearest point of the border around one shape, by trying every edge of its contour."""
 
     def __init__(self, surface: BorderSurface, offset: OffsetContours) -> None:
-        self._gap, self._offset = surface.gap, offset
+        self._table, self._reached = offset.table, surface.reached
 
     def nearest(self, p: Array) -> Foot | None:
-        heights = self._offset.heights
+        heights = self._table.heights
         z = float(np.clip(p[2], heights[0], heights[-1]))
         k = min(int(np.searchsorted(heights, z, side="right")) - 1, len(heights) - 2)
         share = (z - heights[k]) / (heights[k + 1] - heights[k])
-        corners, tangents = (
+        corners, tangents, reached = (
             (1 - share) * rows[k] + share * rows[k + 1]
-            for rows in (self._offset.tables.vertices, self._offset.tables.tangents)
+            for rows in (self._table.vertices, self._table.tangents, self._reached)
         )
         to_p = complex(p[0], p[1]) - corners
         ahead = (to_p * tangents.conj()).real
@@ -105,13 +105,13 @@ class PlainSurface:
             roots = np.roots([a, b, c])
             inside = [s.real for s in roots if abs(s.imag) < 1e-9 and -1e-9 <= s.real <= 1 + 1e-9]
             s = float(np.clip(inside[0], 0.0, 1.0)) if inside else 0.0
-            found.append((abs(to_p[i] - s * edge), i + s))
-        ray = min(found)[1] if found else float(np.abs(to_p[:-1]).argmin())
-        centre, half = ((1 - share) * values[k] + share * values[k + 1] for values in self._gap)
-        inside_gap = (ray - centre + RAYS / 2) % RAYS - RAYS / 2
-        if abs(inside_gap) < half:
-            ray = (centre + (half if inside_gap >= 0 else -half)) % RAYS
-        i, s = int(ray) % RAYS, ray % 1.0
+            if (1 - s) * reached[i] + s * reached[i + 1] >= 0.0:
+                found.append((abs(to_p[i] - s * edge), i, s))
+        for i in np.flatnonzero((reached[:-1] >= 0.0) != (reached[1:] >= 0.0)):  # a gap's ends
+            s = reached[i] / (reached[i] - reached[i + 1])
+            chord = 1e-4  # [m] by which an end counts as farther than it is
+            found.append((abs(to_p[i] - s * (corners[i + 1] - corners[i])) + chord, i, s))
+        _, i, s = min(found)
         xy = corners[i] + s * (corners[i + 1] - corners[i])
         t = tangents[i] + s * (tangents[i + 1] - tangents[i])
         t /= abs(t)

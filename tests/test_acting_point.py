@@ -32,8 +32,7 @@ def dense_border(offset: OffsetContours, step: float = 0.002) -> Border:
     """Points every 2 mm along the exact contours every 4 mm of height."""
     points = []
     for z in np.arange(0.02, 0.36, 0.004):
-        ring = offset.contour(float(z))
-        assert ring is not None
+        (ring,) = offset.contours(float(z))
         for a, b in pairwise(ring):
             n = max(int(np.linalg.norm(b - a) / step), 1)
             points += [(*(a + (b - a) * k / n), z) for k in range(n)]

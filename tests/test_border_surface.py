@@ -9,14 +9,16 @@ from app.avoidance.acting_point import ActingPointFinder
 from app.avoidance.mobile_acceleration import PairForce, avoidance_force, generate_mob_acc
 from app.border.cache import BorderData
 from app.border.dbb import Border, construct_dbb
-from app.border.gaps import STEEPEST_GAP, Gap, without_leaps
 from app.border.mobile import MobileBody
-from app.border.offset import RAYS, OffsetContours
+from app.border.offset import OffsetContours, ray_from
 from app.border.points import BorderPoints
+from app.border.reached import STEEPEST_GAP, Gap, find_reached, without_leaps
+from app.border.rings import RAYS
 from app.border.score import ScoreField
-from app.border.surface import BorderSurface, find_gap
+from app.border.surface import BorderSurface
 from app.config import ForceConfig
 from app.robot.model import RobotModel
+from app.robot.shapes import Box
 
 D_B = 0.15  # [m]
 FORCE = ForceConfig()
@@ -170,13 +172,24 @@ def test_the_contour_is_open_where_the_arm_never_is_and_nowhere_else(
     border: Border, offset: OffsetContours
 ) -> None:
     """Behind the base at low heights; each border point's own place is kept."""
-    gap = find_gap(border, offset)
-    k = int(np.searchsorted(offset.heights, 0.2))
-    assert gap.half[k] > 45.0
-    assert gap.centre[k] % RAYS == pytest.approx(RAYS / 2, abs=10.0)
-    rays = offset.ray_of(border.same_height(float(offset.heights[k]), 0.004)[:, :2])
-    away = np.abs((rays - gap.centre[k] + RAYS / 2) % RAYS - RAYS / 2)
-    assert (away >= gap.half[k]).all()
+    rings = offset.rings[0]
+    k = int(np.searchsorted(rings.heights, 0.2))
+    reached = find_reached(border, offset)[k]
+    open_ = np.flatnonzero(reached[:-1] < 0.0)
+    assert len(open_) > 90
+    assert open_.mean() == pytest.approx(RAYS / 2, abs=10.0)
+    points = border.same_height(float(rings.heights[k]), 0.004)[:, :2]
+    rays = ray_from(points, rings.centres[k])
+    assert (np.interp(rays, np.arange(RAYS + 1), reached) >= 0.0).all()
+
+
+def test_the_gaps_of_a_single_shape_are_those_that_a_second_one_hidden_in_it_leaves(
+    border: Border, offset: OffsetContours, robot: RobotModel
+) -> None:
+    """One convex shape is a union of one."""
+    inner = Box(type="box", size_m=(0.3, 0.2, 0.1), xyz_m=(0.0, 0.0, 0.1))
+    doubled = OffsetContours(RobotModel(robot.description.with_mobile_shapes(inner)), D_B)
+    np.testing.assert_array_equal(find_reached(border, doubled), find_reached(border, offset))
 
 
 def test_in_a_gap_the_foot_is_the_end_of_the_contour(surface: BorderSurface) -> None:

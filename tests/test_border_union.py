@@ -181,8 +181,7 @@ def test_slanted_and_hanging_shapes_and_those_of_corners_are_followed():
     body, offset = MobileBody(model), OffsetContours(model, D_B)
     assert len(offset.rings) == 4
     rows = [(z, ring) for r in offset.rings for z, ring in zip(r.heights, r.vertices, strict=True)]
-    assert offset.union is not None
-    for (z, ring), shown in list(zip(rows, offset.union.shown, strict=True))[::5]:
+    for (z, ring), shown in list(zip(rows, offset.table.shown, strict=True))[::5]:
         d = body.distance(np.column_stack([ring, np.full(len(ring), z)])[::4])
         np.testing.assert_allclose(d[shown[::4] > 4e-6], D_B, atol=2e-6)
         assert (d[shown[::4] < 0.0] < D_B + 4e-6).all()

@@ -11,7 +11,8 @@ from app.bench.paths import Path
 from app.bench.timing import time_steps
 from app.border.cache import BorderData
 from app.border.cloud import DISTANCE_UNIT, make_cloud, quantise_points
-from app.border.offset import RAYS, OffsetContours
+from app.border.offset import OffsetContours
+from app.border.rings import RAYS
 from app.config import Config
 from app.control.controller import Controller
 from app.robot.model import RobotModel
@@ -55,13 +56,13 @@ def _dense(data: BorderData, offset: OffsetContours, count: int, seed: int) -> B
 
 def points_on(offset: OffsetContours, count: int, rng: np.random.Generator) -> Array:
     """(count, 3) [m] random points of the contours, and between them."""
-    level = rng.uniform(0.0, len(offset.heights) - 1.0, count)
+    heights, vertices = offset.rings[0].heights, offset.rings[0].vertices
+    level = rng.uniform(0.0, len(heights) - 1.0, count)
     k = level.astype(int)
     up = (level - k)[:, None]
     ray = rng.integers(0, RAYS, count)
     along = rng.random((count, 1))
-    vertices = offset.vertices
     below = vertices[k, ray] + along * (vertices[k, ray + 1] - vertices[k, ray])
     above = vertices[k + 1, ray] + along * (vertices[k + 1, ray + 1] - vertices[k + 1, ray])
-    z = offset.heights[k] + up[:, 0] * (offset.heights[k + 1] - offset.heights[k])
+    z = heights[k] + up[:, 0] * (heights[k + 1] - heights[k])
     return np.column_stack([below + up * (above - below), z])

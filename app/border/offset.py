@@ -10,36 +10,32 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.border import contours
+from app.border.contours import BLOCK, nearest_point
 from app.border.mobile import ConvexPart, MobileBody
-from app.border.rings import RAYS as RAYS
-from app.border.rings import Rings, Tables, trace_rings
-from app.border.union import BLOCK, nearest_of_union
+from app.border.rings import RAYS, Rings, trace_rings
 from app.robot.model import RobotModel
 
 Array = np.ndarray
 
 _TOUCHING = 2e-6  # [m] by which flush shapes still count as outside of each other
+_ALONE = 1.0  # [m] by which a shape counts as outside of others where there is none
 
 
 class OnContour(NamedTuple):
-    """A point of a contour.
+    """A point of a contour, in the base's frame.
 
     Attributes:
-        xy: (2,) [m] in the base's frame.
+        xy: (2,) [m].
         tangent: (2,) unit vector along the contour, with l_m on its left; turns continuously
             along it.
-        ray: [-] where along the contour, in rays, from 0 to `RAYS`; with several shapes that of the
-            k-th begins at k `RAYS`.
     """
 
     xy: Array
     tangent: Array
-    ray: float
 
 
 class Searched(NamedTuple):
-    """The first arguments of `app.border.union.nearest_of_union`, in their order."""
+    """The first arguments of `app.border.contours.nearest_point`, in their order."""
 
     firsts: Array
     heights: Array
@@ -51,8 +47,8 @@ class Searched(NamedTuple):
     spans: Array
 
 
-class Union(NamedTuple):
-    """The rings of several shapes as the kernel `app.border.union.nearest_of_union` takes them.
+class Contours(NamedTuple):
+    """The rings of all shapes as the kernel `app.border.contours.nearest_point` takes them.
 
     Attributes:
         firsts: (K + 1,) row of each shape's first ring, and the number of rows.
@@ -80,17 +76,14 @@ class OffsetContours:
     """The contours of the offset of l_m, a union of convex shapes, at each height.
 
     Each shape has a stack of rings around it, blended vertex by vertex between two heights. The
-    contours of one shape are its rings. Those of several are what of the rings lies outside of the
-    other shapes' offsets, which may be several islands, and holes.
+    contours are what of the rings lies outside of the other shapes' offsets: one closed curve of a
+    single shape, else maybe several islands, and holes.
 
     Attributes:
         d_b: [m] buffer distance.
-        rings: Of each shape that is not hidden in the others, at least one.
-        union: The rings of several shapes; None if there is one.
-        heights: (H,) [m] of the first shape's rings, ascending, from the floor to its top plus d_b.
-        vertices: (H, RAYS + 1, 2) [m] its rings in the base's frame, counter-clockwise, the first
-            vertex repeated.
-        tables: The same for the kernels.
+        rings: Of each shape that is not hidden in the others, the largest in plan first; none if
+            l_m has no offset above the floor.
+        table: The same for the search.
     """
 
     def __init__(self, model: RobotModel, d_b: float) -> None:
@@ -99,14 +92,8 @@ class OffsetContours:
         traced = [(part, trace_rings(part, d_b)) for part in MobileBody(model).parts]
         traced = _outermost([each for each in traced if len(each[1].heights)], d_b)
         self.rings: tuple[Rings, ...] = tuple(rings for _, rings, _ in traced)
-        self.union = None
-        if len(self.rings) > 1:
-            self.union = _union(self.rings, [shown for *_, shown in traced])
-        self._searched: Searched | None = None
-        if self.union is not None:
-            self._searched = self.union.searched(np.ones_like(self.union.shown))
-        first = self.rings[0] if self.rings else _NOTHING
-        self.tables, self.vertices, self.heights = first.tables, first.vertices, first.heights
+        self.table = _table(self.rings, [shown for *_, shown in traced])
+        self._searched = self.table.searched(np.ones_like(self.table.shown))
 
     @property
     def is_empty(self) -> bool:
@@ -118,40 +105,26 @@ class OffsetContours:
         ends = (min(max(z, float(r.heights[0])), float(r.heights[-1])) for r in self.rings)
         return min(ends, key=lambda end: abs(end - z))
 
-    def contours(self, z: float) -> list[Array]:
-        """(K, 2) [m] each, the polygons at a height z [m]: closed ones, or one piece a shape."""
-        if self.union is None:
-            ring = self.contour(z)
-            return [] if ring is None else [ring]
-        return self.pieces(z, np.ones_like(self.union.shown))
-
-    def pieces(self, z: float, reached: Array) -> list[Array]:
-        """(K, 2) [m] each, the pieces of several shapes' rings that are shown and reached.
+    def contours(self, z: float, reached: Array | None = None) -> list[Array]:
+        """(K, 2) [m] each, the polygons at a height: closed ones, or the open pieces of each ring.
 
         Args:
             z: [m] height.
-            reached: (N, RAYS + 1) negative where the arm never is, as the rows of `union`.
+            reached: (N, RAYS + 1) negative where the arm never is, as the rows of `table`; if it is
+                not given, the arm is everywhere.
         """
-        assert self.union is not None
         found: list[Array] = []
         for j, rings in enumerate(self.rings):
             if not rings.heights[0] <= z <= rings.heights[-1]:
                 continue
-            k, share = contours.place(rings.heights, z)
-            rows = int(self.union.firsts[j]) + np.array([k, min(k + 1, len(rings.heights) - 1)])
-            weights = np.array([1.0 - share, share])
-            open_ = np.minimum(weights @ self.union.shown[rows], weights @ reached[rows])
-            found += _pieces(weights @ self.union.vertices[rows], open_)
+            k = min(int(np.searchsorted(rings.heights, z, "right")) - 1, len(rings.heights) - 2)
+            share = (z - rings.heights[k]) / (rings.heights[k + 1] - rings.heights[k])
+            rows, weights = int(self.table.firsts[j]) + k + np.arange(2), (1.0 - share, share)
+            open_ = weights @ self.table.shown[rows]
+            if reached is not None:
+                open_ = np.minimum(open_, weights @ reached[rows])
+            found += _pieces(weights @ self.table.vertices[rows], open_)
         return found
-
-    def contour(self, z: float) -> Array | None:
-        """(RAYS + 1, 2) [m] the first shape's ring at a height z [m], None where it has none."""
-        if not self._has(z):
-            return None
-        k, share = contours.place(self.heights, z)
-        if share == 0.0:
-            return self.vertices[k]
-        return (1.0 - share) * self.vertices[k] + share * self.vertices[k + 1]
 
     def nearest(self, p_xy: Array, z: float) -> OnContour | None:
         """The point of the contours at a height that is nearest to p.
@@ -165,53 +138,16 @@ class OffsetContours:
         Returns:
             None where there is no contour at that height.
         """
-        if self.union is None:
-            if not self._has(z):
-                return None
-            x, y, t_x, t_y, ray = contours.nearest_point(*self.tables, p_xy[0], p_xy[1], z)
-            return OnContour(np.array([x, y]), np.array([t_x, t_y]), ray)
-        if self.within(z) != z:
+        if self.is_empty or self.within(z) != z:
             return None
-        assert self._searched is not None
-        _, ray, x, y, t_x, t_y = nearest_of_union(*self._searched, p_xy[0], p_xy[1], z)
-        return OnContour(np.array([x, y]), np.array([t_x, t_y]), ray)
-
-    def at(self, ray: float, z: float) -> OnContour | None:
-        """The contour's point at a place along it.
-
-        Args:
-            ray: [-] in rays; whole turns do not matter, unless there are several shapes.
-            z: [m] height above the floor.
-
-        Returns:
-            None where there is no contour at that height.
-        """
-        shape = 0 if self.union is None else min(int(ray // RAYS), len(self.rings) - 1)
-        tables = self.rings[shape].tables if self.rings else self.tables
-        if not len(tables.heights) or not tables.heights[0] <= z <= tables.heights[-1]:
-            return None
-        x, y, t_x, t_y = contours.point_at(*tables, ray, z)
-        return OnContour(np.array([x, y]), np.array([t_x, t_y]), ray % (len(self.rings) * RAYS))
-
-    def ray_of(self, points_xy: Array) -> Array:
-        """(N,) on which ray of the first shape's lowest ring points (N, 2) [m] lie."""
-        return ray_from(points_xy, self.rings[0].centres[0])
-
-    def _has(self, z: float) -> bool:
-        return len(self.heights) > 0 and self.heights[0] <= z <= self.heights[-1]
+        _, _, x, y, t_x, t_y = nearest_point(*self._searched, np.array([p_xy[0], p_xy[1], z]))
+        return OnContour(np.array([x, y]), np.array([t_x, t_y]))
 
 
 def ray_from(points_xy: Array, centre: Array) -> Array:
     """(N,) on which ray from a centre (2,) [m] points (N, 2) [m] lie, from 0 to `RAYS`."""
     out = points_xy - centre
     return np.arctan2(out[:, 1], out[:, 0]) % (2 * np.pi) * (RAYS / (2 * np.pi))
-
-
-_NOTHING = Rings(
-    np.empty((0, 2)),
-    np.empty((0, RAYS + 1, 2)),
-    Tables(np.empty(0), np.empty(0, bool), *np.empty((2, 0, RAYS + 1), complex)),
-)
 
 
 def _outermost(
@@ -236,23 +172,25 @@ def _shown(rings: Rings, others: list[ConvexPart], d_b: float) -> Array:
     points = np.concatenate(
         [rings.vertices, np.broadcast_to(rings.heights[:, None, None], (H, V, 1))], axis=2
     ).reshape(-1, 3)
-    least = np.full(len(points), np.inf)
+    least = np.full(len(points), d_b + _ALONE)
     for other in others:
         np.minimum(least, other.distances(points), out=least)
     return least.reshape(H, V) - d_b + _TOUCHING
 
 
-def _union(rings: tuple[Rings, ...], shown: list[Array]) -> Union:
-    vertices = np.concatenate([r.tables.vertices for r in rings])
+def _table(rings: tuple[Rings, ...], shown: list[Array]) -> Contours:
+    none = np.empty((0, RAYS + 1))
+    corners = np.concatenate([np.empty((0, RAYS + 1, 2)), *(r.vertices for r in rings)])
+    vertices = corners[..., 0] + 1j * corners[..., 1]
     blocks = np.arange(0, RAYS, BLOCK)[:, None] + np.arange(BLOCK + 1)
     middles = vertices[:, blocks[:, BLOCK // 2]]
-    return Union(
+    return Contours(
         np.cumsum([0, *(len(r.heights) for r in rings)]),
-        np.concatenate([r.heights for r in rings]),
+        np.concatenate([none[:, 0], *(r.heights for r in rings)]),
         vertices,
-        np.concatenate([r.tables.tangents for r in rings]),
-        np.concatenate(shown),
-        np.abs(vertices[:, blocks] - middles[:, :, None]).max(axis=2),
+        np.concatenate([none.astype(complex), *(r.tangents for r in rings)]),
+        np.concatenate([none, *shown]),
+        np.abs(vertices[:, blocks] - middles[:, :, None]).max(axis=2, initial=0.0),
     )
 
 

@@ -1,27 +1,98 @@
-"""Where the arm reaches the contours of several shapes, ring by ring."""
+"""Where the arm reaches the contours around l_m, ring by ring."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from app.border.dbb import Border
-from app.border.gaps import (
-    LEAST_POINTS,
-    NEAR_CONTOUR,
-    NEAR_HEIGHT,
-    Gap,
-    gaps_between,
-    without_leaps,
-)
-from app.border.offset import RAYS, OffsetContours, ray_from
+from app.border.offset import OffsetContours, ray_from
+from app.border.rings import RAYS
 
 Array = np.ndarray
 
+_NEAR_HEIGHT = 0.015
+"""[m] points that far above and below tell where a contour is reached."""
+_NEAR_CONTOUR = 0.05
+"""[m] from a contour; over the top, points of other heights lie inside of it."""
+_LEAST_POINTS = 20
+"""[-] fewer tell nothing."""
+_LEAST_GAP = 40.0
+"""[rays] narrower gaps are chance."""
+_MARGIN = 10.0
+"""[rays] by which a gap is kept narrower on either side: samples are not everywhere."""
 _INSIDE = 20.0  # [rays] beyond that far from a gap it does not matter how far
+STEEPEST_GAP = 1500.0
+"""[rays/m] by which either end of a gap may move from height to height."""
+
+
+class Gap(NamedTuple):
+    """A stretch of a closed contour that the arm never reaches, counted in its rays.
+
+    Attributes:
+        first: Where it begins.
+        last: Where it ends, more than `first` also where it goes beyond the last ray.
+    """
+
+    first: float
+    last: float
+
+
+def gaps_between(stretches: Iterable[tuple[float, float]]) -> list[Gap]:
+    """What stretches without points tell: the narrow ones nothing, the others a gap within each.
+
+    Args:
+        stretches: [rays] from the last point before each to the first one after it.
+    """
+    return [
+        Gap(before + _MARGIN, after - _MARGIN)
+        for before, after in stretches
+        if after - before >= _LEAST_GAP
+    ]
+
+
+def without_leaps(
+    contours: Sequence[list[Gap] | None], heights: Array, rays: int
+) -> list[list[Gap]]:
+    """Gaps narrowed until none leaps from height to height.
+
+    Else one would open within a single height where the border begins, and the foot race.
+
+    Args:
+        contours: (H,) the gaps of each; None where nothing is told. Between contours that tell
+            something such a one has the gaps of the next lower of them, else it has none.
+        heights: (H,) [m] ascending.
+        rays: Of a contour.
+    """
+    told = [k for k, gaps in enumerate(contours) if gaps is not None]
+    found: list[list[Gap]] = [[] for _ in contours]
+    for k in range(told[0], told[-1] + 1) if told else ():
+        known = contours[k]
+        found[k] = found[k - 1] if known is None else known
+    upward = [(k, k - 1) for k in range(1, len(found))]
+    for k, beside in upward + [(below, above) for above, below in reversed(upward)]:
+        further = STEEPEST_GAP * abs(float(heights[k] - heights[beside]))
+        found[k] = [_narrowed(gap, found[beside], further, rays) for gap in found[k]]
+    return found
+
+
+def _narrowed(gap: Gap, beside: Sequence[Gap], further: float, rays: int) -> Gap:
+    """A gap within the one that it overlaps most beside it, or about its middle if none does."""
+    middle, most = (gap.first + gap.last) / 2, 0.0
+    first = last = middle
+    for other in beside:
+        for turn in (-rays, 0, rays):
+            begin, end = other.first + turn, other.last + turn
+            overlap = min(gap.last, end) - max(gap.first, begin)
+            if overlap > most:
+                first, last, most = begin, end, overlap
+    return Gap(max(gap.first, first - further), min(gap.last, last + further))
 
 
 def find_reached(border: Border, offset: OffsetContours) -> Array:
-    """The parts of several shapes' rings near which the border has points.
+    """The parts of the rings near which the border has points.
 
     A gap is a stretch of a ring without points. What other shapes hide has none and belongs to it,
     but a stretch that is all hidden is no gap. From ring to ring an end moves by `STEEPEST_GAP` at
@@ -32,27 +103,26 @@ def find_reached(border: Border, offset: OffsetContours) -> Array:
         offset: The exact offset of l_m for the same d_b.
 
     Returns:
-        (N, RAYS + 1) [rays] from a gap's end, negative inside of it, as the rows of `Union`.
+        (N, RAYS + 1) [rays] from a gap's end, negative inside of it, as the rows of `Contours`.
         Blended between heights, a gap that is not there at the next one closes from its ends.
     """
-    assert offset.union is not None
     rows: list[Array] = []
-    shown = offset.union.shown[:, :-1] > 0.0
+    shown = offset.table.shown[:, :-1] > 0.0
     for rings in offset.rings:
         seen = zip(rings.heights, rings.centres, rings.vertices, strict=True)
         found = [_gaps(border, z, centre, ring) for z, centre, ring in seen]
         for gaps in without_leaps(found, rings.heights, RAYS):
             rows.append(_from_ends([gap for gap in gaps if _shows(gap, shown[len(rows)])]))
-    reached = np.array(rows)
+    reached = np.array(rows).reshape(-1, RAYS)
     return np.concatenate([reached, reached[:, :1]], axis=1)
 
 
 def _gaps(border: Border, z: float, centre: Array, ring: Array) -> list[Gap] | None:
     """The gaps of one ring, hidden ones too; None if too few points are near."""
-    points = border.same_height(float(z), NEAR_HEIGHT)[:, :2]
+    points = border.same_height(float(z), _NEAR_HEIGHT)[:, :2]
     cell = np.rint(ray_from(points, centre)).astype(int) % RAYS
-    cell = cell[np.linalg.norm(points - ring[cell], axis=1) < NEAR_CONTOUR]
-    if len(cell) < LEAST_POINTS:
+    cell = cell[np.linalg.norm(points - ring[cell], axis=1) < _NEAR_CONTOUR]
+    if len(cell) < _LEAST_POINTS:
         return None
     filled = np.unique(cell)
     return gaps_between(zip(filled, np.append(filled[1:], filled[0] + RAYS), strict=True))

@@ -19,39 +19,20 @@ _MAX_NEWTON = 30
 _HIGH_BOTTOM = 0.8  # [-] of d_b: from there on the arc under a bottom needs heights of its own
 
 
-class Tables(NamedTuple):
-    """The rings as the kernels of `app.border.contours` take them.
-
-    Attributes:
-        heights: (H,) [m], ascending.
-        same: (H - 1,) whether a ring equals the next one above.
-        vertices: (H, RAYS + 1) as x + iy [m].
-        tangents: (H, RAYS + 1) unit tangents at the vertices.
-    """
-
-    heights: Array
-    same: Array
-    vertices: Array
-    tangents: Array
-
-
 class Rings(NamedTuple):
     """Closed polygons around one convex shape, one a height, each vertex at the distance d_b.
 
     Attributes:
+        heights: (H,) [m], ascending.
         centres: (H, 2) [m] from which the rays of each height start, in the base's frame.
         vertices: (H, RAYS + 1, 2) [m] in the base's frame, counter-clockwise, the first repeated.
-        tables: The same for the kernels.
+        tangents: (H, RAYS + 1) unit tangents at the vertices, as x + iy.
     """
 
+    heights: Array
     centres: Array
     vertices: Array
-    tables: Tables
-
-    @property
-    def heights(self) -> Array:
-        """(H,) [m] of the polygons, ascending."""
-        return self.tables.heights
+    tangents: Array
 
 
 def trace_rings(part: ConvexPart, d_b: float) -> Rings:
@@ -72,11 +53,8 @@ def trace_rings(part: ConvexPart, d_b: float) -> Rings:
     ends = np.array([e for _, _, e in found if e is not None]).reshape(-1, RAYS)
     rings = centres[:, None] + ends[:, :, None] * _DIRECTIONS
     vertices = np.concatenate([rings, rings[:, :1]], axis=1)
-    corners = vertices[..., 0] + 1j * vertices[..., 1]
-    # Beside upright walls polygons repeat and need no blending.
-    same = (vertices[1:] == vertices[:-1]).all(axis=(1, 2))
-    tangents = _vertex_tangents(np.diff(corners, axis=1))
-    return Rings(centres, vertices, Tables(kept, same, corners, tangents))
+    tangents = _vertex_tangents(np.diff(vertices[..., 0] + 1j * vertices[..., 1], axis=1))
+    return Rings(kept, centres, vertices, tangents)
 
 
 _ANGLES = np.linspace(0.0, 2 * np.pi, RAYS, endpoint=False)
