@@ -14,7 +14,7 @@ from app.dashboard.memory import give_back
 from app.dashboard.robots.robot_switch import Progress, StageChange
 from app.errors import ConfigError, DbbError
 from app.jobs.background import Stopped, Tell, cores, run_apart
-from app.onboarding.read.contents import Contents, look_into
+from app.onboarding.read.package import Contents, look_into
 from app.onboarding.read.unpack import LARGEST_ARCHIVE
 from app.onboarding.request import Request
 from app.robot.assets import robot_names
