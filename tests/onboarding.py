@@ -13,7 +13,7 @@ import trimesh
 from app.border.reach.config import ReachConfig
 from app.border.sampling.config import SamplingConfig
 from app.onboarding import new_robot
-from app.onboarding.fit import reach, ready
+from app.onboarding.fit import postures, reach
 from app.robot import assets
 
 INERTIAL = (
@@ -142,7 +142,7 @@ def few_samples(cache: Path) -> Iterator[SamplingConfig]:
         patch.setattr(assets, "cache_folder", lambda: cache)
         patch.setattr(new_robot, "MEETING_SAMPLES", 1200)
         patch.setattr(new_robot, "PAIR_SAMPLES", 2000)
-        patch.setattr(ready, "_SAMPLES", 800)
+        patch.setattr(postures, "_SAMPLES", 800)
         coarse = ReachConfig(
             spacing_m=0.12,
             orientations=4,

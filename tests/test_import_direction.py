@@ -47,6 +47,7 @@ ONLY_IN = {
     "tyro": {"cli"},
     "distributed": {"studies"},
     "pyarrow": {"studies"},
+    "jinja2": {"studies"},
     "matplotlib": {"studies", "onboarding"},
     "mpl_toolkits": {"studies"},
 }

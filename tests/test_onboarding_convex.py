@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from app.onboarding.fit.bodies import swept
 from app.onboarding.fit.convex import (
     fit_best,
     fit_box,
@@ -16,7 +17,6 @@ from app.onboarding.fit.convex import (
     support,
     volume_of,
 )
-from app.onboarding.fit.swept_hull import swept
 from app.robot.meshes import shape_mesh
 from tests.robots import husky_panda
 

@@ -21,8 +21,7 @@ from app.dashboard.robot_switch import RobotSwitch
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.errors import ConfigError, LoopError, RobotFileError
 from app.jobs.process import Cancelled, run_in_process
-from app.onboarding.read.contents import look_into
-from app.onboarding.read.package import LARGEST_URDF
+from app.onboarding.read.package import LARGEST_URDF, look_into
 from app.onboarding.request import Request
 from tests.browser import wait_for
 from tests.dashboards import clouds, parts

@@ -16,7 +16,7 @@ from app.onboarding.fit.rigid_groups import units_of_links
 from app.onboarding.read.geometry import read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
-from app.onboarding.write.pictures import BODY_COLOURS, _fill, _placements, _seen, body_corners
+from app.onboarding.write.report import BODY_COLOURS, _fill, _placements, _seen, body_corners
 from app.robot.assets import load_robot, urdf_path
 from app.robot.model import RobotModel
 from app.studies.style import SOFT, new_figure, png_of, styled

@@ -212,7 +212,13 @@ def _figures(robot: NewRobot, data: BorderData) -> dict[str, Any]:
         "missed_collisions": robot.verdict.missed,
         "false_collisions": robot.verdict.false,
         "reachability": {
-            name: {"A_per_m2": r.A, "B_m": r.B, "C": r.C, "counted": r.counted is not None}
+            name: {
+                "A_per_m2": r.A,
+                "B_m": r.B,
+                "C": r.C,
+                "counted": r.counted is not None,
+                "r_squared": None if r.fit is None else r.fit.r_squared,
+            }
             for name, r in robot.reach.items()
         },
         "ready_position": robot.ready.q_m.tolist(),

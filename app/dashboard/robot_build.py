@@ -13,7 +13,7 @@ from app.dashboard.robot_switch import RobotSwitch
 from app.dashboard.work import build_robot
 from app.errors import ConfigError
 from app.jobs.process import Cancelled
-from app.onboarding.read.contents import Contents, look_into
+from app.onboarding.read.package import Contents, look_into
 from app.onboarding.read.unpack import LARGEST_ARCHIVE
 from app.onboarding.request import Request
 from app.robot.assets import robot_names

@@ -11,13 +11,11 @@ import numpy as np
 
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import Meetings, sample_meetings
-from app.onboarding.fit.grouping import Verdict, find_grouping
-from app.onboarding.fit.guiding_lines import Place, find_places
+from app.onboarding.fit.grouping import Grouping, Verdict, find_grouping
+from app.onboarding.fit.postures import RULE, Place, Ready, find_places, find_ready, judge_ready
 from app.onboarding.fit.reach import Reach, find_reach
-from app.onboarding.fit.ready import RULE, Ready, find_ready, judge_ready
 from app.onboarding.fit.rigid_groups import make_units
-from app.onboarding.read.drive_numbers import base_numbers
-from app.onboarding.read.drives import drive_fields
+from app.onboarding.read.drives import base_numbers, drive_fields
 from app.onboarding.read.limits import Limits, completed, damping
 from app.onboarding.read.parse import Parsed, parse
 from app.onboarding.request import Request
@@ -93,73 +91,76 @@ def make_robot(
     """
     tell("reading the URDF")
     parsed = parse(request)
-    arm = parsed.arm
-    header = f"Made by dbb new-robot from {request.told}; its sources and licences: SOURCES.md"
-    urdf = rebased_urdf(
-        parsed.tree,
-        arm,
-        parsed.wheels.T_base_floor,
-        parsed.geometry,
-        parsed.inertias,
-        name=request.name,
-        header=header,
-        home=folder,
-    )
+    urdf = _urdf_text(request, parsed, folder)
     path = folder / "robot.urdf"
     path.write_text(urdf, encoding="utf-8")
     bare = _compiled(_bare(request, parsed, parsed.limits), path)
-    parsed = replace(parsed, limits=completed(parsed.limits, arm, bare))
-    tell(f"looking at {MEETING_SAMPLES:,} random poses")
-    units = make_units(bare, arm, parsed.geometry)
-    meetings = sample_meetings(
-        bare, units, samples=MEETING_SAMPLES, seed=request.seed, d_b=request.d_b
-    )
-    tell("fitting bodies")
-    base = fit_base(units[0])
-    fitter = ArmFitter(bare, meetings)
-    grouping = find_grouping(bare, base, meetings, fitter, d_b=request.d_b, count=request.bodies)
+    parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
+    meetings, (bodies, verdict) = _find_bodies(request, parsed, bare, tell)
     content = _bare(request, parsed, parsed.limits)
-    content["bodies"] = [_body_content(body) for body in grouping.bodies]
+    content["bodies"] = [_body_content(body) for body in bodies]
     model = _compiled(content, path)
     pairs = find_link_pairs(model, samples=PAIR_SAMPLES, seed=request.seed)
     tell("choosing the ready pose")
-    ready = (
-        find_ready(model, pairs, d_b=request.d_b, seed=request.seed)
-        if request.ready is None
-        else judge_ready(model, pairs, np.array(request.ready), d_b=request.d_b)
-    )
+    ready = _ready(request, model, pairs)
     _fill(content, request, parsed, model, ready)
-    model = _compiled(content, path)
     tell("counting the reachability")
-    reach = find_reach(model, pairs, processes=processes)
+    reach = find_reach(_compiled(content, path), pairs, processes=processes)
     content["reachability"] = {name: each.content() for name, each in reach.items()}
-    model = _compiled(content, path)
     tell("looking for places to guide the hand")
-    places = find_places(model, pairs, request.d_b, on_progress=on_progress)
-    content["lines"] = {
-        name: {
-            "start_m": p.start,
-            "move_m": p.move,
-            "source": {"start_m": p.source, "move_m": p.source},
-        }
-        for name, p in places.items()
-    }
+    places = find_places(_compiled(content, path), pairs, request.d_b, on_progress=on_progress)
+    content["lines"] = {name: place.content() for name, place in places.items()}
+    model = _compiled(content, path)
     robot = NewRobot(
         request,
         parsed,
         urdf,
         content,
-        _compiled(content, path),
+        model,
         meetings,
-        grouping.bodies,
-        grouping.verdict,
+        bodies,
+        verdict,
         pairs,
         ready,
         reach,
         places,
-        [],
+        warnings=[],
     )
     return replace(robot, warnings=warnings_of(robot))
+
+
+def _urdf_text(request: Request, parsed: Parsed, folder: Path) -> str:
+    """The new URDF, whose meshes below the folder are named by their path in it."""
+    return rebased_urdf(
+        parsed.tree,
+        parsed.arm,
+        parsed.wheels.T_base_floor,
+        parsed.geometry,
+        parsed.inertias,
+        name=request.name,
+        header=f"Made by dbb new-robot from {request.told}; its sources and licences: SOURCES.md",
+        home=folder,
+    )
+
+
+def _ready(request: Request, model: RobotModel, pairs: LinkPairs) -> Ready:
+    """The ready pose that is given, or the best of random ones."""
+    if request.ready is None:
+        return find_ready(model, pairs, d_b=request.d_b, seed=request.seed)
+    return judge_ready(model, pairs, np.array(request.ready), d_b=request.d_b)
+
+
+def _find_bodies(
+    request: Request, parsed: Parsed, bare: RobotModel, tell: Callable[[str], None]
+) -> tuple[Meetings, Grouping]:
+    """Which links meet, and the bodies that are fitted around groups of them."""
+    tell(f"looking at {MEETING_SAMPLES:,} random poses")
+    units = make_units(bare, parsed.arm, parsed.geometry)
+    d_b = request.d_b
+    meetings = sample_meetings(bare, units, samples=MEETING_SAMPLES, seed=request.seed, d_b=d_b)
+    tell("fitting bodies")
+    base, fitter = fit_base(units[0]), ArmFitter(bare, meetings)
+    return meetings, find_grouping(bare, base, meetings, fitter, d_b=d_b, count=request.bodies)
 
 
 def _bare(request: Request, parsed: Parsed, limits: Limits) -> dict[str, Any]:

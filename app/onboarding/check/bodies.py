@@ -7,12 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.border.cache import BorderData
 from app.border.mobile import MobileBody
 from app.config import Config
 from app.onboarding.check.checks import Row
 from app.onboarding.fit.collision_sampling import (
-    ALWAYS,
     close_pairs,
     hull_distances,
     possible_poses,
@@ -30,7 +28,6 @@ Array = np.ndarray
 _OUT_OF_BASE = 0.01  # [m] by which a base's mesh may stick out of its body; a buffer has 0.1 m
 _POSES = 4000
 _MISSED = 0.01  # [-] share of collisions that the pairs of their bodies may not see
-_NEAR_POSES = 1000
 
 
 class _Seen(NamedTuple):
@@ -71,35 +68,6 @@ def arm_row(model: RobotModel) -> Row:
     }
     outcome = "passed" if not seen.missed else "warned" if share <= _MISSED else "failed"
     return Row("arm's bodies", outcome, text, numbers)
-
-
-def pairs_row(model: RobotModel, data: BorderData) -> Row:
-    """There are pairs, each body of L_m has a reachability, and none is near for good."""
-    pairs, d_b = data.pairs, Config().border.d_b
-    if not pairs.mobile:
-        return Row("pairs", "warned", "no part of the arm can meet the base", {})
-    missing = [p.b for p in pairs.mobile if p.b not in model.description.reachability]
-    reader = PairDistances(model, pairs.all)
-    q = model.configuration((0.0, 0.0, 0.0), model.q_lower)
-    distances = []
-    for q_m in sample_joints(model, _NEAR_POSES, np.random.default_rng(1)):
-        q[4:] = q_m
-        reader.update(q)
-        distances.append([reader.distance(i) for i in range(len(pairs.all))])
-    seen = np.array(distances)
-    free = (seen > 0.0).all(axis=1)
-    near = (seen[free] < d_b).mean(axis=0) if free.any() else np.ones(len(pairs.all))
-    names = [pair.name for pair in pairs.all]
-    numbers = {f"near_{name}": float(share) for name, share in zip(names, near, strict=True)}
-    if missing:
-        text = f"no reachability of {', '.join(missing)}, which can meet the base"
-        return Row("pairs", "failed", text, numbers)
-    always = [name for name, share in zip(names, near, strict=True) if share > ALWAYS]
-    if always:
-        text = f"{', '.join(always)}: inside the buffer in more than {ALWAYS:.0%} of free poses"
-        return Row("pairs", "warned", text, numbers)
-    text = f"{', '.join(names)}; inside the buffer in {near.max():.0%} of free poses at most"
-    return Row("pairs", "passed", text, numbers)
 
 
 def _geometry(model: RobotModel) -> dict:

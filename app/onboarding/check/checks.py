@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Literal, NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from app.errors import DbbError
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
+
+if TYPE_CHECKING:
+    from app.border.cache import BorderData
 
 Array = np.ndarray
 
@@ -49,19 +52,7 @@ def check_robot(
         tell: Called with what is being done.
         processes: How many to sample the border with; all cores if not given.
     """
-    # Imported here: the engines and scipy would make every command start later.
-    from app.border.cache import load_border_data
-    from app.onboarding.check.bodies import arm_row, base_row, pairs_row
-    from app.onboarding.check.border import border_row
-    from app.onboarding.check.dynamics import (
-        bullet_row,
-        engines_row,
-        limits_row,
-        mujoco_row,
-        ready_row,
-    )
-    from app.onboarding.check.holding import holding_row
-    from app.onboarding.check.run import run_row
+    from app.border.cache import load_border_data  # here: scipy makes every command start later
 
     tell("compiling")
     try:
@@ -69,37 +60,54 @@ def check_robot(
     except DbbError as error:
         yield Row("pinocchio", "failed", str(error), {})
         return
-    yield Row(
-        "pinocchio", "passed", f"loads: {model.n_m} joints, {len(model.body_names)} bodies", {}
-    )
-    for name, check in (
-        ("pybullet", bullet_row),
-        ("mujoco", mujoco_row),
-        ("engines", engines_row),
-        ("limits", limits_row),
-        ("base's body", base_row),
-        ("arm's bodies", arm_row),
-        ("hand held", holding_row),
-    ):
-        tell(name)
-        yield _done(name, check, model)
+    text = f"loads: {model.n_m} joints, {len(model.body_names)} bodies"
+    yield Row("pinocchio", "passed", text, {})
+    yield from _rows_of_model(model, tell)
     tell("sampling pairs and border")
     try:
         data = load_border_data(model, processes=processes)
     except DbbError as error:
         yield Row("border", "failed", str(error), {})
         return
+    yield from _rows_of_border(model, data, tell, ("guiding-lateral", "guiding-front")[: 2 * runs])
+
+
+def _rows_of_model(model: RobotModel, tell: Callable[[str], None]) -> Iterator[Row]:
+    """Checks of dynamics, limits and bodies."""
+    # Imported here: the engines would make every command start later.
+    from app.onboarding.check import bodies, dynamics
+    from app.onboarding.check.holding import holding_row
+
+    for name, check in (
+        ("pybullet", dynamics.bullet_row),
+        ("mujoco", dynamics.mujoco_row),
+        ("engines", dynamics.engines_row),
+        ("limits", dynamics.limits_row),
+        ("base's body", bodies.base_row),
+        ("arm's bodies", bodies.arm_row),
+        ("hand held", holding_row),
+    ):
+        tell(name)
+        yield _done(name, check, model)
+
+
+def _rows_of_border(
+    model: RobotModel, data: BorderData, tell: Callable[[str], None], scenarios: Sequence[str]
+) -> Iterator[Row]:
+    """Checks of what avoidance needs: pairs, ready pose, border, and runs of some scenarios."""
+    from app.onboarding.check.avoidance import border_row, pairs_row, run_row
+    from app.onboarding.check.dynamics import ready_row
+
     yield pairs_row(model, data)
     yield _done("ready pose", lambda m: ready_row(m, data), model)
     yield _done("border", lambda m: border_row(m, data), model)
-    if runs:
-        rows = []
-        for scenario in ("guiding-lateral", "guiding-front"):
-            tell(scenario)
-            rows.append(_done(scenario, lambda m, s=scenario: run_row(m, data, s), model))
-            yield rows[-1]
-        if all(row.outcome == "warned" for row in rows):
-            yield Row("guiding", "failed", "no guiding run could be done", {})
+    rows = []
+    for scenario in scenarios:
+        tell(scenario)
+        rows.append(_done(scenario, lambda m, s=scenario: run_row(m, data, s), model))
+        yield rows[-1]
+    if rows and all(row.outcome == "warned" for row in rows):
+        yield Row("guiding", "failed", "no guiding run could be done", {})
 
 
 def _done(name: str, check: Callable[[RobotModel], Row], model: RobotModel) -> Row:

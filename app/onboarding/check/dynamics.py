@@ -11,7 +11,7 @@ import pinocchio as pin
 from app.border.cache import BorderData
 from app.config import Config
 from app.onboarding.check.checks import Outcome, Row
-from app.onboarding.fit.ready import judge_ready
+from app.onboarding.fit.postures import judge_ready
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState

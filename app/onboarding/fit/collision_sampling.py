@@ -10,8 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.onboarding.fit.convex import directions
-from app.onboarding.fit.group_distances import group_distances
-from app.onboarding.fit.rigid_groups import Unit, add_hulls, neighbours
+from app.onboarding.fit.rigid_groups import Unit, add_hulls, group_distances, neighbours
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
 

@@ -17,7 +17,7 @@ import pinocchio as pin
 from app.errors import RobotFileError
 from app.onboarding.fit.bodies import ArmFitter, FittedBody
 from app.onboarding.fit.collision_sampling import ALWAYS, Meetings
-from app.onboarding.fit.group_distances import group_distances
+from app.onboarding.fit.rigid_groups import group_distances
 from app.robot.model import RobotModel
 
 Array = np.ndarray

@@ -90,7 +90,6 @@ class GraspSolver:
 
     def _judge(self, base_pose: Array, door: Door, angle: float, roll: float, q_m: Array) -> float:
         """What a posture at the handle is worth: the door's turns that it can follow, and room."""
-        self._search.stand(base_pose)
         room = self._room(_rolled(door.handle(angle), roll), q_m, _TOLERANCE, _BUFFER_MARGIN)
         if room > 0.0:
             room = self._room_ahead(base_pose, door, angle, roll, q_m, room)
