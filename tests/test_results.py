@@ -66,6 +66,9 @@ def test_a_caption_says_command_commit_and_machine(counting: Path) -> None:
     caption = results.caption("counting")
     assert "`make results ARGS=counting`, at commit abc1234, on " in caption
     assert results.machine() in caption
+    assert "not measured" not in caption
+    results.write("counting", {"a": results.read("counting")["a"]})
+    assert results.caption("counting").endswith(" Empty cells are not measured yet.*")
 
 
 def test_kept_numbers_have_six_digits_and_all_else_stays() -> None:

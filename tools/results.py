@@ -51,13 +51,15 @@ def figures(name: str) -> dict[str, Any]:
 
 def caption(name: str) -> str:
     """One sentence: by which command, at which commit, on which machine and when."""
-    rows = read(name).values()
-    if not rows:
+    found = read(name)
+    if not found:
         return f"*Not measured yet; `make results ARGS={name}` does it.*"
+    rows = found.values()
+    missing = " Empty cells are not measured yet." if set(SETS[name].runs) - set(found) else ""
     commits = ", ".join(sorted({row["commit"] for row in rows}))
     machines = "; ".join(sorted({row["machine"] for row in rows}))
     date = max(row["date"] for row in rows)
-    return f"*`make results ARGS={name}`, at commit {commits}, on {machines}, {date}.*"
+    return f"*`make results ARGS={name}`, at commit {commits}, on {machines}, {date}.{missing}*"
 
 
 def table(name: str) -> str:
