@@ -82,10 +82,9 @@ def write_replay(report: Report, log: Path, page: Path) -> None:
     duration = max(read.snapshots[-1].t - read.snapshots[0].t, 1e-9)
     model = RobotModel(load_robot(read.meta.robot))
     clouds = load_border_data(model, progress=False).clouds
-    text = replay_html(
-        read,
-        model,
-        clouds,
-        on_progress=lambda t: report("drawing the pictures", min(t / duration, 1.0)),
-    )
+
+    def on_progress(t: float) -> None:
+        report("drawing the pictures", min(t / duration, 1.0))
+
+    text = replay_html(read, model, clouds, on_progress=on_progress)
     page.write_text(text, encoding="utf-8")
