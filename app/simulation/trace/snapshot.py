@@ -410,7 +410,13 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def make_snapshot(
-    session: Session, step: Step, clock: Clock, *, paused: bool, **course: Any
+    session: Session,
+    step: Step,
+    clock: Clock,
+    *,
+    paused: bool,
+    explained: bool = True,
+    **course: Any,
 ) -> Snapshot:
     """The whole simulation at a control step; shares no memory with it, and is read-only.
 
@@ -419,17 +425,19 @@ def make_snapshot(
         step: The last one.
         clock: Says how real time goes.
         paused: Whether time stands still.
+        explained: Whether it says why the robot moved so, which no file keeps.
         course: What else is known, by the fields of `Snapshot`.
     """
     values = {name: q.take(session, step) for name, q in QUANTITIES.items() if q.take is not None}
     fields = {k: frozen(v) if isinstance(v, np.ndarray) else v for k, v in values.items()}
+    why = (session.controller, step.output, session.config, step.base_command)
     return Snapshot(
         **fields,
         step_time_us=clock.step_time_us,
         realtime_factor=clock.realtime_factor,
         overruns=clock.overruns,
         paused=paused,
-        explanation=explain(session.controller, step.output, session.config, step.base_command),
+        explanation=explain(*why) if explained else None,
         **course,
     )
 

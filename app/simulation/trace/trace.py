@@ -297,9 +297,9 @@ class Recorder:
         k = round(step.t / DT)
         if k % EVERY and k not in self._also:
             return
-        course = {}
+        course: dict[str, Any] = {"explained": not self._rows}  # pictures alone say why
         if self._scenario is not None:
-            course = {"scenario": self._scenario.name, "scenario_ends": self._scenario.duration}
+            course |= {"scenario": self._scenario.name, "scenario_ends": self._scenario.duration}
         self.snapshots.append(make_snapshot(session, step, NoClock(), paused=False, **course))
 
 
