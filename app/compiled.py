@@ -24,7 +24,8 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
     """Compile a function for the given types, when its module is imported for the first time.
 
     So a control loop never waits for a compiler, and an array of another dtype is refused. A kernel
-    may call kernels of its own module only: what is kept knows nothing of changes elsewhere.
+    may call kernels of its own module only: what numba keeps for it is compiled anew when its own
+    file changes, not when another one does (so still with numba 0.68).
 
     Args:
         signatures: As numba writes them, such as ``f8[:](f8[:,:], i8)``. Without any it is a part

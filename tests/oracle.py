@@ -124,10 +124,17 @@ def dot(a: complex, b: complex) -> float:
 
 
 class PlainField(ScoreField):
-    """Score and gradient each by its own formula."""
+    """(9), (10) and the gradient as they stand, R bent below 0.05 C."""
 
     def at_point(self, p: Array) -> tuple[float, Array]:
-        return float(self.score(p)), self.gradient(p)
+        out = p - self.p_base
+        rho, R_1 = float(np.linalg.norm(out)), 0.05 * self.C
+        R, slope = self.C - self.A * (rho - self.B) ** 2, 1.0
+        if R < R_1:
+            R, slope = R_1**2 / (2 * R_1 - R), (R_1 / (2 * R_1 - R)) ** 2
+        signed, by_point = self.base.singularity(p)
+        by_rho = -2 * self.A * (rho - self.B) * slope
+        return float(signed * R), signed * by_rho * out / rho + by_point * R
 
 
 class PlainQP(TaskQP):

@@ -39,8 +39,8 @@ def reachability(p: Array, p_base: Array, A: float, B: float, C: float) -> Array
     Returns:
         (…) [-], above zero.
     """
-    rho = np.linalg.norm(np.asarray(p) - p_base, axis=-1)
-    return _bend(C - A * (rho - B) ** 2, FLOOR * C)[0]
+    p = np.asarray(p, dtype=float)
+    return _reach_of(p.reshape(-1, 3), p_base, A, B, C).reshape(p.shape[:-1])
 
 
 def score(p: Array, base: BaseKind, p_base: Array, A: float, B: float, C: float) -> Array:
@@ -72,13 +72,9 @@ def score_gradient(p: Array, base: BaseKind, p_base: Array, A: float, B: float, 
         (…, 3) [unit of the score per metre].
     """
     p = np.asarray(p, dtype=float)
-    out = p - p_base
-    rho = np.linalg.norm(out, axis=-1)
-    R, slope = _bend(C - A * (rho - B) ** 2, FLOOR * C)
-    # At the mount itself the distance has no direction; out = 0 there makes the term vanish.
-    along = -2 * A * (rho - B) * slope / np.where(rho > 0, rho, 1.0)
     signed, by_point = base.singularity(p)
-    return (signed * along)[..., None] * out + by_point * R[..., None]
+    measures = np.column_stack([signed.ravel(), by_point.reshape(-1, 3)[:, :2]])
+    return _gradients(p.reshape(-1, 3), measures, p_base, A, B, C).reshape(p.shape)
 
 
 @compiled("f8[::1](f8[:])")
@@ -93,24 +89,54 @@ def uphill(gradient: Array) -> Array:
     return direction
 
 
+@compiled()
+def _reach(p: Array, p_base: Array, A: float, B: float, C: float) -> tuple[float, float, float]:
+    """ρ [m], R of (9) bent as in `reachability`, and dR/dρ [1/m] at one point (3,)."""
+    rho = math.sqrt((p[0] - p_base[0]) ** 2 + (p[1] - p_base[1]) ** 2 + (p[2] - p_base[2]) ** 2)
+    R, by_rho, R_1 = C - A * (rho - B) ** 2, -2 * A * (rho - B), FLOOR * C
+    if R < R_1:
+        low = R_1 / (2 * R_1 - R)
+        return rho, R_1 * low, by_rho * low**2
+    return rho, R, by_rho
+
+
 @compiled("Tuple((f8, f8[::1]))(f8[:], UniTuple(f8, 3), f8[:], f8, f8, f8)")
 def _score_at(
     p: Array, measure: tuple[float, float, float], p_base: Array, A: float, B: float, C: float
 ) -> tuple[float, Array]:
-    """`score` and `score_gradient` of one point (3,) together, from the base's measure there."""
+    """S of (10) and ∇S (3,) at one point (3,), from the base's measure and its derivatives there.
+
+    At the mount itself the distance has no direction: there R adds nothing to the gradient.
+    """
+    rho, R, by_rho = _reach(p, p_base, A, B, C)
+    signed, by_x, by_y = measure
     gradient = np.empty(3)
     gradient[:] = p[0] - p_base[0], p[1] - p_base[1], p[2] - p_base[2]
-    rho = math.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
-    R, slope = C - A * (rho - B) ** 2, 1.0
-    R_1 = FLOOR * C
-    if R < R_1:  # bent as in `reachability`
-        low = R_1 / (2 * R_1 - R)
-        R, slope = R_1 * low, low**2
-    signed, by_x, by_y = measure
-    gradient *= signed * (-2 * A * (rho - B) * slope / rho if rho > 0.0 else 0.0)
+    gradient *= signed * (by_rho / rho if rho > 0.0 else 0.0)
     gradient[0] += by_x * R
     gradient[1] += by_y * R
     return signed * R, gradient
+
+
+@compiled("f8[::1](f8[:,:], f8[:], f8, f8, f8)")
+def _reach_of(points: Array, p_base: Array, A: float, B: float, C: float) -> Array:
+    """(N,) R at points (N, 3)."""
+    found = np.empty(len(points))
+    for k in range(len(points)):
+        found[k] = _reach(points[k], p_base, A, B, C)[1]
+    return found
+
+
+@compiled("f8[:,::1](f8[:,:], f8[:,:], f8[:], f8, f8, f8)")
+def _gradients(
+    points: Array, measures: Array, p_base: Array, A: float, B: float, C: float
+) -> Array:
+    """(N, 3) ∇S at points (N, 3), from the base's measures and their derivatives (N, 3)."""
+    found = np.empty(points.shape)
+    for k in range(len(points)):
+        measure = (measures[k, 0], measures[k, 1], measures[k, 2])
+        found[k] = _score_at(points[k], measure, p_base, A, B, C)[1]
+    return found
 
 
 @dataclass(frozen=True)
@@ -167,9 +193,3 @@ class ScoreField:
     def direction(self, p: Array) -> Array:
         """(3,) ∇S/‖∇S‖ at a point (3,); on the wheels' axis its limit from both sides, e_x."""
         return uphill(self.gradient(p))
-
-
-def _bend(R: Array, R_1: float) -> tuple[Array, Array]:
-    """R bent at R_1 so that it stays above zero, and the derivative of the bent one by R."""
-    low = R_1 / (2 * R_1 - np.minimum(R, R_1))
-    return np.where(R >= R_1, R, R_1 * low), np.where(R >= R_1, 1.0, low**2)
