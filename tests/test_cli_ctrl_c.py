@@ -10,8 +10,8 @@ from contextlib import suppress
 import pytest
 
 from app.cli import main
-from app.cli.common import progress_bar
 from app.errors import LoopError
+from app.jobs.progress import progress_bar
 
 ENTRY = sys.modules["app.cli.main"]
 """The module; the package gives the function by the same name."""

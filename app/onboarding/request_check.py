@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from app.config import parameter
 from app.errors import ConfigError, UnknownNameError
 from app.onboarding.request import Request
 from app.robot.description import KINDS
-from app.strict import check_range
+from app.strict import MOST_SEEDS, check_range
 
 
 class Bounds(NamedTuple):
@@ -32,6 +33,7 @@ BOUNDS = {
     "bodies": Bounds(1, 8),
 }
 """By the field of `Request`."""
+_FARTHEST = 10.0  # [m] or [rad] of a place or a turn; more is a slip of the keys
 OF_KIND = {
     "half_track": "differential",
     "wheel_radius": "differential",
@@ -54,6 +56,12 @@ def check_request(request: Request) -> None:
         UnknownNameError: There is no such kind of base.
         ConfigError: Names the option and what would be right.
     """
+    known = parameter("border.d_b")
+    check_range("--buffer-distance", request.d_b, known.low, known.high, known.unit)
+    check_range("--seed", request.seed, 0, MOST_SEEDS)
+    for field in ("mount_xyz", "mount_rpy", "tip_xyz", "tip_rpy"):
+        for coordinate in getattr(request, field):
+            check_range(option(field), coordinate, -_FARTHEST, _FARTHEST)
     kind = request.kind
     if kind not in KINDS:
         raise UnknownNameError("kind of base", kind, KINDS)

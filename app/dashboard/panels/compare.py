@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import viser
 
-from app.control.controller import CONTROLLERS
+from app.control.names import CONTROLLERS
 from app.dashboard.drag import Sink
 from app.dashboard.notifications import Notices
 from app.dashboard.scene.colours import GHOSTS, css

@@ -7,7 +7,7 @@ import math
 import viser
 
 from app.control.buffer_watch import BufferReading, needed_text
-from app.control.controller import CONTROLLERS
+from app.control.names import CONTROLLERS
 from app.dashboard.drag import Sink
 from app.dashboard.notifications import Notices
 from app.dashboard.scene.colours import SERIES, css, distance_colour

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from typing import Any, get_args
 
 from app.config import Config
-from app.control.controller import CONTROLLERS
+from app.control.names import CONTROLLERS
 from app.errors import ConfigError, DbbError, TargetError, UnknownNameError
 from app.simulation.loop.commands import (
     Choose,

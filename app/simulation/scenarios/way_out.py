@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from app.avoidance.distances import ClosestPoints, DistanceMonitor
-from app.border.cache import BorderData
-from app.config import Config
 from app.errors import ConfigError, UnreachableError
-from app.robot.link_pairs import LinkPairs
-from app.robot.model import RobotModel
-from app.robot.state import RobotState, at_rest
 from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
 
 if TYPE_CHECKING:
+    from app.avoidance.distances import ClosestPoints
+    from app.border.cache import BorderData
+    from app.config import Config
+    from app.robot.link_pairs import LinkPairs
+    from app.robot.model import RobotModel
     from app.simulation.session import Session
 
 Array = np.ndarray
@@ -73,7 +72,9 @@ class TroubledStarts:
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         """Prepare for a robot and a buffer distance [m]."""
-        # Imported here: scipy would make every command start later.
+        # Imported here: they would make every command start later.
+        from app.avoidance.distances import DistanceMonitor
+        from app.robot.state import RobotState
         from app.simulation.scenarios.start import FloorDistance
 
         self._model, self._pairs, self._d_b = model, pairs, d_b
@@ -112,6 +113,8 @@ class TroubledStarts:
     def _search(
         self, wanted: Callable[[Sequence[ClosestPoints]], bool], rng: np.random.Generator
     ) -> Array | None:
+        from app.robot.state import at_rest
+
         model = self._model
         for _ in range(_TRIES):
             q_m = rng.uniform(model.q_lower, model.q_upper)
