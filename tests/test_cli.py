@@ -413,6 +413,29 @@ def test_no_help_gives_a_default_twice_or_none_as_one(dbb, command):
     assert not re.search(r"\(default: [^()]*\)\W*\(default", text)
 
 
+@pytest.mark.parametrize(
+    "args", [["run", "guiding-front", "--start", "1", "2"], ["serve", "--start", "1", "x", "3"]]
+)
+def test_a_wrong_type_is_refused_without_markup(dbb, args):
+    outcome = dbb(*args)
+    assert (outcome.status, outcome.out) == (2, "")
+    assert "--start" in outcome.err
+    assert "[bold]" not in outcome.err
+
+
+@pytest.mark.parametrize("args", [["--help"], ["run", "nope"], ["run", "tracking", "--help"]])
+def test_what_needs_no_robot_loads_none_of_the_libraries_of_one(args):
+    """Well below a second, whatever the machine: time goes into imports."""
+    code = (
+        "import sys\nfrom app.cli.main import main\n"
+        f"try:\n    main({args})\nexcept SystemExit:\n    pass\n"
+        "print('loaded:', *{'pinocchio', 'coal', 'numba', 'scipy', 'viser', 'rich', 'trimesh'}"
+        " & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1].strip() == "loaded:"
+
+
 def test_run_alone_lists_the_scenarios_a_line_each(dbb):
     outcome = dbb("run")
     assert (outcome.status, outcome.out) == (2, "")

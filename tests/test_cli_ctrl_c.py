@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 import pytest
@@ -89,3 +89,31 @@ def test_who_ignores_ctrl_c_is_not_interrupted(monkeypatch):
     monkeypatch.setattr(ENTRY, "_run", lambda _: interrupted())
     main(["run"])
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+def test_a_study_that_is_interrupted_says_what_is_kept_and_how_it_goes_on(
+    monkeypatch, capsys, tmp_path
+):
+    def ended_after_three(*_: object, on_progress: Callable[[float], None], **__: object) -> None:
+        on_progress(3)
+        interrupted()
+
+    monkeypatch.setattr("app.studies.pulls.study.study", ended_after_three)
+    with pytest.raises(SystemExit) as end:
+        main(["study", "--cases", "9", "--out", str(tmp_path)])
+    assert end.value.code == 130
+    told, last = capsys.readouterr().err.splitlines()
+    assert told.startswith(f"3 of 9 cases are kept in {tmp_path}; the same command goes on")
+    assert last == "dbb: interrupted"
+
+
+def test_off_a_terminal_progress_is_a_plain_line_now_and_then(monkeypatch, capsys):
+    clock = iter([0.0, 1.0, 30.0, 31.0, 60.0])
+    monkeypatch.setattr("app.jobs.progress.monotonic", lambda: next(clock))
+    with progress_bar("work", 4.0) as on_progress:
+        for done in range(1, 5):
+            on_progress(done)
+    assert capsys.readouterr().err == "work: 50% after 30 s\nwork: 100% after 60 s\n"
+    with progress_bar("work", 4.0, shown=False) as on_progress:
+        on_progress(1.0)
+    assert capsys.readouterr().err == ""

@@ -34,6 +34,7 @@ def interrupts_kept() -> Iterator[None]:
             raise KeyboardInterrupt from error
         raise
     finally:
+        _asked.clear()
         if ours:
             signal.signal(signal.SIGINT, before)
 
