@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
+
+import tyro
 
 from app.cli.common import print_json
 from app.cli.options import (
     NO_DEFAULT,
+    Flag,
     Json,
     Processes,
-    check_name,
+    Setup,
+    SetupOptions,
     check_processes,
-    check_seed,
     make_folder,
 )
 from app.cli.records import Given, from_record
-from app.control.names import CONTROLLERS
 from app.jobs.progress import progress_bar
-from app.simulation.plants.choice import chosen_plant
 from app.strict import check_range
 from app.studies.pulls.draw_range import StudyRange, make_range
 from app.studies.pulls.parameters import StudyParameters
@@ -31,7 +35,10 @@ def study(
     cases: int = 2000,
     *,
     ranges: Annotated[Given, from_record(StudyRange)],
-    what: Annotated[Given, from_record(StudyParameters, leave=("ranges",))],
+    setup: SetupOptions,
+    inside: Annotated[
+        Flag, tyro.conf.arg(help="Draw only cases inside of the stated envelope.")
+    ] = False,
     scheduler: Annotated[str | None, NO_DEFAULT] = None,
     processes: Processes = None,
     out: Path = Path("out/study"),
@@ -51,11 +58,8 @@ def study(
         out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
     """
     check_range("--cases", cases, 1, _MOST_CASES)
-    if "physics" in what:
-        what["physics"] = chosen_plant(what["physics"])
-    parameters = StudyParameters(**what, ranges=make_range(ranges))
-    check_name("controller", parameters.controller, CONTROLLERS)
-    check_seed(parameters.seed)
+    chosen = asdict(Setup(**setup))
+    parameters = StudyParameters(**chosen, inside=inside, ranges=make_range(ranges))
     side_by_side = check_processes(processes)
     # Imported here: it takes longer than to find a mistake in what was asked.
     from app.robot.assets import load_robot
@@ -64,33 +68,40 @@ def study(
     make_folder(out)
     from app.studies.pulls.study import study as run_study
 
-    kept = 0
-
-    def count(done: float) -> None:
-        nonlocal kept
-        kept = round(done)
-        on_progress(done)
-
-    try:
-        with progress_bar(f"{cases} cases", cases) as on_progress:
-            result = run_study(
-                parameters,
-                cases,
-                out,
-                scheduler=scheduler,
-                processes=side_by_side,
-                on_progress=count,
-            )
-    except KeyboardInterrupt:
-        print(
-            f"{kept} of {cases} cases are kept in {out}; the same command goes on with the others",
-            file=sys.stderr,
+    with _kept(cases, out) as on_progress:
+        result = run_study(
+            parameters,
+            cases,
+            out,
+            scheduler=scheduler,
+            processes=side_by_side,
+            on_progress=on_progress,
         )
-        raise
     if json:
         print_json(result)
     else:
         _print(result, out)
+
+
+@contextmanager
+def _kept(cases: int, out: Path) -> Iterator[Callable[[float], None]]:
+    """A progress bar that says, when it is interrupted, what is kept and how it goes on."""
+    kept = 0.0
+
+    def count(done: float) -> None:
+        nonlocal kept
+        kept = done
+        update(done)
+
+    try:
+        with progress_bar(f"{cases} cases", cases) as update:
+            yield count
+    except KeyboardInterrupt:
+        print(
+            f"{kept:g} of {cases} cases are kept in {out}; the same command goes on with the rest",
+            file=sys.stderr,
+        )
+        raise
 
 
 def _print_force(counts: dict[str, Any]) -> None:
