@@ -32,7 +32,7 @@ ROOMS = (
     "cli",
     "__main__",
 )
-"""In the order of the data's way; jobs and the rooms from robot on are packages, the others single modules."""
+"""In the order of the data's way; jobs and the rooms from robot on are packages, the others modules."""
 
 ONLY_IN = {
     "viser": {"dashboard"},
