@@ -32,7 +32,7 @@ ROOMS = (
     "cli",
     "__main__",
 )
-"""In the order of the data's way; jobs and the rooms from robot on are packages, the others modules."""
+"""In the order of the data's way: packages from robot on, and jobs; the others are modules."""
 
 ONLY_IN = {
     "viser": {"dashboard"},
