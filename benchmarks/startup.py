@@ -15,11 +15,13 @@ import sys
 import time
 import urllib.request
 
+import tyro
+
 from tests.browser import DashboardTab, chromium
 
 
 def main() -> None:
-    """Measure and print one JSON object."""
+    """Measure how soon the dashboard is there, and print one JSON object."""
     load = os.getloadavg()[0]
     with chromium() as browser:
         begin = time.perf_counter()
@@ -60,4 +62,4 @@ def _address(server: subprocess.Popen[str]) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    tyro.cli(main)

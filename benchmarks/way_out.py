@@ -10,8 +10,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from app.cli.common import load_robot_and_border, print_json, progress_bar
+from app.cli.common import load_robot_and_border, print_json
 from app.config import Config
+from app.jobs.progress import progress_bar
 from app.simulation.run import run_scenario
 from app.simulation.scenarios.way_out import WayOutScenario
 

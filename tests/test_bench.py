@@ -7,18 +7,18 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from app.bench import bench as bench_module
-from app.bench import paths as paths_module
-from app.bench.density import points_on
-from app.bench.floor import Floor
-from app.bench.rollouts import Rollouts, time_rollouts
-from app.bench.timing import time_stages, time_steps
 from app.border.cache import BorderData
 from app.border.mobile import MobileBody
 from app.border.offset import OffsetContours
 from app.config import Config
 from app.control.controller import Controller
 from app.robot.model import RobotModel
+from benchmarks.step import bench as bench_module
+from benchmarks.step import paths as paths_module
+from benchmarks.step.density import points_on
+from benchmarks.step.floor import Floor
+from benchmarks.step.rollouts import Rollouts, time_rollouts
+from benchmarks.step.timing import time_stages, time_steps
 
 pytestmark = pytest.mark.slow
 
@@ -88,7 +88,7 @@ def test_synthetic_points_lie_on_the_offset(robot: RobotModel) -> None:
 
 
 def test_rollouts_are_told_in_multiples_of_real_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("app.bench.rollouts._RUNS", ("guiding-front",))
+    monkeypatch.setattr("benchmarks.step.rollouts._RUNS", ("guiding-front",))
     begin = perf_counter()
     rollouts = time_rollouts("husky_panda", (1, 2), rounds=1, seconds=0.5)
     passed = perf_counter() - begin

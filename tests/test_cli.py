@@ -6,19 +6,22 @@ import json
 import logging
 import math
 import os
+import re
 import shutil
 import signal
 import socket
 import subprocess
 import sys
 import time
+from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from app.cli.main import main
+from app.cli.main import COMMANDS, main
+from app.cli.run import verdict
 from app.robot import assets
 from app.robot.state import Measurement, RobotState
 from app.simulation.scenarios.names import SCENARIOS
@@ -287,7 +290,7 @@ REFUSED = {
     ),
     "release of nobody": (
         ["run", "tracking", "--release-at", "1"],
-        ["--release-at", "nobody holds the hand"],
+        ["--release-at", "has none", "duration, move, start"],
     ),
     "release of no line": (["run", "way-out", "--release-at", "1"], ["--release-at", "has none"]),
     "seed": ([*QUICK, "--seed", "-1"], ["--seed", "-1"]),
@@ -379,8 +382,10 @@ def test_a_port_in_use_is_one_line(dbb):
 
 def test_help_names_every_command_and_the_unit_of_every_quantity(dbb):
     text = dbb("--help").out
-    assert not [c for c in ("serve", "run", "pairs", "border", "robots") if c not in text]
-    text = dbb("run", "--help").out
+    assert not [c for group in COMMANDS.values() for c in group if c not in text]
+    assert len(text.splitlines()) <= 24  # rows of a terminal
+    assert max(map(len, text.splitlines())) <= 80
+    text = dbb("run", "guiding-lateral", "--help").out
     for option, unit in {
         "--start X Y Z": "[m]",
         "--move X Y Z": "[m]",
@@ -388,7 +393,105 @@ def test_help_names_every_command_and_the_unit_of_every_quantity(dbb):
         "--buffer-distance FLOAT": "[m]",
     }.items():
         assert unit in text.partition(option)[2][:120]
-    assert not [name for name in SCENARIOS if name not in text]
+    assert "--door-width" not in text
+    assert "--door-width" in dbb("run", "refrigerator", "--help").out
+
+
+@pytest.mark.parametrize("command", ["run", "run guiding-front", "sweep", "study", "new-robot"])
+def test_no_help_gives_a_default_twice_or_none_as_one(dbb, command):
+    text = " ".join(dbb(*command.split(), "--help").out.replace("│", " ").split())
+    assert "(default: None)" not in text
+    assert not re.search(r"\(default: [^()]*\)\W*\(default", text)
+
+
+@pytest.mark.parametrize(
+    "args", [["run", "guiding-front", "--start", "1", "2"], ["serve", "--start", "1", "x", "3"]]
+)
+def test_a_wrong_type_is_refused_without_markup(dbb, args):
+    outcome = dbb(*args)
+    assert (outcome.status, outcome.out) == (2, "")
+    assert "--start" in outcome.err
+    assert "[bold]" not in outcome.err
+
+
+@pytest.mark.parametrize("args", [["--help"], ["run", "nope"], ["run", "tracking", "--help"]])
+def test_what_needs_no_robot_loads_none_of_the_libraries_of_one(args):
+    """Well below a second, whatever the machine: time goes into imports."""
+    code = (
+        "import sys\nfrom app.cli.main import main\n"
+        f"try:\n    main({args})\nexcept SystemExit:\n    pass\n"
+        "print('loaded:', *{'pinocchio', 'coal', 'numba', 'scipy', 'viser', 'rich', 'trimesh'}"
+        " & set(sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1].strip() == "loaded:"
+
+
+def test_run_alone_lists_the_scenarios_a_line_each(dbb):
+    outcome = dbb("run")
+    assert (outcome.status, outcome.out) == (2, "")
+    for name, scenario in SCENARIOS.items():
+        assert re.search(f"^ *{name} .*{scenario.about}$", outcome.err, re.M)
+
+
+def test_the_version_is_that_of_the_package(dbb):
+    assert dbb("--version").out == f"dbb {metadata.version('dbb-mobile-manipulator')}\n"
+
+
+def test_an_option_that_is_given_twice_is_refused_with_the_right_spelling(dbb):
+    args = ["screenshot", "guiding-front", "--out", "x.png"]
+    refused(dbb(*args, "--at", "0", "--at", "3", "--at", "6"), "3 times", "--at 0 3 6")
+    refused(dbb("sweep", "--height", "0.3", "0.4", "--height=0.5"), "--height 0.3 0.4 0.5")
+
+
+def test_options_before_the_scenario_and_former_spellings_go_on_working(dbb):
+    """--noise and --delay were those of `dbb study`; a disturbance has one name now."""
+    before = json.loads(dbb("run", *QUICK[2:], "--json", "--seed", "3", QUICK[1]).out)
+    assert (before["scenario"], before["seed"]) == ("guiding-lateral", 3)
+    refused(dbb(*QUICK, "--noise", "0.1"), "--encoder-noise: 0.1 rad")
+    refused(dbb("study", "--delay", "0", "9"), "--base-delay: 9 s")
+
+
+def test_a_run_says_first_how_it_went_and_last_what_it_wrote(dbb, tmp_path):
+    log = tmp_path / "run.csv"
+    first, *others = dbb(*QUICK, "--out", str(tmp_path), "--log", str(log)).out.splitlines()
+    assert re.fullmatch(
+        r"No contact; least distance \d+ mm \(\S+\); the hand ended .* mm off\.", first
+    )
+    written = [tmp_path / "log.csv", tmp_path / "metrics.json", log]
+    assert others[-3:] == [f"wrote {path}" for path in written]
+    assert all(path.is_file() for path in written)
+    assert not [line for line in others[:-3] if re.search(r"\de[+-]\d", line)]
+
+
+FIGURES_OF_A_RUN = {
+    "physics": "planar",
+    "contacts": 0,
+    "arm_contacts": 0,
+    "floor_contacts": 0,
+    "min_distance_m": {"lm-lEE": 0.05, "l1-l3": 0.2},
+    "ee_error_final_m": 0.0123,
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({}, "No contact; least distance 50 mm (lm-lEE); the hand ended 12.3 mm off."),
+        (
+            {"contacts": 7, "floor_contacts": 1},
+            "The arm touched the base and the floor; least distance 50 mm (lm-lEE)",
+        ),
+        (
+            {"min_distance_m": {"lm-lEE": -0.008}},
+            "No contact; bodies overlapped by 8.0 mm (lm-lEE); the hand ended 12.3 mm off. "
+            "Distances are between bodies that are fatter than the links",
+        ),
+        ({"min_distance_m": {}}, "No contact; the hand ended"),
+    ],
+)
+def test_the_verdict_names_contact_distance_and_the_hand(changes, text):
+    assert verdict(FIGURES_OF_A_RUN | changes).startswith(text)
 
 
 def command(*args: str, **options) -> subprocess.Popen[str]:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 
 import pytest
 
 from app.cli import main
-from app.cli.common import progress_bar
 from app.errors import LoopError
+from app.jobs.progress import progress_bar
 
 ENTRY = sys.modules["app.cli.main"]
 """The module; the package gives the function by the same name."""
@@ -73,7 +73,7 @@ def test_other_ending_signals_leave_by_every_finally(number, monkeypatch):
             tidied.append(True)
             raise ValueError("as compiled code makes of it") from None
 
-    monkeypatch.setattr("app.cli.signals._LONGEST", 3600.0)
+    monkeypatch.setattr("app.jobs.signals._LONGEST", 3600.0)
     monkeypatch.setattr(ENTRY, "_run", command)
     with pytest.raises(SystemExit) as end:
         main(["run"])
@@ -109,3 +109,31 @@ def test_who_ignores_ctrl_c_is_not_interrupted(monkeypatch):
     monkeypatch.setattr(ENTRY, "_run", lambda _: interrupted())
     main(["run"])
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+def test_a_study_that_is_interrupted_says_what_is_kept_and_how_it_goes_on(
+    monkeypatch, capsys, tmp_path
+):
+    def ended_after_three(*_: object, on_progress: Callable[[float], None], **__: object) -> None:
+        on_progress(3)
+        interrupted()
+
+    monkeypatch.setattr("app.studies.pulls.study.study", ended_after_three)
+    with pytest.raises(SystemExit) as end:
+        main(["study", "--cases", "9", "--out", str(tmp_path)])
+    assert end.value.code == 130
+    told, last = capsys.readouterr().err.splitlines()
+    assert told.startswith(f"3 of 9 cases are kept in {tmp_path}; the same command goes on")
+    assert last == "dbb: interrupted"
+
+
+def test_off_a_terminal_progress_is_a_plain_line_now_and_then(monkeypatch, capsys):
+    clock = iter([0.0, 1.0, 30.0, 31.0, 60.0])
+    monkeypatch.setattr("app.jobs.progress.monotonic", lambda: next(clock))
+    with progress_bar("work", 4.0) as on_progress:
+        for done in range(1, 5):
+            on_progress(done)
+    assert capsys.readouterr().err == "work: 50% after 30 s\nwork: 100% after 60 s\n"
+    with progress_bar("work", 4.0, shown=False) as on_progress:
+        on_progress(1.0)
+    assert capsys.readouterr().err == ""

@@ -26,7 +26,6 @@ ROOMS = (
     "avoidance",
     "control",
     "simulation",
-    "bench",
     "studies",
     "onboarding",
     "dashboard",

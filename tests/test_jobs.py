@@ -18,7 +18,7 @@ import os, sys, tempfile, threading, time
 from pathlib import Path
 from app.jobs.pool import Workers
 from app.jobs.process import run_in_process
-from app.cli.signals import ending_signals_raised
+from app.jobs.signals import ending_signals_raised
 
 def wait(made, job):
     os.write(1, b"started\n")

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Any
 
-import tyro
-
-from app.cli.common import console, load_robot_and_border, print_json
-from app.cli.options import Json, check_seed
+from app.cli.common import load_robot_and_border, print_json, say
+from app.cli.options import Flag, Json, check_seed
 from app.errors import ConfigError
 
 _FEWEST, _MOST = 1_000, 20_000_000
@@ -16,11 +14,11 @@ _FEWEST, _MOST = 1_000, 20_000_000
 def bench(
     robot: str = "husky_panda",
     points: tuple[int, ...] = (50_000, 500_000, 5_000_000),
-    no_border: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    no_border: Flag = False,
     seed: int = 0,
     json: Json = False,
 ) -> None:
-    """Time the control step along recorded hand paths, and all that is made for it.
+    """Time the control step along recorded hand paths, stage by stage.
 
     Times depend on the machine and on what else it does; ratios within one run count.
 
@@ -29,25 +27,20 @@ def bench(
         points: Points of the synthetic borders whose cost is compared.
         no_border: Leave out the sampling of a border from nothing, which takes half a minute.
         seed: Of the plant and of the synthetic borders.
-        json: Print one JSON object on standard output and nothing else there.
     """
     check_seed(seed)
     for count in points:
         if not _FEWEST <= count <= _MOST:
             raise ConfigError(f"--points: {count} is not between {_FEWEST} and {_MOST}")
-    # Imported here: the processes that it starts are of no use to other commands.
-    from app.bench.bench import bench as measure
-
+    try:
+        from benchmarks.step.bench import bench as measure
+    except ModuleNotFoundError:
+        raise ConfigError(
+            "dbb bench measures in a checkout of the project, which this is not: "
+            "clone the project, and call .venv/bin/dbb bench there after make run"
+        ) from None
     model, data = load_robot_and_border(robot)
-    with console.status("") as status:
-        result = measure(
-            model,
-            data,
-            seed=seed,
-            points=points,
-            border=not no_border,
-            on_stage=lambda text: status.update(f"{text} …"),
-        )
+    result = measure(model, data, seed=seed, points=points, border=not no_border, on_stage=say)
     if json:
         print_json(result)
         return

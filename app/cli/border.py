@@ -4,43 +4,44 @@ from __future__ import annotations
 
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
-
-from app.border.cache import BorderData, load_border_data
-from app.border.dbb import Border, construct_dbb
-from app.border.mobile import MobileBody
-from app.border.sampling.config import SamplingConfig
 from app.cli.common import load_model, print_json
-from app.cli.options import Json, check_parameter, check_seed, make_folder
-from app.config import Config
-from app.robot.model import RobotModel
+from app.cli.options import NO_DEFAULT, Json, check_seed, configured, make_folder, parameter_options
+from app.cli.records import Given
+
+if TYPE_CHECKING:
+    from app.border.cache import BorderData
+    from app.border.dbb import Border
+    from app.robot.model import RobotModel
+
+_PARAMETERS = {"buffer_distance": "border.d_b", "tolerance": "border.eps"}
 
 
 def border(
+    parameters: Annotated[Given, parameter_options(_PARAMETERS)],
     robot: str = "husky_panda",
-    buffer_distance: float = Config().border.d_b,
-    tolerance: float = Config().border.eps,
-    out: Path | None = None,
+    out: Annotated[Path | None, NO_DEFAULT] = None,
     seed: int = 0,
     json: Json = False,
 ) -> None:
-    """Build or load the sampled clouds P_i and select the border for a buffer distance (§2.2).
+    """Build or load the distance buffer border of each pair (§2.2).
 
     Args:
         robot: Name of the robot; `dbb robots` lists them.
-        buffer_distance: [m] d_b.
-        tolerance: [m] ε.
         out: Folder for one CSV of the border's points per pair (base frame, metres).
         seed: Seed of the sampling; another one is another cloud.
-        json: Print one JSON object on standard output and nothing else there.
     """
-    check_parameter("--buffer-distance", buffer_distance, "border.d_b")
-    check_parameter("--tolerance", tolerance, "border.eps")
+    config = configured(None, parameters, _PARAMETERS).border
     check_seed(seed)
     make_folder(out)
-    config = Config().replace("border.d_b", buffer_distance).replace("border.eps", tolerance).border
+    # Imported here: it takes longer than to find a mistake in what was asked.
+    import numpy as np
+
+    from app.border.cache import load_border_data
+    from app.border.dbb import construct_dbb
+    from app.border.sampling.config import SamplingConfig
+
     begin = perf_counter()
     model = load_model(robot)
     data = load_border_data(model, sampling=SamplingConfig(seed=seed))
@@ -79,6 +80,10 @@ def border(
 
 def _figures(model: RobotModel, data: BorderData, border: Border) -> dict[str, object]:
     """Figures of one border; its distances measured again, point by point, by the library."""
+    import numpy as np
+
+    from app.border.mobile import MobileBody
+
     cloud_points = len(data.clouds[border.pair])
     if not len(border):
         return {

@@ -4,30 +4,42 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+if TYPE_CHECKING:
+    from rich.table import Table
 
-from app.border.cache import BorderData, load_border_data
-from app.cli.signals import check_signals
-from app.robot.assets import load_robot
-from app.robot.model import RobotModel
+    from app.border.cache import BorderData
+    from app.robot.model import RobotModel
 
-console = Console(stderr=True)
-"""Progress and logs; standard output belongs to the results."""
+_NOTHING = 1e-6  # [any unit] less is what the computer's rounding leaves
 
 
 def load_model(robot: str) -> RobotModel:
     """The compiled model of a robot by its name."""
+    # Imported here: it takes longer than to find a mistake in what was asked.
+    from app.robot.assets import load_robot
+    from app.robot.model import RobotModel
+
     return RobotModel(load_robot(robot))
 
 
+def load_border_data(model: RobotModel) -> BorderData:
+    """The pairs and clouds of a robot, sampled if they are not in the cache."""
+    from app.border import cache
+
+    return cache.load_border_data(model)
+
+
 def load_robot_and_border(robot: str) -> tuple[RobotModel, BorderData]:
-    """A robot's model with its pairs and clouds, sampled if they are not in the cache."""
+    """A robot's model with its pairs and clouds."""
     model = load_model(robot)
     return model, load_border_data(model)
+
+
+def say(text: str) -> None:
+    """A line on standard error: standard output belongs to the results."""
+    print(f"… {text}", file=sys.stderr, flush=True)
 
 
 def print_json(result: object) -> None:
@@ -40,25 +52,23 @@ def as_json(result: object) -> str:
     return json.dumps(result, indent=2, allow_nan=False) + "\n"
 
 
-@contextmanager
-def progress_bar(text: str, total: float) -> Iterator[Callable[[float], None]]:
-    """A progress bar on standard error; gives the function that says how far it is.
+def rounded_text(value: object) -> str:
+    """A figure for people: three digits, and 0 for what is rounding."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {rounded_text(each)}" for name, each in value.items())
+    if isinstance(value, list):
+        return ", ".join(map(rounded_text, value))
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        few = float(f"{value:.3g}") if abs(value) < 100 else round(value)
+        text = f"{few:.6f}" if abs(few) >= _NOTHING else "0.0"
+        return text.rstrip("0").rstrip(".")
+    return "–" if value is None else str(value)
 
-    That function is where a signal is heard again if it was lost.
-    """
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
-    )
-    # Without a terminal a bar that vanishes would leave an empty line behind.
-    hidden = not console.is_terminal
-    with Progress(*columns, console=console, transient=True, disable=hidden) as progress:
-        task = progress.add_task(text, total=total)
 
-        def tell(done: float) -> None:
-            check_signals()
-            progress.update(task, completed=done)
+def print_table(table: Table) -> None:
+    """A table on standard output, as wide whatever the terminal is."""
+    from rich.console import Console
 
-        yield tell
+    Console(width=140, force_terminal=False, file=sys.stdout).print(table)

@@ -1,25 +1,20 @@
-"""`dbb compare-robots`: every robot through the same cases, as a table."""
+"""`dbb sweep robots`, formerly `dbb compare-robots`: every robot through the same cases."""
 
 from __future__ import annotations
 
-import sys
 from typing import Annotated, Any
 
 import tyro
-from rich.console import Console
-from rich.table import Table
 
-from app.cli.common import print_json, progress_bar
-from app.cli.options import Json, check_name, check_range, check_seed
-from app.robot.assets import robot_names
-
-_MOST_PROCESSES = 64
+from app.cli.common import print_json, print_table
+from app.cli.options import Json, Processes, check_name, check_processes, check_seed
+from app.jobs.progress import progress_bar
 
 
 def compare_robots(
     robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME …")] = (),
     case: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME …")] = (),
-    processes: int | None = None,
+    processes: Processes = None,
     seed: int = 0,
     json: Json = False,
 ) -> None:
@@ -30,40 +25,40 @@ def compare_robots(
     the buffer; a robot whose hand cannot come there has a row that says so.
 
     Args:
-        robots: Names of the robots (default: all); `dbb robots` lists them.
-        case: Some of guiding-lateral, guiding-front, tracking and wheel-axis (default: all).
-        processes: How many to work side by side (default: 2, or as many as there are cores).
+        robots: Names of the robots, all without any; `dbb robots` lists them.
+        case: Some of guiding-lateral, guiding-front, tracking and wheel-axis; all without any.
         seed: Seed of everything random.
-        json: Print one JSON object on standard output and nothing else there.
     """
     # Imported here: pybullet and scipy would make every other command start later.
-    from app.studies.paper.experiments import default_processes
+    from app.robot.assets import robot_names
     from app.studies.sweep.robot_cases import CASES
-    from app.studies.sweep.robot_table import robot_table
 
     for name in robots:
         check_name("robot", name, robot_names())
     known = {each.name: each for each in CASES}
     for name in case:
         check_name("case", name, known)
-    if processes is not None:
-        check_range("--processes", processes, 1, _MOST_PROCESSES)
     check_seed(seed)
+    side_by_side = check_processes(processes)
+    from app.studies.sweep.robot_table import robot_table
+
     with progress_bar("robots", 1.0) as on_progress:
         result = robot_table(
             robots or robot_names(),
             cases=[known[name] for name in case] or CASES,
             seed=seed,
-            processes=processes or default_processes(),
+            processes=side_by_side,
             on_progress=on_progress,
         )
     if json:
         print_json(result)
     else:
-        sys.stdout.write(_text(result["rows"]))
+        _print(result["rows"])
 
 
-def _text(rows: list[dict[str, Any]]) -> str:
+def _print(rows: list[dict[str, Any]]) -> None:
+    from rich.table import Table
+
     table = Table(
         "robot", "case", "from", "controller", "clearance", "hand off", "base drove", "contacts", ""
     )
@@ -84,7 +79,4 @@ def _text(rows: list[dict[str, Any]]) -> str:
             str(row["contacts"]),
             "✓" if row["passed"] else "✗",
         )
-    wide = Console(width=140, force_terminal=False)
-    with wide.capture() as captured:
-        wide.print(table)
-    return captured.get()
+    print_table(table)

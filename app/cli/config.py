@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from app.cli.common import print_json
-from app.cli.options import Json, configured
+from app.cli.options import NO_DEFAULT, ConfigOption, Json, configured
 from app.config import Config, sections
 from app.config_file import save_config
 from app.errors import OutputError
 from app.parameters import Tunable
 
 
-def config(config: Path | None = None, out: Path | None = None, json: Json = False) -> None:
-    """Print all parameters with units, ranges and meaning, as a file that `--config` takes.
+def config(
+    config: ConfigOption = None, out: Annotated[Path | None, NO_DEFAULT] = None, json: Json = False
+) -> None:
+    """Print all parameters as a file that --config takes.
+
+    Each with its unit, range and meaning.
 
     Args:
-        config: File of parameters to begin with, some or all (default: the defaults).
         out: File to write instead of printing; one that exists is not written over.
-        json: Print one JSON object on standard output and nothing else there.
     """
     tuned = configured(config)
     if out is not None:

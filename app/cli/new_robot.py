@@ -6,138 +6,78 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
-import tyro
-
-from app.cli.common import console, print_json
-from app.cli.options import Json, PointOption, check_parameter, check_point, check_seed
-from app.config import Config
-from app.robot.assets import ASSETS, robot_names, user_robots
-from app.robot.description import KINDS
+from app.cli.common import print_json, rounded_text, say
+from app.cli.options import Json
+from app.cli.records import Given, from_record
+from app.onboarding.request import Request
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.onboarding.new_robot import NewRobot
 
+_NAMES = {"d_b": "buffer_distance"}
+
 
 def new_robot(
-    urdf: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="URDF")],
-    *,
-    base: str,
-    tip: str,
-    out: Path,
-    file: str | None = None,
-    package: tuple[str, ...] = (),
-    wheels: Annotated[tuple[str, str] | None, tyro.conf.arg(metavar="LEFT RIGHT")] = None,
-    arm_urdf: str | None = None,
-    mount_xyz: PointOption = None,
-    mount_rpy: PointOption = None,
-    mount: str | None = None,
-    tip_xyz: PointOption = None,
-    tip_rpy: PointOption = None,
-    half_track: float | None = None,
-    wheel_radius: float | None = None,
-    kind: Annotated[str, tyro.conf.arg(metavar="{" + ",".join(KINDS) + "}")] = "differential",
-    wheelbase: float | None = None,
-    steering_limit: float | None = None,
-    steering_rate: float | None = None,
-    ready: Annotated[tuple[float, ...] | None, tyro.conf.arg(metavar="Q1 Q2 …")] = None,
-    bodies: int | None = None,
-    assume_inertia: bool = False,
-    title: str | None = None,
-    licence: str | None = None,
-    buffer_distance: float = Config().border.d_b,
-    seed: int = 0,
+    request: Annotated[
+        Given, from_record(Request, leave=("source",), names=_NAMES, positional="urdf")
+    ],
     json: Json = False,
 ) -> None:
-    """Make a robot's description from its URDF or xacro, build its border and report on it.
+    """Make a robot's description and border from its URDF or xacro.
 
     Finds the wheels, groups the arm's links into bodies, fits convex shapes to them, samples the
     pairs, chooses a ready pose, counts the reachability, and writes each number with its source.
     Nothing is written unless all of it is.
-
-    Args:
-        urdf: The file, package://PACKAGE/PATH for one of an installed package, or a zip with a URDF
-            and its meshes, of which nothing is executed.
-        base: Link that moves with the base, z up.
-        tip: Link that carries the end-effector.
-        out: Folder of the new description, such as robot_assets/NAME; its name is the robot's.
-        file: Path of the URDF in a zip that holds several.
-        package: Folders of ROS packages, NAME=FOLDER each, before those that are found: folders of
-            that name from the URDF upwards, in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, or installed.
-        wheels: Joints (or links) of a left and a right driven wheel (default: found).
-        arm_urdf: Another URDF with the arm, to be fixed to --base; --tip is in it then.
-        mount_xyz: [m] where the root of --arm-urdf stands in --base (default: 0 0 0).
-        mount_rpy: [rad] how it is turned there (default: 0 0 0).
-        mount: Link at whose origin the arm stands (default: the one that carries its first joint).
-        tip_xyz: [m] the end-effector's origin in --tip (default: 0 0 0).
-        tip_rpy: [rad] how it is turned there; its z points out of the hand (default: 0 0 0).
-        half_track: [m] effective half track of the base (default: measured between the wheels).
-        wheel_radius: [m] of a base whose URDF has no wheels; needs --half-track too.
-        kind: Of the base. A holonomic one needs no wheels; --wheels of a car-like one are the rear
-            ones.
-        wheelbase: [m] of a car-like base (default: measured to its steered wheels).
-        steering_limit: [rad] of its steering to either side (default: the URDF's).
-        steering_rate: [rad/s] how fast it steers (default: the URDF's, or 1.5).
-        ready: [rad or m] the ready pose, one number a joint (default: chosen among random poses).
-        bodies: How many bodies the arm gets (default: four, others where four do not do).
-        assume_inertia: Take masses from volumes where the arm's URDF states none at all.
-        title: What people read (default: the name).
-        licence: Licences of the files that the URDF refers to.
-        buffer_distance: [m] d_b that the bodies and the ready pose have to suit.
-        seed: Of all random poses.
-        json: Print one JSON object on standard output and nothing else there.
     """
+    asked = Request(**request)
     # Imported here: matplotlib, scipy and trimesh would make every other command start later.
-    from app.onboarding.request import Request, check_request
+    from app.onboarding.request import check_request
+
+    check_request(asked)
     from app.onboarding.write.make import finish
 
-    check_seed(seed)
-    check_parameter("--buffer-distance", buffer_distance, "border.d_b")
-    for option, point in (
-        ("--mount-xyz", mount_xyz),
-        ("--mount-rpy", mount_rpy),
-        ("--tip-xyz", tip_xyz),
-        ("--tip-rpy", tip_rpy),
-    ):
-        check_point(option, point)
-    zero = (0.0, 0.0, 0.0)
-    request = Request(
-        urdf,
-        base,
-        tip,
-        out,
-        wheels=wheels,
-        arm_urdf=arm_urdf,
-        mount_xyz=mount_xyz or zero,
-        mount_rpy=mount_rpy or zero,
-        mount=mount,
-        tip_xyz=tip_xyz or zero,
-        tip_rpy=tip_rpy or zero,
-        half_track=half_track,
-        wheel_radius=wheel_radius,
-        kind=kind,
-        wheelbase=wheelbase,
-        steering_limit=steering_limit,
-        steering_rate=steering_rate,
-        ready=ready,
-        bodies=bodies,
-        assume_inertia=assume_inertia,
-        title=title,
-        licence=licence,
-        seed=seed,
-        d_b=buffer_distance,
-        file=file,
-        package=package,
-    )
-    check_request(request)
     begin = perf_counter()
     steps = _Steps()
-    robot, data = finish(request, tell=steps.say, on_progress=steps.share, progress=False)
+    robot, data = finish(asked, tell=steps.say, on_progress=steps.share, progress=False)
     result = _figures(robot, data) | {"elapsed_s": perf_counter() - begin}
     if json:
         print_json(result)
-        return
-    print("\n".join(_lines(robot, data)))
+    else:
+        _print(result)
+
+
+def _print(made: dict[str, Any]) -> None:
+    """What was made, and what to do with it."""
+    from app.robot.assets import robot_folder
+
+    name, folder = made["robot"], made["folder"]
+    print(f"{name}: {folder}/robot.toml and {folder}/report.html, in {made['elapsed_s']:.0f} s")
+    geometry = (f"{key} {rounded_text(made[key])}" for key in _GEOMETRY if key in made)
+    base = ", ".join([f"{made['base']}, {made['mass_kg']:.4g} kg", *geometry])
+    bodies = (f"{body} ({', '.join(each['links'])})" for body, each in made["bodies"].items())
+    rates = made["collision_rate"]
+    pairs = ", ".join(f"{pair} ({rates[pair]:.1%} of all poses)" for pair in made["pairs"])
+    reach = (
+        f"{body} A {each['A_per_m2']:.4g} /m², B {each['B_m']:.3g} m, C {each['C']:.3g}"
+        + ("" if each.get("r_squared") is None else f" (R² {each['r_squared']:.2f})")
+        for body, each in made["reachability"].items()
+    )
+    for title, text in (
+        ("base", base),
+        ("arm", f"{made['arm_joints']} joints; {', '.join(bodies)}"),
+        ("can collide", pairs or "nothing"),
+        ("reachability", "; ".join(reach)),
+    ):
+        print(f"  {title:13} {text}")
+    for warning in made["warnings"]:
+        print(f"  warning: {warning}")
+    print("next:")
+    if robot_folder(name).resolve() != Path(folder).resolve():
+        print(f"  export DBB_ROBOTS={Path(folder).resolve().parent}   so that dbb finds it")
+    print(f"  open {folder}/report.html, and look whether the bodies hold the links")
+    print(f"  dbb check-robot {name}")
+    print(f"  dbb serve --robot {name}")
 
 
 class _Steps:
@@ -149,39 +89,13 @@ class _Steps:
     def say(self, text: str) -> None:
         """A new step."""
         self._text, self._last = text, perf_counter()
-        console.print(f"… {text}")
+        say(text)
 
     def share(self, share: float) -> None:
         """Which share of the step is done, 0 to 1."""
         if perf_counter() - self._last > _EVERY:
             self._last = perf_counter()
-            console.print(f"… {self._text}: {share:.0%}")
-
-
-def _lines(robot: NewRobot, data: BorderData) -> list[str]:
-    """What people read of the new robot, and what they may do next."""
-    folder, name = robot.request.out, robot.request.name
-    lines = [f"{name}: {folder}/robot.toml, robot.urdf, report.html"]
-    for body in robot.bodies:
-        over = max(fit.over_cover for fit in body.fits)
-        shapes = ", ".join(fit.shape.type for fit in body.fits)
-        lines.append(
-            f"  body {body.name}: {shapes} around {', '.join(body.links)}; {over:.2f} times the "
-            "volume of what it holds"
-        )
-    lines.append(f"  pairs: {', '.join(pair.name for pair in data.pairs.all) or 'none'}")
-    for body, reach in robot.reach.items():
-        how = "assumed" if reach.fit is None else f"counted, R² {reach.fit.r_squared:.2f}"
-        lines.append(
-            f"  reachability of {body}: A = {reach.A:.1f} 1/m², B = {reach.B:.3f} m, "
-            f"C = {reach.C:.1f}; {how}"
-        )
-    for line, place in robot.places.items():
-        start, move = (", ".join(f"{x:g}" for x in p) for p in (place.start, place.move))
-        lines.append(f"  {line}: from ({start}) m by ({move}) m")
-    lines += [f"  warning: {warning}" for warning in robot.warnings]
-    known = "" if name in robot_names() else f"; it has to lie in {ASSETS} or {user_robots()}"
-    return [*lines, f"  next: dbb check-robot {name}, then dbb serve --robot {name}{known}"]
+            say(f"{self._text}: {share:.0%}")
 
 
 _EVERY = 5.0  # [s] between two lines of one step

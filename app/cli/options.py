@@ -1,27 +1,138 @@
-"""Kinds of options that the subcommands share, and checks that name the option."""
+"""Options that several commands have, and checks that name the option."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
-from app.config import Config, parameter
+from app.cli.records import Field, Given, from_fields, from_record
+from app.config import Config, DisturbanceConfig, tunable
 from app.config_file import read_config
+from app.control.names import CONTROLLERS
 from app.errors import ConfigError, OutputError, UnknownNameError
-from app.strict import check_range
+from app.parameters import Parameter
+from app.simulation.plants.choice import chosen_plant, default_plant
+from app.strict import MOST_SEEDS, check_range
 
-Point = tuple[float, float, float]
-PointOption = Annotated[Point | None, tyro.conf.arg(metavar="X Y Z")]
-PlaceOption = Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="X Y")]
-PoseOption = Annotated[Point | None, tyro.conf.arg(metavar="X Y YAW")]
-Json = Annotated[bool, tyro.conf.FlagCreatePairsOff, tyro.conf.arg(name="json")]
-"""Print one JSON object on standard output and nothing else there."""
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+"""Given or not."""
+Json = Annotated[
+    Flag,
+    tyro.conf.arg(name="json", help="Print one JSON object, nothing else.", help_behavior_hint=""),
+]
+ConfigOption = Annotated[
+    Path | None,
+    tyro.conf.arg(
+        help="File of parameters, TOML, as `dbb config` or the dashboard writes it; what is not in "
+        "it is at its default, and other options come before it.",
+        help_behavior_hint="",
+    ),
+]
+Processes = Annotated[
+    int | None,
+    tyro.conf.arg(
+        help="How many to do side by side.",
+        help_behavior_hint="(default: 2, or as many as there are cores)",
+    ),
+]
+
+NO_DEFAULT = tyro.conf.arg(help_behavior_hint="")
+"""Of an option whose default is None, as its help says."""
+
+FORMERLY = {
+    "--delay": "--base-delay",
+    "--noise": "--encoder-noise",
+    "--base-speed": "--v-max",
+    "--strength": "--hand-f-max",
+}
+"""Former spellings of options, which go on working."""
+DISTURBANCES = {name: f"disturbance.{name}" for name in DisturbanceConfig.model_fields}
+PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTURBANCES}
+"""Options that set one parameter, by its path."""
 
 _FARTHEST = 10.0  # [m] from the origin; a longer way is a slip of the keys
-_MOST_SEEDS = 2**32 - 1  # [-] what every generator takes
+_MOST_PROCESSES = 64
+_USUAL_PROCESSES = 2  # more are possible, but each needs 0.5 GB
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What runs."""
+
+    robot: str = "husky_panda"
+    """Name of the robot; `dbb robots` lists them."""
+    controller: str = "dbb"
+    """dbb, one it is compared with (repulsive, barrier), or none: the stack without avoidance."""
+    physics: str = field(default_factory=default_plant)
+    """planar (pybullet, base on velocity motors), mujoco (the same in MuJoCo), mujoco-contact
+    (MuJoCo, base on its own wheels) or kinematic (a stand-in without physics)."""
+    seed: int = 0
+    """Seed of everything random."""
+
+    def __post_init__(self) -> None:
+        """Refuse names that do not exist, before anything is loaded.
+
+        Raises:
+            UnknownNameError: Lists those that exist.
+            ConfigError: A seed that no generator takes.
+        """
+        check_name("controller", self.controller, CONTROLLERS)
+        object.__setattr__(self, "physics", chosen_plant(self.physics))
+        check_seed(self.seed)
+
+
+def parameter_options(paths: Mapping[str, str]) -> Any:
+    """What `Annotated[Given, …]` needs for options that set a parameter each, by their names."""
+    found = {}
+    for name, path in paths.items():
+        about = tunable(path)
+        if isinstance(about, Parameter):
+            found[name] = Field(float, about.default, f"[{about.unit}] {about.help}")
+        else:
+            found[name] = Field(str, about.default, f"{about.help.rstrip('.')}: {about.allowed}")
+    return from_fields(found)
+
+
+SetupOptions = Annotated[Given, from_record(Setup)]
+ParameterOptions = Annotated[Given, parameter_options(PARAMETERS)]
+
+
+def configured(
+    file: Path | None, given: Given | None = None, paths: Mapping[str, str] = PARAMETERS
+) -> Config:
+    """The parameters of the file of `--config`, or the defaults; then those of the options.
+
+    Raises:
+        ConfigError: It cannot be read, names what is no parameter, or something is out of range.
+    """
+    try:
+        config = Config() if file is None else read_config(file).config
+    except ConfigError as error:
+        raise ConfigError(f"--config: {error}") from None
+    return changed(config, given or {}, paths)
+
+
+def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS) -> Config:
+    """A configuration with the parameters of some options.
+
+    Raises:
+        ConfigError: Names the option that is out of its range, and the range.
+        UnknownNameError: A word that is none of the choices.
+    """
+    for name, value in given.items():
+        about = tunable(paths[name])
+        if isinstance(about, Parameter):
+            option = f"--{name.replace('_', '-')}"
+            check_range(option, value, about.low, about.high, about.unit.removeprefix("-"))
+        else:
+            check_name(name, value, about.choices)
+        config = config.replace(paths[name], value)
+    return config
 
 
 def check_name(kind: str, name: str, choices: Iterable[str]) -> None:
@@ -32,44 +143,6 @@ def check_name(kind: str, name: str, choices: Iterable[str]) -> None:
     """
     if name not in (existing := tuple(choices)):
         raise UnknownNameError(kind, name, existing)
-
-
-def check_parameter(option: str, value: float, path: str) -> None:
-    """Refuse a value that the parameter of that path would refuse, in the option's own name.
-
-    Raises:
-        ConfigError: Names the option and its range.
-    """
-    known = parameter(path)
-    check_range(option, value, known.low, known.high, known.unit.removeprefix("-"))
-
-
-def configured(file: Path | None) -> Config:
-    """The parameters of the file of `--config`, or the defaults.
-
-    Raises:
-        ConfigError: It cannot be read, or names what is no parameter or out of its range.
-    """
-    if file is None:
-        return Config()
-    try:
-        return read_config(file).config
-    except ConfigError as error:
-        raise ConfigError(f"--config: {error}") from None
-
-
-def disturbed(config: Config, **given: float | None) -> Config:
-    """The configuration with the disturbances of the options of the same names; None keeps what is.
-
-    Raises:
-        ConfigError: Names the option that is out of its range, and the range.
-    """
-    for name, value in given.items():
-        if value is not None:
-            path = f"disturbance.{name}"
-            check_parameter(f"--{name.replace('_', '-')}", value, path)
-            config = config.replace(path, value)
-    return config
 
 
 def check_point(option: str, point: tuple[float, ...] | None) -> None:
@@ -88,7 +161,42 @@ def check_seed(seed: int) -> None:
     Raises:
         ConfigError: Says what is possible.
     """
-    check_range("--seed", seed, 0, _MOST_SEEDS)
+    check_range("--seed", seed, 0, MOST_SEEDS)
+
+
+def check_processes(processes: int | None) -> int:
+    """How many processes to use: those asked for, else two, or as many as there are cores.
+
+    Raises:
+        ConfigError: Says what is possible.
+    """
+    if processes is not None:
+        check_range("--processes", processes, 1, _MOST_PROCESSES)
+    return processes or min(_USUAL_PROCESSES, os.cpu_count() or 1)
+
+
+def check_once(words: list[str]) -> None:
+    """Refuse an option that is given twice, of which only the last would count.
+
+    Raises:
+        ConfigError: Says how it is spelt.
+    """
+    given: dict[str, list[list[str]]] = {}
+    values: list[str] = []
+    for word in words:
+        if word.startswith("--"):
+            name, _, value = word.partition("=")
+            values = [value] if value else []
+            given.setdefault(name, []).append(values)
+        else:
+            values.append(word)
+    for name, each in given.items():
+        if len(each) > 1:
+            together = " ".join([name, *(value for values in each for value in values)])
+            raise ConfigError(
+                f"{name} is given {len(each)} times; give it once, with several values where it "
+                f"takes them: {together}"
+            )
 
 
 def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> None:
@@ -121,3 +229,9 @@ def make_folder(out: Path | None, option: str = "--out") -> None:
         probe.unlink()
     except OSError as error:
         raise OutputError(f"{option}: cannot write to {out}: {error.strerror}") from None
+
+
+def in_present_words(words: Iterable[str]) -> list[str]:
+    """Options as they are spelt now."""
+    parted = (word.partition("=") for word in words)
+    return ["".join((FORMERLY.get(name, name), sign, value)) for name, sign, value in parted]

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from app.cli.common import console, load_model, print_json
-from app.cli.options import Json, check_range, check_seed
-from app.robot.link_pairs import LinkPairs, find_link_pairs
+from typing import TYPE_CHECKING
+
+from app.cli.common import load_model, print_json
+from app.cli.options import Json, check_seed
+from app.strict import check_range
+
+if TYPE_CHECKING:
+    from app.robot.link_pairs import LinkPairs
 
 _MOST_SAMPLES = 10_000_000  # [-] about a minute and a gigabyte
 
@@ -12,19 +17,18 @@ _MOST_SAMPLES = 10_000_000  # [-] about a minute and a gigabyte
 def pairs(
     robot: str = "husky_panda", samples: int = 100_000, seed: int = 0, json: Json = False
 ) -> None:
-    """Find the potentially colliding link pairs by random sampling of the joints (§2.1).
+    """Find the link pairs that can collide, by sampling (§2.1).
 
     Args:
         robot: Name of the robot; `dbb robots` lists them.
         samples: Number of joint positions.
         seed: Seed of the sampling.
-        json: Print one JSON object on standard output and nothing else there.
     """
     check_range("--samples", samples, 1, _MOST_SAMPLES)
     check_seed(seed)
-    model = load_model(robot)
-    with console.status(f"sampling {samples:,} joint positions"):
-        found = find_link_pairs(model, samples=samples, seed=seed)
+    from app.robot.link_pairs import find_link_pairs
+
+    found = find_link_pairs(load_model(robot), samples=samples, seed=seed)
     if json:
         print_json(_as_json(robot, found))
         return

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Annotated, Any
 
 from app.cli.common import load_model, print_json
-from app.cli.options import Json, check_name, check_seed, make_folder
-from app.robot.model import RobotModel
+from app.cli.options import NO_DEFAULT, Json, check_name, check_seed, make_folder
 
 if TYPE_CHECKING:
     from app.border.reach.fit import ReachFit
     from app.border.reach.map import ReachMap
+    from app.robot.model import RobotModel
 
 _PAPER = {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}  # §2.3.2, of the end-effector
 
@@ -24,10 +22,10 @@ def reach(
     body: str = "all",
     seed: int = 0,
     recompute: bool = False,
-    out: Path | None = None,
+    out: Annotated[Path | None, NO_DEFAULT] = None,
     json: Json = False,
 ) -> None:
-    """Count inverse kinematics solutions over the workspace and fit (9) to them (§2.3.2).
+    """Count the arm's reachability and fit (9) to it (§2.3.2).
 
     Positions stand on a lattice around the arm's mount, each with random orientations. For the
     hand, p is the end-effector's origin and the pose is its whole pose; for another body, p is the
@@ -42,7 +40,6 @@ def reach(
         seed: Seed of the poses; another one is another map.
         recompute: Count anew even if there is a file of it.
         out: Folder for two CSV per body: the map, and its means over shells with the fit.
-        json: Print one JSON object on standard output and nothing else there.
     """
     # Imported here: scipy and the solver would make every other command start later.
     from app.border.reach.chain import reach_bodies
@@ -100,6 +97,8 @@ def _figures(model: RobotModel, reach_map: ReachMap, fit: ReachFit) -> dict[str,
 
 
 def _write(out: Path, reach_map: ReachMap, fit: ReachFit) -> None:
+    import numpy as np
+
     from app.border.reach.radial import radial_profile
 
     profile = radial_profile(reach_map.rho, reach_map.reach)

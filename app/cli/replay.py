@@ -7,36 +7,35 @@ from typing import Annotated
 
 import tyro
 
-from app.cli.common import load_robot_and_border, print_json, progress_bar
-from app.cli.looks import Flag, LayerOption, ViewOption, is_dark
+from app.cli.common import load_robot_and_border, print_json
+from app.cli.looks import DarkOption, LightOption, Picture, is_dark
 from app.cli.options import Json, check_file
+from app.cli.records import Given, from_record
+from app.jobs.progress import progress_bar
 
 
 def replay(
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")],
     *,
     out: Path = Path("out/replay.html"),
-    layer: LayerOption = "score",
-    view: ViewOption = "iso",
-    dark: Flag = False,
-    light: Flag = False,
+    looks: Annotated[Given, from_record(Picture, only=("layer", "view"))],
+    dark: DarkOption = False,
+    light: LightOption = False,
     json: Json = False,
 ) -> None:
-    """Make one HTML file of a log that plays the run in any browser, without a network.
+    """Make one HTML file of a log that plays the run in any browser.
+
+    It needs no network.
 
     Args:
         log: File that `dbb run --log` or `--out` wrote.
         out: The HTML file.
-        layer: What the border is coloured by; none hides it.
-        view: Where the run is looked at from at first.
-        dark: A dark page, the default.
-        light: A light page.
-        json: Print one JSON object on standard output and nothing else there.
     """
     # Imported here: viser and pyarrow would make every other command start later.
     from app.dashboard.export.replay import replay_html
     from app.simulation.trace.trace import read_trace
 
+    shown = Picture(**looks)
     ground = is_dark(dark=dark, light=light)
     check_file("--out", out, (".html",))
     read = read_trace(log)
@@ -44,7 +43,13 @@ def replay(
     duration = read.snapshots[-1].t - read.snapshots[0].t
     with progress_bar(out.name, duration) as on_progress:
         page = replay_html(
-            read, model, data.clouds, layer=layer, view=view, dark=ground, on_progress=on_progress
+            read,
+            model,
+            data.clouds,
+            layer=shown.layer,
+            view=shown.view,
+            dark=ground,
+            on_progress=on_progress,
         )
     out.write_text(page, encoding="utf-8")
     if json:

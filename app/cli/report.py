@@ -17,12 +17,11 @@ def report(
     out: Path = Path("out/report.html"),
     json: Json = False,
 ) -> None:
-    """Make one HTML file of a log, with figures and key numbers, that needs nothing else.
+    """Make one HTML file of a log: figures and key numbers.
 
     Args:
         log: File that `dbb run --log` or `--out` wrote.
         out: The HTML file.
-        json: Print the key numbers as one JSON object on standard output and nothing else there.
     """
     # Imported here: matplotlib and pyarrow would make every other command start later.
     from app.simulation.trace.trace import read_trace

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from app.cli.common import print_json
 from app.cli.options import Json
-from app.robot.assets import load_robot, robot_names
 
 
 def robots(json: Json = False) -> None:
-    """List the robots that have a description.
+    """List the robots that have a description."""
+    # Imported here: it needs the readers of descriptions.
+    from app.robot.assets import load_robot, robot_names
 
-    Args:
-        json: Print one JSON object on standard output and nothing else there.
-    """
     found = [load_robot(name) for name in robot_names()]
     if json:
         print_json(

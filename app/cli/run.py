@@ -1,229 +1,212 @@
 """`dbb run`: a scenario, headless and faster than real time."""
 
-from __future__ import annotations
-
-import math
 import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import tyro
 
-from app.avoidance.self_collision import BORDERS
-from app.cli.common import as_json, load_robot_and_border, print_json, progress_bar
+from app.cli.common import as_json, load_robot_and_border, print_json, rounded_text
 from app.cli.options import (
+    PARAMETERS,
+    ConfigOption,
     Json,
-    PlaceOption,
-    PointOption,
-    PoseOption,
+    ParameterOptions,
+    Setup,
+    SetupOptions,
+    changed,
     check_file,
     check_name,
-    check_parameter,
     check_point,
-    check_range,
-    check_seed,
     configured,
-    disturbed,
     make_folder,
+    parameter_options,
 )
-from app.control.controller import CONTROLLERS
-from app.errors import ConfigError
-from app.robot.assets import load_robot
-from app.simulation.plants.choice import chosen_plant
+from app.cli.records import Given, from_record
+from app.config import Config
+from app.jobs.progress import progress_bar
+from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.names import SCENARIOS, scenario_of
+from app.strict import check_range
 
 if TYPE_CHECKING:
     from app.simulation.run import RunResult
 
 _DURATIONS = 0.01, 3600.0  # [s] shortest and longest run
+_PLACES = {"start": 3, "move": 3, "hinge_position": 2, "base": 2}  # and how many are metres
+_OF_A_CASE = {name: PARAMETERS[name] for name in ("buffer_distance", "border")}
+_OF_SCENARIOS = {name for each in SCENARIOS.values() for name in each.options}
+_TOUCHED = {"contacts": "the base", "arm_contacts": "itself", "floor_contacts": "the floor"}
+
+OutOption = Annotated[
+    Path | None,
+    tyro.conf.arg(help="Folder for `log.csv` and `metrics.json`.", help_behavior_hint=""),
+]
+LogOption = Annotated[
+    Path | None,
+    tyro.conf.arg(
+        help="File ending in .csv or .parquet for 50 rows a second with all that the dashboard "
+        "draws; `dbb report` and `dbb replay` take it.",
+        help_behavior_hint="",
+    ),
+]
+
+
+class _Files(NamedTuple):
+    """Where results go: a folder, a log, and whether standard output is JSON."""
+
+    out: Path | None
+    log: Path | None
+    json: bool
+
+
+def choose(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
+    """The scenario of a command line, the command that runs it, and the other words.
+
+    Raises:
+        UnknownNameError: No such scenario.
+        ConfigError: A scenario or an option of one beside --replay-case.
+    """
+    if any(word.partition("=")[0] == "--replay-case" for word in words):
+        _check_replay(words)
+        return "", run_case, words
+    first = words[:1] if words and not words[0].startswith("-") else []
+    named = first or [word for word in words if word in SCENARIOS][:1]
+    if not named:
+        return "", run, words
+    check_name("scenario", named[0], SCENARIOS)
+    scenario, rest = SCENARIOS[named[0]], list(words)
+    rest.remove(scenario.name)
+    for name in map(_field, rest):
+        if name in _OF_SCENARIOS and name not in scenario.options:
+            raise scenario.without(name)
+    return scenario.name, command_of(scenario), rest
+
+
+def _field(word: str) -> str:
+    """The field that an option sets; other words are none."""
+    option = word.partition("=")[0]
+    return option[2:].replace("-", "_") if option.startswith("--") else ""
 
 
 def run(
-    scenario: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")] = None,
-    controller: str | None = None,
-    robot: str = "husky_panda",
-    start: PointOption = None,
-    move: PointOption = None,
-    duration: float | None = None,
-    release_at: float | None = None,
-    physics: str | None = None,
-    buffer_distance: float | None = None,
-    border: str | None = None,
-    config: Path | None = None,
-    out: Path | None = None,
-    log: Path | None = None,
-    seed: int = 0,
+    setup: SetupOptions,
+    parameters: ParameterOptions,
+    config: ConfigOption = None,
+    out: OutOption = None,
+    log: LogOption = None,
     json: Json = False,
-    encoder_noise: float | None = None,
-    base_delay: float | None = None,
-    mass_error: float | None = None,
-    slip: float | None = None,
-    door_width: float | None = None,
-    hinge: Literal["left", "right"] | None = None,
-    hinge_position: PlaceOption = None,
-    door_friction: float | None = None,
-    door_angle: float | None = None,
-    door_yaw: float | None = None,
-    radial_guess: float | None = None,
-    opening_rate: float | None = None,
-    base: PoseOption = None,
-    begin: Literal["penetration", "buffer", "arm"] | None = None,
-    replay_case: Path | None = None,
 ) -> None:
-    """Run a scenario, or a case of a study again, and print its figures.
+    """Run a scenario, or a case of a study again; print its figures."""
+    del setup, parameters, config, out, log, json
+    print(f"usage: dbb run SCENARIO …\n\n{_LIST}", file=sys.stderr)
+    sys.exit(2)
+
+
+_LIST = "\n".join(
+    [
+        "Scenarios, each with its own options (dbb run SCENARIO --help):",
+        *(f"  {name:16} {each.about}" for name, each in SCENARIOS.items()),
+        f"  {'--replay-case':16} a case of a study again (dbb run --replay-case FILE)",
+    ]
+)
+run.__doc__ = f"{run.__doc__}\n\n{_LIST}\n\nThe options of all scenarios:"
+
+
+def command_of(scenario: Scenario) -> Callable[..., None]:
+    """The command that runs a scenario, with its own options."""
+
+    def command(
+        scenario_options: Annotated[Given, from_record(scenario, only=scenario.options)],
+        setup: SetupOptions,
+        parameters: ParameterOptions,
+        config: ConfigOption = None,
+        out: OutOption = None,
+        log: LogOption = None,
+        json: Json = False,
+    ) -> None:
+        chosen = Setup(**setup)
+        for name, size in _PLACES.items():
+            check_point(f"--{name.replace('_', '-')}", scenario_options.get(name, ())[:size])
+        if "duration" in scenario_options:
+            check_range("--duration", scenario_options["duration"], *_DURATIONS, "s")
+        tuned = configured(config, parameters)
+        # Imported here: it takes longer than to find a mistake in what was asked.
+        from app.robot.assets import load_robot
+
+        own = scenario_of(load_robot(chosen.robot), scenario.name).changed(**scenario_options)
+        _run(own, chosen, tuned, _Files(out, log, json))
+
+    command.__doc__ = f"Run {scenario.name}: {scenario.about}."
+    return command
+
+
+def run_case(
+    replay_case: Path,
+    setup: Annotated[Given, from_record(Setup, only=("controller", "physics"))],
+    parameters: Annotated[Given, parameter_options(_OF_A_CASE)],
+    out: OutOption = None,
+    log: LogOption = None,
+    json: Json = False,
+) -> None:
+    """Run a case of a study again: its start, pull, robot, disturbances and seed, so its figures.
 
     Args:
-        scenario: guiding-lateral, guiding-front, guiding-above, guiding-fold, tracking, way-out or
-            refrigerator. The options from --door-width on are the refrigerator's, --start and
-            --move those of the others.
-        controller: dbb, one it is compared with (repulsive, barrier), or none for the same stack
-            without avoidance (default: dbb, or the replayed case's).
-        robot: Name of the robot; `dbb robots` lists them.
-        start: [m] where the hand starts, in the world (default: the scenario's).
-        move: [m] how far the hand is led, in the world (default: the scenario's).
-        duration: [s] of the run (default: the scenario's); a motion along a line scales with it,
-            unless the person lets go.
-        release_at: [s] when the person lets go of the hand, in the guiding scenarios; the motion
-            keeps the scenario's own pace until then, and the run goes on to its duration.
-        physics: planar (pybullet, base on velocity motors), mujoco (the same in MuJoCo),
-            mujoco-contact (MuJoCo, base on its own wheels) or kinematic (a stand-in without
-            physics) (default: planar where pybullet is installed, else mujoco, or the replayed
-            case's).
-        buffer_distance: [m] d_b (default: the configuration's).
-        border: surface, or points for the paper's way, where the acting point jumps (default: the
-            configuration's).
-        config: File of parameters, TOML, as `dbb config` or the dashboard writes it; what is not in
-            it is at its default, and other options come before it.
-        out: Folder for `log.csv`, the same as `--log`, and `metrics.json`.
-        log: File ending in .csv or .parquet for the trace: a row a control step, and in each
-            twentieth all that the dashboard draws; `dbb report` and `dbb replay` take it.
-        seed: Seed of everything random in the run.
-        json: Print one JSON object on standard output and nothing else there.
-        encoder_noise: [rad] standard deviation of the noise of each joint's measured position; its
-            velocity is then made from that (default: 0).
-        base_delay: [s] from a velocity command to the base's drive, on top of the 10 Hz at which
-            commands are renewed (default: 0).
-        mass_error: [-] by how much the controller's masses and inertias of the arm are too large;
-            negative where they are too small (default: 0).
-        slip: [-] share of the base's commanded motion that is lost at the ground (default: 0).
-        door_width: [m] from the hinge to the free edge (default: 0.6).
-        hinge: Side of the hinge for the robot that stands before the door (default: left).
-        hinge_position: [m] of the hinge in the world (default: 1 m ahead and 0.1 m to its side).
-        door_friction: [N m] of the hinge (default: 1).
-        door_angle: [deg] how far the door is open at the start (default: 0).
-        door_yaw: [deg] where one looks who stands before the closed door (default: 0, along x).
-        radial_guess: [deg] by how much the first guess of the direction towards the hinge is wrong;
-            positive is turned into the door (default: 30).
-        opening_rate: [deg/s] how fast the door is opened (default: 2.15).
-        base: [m] [m] [deg] where the base starts (default: before the door, farther away from a
-            wider one).
-        begin: What is wrong at the start of way-out: some pair in penetration, a pair with the base
-            inside its buffer, or one within the arm (default: penetration).
-        replay_case: File of a case, such as those in `failures` of a study: its start, pull,
-            robot, disturbances and seed are the case's, and so are its figures.
+        replay_case: File of a case, such as those in `failures` of a study.
     """
-    # Imported here: scipy would make every other command start later.
+    from app.studies.pulls.case import read_case
+
+    case = read_case(replay_case)
+    own = {name: getattr(case, name) for name in ("robot", "controller", "physics", "seed")}
+    tuned = changed(case.config(), parameters)
+    _run(case.scenario(), Setup(**(own | setup)), tuned, _Files(out, log, json))
+
+
+def _check_replay(words: list[str]) -> None:
+    """Refuse what a replayed case answers itself."""
+    from app.studies.pulls.case import check_no_others
+
+    own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *PARAMETERS}
+    given = ("scenario" if word in SCENARIOS else _field(word) for word in words)
+    check_no_others(dict.fromkeys(sorted(own & set(given)), True))
+
+
+def _run(scenario: Scenario, setup: Setup, config: Config, files: _Files) -> None:
+    """Run it, write what is asked for, and say how it went."""
+    make_folder(files.out)
+    check_file("--log", files.log, (".csv", ".parquet"))
+    # Imported here: it takes longer than to find a mistake in what was asked.
     from app.control.buffer_watch import buffer_warning
     from app.simulation.run import run_scenario
-    from app.studies.pulls.case import check_no_others, read_case
 
-    case = None
-    if replay_case is not None:
-        case = read_case(replay_case)
-        check_no_others(
-            scenario=scenario,
-            start=start,
-            move=move,
-            duration=duration,
-            release_at=release_at,
-            door_width=door_width,
-            hinge=hinge,
-            hinge_position=hinge_position,
-            door_friction=door_friction,
-            door_angle=door_angle,
-            door_yaw=door_yaw,
-            radial_guess=radial_guess,
-            opening_rate=opening_rate,
-            base=base,
-            begin=begin,
-            encoder_noise=encoder_noise,
-            base_delay=base_delay,
-            mass_error=mass_error,
-            slip=slip,
-            config=config,
-        )
-        chosen, robot, seed = case.scenario(), case.robot, case.seed
-    elif scenario is not None:
-        check_name("scenario", scenario, SCENARIOS)
-        chosen = scenario_of(load_robot(robot), scenario)
-    else:
-        raise ConfigError("Required: a SCENARIO, or --replay-case FILE; see dbb run --help")
-    controller = controller or (case.controller if case else "dbb")
-    physics = chosen_plant(physics or (case.physics if case else None))
-    check_name("controller", controller, CONTROLLERS)
-    if border is not None:
-        check_name("border", border, BORDERS)
-    check_point("--start", start)
-    check_point("--move", move)
-    check_point("--hinge-position", hinge_position)
-    check_point("--base", None if base is None else base[:2])
-    check_seed(seed)
-    if base is not None:
-        check_range("--base", base[2], -360.0, 360.0, "deg")
-    if duration is not None:
-        check_range("--duration", duration, *_DURATIONS, "s")
-    chosen = chosen.changed(
-        start=start,
-        move=move,
-        duration=duration,
-        release_at=release_at,
-        door_width=door_width,
-        hinge=hinge,
-        hinge_position=hinge_position,
-        door_friction=door_friction,
-        door_angle=door_angle,
-        door_yaw=door_yaw,
-        radial_guess=radial_guess,
-        opening_rate=opening_rate,
-        begin=begin,
-        base=None if base is None else (base[0], base[1], math.radians(base[2])),
-    )
-    tuned = case.config() if case else configured(config)
-    if border is not None:
-        tuned = tuned.replace("border.kind", border)
-    if buffer_distance is not None:
-        check_parameter("--buffer-distance", buffer_distance, "border.d_b")
-        tuned = tuned.replace("border.d_b", buffer_distance)
-    tuned = disturbed(
-        tuned, encoder_noise=encoder_noise, base_delay=base_delay, mass_error=mass_error, slip=slip
-    )
-    make_folder(out)
-    check_file("--log", log, (".csv", ".parquet"))
-    model, data = load_robot_and_border(robot)
-    with progress_bar(f"{chosen.name}, {controller}", chosen.duration) as on_progress:
+    model, data = load_robot_and_border(setup.robot)
+    with progress_bar(f"{scenario.name}, {setup.controller}", scenario.duration) as on_progress:
         result = run_scenario(
             model,
             data,
-            chosen,
-            tuned,
-            controller=controller,
-            physics=physics,
-            seed=seed,
+            scenario,
+            config,
+            controller=setup.controller,
+            physics=setup.physics,
+            seed=setup.seed,
             on_progress=on_progress,
-            drawn=out is not None or log is not None,
+            drawn=files.out is not None or files.log is not None,
         )
-    for path in _write(result, out, log):
-        print(f"wrote {path}", file=sys.stderr)
-    if warning := buffer_warning(result.trace.buffer, tuned):
+    written = _write(result, files.out, files.log)
+    if warning := buffer_warning(result.trace.buffer, config):
         print(f"warning: {warning}", file=sys.stderr)
-    if json:
+    if files.json:
         print_json(result.figures)
         return
+    print(verdict(result.figures))
     for key, value in result.figures.items():
-        print(f"{key:28} {_text(value)}")
+        print(f"  {key:34} {rounded_text(value)}")
+    for path in written:
+        print(f"wrote {path}")
 
 
-def _write(result: RunResult, out: Path | None, log: Path | None) -> list[Path]:
+def _write(result: "RunResult", out: Path | None, log: Path | None) -> list[Path]:
     """Write what was asked for; returns what was written."""
     logs = [path for path in (out and out / "log.csv", log) if path is not None]
     for path in logs:
@@ -234,7 +217,25 @@ def _write(result: RunResult, out: Path | None, log: Path | None) -> list[Path]:
     return [*logs, out / "metrics.json"]
 
 
-def _text(value: object) -> str:
-    if isinstance(value, dict):
-        return ", ".join(f"{k} {_text(v)}" for k, v in value.items())
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+def verdict(figures: dict[str, Any]) -> str:
+    """How a run went, in a sentence or two: contact, the least distance, how far the hand is off.
+
+    Args:
+        figures: As `app.simulation.trace.metrics.metrics` gives them.
+    """
+    touched = [what for key, what in _TOUCHED.items() if figures[key]]
+    told = f"The arm touched {' and '.join(touched)}" if touched else "No contact"
+    least = min(figures["min_distance_m"].items(), key=lambda item: item[1], default=None)
+    fatter = ""
+    if least is not None:
+        pair, distance = least[0], 1000 * least[1]
+        near = f"least distance {distance:.0f}"
+        if distance < 0:
+            near = f"bodies overlapped by {-distance:.1f}"
+        told += f"; {near} mm ({pair})"
+        if distance < 0 and not touched:
+            fatter = (
+                " Distances are between bodies that are fatter than the links that they hold:"
+                " they can overlap while nothing touches."
+            )
+    return f"{told}; the hand ended {1000 * figures['ee_error_final_m']:.1f} mm off.{fatter}"

@@ -4,149 +4,109 @@ from __future__ import annotations
 
 import sys
 from contextlib import nullcontext
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-import numpy as np
-
-from app.avoidance.self_collision import BORDERS
 from app.cli.common import load_robot_and_border
-from app.cli.options import PointOption, check_name, check_point, check_seed, configured, disturbed
+from app.cli.options import (
+    ConfigOption,
+    ParameterOptions,
+    Setup,
+    SetupOptions,
+    changed,
+    check_name,
+    check_point,
+    configured,
+)
+from app.cli.records import Given, from_record
 from app.config import Config
-from app.control.controller import CONTROLLERS
-from app.robot.assets import robot_names
-from app.robot.model import RobotModel
-from app.simulation.loop.process_loop import LoopChild
-from app.simulation.plants.choice import chosen_plant
+from app.simulation.scenarios.line import Point
 from app.simulation.scenarios.names import LINES
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from app.border.cache import BorderData
+    from app.robot.model import RobotModel
     from app.simulation.loop.loop import SimulationLoop
-    from app.simulation.loop.process_loop import ProcessLoop
+    from app.simulation.loop.process_loop import LoopChild, ProcessLoop
     from app.studies.pulls.case import Case
 
 _BEGIN = "guiding-front"  # where the hand stands when the page opens
 
-LOOPS = ("process", "thread")
-"""Where the simulation may run."""
+
+@dataclass(frozen=True)
+class Serving:
+    """Where the dashboard is served, and what it shows at first."""
+
+    host: str = "127.0.0.1"
+    """Address to listen at; the default is this machine only."""
+    port: int = 8080
+    """Port to listen at; 0 takes a free one."""
+    start: Point | None = None
+    """[m] where the hand starts, in the world; by default in front of the base."""
+    loop: str = "process"
+    """process, or thread for the simulation inside the server's process, where drawing disturbs its
+    real time."""
+    replay_case: Path | None = None
+    """File of a case, such as those in `failures` of a study: the robot, its start and its
+    disturbances are the case's, and a button plays the pull."""
+    sweep: Path = Path("out/sweep")
+    """Folder of `dbb sweep` whose newest map is shown, and where a button writes new ones."""
+
+    def __post_init__(self) -> None:
+        check_name("loop", self.loop, ("process", "thread"))
+        check_point("--start", self.start)
 
 
 def serve(
-    robot: str = "husky_panda",
-    controller: str | None = None,
-    host: str = "127.0.0.1",
-    port: int = 8080,
-    start: PointOption = None,
-    physics: str | None = None,
-    seed: int = 0,
-    loop: str = "process",
-    border: str | None = None,
-    config: Path | None = None,
-    encoder_noise: float | None = None,
-    base_delay: float | None = None,
-    mass_error: float | None = None,
-    slip: float | None = None,
-    replay_case: Path | None = None,
-    sweep: Path = Path("out/sweep"),
+    serving: Annotated[Given, from_record(Serving)],
+    setup: SetupOptions,
+    parameters: ParameterOptions,
+    config: ConfigOption = None,
 ) -> None:
-    """Serve the dashboard: drag the hand, and the base gets out of the way.
-
-    Args:
-        robot: Name of the robot; `dbb robots` lists them.
-        controller: dbb, one it is compared with (repulsive, barrier), or none for the same stack
-            without avoidance (default: dbb, or the replayed case's).
-        host: Address to listen at; the default is this machine only.
-        port: Port to listen at; 0 takes a free one.
-        start: [m] where the hand starts, in the world (default: in front of the base).
-        physics: planar, mujoco, mujoco-contact or kinematic, as for `dbb run` (default: planar
-            where pybullet is installed, else mujoco; or the replayed case's).
-        seed: Seed of the search for the start and of the noise.
-        loop: process, or thread for the simulation inside the server's process, where drawing
-            disturbs its real time.
-        border: surface, or points for the paper's way, where the acting point jumps (default: the
-            configuration's).
-        config: File of parameters, TOML, as `dbb config` or the dashboard writes it; what is not in
-            it is at its default, and other options come before it.
-        encoder_noise: [rad] standard deviation of the noise of each joint's measured position
-            (default: 0). This and the next three are sliders too.
-        base_delay: [s] from a velocity command to the base's drive, on top of the 10 Hz at which
-            commands are renewed (default: 0).
-        mass_error: [-] by how much the controller's masses and inertias of the arm are too large
-            (default: 0).
-        slip: [-] share of the base's commanded motion that is lost at the ground (default: 0).
-        replay_case: File of a case, such as those in `failures` of a study: the robot, its start
-            and its disturbances are the case's, and a button plays the pull.
-        sweep: Folder of `dbb sweep` whose newest map is shown, and where a button writes new ones.
-    """
+    """Serve the dashboard: drag the hand, and the base gives way."""
+    asked = Serving(**serving)
     case = None
-    if replay_case is not None:
+    if asked.replay_case is not None:
         from app.studies.pulls.case import check_no_others, read_case
 
-        case = read_case(replay_case)
-        check_no_others(
-            start=start,
-            encoder_noise=encoder_noise,
-            base_delay=base_delay,
-            mass_error=mass_error,
-            slip=slip,
-            config=config,
-        )
-        robot, seed = case.robot, case.seed
-    controller = controller or (case.controller if case else "dbb")
-    physics = chosen_plant(physics or (case.physics if case else None))
-    check_name("robot", robot, robot_names())
-    check_name("controller", controller, CONTROLLERS)
-    check_name("loop", loop, LOOPS)
-    if border is not None:
-        check_name("border", border, BORDERS)
-    check_point("--start", start)
-    check_seed(seed)
-    tuned = case.config() if case else configured(config)
-    if border is not None:
-        tuned = tuned.replace("border.kind", border)
-    tuned = disturbed(
-        tuned, encoder_noise=encoder_noise, base_delay=base_delay, mass_error=mass_error, slip=slip
-    )
-    first = _First(robot, controller, physics, seed, tuned, start, case)
+        case = read_case(asked.replay_case)
+        check_no_others({"start": asked.start, "config": config, **parameters})
+        of_case = {"controller": case.controller, "physics": case.physics}
+        setup = {**of_case, **setup, "robot": case.robot, "seed": case.seed}
+    chosen = Setup(**setup)
+    tuned = changed(case.config(), parameters) if case else configured(config, parameters)
+    # Imported here: it takes longer than to find a mistake in what was asked.
+    from app.robot.assets import robot_names
+
+    check_name("robot", chosen.robot, robot_names())
+    from app.simulation.loop.process_loop import LoopChild
+
     # The simulation's process imports as much as this one: both at once.
-    with LoopChild() if loop == "process" else nullcontext() as child:
-        _serve(first, child, host=host, port=port, sweeps=sweep)
+    with LoopChild() if asked.loop == "process" else nullcontext() as child:
+        _serve(_First(chosen, tuned, asked, case, child))
 
 
 class _First(NamedTuple):
-    """What the dashboard shows at first."""
+    """What the dashboard shows at first, and the process for its simulation."""
 
-    robot: str
-    controller: str
-    physics: str
-    seed: int
+    setup: Setup
     config: Config
-    start: PointOption
+    asked: Serving
     case: Case | None
+    child: LoopChild | None
 
     def q_start(self, model: RobotModel, data: BorderData) -> np.ndarray:
         """(n_m,) arm configuration."""
         if self.case is not None:
-            return self.case.scenario().setting(model, data, self.config, self.seed).q_m
-        return _start(model, data, self.config, self.start, self.seed)
-
-
-def _serve(first: _First, child: LoopChild | None, *, host: str, port: int, sweeps: Path) -> None:
-    """Show it until Ctrl-C; without a process for the simulation in a thread of this one."""
-    # Imported here: viser and scipy would make every other command start later.
-    from app.dashboard.scene.robot import RobotParts
-    from app.dashboard.server import check_address, serve_dashboard
-    from app.simulation.loop.loop import SimulationLoop
-    from app.simulation.loop.process_loop import ProcessLoop
-    from app.simulation.session import Session
-
-    check_address(host, port)
-    in_process = child is not None
-    model, data = load_robot_and_border(first.robot)
+            return self.case.scenario().setting(model, data, self.config, self.setup.seed).q_m
+        return _start(model, data, self.config, self.asked.start, self.setup.seed)
 
     def begin_loop(
+        self,
         model: RobotModel,
         data: BorderData,
         config: Config,
@@ -154,27 +114,45 @@ def _serve(first: _First, child: LoopChild | None, *, host: str, port: int, swee
         q_start: np.ndarray | None = None,
         waiting: LoopChild | None = None,
     ) -> ProcessLoop | SimulationLoop:
-        if q_start is None:  # of a robot that a viewer has chosen
-            q_start = _start(model, data, config, None, first.seed)
+        """The simulation of a robot; without a start of the arm, at that of a new robot's."""
+        from app.simulation.loop.loop import SimulationLoop
+        from app.simulation.loop.process_loop import ProcessLoop
+        from app.simulation.session import Session
+
+        setup = self.setup
+        if q_start is None:
+            q_start = _start(model, data, config, None, setup.seed)
         make_session = partial(
             Session,
             model,
             data,
             config,
             controller=controller,
-            physics=first.physics,
-            seed=first.seed,
+            physics=setup.physics,
+            seed=setup.seed,
         )
         made = (
             ProcessLoop(make_session, q_start, waiting)
-            if in_process
+            if self.child is not None
             else SimulationLoop(make_session, q_start)
         )
         made.begin()
         return made
 
+
+def _serve(first: _First) -> None:
+    """Show it until Ctrl-C; without a process for the simulation in a thread of this one."""
+    # Imported here: viser and scipy would make every other command start later.
+    from app.dashboard.scene.robot import RobotParts
+    from app.dashboard.server import check_address, serve_dashboard
+
+    asked = first.asked
+    check_address(asked.host, asked.port)
+    model, data = load_robot_and_border(first.setup.robot)
     q_start = first.q_start(model, data)
-    simulation = begin_loop(model, data, first.config, first.controller, q_start, child)
+    simulation = first.begin_loop(
+        model, data, first.config, first.setup.controller, q_start, first.child
+    )
     try:
         parts = RobotParts(model)  # while the simulation starts
         simulation.start()
@@ -182,12 +160,12 @@ def _serve(first: _First, child: LoopChild | None, *, host: str, port: int, swee
             simulation,
             model,
             data.clouds,
-            host=host,
-            port=port,
+            host=asked.host,
+            port=asked.port,
             case=first.case.scenario() if first.case else None,
-            sweeps=sweeps,
+            sweeps=asked.sweep,
             parts=parts,
-            start_loop=begin_loop,
+            start_loop=first.begin_loop,
         )
         print(f"Dashboard at {server.address} (Ctrl-C ends it)", file=sys.stderr, flush=True)
         server.run_forever()
@@ -196,9 +174,11 @@ def _serve(first: _First, child: LoopChild | None, *, host: str, port: int, swee
 
 
 def _start(
-    model: RobotModel, data: BorderData, config: Config, start: PointOption, seed: int
+    model: RobotModel, data: BorderData, config: Config, start: Point | None, seed: int
 ) -> np.ndarray:
     """(n_m,) the arm with the hand where it was asked for, before the base, or ready."""
+    import numpy as np
+
     from app.simulation.scenarios.start import find_start
 
     own = model.description.lines

@@ -56,7 +56,7 @@ class ControlLoop:
             model: The robot.
             data: Its link pairs and border; from the cache, or sampled now, if not given.
             config: Parameters; the defaults if not given.
-            name: One of `app.control.controller.CONTROLLERS`.
+            name: One of `app.control.names.CONTROLLERS`.
             dt: [s] between two steps.
 
         Raises:

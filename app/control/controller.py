@@ -15,6 +15,7 @@ from app.config import Config, slowed
 from app.control.admittance import response
 from app.control.limits import arm_limits, robot_limits
 from app.control.methods import METHODS, Inserted
+from app.control.names import CONTROLLERS
 from app.control.observer import PushObserver
 from app.control.qp import NoSolutionError, Objective, TaskQP
 from app.control.tasks import (
@@ -34,9 +35,6 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, checked, is_finite
 
 Array = np.ndarray
-
-CONTROLLERS = tuple(METHODS)
-"""Names of the controllers: the paper's method, those it is compared with, and none."""
 
 
 class ControlOutput(NamedTuple):

@@ -12,6 +12,7 @@ from app.avoidance.repulsive_force import generate_rep_force_acc
 from app.avoidance.self_collision import Avoidance, PairState
 from app.avoidance.task import TaskRows
 from app.config import Config
+from app.control.names import CONTROLLERS
 from app.robot.state import RobotState
 
 Array = np.ndarray
@@ -123,5 +124,5 @@ def _reaction(state: RobotState, pairs: Iterable[PairState], config: Config) -> 
     return u
 
 
-METHODS: dict[str, Method] = {"dbb": dbb, "repulsive": repulsive, "barrier": barrier, "none": none}
+METHODS: dict[str, Method] = dict(zip(CONTROLLERS, (dbb, repulsive, barrier, none), strict=True))
 """By the controller's name."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-from app.config import Config
+from app.config import Config, parameter
 from app.errors import ConfigError, RobotFileError, UnknownNameError
 from app.robot.description import KINDS
-from app.strict import check_range
+from app.strict import MOST_SEEDS, Vector3, check_range
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 """What a robot's name matches as a whole."""
@@ -19,64 +19,65 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 
 @dataclass(frozen=True)
 class Request:
-    """A robot to be made.
-
-    Attributes:
-        urdf: Path or `package://…` address of its URDF or xacro, or of a zip with it.
-        file: The URDF's path in a zip, or None if it is the only one there.
-        base: Link that moves with the base.
-        tip: Link that carries the end-effector.
-        out: Folder of the new description; its name is the robot's.
-        wheels: Joints of a left and a right wheel, or None to find them.
-        arm_urdf: Another file with the arm, to be put on the base, or None.
-        mount_xyz: (3,) [m] where the arm's root stands in the base's link.
-        mount_rpy: (3,) [rad] how it is turned there.
-        mount: Link at whose origin the arm stands, or None for the one with its first joint.
-        tip_xyz: (3,) [m] the end-effector in the tip's frame.
-        tip_rpy: (3,) [rad] how it is turned there; z points out of the hand.
-        half_track: [m] b, or None to measure it between the wheels.
-        wheel_radius: [m] r of a base whose URDF has no wheels, with its half track; else None.
-        kind: Of the base: differential, holonomic or car-like.
-        wheelbase: [m] of a car-like base, or None to measure it.
-        steering_limit: [rad] of its steering, or None for the URDF's.
-        steering_rate: [rad/s] of it, or None for the URDF's.
-        ready: (n_m,) [rad or m] the ready pose, or None to choose one.
-        bodies: How many bodies the arm gets, or None for the best number.
-        assume_inertia: Whether an arm without masses gets assumed ones.
-        title, licence: As the description has them, or None.
-        seed: Of all random poses.
-        d_b: [m] buffer distance.
-        package: `NAME=FOLDER` of each ROS package that is found nowhere else.
-        source: What people read as the robot's source where it is not `urdf`, or None.
-    """
+    """A robot to be made; without a number or a name, it is found."""
 
     urdf: str
+    """The URDF or xacro, package://PACKAGE/PATH for one of an installed package, or a zip with a
+    URDF and its meshes, of which nothing is executed."""
     base: str
+    """Link that moves with the base, z up."""
     tip: str
+    """Link that carries the end-effector."""
     out: Path
+    """Folder of the new description, such as robot_assets/NAME; its name is the robot's."""
     wheels: tuple[str, str] | None = None
+    """Joints (or links) of a left and a right driven wheel, of a car-like base the rear ones; by
+    default found."""
     arm_urdf: str | None = None
-    mount_xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    mount_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Another URDF with the arm, to be fixed to --base; --tip is in it then."""
+    mount_xyz: Vector3 = (0.0, 0.0, 0.0)
+    """[m] where the root of --arm-urdf stands in --base."""
+    mount_rpy: Vector3 = (0.0, 0.0, 0.0)
+    """[rad] how it is turned there."""
     mount: str | None = None
-    tip_xyz: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    tip_rpy: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Link at whose origin the arm stands; by default the one that carries its first joint."""
+    tip_xyz: Vector3 = (0.0, 0.0, 0.0)
+    """[m] the end-effector's origin in --tip."""
+    tip_rpy: Vector3 = (0.0, 0.0, 0.0)
+    """[rad] how it is turned there; its z points out of the hand."""
     half_track: float | None = None
+    """[m] effective half track of the base; by default measured between the wheels."""
     wheel_radius: float | None = None
+    """[m] of a base whose URDF has no wheels; needs --half-track too."""
     kind: str = "differential"
+    """Of the base: differential, holonomic (which needs no wheels) or car-like."""
     wheelbase: float | None = None
+    """[m] of a car-like base; by default measured to its steered wheels."""
     steering_limit: float | None = None
+    """[rad] of its steering to either side; by default the URDF's."""
     steering_rate: float | None = None
+    """[rad/s] how fast it steers; by default the URDF's, or 1.5."""
     ready: tuple[float, ...] | None = None
+    """(n_m,) [rad or m] the ready pose; by default chosen among random poses."""
     bodies: int | None = None
+    """How many bodies the arm gets; by default four, others where four do not do."""
     assume_inertia: bool = False
+    """Take masses from volumes where the arm's URDF states none at all."""
     title: str | None = None
+    """What people read; by default the name."""
     licence: str | None = None
+    """Licences of the files that the URDF refers to."""
     seed: int = 0
+    """Of all random poses."""
     d_b: float = Config().border.d_b
+    """[m] d_b that the bodies and the ready pose have to suit."""
     file: str | None = None
+    """Path of the URDF in a zip that holds several."""
     source: str | None = None
+    """What people read as the robot's source where it is not `urdf`, or None."""
     package: tuple[str, ...] = ()
+    """Folders of ROS packages, NAME=FOLDER each, before those that are found: folders of that name
+    from the URDF upwards, in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, or installed."""
 
     @property
     def told(self) -> str:
@@ -120,6 +121,7 @@ BOUNDS = {
     "bodies": Bounds(1, 8),
 }
 """By the field of `Request`."""
+_FARTHEST = 10.0  # [m] or [rad] of a place or a turn; more is a slip of the keys
 OF_KIND = {
     "half_track": "differential",
     "wheel_radius": "differential",
@@ -142,6 +144,12 @@ def check_request(request: Request) -> None:
         UnknownNameError: There is no such kind of base.
         ConfigError: Names the option and what would be right.
     """
+    known = parameter("border.d_b")
+    check_range("--buffer-distance", request.d_b, known.low, known.high, known.unit)
+    check_range("--seed", request.seed, 0, MOST_SEEDS)
+    for field in ("mount_xyz", "mount_rpy", "tip_xyz", "tip_rpy"):
+        for coordinate in getattr(request, field):
+            check_range(option(field), coordinate, -_FARTHEST, _FARTHEST)
     kind = request.kind
     if kind not in KINDS:
         raise UnknownNameError("kind of base", kind, KINDS)

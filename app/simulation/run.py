@@ -45,7 +45,7 @@ def steps_of(
         data: Its pairs and clouds.
         scenario: What happens.
         config: Parameters.
-        controller: One of `app.control.controller.CONTROLLERS`.
+        controller: One of `app.control.names.CONTROLLERS`.
         physics: Kind of plant; the default one if not given.
         seed: Of everything random in the run.
 
@@ -85,7 +85,7 @@ def run_scenario(
         data: Its pairs and clouds.
         scenario: What happens.
         config: Parameters.
-        controller: One of `app.control.controller.CONTROLLERS`.
+        controller: One of `app.control.names.CONTROLLERS`.
         physics: Kind of plant; the default one if not given.
         seed: Of everything random in the run.
         on_progress: Called now and then with the simulated time [s].

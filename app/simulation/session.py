@@ -115,7 +115,7 @@ class Session:
             model: The robot as the controller knows it.
             data: Its pairs and clouds.
             config: Parameters.
-            controller: One of `app.control.controller.CONTROLLERS`.
+            controller: One of `app.control.names.CONTROLLERS`.
             physics: Kind of plant; the default one if not given.
             seed: Of what the plant draws at random, and of the sensors' noise.
             plant: The robot as it is, where the controller's has what it holds as one more body.

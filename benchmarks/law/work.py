@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import TypeVar
 
-from app.cli.common import progress_bar
+from app.jobs.progress import progress_bar
 
 Case = TypeVar("Case")
 Row = TypeVar("Row")

@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
 from app.border.checked_file import DamagedFileError
 from app.border.reach import archive as reach_archive
@@ -21,6 +19,7 @@ from app.border.reach.key import reach_key
 from app.border.reach.radial import radial_profile
 from app.errors import DescriptionError, UnknownNameError
 from app.jobs.pool import Workers
+from app.jobs.progress import progress_bar
 from app.robot import assets
 from app.robot.model import RobotModel
 
@@ -147,11 +146,11 @@ def _count(
         for part, seed in zip(parts, seeds, strict=True)
     ]
     found = []
-    with _bar(progress) as bar, Workers(make_context, processes) as workers:
-        task = bar.add_task(f"counting the solutions of {body}", total=len(jobs))
+    bar = progress_bar(f"counting the solutions of {body}", len(jobs), shown=progress)
+    with bar as update, Workers(make_context, processes) as workers:
         for counts in workers.map(count_solutions, jobs):
             found.append(counts)
-            bar.advance(task)
+            update(len(found))
     names = model.description.arm.joints
     header = reach_archive.Header(
         key=key,
@@ -206,18 +205,3 @@ def _write(path: Path, content: reach_archive.Counts) -> None:
         reach_archive.write(path, content)
     except OSError as error:
         _log.warning("%s cannot be kept (%s); it will be counted again", path, error.strerror)
-
-
-def _bar(shown: bool) -> Progress:
-    console = Console(stderr=True)
-    # Without a terminal a bar that vanishes would leave an empty line behind.
-    hidden = not (shown and console.is_terminal)
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeRemainingColumn(),
-        console=console,
-        disable=hidden,
-        transient=True,
-    )

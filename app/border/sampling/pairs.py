@@ -6,13 +6,12 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from app.border.cloud import Cloud, make_cloud
 from app.border.sampling.config import SamplingConfig
 from app.border.sampling.jobs import Context, Kept, SectorJob, SeedJob, flood_sector, sample_shell
 from app.jobs.pool import Workers
+from app.jobs.progress import progress_bar
 from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
 
@@ -47,17 +46,17 @@ def sample_clouds(
     """
     make_context = partial(Context, model.description, config)
     seeds = np.random.SeedSequence(config.seed).spawn(len(pairs))
-    with _bar(progress) as bar, Workers(make_context, processes) as workers:
-        total = len(pairs) * (_SEED_JOBS + config.sectors)  # later rounds are short and not counted
-        task = bar.add_task("sampling the border", total=total)
+    total = max(len(pairs) * (_SEED_JOBS + config.sectors), 1)  # not the later rounds: short ones
+    bar = progress_bar("sampling the border", total, shown=progress)
+    with bar as update, Workers(make_context, processes) as workers:
         done = 0
 
         def advance() -> None:
             nonlocal done
             done += 1
-            bar.advance(task)
+            update(min(done, total))
             if on_progress is not None:
-                on_progress(min(done / max(total, 1), 1.0))
+                on_progress(min(done / total, 1.0))
 
         sampler = _Sampler(Context(model.description, config), workers, advance)
         return sampler.run(pairs, seeds)
@@ -124,15 +123,3 @@ class _Sampler:
                 sources = given.q_m[leads]
                 jobs.append(SectorJob(pair, child, sector, sources, taken[owner == sector]))
         return jobs
-
-
-def _bar(shown: bool) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.percentage:>3.0f} %"),
-        TimeElapsedColumn(),
-        console=Console(stderr=True),
-        disable=not shown,
-        transient=True,
-    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import viser
 
-from app.control.controller import CONTROLLERS
+from app.control.names import CONTROLLERS
 from app.dashboard.drag import Sink
 from app.dashboard.markup import FAINT, RIGHT, cell, mark, row, small, table
 from app.dashboard.notifications import Notifier

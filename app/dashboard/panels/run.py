@@ -7,7 +7,7 @@ import math
 import viser
 
 from app.control.buffer_watch import BufferReading, needed_text
-from app.control.controller import CONTROLLERS
+from app.control.names import CONTROLLERS
 from app.dashboard.drag import Sink
 from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, cell, mark, minus, row, table
 from app.dashboard.notifications import Notifier

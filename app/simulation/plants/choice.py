@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
+from typing import TYPE_CHECKING
 
 from app.errors import ConfigError, UnknownNameError
-from app.robot.bases.differential import DifferentialBase
-from app.robot.model import RobotModel
-from app.simulation.plants.door import OpenDoor
-from app.simulation.plants.interface import Physics
+
+if TYPE_CHECKING:
+    from app.robot.model import RobotModel
+    from app.simulation.plants.door import OpenDoor
+    from app.simulation.plants.interface import Physics
 
 PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")
 """Names that `make_physics` knows."""
@@ -74,6 +76,8 @@ def make_physics(
 
         return MujocoPlanar(model, dt=dt, door=door)
     if kind == "mujoco-contact":
+        from app.robot.bases.differential import DifferentialBase
+
         base = model.description.base
         if not isinstance(base, DifferentialBase):
             raise ConfigError(

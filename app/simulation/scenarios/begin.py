@@ -15,7 +15,7 @@ def begin(
     Args:
         setting: Where it begins.
         robot: The robot as it is, without the door that the setting's may hold.
-        controller: One of `app.control.controller.CONTROLLERS`.
+        controller: One of `app.control.names.CONTROLLERS`.
         physics: Kind of plant; the default one if None.
         seed: Of everything random.
 

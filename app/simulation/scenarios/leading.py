@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from typing_extensions import Self
 
-from app.border.cache import BorderData
-from app.config import Config
-from app.control.tasks import Reference
 from app.errors import ConfigError
-from app.robot.model import RobotModel
-from app.simulation.plants.door import OpenDoor
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # only names here, so that what is asked of a scenario is checked at once
+    from app.border.cache import BorderData
+    from app.config import Config
+    from app.control.tasks import Reference
+    from app.robot.model import RobotModel
+    from app.simulation.plants.door import OpenDoor
     from app.simulation.session import Session
 
 Array = np.ndarray
@@ -86,13 +86,18 @@ class Scenario(ABC):
 
     name: str
     duration: float
-    """[s] of the whole run."""
+    """[s] of the whole run; a motion along a line scales with it, unless the person lets go."""
     about: str
     """One line for people."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.duration <= LONGEST:
             raise ConfigError(f"--duration: {self.duration:g} s is not within 0 to {LONGEST:g} s")
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """Names of the fields that one who runs it may choose."""
+        return tuple(field.name for field in fields(self) if field.name not in ("name", "about"))
 
     @abstractmethod
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
@@ -120,9 +125,11 @@ class Scenario(ABC):
         known = {field.name for field in fields(self)} - {"name", "about"}
         for name in given:
             if name not in known:
-                option = name.replace("_", "-")
-                raise ConfigError(
-                    f"--{option}: the scenario {self.name} has none; "
-                    f"it has: {', '.join(sorted(n.replace('_', '-') for n in known))}"
-                )
+                raise self.without(name)
         return replace(self, **given)
+
+    def without(self, name: str) -> ConfigError:
+        """The refusal of an option that this scenario does not have."""
+        options = ", ".join(sorted(option.replace("_", "-") for option in self.options))
+        option = name.replace("_", "-")
+        return ConfigError(f"--{option}: the scenario {self.name} has none; it has: {options}")

@@ -8,18 +8,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-import pinocchio as pin
 from typing_extensions import Self
 
-from app.border.cache import BorderData
-from app.config import Config
-from app.control.tasks import Reference
-from app.errors import ConfigError
-from app.robot.model import RobotModel
-from app.simulation.person import checked_target
+from app.errors import CaseError, ConfigError
 from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
 
 if TYPE_CHECKING:
+    from app.border.cache import BorderData
+    from app.config import Config
+    from app.control.tasks import Reference
+    from app.robot.model import RobotModel
     from app.simulation.session import Session
 
 Array = np.ndarray
@@ -37,16 +35,23 @@ class LineScenario(Scenario):
     mode: Literal["guiding", "tracking"]
     """Whether a person pulls the hand or the arm tracks the line."""
     start: Point
-    """[m] where the hand starts, in the world."""
+    """[m] where the hand starts, in the world; a robot may have a start of its own."""
     move: Point
-    """[m] how far it is led, in the world."""
+    """[m] how far the hand is led, in the world; a robot may have a way of its own."""
     moving: float
     """[-] share of the duration in which the hand is led; then it is held. Above 1 if the person
     lets go and the run ends before the hand's way does."""
     release_at: float | None = field(default=None, kw_only=True)
-    """[s] when the person lets go of the hand, or None."""
+    """[s] when the person lets go of the hand; the motion keeps its own pace until then,
+    and the run goes on to its duration."""
     regrasp_at: float | None = field(default=None, kw_only=True)
     """[s] when the person takes hold again, to go on with the motion where it is by then."""
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """See `Scenario.options`; only a person can let go."""
+        released = ("release_at", "regrasp_at") if self.mode == "guiding" else ()
+        return ("start", "move", "duration", *released)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -68,6 +73,7 @@ class LineScenario(Scenario):
             TargetError: The hand would be led below the floor.
         """
         # Imported here: scipy would make every command start later.
+        from app.simulation.person import checked_target
         from app.simulation.scenarios.start import find_start
 
         q_m = find_start(model, data.pairs, config.border.d_b, self.start, seed=seed)
@@ -140,6 +146,10 @@ class LineScenario(Scenario):
 
     def reference(self, t: float, orientation: Array) -> Reference:
         """The end-effector's reference with a constant orientation, (3, 3)."""
+        import pinocchio as pin
+
+        from app.control.tasks import Reference
+
         p, v, a = self.position(t)
         zero = np.zeros(3)
         return Reference(
@@ -149,3 +159,28 @@ class LineScenario(Scenario):
     def _passed(self, t: float) -> float:
         """[-] of the time in which the point moves, 0 to 1."""
         return min(max(t / (self.duration * self.moving), 0.0), 1.0)
+
+
+@dataclass(frozen=True)
+class StartedLine(LineScenario):
+    """A line from a posture of the arm that is given and not searched."""
+
+    q_m: tuple[float, ...]
+    """(n_m,) [rad or m] the arm's joints at the start."""
+
+    def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
+        """See `Scenario.setting`.
+
+        Raises:
+            CaseError: The posture is of another arm.
+            TargetError: The hand would be led below the floor.
+        """
+        from app.simulation.person import checked_target
+
+        if len(self.q_m) != model.n_m:
+            raise CaseError(
+                f"{self.name}: a posture of {len(self.q_m)} joints; the arm of "
+                f"{model.description.name} has {model.n_m}"
+            )
+        checked_target(np.add(self.start, self.move))
+        return Setting(model, data, np.zeros(3), np.array(self.q_m), config)

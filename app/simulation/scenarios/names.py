@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from app.errors import UnknownNameError
-from app.robot.description import RobotDescription
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import LineScenario
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
 from app.simulation.scenarios.way_out import WayOutScenario
+
+if TYPE_CHECKING:
+    from app.robot.description import RobotDescription
 
 LINES = {
     scenario.name: scenario

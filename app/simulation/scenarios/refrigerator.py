@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from app.border.cache import BorderData
-from app.config import Config
-from app.control.door_opening import DoorOpening, DoorOpeningGains, HandReading
 from app.errors import ConfigError
-from app.robot.model import RobotModel
-from app.simulation.plants.door import Door, OpenDoor, with_door
-from app.simulation.scenarios.leading import DoorReading, Lead, Leader, Scenario, Setting
+from app.simulation.scenarios.leading import Leader, Scenario, Setting
+from app.strict import check_range
 
 if TYPE_CHECKING:
+    from app.border.cache import BorderData
+    from app.config import Config
+    from app.robot.model import RobotModel
+    from app.simulation.plants.door import Door
     from app.simulation.session import Session
 
 Array = np.ndarray
@@ -68,7 +68,7 @@ class RefrigeratorScenario(Scenario):
     opening_rate: float = 2.15
     """[deg/s] the hand's speed, as the door's turning that it gives at the handle's radius."""
     base: tuple[float, float, float] | None = None
-    """x [m], y [m] and heading [rad] of the base at the start; by default before the door, so far
+    """[m] [m] [deg] x, y and heading of the base at the start; by default before the door, so far
     away that doors up to 0.6 m wide meet the base when they are open by the same angle."""
 
     def __post_init__(self) -> None:
@@ -76,21 +76,15 @@ class RefrigeratorScenario(Scenario):
         if self.hinge not in ("left", "right"):
             raise ConfigError(f"--hinge: {self.hinge!r} is neither left nor right")
         for name, (low, high, unit) in _RANGES.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                option = name.replace("_", "-")
-                raise ConfigError(
-                    f"--{option}: {value:g} {unit} is not within {low:g} to {high:g} {unit}"
-                )
-        for name, size in (("hinge_position", 2), ("base", 3)):
-            place = getattr(self, name)
-            if place is not None and not _finite(place, size):
-                option = name.replace("_", "-")
-                raise ConfigError(f"--{option}: {place!r} is not {size} finite numbers")
+            check_range(f"--{name.replace('_', '-')}", getattr(self, name), low, high, unit)
+        _check_place("--hinge-position", self.hinge_position, 2)
+        _check_place("--base", self.base, 3)
 
     @property
     def door(self) -> Door:
         """The door."""
+        from app.simulation.plants.door import Door
+
         side = 1.0 if self.hinge == "left" else -1.0
         return Door(
             hinge=self.hinge,
@@ -104,7 +98,7 @@ class RefrigeratorScenario(Scenario):
     def base_pose(self) -> Array:
         """(3,) x, y [m] and heading [rad] of the base at the start."""
         if self.base is not None:
-            return np.array(self.base)
+            return np.array([*self.base[:2], math.radians(self.base[2])])
         door = self.door
         away = _FRONT + min(math.sin(_FREE_TURN) * door.width, _FARTHEST)
         beside = _HINGE_BESIDE + 2 / 3 * max(door.width - _WIDE, 0.0)
@@ -118,6 +112,7 @@ class RefrigeratorScenario(Scenario):
             UnreachableError: The hand cannot hold the handle from there.
         """
         # Imported here: scipy would make every command start later.
+        from app.simulation.plants.door import OpenDoor, with_door
         from app.simulation.scenarios.grasp import GraspSolver
 
         door, angle, base_pose = self.door, math.radians(self.door_angle), self.base_pose
@@ -135,12 +130,20 @@ class RefrigeratorScenario(Scenario):
 
     def leader(self, session: Session) -> Leader:
         """See `Scenario.leader`."""
-        return _Opener(self, session)
+        from app.simulation.scenarios.opening import Opener
+
+        return Opener(self.door, session, rate=self.opening_rate, guess=self.radial_guess)
 
 
-def _finite(place: Sequence[float], size: int) -> bool:
+def _check_place(option: str, place: Sequence[float] | None, size: int) -> None:
+    """Refuse a place on the floor that is not finite, or a heading of more than a turn."""
+    if place is None:
+        return
     values = np.array(place, dtype=float)
-    return values.shape == (size,) and bool(np.isfinite(values).all())
+    if values.shape != (size,) or not np.isfinite(values).all():
+        raise ConfigError(f"{option}: {place!r} is not {size} finite numbers")
+    for value in place[2:]:
+        check_range(option, value, -360.0, 360.0, "deg")
 
 
 def _firm(config: Config) -> Config:
@@ -154,32 +157,3 @@ def _firm(config: Config) -> Config:
         section, _, name = path.partition(".")
         config = config.replace(path, max(getattr(getattr(config, section), name), least))
     return config
-
-
-class _Opener:
-    """The adaptive controller at the sensors of a session."""
-
-    def __init__(self, scenario: RefrigeratorScenario, session: Session) -> None:
-        door = self._door = scenario.door
-        T_ee = session.T_world_ee
-        speed = math.radians(scenario.opening_rate) * door.handle_radius
-        gains = DoorOpeningGains(speed=speed)
-        turn = -door.side * math.radians(scenario.radial_guess)
-        turned = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-        guess = turned @ door.radial(T_ee.translation)
-        self._opening = DoorOpening(T_ee, guess, gains, session.physics.dt)
-
-    def __call__(self, session: Session) -> Lead:
-        assert session.physics.door is not None
-        wrench = session.physics.door.wrench()
-        T_ee, velocity = session.T_world_ee, session.controller.state.v_ee[:3]
-        truth = self._door.radial(T_ee.translation)
-        guess = self._opening.radial(T_ee)
-        reading = DoorReading(
-            session.physics.door.angle(),
-            wrench.force,
-            float(wrench.force[:2] @ truth),
-            math.atan2(truth[0] * guess[1] - truth[1] * guess[0], float(truth @ guess[:2])),
-        )
-        reference = self._opening.step(HandReading(T_ee, velocity, wrench.force, wrench.torque))
-        return Lead(reference=reference, door=reading)

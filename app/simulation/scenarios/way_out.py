@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from app.avoidance.distances import ClosestPoints
-from app.border.cache import BorderData
-from app.config import Config
 from app.errors import ConfigError, UnreachableError
-from app.robot.link_pairs import LinkPairs
-from app.robot.model import RobotModel
 from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
 
 if TYPE_CHECKING:
+    from app.avoidance.distances import ClosestPoints
+    from app.border.cache import BorderData
+    from app.config import Config
+    from app.robot.link_pairs import LinkPairs
+    from app.robot.model import RobotModel
     from app.simulation.session import Session
 
 Array = np.ndarray

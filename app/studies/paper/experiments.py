@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -28,8 +27,6 @@ Array = np.ndarray
 
 ROBOT = "husky_panda"
 """The paper's robot."""
-MOST_PROCESSES = 2
-"""More than two is possible, but each needs 0.5 GB."""
 _LOG_EVERY = 10  # control steps between two rows that figures and claims are made of
 _LOOK = 0.2  # [s] between two looks at how far the workers are
 
@@ -119,11 +116,6 @@ def load_sources() -> Sources:
     """The paper's robot with the default parameters, no run done yet."""
     model = RobotModel(load_robot(ROBOT))
     return Sources(model, load_border_data(model), Config(), {})
-
-
-def default_processes() -> int:
-    """Two, or as many as there are cores."""
-    return min(MOST_PROCESSES, os.cpu_count() or 1)
 
 
 def run_experiments(

@@ -3,49 +3,20 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from pydantic import Field, ValidationError
 
-from app.border.cache import BorderData
 from app.config import Config
 from app.errors import CaseError, ConfigError
-from app.robot.model import RobotModel
-from app.simulation.person import checked_target
-from app.simulation.scenarios.leading import Setting
-from app.simulation.scenarios.line import LineScenario
+from app.simulation.scenarios.line import StartedLine
 from app.strict import Finite, Positive, Strict, Vector3, explain
 from app.studies.pulls.draw_range import PARAMETERS
 
 _KEY = "case"  # under which the file of a failure keeps it, beside its figures
 _FORMER = {"strength", "noise", "delay", "base_speed"}  # fields of cases before hands had springs
-
-
-@dataclass(frozen=True)
-class PosedLine(LineScenario):
-    """A pull along a line from a posture of the arm that is given and not searched."""
-
-    q_m: tuple[float, ...]
-    """(n_m,) [rad or m] the arm's joints at the start."""
-
-    def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """See `Scenario.setting`.
-
-        Raises:
-            CaseError: The posture is of another arm.
-            TargetError: The hand would be led below the floor.
-        """
-        q_m = np.array(self.q_m)
-        if len(q_m) != model.n_m:
-            raise CaseError(
-                f"{self.name}: a posture of {len(q_m)} joints; the arm of "
-                f"{model.description.name} has {model.n_m}"
-            )
-        checked_target(np.add(self.start, self.move))
-        return Setting(model, data, np.zeros(3), q_m, config)
 
 
 class Case(Strict):
@@ -102,9 +73,9 @@ class Case(Strict):
         """As in `case-00017`."""
         return f"case-{self.number:05d}"
 
-    def scenario(self) -> PosedLine:
+    def scenario(self) -> StartedLine:
         """The pull."""
-        return PosedLine(
+        return StartedLine(
             self.name,
             self.duration,
             f"{self.kind}, case {self.number} of a study",
@@ -129,17 +100,17 @@ class Case(Strict):
         return config
 
 
-def check_no_others(**options: object) -> None:
+def check_no_others(options: Mapping[str, object]) -> None:
     """Refuse options that a replayed case already answers.
 
     Args:
-        options: By their names; None was not given.
+        options: By their names; None was not given, and a parameter that no case has is fine.
 
     Raises:
         ConfigError: Names the first that was.
     """
     for name, value in options.items():
-        if value is not None:
+        if value is not None and name not in ("border", "buffer_distance"):
             option = "SCENARIO" if name == "scenario" else f"--{name.replace('_', '-')}"
             raise ConfigError(f"{option}: --replay-case takes it from its file; leave one of them")
 

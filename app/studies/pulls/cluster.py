@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import os
 import signal
 import threading
 from collections.abc import Iterator
@@ -18,7 +17,6 @@ from app.studies.pulls.parameters import code_digest
 
 _PATIENCE = 10.0  # [s] for a scheduler to answer
 _WORKERS_PATIENCE = 30.0  # [s] for one of its workers to be there
-_MOST_PROCESSES = 2  # more are possible, but each needs 0.5 GB
 _HOST = "127.0.0.1"
 _CONNECT = "distributed.comm.timeouts.connect"
 _SETTINGS = {
@@ -26,11 +24,6 @@ _SETTINGS = {
     "distributed.admin.tick.limit": "1h",  # a case holds its worker's thread for seconds
     "distributed.scheduler.allowed-failures": 3,
 }
-
-
-def default_processes() -> int:
-    """Two, or as many as there are cores."""
-    return min(_MOST_PROCESSES, os.cpu_count() or 1)
 
 
 @contextmanager

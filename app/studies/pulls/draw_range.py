@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Mapping
+from typing import Annotated, Any
 
 from pydantic import AfterValidator, Field
 
 from app.config import parameter
-from app.strict import Finite, Strict
+from app.errors import ConfigError
+from app.strict import Finite, Strict, check_range
 
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
@@ -86,3 +88,19 @@ def bounds(name: str) -> tuple[float, float, str]:
         return _OWN[name]
     known = parameter(PARAMETERS[name])
     return known.low, known.high, known.unit
+
+
+def make_range(given: Mapping[str, Any]) -> StudyRange:
+    """The intervals with some given, each within its bounds.
+
+    Raises:
+        ConfigError: Names the option of `dbb study` that is not.
+    """
+    for name, value in given.items():
+        option = f"--{name.replace('_', '-')}"
+        ends = value if isinstance(value, tuple) else (value,)
+        for end in ends:
+            check_range(option, end, *bounds(name))
+        if ends[0] > ends[-1]:
+            raise ConfigError(f"{option}: LOW {ends[0]:g} is above HIGH {ends[-1]:g}")
+    return StudyRange(**given)

@@ -20,12 +20,16 @@ class StudyParameters(Strict):
     """All that its cases follow from; how many of them are wanted is no part of it."""
 
     seed: int = 0
+    """Seed of the study; case k follows from it and k alone."""
     robot: str = "husky_panda"
+    """Name of the robot; `dbb robots` lists them."""
     controller: str = "dbb"
+    """dbb, one it is compared with (repulsive, barrier), or none: the stack without avoidance."""
     physics: str = Field(default_factory=default_plant)
+    """planar, mujoco, mujoco-contact or kinematic."""
     ranges: StudyRange = StudyRange()
     inside: bool = False
-    """Whether only cases inside of the stated envelope are drawn."""
+    """Draw only cases inside of the envelope that the project states."""
 
 
 @cache

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
-import numpy as np
-
-from app.border.cache import BorderData
-from app.border.mobile import MobileBody
 from app.config import Config
-from app.robot.model import RobotModel
-from app.simulation.person import checked_target
-from app.simulation.plants.choice import default_plant
-from app.simulation.scenarios.leading import Setting
-from app.simulation.scenarios.line import LineScenario
-from app.studies.sweep.paths import Approach, from_above, ring, wheel_axis
-from app.studies.sweep.paths_start import Start
+from app.control.names import CONTROLLERS
+from app.errors import ConfigError, UnknownNameError
+from app.simulation.plants.choice import chosen_plant, default_plant
+from app.simulation.scenarios.line import StartedLine
+from app.strict import check_range
 
-Array = np.ndarray
+if TYPE_CHECKING:
+    from app.robot.model import RobotModel
+    from app.studies.sweep.paths import Approach
+    from app.studies.sweep.paths_start import Start
+
 Mode = Literal["tracking", "guiding"]
 
 CLEAR = 0.02
@@ -28,43 +26,78 @@ MORE_THAN_BUFFER = 0.005
 """[m] what a start needs beyond the buffer at least."""
 
 
+_RANGES = {
+    "heights": (0.02, 2.0, "m"),
+    "speeds": (0.001, 1.0, "m/s"),
+    "step": (0.5, 90.0, "deg"),
+    "above_spacing": (0.02, 1.0, "m"),
+    "length": (0.01, 0.5, "m"),
+    "hold": (0.0, 60.0, "s"),
+}
+_FARTHEST = 0.5  # [m] a start from the base
+OPTIONS = {"controllers": "controller", "heights": "height", "speeds": "speed"}
+"""Options of `dbb sweep` that are called otherwise than the field that they set."""
+
+
 @dataclass(frozen=True)
 class SweepPlan:
-    """The paths of a sweep and how they are led.
-
-    Attributes:
-        robot: Name of the robot.
-        controllers: Names of the controllers, one after the other.
-        heights: [m] of the hand's origin on the paths from the side.
-        speeds: [m/s] mean speed of the hand on its way.
-        step: [deg] between two directions.
-        mode: Whether the arm tracks the path, its orientation held, or a person pulls it there.
-        wheel_axis: Whether paths along the wheel axis are among them.
-        above: Whether paths from above are among them.
-        above_spacing: [m] at most, between two places of their grid.
-        length: [m] of each path.
-        hold: [s] how long the hand is held at the end.
-        start_distance: [m] between arm and base at the start; None is a little more than d_b.
-        physics: Kind of plant.
-        seed: Of everything random.
-        config: Parameters.
-    """
+    """The paths of a sweep and how they are led."""
 
     robot: str = "husky_panda"
+    """Name of the robot; `dbb robots` lists them."""
     controllers: tuple[str, ...] = ("dbb",)
+    """One or several of dbb, repulsive, barrier and none, with blanks or commas."""
     heights: tuple[float, ...] = (0.3,)
+    """[m] of the hand on the paths from the side, one or several."""
     speeds: tuple[float, ...] = (0.025,)
+    """[m/s] mean speed of the hand on its way, one or several."""
     step: float = 5.0
+    """[deg] between two directions."""
     mode: Mode = "tracking"
+    """tracking with the orientation held, or guiding, where a person pulls the hand."""
     wheel_axis: bool = True
+    """Paths along the wheel axis too."""
     above: bool = False
+    """Paths down onto the base too, over a grid of places."""
     above_spacing: float = 0.15
+    """[m] at most, between two of these places."""
     length: float = 0.2
+    """[m] of each path."""
     hold: float = 3.0
+    """[s] how long the hand is held at the end."""
     start_distance: float | None = None
+    """[m] between arm and base at the start; by default 0.02 beyond the buffer."""
     physics: str = field(default_factory=default_plant)
+    """planar, mujoco, mujoco-contact or kinematic."""
     seed: int = 0
+    """Seed of everything random."""
     config: Config = field(default_factory=Config)
+    """Parameters."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be done, in the words of the options.
+
+        Raises:
+            ConfigError: A number out of its range.
+            UnknownNameError: No such controller or plant.
+        """
+        for name in self.controllers:
+            if name not in CONTROLLERS:
+                raise UnknownNameError("controller", name, CONTROLLERS)
+        chosen_plant(self.physics)
+        for name, bounds in _RANGES.items():
+            given = getattr(self, name)
+            option = f"--{OPTIONS.get(name, name).replace('_', '-')}"
+            for value in given if isinstance(given, tuple) else (given,):
+                check_range(option, value, *bounds)
+        for name in OPTIONS:
+            if not getattr(self, name):
+                raise ConfigError(f"--{OPTIONS[name]}: give one or several")
+        if self.start_distance is not None:
+            least = self.config.border.d_b + MORE_THAN_BUFFER
+            check_range("--start-distance", self.start_distance, least, _FARTHEST, "m")
+        if abs(360.0 / self.step - round(360.0 / self.step)) > 1e-9:
+            raise ConfigError(f"--step: 360° is not a multiple of {self.step:g}°")
 
     @property
     def distance(self) -> float:
@@ -75,6 +108,10 @@ class SweepPlan:
 
     def approaches(self, model: RobotModel) -> list[Approach]:
         """All paths, each once for all speeds and controllers."""
+        # Imported here, so that a plan is checked at once.
+        from app.border.mobile import MobileBody
+        from app.studies.sweep.paths import from_above, ring, wheel_axis
+
         found = list(ring(self.heights, self.step))
         if self.wheel_axis:
             found += wheel_axis(self.heights)
@@ -118,20 +155,3 @@ class Trial(NamedTuple):
     start: Start
     controller: str
     speed: float
-
-
-@dataclass(frozen=True)
-class StartedLine(LineScenario):
-    """A line whose starting posture is known."""
-
-    q_m: tuple[float, ...]
-    """[rad or m] the arm's joints at the begin."""
-
-    def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """See `Scenario.setting`.
-
-        Raises:
-            TargetError: The hand would be led below the floor.
-        """
-        checked_target(np.add(self.start, self.move))
-        return Setting(model, data, np.zeros(3), np.array(self.q_m), config)

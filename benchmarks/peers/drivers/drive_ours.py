@@ -14,8 +14,8 @@ from app.config import Config
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
+from app.simulation.scenarios.line import StartedLine
 from app.simulation.session import DT, Session, Step
-from app.studies.sweep.plan import StartedLine
 
 Array = np.ndarray
 

@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from app.bench.paths import Path
-from app.bench.timing import time_steps
 from app.border.cache import BorderData
 from app.border.cloud import DISTANCE_UNIT, make_cloud, quantise_points
 from app.border.offset import OffsetContours
@@ -16,6 +14,8 @@ from app.border.rings import RAYS
 from app.config import Config
 from app.control.controller import Controller
 from app.robot.model import RobotModel
+from benchmarks.step.paths import Path
+from benchmarks.step.timing import time_steps
 
 Array = np.ndarray
 

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.bench.paths import Moment, Path
 from app.control.controller import Controller, ControlOutput
 from app.simulation.loop.gc_freeze import settled
+from benchmarks.step.paths import Moment, Path
 
 Array = np.ndarray
 

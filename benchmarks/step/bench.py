@@ -9,11 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from app.bench.density import by_points
-from app.bench.floor import Floor
-from app.bench.paths import PATHS, Moment, Path, record
-from app.bench.rollouts import time_rollouts
-from app.bench.timing import time_stages, time_steps
 from app.border.cache import BorderData
 from app.border.sampling.config import SamplingConfig
 from app.border.sampling.pairs import sample_clouds
@@ -22,6 +17,11 @@ from app.control.controller import Controller, ControlOutput
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
 from app.system import peak_memory
+from benchmarks.step.density import by_points
+from benchmarks.step.floor import Floor
+from benchmarks.step.paths import PATHS, Moment, Path, record
+from benchmarks.step.rollouts import time_rollouts
+from benchmarks.step.timing import time_stages, time_steps
 
 POINTS = (50_000, 500_000, 5_000_000)
 """Points of the synthetic borders."""

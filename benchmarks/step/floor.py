@@ -15,9 +15,9 @@ import numpy as np
 import pinocchio as pin
 from proxsuite import proxqp
 
-from app.bench.paths import Moment
 from app.robot.link_pairs import LinkPairs, PairDistances
 from app.robot.model import RobotModel
+from benchmarks.step.paths import Moment
 
 Array = np.ndarray
 

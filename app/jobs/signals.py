@@ -42,6 +42,7 @@ def ending_signals_raised() -> Iterator[None]:
             raise _exception() from error
         raise
     finally:
+        _received.clear()
         for number, handler in before.items():
             signal.signal(number, handler)
 

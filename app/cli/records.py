@@ -1,0 +1,138 @@
+"""Options made from records: each field is an option, its docstring the help, its default shown."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import MISSING, fields
+from itertools import pairwise
+from textwrap import dedent
+from types import NoneType
+from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
+
+import tyro
+from pydantic import BaseModel
+from typing_extensions import Required, TypedDict
+
+Given = dict[str, Any]
+"""What was given of a record's fields, by their names."""
+
+_METAVARS = {
+    "base": "X Y YAW",
+    "hinge_position": "X Y",
+    "wheels": "LEFT RIGHT",
+    "ready": "Q1 Q2 …",
+    "controllers": "NAME …",
+    "heights": "Z …",
+    "speeds": "V …",
+}
+
+
+class Field(NamedTuple):
+    """An option: its type, its default or `MISSING`, and its help."""
+
+    kind: Any
+    default: Any
+    help: str
+
+
+def from_record(
+    record: object,
+    *,
+    only: Collection[str] | None = None,
+    leave: Collection[str] = (),
+    names: Mapping[str, str] | None = None,
+    positional: str = "",
+) -> Any:
+    """What `Annotated[Given, …]` needs for a command to have a record's fields as its options.
+
+    Args:
+        record: A dataclass or pydantic record, or an instance whose values are the defaults.
+        only: Fields to take; all if None.
+        leave: Fields to leave out.
+        names: Options that are called otherwise than their field.
+        positional: The field that is given without its name.
+    """
+    found = {
+        name: each
+        for name, each in fields_of(record)
+        if (only is None or name in only) and name not in leave
+    }
+    return from_fields(found, names or {}, positional)
+
+
+def from_fields(
+    found: Mapping[str, Field], names: Mapping[str, str] | None = None, positional: str = ""
+) -> Any:
+    """The same for some fields; only what is given is in the dictionary."""
+    kinds = {
+        name: _option(name, each, (names or {}).get(name, name), positional == name)
+        for name, each in found.items()
+    }
+    record = TypedDict("Options", kinds, total=False)  # type: ignore[operator]
+    return tyro.conf.arg(name="", constructor=record)
+
+
+def _option(name: str, about: Field, option: str, positional: bool) -> Any:
+    needed = about.default is MISSING
+    hint = "(required)" if needed else f"(default: {_text(about.default)})"
+    marks = tyro.conf.arg(
+        name=option,
+        metavar=_metavar(name, about.kind, positional),
+        help=about.help,
+        help_behavior_hint="" if about.default is None else hint,
+    )
+    kind = Annotated[about.kind, marks]  # type: ignore[valid-type]
+    if positional:
+        kind = tyro.conf.Positional[kind]
+    return Required[kind] if needed else kind
+
+
+def _text(default: Any) -> str:
+    """A default as it would be typed."""
+    if isinstance(default, tuple):
+        return " ".join(map(_text, default))
+    if isinstance(default, bool):
+        return "yes" if default else "no"
+    return f"{default:g}" if isinstance(default, float) else str(default)
+
+
+def _metavar(name: str, kind: Any, positional: bool) -> str | None:
+    if get_origin(kind) is not tuple:
+        return name.upper() if positional else None
+    return _METAVARS.get(name) or {2: "LOW HIGH", 3: "X Y Z"}[len(get_args(kind))]
+
+
+def fields_of(record: object) -> Iterator[tuple[str, Field]]:
+    """The fields of a record, in their order."""
+    cls = record if isinstance(record, type) else type(record)
+    kinds = {name: _given(kind) for name, kind in get_type_hints(cls).items()}
+    if issubclass(cls, BaseModel):
+        for name, each in cls.model_fields.items():
+            default = each.get_default(call_default_factory=True)  # type: ignore[call-arg]
+            yield name, Field(kinds[name], default, each.description or "")
+        return
+    docs = {name: text for each in reversed(cls.__mro__) for name, text in _docs(each)}
+    for each in fields(cls):  # type: ignore[arg-type]
+        default = each.default if each.default_factory is MISSING else each.default_factory()
+        if cls is not record:
+            default = getattr(record, each.name)
+        yield each.name, Field(kinds[each.name], default, docs.get(each.name, ""))
+
+
+def _docs(cls: type) -> Iterator[tuple[str, str]]:
+    """The docstrings below the fields of a dataclass."""
+    if "__dataclass_fields__" not in vars(cls):
+        return
+    body = ast.parse(dedent(inspect.getsource(cls))).body[0].body  # type: ignore[attr-defined]
+    for before, after in pairwise(body):
+        if isinstance(before, ast.AnnAssign) and isinstance(after, ast.Expr):
+            text = inspect.cleandoc(ast.literal_eval(after.value))
+            yield ast.unparse(before.target), " ".join(text.split())
+
+
+def _given(kind: Any) -> Any:
+    """The type of what is given where a record may also have None."""
+    rest = [each for each in get_args(kind) if each is not NoneType]
+    return rest[0] if len(rest) == 1 and NoneType in get_args(kind) else kind
