@@ -5,7 +5,7 @@ ARGS ?=
 # Compiles what is compiled, so that nobody waits for it later.
 KERNELS := $(BIN)/python -c 'import app.control.controller'
 
-.PHONY: run test test-without-browser pictures lint format browser clean
+.PHONY: run test test-without-browser pictures results pages docs lint format browser clean
 
 run: $(VENV)/.installed
 	$(BIN)/dbb serve $(ARGS)
@@ -17,10 +17,22 @@ test: $(VENV)/.installed-dev browser
 test-without-browser: $(VENV)/.installed-dev
 	tools/test.sh $(VENV) -m 'not browser' $(ARGS)
 
-# The README's pictures, in docs/pictures too; then the figures of the paper, with their data.
+# The pictures of README and documentation; then the figures of the paper, with their data.
 pictures: $(VENV)/.installed browser
 	tools/pictures.sh $(VENV)
 	$(BIN)/dbb reproduce --out out/pictures/paper
+
+# Measures what the documentation's tables show, or those that ARGS names, and puts it into the pages.
+results: $(VENV)/.installed-dev
+	$(BIN)/python -m tools.results $(ARGS)
+	$(BIN)/python -m tools.pages
+
+pages: $(VENV)/.installed-dev
+	$(BIN)/python -m tools.pages
+
+# Warnings, such as a broken link, are errors.
+docs: $(VENV)/.installed-docs
+	$(BIN)/python -m sphinx -n -W --keep-going docs out/docs
 
 # pyright asks the interpreter for its search path: pinocchio extends it at run time. The oldest and
 # the newest Python, on both systems.
@@ -42,7 +54,7 @@ browser: $(VENV)/.installed
 	tools/browser.sh $(VENV)
 
 $(VENV)/.installed: pyproject.toml
-	tools/venv.sh $(VENV) .
+	tools/venv.sh $(VENV) '.[all]'
 	$(KERNELS)
 	touch $@
 
@@ -50,6 +62,10 @@ $(VENV)/.installed-dev: pyproject.toml
 	tools/venv.sh $(VENV) '.[dev]'
 	$(KERNELS)
 	touch $@ $(VENV)/.installed
+
+$(VENV)/.installed-docs: pyproject.toml
+	tools/venv.sh $(VENV) '.[docs]'
+	touch $@
 
 clean:
 	rm -rf $(VENV) dist build *.egg-info .pytest_cache .ruff_cache .hypothesis

@@ -3,6 +3,77 @@
 An implementation of Jang, Kim and Park's method: a distance buffer border (DBB) around the base,
 scored by the base's singularity and the arm's reachability; a force from it that moves the base out
 of the arm's way; and one QP a step with continuous task transition.
+
+In a robot's own loop at 1 kHz, where `sensors` and `send` are the robot's::
+
+    from app import ControlLoop, Measurement, RobotModel, load_robot
+
+    loop = ControlLoop(RobotModel(load_robot("husky_panda")))
+    while (readings := sensors()) is not None:  # base pose and velocity, the arm's q and q̇
+        command = loop.step(Measurement(*readings))
+        send(command.u_a, command.base_velocity)  # [N m], [m/s and rad/s]
+
+A `Reference` as second argument of `step` makes the end-effector track it; without one the arm is
+guided by hand. All names below are loaded when they are first used.
 """
 
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from app.border.cache import BorderData as BorderData
+    from app.border.cache import load_border_data as load_border_data
+    from app.config import Config as Config
+    from app.config_file import read_config as read_config
+    from app.control.control_loop import Command as Command
+    from app.control.control_loop import ControlLoop as ControlLoop
+    from app.control.controller import Controller as Controller
+    from app.control.controller import ControlOutput as ControlOutput
+    from app.control.tasks import Reference as Reference
+    from app.errors import DbbError as DbbError
+    from app.robot.assets import load_robot as load_robot
+    from app.robot.assets import robot_names as robot_names
+    from app.robot.description import RobotDescription as RobotDescription
+    from app.robot.description import load_description as load_description
+    from app.robot.model import RobotModel as RobotModel
+    from app.robot.state import Measurement as Measurement
+    from app.robot.state import RobotState as RobotState
+
 __version__ = "0.1.0"
+
+_MODULES = {
+    "BorderData": "app.border.cache",
+    "Command": "app.control.control_loop",
+    "Config": "app.config",
+    "ControlLoop": "app.control.control_loop",
+    "ControlOutput": "app.control.controller",
+    "Controller": "app.control.controller",
+    "DbbError": "app.errors",
+    "Measurement": "app.robot.state",
+    "Reference": "app.control.tasks",
+    "RobotDescription": "app.robot.description",
+    "RobotModel": "app.robot.model",
+    "RobotState": "app.robot.state",
+    "load_border_data": "app.border.cache",
+    "load_description": "app.robot.description",
+    "load_robot": "app.robot.assets",
+    "read_config": "app.config_file",
+    "robot_names": "app.robot.assets",
+}
+"""Where each name is defined."""
+
+__all__ = sorted(_MODULES)  # pyright: ignore[reportUnsupportedDunderAll]
+
+
+def __getattr__(name: str) -> object:
+    """A name of the interface, from the module that defines it."""
+    if name not in _MODULES:
+        raise AttributeError(f"module 'app' has no attribute {name!r}")
+    return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """The names of the interface, and the module's own."""
+    return sorted({*globals(), *_MODULES})

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from traceback import walk_tb
 
 
 class DbbError(Exception):
@@ -79,6 +81,10 @@ class StudyError(DbbError):
     """A study cannot be done or gone on with where it was asked for."""
 
 
+class MissingExtraError(DbbError):
+    """A library is not installed that only some commands need; names the extra that brings it."""
+
+
 class ServerError(DbbError):
     """The dashboard cannot listen where it was told to."""
 
@@ -89,6 +95,39 @@ class BrowserError(DbbError):
 
 class LoopError(DbbError):
     """The simulation thread ended with an exception, which is its cause."""
+
+
+EXTRAS = {
+    "dashboard": ("fast_simplification", "msgspec", "PIL", "playwright", "viser", "websockets"),
+    "onboarding": ("eaik", "xacrodoc"),
+    "studies": ("dask", "distributed", "jinja2", "matplotlib", "mpl_toolkits"),
+    "sim": ("mujoco", "pyarrow", "pybullet", "pybullet_data", "scipy", "trimesh"),
+}
+"""The extras of the package, and the modules that each brings; all bring those of `sim`. The first
+three are for the rooms of their names."""
+
+
+@contextmanager
+def extras_named() -> Iterator[None]:
+    """A module that is missing meanwhile, and that an extra brings, is an error of one line.
+
+    Raises:
+        MissingExtraError: Says how to install the extra of the room that asked for it.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        missing = (error.name or "").partition(".")[0]
+        asked = [str(frame.f_globals["__name__"]) for frame, _ in walk_tb(error.__traceback__)]
+        for extra, modules in EXTRAS.items():
+            if missing in modules or (
+                missing in EXTRAS["sim"] and any(n.startswith(f"app.{extra}.") for n in asked)
+            ):
+                raise MissingExtraError(
+                    f"this needs {missing}, which is not installed; "
+                    f"try: pip install 'dbb-mobile-manipulator[{extra}]'"
+                ) from None
+        raise
 
 
 def did_you_mean(name: str, choices: Iterable[str]) -> str:

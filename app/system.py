@@ -11,7 +11,8 @@ import multiprocessing
 import os
 import signal
 import sys
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import BinaryIO
 
 if sys.platform != "win32":
@@ -51,6 +52,25 @@ def step_back(niceness: int) -> None:
     """Behind others, by 1 to 19."""
     with suppress(AttributeError, OSError):
         os.nice(niceness)
+
+
+ENDING = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+)
+"""Signals by which a user, a supervisor or a closed terminal ends a command."""
+
+
+@contextmanager
+def interrupt_blocked() -> Iterator[None]:
+    """Ctrl-C waits meanwhile, here and in processes that are started, where signals can wait."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def lead_group() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from app.dashboard.hand import GIZMO, SCALE
+from app.dashboard.drag import GIZMO, SCALE
 from tests.browser import DashboardTab, chromium
 from tests.raw_client import RawClient
 

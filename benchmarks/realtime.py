@@ -24,12 +24,12 @@ import tyro
 from app.cli.common import load_robot_and_border
 from app.config import Config
 from app.dashboard.server import DashboardServer, serve_dashboard
-from app.simulation.commands import Compare, Pull, Reset
-from app.simulation.loop import LoopHandle, SimulationLoop
-from app.simulation.process_loop import ProcessLoop
-from app.simulation.scenario import scenario_by_name
+from app.simulation.loop.commands import Compare, Pull, Reset
+from app.simulation.loop.loop import LoopHandle, SimulationLoop
+from app.simulation.loop.process_loop import ProcessLoop
+from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.scenarios.start import find_start
 from app.simulation.session import DT
-from app.simulation.start import find_start
 from benchmarks.client import FAR, NEAR, SWEEP, SWEEPS
 from benchmarks.timed_session import TimedSession
 

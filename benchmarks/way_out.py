@@ -13,7 +13,7 @@ import tyro
 from app.cli.common import load_robot_and_border, print_json, progress_bar
 from app.config import Config
 from app.simulation.run import run_scenario
-from app.simulation.way_out import WayOutScenario
+from app.simulation.scenarios.way_out import WayOutScenario
 
 
 def main(

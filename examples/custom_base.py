@@ -14,7 +14,7 @@ from app.robot.bases.kind import FORWARD, Axis, BaseForce, BaseKind
 from app.robot.description import register_base_kind
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
-from app.simulation.scenario import LINES
+from app.simulation.scenarios.names import LINES
 
 
 class RailBase(BaseKind):

@@ -11,8 +11,8 @@ from app.config import Config
 from app.control.control_loop import ControlLoop
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
-from app.simulation.plants import make_physics
-from app.simulation.start import StartSolver
+from app.simulation.plants.choice import make_physics
+from app.simulation.scenarios.start import StartSolver
 
 DT = 0.001  # [s]
 PULL = np.array([-12.0, 0.0, 0.0])  # [N] of the person, in the world

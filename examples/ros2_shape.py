@@ -14,7 +14,7 @@ from app.control.control_loop import ControlLoop
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
-from app.simulation.plants import make_physics
+from app.simulation.plants.choice import make_physics
 
 
 class AvoidanceNode:

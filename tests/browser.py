@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from app.dashboard import browser as browser_of_app
-from app.dashboard.tour import SEEN
+from app.dashboard.export import browser as browser_of_app
+from app.dashboard.panels.help import SEEN
 from app.errors import BrowserError
 
 REQUIRED = "DBB_REQUIRE_BROWSER"

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from app.border.cloud import Cloud
 from app.dashboard.page import Page
-from app.dashboard.robot import RobotParts
+from app.dashboard.robot_switch import StartLoop
+from app.dashboard.scene.robot import RobotParts
 from app.dashboard.server import DashboardServer, serve_dashboard
-from app.dashboard.stage_change import StartLoop
-from app.simulation.commands import Compare, Pause, Reset, Speed
+from app.simulation.loop.commands import Compare, Pause, Reset, Speed
 from tests.browser import wait_for
 from tests.fakes import ScriptedLoop, fake_clouds
 from tests.robots import husky_panda

@@ -15,25 +15,24 @@ from app.config import Config
 from app.control.buffer_watch import BufferReading
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.command_check import checked
-from app.simulation.commands import (
+from app.simulation.loop.commands import (
     Choose,
     Command,
     Compare,
     Configure,
     Pause,
     Play,
-    PlayScenario,
     Pull,
     Release,
     Reset,
     Speed,
     StepOnce,
+    check_command,
 )
-from app.simulation.comparison import GhostReading, Score
-from app.simulation.history import History
 from app.simulation.people import PullReading, held_links, held_point
-from app.simulation.snapshot import ActingReading, PairReading, Snapshot
+from app.simulation.trace.comparison import GhostReading, Score
+from app.simulation.trace.history import History
+from app.simulation.trace.snapshot import ActingReading, PairReading, Snapshot
 
 Array = np.ndarray
 
@@ -77,7 +76,7 @@ class ScriptedLoop:
             self._thread.join()
 
     def send(self, command: Command) -> None:
-        checked(command, self.links)
+        check_command(command, self.links)
         with self._lock:
             self.commands.append(command)
             self._obey(command)
@@ -261,8 +260,6 @@ class ScriptedLoop:
 
 def _scenario_name(command: Command, before: str) -> str:
     """Which scenario leads after a beginning."""
-    if isinstance(command, PlayScenario):
-        return command.name
     if isinstance(command, Play):
         return command.scenario.name
     return "" if isinstance(command, Reset) else before

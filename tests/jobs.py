@@ -9,48 +9,48 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from app.dashboard.apart import Tell
+    from app.jobs.process import Report
     from app.onboarding.request import Request
 
 
-def count_up(tell: Tell, most: int) -> int:
+def count_up(report: Report, most: int) -> int:
     for k in range(most):
-        tell("counting", k / most)
+        report("counting", k / most)
     return os.getpid()
 
 
-def fail_with(tell: Tell, error: Exception) -> None:
+def fail_with(report: Report, error: Exception) -> None:
     raise error
 
 
-def vanish(tell: Tell) -> None:
+def vanish(report: Report) -> None:
     os._exit(7)
 
 
-def wait_for_ever(tell: Tell, file: str) -> None:
+def wait_for_ever(report: Report, file: str) -> None:
     """With a child of its own, whose number is told."""
     child = mp.get_context("spawn").Process(target=time.sleep, args=(600,))
     child.start()
     Path(file).write_text(str(child.pid))
-    tell("waiting", 0.5)
+    report("waiting", 0.5)
     time.sleep(600)
 
 
-def wait_in_a_folder(tell: Tell, out: str) -> None:
-    from app.onboarding.write import whole_folder
+def wait_in_a_folder(report: Report, out: str) -> None:
+    from app.onboarding.write.folder import whole_folder
 
     with whole_folder(Path(out)):
-        tell("waiting", 0.5)
+        report("waiting", 0.5)
         time.sleep(600)
 
 
-def wait_for_ever_for_a_request(tell: Tell, request: Request) -> None:
+def wait_for_ever_for_a_request(report: Report, request: Request) -> None:
     """With a folder that it has no time to remove."""
     request.out.parent.mkdir(exist_ok=True)
     (request.out.parent / f".{request.name}-abcd").mkdir()
-    tell("waiting", -1.0)
+    report("waiting", -1.0)
     time.sleep(600)
 
 
-def nothing_for_a_request(tell: Tell, request: Request) -> None:
-    tell(request.name, 1.0)
+def nothing_for_a_request(report: Report, request: Request) -> None:
+    report(request.name, 1.0)

@@ -9,12 +9,12 @@ import numpy as np
 
 from app.config import Config
 from app.control.buffer_watch import BufferReading
-from app.simulation.comparison import GhostReading, Score
-from app.simulation.door import Door
-from app.simulation.log_columns import frozen
-from app.simulation.log_meta import LogMeta
 from app.simulation.people import PullReading
-from app.simulation.snapshot import ActingReading, DoorView, PairReading, Snapshot
+from app.simulation.plants.door import Door
+from app.simulation.trace.comparison import GhostReading, Score
+from app.simulation.trace.log_columns import frozen
+from app.simulation.trace.log_meta import LogMeta
+from app.simulation.trace.snapshot import ActingReading, DoorView, PairReading, Snapshot
 from tests.robots import husky_panda
 
 PAIRS = ("lm-lEE", "lm-l3", "l1-lEE", "l1-l3", "l2-lEE")

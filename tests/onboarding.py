@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from app.border.reach_config import ReachConfig
-from app.border.sampling_config import SamplingConfig
-from app.onboarding import new_robot, reach, ready
+from app.border.reach.config import ReachConfig
+from app.border.sampling.config import SamplingConfig
+from app.onboarding import new_robot
+from app.onboarding.fit import reach, ready
 from app.robot import assets
 
 INERTIAL = (

@@ -1,4 +1,4 @@
-"""The README as text, for the tests that hold it to its word."""
+"""README and documentation as text, for the tests that hold them to their word."""
 
 from __future__ import annotations
 
@@ -6,11 +6,17 @@ import re
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parent.parent
+DOCS = PROJECT / "docs"
 README = (PROJECT / "README.md").read_text(encoding="utf-8")
 
 
-def section(title: str) -> str:
+def page(name: str) -> str:
+    """A page of the documentation."""
+    return (DOCS / f"{name}.md").read_text(encoding="utf-8")
+
+
+def section(title: str, text: str = README) -> str:
     """The text below a heading of any depth, up to the next heading."""
-    found = re.search(rf"^#+ {re.escape(title)}$(.*?)(?=^#+ |\Z)", README, re.M | re.S)
-    assert found, f"the README has no section {title!r}"
+    found = re.search(rf"^#+ {re.escape(title)}$(.*?)(?=^#+ |\Z)", text, re.M | re.S)
+    assert found, f"no section {title!r}"
     return found[1]

@@ -7,9 +7,9 @@ from typing import Any
 
 from app.border.cache import BorderData
 from app.config import Config
-from app.reproduce.experiments import Experiment, Run, Sources, run_of
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
+from app.studies.paper.experiments import Experiment, Run, Sources, run_of
 
 
 def short_run(

@@ -15,11 +15,11 @@ from app.control.drive import Drive
 from app.robot.bases.car_like import CarLikeBase, control_point_jacobian, nearest_in_cone
 from app.robot.bases.kind import BaseForce, planar
 from app.robot.state import Measurement, RobotState
-from app.simulation.bullet_dynamics import BulletDynamics
-from app.simulation.kinematic import Kinematic
-from app.simulation.mujoco_dynamics import MujocoDynamics
-from app.simulation.mujoco_planar import MujocoPlanar
-from app.simulation.pybullet_planar import PybulletPlanar
+from app.simulation.plants.bullet_dynamics import BulletDynamics
+from app.simulation.plants.kinematic import Kinematic
+from app.simulation.plants.mujoco_dynamics import MujocoDynamics
+from app.simulation.plants.mujoco_planar import MujocoPlanar
+from app.simulation.plants.pybullet_planar import PybulletPlanar
 from tests.bases import KINDS, base_of, robot_on
 from tests.finite_differences import jacobian
 

@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.border import archive, cache
+from app.border import archive
 from app.border.archive import Content, DamagedFileError
 from app.border.cache import load_border_data
 from app.border.cloud import make_cloud
 from app.border.key import border_key
-from app.border.sampling_config import SamplingConfig
+from app.border.sampling import pairs
+from app.border.sampling.config import SamplingConfig
 from app.robot import assets
 from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel
@@ -130,7 +131,7 @@ def load(**options):
 def test_the_first_call_samples_and_the_next_ones_read(folder, monkeypatch):
     first = load()
     assert first.origin == "sampled"
-    monkeypatch.setattr(cache, "sample_clouds", None)  # a second sampling would fail
+    monkeypatch.setattr(pairs, "sample_clouds", None)  # a second sampling would fail
     again = load()
     assert again.origin == "cache"
     assert_same(Content(first.pairs, first.clouds), Content(again.pairs, again.clouds))

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from app.border.cloud import quantise_points
-from app.border.pool import Workers
-from app.border.poses import PairReader
-from app.border.sampling import sample_clouds
-from app.border.sampling_config import SamplingConfig
-from app.border.voxels import Voxels
+from app.border.sampling.config import SamplingConfig
+from app.border.sampling.pairs import sample_clouds
+from app.border.sampling.poses import PairReader
+from app.border.sampling.voxels import Voxels
 from app.errors import DescriptionError
+from app.jobs.pool import Workers
 from app.robot.link_pairs import Pair
 from tests.finite_differences import jacobian
 from tests.robots import husky_panda
@@ -184,7 +184,7 @@ def test_within_one_process_the_context_is_made_once_for_all_work():
 CTRL_C = """
 import time
 from functools import partial
-from app.border.pool import Workers
+from app.jobs.pool import Workers
 def context(): return None
 def work(_, job):
     print("started", flush=True)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from app.dashboard.browser import new_context
-from app.simulation.log import read_log
+from app.dashboard.export.browser import new_context
+from app.simulation.trace.log import read_log
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 

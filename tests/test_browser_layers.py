@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from app.dashboard.camera import PRESETS, placed
-from app.dashboard.robot import ROOT
-from app.dashboard.scales import METRES_PER_NEWTON
-from app.simulation.snapshot import Snapshot
+from app.dashboard.scene.camera import PRESETS, placed
+from app.dashboard.scene.lines import METRES_PER_NEWTON
+from app.dashboard.scene.robot import ROOT
+from app.simulation.trace.snapshot import Snapshot
 from tests.browser import DashboardTab, around, wait_for
 from tests.dashboards import Served, served_dashboard
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.dashboard.hand import GIZMO
-from app.dashboard.robot import ROOT
-from app.simulation.commands import Pause, StepOnce
-from app.simulation.snapshot import Snapshot
+from app.dashboard.drag import GIZMO
+from app.dashboard.scene.robot import ROOT
+from app.simulation.loop.commands import Pause, StepOnce
+from app.simulation.trace.snapshot import Snapshot
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 

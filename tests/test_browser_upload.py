@@ -14,18 +14,18 @@ import numpy as np
 import pytest
 
 from app.border.cache import BorderData, kept_border_data
-from app.border.sampling_config import SamplingConfig
+from app.border.sampling.config import SamplingConfig
 from app.config import Config
-from app.dashboard import making, stage_change
-from app.dashboard.apart import Tell
-from app.dashboard.hand import GIZMO, SCALE
+from app.dashboard import robot_build, robot_switch
+from app.dashboard.drag import GIZMO, SCALE
 from app.dashboard.server import DashboardServer
-from app.onboarding.finish import finish
+from app.jobs.process import Report
 from app.onboarding.request import Request
+from app.onboarding.write.make import finish
 from app.robot.model import RobotModel
-from app.simulation.loop import SimulationLoop
+from app.simulation.loop.loop import SimulationLoop
+from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import Session
-from app.simulation.start import StartSolver
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 from tests.onboarding import arm, cart, cube, few_samples, robot, with_mesh, zipped
@@ -49,16 +49,16 @@ SAMPLING = SamplingConfig(
 )
 
 
-def make_of_few(tell: Tell, request: Request) -> None:
+def make_of_few(report: Report, request: Request) -> None:
     """What the process does that makes the robot; its border is kept beside the robots."""
     with few_samples(request.out.parent):
         finish(
             request,
-            tell=lambda text: tell(text, -1.0),
+            tell=lambda text: report(text, -1.0),
             processes=1,
             sampling=SAMPLING,
             progress=False,
-            on_progress=lambda share: tell("sampling the border", share),
+            on_progress=lambda share: report("sampling the border", share),
         )
 
 
@@ -80,8 +80,8 @@ def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Dashboar
     robots = tmp_path / "robots"
     monkeypatch.setenv("DBB_ROBOTS", str(robots))
     monkeypatch.setattr("app.robot.assets.cache_folder", lambda: robots)
-    monkeypatch.setattr(making, "make_new", make_of_few)
-    monkeypatch.setattr(stage_change, "kept_border_data", kept_of_few)
+    monkeypatch.setattr(robot_build, "build_robot", make_of_few)
+    monkeypatch.setattr(robot_switch, "kept_border_data", kept_of_few)
     with served_dashboard(start_loop=begin) as (server, _):
         yield server
 

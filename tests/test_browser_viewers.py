@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.dashboard.hand import GIZMO, SCALE
-from app.dashboard.robot import ROOT
-from app.simulation.commands import Pause
+from app.dashboard.drag import GIZMO, SCALE
+from app.dashboard.scene.robot import ROOT
+from app.simulation.loop.commands import Pause
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 from tests.fakes import ScriptedLoop

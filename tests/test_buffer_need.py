@@ -154,7 +154,7 @@ def test_with_the_need_a_simulated_hand_keeps_off_and_with_less_than_half_it_doe
 @pytest.fixture
 def led(robot: RobotModel, border_data: BorderData):
     """A state with the hand beside the base, led towards it at a speed, and the pairs of L_m."""
-    from app.simulation.start import StartSolver
+    from app.simulation.scenarios.start import StartSolver
 
     q_m = StartSolver(robot, border_data.pairs, 0.15).solve((0.30, 0.72, 0.30))
     state = RobotState(robot)

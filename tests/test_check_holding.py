@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.onboarding.check_holding import carried_hand, holding_row, holding_warning, lost_hand
+from app.onboarding.check.holding import carried_hand, holding_row, holding_warning, lost_hand
 from app.robot.assets import load_robot, package_roots
 from app.robot.model import RobotModel
 from tests.robots import husky_panda

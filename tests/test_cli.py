@@ -22,8 +22,8 @@ import pytest
 from app.cli.main import main
 from app.robot import assets
 from app.robot.state import Measurement, RobotState
-from app.simulation.log import read_log
-from app.simulation.scenario import SCENARIOS
+from app.simulation.scenarios.names import SCENARIOS
+from app.simulation.trace.log import read_log
 
 pytestmark = pytest.mark.slow
 

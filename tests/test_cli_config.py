@@ -12,7 +12,7 @@ from app.cli.main import main
 from app.cli.options import configured
 from app.config import Config, sections
 from app.config_file import parse_config, read_config, save_config
-from app.study.case import Case
+from app.studies.pulls.case import Case
 
 QUICK = ["run", "guiding-lateral", "--physics", "kinematic", "--duration", "0.01", "--json"]
 
@@ -32,7 +32,7 @@ def handed_on(monkeypatch):
         raise SeenError(plan.config)
 
     monkeypatch.setattr("app.simulation.run.run_scenario", stop)
-    monkeypatch.setattr("app.study.sweep.sweep", stop_sweep)
+    monkeypatch.setattr("app.studies.sweep.sweep.sweep", stop_sweep)
 
     def of(*args: str) -> Config:
         with pytest.raises(SeenError) as caught:

@@ -12,13 +12,13 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.errors import ConfigError
 from app.robot.model import RobotModel
-from app.simulation.commands import Compare, Pull
-from app.simulation.comparison import Score
-from app.simulation.ensemble import Ensemble
-from app.simulation.publishing import ghost_reading
-from app.simulation.scenario import LINES, SCENARIOS
+from app.simulation.loop.commands import Compare, Pull
+from app.simulation.loop.ensemble import Ensemble
+from app.simulation.scenarios.names import LINES, SCENARIOS
+from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session, Step
-from app.simulation.start import StartSolver
+from app.simulation.trace.comparison import Score
+from app.simulation.trace.publishing import ghost_reading
 
 pytestmark = pytest.mark.slow
 
@@ -176,7 +176,8 @@ def test_what_cannot_be_compared_changes_nothing(make, monkeypatch):
     ensemble.compare(Compare(("none",)))
     ghosts, t = ensemble.ghosts, ensemble.main.t
     monkeypatch.setattr(
-        "app.simulation.ensemble.begin", lambda *_, **__: (_ for _ in ()).throw(ConfigError("no"))
+        "app.simulation.loop.ensemble.begin",
+        lambda *_, **__: (_ for _ in ()).throw(ConfigError("no")),
     )
     with pytest.raises(ConfigError):
         ensemble.compare(Compare(("none", "barrier"), "force"))

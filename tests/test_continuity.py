@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from app.border.cache import BorderData
-from app.reproduce import continuity
-from app.reproduce.drawing import Drawing
-from app.reproduce.experiments import Sources
-from app.reproduce.style import styled
 from app.robot.model import RobotModel
+from app.studies.drawing import Drawing
+from app.studies.paper import continuity
+from app.studies.paper.experiments import Sources
+from app.studies.style import styled
 from tests.reproduction import short_run, sources_of
 
 

@@ -15,31 +15,36 @@ import trimesh
 import viser
 from hypothesis import given
 from hypothesis import strategies as st
-from viser import _messages
 
 from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.border.score import ScoreField
 from app.config import BorderConfig
-from app.dashboard.arrows import arrow
-from app.dashboard.border_cloud import BorderCloud
-from app.dashboard.borders import MAX_POINTS, Borders, subsample
-from app.dashboard.colours import FULL, NEAR, REST, distance_colour, viridis
-from app.dashboard.hand import Grip, Hold
-from app.dashboard.legend import legend_html, make_legend, normalised, tick_texts
-from app.dashboard.notices import Notices
-from app.dashboard.pair_lines import TOGETHER, beside, segments
+from app.dashboard.drag import Grip, Hold
+from app.dashboard.notifications import Notifier
+from app.dashboard.page import Page
 from app.dashboard.panels.run import buffer_text, pairs_html, status_html
-from app.dashboard.robot import LinkPoses
-from app.dashboard.scales import METRES_PER_NEWTON
+from app.dashboard.scene.borders import MAX_POINTS, BorderCloud, Borders, subsample
+from app.dashboard.scene.colours import FULL, NEAR, REST, distance_colour, viridis
+from app.dashboard.scene.legend import legend_html, make_legend, normalised, tick_texts
+from app.dashboard.scene.lines import METRES_PER_NEWTON, arrow
+from app.dashboard.scene.pair_lines import TOGETHER, beside, segments
+from app.dashboard.scene.robot import LinkPoses
+from app.dashboard.scene.visuals import (
+    GREY,
+    MAX_FACES,
+    MOST_FACES,
+    for_display,
+    load_visuals,
+    read_mesh,
+)
 from app.dashboard.server import check_address, serve_dashboard
 from app.dashboard.view import View
-from app.dashboard.visuals import GREY, MAX_FACES, MOST_FACES, for_display, load_visuals, read_mesh
 from app.errors import AssetError, ConfigError, DescriptionError, ServerError
 from app.robot.assets import package_roots, resolve_package_uri
 from app.robot.urdf import resolved_urdf
-from app.simulation.commands import Pull, Release
-from app.simulation.snapshot import PairReading
+from app.simulation.loop.commands import Pull, Release
+from app.simulation.trace.snapshot import PairReading
 from tests.dashboards import parts
 from tests.fakes import ScriptedLoop, fake_clouds
 from tests.raw_client import RawClient
@@ -93,9 +98,9 @@ def wait_for(condition, seconds=5.0):
 
 
 def held(link=None):
-    """A grip that has taken hold, the commands it sends, and the one who sees its notices."""
+    """A grip that has taken hold, the commands it sends, and the one who sees its notifier."""
     sink, client = Recorder(), Recorder()
-    grip = Grip(sink, Notices(sink), 7)
+    grip = Grip(sink, Notifier(sink), 7)
     grip.take(Hold(*link) if link else Hold())
     return grip, sink, client
 
@@ -162,7 +167,7 @@ def test_an_exception_of_a_callback_is_shown_to_who_caused_it(error, title):
     def fails(_):
         raise error
 
-    asyncio.run(Notices(everybody).guard(fails)(SimpleNamespace(client=client)))
+    asyncio.run(Notifier(everybody).guard(fails)(SimpleNamespace(client=client)))
     [(shown, text)] = client.notes
     assert shown.startswith(title)
     assert str(error) in text
@@ -225,6 +230,28 @@ def test_garbage_ends_the_connection_of_its_sender_only(dashboard):
     assert dashboard.error is None
 
 
+@pytest.mark.parametrize("step", ["draw", "__init__"])
+def test_a_page_that_fails_ends_alone(dashboard, step, monkeypatch, caplog):
+    def fails(*_, **__):
+        raise ZeroDivisionError("a defect of one page")
+
+    with RawClient(dashboard.address):
+        first = page_of(dashboard)
+        with monkeypatch.context() as patch:
+            if step == "draw":
+                patch.setattr(first, "draw", fails)
+            else:
+                patch.setattr(Page, "__init__", fails)
+            with RawClient(dashboard.address):
+                wait_for(lambda: "a defect of one page" in caplog.text)
+                before = dashboard.pictures
+                wait_for(lambda: dashboard.pictures > before + 3)
+                assert len(dashboard.pages) == (2 if step == "draw" else 1)
+                assert first.closed is (step == "draw")
+                assert dashboard.error is None
+        wait_for(lambda: len(dashboard.pages) == 1)
+
+
 # The server
 
 
@@ -244,12 +271,6 @@ def test_an_address_that_cannot_be_bound_is_refused_at_once(host, port):
     with pytest.raises(ServerError, match="cannot listen"):
         check_address(host, port)
     assert time.monotonic() - begin < 5.0
-
-
-def test_no_client_can_open_a_public_tunnel(dashboard):
-    handlers = dashboard.viser._websock_server._incoming_handlers
-    assert _messages.GuiUpdateMessage in handlers
-    assert _messages.ShareUrlRequest not in handlers
 
 
 def test_nothing_is_printed_by_serving(loop, clouds, capfd):
@@ -326,7 +347,7 @@ def test_visuals_are_where_pinocchio_has_them_in_its_colours_and_sizes(tmp_path,
     mesh = tmp_path / "part.stl"
     trimesh.creation.box(extents=(0.1, 0.2, 0.4)).export(mesh)
     urdf = SEVERAL_VISUALS.format(mesh=mesh)
-    monkeypatch.setattr("app.dashboard.visuals.resolved_urdf", lambda _: urdf)
+    monkeypatch.setattr("app.dashboard.scene.visuals.resolved_urdf", lambda _: urdf)
     model = pin.buildModelFromXML(urdf)
     visuals = load_visuals(husky_panda().description, model)
     whole = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.VISUAL).geometryObjects
@@ -351,7 +372,7 @@ def test_a_mesh_that_says_nothing_sensible_is_named_by_its_link(wrong, words, mo
         f'<robot name="toy"><link name="lonely"><visual><geometry><mesh {file} {wrong}/>'
         "</geometry></visual></link></robot>"
     )
-    monkeypatch.setattr("app.dashboard.visuals.resolved_urdf", lambda _: urdf)
+    monkeypatch.setattr("app.dashboard.scene.visuals.resolved_urdf", lambda _: urdf)
     with pytest.raises(DescriptionError, match="lonely") as refusal:
         load_visuals(husky_panda().description, husky_panda().pin)
     assert words in str(refusal.value)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.dashboard.hand import GIZMO, SCALE
-from app.dashboard.tour import STEPS
-from app.simulation.commands import (
+from app.dashboard.drag import GIZMO, SCALE
+from app.dashboard.panels.help import STEPS
+from app.simulation.loop.commands import (
     Choose,
     Compare,
     Configure,
     Pause,
-    PlayScenario,
+    Play,
     Pull,
     Release,
     Restart,
@@ -153,7 +153,7 @@ def test_scenario_speed_and_controller_are_chosen_by_name_and_told_to_the_loop(t
     wait_for(lambda: served.loop.latest().speed == 2.5)
     tab.choose("Controller", "none")
     wait_for(lambda: served.loop.latest().controller == "none")
-    wanted = [PlayScenario("guiding-front"), Speed(2.5), Choose("none")]
+    wanted = [Play.named("guiding-front"), Speed(2.5), Choose("none")]
     assert served.loop.commands == wanted, "each once"
     tab.choose("Controller", "dbb")
     wait_for(lambda: served.loop.latest().controller == "dbb")

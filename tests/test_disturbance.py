@@ -12,9 +12,9 @@ from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.disturbance import Disturbances, VelocityTracking
-from app.simulation.scenario import LINES
+from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session, Step
-from app.simulation.start import StartSolver
 
 LATERAL = LINES["guiding-lateral"]
 PULL = np.add(LATERAL.start, LATERAL.move)  # [m] into the buffer

@@ -15,7 +15,7 @@ import numpy as np
 import psutil
 import pytest
 
-from app.dashboard.hand import GIZMO, SCALE
+from app.dashboard.drag import GIZMO, SCALE
 from tests.browser import DashboardTab, wait_for
 
 pytestmark = pytest.mark.browser

@@ -14,11 +14,11 @@ from app.robot.assets import load_robot, robot_names
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.robot.urdf import resolved_urdf
-from app.simulation import plants
-from app.simulation.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
-from app.simulation.mujoco_dynamics import MujocoDynamics
-from app.simulation.mujoco_planar import MujocoPlanar
-from app.simulation.plants import PLANTS, chosen_plant, default_plant, make_physics
+from app.simulation.plants import choice as plants
+from app.simulation.plants.choice import PLANTS, chosen_plant, default_plant, make_physics
+from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
+from app.simulation.plants.mujoco_dynamics import MujocoDynamics
+from app.simulation.plants.mujoco_planar import MujocoPlanar
 from tests.robots import husky_panda
 
 NOBODY = np.zeros(3)
@@ -45,7 +45,7 @@ def test_both_engines_see_the_same_robot_and_the_same_contacts(name: str):
 @pytest.mark.parametrize("name", robot_names())
 @pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
 def test_mass_matrix_and_bias_forces_are_pinocchios(name: str, engine: str):
-    from app.simulation.bullet_dynamics import BulletDynamics
+    from app.simulation.plants.bullet_dynamics import BulletDynamics
 
     model, rng = installed(name), np.random.default_rng(1)
     state, n_b = RobotState(model), model.n_b

@@ -11,15 +11,15 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.errors import ConfigError, TargetError
 from app.robot.model import RobotModel
-from app.simulation.begin import begin
-from app.simulation.commands import Compare, Pull
-from app.simulation.ensemble import MOST_PULLS, Ensemble
-from app.simulation.leading import Setting
-from app.simulation.pacing import Pacer
-from app.simulation.publishing import make_snapshot
-from app.simulation.refrigerator import RefrigeratorScenario
-from app.simulation.scenario import SCENARIOS
+from app.simulation.loop.commands import Compare, Pull
+from app.simulation.loop.ensemble import MOST_PULLS, Ensemble
+from app.simulation.loop.pacing import Pacer
+from app.simulation.scenarios.begin import begin
+from app.simulation.scenarios.leading import Setting
+from app.simulation.scenarios.names import SCENARIOS
+from app.simulation.scenarios.refrigerator import RefrigeratorScenario
 from app.simulation.session import DT, Session, Step
+from app.simulation.trace.publishing import make_snapshot
 
 LATERAL = SCENARIOS["guiding-lateral"]
 TRACKING = SCENARIOS["tracking"]

@@ -16,14 +16,11 @@ from app.control.active_bounds import Bound
 from app.control.controller import CONTROLLERS
 from app.control.explanation import Explanation, ForceSplit, NearPair
 from app.control.levels import Level
-from app.dashboard import words
-from app.dashboard.explain import LONGEST, sentence
+from app.dashboard.panels import phrases as words
+from app.dashboard.panels.explain import LONGEST, sentence
 from app.dashboard.panels.why import WhyPanel, why_html
-from app.robot.bases.car_like import CarLikeBase
-from app.robot.bases.differential import DifferentialBase
-from app.robot.bases.holonomic import HolonomicBase
 from app.robot.bases.kind import FORWARD, TURN
-from app.simulation.snapshot import Snapshot
+from app.simulation.trace.snapshot import Snapshot
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
 
@@ -314,16 +311,10 @@ def test_the_panel_shows_the_numbers_of_the_explanation(blank):
     assert re.search(r"together, times β\s+100\s+−0.40\s+−0.20", text)
 
 
-@pytest.mark.parametrize("base", [DifferentialBase, HolonomicBase, CarLikeBase])
-def test_the_panel_names_the_measure_of_the_base(blank, base):
-    why = explanation(
-        NEAR["base"],
-        measure_label=base.measure_label,
-        measure_hint=base.measure_hint,
-        measure_unit=base.measure_unit,
-        score_formula=base.score_formula,
-    )
-    html, paper = why_html(replace(blank, explanation=why)), base is DifferentialBase
+@pytest.mark.parametrize("kind", ["differential", "holonomic", "car-like", "of one's own"])
+def test_the_panel_names_the_measure_of_the_base(blank, kind):
+    why = explanation(NEAR["base"], base_kind=kind)
+    html, paper = why_html(replace(blank, explanation=why)), kind == "differential"
     assert ("far from singular, det" in html) == ("sign · det · R" in html) == paper
     assert ("measure of the base" in html) == ("(10): measure · R" in html) == (not paper)
 

@@ -25,9 +25,9 @@ from app.control.workings import ArmSolve, Workings
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
-from app.simulation.pacing import Pacer
-from app.simulation.publishing import make_snapshot
+from app.simulation.loop.pacing import Pacer
 from app.simulation.session import Session
+from app.simulation.trace.publishing import make_snapshot
 
 AT_ONCE = Config().replace("limit.torque_rate", 1e6)
 UNHELD = AT_ONCE.replace("holding.weight", 0.01)

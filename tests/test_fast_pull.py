@@ -7,7 +7,7 @@ import numpy as np
 from app.border.cache import BorderData
 from app.robot.model import RobotModel
 from app.simulation.run import steps_of
-from app.study.case import Case
+from app.studies.pulls.case import Case
 
 UNTIL = 1.1  # [s] the pull ends at 1.14 s
 PULL = Case(

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 import pytest
 from viser import _messages
 
-from app.simulation.commands import Configure, Pause, Speed, StepOnce
+from app.simulation.loop.commands import Configure, Pause, Speed, StepOnce
 from tests.browser import wait_for
 from tests.dashboards import served_dashboard
 from tests.raw_client import RawClient
@@ -95,7 +95,7 @@ def test_unknown_widgets_nodes_and_attributes_are_ignored(served):
 
 def test_ten_thousand_messages_at_once_hold_nobody_up_and_the_last_value_counts(served):
     with visitor(served) as (client, page):
-        slider = page.main_panel.knobs["border.d_b"].handles[0]
+        slider = page.main_panel.widgets["border.d_b"].handles[0]
         served.loop.send(Pause(False))
         begin, before = time.monotonic(), served.loop.latest().t
         for i in range(FLOOD):

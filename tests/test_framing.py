@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.dashboard import camera as camera_module
-from app.dashboard.camera import PRESETS, Camera, placed
-from app.dashboard.framing import FIELD_OF_VIEW, UP, Window, fit
-from app.dashboard.hand import SCALE
+from app.dashboard.drag import SCALE
+from app.dashboard.scene import camera as camera_module
+from app.dashboard.scene.camera import PRESETS, Camera, placed
+from app.dashboard.scene.framing import FIELD_OF_VIEW, UP, Window, fit
 from tests.dashboards import parts
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda

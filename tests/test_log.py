@@ -16,13 +16,13 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.errors import LogError, OutputError
 from app.robot.model import RobotModel
-from app.simulation.log import LogTable, read_log, write_log
-from app.simulation.log_columns import NOT_LOGGED, parts
 from app.simulation.run import run_scenario
-from app.simulation.run_log import RunLog
-from app.simulation.scenario import scenario_by_name
-from app.simulation.snapshot import Snapshot
-from app.simulation.tape import Tape
+from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.trace.log import LogTable, read_log, write_log
+from app.simulation.trace.log_columns import NOT_LOGGED, parts
+from app.simulation.trace.run_log import RunLog
+from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.tape import Tape
 from tests.logs import difference, meta_of, random_snapshots
 
 FORMATS = ("csv", "parquet")

@@ -15,12 +15,12 @@ from app.config import Config
 from app.errors import AssetError, LoopError, TargetError, UnknownNameError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.commands import (
+from app.simulation.loop.commands import (
     Choose,
     Compare,
     Configure,
     Pause,
-    PlayScenario,
+    Play,
     Pull,
     Release,
     Reset,
@@ -28,11 +28,11 @@ from app.simulation.commands import (
     Speed,
     StepOnce,
 )
-from app.simulation.loop import SimulationLoop
-from app.simulation.scenario import LINES
+from app.simulation.loop.loop import SimulationLoop
+from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session
-from app.simulation.snapshot import Snapshot
-from app.simulation.start import StartSolver
+from app.simulation.trace.snapshot import Snapshot
 
 START = LINES["guiding-lateral"].start
 PULL = Pull((START[0], START[1] - 0.25, START[2]))
@@ -316,7 +316,7 @@ def test_an_unknown_controller_is_refused_and_changes_nothing(loop: SimulationLo
 
 
 def test_any_scenario_is_played_by_its_name_and_a_reset_ends_it(loop: SimulationLoop) -> None:
-    loop.send(PlayScenario("tracking", {"duration": 2.0}))
+    loop.send(Play.named("tracking", {"duration": 2.0}))
     led = until(loop, lambda s: s.mode == "tracking" and s.t > 0.1)
     assert (led.scenario, led.scenario_ends, led.busy) == ("tracking", 2.0, "")
     np.testing.assert_allclose(loop.history(-1.0)[0].p_ee, LINES["tracking"].start, atol=1e-5)
@@ -330,14 +330,14 @@ def test_a_scenario_that_cannot_begin_is_refused_in_the_snapshot_and_changes_not
     loop: SimulationLoop,
 ) -> None:
     before = until(loop, lambda s: s.t > 0.05)
-    loop.send(PlayScenario("tracking", {"move": (0.0, 0.0, -2.0)}))
+    loop.send(Play.named("tracking", {"move": (0.0, 0.0, -2.0)}))
     refused = until(loop, lambda s: s.refusal is not None)
     assert refused.refusal.number == 1
     assert "below the floor" in refused.refusal.message
     on = until(loop, lambda s: s.t > refused.t)
     assert (on.scenario, on.busy, on.t > before.t) == ("", "", True)
     with pytest.raises(UnknownNameError, match="did you mean 'tracking'"):
-        loop.send(PlayScenario("trackin"))
+        loop.send(Play.named("trackin"))
 
 
 def test_a_single_step_advances_by_one_snapshot_and_pauses(loop: SimulationLoop) -> None:
@@ -375,7 +375,7 @@ def test_a_flood_of_commands_is_obeyed_in_a_few(loop: SimulationLoop, monkeypatc
     loop.send(Pause(True))
     until(loop, lambda s: s.paused)
     steps: list[float] = []
-    monkeypatch.setattr("app.simulation.loop._IDLE", 0.05)
+    monkeypatch.setattr("app.simulation.loop.loop._IDLE", 0.05)
     for k in range(10_000):
         d_b = (0.10, 0.12, 0.14, 0.16)[k % 4]
         loop.send(Configure(CONFIGS[d_b]) if k % 2 else Pull((0.4, 0.7, 0.3 + 1e-5 * k)))
@@ -391,7 +391,7 @@ CONFIGS = {d_b: Config().replace("border.d_b", d_b) for d_b in (0.10, 0.12, 0.14
 
 
 def test_a_restart_begins_the_scenario_again(loop: SimulationLoop) -> None:
-    loop.send(PlayScenario("tracking"))
+    loop.send(Play.named("tracking"))
     until(loop, lambda s: s.scenario == "tracking" and s.t > 0.1)
     loop.send(Pull((0.4, 0.7, 0.4)))
     until(loop, lambda s: s.scenario == "")

@@ -7,7 +7,7 @@ import pytest
 
 from app.config import Config
 from app.errors import LoopError
-from app.simulation.commands import (
+from app.simulation.loop.commands import (
     Choose,
     Configure,
     Pause,
@@ -19,8 +19,8 @@ from app.simulation.commands import (
     Speed,
     StepOnce,
 )
-from app.simulation.mailbox import MOST, Mailbox
-from app.simulation.scenario import SCENARIOS
+from app.simulation.loop.mailbox import MOST, Mailbox
+from app.simulation.scenarios.names import SCENARIOS
 
 LATERAL = Play(SCENARIOS["guiding-lateral"])
 

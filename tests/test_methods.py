@@ -13,9 +13,9 @@ from app.control.tasks import Reference, base_rest_acceleration
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.scenario import scenario_by_name
+from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import Session
-from app.simulation.start import StartSolver
 
 ZERO = np.zeros(3)
 AT_ONCE = Config().replace("limit.torque_rate", 1e6)

@@ -10,8 +10,8 @@ import pytest
 
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
-from app.simulation.mujoco_wheels import MujocoWheels
-from app.simulation.physics import Push
+from app.simulation.plants.interface import Push
+from app.simulation.plants.mujoco_wheels import MujocoWheels
 from tests.robots import husky_panda
 
 MODEL = husky_panda()

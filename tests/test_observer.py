@@ -11,7 +11,7 @@ from app.control.controller import Controller
 from app.control.observer import PushObserver
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, at_rest
-from app.simulation.start import StartSolver
+from app.simulation.scenarios.start import StartSolver
 
 Array = np.ndarray
 

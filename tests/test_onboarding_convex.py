@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app.onboarding.convex import (
+from app.onboarding.fit.convex import (
     fit_best,
     fit_box,
     fit_capsule,
@@ -16,7 +16,7 @@ from app.onboarding.convex import (
     support,
     volume_of,
 )
-from app.onboarding.sweep import swept
+from app.onboarding.fit.swept_hull import swept
 from app.robot.meshes import shape_mesh
 from tests.robots import husky_panda
 

@@ -10,11 +10,25 @@ import numpy as np
 import pytest
 
 from app.errors import DbbError, RobotFileError
-from app.onboarding.finish import finish
-from app.onboarding.new_robot import parse
+from app.onboarding import new_robot
+from app.onboarding.read.parse import parse
+from app.onboarding.read.tree import make_tree
 from app.onboarding.request import Request
-from app.onboarding.tree import make_tree
-from tests.onboarding import ARM_JOINTS, arm, cart, joint, link, robot, solid, write
+from app.onboarding.write.make import finish
+from app.onboarding.write.urdf_text import rebased_urdf
+from app.robot.model import RobotModel
+from tests.onboarding import (
+    ARM_JOINTS,
+    arm,
+    cart,
+    cube,
+    joint,
+    link,
+    robot,
+    solid,
+    with_mesh,
+    write,
+)
 
 TOY = robot([*cart(), *arm()])
 
@@ -264,3 +278,123 @@ def test_moments_of_inertia_that_miss_the_triangle_by_rounding_are_mended(tmp_pa
     moments = np.linalg.eigvalsh(made)
     assert moments[0] + moments[1] > moments[2]
     np.testing.assert_allclose(moments, [1.0, 2.0, 3.00001], atol=1e-4)
+
+
+def test_a_joint_may_have_the_name_of_a_link(tmp_path: Path) -> None:
+    """As the Z1's and the SO-100's have; pinocchio cannot tell their frames apart."""
+    text = TOY.replace('<joint name="lift"', '<joint name="upper"')
+    text = text.replace('<joint name="left_axle"', '<joint name="left_wheel"')
+    follower = '<joint name="grip" type="revolute"><parent link="hand"/><child link="finger"/>'
+    follower += '<axis xyz="1 0 0"/><mimic joint="upper"/></joint>'
+    text = text.replace("</robot>", link("finger") + follower + "</robot>")
+    parsed = parse(request(tmp_path, text))
+    assert parsed.arm.joints[1].name == "upper_joint"
+    assert parsed.wheels.left == ("left_wheel_joint",)
+    assert parsed.tree.robot.find("joint/mimic").get("joint") == "upper_joint"
+    made = robot_model(tmp_path, request(tmp_path, text))
+    assert made.n_m == len(ARM_JOINTS)
+
+
+def robot_model(folder: Path, asked: Request) -> RobotModel:
+    """What pinocchio makes of the joints alone."""
+    parsed = parse(asked)
+    urdf = rebased_urdf(
+        parsed.tree,
+        parsed.arm,
+        parsed.wheels.T_base_floor,
+        parsed.geometry,
+        parsed.inertias,
+        name="toy",
+        header="test",
+    )
+    content = new_robot._bare(asked, parsed, parsed.limits)
+    return new_robot._compiled(content, write(folder, urdf, "robot.urdf"))
+
+
+def test_what_a_library_raises_becomes_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object, **__: object) -> None:
+        raise ValueError("Several frames\nmatch the filter")
+
+    monkeypatch.setattr(new_robot, "make_units", broken)
+    told = refused(tmp_path, TOY)
+    assert "random poses: a library cannot take this robot" in told
+    assert "ValueError: Several frames match the filter" in told
+
+
+@pytest.mark.parametrize(
+    ("ready", "why"),
+    [
+        ((0.0, 0.1), "--ready: 2 numbers; the arm has 6 joints: pan, lift, elbow"),
+        ((0.0, 0.0, 9.0, 0.0, 0.0, 0.0), "--ready: elbow at 9 is outside of its limits"),
+    ],
+)
+def test_a_ready_pose_that_is_none_is_refused_before_any_work(
+    tmp_path: Path, ready: tuple[float, ...], why: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(new_robot, "sample_meetings", None)
+    assert why in refused(tmp_path, TOY, ready=ready)
+
+
+MESH = "package://hand_support/meshes/hand.stl"
+
+
+@pytest.fixture
+def meshed(tmp_path: Path) -> Path:
+    """A URDF in a folder of its own that refers to a mesh of a package."""
+    folder = tmp_path / "robots" / "urdf"
+    folder.mkdir(parents=True)
+    return write(folder, with_mesh(TOY, MESH))
+
+
+def mesh_in(folder: Path) -> Path:
+    """The mesh, in a folder that is the package."""
+    mesh = folder / "meshes" / "hand.stl"
+    mesh.parent.mkdir(parents=True)
+    mesh.write_bytes(cube())
+    return mesh
+
+
+def meshes(path: Path, **changes: object) -> list[str]:
+    given = {"urdf": str(path), "base": "base", "tip": "hand", "out": path.parent / "made"}
+    return [
+        str(m.get("filename")) for m in parse(Request(**given | changes)).tree.robot.iter("mesh")
+    ]
+
+
+def test_a_package_is_found_upwards_by_ros_and_by_option_in_that_order(
+    meshed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/none:{tmp_path / 'ament'}")
+    ament = mesh_in(tmp_path / "ament" / "share" / "hand_support")
+    assert meshes(meshed) == [str(ament)]
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(tmp_path / "ros"))
+    ros = mesh_in(tmp_path / "ros" / "stack" / "hand_support")
+    assert meshes(meshed) == [str(ros)]
+    upwards = mesh_in(tmp_path / "hand_support")
+    assert meshes(meshed) == [str(upwards)]
+    given = mesh_in(tmp_path / "given")
+    assert meshes(meshed, package=(f"hand_support={tmp_path / 'given'}",)) == [str(given)]
+
+
+def test_a_package_that_is_nowhere_names_what_would_help_and_no_wheel(meshed: Path) -> None:
+    with pytest.raises(RobotFileError) as caught:
+        meshes(meshed)
+    told = str(caught.value)
+    for words in (
+        MESH,
+        "ROS_PACKAGE_PATH",
+        "AMENT_PREFIX_PATH",
+        "--package hand_support=FOLDER",
+    ):
+        assert words in told
+    assert "pip" not in told
+    mesh_in(meshed.parent.parent)  # the package's own folder has another name
+    with pytest.raises(RobotFileError, match=f"--package hand_support={meshed.parent.parent}"):
+        meshes(meshed)
+
+
+@pytest.mark.parametrize("given", ["hand_support", "=x", "hand_support=/none"])
+def test_a_package_without_a_folder_is_refused(tmp_path: Path, given: str) -> None:
+    assert "--package: " in refused(tmp_path, TOY, package=(given,))

@@ -11,26 +11,28 @@ import numpy as np
 import pytest
 
 from app.errors import AssetError
-from app.onboarding import check_bodies, new_robot
-from app.onboarding.bodies import ArmFitter, fit_base
-from app.onboarding.check_bodies import arm_row, base_row
-from app.onboarding.check_dynamics import bullet_row, limits_row, mujoco_row
-from app.onboarding.finish import finish
-from app.onboarding.grouping import find_grouping
-from app.onboarding.meetings import sample_meetings
+from app.onboarding import new_robot
+from app.onboarding.check import bodies as check_bodies
+from app.onboarding.check.bodies import arm_row, base_row
+from app.onboarding.check.dynamics import bullet_row, limits_row, mujoco_row
+from app.onboarding.fit.bodies import ArmFitter, fit_base
+from app.onboarding.fit.collision_sampling import sample_meetings
+from app.onboarding.fit.grouping import find_grouping
+from app.onboarding.fit.rigid_groups import make_units
 from app.onboarding.new_robot import NewRobot
+from app.onboarding.read.parse import parse
+from app.onboarding.read.source import mesh_address
 from app.onboarding.request import Request
-from app.onboarding.source import mesh_address
-from app.onboarding.units import make_units
-from app.onboarding.urdf_text import mesh_name
+from app.onboarding.write.make import finish
+from app.onboarding.write.urdf_text import mesh_name
 from app.robot import assets
 from app.robot.assets import ASSETS, load_robot, resolve_package_uri, robot_names
 from app.robot.description import RobotDescription, load_description
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
 from app.robot.urdf import resolved_urdf
-from app.simulation.contact_pairs import body_contact_pairs
-from app.simulation.scenario import scenario_by_name, scenario_of
+from app.simulation.plants.contact_pairs import body_contact_pairs
+from app.simulation.scenarios.names import scenario_by_name, scenario_of
 from tests.onboarding import (
     ARM_JOINTS,
     arm,
@@ -109,7 +111,7 @@ def test_a_folder_that_python_takes_for_a_package_is_still_the_robots_own(
     address = mesh_address(str(mesh), tmp_path)
     assert address == "package://some_robots/.toy-x/package/m.stl"
     for reference in (address, str(mesh)):
-        assert mesh_name(reference, tmp_path, mesh.parent.parent) == "package/m.stl"
+        assert mesh_name(mesh_address(reference, tmp_path), mesh.parent.parent) == "package/m.stl"
 
 
 @pytest.mark.parametrize("folder", ["a & b", 'a"b', "toy", "link", "../toy-other/../toy"])
@@ -133,9 +135,9 @@ def test_meshes_below_the_robots_own_folder_are_named_by_the_path_in_it(
         home / mesh,
         real / mesh,
     ):
-        assert mesh_name(str(reference), home, home) == "package/m.stl"
-    assert mesh_name(str(beside), home, home) == str(beside)
-    assert mesh_name("../toy-other/m.stl", real, home) == str(beside)
+        assert mesh_name(mesh_address(str(reference), home), home) == "package/m.stl"
+    assert mesh_name(mesh_address(str(beside), home), home) == str(beside)
+    assert mesh_name(mesh_address("../toy-other/m.stl", real), home) == str(beside)
 
 
 def test_the_description_is_the_urdf_on_the_floor(made: NewRobot) -> None:
@@ -219,7 +221,7 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     out = tmp_path_factory.mktemp("fit") / "husky_fit"
     urdf = str(ASSETS / "husky_panda" / "robot.urdf")
     request = Request(urdf=urdf, base="base_link", tip="panda_hand", out=out)
-    parsed = new_robot.parse(request)
+    parsed = parse(request)
     urdf = new_robot.rebased_urdf(
         parsed.tree,
         parsed.arm,
@@ -227,7 +229,6 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
         parsed.geometry,
         parsed.inertias,
         name="husky_fit",
-        folder=parsed.folder,
         header="test",
     )
     path = write(request.out.parent, urdf)

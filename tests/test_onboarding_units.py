@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app.onboarding.units import Unit, neighbours
+from app.onboarding.fit.rigid_groups import Unit, neighbours
 
 
 def chain(joints: list[Any]) -> Any:

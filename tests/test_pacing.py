@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from app.simulation import pacing
-from app.simulation.pacing import Pacer
+from app.simulation.loop import pacing
+from app.simulation.loop.pacing import Pacer
 
 PERIOD = 0.001  # [s]
 

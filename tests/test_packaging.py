@@ -13,9 +13,9 @@ from zipfile import ZipFile
 import pytest
 
 from app.border.key import border_key
-from app.border.reach_config import ReachConfig
-from app.border.reach_key import reach_key
-from app.border.sampling_config import SamplingConfig
+from app.border.reach.config import ReachConfig
+from app.border.reach.key import reach_key
+from app.border.sampling.config import SamplingConfig
 from tests.robots import husky_panda
 
 PROJECT = Path(__file__).resolve().parent.parent
@@ -71,6 +71,7 @@ def test_the_wheel_holds_descriptions_and_of_borders_and_maps_the_shipped_ones_a
     assert sorted(name for name in names if name.endswith(".npz")) == [
         f"app/dbb_cache/{name}" for name in sorted([SHIPPED, *MAPS])
     ]
+    assert "app/studies/page.html.j2" in names
     outside = {name for name in names if not name.startswith(("app/", "dbb_mobile_manipulator-"))}
     assert outside == set()
     assert wheel.stat().st_size < 12e6  # [byte]
@@ -99,7 +100,7 @@ def test_what_is_sampled_goes_to_the_users_cache_and_is_found_again(
 from pathlib import Path
 import app
 from app.border.cache import load_border_data
-from app.border.sampling_config import SamplingConfig
+from app.border.sampling.config import SamplingConfig
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 tiny = SamplingConfig(pair_samples=2000, cloud_samples=1000, voxel_plan=0.1, voxel_height=0.1,

@@ -19,7 +19,7 @@ from app.robot.description import RobotDescription
 from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
-from app.study.sweep_plan import StartedLine
+from app.studies.sweep.plan import StartedLine
 from benchmarks.peers.__main__ import Peers, main
 from benchmarks.peers.drivers import loop
 from benchmarks.peers.drivers.capsules import without_capsules

@@ -7,9 +7,9 @@ import pytest
 
 from app.errors import UnknownNameError
 from app.robot.state import RobotState
-from app.simulation.contact_pairs import body_contact_pairs, link_contact_pairs
-from app.simulation.physics import Contacts
-from app.simulation.plants import PLANTS, make_physics
+from app.simulation.plants.choice import PLANTS, make_physics
+from app.simulation.plants.contact_pairs import body_contact_pairs, link_contact_pairs
+from app.simulation.plants.interface import Contacts
 from tests.hulls import hull_pairs
 from tests.robots import husky_panda
 

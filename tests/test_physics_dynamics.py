@@ -8,7 +8,7 @@ import pybullet
 import pytest
 
 from app.robot.urdf import PLANAR_JOINTS
-from app.simulation.pybullet_planar import PybulletPlanar
+from app.simulation.plants.pybullet_planar import PybulletPlanar
 from tests.robots import husky_panda, random_measurement
 
 SEEDS = range(5)

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from app.errors import AssetError
-from app.simulation.bullet_world import BulletWorld
-from app.simulation.plants import PLANTS, make_physics
+from app.simulation.plants.bullet_world import BulletWorld
+from app.simulation.plants.choice import PLANTS, make_physics
 from tests.robots import husky_panda
 
 PROJECT = Path(__file__).resolve().parent.parent
@@ -20,7 +20,7 @@ PROJECT = Path(__file__).resolve().parent.parent
 RUN = """
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
-from app.simulation.plants import make_physics
+from app.simulation.plants.choice import make_physics
 import numpy as np
 plant = make_physics({kind!r}, RobotModel(load_robot("husky_panda")))
 for _ in range(10):
@@ -29,7 +29,7 @@ plant.close()
 print("one line")
 """
 LOUD = """
-from app.simulation.bullet_world import BulletWorld
+from app.simulation.plants.bullet_world import BulletWorld
 urdf = '<robot name="r"><link name="a"/></robot>'  # pybullet warns of the missing inertia
 print("before")
 if {quietly}:
@@ -75,7 +75,7 @@ def test_warnings_of_the_loader_do_not_reach_standard_output():
 def test_what_c_code_prints_is_silenced_though_it_is_buffered():
     program = """
 import ctypes
-from app.simulation.quiet import silence
+from app.simulation.plants.silence import silence
 C = ctypes.CDLL(None)
 C.puts(b"before")
 with silence(1):

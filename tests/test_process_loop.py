@@ -11,11 +11,10 @@ import pytest
 
 from app.config import Config
 from app.errors import LoopError, TargetError
-from app.simulation.commands import Configure, Pause, PlayScenario, Pull, Reset
-from app.simulation.history import History
-from app.simulation.loop_child import LoopChild
-from app.simulation.process_loop import ProcessLoop
+from app.simulation.loop.commands import Configure, Pause, Play, Pull, Reset
+from app.simulation.loop.process_loop import LoopChild, ProcessLoop
 from app.simulation.session import Session
+from app.simulation.trace.history import History
 from tests.fakes import ScriptedLoop
 
 pytestmark = pytest.mark.slow
@@ -90,10 +89,10 @@ def test_commands_go_out_and_snapshots_come_back(make_loop):
 
 def test_a_scenario_and_its_refusal_cross_the_process_border(make_loop):
     loop = make_loop()
-    loop.send(PlayScenario("guiding-lateral", {"move": (0.0, 0.0, -2.0)}))
+    loop.send(Play.named("guiding-lateral", {"move": (0.0, 0.0, -2.0)}))
     wait_for(lambda: loop.latest().refusal is not None)
     assert loop.latest().refusal.number == 1
-    loop.send(PlayScenario("way-out"))
+    loop.send(Play.named("way-out"))
     wait_for(lambda: loop.latest().scenario == "way-out")
     assert loop.error is None
 

@@ -10,13 +10,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app.border.reach_chain import Chain, reach_bodies
-from app.border.reach_config import ReachConfig
-from app.border.reach_fit import fit_reachability
-from app.border.reach_key import reach_key
-from app.border.reach_map import ReachMap, lattice, load_reach_map
-from app.border.reach_radial import radial_profile
-from app.border.reach_solver import AnalyticSolver, RestartSolver, make_solver
+from app.border.reach.chain import Chain, reach_bodies
+from app.border.reach.config import ReachConfig
+from app.border.reach.fit import fit_reachability
+from app.border.reach.key import reach_key
+from app.border.reach.map import ReachMap, lattice, load_reach_map
+from app.border.reach.radial import radial_profile
+from app.border.reach.solver import AnalyticSolver, RestartSolver, make_solver
 from app.errors import ConfigError, UnknownNameError
 from app.robot import assets
 from app.robot.assets import load_robot

@@ -11,12 +11,12 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import ControlOutput
 from app.robot.model import RobotModel
-from app.simulation.changes import Changes
-from app.simulation.physics import Contacts
-from app.simulation.recording import NEAR, Recorder
-from app.simulation.scenario import LINES
+from app.simulation.plants.interface import Contacts
+from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import Session, Step
-from app.simulation.start import StartSolver
+from app.simulation.trace.changes import Changes
+from app.simulation.trace.recording import NEAR, Recorder
 
 
 @pytest.fixture(scope="module")

@@ -17,15 +17,15 @@ from app.errors import ConfigError, UnreachableError
 from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.collision_shapes import collision_shapes
-from app.simulation.door import BODY, Door, OpenDoor, with_door
-from app.simulation.door_record import door_distance
-from app.simulation.leading import Setting
-from app.simulation.physics import Contacts
-from app.simulation.plants import make_physics
-from app.simulation.recording import Recorder
-from app.simulation.refrigerator import _RANGES, RefrigeratorScenario
+from app.simulation.plants.choice import make_physics
+from app.simulation.plants.collision_shapes import collision_shapes
+from app.simulation.plants.door import BODY, Door, OpenDoor, with_door
+from app.simulation.plants.interface import Contacts
+from app.simulation.scenarios.leading import Setting
+from app.simulation.scenarios.refrigerator import _RANGES, RefrigeratorScenario
 from app.simulation.session import DT, Session, Step
+from app.simulation.trace.door_record import door_distance
+from app.simulation.trace.recording import Recorder
 from tests.robots import husky_panda
 
 Array = np.ndarray

@@ -8,8 +8,8 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
+from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session
-from app.simulation.start import StartSolver
 
 pytestmark = pytest.mark.slow
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from app.cli.main import main
-from app.dashboard.browser import new_context
-from app.simulation.log import read_log, write_log
+from app.dashboard.export.browser import new_context
+from app.simulation.trace.log import read_log, write_log
 
 pytestmark = pytest.mark.slow
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from app.border.cache import BorderData
-from app.reproduce import claims, guiding, refrigerator, thresholds, tracking
-from app.reproduce.claims import CLAIMS, DIRECTIONS, Claim, claims_of, judge
-from app.reproduce.experiments import Experiment, Run
-from app.reproduce.names import FIGURES
 from app.robot.model import RobotModel
+from app.studies.paper import claims, guiding, refrigerator, thresholds, tracking
+from app.studies.paper.claims import CLAIMS, DIRECTIONS, Claim, claims_of, judge
+from app.studies.paper.experiments import Experiment, Run
+from app.studies.paper.names import FIGURES
 from tests.reproduction import sources_of, with_figures
 
 MEASURED_APART = {"density"}  # figures whose claims are measured by real runs, not read off them

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from app.cli.main import main
-from app.reproduce.names import FIGURES
+from app.studies.paper.names import FIGURES
 
 PROJECT = Path(__file__).parent.parent
 TIMES = {"step_p50_us", "step_p99_us", "realtime_factor"}

@@ -10,8 +10,8 @@ import pytest
 from PIL import Image
 
 from app.control.controller import CONTROLLERS
-from app.reproduce import style
-from app.reproduce.drawing import Drawing, Table, stacked
+from app.studies import style
+from app.studies.drawing import Drawing, Table, stacked
 
 
 def luminance(colour: str) -> float:

@@ -10,12 +10,12 @@ import pytest
 
 from app.border.cache import BorderData
 from app.config import Config
-from app.reproduce import experiments, report
-from app.reproduce.experiments import Experiment, run_experiments
-from app.reproduce.names import FIGURES, chosen
 from app.robot.model import RobotModel
-from app.simulation import scenario as scenarios
 from app.simulation.run import run_scenario
+from app.simulation.scenarios import names as scenarios
+from app.studies.paper import experiments, report
+from app.studies.paper.experiments import Experiment, run_experiments
+from app.studies.paper.names import FIGURES, chosen
 
 TIMES = {"step_p50_us", "step_p99_us", "realtime_factor"}
 LATERAL = Experiment("guiding-lateral", "dbb")

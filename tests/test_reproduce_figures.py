@@ -12,13 +12,13 @@ from app.avoidance.activation import activation
 from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
-from app.reproduce import acting, density, guiding, motion, offline, refrigerator, tracking
-from app.reproduce.drawing import Drawing
-from app.reproduce.experiments import Sources
-from app.reproduce.names import FIGURES
-from app.reproduce.style import METHOD_COLOURS, styled
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
+from app.studies.drawing import Drawing
+from app.studies.paper import acting, density, guiding, motion, offline, refrigerator, tracking
+from app.studies.paper.experiments import Sources
+from app.studies.paper.names import FIGURES
+from app.studies.style import METHOD_COLOURS, styled
 from tests.reproduction import every, short_run, sources_of
 
 

@@ -4,21 +4,34 @@ from __future__ import annotations
 
 import re
 from base64 import b64decode
+from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
-from app.reproduce.page import Section, label, page_html
+from app.studies.drawing import Drawing
+from app.studies.page import Part, label
+from app.studies.paper.report import figure_part, paper_page
 
 PNG = bytes(range(256))
 LIMIT = {"value": 0.05, "unit": "m", "source": "Figure 10"}
 
 
-def section(**changes) -> Section:
-    start = Section(
-        "fig1", "Figure 1: a & b", PNG, "says <this>", {"d_min_m": 0.125}, ["so"], ["fig1.png"]
-    )
-    return start._replace(**changes)
+@pytest.fixture
+def section(tmp_path: Path):
+    """Makes a figure of the page, changed in some fields."""
+
+    def make(name: str = "fig1", **changes) -> Part:
+        drawing = Drawing(
+            "Figure 1: a & b", "says <this>", Figure(), {}, {"d_min_m": 0.125}, ["so"]
+        )
+        picture = tmp_path / f"{name}.png"
+        picture.write_bytes(PNG)
+        return figure_part(name, replace(drawing, **changes), [picture])
+
+    return make
 
 
 def claim(holds: bool) -> dict[str, object]:
@@ -54,42 +67,42 @@ class Reader(HTMLParser):
         self.text += data
 
 
-def test_nothing_outside_of_the_page_is_referred_to():
-    text = page_html([section(), section(name="fig2")], [claim(True)], "seed 0")
+def test_nothing_outside_of_the_page_is_referred_to(section):
+    text = paper_page([section(), section(name="fig2")], [claim(True)], "seed 0")
     reader = Reader(text)
     assert len(reader.addresses) == 4
     assert all(a.startswith(("data:image/png;base64,", "#")) for a in reader.addresses)
     assert not re.search(r"https?:|//|@import|url\(|<script|<link", text.replace("/9", ""))
 
 
-def test_the_picture_is_embedded_bit_by_bit():
-    (address,) = re.findall(r"base64,([^\"]+)", page_html([section()], [], ""))
+def test_the_picture_is_embedded_bit_by_bit(section):
+    (address,) = re.findall(r"base64,([^\"]+)", paper_page([section()], [], ""))
     assert b64decode(address) == PNG
 
 
-def test_what_the_paper_says_stands_beside_what_was_measured():
-    text = Reader(page_html([section()], [], "")).text
+def test_what_the_paper_says_stands_beside_what_was_measured(section):
+    text = Reader(paper_page([section()], [], "")).text
     assert text.index("says <this>") < text.index("d min [m]") < text.index("0.125")
 
 
-def test_words_are_no_markup():
-    text = page_html([section()], [claim(True)], "a < b")
+def test_words_are_no_markup(section):
+    text = paper_page([section()], [claim(True)], "a < b")
     assert "<this>" not in text
     assert "<works>" not in text
     assert "a &lt; b" in text
 
 
-def test_claims_are_counted_and_those_that_fail_are_shown_as_such():
-    text = Reader(page_html([section()], [claim(True), claim(False), claim(True)], "")).text
+def test_claims_are_counted_and_those_that_fail_are_shown_as_such(section):
+    text = Reader(paper_page([section()], [claim(True), claim(False), claim(True)], "")).text
     assert "2 of 3 claims hold" in text
     assert text.count("✓ holds") == 2
     assert text.count("✗ does not") == 1
     assert text.count("Figure 10") == 3
 
 
-def test_cases_stand_side_by_side_and_what_one_lacks_is_said():
+def test_cases_stand_side_by_side_and_what_one_lacks_is_said(section):
     measured = {"dbb": {"d_m": 0.1, "jump": {"linear_mps2": 0.25}}, "none": {"d_m": None}}
-    text = Reader(page_html([section(measured=measured)], [], "")).text
+    text = Reader(paper_page([section(measured=measured)], [], "")).text
     assert "dbb" in text
     assert "jump, linear [m/s²]" in text
     assert text.count("never") == 2

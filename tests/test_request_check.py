@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from app.errors import ConfigError, UnknownNameError
-from app.onboarding.request import Request
-from app.onboarding.request_check import BOUNDS, OF_KIND, check_request
+from app.onboarding.request import BOUNDS, OF_KIND, Request, check_request
 
 
 def asked(**fields: object) -> Request:

@@ -6,8 +6,8 @@ import pytest
 
 from app.cli.main import main
 from app.robot import assets
-from app.study import robot_table as table
-from app.study.robot_cases import CASES, Case
+from app.studies.sweep import robot_table as table
+from app.studies.sweep.robot_cases import CASES, Case
 from tests.robots import husky_panda
 
 SHORT = Case("short", "guiding", (10.0,), length=0.04, speed=0.1)

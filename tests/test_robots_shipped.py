@@ -7,8 +7,8 @@ import importlib.util
 import pytest
 
 from app.errors import AssetError
-from app.onboarding.check_bodies import base_row
-from app.onboarding.check_dynamics import bullet_row, limits_row, mujoco_row
+from app.onboarding.check.bodies import base_row
+from app.onboarding.check.dynamics import bullet_row, limits_row, mujoco_row
 from app.robot import assets
 from app.robot.assets import load_robot, package_roots, resolve_package_uri, robot_names
 from app.robot.model import RobotModel
@@ -57,7 +57,7 @@ def test_a_missing_package_says_how_it_is_installed(monkeypatch: pytest.MonkeyPa
     ):
         with pytest.raises(AssetError, match=how):
             resolved_urdf(load_robot(name))
-    with pytest.raises(AssetError, match="pip install something"):
+    with pytest.raises(AssetError, match="'something' is not installed"):
         resolve_package_uri("package://something/a.stl")
 
 

@@ -11,9 +11,9 @@ import pytest
 
 from app.cli.main import main
 from app.config import Config
-from app.reproduce.run_numbers import config_changes, key_numbers, spans, track_of
-from app.reproduce.run_report import run_report
-from app.simulation.log import Log, write_log
+from app.simulation.trace.log import Log, write_log
+from app.studies.run_report.numbers import config_changes, key_numbers, spans, track_of
+from app.studies.run_report.report import run_report
 from tests.logs import meta_of, random_snapshots
 
 pytestmark = pytest.mark.slow

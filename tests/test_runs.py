@@ -12,11 +12,11 @@ from app.border.cache import BorderData, load_border_data
 from app.config import Config
 from app.control.controller import CONTROLLERS
 from app.robot.model import RobotModel
-from app.simulation.recording import Recorder
 from app.simulation.run import run_scenario
-from app.simulation.scenario import LINES
+from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session
-from app.simulation.start import StartSolver
+from app.simulation.trace.recording import Recorder
 from tests.robots import husky_panda
 
 pytestmark = pytest.mark.slow

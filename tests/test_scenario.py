@@ -10,9 +10,9 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.errors import ConfigError, TargetError, UnknownNameError
 from app.robot.model import RobotModel
-from app.simulation.line import LineScenario
 from app.simulation.run import run_scenario
-from app.simulation.scenario import LINES, SCENARIOS, scenario_by_name
+from app.simulation.scenarios.line import LineScenario
+from app.simulation.scenarios.names import LINES, SCENARIOS, scenario_by_name
 
 
 @pytest.fixture(params=LINES)

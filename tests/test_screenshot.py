@@ -15,13 +15,13 @@ import pytest
 from PIL import Image
 
 from app.config import Config
-from app.dashboard.browser import VARIABLE, browser_path
-from app.dashboard.film import Film
-from app.dashboard.screenshot import Look, strip, take_pictures
+from app.dashboard.export.browser import VARIABLE, browser_path
+from app.dashboard.export.offscreen import RecordedLoop
+from app.dashboard.export.screenshot import Look, strip, take_pictures
 from app.errors import BrowserError
 from app.simulation.run import steps_of
-from app.simulation.scenario import scenario_by_name
-from app.simulation.tape import filmed
+from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.trace.tape import filmed
 from tests.logs import random_snapshots
 
 PROJECT = Path(__file__).parent.parent
@@ -68,7 +68,7 @@ def test_a_run_is_filmed_up_to_the_last_time_that_is_asked_for(snapshots):
 
 def test_a_film_shows_what_had_been_until_a_time():
     rows = random_snapshots(1, 40)
-    film = Film(rows)
+    film = RecordedLoop(rows)
     for k in (39, 0, 17):
         assert film.go_to(rows[k].t) is rows[k]
         assert film.latest() is rows[k]

@@ -14,10 +14,10 @@ from app.control.controller import Controller
 from app.control.drive import Drive
 from app.errors import TargetError, UnknownNameError
 from app.robot.model import RobotModel
-from app.simulation.plants import PLANTS
-from app.simulation.scenario import LINES
+from app.simulation.plants.choice import PLANTS
+from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session, Step
-from app.simulation.start import StartSolver
 
 LATERAL = LINES["guiding-lateral"]
 PULL = np.add(LATERAL.start, LATERAL.move)  # [m] into the buffer

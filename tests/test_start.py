@@ -13,8 +13,8 @@ from app.config import Config
 from app.errors import UnreachableError
 from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
-from app.simulation.scenario import LINES
-from app.simulation.start import StartSolver, find_start
+from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios.start import StartSolver, find_start
 
 D_B = Config().border.d_b
 PLACES = {

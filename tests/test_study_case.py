@@ -12,16 +12,16 @@ from app.avoidance.distances import DistanceMonitor
 from app.config import Config
 from app.errors import CaseError, ConfigError, StudyError
 from app.robot.state import Measurement, RobotState
-from app.study import study_range
-from app.study.case import Case, read_case
-from app.study.draw import _draw_values, draw_case
-from app.study.envelope import Envelope
-from app.study.parameters import StudyParameters
-from app.study.place import SECTORS, place, sector_of
-from app.study.play import TIMES, case_of, flat, inputs_of, play_case, run_case
-from app.study.rounding import rounded
-from app.study.sources import load_sources
-from app.study.study_range import StudyRange
+from app.studies.pulls import draw_range as study_range
+from app.studies.pulls.case import Case, read_case
+from app.studies.pulls.draw import _draw_values, draw_case
+from app.studies.pulls.draw_range import StudyRange
+from app.studies.pulls.envelope import Envelope
+from app.studies.pulls.parameters import StudyParameters
+from app.studies.pulls.place import SECTORS, place, sector_of
+from app.studies.pulls.play import TIMES, case_of, flat, inputs_of, play_case, run_case
+from app.studies.pulls.rounding import rounded
+from app.studies.pulls.sources import load_sources
 
 RANGES = StudyRange(duration=0.2, released=0.6, regrasped=0.6)
 PARAMETERS = StudyParameters(seed=5, physics="kinematic", ranges=RANGES)

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from app.errors import StudyError
-from app.study import envelope as module
-from app.study.envelope import (
+from app.studies.pulls import envelope as module
+from app.studies.pulls.draw_range import StudyRange
+from app.studies.pulls.envelope import (
     DELAY_STEP,
     MARGIN,
     RESERVE,
@@ -24,8 +25,7 @@ from app.study.envelope import (
     tally,
     tally_by_halves,
 )
-from app.study.play import Row
-from app.study.study_range import StudyRange
+from app.studies.pulls.play import Row
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 from app.cli.main import main
-from app.dashboard.notices import Notices
-from app.dashboard.panels.case import add_case_button
+from app.dashboard.notifications import Notifier
+from app.dashboard.panels.run import add_case_button
 from app.dashboard.server import serve_dashboard
-from app.simulation.commands import Play, Pull, Reset
-from app.simulation.loop import SimulationLoop
+from app.simulation.loop.commands import Play, Pull, Reset
+from app.simulation.loop.loop import SimulationLoop
 from app.simulation.session import Session
-from app.study.case import Case
-from app.study.draw import draw_case
-from app.study.parameters import StudyParameters
-from app.study.play import play_case, run_case
-from app.study.sources import load_sources
-from app.study.study_range import StudyRange
+from app.studies.pulls.case import Case
+from app.studies.pulls.draw import draw_case
+from app.studies.pulls.draw_range import StudyRange
+from app.studies.pulls.parameters import StudyParameters
+from app.studies.pulls.play import play_case, run_case
+from app.studies.pulls.sources import load_sources
 from tests.fakes import ScriptedLoop
 from tests.raw_client import RawClient
 from tests.robots import husky_panda
@@ -186,7 +186,7 @@ class FakeGui:
 def test_the_button_plays_the_case_of_the_page(case):
     gui, sent = FakeGui(), []
     sink = SimpleNamespace(send=sent.append)
-    add_case_button(gui, sink, Notices(gui), case.scenario())
+    add_case_button(gui, sink, Notifier(gui), case.scenario())
     assert gui.labels == ["Play the case"]
     asyncio.run(gui.press(SimpleNamespace(client=None)))
     assert sent == [Play(case.scenario())]

@@ -16,12 +16,12 @@ import pytest
 from distributed import LocalCluster
 
 from app.cli.main import main
-from app.study import cluster
-from app.study.parameters import StudyParameters
-from app.study.play import TIMES
-from app.study.rounding import rounded
-from app.study.study import study
-from app.study.study_range import StudyRange
+from app.studies.pulls import cluster
+from app.studies.pulls.draw_range import StudyRange
+from app.studies.pulls.parameters import StudyParameters
+from app.studies.pulls.play import TIMES
+from app.studies.pulls.rounding import rounded
+from app.studies.pulls.study import study
 
 pytestmark = pytest.mark.slow
 

@@ -13,11 +13,11 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
-from app.study.paths import Approach
-from app.study.paths_start import Start, StartFinder
-from app.study.sweep import sweep
-from app.study.sweep_plan import SweepPlan, Trial
-from app.study.sweep_result import arrival, passes
+from app.studies.sweep.paths import Approach
+from app.studies.sweep.paths_start import Start, StartFinder
+from app.studies.sweep.plan import SweepPlan, Trial
+from app.studies.sweep.result import arrival, passes
+from app.studies.sweep.sweep import sweep
 
 pytestmark = pytest.mark.slow
 

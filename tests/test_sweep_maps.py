@@ -14,14 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.patches import Rectangle, Wedge
 
-from app.reproduce.style import styled
 from app.robot.model import RobotModel
-from app.study.paths import AXIS_OFFSETS
-from app.study.polar import Plan, polar_map
-from app.study.polar_above import above_map
-from app.study.polar_quantities import quantities
-from app.study.sweep_files import write_sweep
-from app.study.sweep_maps import newest_map, read_map
+from app.studies.style import styled
+from app.studies.sweep.files import write_sweep
+from app.studies.sweep.maps import newest_map, read_map
+from app.studies.sweep.paths import AXIS_OFFSETS
+from app.studies.sweep.polar import Plan, polar_map
+from app.studies.sweep.polar_above import above_map
+from app.studies.sweep.polar_quantities import quantities
 
 ROW: dict[str, Any] = {
     "speed_mps": 0.025,

@@ -12,11 +12,12 @@ import numpy as np
 import psutil
 import pytest
 
-from app.dashboard.panels.sweep import STEP, SweepPanel
+from app.dashboard.job import Job
+from app.dashboard.panels import sweep as sweep_panel
+from app.dashboard.panels.sweep import STEP, SweepPanel, start_sweep
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.errors import OutputError
-from app.study.sweep_job import SweepJob
-from app.study.sweep_plan import SweepPlan
+from app.studies.sweep.plan import SweepPlan
 from tests.dashboards import clouds, parts
 from tests.fakes import ScriptedLoop
 from tests.raw_client import RawClient
@@ -61,7 +62,7 @@ def panel(dashboard: DashboardServer) -> Iterator[SweepPanel]:
 def test_without_a_map_there_is_a_line_and_a_new_map_appears_by_itself(
     panel: SweepPanel, tmp_path: Path
 ) -> None:
-    from app.study.sweep_files import write_sweep
+    from app.studies.sweep.files import write_sweep
 
     assert "No map" in panel._text.content
     assert panel._image is None
@@ -72,42 +73,55 @@ def test_without_a_map_there_is_a_line_and_a_new_map_appears_by_itself(
     assert np.asarray(panel._image.image).std() > 10
 
 
+def sweeping(job: Job) -> psutil.Process:
+    """The process of a sweep under way, once it is one of low priority."""
+    mine = psutil.Process(os.getpid())
+
+    def low() -> list[psutil.Process]:
+        return [process for process in mine.children() if process.nice() > mine.nice()]
+
+    wait_for(low, 30.0)
+    assert job.progress is not None
+    (process,) = low()
+    return process
+
+
 def test_the_button_starts_a_sweep_with_what_is_chosen_and_stopping_the_server_ends_it(
     dashboard: DashboardServer, panel: SweepPanel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dashboard.shared.tuning.set("force.f_max", 200.0)
     plans: list[SweepPlan] = []
-    start = SweepJob.start
     monkeypatch.setattr(
-        SweepJob,
-        "start",
-        lambda self, plan, folder: (plans.append(plan), start(self, plan, folder))[1],
+        sweep_panel,
+        "start_sweep",
+        lambda job, plan, folder: (plans.append(plan), start_sweep(job, plan, folder)),
     )
     panel._start_or_stop()
     wait_for(lambda: "under way" in panel._text.content, 20.0)
     (plan,) = plans
     assert (plan.controllers, plan.step, plan.config.force.f_max) == (("dbb",), STEP, 200.0)
-    process = psutil.Process(panel._job._process.pid)
-    wait_for(lambda: process.nice() > psutil.Process(os.getpid()).nice(), 20.0)
+    process = sweeping(dashboard.shared.sweep_job)
     dashboard.stop()
     assert not process.is_running()
 
 
 def test_a_second_press_stops_the_sweep(panel: SweepPanel) -> None:
     panel._start_or_stop()
-    process = psutil.Process(panel._job._process.pid)
+    process = sweeping(panel._job)
     panel._start_or_stop()
-    assert not process.is_running()
+    wait_for(lambda: not process.is_running(), 20.0)
     wait_for(lambda: "No map" in panel._text.content, 20.0)
     assert panel._button.label == "Make a map"
 
 
-def test_a_job_tells_how_far_it_is_and_leaves_its_files(tmp_path: Path) -> None:
-    job = SweepJob()
-    job.start(SHORT, tmp_path / "made")
-    wait_for(lambda: not job.running)
-    assert job.problem() is None
-    assert job.done == 1.0
+def test_a_sweep_reports_how_far_it_is_and_leaves_its_files(tmp_path: Path) -> None:
+    job, shares = Job(), set()
+    start_sweep(job, SHORT, tmp_path / "made")
+    while (progress := job.progress) is not None:
+        shares.add(progress.share)
+        time.sleep(0.02)
+    assert job.problem == ""
+    assert max(shares) > 0.0
     assert sorted(p.name for p in (tmp_path / "made").iterdir()) == [
         "sweep.csv",
         "sweep.json",
@@ -115,18 +129,18 @@ def test_a_job_tells_how_far_it_is_and_leaves_its_files(tmp_path: Path) -> None:
     ]
 
 
-def test_what_goes_wrong_in_the_other_process_is_told(tmp_path: Path) -> None:
-    job = SweepJob()
-    job.start(replace(SHORT, robot="nobody"), tmp_path)
-    wait_for(lambda: not job.running)
-    assert "nobody" in str(job.problem())
-    job.start(SHORT, tmp_path)
-    job._process.kill()
-    wait_for(lambda: not job.running)
-    assert "status" in str(job.problem())
+def test_what_goes_wrong_in_the_other_process_is_a_problem_here(tmp_path: Path) -> None:
+    job = Job()
+    start_sweep(job, replace(SHORT, robot="nobody"), tmp_path)
+    wait_for(lambda: job.progress is None)
+    assert "nobody" in job.problem
+    start_sweep(job, SHORT, tmp_path)
+    sweeping(job).kill()
+    wait_for(lambda: job.progress is None)
+    assert "status -9" in job.problem
 
 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="file"):
-        SweepJob().start(SHORT, tmp_path / "file" / "below")
+        start_sweep(Job(), SHORT, tmp_path / "file" / "below")

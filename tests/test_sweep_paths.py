@@ -12,9 +12,16 @@ from app.border.cache import BorderData
 from app.border.mobile import MobileBody
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.study import paths_start
-from app.study.paths import AXIS_OFFSETS, Approach, from_above, outline_distance, ring, wheel_axis
-from app.study.paths_start import Start, StartFinder
+from app.studies.sweep import paths_start
+from app.studies.sweep.paths import (
+    AXIS_OFFSETS,
+    Approach,
+    from_above,
+    outline_distance,
+    ring,
+    wheel_axis,
+)
+from app.studies.sweep.paths_start import Start, StartFinder
 
 D_B, DISTANCE = 0.15, 0.17  # [m]
 

@@ -74,7 +74,9 @@ NAMES = {
 }
 """What a module has on some systems only, or does differently there. Names of `os` that begin with
 `sched_` or `SCHED_` count too."""
-FOR_A_REASON = {("app/dashboard/browser.py", "sys.platform"): "where a Mac keeps its browsers"}
+FOR_A_REASON = {
+    ("app/dashboard/export/browser.py", "sys.platform"): "where a Mac keeps its browsers"
+}
 """What may stand elsewhere."""
 
 
@@ -212,7 +214,7 @@ from app.border.cache import load_border_data
 from app.config import Config
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
-from app.simulation.process_loop import ProcessLoop
+from app.simulation.loop.process_loop import ProcessLoop
 from app.simulation.session import Session
 
 if __name__ == "__main__":

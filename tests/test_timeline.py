@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from app.dashboard.timeline import FRAME, REACH, Timeline
-from app.simulation.history import History
+from app.dashboard.panels.timeline import FRAME, REACH, Timeline
+from app.simulation.trace.history import History
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
 

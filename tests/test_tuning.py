@@ -12,19 +12,16 @@ import pytest
 import viser
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from viser import _messages
 
 from app.config import Config, parameter, sections, tunable
 from app.config_file import MOST_BYTES, parse_config, save_config
-from app.dashboard.knobs import LONGEST, MARK, PATIENCE, slider_step
-from app.dashboard.notices import Notices
-from app.dashboard.panels.config_file import file_name
-from app.dashboard.panels.tuning import MAIN, TuningPanel, score_html
+from app.dashboard.notifications import Notifier
+from app.dashboard.panels.parameter_widgets import LONGEST, MARK, PATIENCE, slider_step
+from app.dashboard.panels.tuning import MAIN, TuningPanel, file_name, score_html
 from app.dashboard.tuning import BURST, MOST_STEPS, Tuning
-from app.dashboard.value_guard import guard_values
 from app.errors import ConfigError
 from app.parameters import Choice, Parameter
-from app.simulation.commands import Configure
+from app.simulation.loop.commands import Configure
 from tests.robots import husky_panda
 
 TUNABLES = {each.path: each for section in sections() for each in section.tunables}
@@ -75,7 +72,7 @@ class Desk:
             TuningPanel(
                 server.gui,
                 self.tuning,
-                Notices(server),
+                Notifier(server),
                 paths,
                 robot=husky_panda().description,
                 clock=self.clock,
@@ -84,7 +81,7 @@ class Desk:
         ]
 
     def handle(self, path, viewer=0, face=0):
-        return self.panels[viewer].knobs[path].handles[face]
+        return self.panels[viewer].widgets[path].handles[face]
 
     def sees(self, path, viewer=0):
         return self.handle(path, viewer).value
@@ -261,7 +258,7 @@ def test_loading_and_resetting_are_one_step_each():
 
 
 def test_every_parameter_has_widgets_with_its_range_unit_value_and_help(desk):
-    assert list(desk.panels[0].knobs) == list(TUNABLES)
+    assert list(desk.panels[0].widgets) == list(TUNABLES)
     for path, about in TUNABLES.items():
         handle = desk.handle(path)
         assert handle.value == about.default, path
@@ -359,7 +356,7 @@ def test_a_flood_of_refused_values_is_answered_now_and_then(desk):
 
 
 def test_a_logarithmic_slider_and_its_exact_box_go_together(desk):
-    box, slider = desk.panels[0].knobs["task.base_weight"].handles
+    box, slider = desk.panels[0].widgets["task.base_weight"].handles
     assert (slider.min, slider.max, slider.value) == (0.0, 6.0, 3.0)
     put(slider, 2.5, Person())
     assert desk.tuning.value("task.base_weight") == box.value == 316.0
@@ -371,7 +368,7 @@ def test_a_logarithmic_slider_and_its_exact_box_go_together(desk):
     assert 10 ** desk.handle("task.base_weight", 1, 1).value == pytest.approx(1234.5)
     assert desk.tuning.value("task.base_weight") == 1234.5
     for path in (path for path in NUMBERS if parameter(path).log):
-        _, slider = desk.panels[0].knobs[path].handles
+        _, slider = desk.panels[0].widgets[path].handles
         for end, value in ((slider.min, parameter(path).low), (slider.max, parameter(path).high)):
             put(slider, end, Person())
             assert desk.tuning.value(path) == value
@@ -424,7 +421,7 @@ def test_buttons_undo_redo_and_say_when_there_is_nothing(desk):
 def test_defaults_of_a_folder_leave_the_others(servers):
     servers[0].gui.reset()
     desk = Desk(servers[:1], MAIN)
-    assert tuple(desk.panels[0].knobs) == MAIN
+    assert tuple(desk.panels[0].widgets) == MAIN
     desk.tuning.set(D_B, 0.2)
     desk.tuning.set("border.eps", 0.015)
     press(servers[0].gui, "Defaults")
@@ -514,59 +511,3 @@ def test_a_loaded_file_is_as_good_as_one_that_is_typed(desk):
     upload(desk, save_config(Config().replace("hand.f_max", 20.0)).encode())
     desk.update()
     assert desk.sees("hand.f_max", viewer=1) == 20.0
-
-
-# Values that no browser sends
-
-
-def deliver(gui, person, updates, uuid=None, monkeypatch=None):
-    """Hand a message to whatever handles updates, as viser's connection does."""
-    monkeypatch.setattr(gui, "_resolve_client", lambda _: person)
-    message = _messages.GuiUpdateMessage(uuid, updates)
-    for handler in list(gui._websock_interface._incoming_handlers[_messages.GuiUpdateMessage]):
-        asyncio.run(handler(1, message))
-
-
-@pytest.mark.parametrize(
-    "updates",
-    [
-        {"value": "much"},
-        {"value": [0.2]},
-        {"value": None},
-        {"value": {}},
-        {},
-        [0.2],
-        3,
-        None,
-        {"value": 0.2, "update_cb": []},
-        {"update_cb": []},
-        {"gui_api": 1},
-        {"removed": True},
-    ],
-)
-def test_what_a_widget_cannot_hold_is_told_to_the_sender_and_changes_nothing(
-    desk, updates, monkeypatch
-):
-    gui, handle, sender = desk.panels[0]._gui, desk.handle(D_B), Person()
-    state = dict(vars(handle._impl))
-    deliver(gui, sender, updates, handle._impl.uuid, monkeypatch)
-    assert len(sender.notes) == 1
-    assert [m.updates for m in sender.messages] == [{"value": 0.15}]
-    assert {**vars(handle._impl), "update_timestamp": 0} == {**state, "update_timestamp": 0}
-    assert (desk.tuning.config, desk.sink.commands) == (Config(), [])
-
-
-@pytest.mark.parametrize("uuid", [None, 3, [], {}, "nobody"])
-def test_a_message_to_no_widget_changes_nothing(desk, uuid, monkeypatch):
-    sender = Person()
-    deliver(desk.panels[0]._gui, sender, {"value": 0.2}, uuid, monkeypatch)
-    assert sender.messages == []
-    assert desk.sink.commands == []
-
-
-def test_a_good_value_passes_the_guard(desk, monkeypatch):
-    sender = Person()
-    guard_values(desk.panels[0]._gui, Notices(desk.panels[0]._gui._owner))  # again: no second guard
-    deliver(desk.panels[0]._gui, sender, {"value": 0.2}, desk.handle(D_B)._impl.uuid, monkeypatch)
-    assert desk.sink.commands == [Configure(Config().replace(D_B, 0.2))]
-    assert sender.notes == []

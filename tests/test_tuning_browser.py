@@ -6,7 +6,7 @@ import pytest
 
 from app.config import Config
 from app.config_file import read_config
-from app.simulation.commands import Configure
+from app.simulation.loop.commands import Configure
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 

@@ -12,8 +12,8 @@ from app.errors import ConfigError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.run import run_scenario
+from app.simulation.scenarios.way_out import BEGINS, DEEPEST, TroubledStarts, WayOutScenario
 from app.simulation.session import DT, Session
-from app.simulation.way_out import BEGINS, DEEPEST, TroubledStarts, WayOutScenario
 
 pytestmark = pytest.mark.slow
 

@@ -106,4 +106,5 @@ PYPROJECT = (PROJECT / "pyproject.toml").read_text(encoding="utf-8")
 def direct() -> set[str]:
     """Names of what the package itself and all extras depend on."""
     text = PYPROJECT[PYPROJECT.index("\ndependencies = [") : PYPROJECT.index("[project.scripts]")]
-    return {name.lower() for name in re.findall(r'^    "([A-Za-z0-9_.-]+)', text, re.M)}
+    names = {name.lower() for name in re.findall(r'^    "([A-Za-z0-9_.-]+)', text, re.M)}
+    return names - {"dbb-mobile-manipulator"}  # an extra that takes another in

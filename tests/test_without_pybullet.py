@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.border import reach_solver
-from app.border.reach_chain import Chain
-from app.border.reach_solver import make_solver
-from app.dashboard.robot import RobotParts
+from app.border.reach import solver as reach_solver
+from app.border.reach.chain import Chain
+from app.border.reach.solver import make_solver
+from app.dashboard.scene.robot import RobotParts
 from app.errors import AssetError
 from app.robot.assets import load_robot, resolve_package_uri
 from app.robot.model import RobotModel
@@ -34,7 +34,7 @@ def no_meshes(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("no_meshes")
 def test_a_mesh_that_comes_with_pybullet_says_so() -> None:
-    with pytest.raises(AssetError, match="it comes with pybullet, on the Pythons"):
+    with pytest.raises(AssetError, match="it comes with pybullet: pip install"):
         resolve_package_uri("package://pybullet_data/husky/meshes/base_link.stl")
 
 
@@ -107,7 +107,7 @@ def test_the_default_plant_is_pybullets_where_it_is_installed(missing: bool, def
     if not missing:
         pytest.importorskip("pybullet")
     code = (WITHOUT if missing else "") + (
-        "\nfrom app.simulation.plants import default_plant\nprint(default_plant())"
+        "\nfrom app.simulation.plants.choice import default_plant\nprint(default_plant())"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True, check=True

@@ -5,7 +5,7 @@ set -uo pipefail
 venv=$1
 found() {
     "$venv/bin/python" - 2>/dev/null <<'PY'
-from app.dashboard.browser import browser_path
+from app.dashboard.export.browser import browser_path
 from playwright.sync_api import sync_playwright
 
 with sync_playwright() as playwright:

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The README's pictures, into docs/pictures, and a copy of them for whoever publishes out/pictures.
+# The pictures of README and documentation, into docs/pictures, with a copy in out/pictures.
 # Usage: tools/pictures.sh VENV
 set -euo pipefail
 dbb=$1/bin/dbb

@@ -1,4 +1,4 @@
-"""The README's picture of the robots: bodies over the hulls of their links, and their borders.
+"""The picture of the robots: bodies over the hulls of their links, and their borders.
 
 python tools/robots_picture.py docs/pictures/robots.png husky_panda tiago …
 """
@@ -12,14 +12,14 @@ from matplotlib.axes import Axes
 
 from app.border.mobile import MobileBody
 from app.border.offset import OffsetContours
-from app.onboarding.geometry import read_geometry
-from app.onboarding.pictures import BODY_COLOURS, _fill, _placements, _seen, body_corners
-from app.onboarding.source import read_source
-from app.onboarding.tree import make_tree
-from app.onboarding.units import units_of_links
-from app.reproduce.style import SOFT, new_figure, png_of, styled
+from app.onboarding.fit.rigid_groups import units_of_links
+from app.onboarding.read.geometry import read_geometry
+from app.onboarding.read.source import read_robot
+from app.onboarding.read.tree import make_tree
+from app.onboarding.write.pictures import BODY_COLOURS, _fill, _placements, _seen, body_corners
 from app.robot.assets import load_robot, urdf_path
 from app.robot.model import RobotModel
+from app.studies.style import SOFT, new_figure, png_of, styled
 
 D_B = 0.15  # [m]
 ALONG, ACROSS, UP = (-0.7, 1.1), (-0.85, 0.65), (-0.05, 1.6)  # [m] what is seen
@@ -30,7 +30,7 @@ def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
     """The ready pose seen along an axis: hulls of the links in grey, bodies over them."""
     placed = _placements(model, np.array(model.description.arm.ready_position))
     path = urdf_path(model.description)
-    geometry = read_geometry(make_tree(read_source(path)), path.parent)
+    geometry = read_geometry(make_tree(read_robot(path)))
     for units in units_of_links(model, geometry).values():
         for unit in units:
             for part in unit.parts:

@@ -1,7 +1,9 @@
-"""Whether two environments give the same figures: `python -m tools.same_figures PYTHON PYTHON`.
+"""Whether the figures of runs are the same: in two environments, or before and after a change.
 
-Every scenario is run by `dbb run --json` in both, from this checkout, with each plant; figures that
-are no times must agree to the bit. Meant for pybullet beside its fork, and for two Pythons.
+`python -m tools.same_figures keep FILE` runs scenarios by `dbb run --json`, with controllers
+and robots given, and keeps the figures; `... compare FILE` runs them again, with `--python` in
+another environment, and prints what differs by more than `--tolerance` (0: to the bit), times left
+out. Both run the code of the current folder, so that two checkouts can be compared.
 """
 
 from __future__ import annotations
@@ -15,51 +17,90 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from app.simulation.scenario import SCENARIOS
-
-PROJECT = Path(__file__).resolve().parent.parent
 TIMES = {"step_p50_us", "step_p99_us", "realtime_factor"}
 """Figures of how fast a run went."""
+SCENARIOS = (
+    "guiding-lateral",
+    "guiding-front",
+    "guiding-above",
+    "guiding-fold",
+    "tracking",
+    "refrigerator",
+    "way-out",
+)
 
 
-def figures(python: str, scenario: str, physics: str) -> dict[str, Any]:
-    """What a run of a scenario gives in an environment, times left out.
+def figures(python: str, case: str) -> dict[str, Any]:
+    """What a run gives in an environment, or its error, times left out.
 
-    Raises:
-        SystemExit: The run failed.
+    Args:
+        python: The interpreter.
+        case: Options of `dbb run`, separated by spaces.
     """
-    command = [python, "-m", "app", "run", scenario, "--physics", physics, "--json"]
-    done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True)
-    if done.returncode:
-        sys.exit(f"{' '.join(command)}: {done.stderr.strip()[-500:]}")
+    command = [python, "-m", "app", "run", *case.split(), "--json"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if not done.stdout.strip():
+        return {"error": done.stderr.strip()[-300:]}
     return {name: value for name, value in json.loads(done.stdout).items() if name not in TIMES}
 
 
-def differences(first: Any, second: Any, name: str = "") -> list[str]:
-    """What differs, as `min_distance_m.lm-l3: 0.1, 0.2`; floats compare to the bit."""
+def differences(first: Any, second: Any, tolerance: float, name: str = "") -> list[str]:
+    """What differs, as `min_distance_m.lm-l3: 0.1, 0.2`."""
     if isinstance(first, dict) and isinstance(second, dict):
         return [
             text
             for key in sorted({*first, *second})
-            for text in differences(first.get(key), second.get(key), f"{name}.{key}".strip("."))
+            for text in differences(
+                first.get(key), second.get(key), tolerance, f"{name}.{key}".strip(".")
+            )
         ]
-    return [] if first == second else [f"{name}: {first}, {second}"]
+    if isinstance(first, float) and isinstance(second, float):
+        same = abs(first - second) <= tolerance
+    else:
+        same = first == second
+    return [] if same else [f"{name}: {first}, {second}"]
+
+
+def _cases(options: argparse.Namespace) -> list[str]:
+    return [
+        f"{scenario} --controller {controller} --robot {robot} --physics {physics}"
+        for scenario, controller, robot, physics in product(
+            options.scenario, options.controller, options.robot, options.physics
+        )
+    ]
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("do", choices=["keep", "compare"])
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--python", default=sys.executable, help="of the environment to run in")
+    parser.add_argument("--scenario", nargs="+", default=SCENARIOS)
+    parser.add_argument("--controller", nargs="+", default=["dbb"])
+    parser.add_argument("--robot", nargs="+", default=["husky_panda"])
+    parser.add_argument("--physics", nargs="+", default=["planar"])
+    parser.add_argument("--tolerance", type=float, default=0.0)
+    parser.add_argument("--jobs", type=int, default=2)
+    return parser.parse_args()
 
 
 def main() -> int:
     """Print a line a run; 1 if any figure differs."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("python", nargs=2, help="of an environment with this project's libraries")
-    parser.add_argument("--scenario", nargs="+", default=sorted(SCENARIOS), choices=SCENARIOS)
-    parser.add_argument("--physics", nargs="+", default=["planar", "contact"])
-    options = parser.parse_args()
+    options = _options()
+    kept = json.loads(options.file.read_text()) if options.file.exists() else {}
+    cases = list(kept) if options.do == "compare" else [c for c in _cases(options) if c not in kept]
     same = True
-    with ThreadPoolExecutor(2) as threads:
-        for scenario, physics in product(options.scenario, options.physics):
-            runs = list(threads.map(lambda p: figures(p, scenario, physics), options.python))  # noqa: B023
-            found = differences(*runs)
-            same &= not found
-            print(f"{scenario}, {physics}: {'; '.join(found) or 'the same'}", flush=True)
+    with ThreadPoolExecutor(options.jobs) as threads:
+        runs = threads.map(lambda case: figures(options.python, case), cases)
+        for case, run in zip(cases, runs, strict=True):
+            if options.do == "keep":
+                kept[case] = run
+                options.file.write_text(json.dumps(kept, indent=1))
+                print(case, flush=True)
+            else:
+                found = differences(kept[case], run, options.tolerance)
+                same &= not found
+                print(f"{case}: {'; '.join(found) or 'the same'}", flush=True)
     return int(not same)
 
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Make a virtual environment, unless it is there, and install this project in it: by uv where there
 # is one, else by pip.
-# Usage: [PYTHON=python] tools/venv.sh FOLDER [REQUIREMENT], such as . or .[dev]
+# Usage: [PYTHON=python] tools/venv.sh FOLDER [REQUIREMENT], such as .[all] or .[dev]
 set -euo pipefail
 folder=$1
 requirement=${2:-}

@@ -15,8 +15,8 @@ from app.bench.paths import PATHS, Moment, Path, record
 from app.bench.rollouts import time_rollouts
 from app.bench.timing import time_stages, time_steps
 from app.border.cache import BorderData
-from app.border.sampling import sample_clouds
-from app.border.sampling_config import SamplingConfig
+from app.border.sampling.config import SamplingConfig
+from app.border.sampling.pairs import sample_clouds
 from app.config import Config
 from app.control.controller import Controller, ControlOutput
 from app.robot.link_pairs import find_link_pairs

@@ -12,9 +12,9 @@ from app.config import Config
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
-from app.simulation.begin import begin
-from app.simulation.line import LineScenario
-from app.simulation.scenario import LINES
+from app.simulation.scenarios.begin import begin
+from app.simulation.scenarios.line import LineScenario
+from app.simulation.scenarios.names import LINES
 from app.simulation.session import DT
 
 Array = np.ndarray

@@ -10,12 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from app.border.cache import BorderData, load_border_data
-from app.border.pool import Workers
 from app.config import Config
+from app.jobs.pool import Workers
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
-from app.simulation.scenario import LINES
+from app.simulation.scenarios.names import LINES
 
 _RUNS = ("guiding-lateral", "guiding-front")
 _ROUNDS = 3

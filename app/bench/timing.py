@@ -11,7 +11,7 @@ import numpy as np
 
 from app.bench.paths import Moment, Path
 from app.control.controller import Controller, ControlOutput
-from app.simulation.settled import settled
+from app.simulation.loop.gc_freeze import settled
 
 Array = np.ndarray
 

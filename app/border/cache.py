@@ -12,8 +12,7 @@ from app.border import archive
 from app.border.checked_file import DamagedFileError
 from app.border.cloud import Cloud
 from app.border.key import FORMAT, border_key
-from app.border.sampling import sample_clouds
-from app.border.sampling_config import SamplingConfig
+from app.border.sampling.config import SamplingConfig
 from app.robot import assets
 from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.model import RobotModel
@@ -63,6 +62,9 @@ def load_border_data(
     sampling = sampling or SamplingConfig()
     if (found := kept_border_data(model, sampling)) is not None:
         return found
+    # Imported here: a control step of a robot whose border is kept needs no sampling.
+    from app.border.sampling.pairs import sample_clouds
+
     pairs = find_link_pairs(model, samples=sampling.pair_samples, seed=sampling.seed)
     clouds = sample_clouds(
         model,

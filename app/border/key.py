@@ -6,7 +6,7 @@ import hashlib
 import json
 from xml.etree import ElementTree
 
-from app.border.sampling_config import SamplingConfig
+from app.border.sampling.config import SamplingConfig
 from app.robot.assets import resolve_package_uri, urdf_path
 from app.robot.description import RobotDescription
 from app.robot.shapes import ConvexMesh

@@ -11,7 +11,7 @@ import numpy as np
 from app.border.cache import BorderData, load_border_data
 from app.border.dbb import Border, construct_dbb
 from app.border.mobile import MobileBody
-from app.border.sampling_config import SamplingConfig
+from app.border.sampling.config import SamplingConfig
 from app.cli.common import load_model, print_json
 from app.cli.options import Json, check_parameter, check_seed, make_folder
 from app.config import Config

@@ -31,7 +31,7 @@ def check_robot(
         json: Print one JSON object on standard output and nothing else there.
     """
     # Imported here: it needs scipy, trimesh and the engines.
-    from app.onboarding import checks
+    from app.onboarding.check import checks
 
     description = load_robot(name)
     rows = []

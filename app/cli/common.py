@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from app.border.cache import BorderData, load_border_data
-from app.cli.ctrl_c import check_interrupt
+from app.cli.signals import check_signals
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 
@@ -44,7 +44,7 @@ def as_json(result: object) -> str:
 def progress_bar(text: str, total: float) -> Iterator[Callable[[float], None]]:
     """A progress bar on standard error; gives the function that says how far it is.
 
-    That function is where Ctrl-C is heard again if it was lost.
+    That function is where a signal is heard again if it was lost.
     """
     columns = (
         TextColumn("{task.description}"),
@@ -58,7 +58,7 @@ def progress_bar(text: str, total: float) -> Iterator[Callable[[float], None]]:
         task = progress.add_task(text, total=total)
 
         def tell(done: float) -> None:
-            check_interrupt()
+            check_signals()
             progress.update(task, completed=done)
 
         yield tell

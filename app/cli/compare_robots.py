@@ -37,9 +37,9 @@ def compare_robots(
         json: Print one JSON object on standard output and nothing else there.
     """
     # Imported here: pybullet and scipy would make every other command start later.
-    from app.reproduce.experiments import default_processes
-    from app.study.robot_cases import CASES
-    from app.study.robot_table import robot_table
+    from app.studies.paper.experiments import default_processes
+    from app.studies.sweep.robot_cases import CASES
+    from app.studies.sweep.robot_table import robot_table
 
     for name in robots:
         check_name("robot", name, robot_names())

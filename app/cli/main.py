@@ -9,8 +9,8 @@ from collections.abc import Callable
 from importlib import import_module
 from typing import Any
 
-from app.cli.ctrl_c import interrupts_kept
-from app.errors import DbbError
+from app.cli.signals import ending_signals_raised
+from app.errors import DbbError, extras_named
 
 _COMMANDS = (
     "serve",
@@ -37,7 +37,7 @@ def main(args: list[str] | None = None) -> None:
     """Run the command line; ends the process with status 0 only if it did what was asked."""
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
-        with interrupts_kept():
+        with ending_signals_raised(), extras_named():
             _run(sys.argv[1:] if args is None else args)
         sys.stdout.flush()
     except DbbError as error:

@@ -11,6 +11,7 @@ import tyro
 from app.cli.common import console, print_json
 from app.cli.options import Json, PointOption, check_parameter, check_point, check_seed
 from app.config import Config
+from app.robot.assets import ASSETS, robot_names, user_robots
 from app.robot.description import KINDS
 
 if TYPE_CHECKING:
@@ -25,6 +26,7 @@ def new_robot(
     tip: str,
     out: Path,
     file: str | None = None,
+    package: tuple[str, ...] = (),
     wheels: Annotated[tuple[str, str] | None, tyro.conf.arg(metavar="LEFT RIGHT")] = None,
     arm_urdf: str | None = None,
     mount_xyz: PointOption = None,
@@ -60,6 +62,8 @@ def new_robot(
         tip: Link that carries the end-effector.
         out: Folder of the new description, such as robot_assets/NAME; its name is the robot's.
         file: Path of the URDF in a zip that holds several.
+        package: Folders of ROS packages, NAME=FOLDER each, before those that are found: folders of
+            that name from the URDF upwards, in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, or installed.
         wheels: Joints (or links) of a left and a right driven wheel (default: found).
         arm_urdf: Another URDF with the arm, to be fixed to --base; --tip is in it then.
         mount_xyz: [m] where the root of --arm-urdf stands in --base (default: 0 0 0).
@@ -84,9 +88,8 @@ def new_robot(
         json: Print one JSON object on standard output and nothing else there.
     """
     # Imported here: matplotlib, scipy and trimesh would make every other command start later.
-    from app.onboarding.finish import finish
-    from app.onboarding.request import Request
-    from app.onboarding.request_check import check_request
+    from app.onboarding.request import Request, check_request
+    from app.onboarding.write.make import finish
 
     check_seed(seed)
     check_parameter("--buffer-distance", buffer_distance, "border.d_b")
@@ -124,21 +127,64 @@ def new_robot(
         seed=seed,
         d_b=buffer_distance,
         file=file,
+        package=package,
     )
     check_request(request)
     begin = perf_counter()
-    robot, data = finish(request, tell=lambda text: console.print(f"… {text}"))
+    steps = _Steps()
+    robot, data = finish(request, tell=steps.say, on_progress=steps.share, progress=False)
     result = _figures(robot, data) | {"elapsed_s": perf_counter() - begin}
     if json:
         print_json(result)
         return
-    print(f"{result['robot']}: {result['folder']}/robot.toml, report.html")
-    for key in ("pairs", "bodies", "reachability"):
-        print(f"  {key}: {result[key]}")
-    for warning in robot.warnings:
-        print(f"  warning: {warning}")
+    print("\n".join(_lines(robot, data)))
 
 
+class _Steps:
+    """Says what is being done, and every few seconds how far it is, on a terminal and off it."""
+
+    def __init__(self) -> None:
+        self._text, self._last = "", perf_counter()
+
+    def say(self, text: str) -> None:
+        """A new step."""
+        self._text, self._last = text, perf_counter()
+        console.print(f"… {text}")
+
+    def share(self, share: float) -> None:
+        """Which share of the step is done, 0 to 1."""
+        if perf_counter() - self._last > _EVERY:
+            self._last = perf_counter()
+            console.print(f"… {self._text}: {share:.0%}")
+
+
+def _lines(robot: NewRobot, data: BorderData) -> list[str]:
+    """What people read of the new robot, and what they may do next."""
+    folder, name = robot.request.out, robot.request.name
+    lines = [f"{name}: {folder}/robot.toml, robot.urdf, report.html"]
+    for body in robot.bodies:
+        over = max(fit.over_cover for fit in body.fits)
+        shapes = ", ".join(fit.shape.type for fit in body.fits)
+        lines.append(
+            f"  body {body.name}: {shapes} around {', '.join(body.links)}; {over:.2f} times the "
+            "volume of what it holds"
+        )
+    lines.append(f"  pairs: {', '.join(pair.name for pair in data.pairs.all) or 'none'}")
+    for body, reach in robot.reach.items():
+        how = "assumed" if reach.fit is None else f"counted, R² {reach.fit.r_squared:.2f}"
+        lines.append(
+            f"  reachability of {body}: A = {reach.A:.1f} 1/m², B = {reach.B:.3f} m, "
+            f"C = {reach.C:.1f}; {how}"
+        )
+    for line, place in robot.places.items():
+        start, move = (", ".join(f"{x:g}" for x in p) for p in (place.start, place.move))
+        lines.append(f"  {line}: from ({start}) m by ({move}) m")
+    lines += [f"  warning: {warning}" for warning in robot.warnings]
+    known = "" if name in robot_names() else f"; it has to lie in {ASSETS} or {user_robots()}"
+    return [*lines, f"  next: dbb check-robot {name}, then dbb serve --robot {name}{known}"]
+
+
+_EVERY = 5.0  # [s] between two lines of one step
 _GEOMETRY = ("wheel_radius_m", "half_track_m", "wheelbase_m", "steering_limit_rad")
 
 

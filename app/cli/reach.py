@@ -13,8 +13,8 @@ from app.cli.options import Json, check_name, check_seed, make_folder
 from app.robot.model import RobotModel
 
 if TYPE_CHECKING:
-    from app.border.reach_fit import ReachFit
-    from app.border.reach_map import ReachMap
+    from app.border.reach.fit import ReachFit
+    from app.border.reach.map import ReachMap
 
 _PAPER = {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}  # §2.3.2, of the end-effector
 
@@ -45,10 +45,10 @@ def reach(
         json: Print one JSON object on standard output and nothing else there.
     """
     # Imported here: scipy and the solver would make every other command start later.
-    from app.border.reach_chain import reach_bodies
-    from app.border.reach_config import ReachConfig
-    from app.border.reach_fit import fit_reachability
-    from app.border.reach_map import load_reach_map
+    from app.border.reach.chain import reach_bodies
+    from app.border.reach.config import ReachConfig
+    from app.border.reach.fit import fit_reachability
+    from app.border.reach.map import load_reach_map
 
     check_seed(seed)
     model = load_model(robot)
@@ -100,7 +100,7 @@ def _figures(model: RobotModel, reach_map: ReachMap, fit: ReachFit) -> dict[str,
 
 
 def _write(out: Path, reach_map: ReachMap, fit: ReachFit) -> None:
-    from app.border.reach_radial import radial_profile
+    from app.border.reach.radial import radial_profile
 
     profile = radial_profile(reach_map.rho, reach_map.reach)
     fitted = fit.at(profile.rho_m)

@@ -34,8 +34,8 @@ def replay(
         json: Print one JSON object on standard output and nothing else there.
     """
     # Imported here: viser and pyarrow would make every other command start later.
-    from app.dashboard.replay import replay_html
-    from app.simulation.log import read_log
+    from app.dashboard.export.replay import replay_html
+    from app.simulation.trace.log import read_log
 
     ground = is_dark(dark=dark, light=light)
     check_file("--out", out, (".html",))

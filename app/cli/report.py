@@ -25,9 +25,9 @@ def report(
         json: Print the key numbers as one JSON object on standard output and nothing else there.
     """
     # Imported here: matplotlib and pyarrow would make every other command start later.
-    from app.reproduce.run_numbers import key_numbers, track_of
-    from app.reproduce.run_report import run_report
-    from app.simulation.log import read_log
+    from app.simulation.trace.log import read_log
+    from app.studies.run_report.numbers import key_numbers, track_of
+    from app.studies.run_report.report import run_report
 
     check_file("--out", out, (".html",))
     read = read_log(log)

@@ -32,10 +32,10 @@ def reproduce(
         json: Print one JSON object on standard output and nothing else there.
     """
     # Imported here: matplotlib and scipy would make every other command start later.
-    from app.reproduce.experiments import default_processes
-    from app.reproduce.names import chosen
-    from app.reproduce.report import reproduce as make
-    from app.reproduce.report import work
+    from app.studies.paper.experiments import default_processes
+    from app.studies.paper.names import chosen
+    from app.studies.paper.report import reproduce as make
+    from app.studies.paper.report import work
 
     names = chosen(figures)
     check_seed(seed)

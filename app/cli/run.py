@@ -29,8 +29,8 @@ from app.cli.options import (
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError
 from app.robot.assets import load_robot
-from app.simulation.plants import chosen_plant
-from app.simulation.scenario import SCENARIOS, scenario_of
+from app.simulation.plants.choice import chosen_plant
+from app.simulation.scenarios.names import SCENARIOS, scenario_of
 
 if TYPE_CHECKING:
     from app.simulation.run import RunResult
@@ -125,8 +125,8 @@ def run(
     # Imported here: scipy would make every other command start later.
     from app.control.buffer_watch import buffer_warning
     from app.simulation.run import run_scenario
-    from app.simulation.run_log import RunLog
-    from app.study.case import check_no_others, read_case
+    from app.simulation.trace.run_log import RunLog
+    from app.studies.pulls.case import check_no_others, read_case
 
     case = None
     if replay_case is not None:

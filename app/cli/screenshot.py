@@ -12,8 +12,8 @@ from app.cli.looks import Flag, LayerOption, ViewOption, is_dark
 from app.cli.options import Json, check_file, check_name, check_range, check_seed, configured
 from app.control.controller import CONTROLLERS
 from app.robot.assets import load_robot
-from app.simulation.plants import chosen_plant
-from app.simulation.scenario import SCENARIOS, scenario_of
+from app.simulation.plants.choice import chosen_plant
+from app.simulation.scenarios.names import SCENARIOS, scenario_of
 
 _SIZES = 64, 8192  # [px]
 _MOST_PICTURES = 12
@@ -60,10 +60,10 @@ def screenshot(
         json: Print one JSON object on standard output and nothing else there.
     """
     # Imported here: viser and scipy would make every other command start later.
-    from app.dashboard.browser import chromium
-    from app.dashboard.screenshot import Look, strip, take_pictures
+    from app.dashboard.export.browser import chromium
+    from app.dashboard.export.screenshot import Look, strip, take_pictures
     from app.simulation.run import steps_of
-    from app.simulation.tape import filmed
+    from app.simulation.trace.tape import filmed
 
     check_name("scenario", scenario, SCENARIOS)
     chosen = scenario_of(load_robot(robot), scenario)

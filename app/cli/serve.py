@@ -17,15 +17,15 @@ from app.config import Config
 from app.control.controller import CONTROLLERS
 from app.robot.assets import robot_names
 from app.robot.model import RobotModel
-from app.simulation.loop_child import LoopChild
-from app.simulation.plants import chosen_plant
-from app.simulation.scenario import LINES
+from app.simulation.loop.process_loop import LoopChild
+from app.simulation.plants.choice import chosen_plant
+from app.simulation.scenarios.names import LINES
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
-    from app.simulation.loop import SimulationLoop
-    from app.simulation.process_loop import ProcessLoop
-    from app.study.case import Case
+    from app.simulation.loop.loop import SimulationLoop
+    from app.simulation.loop.process_loop import ProcessLoop
+    from app.studies.pulls.case import Case
 
 _BEGIN = "guiding-front"  # where the hand stands when the page opens
 
@@ -82,7 +82,7 @@ def serve(
     """
     case = None
     if replay_case is not None:
-        from app.study.case import check_no_others, read_case
+        from app.studies.pulls.case import check_no_others, read_case
 
         case = read_case(replay_case)
         check_no_others(
@@ -136,10 +136,10 @@ class _First(NamedTuple):
 def _serve(first: _First, child: LoopChild | None, *, host: str, port: int, sweeps: Path) -> None:
     """Show it until Ctrl-C; without a process for the simulation in a thread of this one."""
     # Imported here: viser and scipy would make every other command start later.
-    from app.dashboard.robot import RobotParts
+    from app.dashboard.scene.robot import RobotParts
     from app.dashboard.server import check_address, serve_dashboard
-    from app.simulation.loop import SimulationLoop
-    from app.simulation.process_loop import ProcessLoop
+    from app.simulation.loop.loop import SimulationLoop
+    from app.simulation.loop.process_loop import ProcessLoop
     from app.simulation.session import Session
 
     check_address(host, port)
@@ -199,7 +199,7 @@ def _start(
     model: RobotModel, data: BorderData, config: Config, start: PointOption, seed: int
 ) -> np.ndarray:
     """(n_m,) the arm with the hand where it was asked for, before the base, or ready."""
-    from app.simulation.start import find_start
+    from app.simulation.scenarios.start import find_start
 
     own = model.description.lines
     place = own.get(_BEGIN)

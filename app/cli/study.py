@@ -12,9 +12,9 @@ from app.cli.options import Json, check_name, check_range, check_seed, make_fold
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError
 from app.robot.assets import load_robot
-from app.simulation.plants import chosen_plant
-from app.study.parameters import StudyParameters
-from app.study.study_range import Interval, StudyRange, bounds
+from app.simulation.plants.choice import chosen_plant
+from app.studies.pulls.draw_range import Interval, StudyRange, bounds
+from app.studies.pulls.parameters import StudyParameters
 
 IntervalOption = Annotated[tuple[float, float], tyro.conf.arg(metavar="LOW HIGH")]
 
@@ -124,8 +124,8 @@ def study(
     load_robot(robot)
     make_folder(out)
     # Imported here: dask and pyarrow would make every other command start later.
-    from app.study.cluster import default_processes
-    from app.study.study import study as run_study
+    from app.studies.pulls.cluster import default_processes
+    from app.studies.pulls.study import study as run_study
 
     with progress_bar(f"{cases} cases", cases) as on_progress:
         result = run_study(

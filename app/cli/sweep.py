@@ -22,10 +22,10 @@ from app.config import Config, make_config
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError
 from app.robot.assets import load_robot
-from app.simulation.plants import chosen_plant
+from app.simulation.plants.choice import chosen_plant
 
 if TYPE_CHECKING:
-    from app.study.sweep_plan import SweepPlan
+    from app.studies.sweep.plan import SweepPlan
 
 _MOST_PROCESSES = 64
 _HEIGHTS = 0.02, 2.0  # [m]
@@ -93,10 +93,10 @@ def sweep(
         json: Print one JSON object on standard output and nothing else there.
     """
     # Imported here: matplotlib and scipy would make every other command start later.
-    from app.reproduce.experiments import default_processes
-    from app.study.sweep import sweep as make
-    from app.study.sweep_files import write_sweep
-    from app.study.sweep_plan import SweepPlan
+    from app.studies.paper.experiments import default_processes
+    from app.studies.sweep.files import write_sweep
+    from app.studies.sweep.plan import SweepPlan
+    from app.studies.sweep.sweep import sweep as make
 
     tuned = _config(config, parameters, buffer_distance, base_weight)
     plan = SweepPlan(
@@ -185,7 +185,7 @@ def read_parameters(path: Path) -> Config:
 
 
 def _check(plan: SweepPlan) -> None:
-    from app.study.sweep_plan import MORE_THAN_BUFFER
+    from app.studies.sweep.plan import MORE_THAN_BUFFER
 
     check_range("--step", plan.step, *_STEPS, "deg")
     check_range("--above-spacing", plan.above_spacing, *_SPACINGS, "m")

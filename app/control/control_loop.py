@@ -1,4 +1,4 @@
-"""All of the control at 1 kHz in one object: what a robot's own loop calls."""
+"""All of the control at 1 kHz in one object: what a robot's own loop and the simulation call."""
 
 from __future__ import annotations
 
@@ -61,6 +61,7 @@ class ControlLoop:
 
         Raises:
             UnknownNameError: No controller has that name.
+            DescriptionError: The mobile robot is too large for its border to be kept.
         """
         config, base = config or Config(), model.description.base
         self._dt = dt
@@ -68,6 +69,16 @@ class ControlLoop:
         self.controller = Controller(model, data, config, name=name, dt=dt)
         self.admittance = AdmittanceLaw(base, config.admittance)
         self._drive = Drive(base, dt)
+
+    def reset(self) -> None:
+        """Forget posture, torques and commands: the robot begins anew, at rest."""
+        self.controller.reset()
+        self.admittance.reset()
+
+    def configure(self, config: Config) -> None:
+        """Use other parameters from the next step on."""
+        self.controller.configure(config)
+        self.admittance.config = config.admittance
 
     def step(self, measured: Measurement, reference: Reference | None = None) -> Command:
         """One control step.

@@ -15,7 +15,6 @@ from app.config import Config
 from app.control.active_bounds import Bound, active_bounds, admittance_bounds
 from app.control.controller import Controller, ControlOutput
 from app.control.levels import Level, level_readings
-from app.robot.bases.differential import DifferentialBase
 from app.robot.bases.kind import Axis
 
 Array = np.ndarray
@@ -96,10 +95,7 @@ class Explanation(NamedTuple):
         base_given: The same that the base has.
         levels: What each level of the hierarchy gave up, highest priority first.
         bounds: What limited the step.
-        measure_label: Of the determinant, or of what stands in its place, as HTML.
-        measure_hint: What it says of a point.
-        measure_unit: Of it and the score.
-        score_formula: How the score is made of it.
+        base_kind: Which kind of base it is, whose measure stands in the score.
     """
 
     controller: str
@@ -114,10 +110,7 @@ class Explanation(NamedTuple):
     base_given: ByAxis
     levels: tuple[Level, ...]
     bounds: tuple[Bound, ...]
-    measure_label: str = DifferentialBase.measure_label
-    measure_hint: str = DifferentialBase.measure_hint
-    measure_unit: str = DifferentialBase.measure_unit
-    score_formula: str = DifferentialBase.score_formula
+    base_kind: str = "differential"
 
     @property
     def forces(self) -> tuple[ForceSplit, ...]:
@@ -162,11 +155,8 @@ def explain(
         base_asked=_tuple_of(asked),
         base_given=_tuple_of(asked if workings is None else workings.base_given),
         levels=() if workings is None else level_readings(base, output, workings),
-        measure_label=base.measure_label,
-        measure_hint=base.measure_hint,
-        measure_unit=base.measure_unit,
-        score_formula=base.score_formula,
         bounds=(*bounds, *admittance_bounds(state.model, config, base_command)),
+        base_kind=base.kind,
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from app.avoidance.barrier import BarrierRow
 from app.compiled import compiled
 from app.config import LimitConfig
+from app.control.linear_algebra import minimum
 from app.control.qp import Limits
 from app.robot.state import RobotState
 
@@ -89,7 +90,7 @@ def arm_limits(
         *torque,
         J,
         least,
-        pushed,
+        -minimum(state.M[model.n_b :, model.n_b :], pushed)[0],
     )
     return Limits(*bounds, softness_of(model.n_m, model.n_m, len(barriers), softness))
 
@@ -112,13 +113,12 @@ def _arm_bounds(
     high: Array,
     J: Array,
     least: Array,
-    pushed: Array,
+    extra: Array,
 ) -> tuple[Array, Array, Array]:
-    """C, l and u of `arm_limits`: rows of torques, of joints, of barriers."""
+    """C, l and u of `arm_limits`: rows of torques, of joints, of barriers; `extra` is M_aa⁻¹ r."""
     n_m, n_b, k = len(q_m), len(qdd_b), len(least)
     m = 2 * n_m + k
     C, l, u = np.zeros((m, n_m)), np.empty(m), np.full(m, np.inf)
-    extra = np.linalg.solve(M[n_b:, n_b:].copy(), pushed)
     for i in range(n_m):
         there = h[n_b + i]
         for j in range(n_b):

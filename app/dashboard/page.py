@@ -6,31 +6,29 @@ import numpy as np
 import viser
 
 from app.config import Config
-from app.dashboard.camera import PRESETS, Camera
-from app.dashboard.hand import Grip, Hand
-from app.dashboard.legend import key_html, legend_html
-from app.dashboard.notices import Notices
-from app.dashboard.panels.case import add_case_button
+from app.dashboard.drag import DragHandles, Grip
+from app.dashboard.job import Job
+from app.dashboard.markup import banner
+from app.dashboard.notifications import Notifier
 from app.dashboard.panels.compare import ComparePanel
-from app.dashboard.panels.help import add_help
-from app.dashboard.panels.robot import RobotPanel, change_html
-from app.dashboard.panels.run import FREE, RunPanel
-from app.dashboard.panels.save import SavePanel
+from app.dashboard.panels.help import Shortcut, Tour, add_help, add_shortcuts, keys_text
+from app.dashboard.panels.plots import Plots
+from app.dashboard.panels.robot import RobotPanel, switch_html
+from app.dashboard.panels.run import FREE, RunPanel, add_case_button
+from app.dashboard.panels.save import PagePicture, SavePanel
 from app.dashboard.panels.sweep import SweepPanel
-from app.dashboard.panels.timeline import TimelinePanel
+from app.dashboard.panels.timeline import Timeline, TimelinePanel
 from app.dashboard.panels.tuning import MAIN, TuningPanel
 from app.dashboard.panels.view import ViewPanel
 from app.dashboard.panels.why import WhyPanel
-from app.dashboard.plots import Plots
-from app.dashboard.scene import Scene
-from app.dashboard.shared import Shared
-from app.dashboard.shortcuts import Shortcut, add_shortcuts, keys_text
-from app.dashboard.stage import set_theme
-from app.dashboard.timeline import Timeline
-from app.dashboard.tour import Tour
+from app.dashboard.scene.camera import PRESETS, Camera
+from app.dashboard.scene.legend import key_html, legend_html
+from app.dashboard.scene.scene import Scene
+from app.dashboard.scene.theme import set_theme
+from app.dashboard.shared import SharedState
 from app.dashboard.view import View
-from app.simulation.scenario import SCENARIOS
-from app.simulation.snapshot import Snapshot
+from app.simulation.scenarios.names import SCENARIOS
+from app.simulation.trace.snapshot import Snapshot
 
 Array = np.ndarray
 
@@ -44,14 +42,16 @@ class Page:
         view: What the viewer has chosen to see.
         timeline: The viewer's place in time.
         grip: What the viewer holds.
+        save_job: Makes the viewer's files.
         closed: Whether the viewer is gone.
     """
 
     def __init__(
         self,
         client: viser.ClientHandle,
-        shared: Shared,
-        notices: Notices,
+        shared: SharedState,
+        notifier: Notifier,
+        page_picture: PagePicture | None = None,
         before: Page | None = None,
     ) -> None:
         """Fill the page of a client.
@@ -59,10 +59,12 @@ class Page:
         Args:
             client: The viewer.
             shared: What all viewers share.
-            notices: For what goes wrong.
+            notifier: For what goes wrong.
+            page_picture: Draws whole pages for the tab "Save".
             before: The same viewer's page of another robot, now empty.
         """
-        self._client, self._shared, self._notices = client, shared, notices
+        self._client, self._shared, self._notifier = client, shared, notifier
+        self._page_picture = page_picture
         plots = [plan.title for plan in shared.plans]
         self.view = (
             before.view.of_robot(shared.mobile, plots)
@@ -70,7 +72,8 @@ class Page:
             else View.first(shared.mobile, plots)
         )
         self.timeline = Timeline(shared.loop)
-        self.grip = Grip(shared.loop, notices, client.client_id)
+        self.grip = Grip(shared.loop, notifier, client.client_id)
+        self.save_job = before.save_job if before else Job()
         self.closed = False
         refusal = shared.loop.latest().refusal
         self._refusals = 0 if refusal is None else refusal.number  # of before this viewer came
@@ -83,13 +86,13 @@ class Page:
         with client.atomic():
             self._build_left()
             self._build_right()
-            self.timeline_panel = TimelinePanel(client.gui, self.timeline, shared.loop, notices)
+            self.timeline_panel = TimelinePanel(client.gui, self.timeline, shared.loop, notifier)
         self._scene = Scene(client.scene, shared, self.view)
         kinematics = shared.parts.kinematics.model
         arm = {kinematics.getJointId(name): name for name in shared.model.description.arm.joints}
-        self.hand = Hand(client.scene, self._scene.robot, self.grip, notices, arm)
-        add_shortcuts(client.gui, self._shortcuts(), notices)
-        self.tour = before.tour if before else Tour(client, notices)
+        self.hand = DragHandles(client.scene, self._scene.robot, self.grip, notifier, arm)
+        add_shortcuts(client.gui, self._shortcuts(), notifier)
+        self.tour = before.tour if before else Tour(client, notifier)
         self.look("iso")
 
     def draw(self, *, texts: bool) -> None:
@@ -116,9 +119,9 @@ class Page:
                 self.timeline_panel.update(newest, shown)
                 self._plots.update(self._shared.record, self.timeline, shown)
                 self._renew_key(newest.config)
-                self._tell_refusal(newest)
+                self._show_refusal(newest)
         if texts:
-            self._tell_change()
+            self._show_switch()
             if self.robot_panel is not None:
                 self.robot_panel.update()
             self.sweep_panel.update()
@@ -129,12 +132,12 @@ class Page:
         """Look from a preset, at the instant that is shown.
 
         Args:
-            preset: A key of `app.dashboard.camera.PRESETS`.
+            preset: A key of `app.dashboard.scene.camera.PRESETS`.
         """
         self._camera.use(preset, self.timeline.shown())
 
     def sit(self, eye: Array, target: Array) -> None:
-        """Look from a place (3,) [m] in the world at another one, as somebody else does."""
+        """Look from a place (3,) [m] in the world at another one, as another viewer does."""
         self._camera.put(eye, target)
 
     def fail(self, title: str, error: BaseException) -> None:
@@ -142,7 +145,7 @@ class Page:
         self._banner.content = _failure_html(title, error)
         self._banner.visible = True
 
-    def with_robot(self, shared: Shared) -> Page:
+    def with_robot(self, shared: SharedState) -> Page:
         """The page of the same viewer with another robot, in place of this one."""
         if self.closed:
             return self
@@ -151,7 +154,7 @@ class Page:
         with self._client.atomic():
             self._client.scene.reset()
             self._client.gui.reset()
-        return Page(self._client, shared, self._notices, self)
+        return Page(self._client, shared, self._notifier, self._page_picture, self)
 
     def close(self) -> None:
         """Let go of what the viewer held who is gone; nothing is drawn any more."""
@@ -167,38 +170,40 @@ class Page:
         with panel.add_tab("Plots", viser.Icon.CHART_LINE):
             self._plots = Plots(gui, self._shared.plans, self.view)
         with panel.add_tab("Compare", viser.Icon.USERS):
-            self._compare = ComparePanel(gui, self._shared.loop, self._notices)
+            self._compare = ComparePanel(gui, self._shared.loop, self._notifier)
         with panel.add_tab("Key", viser.Icon.COLOR_SWATCH):
             self._key_text = gui.add_html("")
         panel.dock_left()
         panel.set_width(PANEL_WIDTH)
 
     def _build_right(self) -> None:
-        gui, notices, shared = self._client.gui, self._notices, self._shared
+        gui, notifier, shared = self._client.gui, self._notifier, self._shared
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_WIDTH)
         self._banner = gui.add_html("", visible=False)
         self._change = gui.add_html("", visible=False)
         tabs = gui.add_tab_group()
         with tabs.add_tab("Run"):
-            self._run = RunPanel(gui, shared.loop, notices, shared.model.description)
+            self._run = RunPanel(gui, shared.loop, notifier, shared.model.description)
             if shared.case is not None:
-                add_case_button(gui, shared.loop, notices, shared.case)
-            self.main_panel = TuningPanel(gui, shared.tuning, notices, MAIN)
-            self.sweep_panel = SweepPanel(gui, shared, notices)
+                add_case_button(gui, shared.loop, notifier, shared.case)
+            self.main_panel = TuningPanel(gui, shared.tuning, notifier, MAIN)
+            self.sweep_panel = SweepPanel(gui, shared, notifier)
         with tabs.add_tab("View"):
             plots = [plan.title for plan in shared.plans]
-            ViewPanel(gui, self.view, notices, plots, self.look)
+            ViewPanel(gui, self.view, notifier, plots, self.look)
         with tabs.add_tab("Tune"):
             self.tuning_panel = TuningPanel(
-                gui, shared.tuning, notices, robot=shared.model.description
+                gui, shared.tuning, notifier, robot=shared.model.description
             )
         self.robot_panel: RobotPanel | None = None
-        if shared.change.possible:
+        if shared.robot_switch.possible:
             with tabs.add_tab("Robot"):
-                self.robot_panel = RobotPanel(gui, shared, notices)
+                self.robot_panel = RobotPanel(gui, shared, notifier)
         with tabs.add_tab("Save"):
-            SavePanel(gui, shared, self.timeline, self.view, notices)
+            SavePanel(
+                gui, shared, self.timeline, self.view, self.save_job, notifier, self._page_picture
+            )
         with tabs.add_tab("Help"):
             add_help(gui, keys_text(self._shortcuts()))
 
@@ -227,16 +232,16 @@ class Page:
     def _toggle_dark(self) -> None:
         self.view.dark = not self.view.dark
 
-    def _tell_refusal(self, newest: Snapshot) -> None:
+    def _show_refusal(self, newest: Snapshot) -> None:
         """What was found out to be impossible only when it was tried."""
         number = 0 if newest.refusal is None else newest.refusal.number
         if newest.refusal is not None and number > self._refusals:
-            self._notices.warn(self._client, newest.refusal.message)
+            self._notifier.warn(self._client, newest.refusal.message)
         self._refusals = number
 
-    def _tell_change(self) -> None:
-        """Above all tabs: that another robot is being made ready."""
-        html = change_html(self._shared.change.progress)
+    def _show_switch(self) -> None:
+        """Above all tabs: that another robot is being prepared."""
+        html = switch_html(self._shared.robot_switch.progress)
         if self._change.content != html:
             self._change.content = html
             self._change.visible = bool(html)
@@ -254,17 +259,9 @@ class Page:
 
 
 def show_failure(gui: viser.GuiApi, title: str, error: BaseException) -> None:
-    """The same on a page that nobody draws any more."""
+    """Show the same on a page that is not drawn any more."""
     gui.add_html(_failure_html(title, error))
 
 
 def _failure_html(title: str, error: BaseException) -> str:
-    return (
-        '<div style="margin:.5em .7em;padding:.5em .7em;border-radius:4px;background:#c92a2a;'
-        f'color:white;font-size:.85em"><b>{title}</b><br>{_escape(error)}</div>'
-    )
-
-
-def _escape(error: BaseException) -> str:
-    text = f"{type(error).__name__}: {error}"
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return banner("error", title, f"{type(error).__name__}: {error}")

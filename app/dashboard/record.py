@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.simulation.snapshot import Snapshot
+from app.simulation.trace.snapshot import Snapshot
 
 Array = np.ndarray
 

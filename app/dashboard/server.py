@@ -1,4 +1,4 @@
-"""The server: binds the address, runs the one thread that draws, and ends cleanly."""
+"""Dashboard server: binds the address, runs the one drawing thread, and ends cleanly."""
 
 from __future__ import annotations
 
@@ -14,21 +14,25 @@ from pathlib import Path
 import viser
 
 from app.border.cloud import Cloud
-from app.dashboard.camera import PRESETS, placed, set_first_look
-from app.dashboard.listening import close_server, open_server
-from app.dashboard.notices import Notices
+from app.dashboard.export.screenshot import page_picture
+from app.dashboard.gate import Limits
+from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page, show_failure
 from app.dashboard.panels.sweep import DEFAULT_FOLDER
-from app.dashboard.robot import RobotParts
-from app.dashboard.shared import Shared
-from app.dashboard.stage import set_theme
-from app.dashboard.stage_change import NewStage, StageChange, StartLoop
+from app.dashboard.robot_switch import RobotSwitch, RunningRobot, StartLoop
+from app.dashboard.scene.camera import PRESETS, placed, set_first_look
+from app.dashboard.scene.robot import RobotParts
+from app.dashboard.scene.theme import set_theme
+from app.dashboard.shared import SharedState
+from app.dashboard.viser_compat import close_server, open_server
 from app.errors import LoopError, ServerError
+from app.onboarding.read.unpack import LARGEST_ARCHIVE
 from app.robot.model import RobotModel
-from app.simulation.leading import Scenario
-from app.simulation.loop import LoopHandle
+from app.simulation.loop.loop import LoopHandle
+from app.simulation.scenarios.leading import Scenario
 
 logger = logging.getLogger(__name__)
+_PAGE_ENDED = "This page has ended; reload it. The simulation and other pages go on"
 
 FRAME = 1 / 30  # [s] between two pictures
 TEXTS_EVERY = 3  # pictures between two renewals of panels, plots and labels: 10 Hz
@@ -46,7 +50,7 @@ class DashboardServer:
         error: Why the drawing thread ended, if it did.
     """
 
-    def __init__(self, viser_server: viser.ViserServer, shared: Shared) -> None:
+    def __init__(self, viser_server: viser.ViserServer, shared: SharedState) -> None:
         """Begin to draw.
 
         Args:
@@ -58,7 +62,7 @@ class DashboardServer:
         self.pages: dict[int, Page] = {}
         self.pictures = 0
         self.error: BaseException | None = None
-        self._notices = Notices(viser_server)
+        self._notifier = Notifier(viser_server)
         self._failure: tuple[str, BaseException] | None = None
         self._arrived: queue.SimpleQueue[viser.ClientHandle] = queue.SimpleQueue()
         self._gone: queue.SimpleQueue[int] = queue.SimpleQueue()
@@ -76,9 +80,11 @@ class DashboardServer:
             LoopError: On the way out, if the simulation or the drawing has ended with an error;
                 until then the page stays and shows it.
         """
-        with contextlib.suppress(KeyboardInterrupt):
-            self._stopping.wait()
-        self.stop()
+        try:
+            with contextlib.suppress(KeyboardInterrupt):
+                self._stopping.wait()
+        finally:
+            self.stop()
         error = self.shared.loop.error or self.error
         if error is not None:
             raise LoopError(f"the simulation ended: {type(error).__name__}: {error}") from error
@@ -88,6 +94,8 @@ class DashboardServer:
         self._stopping.set()
         if self._thread is not threading.current_thread():
             self._thread.join(timeout=5.0)
+        for page in list(self.pages.values()):
+            page.save_job.cancel()
         self.shared.close()
         close_server(self.viser)
 
@@ -95,10 +103,11 @@ class DashboardServer:
         self._arrived.put(client)
 
     async def _part(self, client: viser.ClientHandle) -> None:
-        """Let go at once of what a viewer held who is gone."""
+        """A viewer is gone: what he held is released at once."""
         page = self.pages.get(client.client_id)
         if page is not None:
             page.close()
+            page.save_job.cancel()
         self._gone.put(client.client_id)
 
     def _draw_until_stopped(self) -> None:
@@ -110,14 +119,14 @@ class DashboardServer:
             self.error = error
             logger.exception("drawing ended")
             self._fail("Drawing has ended", error)
-            self._tell_late_viewers()
+            self._show_to_late_viewers()
 
     def _draw_frames(self) -> None:
         due = time.monotonic()
         while not self._stopping.wait(max(0.0, due - time.monotonic())):
             begin = time.monotonic()
             self._open_and_close_pages()
-            self._change_robot()
+            self._switch_robot()
             self.shared.update()
             self._draw_pages(texts=self.pictures % TEXTS_EVERY == 0)
             self.pictures += 1
@@ -133,32 +142,44 @@ class DashboardServer:
     def _draw_pages(self, *, texts: bool) -> None:
         for page in self.pages.values():
             if not page.closed:
-                page.draw(texts=texts)
+                try:
+                    page.draw(texts=texts)
+                except Exception as error:  # of this viewer alone
+                    logger.exception("a page has ended")
+                    page.close()
+                    page.fail(_PAGE_ENDED, error)
 
     def _open_and_close_pages(self) -> None:
         while not self._arrived.empty():
             client = self._arrived.get()
-            page = self.pages[client.client_id] = Page(client, self.shared, self._notices)
+            try:
+                page = self.pages[client.client_id] = Page(
+                    client, self.shared, self._notifier, page_picture
+                )
+            except Exception as error:  # of this viewer alone
+                logger.exception("a page could not be built")
+                show_failure(client.gui, _PAGE_ENDED, error)
+                continue
             if self._failure is not None:
                 page.fail(*self._failure)
         while not self._gone.empty():
             self.pages.pop(self._gone.get(), None)
 
-    def _change_robot(self) -> None:
+    def _switch_robot(self) -> None:
         """If another robot has become ready, give every viewer a page of it."""
-        change = self.shared.change
-        stage = change.take()
-        if stage is None:
+        switch = self.shared.robot_switch
+        robot = switch.take()
+        if robot is None:
             return
         try:
-            self._show(stage)
+            self._show(robot)
         finally:
-            change.shown()  # even if drawing ends here: its thread waits for this
-        note = f": {stage.note}" if stage.note else "; parameters stay as they were set"
-        self._notices.tell(f"{stage.model.description.title} is here{note}.")
+            switch.shown()  # even if drawing ends here: its thread waits for this
+        note = f": {robot.note}" if robot.note else "; parameters stay as they were set"
+        self._notifier.inform(f"{robot.model.description.title} is here{note}.")
 
-    def _show(self, stage: NewStage) -> None:
-        self.shared = self.shared.followed_by(stage)
+    def _show(self, robot: RunningRobot) -> None:
+        self.shared = self.shared.followed_by(robot)
         self._failure = None
         for number, page in list(self.pages.items()):
             self.pages[number] = page.with_robot(self.shared)
@@ -169,8 +190,8 @@ class DashboardServer:
         for page in self.pages.values():
             page.fail(title, error)
 
-    def _tell_late_viewers(self) -> None:
-        """When nothing is drawn any more, still say so to whoever opens the page."""
+    def _show_to_late_viewers(self) -> None:
+        """When nothing is drawn any more, still show it to new viewers."""
         while not self._stopping.wait(0.2):
             while not self._arrived.empty() and self._failure is not None:
                 show_failure(self._arrived.get().gui, *self._failure)
@@ -208,9 +229,9 @@ def serve_dashboard(
         AssetError: A mesh of the robot is not there.
     """
     check_address(host, port)
-    change = StageChange(start_loop)
-    shared = Shared(loop, model, clouds, case, sweeps, parts, change=change)
-    server = open_server(host, port)
+    switch = RobotSwitch(start_loop)
+    shared = SharedState(loop, model, clouds, parts, case=case, sweeps=sweeps, robot_switch=switch)
+    server = open_server(host, port, Limits(upload=LARGEST_ARCHIVE))
     try:
         if port not in (0, server.get_port()):
             raise ServerError(f"port {port} was taken while the server started; try --port 0")
@@ -221,7 +242,7 @@ def serve_dashboard(
         raise
 
 
-def _set_first_picture(server: viser.ViserServer, shared: Shared) -> None:
+def _set_first_picture(server: viser.ViserServer, shared: SharedState) -> None:
     """What is to be seen until a viewer's own page is there."""
     set_theme(server.gui, dark=True)
     set_first_look(server, *placed(PRESETS["iso"], shared.loop.latest(), shared.parts.extent))

@@ -1,4 +1,4 @@
-"""The configuration that all viewers share: what was changed, by steps that can be undone."""
+"""Shared configuration of all viewers: each change is a step that can be undone."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import time
 from collections.abc import Callable, Iterable
 
 from app.config import Config, tunable
-from app.dashboard.hand import Sink
+from app.dashboard.drag import Sink
 from app.errors import ConfigError
-from app.simulation.commands import Configure
+from app.simulation.loop.commands import Configure
 
 BURST = 0.7
 """[s] moves of one slider that follow each other faster are one step."""

@@ -1,12 +1,17 @@
-"""What one viewer has chosen to see. Callbacks assign a field, the drawing thread reads it."""
+"""View of one viewer: layers, colours and plots that are shown.
+
+Callbacks assign a field, the drawing thread reads it.
+"""
 
 from __future__ import annotations
 
 from copy import copy
 from dataclasses import dataclass, field, fields
-from typing import Literal
+from typing import Literal, NamedTuple
 
-from app.dashboard.legend import QUANTITIES
+import numpy as np
+
+from app.dashboard.scene.legend import QUANTITIES
 
 HIDDEN = "hidden"
 """Instead of a quantity: the border is not drawn."""
@@ -77,3 +82,16 @@ class View:
         if pairs:
             borders[pairs[0]] = "score"
         return cls(borders, plots=set(plots[:3]))
+
+
+class Viewpoint(NamedTuple):
+    """What a viewer sees, and where from.
+
+    Attributes:
+        view: The viewer's layers.
+        eye, target: (3,) [m] where the viewer's camera is and what it looks at, in the world.
+    """
+
+    view: View
+    eye: np.ndarray
+    target: np.ndarray

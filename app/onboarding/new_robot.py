@@ -9,27 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from app.errors import RobotFileError
-from app.onboarding.arm import Arm, find_arm
-from app.onboarding.bodies import ArmFitter, FittedBody, fit_base
-from app.onboarding.compose import PREFIX, compose
-from app.onboarding.drive_numbers import base_numbers
-from app.onboarding.drives import Steering, drive_fields, find_drive
-from app.onboarding.geometry import LinkGeometry, read_geometry, total_extent
-from app.onboarding.grouping import Verdict, find_grouping
-from app.onboarding.inertia import LinkInertia, read_inertias
-from app.onboarding.limits import Limits, completed, damping, read_limits
-from app.onboarding.meetings import Meetings, sample_meetings
-from app.onboarding.places import Place, find_places
-from app.onboarding.reach import Reach, find_reach
-from app.onboarding.ready import RULE, Ready, find_ready, judge_ready
+from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
+from app.onboarding.fit.collision_sampling import Meetings, sample_meetings
+from app.onboarding.fit.grouping import Verdict, find_grouping
+from app.onboarding.fit.guiding_lines import Place, find_places
+from app.onboarding.fit.reach import Reach, find_reach
+from app.onboarding.fit.ready import RULE, Ready, find_ready, judge_ready
+from app.onboarding.fit.rigid_groups import make_units
+from app.onboarding.read.drive_numbers import base_numbers
+from app.onboarding.read.drives import drive_fields
+from app.onboarding.read.limits import Limits, completed, damping
+from app.onboarding.read.parse import Parsed, parse
 from app.onboarding.request import Request
-from app.onboarding.source import locate, read_source
-from app.onboarding.tree import Tree, make_tree
-from app.onboarding.units import make_units
-from app.onboarding.urdf_text import ROOT, rebased_urdf
-from app.onboarding.warn import warnings_of
-from app.onboarding.wheels import Wheels
+from app.onboarding.write.urdf_text import ROOT, rebased_urdf
+from app.onboarding.write.warn import warnings_of
 from app.robot.description import KINDS, RobotDescription
 from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.model import RobotModel
@@ -40,20 +33,6 @@ MEETING_SAMPLES = 6000
 """[-] random poses in which the links' hulls are compared."""
 PAIR_SAMPLES = 20_000
 """[-] random poses for the pairs of the report."""
-
-
-@dataclass(frozen=True)
-class Parsed:
-    """What the URDF itself says."""
-
-    tree: Tree
-    folder: Path
-    arm: Arm
-    geometry: dict[str, LinkGeometry]
-    wheels: Wheels
-    inertias: dict[str, LinkInertia]
-    limits: Limits
-    steering: Steering | None = None
 
 
 @dataclass(frozen=True)
@@ -91,48 +70,13 @@ class NewRobot:
     warnings: list[str]
 
 
-def parse(request: Request) -> Parsed:
-    """Read and check the URDF; everything that can be wrong with it is told here.
-
-    Raises:
-        RobotFileError: It cannot become a robot; says why, and which option helps.
-        AssetError: A package is not installed.
-    """
-    path = locate(request.urdf)
-    robot, tip = read_source(path), request.tip
-    if request.arm_urdf is not None:
-        arm_path = locate(request.arm_urdf)
-        arm_robot = read_source(arm_path)
-        for part in (robot, arm_robot):  # what is wrong with either is told as its own
-            make_tree(part)
-        taken = {link.get("name") for link in robot.findall("link")}
-        in_arm = {link.get("name") for link in arm_robot.findall("link")}
-        tip = PREFIX + tip if tip in taken and tip in in_arm else tip
-        robot = compose(
-            robot,
-            arm_robot,
-            link=request.base,
-            xyz=request.mount_xyz,
-            rpy=request.mount_rpy,
-            arm_folder=arm_path.parent,
-        )
-    tree = make_tree(robot)
-    arm = find_arm(tree, request.base, tip, request.mount)
-    geometry = read_geometry(tree, path.parent)
-    if not total_extent({name: geometry[name] for part in arm.segments for name in part}):
-        raise RobotFileError(f"no link between {request.base!r} and {tip!r} has a shape")
-    wheels, steering = find_drive(request, tree, arm, path.parent)
-    inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
-    limits = read_limits(arm)
-    return Parsed(tree, path.parent, arm, geometry, wheels, inertias, limits, steering)
-
-
 def make_robot(
     request: Request,
     folder: Path,
     *,
     tell: Callable[[str], None] = lambda _: None,
     processes: int | None = None,
+    on_progress: Callable[[float], None] = lambda _: None,
 ) -> NewRobot:
     """Everything but the border and the report.
 
@@ -141,6 +85,7 @@ def make_robot(
         folder: A temporary one; the URDF is written into it.
         tell: Called with what is being done.
         processes: For the reachability.
+        on_progress: Called with the share of the step that takes long, 0 to 1.
 
     Raises:
         RobotFileError: The URDF cannot become a robot.
@@ -157,7 +102,6 @@ def make_robot(
         parsed.geometry,
         parsed.inertias,
         name=request.name,
-        folder=parsed.folder,
         header=header,
         home=folder,
     )
@@ -191,7 +135,7 @@ def make_robot(
     content["reachability"] = {name: each.content() for name, each in reach.items()}
     model = _compiled(content, path)
     tell("looking for places to guide the hand")
-    places = find_places(model, pairs, request.d_b)
+    places = find_places(model, pairs, request.d_b, on_progress=on_progress)
     content["lines"] = {
         name: {
             "start_m": p.start,

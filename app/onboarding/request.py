@@ -1,13 +1,17 @@
-"""What is asked of `dbb new-robot`."""
+"""What is asked of `dbb new-robot`, and whether it goes together before anything is read."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from app.config import Config
-from app.errors import RobotFileError
+from app.errors import ConfigError, RobotFileError, UnknownNameError
+from app.robot.description import KINDS
+from app.strict import check_range
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 """What a robot's name matches as a whole."""
@@ -42,6 +46,7 @@ class Request:
         title, licence: As the description has them, or None.
         seed: Of all random poses.
         d_b: [m] buffer distance.
+        package: `NAME=FOLDER` of each ROS package that is found nowhere else.
         source: What people read as the robot's source where it is not `urdf`, or None.
     """
 
@@ -71,6 +76,7 @@ class Request:
     d_b: float = Config().border.d_b
     file: str | None = None
     source: str | None = None
+    package: tuple[str, ...] = ()
 
     @property
     def told(self) -> str:
@@ -90,3 +96,86 @@ class Request:
                 f"--out: the folder's name {name!r} becomes the robot's: letters, digits and _ only"
             )
         return name
+
+
+class Bounds(NamedTuple):
+    """Of a number that may be given.
+
+    Attributes:
+        low, high: The least and the largest.
+        unit: Of them.
+    """
+
+    low: float
+    high: float
+    unit: str = ""
+
+
+BOUNDS = {
+    "half_track": Bounds(0.02, 3.0, "m"),
+    "wheel_radius": Bounds(0.01, 1.0, "m"),
+    "wheelbase": Bounds(0.05, 10.0, "m"),
+    "steering_limit": Bounds(0.02, 1.5, "rad"),
+    "steering_rate": Bounds(0.01, 20.0, "rad/s"),
+    "bodies": Bounds(1, 8),
+}
+"""By the field of `Request`."""
+OF_KIND = {
+    "half_track": "differential",
+    "wheel_radius": "differential",
+    "wheelbase": "car-like",
+    "steering_limit": "car-like",
+    "steering_rate": "car-like",
+}
+"""Kind of base that a number belongs to."""
+
+
+def option(field: str) -> str:
+    """The option of `dbb new-robot` that sets a field of `Request`."""
+    return "--" + field.replace("_", "-")
+
+
+def check_request(request: Request) -> None:
+    """Refuse numbers out of bounds, those of another kind of base, and packages without a folder.
+
+    Raises:
+        UnknownNameError: There is no such kind of base.
+        ConfigError: Names the option and what would be right.
+    """
+    kind = request.kind
+    if kind not in KINDS:
+        raise UnknownNameError("kind of base", kind, KINDS)
+    for field, bounds in BOUNDS.items():
+        value = getattr(request, field)
+        if value is None:
+            continue
+        check_range(option(field), value, *bounds)
+        if OF_KIND.get(field, kind) != kind:
+            raise ConfigError(
+                f"{option(field)}: a {kind} base has none; leave it out, or give "
+                f"--kind {OF_KIND[field]}"
+            )
+    package_folders(request.package)
+    if kind == "holonomic" and request.wheels is not None:
+        raise ConfigError("--wheels: a holonomic base is described without them; leave them out")
+    if request.wheel_radius is not None and (
+        request.half_track is None or request.wheels is not None
+    ):
+        raise ConfigError("--wheel-radius: needs --half-track, and no --wheels")
+
+
+def package_folders(given: Sequence[str]) -> dict[str, Path]:
+    """The folders of packages by their names, from `NAME=FOLDER` each.
+
+    Raises:
+        ConfigError: One is of another form, or is no folder.
+    """
+    found = {}
+    for each in given:
+        name, equals, folder = each.partition("=")
+        if not (name and equals and folder):
+            raise ConfigError(f"--package: {each!r} is not of the form NAME=FOLDER")
+        if not Path(folder).is_dir():
+            raise ConfigError(f"--package: there is no folder {folder}")
+        found[name] = Path(folder).resolve()
+    return found

@@ -24,7 +24,10 @@ SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
 
 _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
-_WITH_PYBULLET = "it comes with pybullet, on the Pythons for which docs/install.md has it"
+_WITH_PYBULLET = (
+    "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons for which "
+    "docs/install.md has it"
+)
 
 
 def cache_folder() -> Path:
@@ -97,9 +100,10 @@ def resolve_package_uri(uri: str) -> Path:
         raise AssetError(f"{uri!r} is not of the form package://PACKAGE/PATH")
     roots = package_roots(package)
     if not roots:
-        wheel = "'.[robots]'" if package in _EXTRAS else package
-        how = f"try: pip install {wheel}" if package != "pybullet_data" else _WITH_PYBULLET
-        raise AssetError(f"{uri}: the package {package!r} is not installed; {how}")
+        # No other name is advised to be installed: it stands in a file, and anybody may own it.
+        how = "; try: pip install '.[robots]'" if package in _EXTRAS else ""
+        how = f"; {_WITH_PYBULLET}" if package == "pybullet_data" else how
+        raise AssetError(f"{uri}: the package {package!r} is not installed{how}")
     for root in roots:
         path = (root / inner).resolve()
         if path.is_file() and path.is_relative_to(root.resolve()):

@@ -121,7 +121,7 @@ class RobotDescription(Strict):
     title: str
     """As shown to people."""
     urdf: str
-    """The robot's URDF: a file beside the description, or a `package://…` address."""
+    """The robot's URDF, a file beside the description or the address of one in a package."""
     licence: str
     """Licences of the assets that the URDF refers to."""
     base: SerializeAsAny[BaseKind]

@@ -190,7 +190,10 @@ def _planar_model(description: RobotDescription) -> pin.Model:
                     f"joints: {', '.join(names)}"
                 )
     locked = [full.getJointId(name) for name in names if name not in description.arm.joints]
-    model = pin.buildReducedModel(full, locked, pin.neutral(full))
+    try:
+        model = pin.buildReducedModel(full, locked, pin.neutral(full))
+    except ValueError as error:  # such as of a joint that has the name of a link
+        raise DescriptionError(f"{where}: urdf: pinocchio cannot reduce it: {error}") from None
     if tuple(list(model.names)[2:]) != description.arm.joints:
         raise DescriptionError(
             f"{where}: arm.joints: must stand in the order of the chain: "

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field
 
+from app.errors import extras_named
 from app.robot.superquadric import polytope_vertices
 from app.strict import Positive, Strict, Vector3
 
@@ -105,7 +106,8 @@ class ConvexMesh(_Placed):
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         # Imported here: only this shape needs trimesh, which takes longer to import than all else.
-        from app.robot.meshes import shape_mesh
+        with extras_named():
+            from app.robot.meshes import shape_mesh
 
         return _convex_hull(shape_mesh(self).vertices)
 

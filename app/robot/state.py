@@ -45,7 +45,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
         for each, size in zip(measurement, sizes, strict=False)
     ):
         return measurement
-    found = []
+    found: dict[str, Array] = {}
     for name, each, size in zip(Measurement._fields, measurement, sizes, strict=False):
         try:
             array = np.asarray(each, dtype=float)
@@ -53,8 +53,8 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
             array = np.empty(0)
         if array.shape != (size,):
             raise MeasurementError(f"measurement.{name} must be {size} numbers, was {each!r}")
-        found.append(array)
-    return Measurement(*found, *measurement[4:])
+        found[name] = array
+    return measurement._replace(**found)
 
 
 def is_finite(measurement: Measurement) -> bool:

@@ -12,7 +12,7 @@ from app.config import HandConfig
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.person import PersonHand
-from app.simulation.physics import Push
+from app.simulation.plants.interface import Push
 
 Array = np.ndarray
 

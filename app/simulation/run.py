@@ -10,12 +10,12 @@ from typing import NamedTuple
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.begin import begin
-from app.simulation.leading import Scenario
-from app.simulation.plants import chosen_plant
-from app.simulation.recording import Recorder
+from app.simulation.loop.gc_freeze import settled
+from app.simulation.plants.choice import chosen_plant
+from app.simulation.scenarios.begin import begin
+from app.simulation.scenarios.leading import Scenario
 from app.simulation.session import DT, Session, Step
-from app.simulation.settled import settled
+from app.simulation.trace.recording import Recorder
 
 
 class RunResult(NamedTuple):

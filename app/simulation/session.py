@@ -12,20 +12,19 @@ import pinocchio as pin
 
 from app.border.cache import BorderData
 from app.config import Config, DisturbanceConfig
-from app.control.admittance import AdmittanceLaw
 from app.control.buffer_watch import BufferReading, BufferWatch
+from app.control.control_loop import ControlLoop
 from app.control.controller import Controller, ControlOutput
-from app.control.drive import Drive
 from app.control.tasks import Reference
 from app.errors import TargetError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.disturbance import Disturbances
-from app.simulation.door import OpenDoor
-from app.simulation.leading import DoorReading
 from app.simulation.people import Hold, People, PersonForces, PullReading
-from app.simulation.physics import Contacts, Physics
-from app.simulation.plants import chosen_plant, make_physics
+from app.simulation.plants.choice import chosen_plant, make_physics
+from app.simulation.plants.door import OpenDoor
+from app.simulation.plants.interface import Contacts, Physics
+from app.simulation.scenarios.leading import DoorReading
 from app.simulation.truth import Truth
 
 Array = np.ndarray
@@ -50,7 +49,7 @@ class Step(NamedTuple):
         ee_error: [m] true distance of the end-effector from its reference, or from where the
             person pulls; 0 if there is neither.
         contacts: What touched in the step.
-        duration: [s] real time that the controller took.
+        duration: [s] real time that the control took.
         truth: The robot as it is; the same as `measurement` without noise.
         distances: [m] true signed distances, in the order of the output's pairs.
         buffer: Whether d_b is enough for how fast the arm comes.
@@ -93,7 +92,7 @@ class Session:
         kind: Kind of plant.
         seed: Of everything random.
         door: The door that the hand holds, and how far it is open at the start, or None.
-        controller: The controller under test.
+        loop: All of the control, as a robot's own loop calls it.
         physics: The plant.
         wheel_angles: (n_w,) [rad] of the base's `wheels`, for drawing.
     """
@@ -128,11 +127,9 @@ class Session:
         """
         self.model, self.data, self.config = model, data, config
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
-        self.controller = Controller(model, data, config, name=controller)
+        self.loop = ControlLoop(model, data, config, name=controller, dt=DT)
         self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, seed=seed, door=door)
         self._base = model.description.base
-        self._drive = Drive(self._base, DT)
-        self._admittance = AdmittanceLaw(self._base, config.admittance)
         self._disturbances = Disturbances(config.disturbance, DT, seed)
         self._truth = Truth(model, data, self.controller)
         self._watch = BufferWatch(config)
@@ -152,8 +149,7 @@ class Session:
         _check_within_limits(self.model, q_m)
         self.t = 0.0
         self.physics.reset(np.zeros(3) if base_pose is None else base_pose, q_m)
-        self.controller.reset()
-        self._admittance.reset()
+        self.loop.reset()
         self._disturbances.reset()
         self._people = People(self.model, self.config.hand, DT)
         self.wheel_angles = np.zeros(len(self._base.wheels))
@@ -164,11 +160,15 @@ class Session:
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on."""
         self.config = config
-        self.controller.configure(config)
-        self._admittance.config = config.admittance
+        self.loop.configure(config)
         self._people.config = config.hand
         self._watch.config = config
         self._disturb(config.disturbance)
+
+    @property
+    def controller(self) -> Controller:
+        """The controller under test."""
+        return self.loop.controller
 
     @property
     def T_world_ee(self) -> pin.SE3:
@@ -201,13 +201,9 @@ class Session:
         """
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
-        expected = self._drive.expected_acceleration(
-            self._admittance.command, measurement.base_velocity, measurement.drive
-        )
         begin = perf_counter()
-        output = self.controller.step(measurement, reference, base_acceleration=expected)
+        _, command, output = self.loop.step(measurement, reference)
         duration = perf_counter() - begin
-        command = self._admittance.update(output.base_acceleration, DT)
         self._truth.update(truth, measurement, output.avoidance.pairs)
         state = self.state
         p_ee = state.T_world_ee.translation

@@ -20,8 +20,8 @@ from scipy import ndimage
 from app.errors import AssetError
 from app.robot.model import RobotModel
 from app.robot.urdf import PLANAR_JOINTS, planar_urdf
-from app.simulation.bullet_world import pybullet
-from app.simulation.quiet import silence
+from app.simulation.plants.bullet_world import pybullet
+from app.simulation.plants.silence import silence
 
 Array = np.ndarray
 Rgba = tuple[float, float, float, float]

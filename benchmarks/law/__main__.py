@@ -13,6 +13,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy; processes take it
 import tyro
 
 from app.errors import DbbError
+from benchmarks.law.buffer import buffer
 from benchmarks.law.continuity import continuity
 from benchmarks.law.curvature import curvature
 from benchmarks.law.energy import energy
@@ -31,6 +32,7 @@ MEASUREMENTS: dict[str, Callable[..., Report]] = {
     "curvature": curvature,
     "speeds": speeds,
     "energy": energy,
+    "buffer": buffer,
 }
 """By their names on the command line."""
 

@@ -14,7 +14,7 @@ import pinocchio as pin
 from app.errors import StudyError
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
-from app.simulation.posture import best_posture
+from app.simulation.scenarios.posture import best_posture
 from benchmarks.law.curves import Curve, Point
 from benchmarks.law.options import Options
 from benchmarks.law.robot import load

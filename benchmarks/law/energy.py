@@ -9,9 +9,9 @@ import numpy as np
 
 from app.config import Config
 from app.errors import StudyError
+from app.simulation.loop.gc_freeze import settled
 from app.simulation.people import PersonForces
 from app.simulation.session import DT, Session
-from app.simulation.settled import settled
 from benchmarks.law.motions import Waves, random_waves
 from benchmarks.law.options import Options
 from benchmarks.law.release import NAMED

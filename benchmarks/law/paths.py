@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.config import Config
+from app.simulation.loop.gc_freeze import settled
 from app.simulation.session import Session, Step
-from app.simulation.settled import settled
 from benchmarks.law.curves import Curve
 from benchmarks.law.draw_curves import task_of
 from benchmarks.law.options import Options

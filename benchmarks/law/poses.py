@@ -7,7 +7,7 @@ import numpy as np
 from app.config import Config
 from app.robot.link_pairs import PairDistances
 from app.robot.state import RobotState, at_rest
-from app.simulation.start import FloorDistance
+from app.simulation.scenarios.posture import FloorDistance
 from benchmarks.law.robot import Robot
 
 Array = np.ndarray

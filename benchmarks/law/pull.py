@@ -11,9 +11,9 @@ import numpy as np
 
 from app.config import Config
 from app.robot.model import RobotModel
+from app.simulation.loop.gc_freeze import settled
 from app.simulation.person import PersonHand
 from app.simulation.session import DT, Session, Step
-from app.simulation.settled import settled
 from benchmarks.law.robot import load
 
 Array = np.ndarray

@@ -21,8 +21,8 @@ import numpy as np
 
 from app.config import Config
 from app.errors import UnreachableError
-from app.simulation import start as start_module
-from app.simulation.start import StartSolver
+from app.simulation.scenarios import start as start_module
+from app.simulation.scenarios.start import StartSolver
 from benchmarks.law.robot import load
 
 Array = np.ndarray

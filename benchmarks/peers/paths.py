@@ -8,10 +8,10 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.errors import UnreachableError
 from app.robot.model import RobotModel
-from app.simulation.start import StartSolver
-from app.study.paths import Approach
-from app.study.paths_start import Start, StartFinder
-from app.study.sweep_plan import CLEAR, StartedLine
+from app.simulation.scenarios.start import StartSolver
+from app.studies.sweep.paths import Approach
+from app.studies.sweep.paths_start import Start, StartFinder
+from app.studies.sweep.plan import CLEAR, StartedLine
 
 DURATION = 15.0
 """[s] of each path; a cubic in time from rest to rest."""

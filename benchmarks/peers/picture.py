@@ -11,7 +11,7 @@ from matplotlib.colors import LogNorm
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
 
-from app.reproduce.style import INK, METHOD_COLOURS, SOFT, TARGET, new_figure, png_of, styled
+from app.studies.style import INK, METHOD_COLOURS, SOFT, TARGET, new_figure, png_of, styled
 from benchmarks.peers.names import PEERS
 from benchmarks.peers.plan import D_MIN
 from benchmarks.peers.rows import Row

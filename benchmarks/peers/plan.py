@@ -13,7 +13,7 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.study.sweep_plan import StartedLine
+from app.studies.sweep.plan import StartedLine
 from benchmarks.peers.model import HAND, PLANAR, UNICYCLE, CommonModel, common_model
 
 Array = np.ndarray

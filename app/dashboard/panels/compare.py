@@ -5,12 +5,14 @@ from __future__ import annotations
 import viser
 
 from app.control.controller import CONTROLLERS
-from app.dashboard.colours import GHOSTS, css
-from app.dashboard.hand import Sink
-from app.dashboard.notices import Notices
-from app.simulation.commands import Compare
-from app.simulation.comparison import Score
-from app.simulation.snapshot import Snapshot
+from app.dashboard.drag import Sink
+from app.dashboard.markup import FAINT, RIGHT, cell, mark, row, small, table
+from app.dashboard.notifications import Notifier
+from app.dashboard.panels.widgets import renew
+from app.dashboard.scene.colours import GHOSTS, css
+from app.simulation.loop.commands import Compare
+from app.simulation.trace.comparison import Score
+from app.simulation.trace.snapshot import Snapshot
 
 NOBODY = "nobody"
 """Choice of no further robot."""
@@ -29,9 +31,9 @@ _ROWS = (
 
 
 class ComparePanel:
-    """Chooses the robots beside the real one, and counts along."""
+    """Choice of the controllers beside the real one, and their scores."""
 
-    def __init__(self, gui: viser.GuiApi, sink: Sink, notices: Notices) -> None:
+    def __init__(self, gui: viser.GuiApi, sink: Sink, notifier: Notifier) -> None:
         """Build the tab in the GUI container that is now open."""
         self._sink = sink
         self._chosen = [NOBODY, NOBODY]
@@ -44,7 +46,7 @@ class ComparePanel:
         ]
         self._input = gui.add_dropdown("They share", tuple(INPUTS))
         for handle in (*self._choices, self._input):
-            handle.on_update(notices.guard(lambda _: self._choose()))  # type: ignore[arg-type]
+            handle.on_update(notifier.guard(lambda _: self._choose()))  # type: ignore[arg-type]
         self._scores = gui.add_html(scores_html(()))
 
     def update(self, newest: Snapshot, shown: Snapshot) -> None:
@@ -52,18 +54,15 @@ class ComparePanel:
 
         Args:
             newest: What the choices stand for.
-            shown: Whose scores are told.
+            shown: Whose scores are shown.
         """
         names = [ghost.controller for ghost in newest.ghosts]
         names += [NOBODY] * (len(self._choices) - len(names))
         if names != self._chosen:
             self._chosen = names
             for handle, name in zip(self._choices, names, strict=True):
-                if handle.value != name:
-                    handle.value = name
-        html = scores_html(shown.scores)
-        if self._scores.content != html:
-            self._scores.content = html
+                renew(handle, "value", name)
+        renew(self._scores, "content", scores_html(shown.scores))
 
     def _choose(self) -> None:
         wanted = [handle.value for handle in self._choices]
@@ -78,20 +77,14 @@ class ComparePanel:
 def scores_html(scores: tuple[Score, ...]) -> str:
     """The scoreboard: a column a robot, the real one first."""
     if not scores:
-        return '<div style="padding:.4em .8em;opacity:.65;font-size:.85em">nothing compared</div>'
+        return small("nothing compared", FAINT)
     colours = ["currentColor", *(css(colour) for colour in GHOSTS)]
-    heads = "".join(
-        f'<th style="text-align:right;font-weight:600"><span style="color:{colour}">●</span> '
-        f"{score.controller}</th>"
+    heads = (
+        cell(f"{mark('●', colour)} <b>{score.controller}</b>", RIGHT)
         for score, colour in zip(scores, colours, strict=False)
     )
-    rows = "".join(
-        f'<tr><td style="opacity:.65">{label}</td>'
-        + "".join(f'<td style="text-align:right">{text(score)}</td>' for score in scores)
-        + "</tr>"
+    rows = (
+        row(cell(label, FAINT), *(cell(text(score), RIGHT) for score in scores))
         for label, text in _ROWS
     )
-    return (
-        '<table style="width:100%;font-size:.8em;line-height:1.7;padding:.3em .7em;'
-        f'font-variant-numeric:tabular-nums"><tr><td></td>{heads}</tr>{rows}</table>'
-    )
+    return table((row(cell(), *heads), *rows), "font-size:.8em;line-height:1.7;padding:.3em .7em")

@@ -8,14 +8,14 @@ from typing import Any
 
 import viser
 
-from app.dashboard.making import Making, Package
-from app.dashboard.notices import Notices
-from app.dashboard.panels.widgets import renew, renew_bar, small
-from app.dashboard.upload_guard import guard_uploads, taken_upload
+from app.dashboard.markup import problem, small
+from app.dashboard.notifications import Notifier
+from app.dashboard.panels.widgets import renew, renew_bar
+from app.dashboard.robot_build import Package, RobotBuild
+from app.dashboard.viser_compat import taken_upload
 from app.errors import ConfigError
-from app.onboarding.request import NAME, Request
-from app.onboarding.request_check import BOUNDS, OF_KIND, check_request, option
-from app.onboarding.unpack import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
+from app.onboarding.read.unpack import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
+from app.onboarding.request import BOUNDS, NAME, OF_KIND, Request, check_request, option
 from app.robot.assets import user_robots
 from app.robot.description import KINDS
 
@@ -42,17 +42,16 @@ _LABELS = {
 class NewRobotPanel:
     """Upload, the questions that a URDF leaves open, and how far the work is."""
 
-    def __init__(self, gui: viser.GuiApi, making: Making, notices: Notices) -> None:
+    def __init__(self, gui: viser.GuiApi, build: RobotBuild, notifier: Notifier) -> None:
         """Build the folder in the GUI container that is now open.
 
         Args:
             gui: Of the viewer.
-            making: What was uploaded and is made, common to all viewers.
-            notices: For what goes wrong.
+            build: What was uploaded and is built, common to all viewers.
+            notifier: For what goes wrong.
         """
-        self._making, self._package = making, None
+        self._build, self._package = build, None
         self._shown_urdf = ""
-        guard_uploads(gui, notices, LARGEST_ARCHIVE)
         with gui.add_folder("Your own robot", expand_by_default=False):
             gui.add_html(about_html())
             self._upload = gui.add_upload_button(
@@ -63,9 +62,9 @@ class NewRobotPanel:
             self._fields = self._questions(gui)
             self._make = gui.add_button("Make it", icon=viser.Icon.HAMMER, visible=False)
             self._cancel = gui.add_button("Cancel", icon=viser.Icon.X, color="gray", visible=False)
-        self._upload.on_upload(notices.guard(self._receive))  # type: ignore[arg-type]
-        self._make.on_click(notices.guard(lambda _: making.make(self._request())))  # type: ignore[arg-type]
-        self._cancel.on_click(notices.guard(lambda _: making.cancel()))  # type: ignore[arg-type]
+        self._upload.on_upload(notifier.guard(self._receive))  # type: ignore[arg-type]
+        self._make.on_click(notifier.guard(lambda _: build.build(self._request())))  # type: ignore[arg-type]
+        self._cancel.on_click(notifier.guard(lambda _: build.cancel()))  # type: ignore[arg-type]
         self.update()
 
     @staticmethod
@@ -100,8 +99,7 @@ class NewRobotPanel:
 
     def update(self) -> None:
         """Renew questions, texts and progress; what has not changed is not sent."""
-        making = self._making
-        package, progress = making.package, making.progress
+        package, progress = self._build.package, self._build.progress
         if package is not self._package:
             self._package = package
             if package is not None:
@@ -115,11 +113,11 @@ class NewRobotPanel:
         renew(self._upload, "disabled", progress is not None)
         renew(self._cancel, "visible", progress is not None)
         renew_bar(self._bar, progress)
-        renew(self._status, "content", making_html(making))
+        renew(self._status, "content", build_html(self._build))
 
     def _receive(self, event: viser.GuiEvent) -> None:
         file = taken_upload(event.target)
-        self._making.receive(file.name, file.content)
+        self._build.receive(file.name, file.content)
 
     def _suits(self, name: str) -> bool:
         """Whether a question is one for the kind of base, and the zip, that is chosen."""
@@ -222,21 +220,21 @@ def about_html() -> str:
     )
 
 
-def making_html(making: Making) -> str:
+def build_html(build: RobotBuild) -> str:
     """What is going on, how it ended, or what to do next."""
-    progress = making.progress
+    progress = build.progress
     if progress is not None:
         share = f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else ""
         return small(f"<b>{escape(progress.title)}</b>: {escape(progress.text)}{share} …")
-    if making.problem:
-        return small(f'<span style="color:#e03131">{escape(in_words(making.problem))}</span>')
-    if making.made:
+    if build.problem:
+        return small(problem(in_words(build.problem)))
+    if build.built:
         return small(
-            f"<b>{escape(making.made)}</b> is made: it is in the list above, with its report. "
+            f"<b>{escape(build.built)}</b> is made: it is in the list above, with its report. "
             "“Use this robot” shows it."
         )
-    if making.package is not None:
-        count = len(making.package.urdfs)
+    if build.package is not None:
+        count = len(build.package.urdfs)
         what = "a URDF" if count == 1 else f"{count} URDFs"
-        return small(f"<b>{escape(making.package.archive.name)}</b> holds {what}. Which links?")
+        return small(f"<b>{escape(build.package.archive.name)}</b> holds {what}. Which links?")
     return ""

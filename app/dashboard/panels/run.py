@@ -1,4 +1,4 @@
-"""Tab "Run": what is played, how fast and by which controller; and how the simulation fares."""
+"""Tab "Run": scenario, controller and speed; state of the simulation and distances of the pairs."""
 
 from __future__ import annotations
 
@@ -8,19 +8,40 @@ import viser
 
 from app.control.buffer_watch import BufferReading, needed_text
 from app.control.controller import CONTROLLERS
-from app.dashboard.colours import SERIES, css, distance_colour
-from app.dashboard.hand import Sink
-from app.dashboard.notices import Notices
+from app.dashboard.drag import Sink
+from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, cell, mark, minus, row, table
+from app.dashboard.notifications import Notifier
+from app.dashboard.panels.widgets import renew
+from app.dashboard.scene.colours import SERIES, css, distance_colour
 from app.robot.description import RobotDescription
-from app.simulation.command_check import SPEEDS
-from app.simulation.commands import Choose, Pause, PlayScenario, Reset, Restart, Speed
-from app.simulation.scenario import SCENARIOS, own_line
-from app.simulation.snapshot import PairReading, Snapshot
+from app.simulation.loop.commands import SPEEDS, Choose, Pause, Play, Reset, Restart, Speed
+from app.simulation.scenarios.leading import Scenario
+from app.simulation.scenarios.names import SCENARIOS, own_line
+from app.simulation.trace.snapshot import PairReading, Snapshot
+
+
+def add_case_button(gui: viser.GuiApi, sink: Sink, notifier: Notifier, scenario: Scenario) -> None:
+    """Build it in the GUI container that is now open.
+
+    Args:
+        gui: Of the viewer.
+        sink: Where commands go.
+        notifier: For what goes wrong.
+        scenario: That begins where the loop begins after a reset.
+    """
+    button = gui.add_button(
+        "Play the case",
+        icon=viser.Icon.PLAYER_TRACK_NEXT,
+        hint=f"{scenario.about}: begins anew; whoever takes the hand ends it",
+    )
+    button.on_click(notifier.guard(lambda _: sink.send(Play(scenario))))  # type: ignore[arg-type]
+
 
 FREE = "free: drag the hand"
 """Choice of no scenario."""
 BAR_RANGE = 0.5  # [m] distance that fills a bar of the table
 STEP = 0.001  # [s] of one control step
+_SIZE = "font-size:.82em"
 GOOD, BAD = "#2f9e5b", css((222, 49, 40))
 
 
@@ -28,14 +49,14 @@ class RunPanel:
     """Buttons and readings; what one viewer chooses, all see."""
 
     def __init__(
-        self, gui: viser.GuiApi, sink: Sink, notices: Notices, robot: RobotDescription
+        self, gui: viser.GuiApi, sink: Sink, notifier: Notifier, robot: RobotDescription
     ) -> None:
         """Build the tab in the GUI container that is now open.
 
         Args:
             gui: The viewer's.
             sink: Where commands go.
-            notices: Where refusals are told.
+            notifier: For refusals.
             robot: Whose own lines the scenarios take.
         """
         self._sink, self._robot = sink, robot
@@ -68,9 +89,9 @@ class RunPanel:
             (self._controller, self._choose_controller),
             (self._speed, self._choose_speed),
         ):
-            handle.on_update(notices.guard(callback))  # type: ignore[arg-type]
-        self._pause.on_click(notices.guard(lambda _: self.toggle_pause()))  # type: ignore[arg-type]
-        restart.on_click(notices.guard(lambda _: self.restart()))  # type: ignore[arg-type]
+            handle.on_update(notifier.guard(callback))  # type: ignore[arg-type]
+        self._pause.on_click(notifier.guard(lambda _: self.toggle_pause()))  # type: ignore[arg-type]
+        restart.on_click(notifier.guard(lambda _: self.restart()))  # type: ignore[arg-type]
 
     def toggle_pause(self) -> None:
         """Stop, or go on."""
@@ -89,14 +110,14 @@ class RunPanel:
         if scenario == FREE:
             self._sink.send(Reset())
         else:
-            self._sink.send(PlayScenario(scenario, own_line(self._robot, scenario)))
+            self._sink.send(Play.named(scenario, own_line(self._robot, scenario)))
 
     def update(self, newest: Snapshot, shown: Snapshot) -> None:
         """Renew the readings; what has not changed is not sent.
 
         Args:
             newest: What the buttons stand for.
-            shown: What the readings tell.
+            shown: Whose readings are shown.
         """
         before, self._shown = self._shown, newest
         if before is None or newest.paused != before.paused:
@@ -109,9 +130,8 @@ class RunPanel:
         ):
             if now != then and handle.value != now:  # not while a choice is on its way
                 handle.value = now
-        for handle, html in ((self._status, status_html(shown)), (self._pairs, pairs_html(shown))):
-            if handle.content != html:
-                handle.content = html
+        renew(self._status, "content", status_html(shown))
+        renew(self._pairs, "content", pairs_html(shown))
 
     def _choose_scenario(self, event: viser.GuiEvent) -> None:
         name = event.target.value
@@ -153,10 +173,7 @@ def status_html(snapshot: Snapshot) -> str:
         ("hand off target", f"{1000 * snapshot.ee_error:.0f} mm", None),
         ("base", f"{speed} m/s, {_signed(w)} rad/s", None),
     ]
-    body = "".join(_status_row(*row) for row in rows)
-    return (
-        f'<table style="width:100%;font-size:.82em;line-height:1.6;padding:0 .7em">{body}</table>'
-    )
+    return table((_status_row(*each) for each in rows), f"{_SIZE};line-height:1.6;padding:0 .7em")
 
 
 def buffer_text(reading: BufferReading) -> str:
@@ -176,45 +193,36 @@ def _number(value: float, form: str) -> str:
 
 
 def _signed(value: float) -> str:
-    return f"{round(value, 2) + 0.0:+.2f}".replace("-", "−")  # + 0.0 turns −0.0 into 0.0
+    return minus(f"{round(value, 2) + 0.0:+.2f}")  # + 0.0 turns −0.0 into 0.0
 
 
 def _status_row(label: str, value: str, bad: bool | None) -> str:
     colour = "" if bad is None else f"color:{BAD if bad else GOOD};font-weight:600"
-    return (
-        f'<tr><td style="opacity:.65">{label}</td><td style="text-align:right;'
-        f'font-variant-numeric:tabular-nums;{colour}">{value}</td></tr>'
-    )
+    return row(cell(label, FAINT), cell(value, RIGHT, colour))
 
 
 def pairs_html(snapshot: Snapshot) -> str:
     """Distances and activations of all pairs, those of L_m first, as a table of HTML."""
-    head = (
-        '<tr style="opacity:.65"><td></td><td>pair</td><td></td>'
-        '<td style="text-align:right">d [mm]</td><td style="text-align:right">β</td></tr>'
-    )
-    rows = "".join(_pair_row(i, pair, snapshot) for i, pair in enumerate(snapshot.pairs))
-    return (
-        '<table style="width:100%;font-size:.82em;line-height:1.65;padding:.3em .7em;'
-        f'font-variant-numeric:tabular-nums">{head}{rows}</table>'
-    )
+    head = row(cell(), cell("pair"), cell(), cell("d [mm]", RIGHT), cell("β", RIGHT), style=FAINT)
+    rows = (_pair_row(i, pair, snapshot) for i, pair in enumerate(snapshot.pairs))
+    return table((head, *rows), f"{_SIZE};line-height:1.65;padding:.3em .7em")
 
 
 def _pair_row(i: int, pair: PairReading, snapshot: Snapshot) -> str:
     config = snapshot.config
     colour = css(distance_colour(pair.d, config.border.d_b, config.activation.d_full))
     share = 100.0 * min(max(pair.d, 0.0), BAR_RANGE) / BAR_RANGE
-    mark = 100.0 * min(config.border.d_b, BAR_RANGE) / BAR_RANGE
+    limit = 100.0 * min(config.border.d_b, BAR_RANGE) / BAR_RANGE
     bar = (
         '<div style="position:relative;height:.55em;background:rgba(128,138,150,.22);'
         f'border-radius:2px"><div style="width:{share:.0f}%;height:100%;background:{colour};'
-        f'border-radius:2px"></div><div style="position:absolute;left:{mark:.0f}%;top:-.15em;'
+        f'border-radius:2px"></div><div style="position:absolute;left:{limit:.0f}%;top:-.15em;'
         'width:1px;height:.85em;background:currentColor;opacity:.7"></div></div>'
     )
-    dot = f'<span style="color:{SERIES[i % len(SERIES)]}">●</span>'
-    millimetres = f"{1000 * pair.d:.0f}".replace("-", "−")
-    return (
-        f'<tr><td>{dot}</td><td style="white-space:nowrap">{pair.name}</td>'
-        f'<td style="width:45%">{bar}</td><td style="text-align:right">{millimetres}</td>'
-        f'<td style="text-align:right">{pair.beta:.2f}</td></tr>'
+    return row(
+        cell(mark("●", SERIES[i % len(SERIES)])),
+        cell(pair.name, ONE_LINE),
+        cell(bar, "width:45%"),
+        cell(minus(f"{1000 * pair.d:.0f}"), RIGHT),
+        cell(f"{pair.beta:.2f}", RIGHT),
     )

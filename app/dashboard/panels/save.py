@@ -1,11 +1,8 @@
-"""Tab "Save": pictures, logs, reports and replays, made beside the simulation and downloaded."""
+"""Tab "Save": pictures, logs, reports and replays to download."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import tempfile
-import threading
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
@@ -15,30 +12,46 @@ import numpy as np
 import viser
 from PIL import Image
 
-from app.dashboard.notices import Notices
-from app.dashboard.shared import Shared
-from app.dashboard.stage import BACKGROUND
-from app.dashboard.timeline import Timeline
-from app.dashboard.view import View
+from app.dashboard.job import Job
+from app.dashboard.notifications import Notifier
+from app.dashboard.panels.timeline import Timeline
+from app.dashboard.scene.scene import SceneData
+from app.dashboard.scene.theme import BACKGROUND
+from app.dashboard.shared import SharedState
+from app.dashboard.view import View, Viewpoint
+from app.dashboard.work import write_replay, write_report
 from app.errors import DbbError, LogError
-from app.simulation.snapshot import Snapshot
+from app.jobs.process import Report
+from app.simulation.trace.snapshot import Snapshot
 
 if TYPE_CHECKING:
-    from app.simulation.log_meta import LogMeta
+    from app.simulation.trace.log_meta import LogMeta
 
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
 """[px] least, most and first size of a picture."""
 _PATIENCE = 30.0  # [s] for a browser to draw a picture
-_LONGEST = 600.0  # [s] for a report or a replay
 _LOGS = {"Log (CSV)": "log.csv", "Log (Parquet)": "log.parquet"}
-_PAGES = {"Report (HTML)": ("report", "report.html"), "Replay (HTML)": ("replay", "replay.html")}
+_PAGES = {
+    "Report (HTML)": ("report.html", write_report),
+    "Replay (HTML)": ("replay.html", write_replay),
+}
+
+PagePicture = Callable[[SceneData, list[Snapshot], Viewpoint, tuple[int, int]], Image.Image]
+"""Draws the whole page at the last of the snapshots, so many [px] wide and high."""
 
 
 class SavePanel:
     """Buttons, each of which ends in a download of the viewer who pressed it."""
 
     def __init__(
-        self, gui: viser.GuiApi, shared: Shared, timeline: Timeline, view: View, notices: Notices
+        self,
+        gui: viser.GuiApi,
+        shared: SharedState,
+        timeline: Timeline,
+        view: View,
+        job: Job,
+        notifier: Notifier,
+        page_picture: PagePicture | None = None,
     ) -> None:
         """Build the tab in the GUI container that is now open.
 
@@ -47,33 +60,37 @@ class SavePanel:
             shared: Robot and simulation.
             timeline: Whose marked interval is saved.
             view: Whether the page is dark, for the ground of pictures.
-            notices: For what goes wrong.
+            job: Makes the viewer's files, one after the other.
+            notifier: For what goes wrong.
+            page_picture: Draws whole pages; without, there is no button for it.
         """
-        self._shared, self._timeline, self._view, self._notices = shared, timeline, view, notices
-        self._busy = threading.Lock()
+        self._shared, self._timeline, self._view, self._notifier = shared, timeline, view, notifier
+        self._job = job
         with gui.add_folder("Picture"):
             self._sizes = {
                 name: gui.add_number(f"{name} [px]", first, min=least, max=most, step=1)
                 for name, (least, most, first) in SIZES.items()
             }
             self._button(gui, "Picture (PNG)", viser.Icon.CAMERA, self._scene)
-            self._button(gui, "Whole page (PNG)", viser.Icon.BROWSER, self._whole_page)
+            if page_picture is not None:
+                self._button(
+                    gui, "Whole page (PNG)", viser.Icon.BROWSER, self._whole_page(page_picture)
+                )
         with gui.add_folder("The marked interval, or all that is kept"):
             for label, name in _LOGS.items():
                 self._button(gui, label, viser.Icon.TABLE, self._log(name))
-            for label, (command, name) in _PAGES.items():
-                self._button(gui, label, viser.Icon.MOVIE, self._page(command, name))
+            for label, (name, write) in _PAGES.items():
+                self._button(gui, label, viser.Icon.MOVIE, self._page(name, write))
         gui.add_markdown("Parameters are saved in the tab *Tune*.")
 
     def _button(
         self, gui: viser.GuiApi, label: str, icon: Any, make: Callable[[Any], tuple[str, bytes]]
     ) -> None:
-        """A button that makes a file in a thread of its own and sends it."""
+        """A button that makes a file beside the simulation and sends it."""
 
         def pressed(event: viser.GuiEvent) -> None:
-            if not self._busy.acquire(blocking=False):
-                raise LogError("one file after the other: the last one is still being made")
-            threading.Thread(target=work, args=(event.client,), daemon=True).start()
+            if (client := event.client) is not None:
+                self._job.start(label, "is being made", lambda: work(client))
 
         def work(client: viser.ClientHandle) -> None:
             note = client.add_notification(label, "is being made …", loading=True)
@@ -81,14 +98,13 @@ class SavePanel:
                 name, content = make(client)
                 client.send_file_download(name, content, save_immediately=True)
             except DbbError as error:
-                self._notices.warn(client, str(error))
+                self._notifier.warn(client, str(error))
             except Exception as error:  # the person who pressed must learn of it
-                self._notices.fail(client, error)
+                self._notifier.fail(client, error)
             finally:
-                self._busy.release()
                 note.remove()
 
-        gui.add_button(label, icon=icon).on_click(self._notices.guard(pressed))  # type: ignore[arg-type]
+        gui.add_button(label, icon=icon).on_click(self._notifier.guard(pressed))  # type: ignore[arg-type]
 
     def _size(self) -> tuple[int, int]:
         """[px] the wanted width and height."""
@@ -105,27 +121,14 @@ class SavePanel:
             raise LogError(f"the browser gave no picture: {error}") from None
         return "scene.png", png(on_ground(pixels, BACKGROUND[self._view.dark]))
 
-    def _whole_page(self, client: viser.ClientHandle) -> tuple[str, bytes]:
-        """The page as this viewer has it, but for the open tabs, drawn by a browser of our own."""
-        # Imported here: they draw pages such as the one that holds this panel.
-        from app.dashboard.browser import chromium
-        from app.dashboard.screenshot import Look, Seat, take_pictures
+    def _whole_page(self, page_picture: PagePicture) -> Callable[[Any], tuple[str, bytes]]:
+        def make(client: viser.ClientHandle) -> tuple[str, bytes]:
+            shown = self._timeline.shown()
+            viewpoint = Viewpoint(self._view, client.camera.position, client.camera.look_at)
+            past = [s for s in self._shared.loop.history(-1.0) if s.t <= shown.t] or [shown]
+            return "page.png", png(page_picture(self._shared, past, viewpoint, self._size()))
 
-        width, height = self._size()
-        shown, shared = self._timeline.shown(), self._shared
-        seat = Seat(self._view, client.camera.position, client.camera.look_at)
-        past = [s for s in shared.loop.history(-1.0) if s.t <= shown.t] or [shown]
-        with chromium() as browser:
-            [picture] = take_pictures(
-                browser,
-                past,
-                [shown.t],
-                shared.model,
-                shared.clouds,
-                Look(width, height, dark=self._view.dark, page=True),
-                seat,
-            )
-        return "page.png", png(picture)
+        return make
 
     def _log(self, name: str) -> Callable[[Any], tuple[str, bytes]]:
         def make(_: Any) -> tuple[str, bytes]:
@@ -134,26 +137,30 @@ class SavePanel:
 
         return make
 
-    def _page(self, command: str, name: str) -> Callable[[Any], tuple[str, bytes]]:
-        """A page that `dbb` makes of the log in a process of its own: it takes seconds of work."""
+    def _page(
+        self, name: str, write: Callable[[Report, Path, Path], None]
+    ) -> Callable[[Any], tuple[str, bytes]]:
+        """A page of the log, written in a process of its own: it takes seconds of work."""
 
         def make(_: Any) -> tuple[str, bytes]:
             with tempfile.TemporaryDirectory() as folder:
                 log, page = self._write(Path(folder) / "log.parquet"), Path(folder) / name
-                run_dbb(command, str(log), "--out", str(page))
+                self._job.run(write, log, page)
                 return name, page.read_bytes()
 
         return make
 
     def _write(self, path: Path) -> Path:
-        from app.simulation.log import write_log  # its tables take time that the first page waits
+        from app.simulation.trace.log import (
+            write_log,  # its tables take time that the first page waits
+        )
 
         snapshots = self._timeline.interval()
         write_log(path, snapshots, self._meta(snapshots[0]))
         return path
 
     def _meta(self, first: Snapshot) -> LogMeta:
-        from app.simulation.log_meta import LogMeta
+        from app.simulation.trace.log_meta import LogMeta
 
         return LogMeta.of(self._shared.model, first, scenario=first.scenario)
 
@@ -187,19 +194,3 @@ def png(picture: Image.Image) -> bytes:
     file = BytesIO()
     picture.save(file, "PNG")
     return file.getvalue()
-
-
-def run_dbb(*args: str) -> None:
-    """Run a command of this program in a process of low priority.
-
-    Raises:
-        LogError: With the last line that it wrote, if it fails.
-    """
-    command = ["nice", "-n", "10", sys.executable, "-m", "app", *args]
-    try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=_LONGEST)
-    except subprocess.TimeoutExpired:
-        raise LogError(f"dbb {args[0]} took longer than {_LONGEST:.0f} s") from None
-    if done.returncode != 0:
-        lines = done.stderr.strip().splitlines() or ["no message"]
-        raise LogError(f"dbb {args[0]}: {lines[-1]}")

@@ -1,7 +1,8 @@
-"""All parameters in folders, made from the configuration's own records; or a few of them."""
+"""Tab "Tune": all parameters in folders, made from the configuration's records, and as a file."""
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterable
 from typing import Any
@@ -9,12 +10,65 @@ from typing import Any
 import viser
 
 from app.config import Config, sections
-from app.dashboard.knobs import Knob
-from app.dashboard.notices import Notices
-from app.dashboard.panels.config_file import ConfigFilePanel
+from app.config_file import decode_config, save_config
+from app.dashboard.markup import FAINT, cell, row, small, table
+from app.dashboard.notifications import Notifier
+from app.dashboard.panels.parameter_widgets import ParameterWidgets
 from app.dashboard.tuning import Tuning
-from app.dashboard.value_guard import guard_values
+from app.errors import ConfigError
 from app.robot.description import RobotDescription
+
+FIRST_NAME = "tuning"
+
+
+class ConfigFilePanel:
+    """A name, a button that saves, and one that loads, in the GUI container that is open."""
+
+    def __init__(self, gui: viser.GuiApi, tuning: Tuning, notifier: Notifier) -> None:
+        """Add the widgets.
+
+        Args:
+            gui: Of the page or of one client.
+            tuning: What is saved, and takes over what is loaded.
+            notifier: For what is wrong with a file.
+        """
+        self._tuning = tuning
+        self._name = gui.add_text("Name", FIRST_NAME, hint="Of the file, without .toml")
+        save = gui.add_button(
+            "Save", icon=viser.Icon.DOWNLOAD, hint="For --config of dbb run, serve and sweep"
+        )
+        load = gui.add_upload_button(
+            "Load",
+            icon=viser.Icon.UPLOAD,
+            color="gray",
+            mime_type=".toml",
+            hint="A TOML file; what is not in it goes to its default",
+        )
+        save.on_click(notifier.guard(self._save))  # type: ignore[arg-type]
+        load.on_upload(notifier.guard(self._load))  # type: ignore[arg-type]
+
+    def _save(self, event: Any) -> None:
+        name = self._name.value.strip()
+        text = save_config(self._tuning.config, name)
+        event.client.send_file_download(
+            file_name(name), text.encode("utf-8"), save_immediately=True
+        )
+
+    def _load(self, event: Any) -> None:
+        file: viser.UploadedFile = event.target.value
+        try:
+            loaded = decode_config(file.content)
+        except ConfigError as error:
+            raise ConfigError(f"{file.name[:60]}: {error}") from None
+        self._tuning.load(loaded.config)
+        self._name.value = loaded.name or file.name.removesuffix(".toml")[:60]
+
+
+def file_name(name: str) -> str:
+    """A name for a file on any system, as in `stiff arm.toml`."""
+    safe = re.sub(r"[^\w .+-]", "-", name).strip(" .")
+    return f"{safe or FIRST_NAME}.toml"
+
 
 MAIN = (
     "border.d_b",
@@ -32,14 +86,14 @@ class TuningPanel:
     """Folders of widgets, in the GUI container that is open when it is made.
 
     Attributes:
-        knobs: The widgets of each parameter, by its path.
+        widgets: The widgets of each parameter, by its path.
     """
 
     def __init__(
         self,
         gui: viser.GuiApi,
         tuning: Tuning,
-        notices: Notices,
+        notifier: Notifier,
         paths: Iterable[str] | None = None,
         *,
         robot: RobotDescription | None = None,
@@ -50,18 +104,17 @@ class TuningPanel:
         Args:
             gui: Of the page or of one client.
             tuning: The configuration, which all viewers share.
-            notices: Tells who set a value that it was refused.
+            notifier: Reports refused values to their senders.
             paths: Parameters of a single folder without files, steps and resets of others; None
                 is all of them, with those.
-            robot: Whose numbers of the score are told.
+            robot: Whose numbers of the score are shown.
             clock: [s] for what waits for the end of typing.
         """
-        self._gui, self._tuning, self._notices, self._clock = gui, tuning, notices, clock
-        self.knobs: dict[str, Knob] = {}
+        self._gui, self._tuning, self._notifier, self._clock = gui, tuning, notifier, clock
+        self.widgets: dict[str, ParameterWidgets] = {}
         self._folders: list[_Folder] = []
         self._seen: Config | None = None
         self._all: viser.GuiCheckboxHandle | None = None
-        guard_values(gui, notices)
         if paths is None:
             self._add_everything(robot)
         else:
@@ -71,12 +124,12 @@ class TuningPanel:
     def update(self) -> None:
         """Show what has changed, whoever changed it; called by the drawing thread."""
         config = self._tuning.config
-        waiting = any(knob.is_waiting for knob in self.knobs.values())
+        waiting = any(each.is_waiting for each in self.widgets.values())
         if config is self._seen and not waiting:
             return
         self._seen = config
-        for knob in self.knobs.values():
-            knob.update()
+        for each in self.widgets.values():
+            each.update()
         for folder in self._folders:
             folder.update()
         self._show_advanced()
@@ -84,7 +137,7 @@ class TuningPanel:
     def _add_everything(self, robot: RobotDescription | None) -> None:
         self._add_steps()
         self._all = self._gui.add_checkbox("Advanced", False, hint="Show all parameters")
-        self._all.on_update(self._notices.guard(lambda _: self._show_advanced()))  # type: ignore[arg-type]
+        self._all.on_update(self._notifier.guard(lambda _: self._show_advanced()))  # type: ignore[arg-type]
         for section in sections():
             paths = tuple(each.path for each in section.tunables)
             self._add_folder(section.title, paths, expand=section.name == _BEFORE_SCORE)
@@ -92,7 +145,7 @@ class TuningPanel:
                 with self._gui.add_folder("Score", expand_by_default=False):
                     self._gui.add_html(score_html(robot))
         with self._gui.add_folder("File"):
-            ConfigFilePanel(self._gui, self._tuning, self._notices)
+            ConfigFilePanel(self._gui, self._tuning, self._notifier)
 
     def _add_steps(self) -> None:
         tuning = self._tuning
@@ -105,13 +158,14 @@ class TuningPanel:
             if (act := acts.get(event.target.value)) is not None:  # a program may send any word
                 act()
 
-        steps.on_click(self._notices.guard(pressed))  # type: ignore[arg-type]
+        steps.on_click(self._notifier.guard(pressed))  # type: ignore[arg-type]
 
     def _add_folder(self, title: str, paths: tuple[str, ...], *, expand: bool) -> None:
         handle = self._gui.add_folder(title, expand_by_default=expand)
         with handle:
-            knobs = [
-                Knob(self._gui, self._tuning, self._notices, path, self._clock) for path in paths
+            widgets = [
+                ParameterWidgets(self._gui, self._tuning, self._notifier, path, self._clock)
+                for path in paths
             ]
             reset = self._gui.add_button(
                 "Defaults",
@@ -120,24 +174,26 @@ class TuningPanel:
                 disabled=True,
                 hint="Set what stands above to its defaults",
             )
-        reset.on_click(self._notices.guard(lambda _: self._tuning.reset(paths)))  # type: ignore[arg-type]
-        self.knobs |= dict(zip(paths, knobs, strict=True))
-        self._folders.append(_Folder(handle, reset, title, knobs))
+        reset.on_click(self._notifier.guard(lambda _: self._tuning.reset(paths)))  # type: ignore[arg-type]
+        self.widgets |= dict(zip(paths, widgets, strict=True))
+        self._folders.append(_Folder(handle, reset, title, widgets))
 
     def _show_advanced(self) -> None:
         wanted = self._all is None or self._all.value
-        for knob in self.knobs.values():
-            knob.show(visible=wanted or knob.is_marked or not knob.about.advanced)
+        for each in self.widgets.values():
+            each.show(visible=wanted or each.is_marked or not each.about.advanced)
 
 
 class _Folder:
     """Its title says how many of its parameters are changed."""
 
-    def __init__(self, handle: Any, reset: Any, title: str, knobs: list[Knob]) -> None:
-        self._handle, self._reset, self._title, self._knobs = handle, reset, title, knobs
+    def __init__(
+        self, handle: Any, reset: Any, title: str, widgets: list[ParameterWidgets]
+    ) -> None:
+        self._handle, self._reset, self._title, self._widgets = handle, reset, title, widgets
 
     def update(self) -> None:
-        count = sum(knob.is_marked for knob in self._knobs)
+        count = sum(each.is_marked for each in self._widgets)
         title = f"{self._title} · {count} changed" if count else self._title
         if self._handle.label != title:
             self._handle.label = title
@@ -146,19 +202,12 @@ class _Folder:
 
 def score_html(robot: RobotDescription | None) -> str:
     """That the score has nothing to tune, and where its numbers come from."""
-    rows = "".join(
-        f"<tr><td>{body}</td><td>{r.A_per_m2:g}</td><td>{r.B_m:g}</td><td>{r.C:g}</td></tr>"
+    head = row(*map(cell, ("body", "A [1/m²]", "B [m]", "C")), style=FAINT)
+    rows = [
+        row(*map(cell, (body, f"{r.A_per_m2:g}", f"{r.B_m:g}", f"{r.C:g}")))
         for body, r in (robot.reachability.items() if robot else ())
-    )
-    table = (
-        '<table style="width:100%;text-align:left;font-variant-numeric:tabular-nums">'
-        '<tr style="opacity:.65"><td>body</td><td>A [1/m²]</td><td>B [m]</td><td>C</td></tr>'
-        f"{rows}</table>"
-        if rows
-        else ""
-    )
-    return (
-        '<div style="padding:0 .7em .5em;font-size:.82em;line-height:1.5">'
+    ]
+    return small(
         "Nothing to tune: det J_c of (7) follows from the wheels, and A, B, C of (9) are the "
-        f"robot's, from its description.{table}</div>"
+        f"robot's, from its description.{table((head, *rows)) if rows else ''}"
     )

@@ -1,4 +1,4 @@
-"""Tab "View": which layers one viewer sees, from where, and which plots."""
+"""Tab "View": layers, camera and plots of one viewer."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 
 import viser
 
-from app.dashboard.camera import PRESETS
-from app.dashboard.notices import Notices
+from app.dashboard.notifications import Notifier
+from app.dashboard.scene.camera import PRESETS
 from app.dashboard.view import CHOICES, View
 
 
@@ -19,7 +19,7 @@ class ViewPanel:
         self,
         gui: viser.GuiApi,
         view: View,
-        notices: Notices,
+        notifier: Notifier,
         plots: list[str],
         look: Callable[[str], None],
     ) -> None:
@@ -28,11 +28,11 @@ class ViewPanel:
         Args:
             gui: Of the viewer.
             view: What is assigned to.
-            notices: For what goes wrong.
+            notifier: For what goes wrong.
             plots: Titles of all plots.
             look: Takes the name of a camera's preset.
         """
-        self._gui, self._view, self._notices = gui, view, notices
+        self._gui, self._view, self._notifier = gui, view, notifier
         with gui.add_folder("Border coloured by"):
             for pair, quantity in view.borders.items():
                 choice = gui.add_dropdown(pair, CHOICES, initial_value=quantity)
@@ -57,7 +57,7 @@ class ViewPanel:
             self._box("trails", "Trails", "Where base and hand have been")
         with gui.add_folder("Camera and page"):
             cameras = gui.add_button_group("Look from", tuple(PRESETS))
-            cameras.on_click(notices.guard(lambda event: _look(look, event.target.value)))  # type: ignore[arg-type]
+            cameras.on_click(notifier.guard(lambda event: _look(look, event.target.value)))  # type: ignore[arg-type]
             self._box("follow", "Follow the base")
             self._box("dark", "Dark")
         with gui.add_folder("Plots", expand_by_default=False):
@@ -84,7 +84,7 @@ class ViewPanel:
         return assign
 
     def _on_update(self, handle: Any, callback: Callable[[Any], None]) -> None:
-        handle.on_update(self._notices.guard(callback))
+        handle.on_update(self._notifier.guard(callback))
 
 
 def _look(look: Callable[[str], None], name: str) -> None:

@@ -8,14 +8,17 @@ import viser
 
 from app.control.explanation import Explanation, ForceSplit
 from app.control.levels import Level, LevelName
-from app.dashboard import words
-from app.dashboard.colours import FULL, REST, css, distance_colour
-from app.dashboard.explain import sentence
+from app.dashboard.base_measures import measure_of
+from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, cell, minus, row, table
+from app.dashboard.panels import phrases as words
+from app.dashboard.panels.explain import sentence
+from app.dashboard.panels.widgets import renew
+from app.dashboard.scene.colours import FULL, REST, css, distance_colour
 from app.robot.bases.kind import Axis, acceleration_symbol
-from app.simulation.snapshot import Snapshot
+from app.simulation.trace.snapshot import Snapshot
 
 BOUNDS_SHOWN = 3
-"""Lines for limits that were met; of more than that the number is told."""
+"""Lines for limits that were met; of more than that the number is shown."""
 
 _NONE = '<span style="opacity:.45">–</span>'
 _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
@@ -41,9 +44,7 @@ class WhyPanel:
 
     def update(self, snapshot: Snapshot) -> None:
         """Explain a snapshot; what has not changed is not sent."""
-        html = why_html(snapshot)
-        if self._html.content != html:
-            self._html.content = html
+        renew(self._html, "content", why_html(snapshot))
 
 
 def why_html(snapshot: Snapshot) -> str:
@@ -53,8 +54,7 @@ def why_html(snapshot: Snapshot) -> str:
     return (
         f'<div style="border-left:4px solid {_colour(snapshot)};margin:.4em .7em;padding-left:.6em;'
         f'height:7.1em;overflow:hidden;font-size:.85em;line-height:1.4">{sentence(snapshot)}</div>'
-        '<div style="font-size:.8em;line-height:1.55;padding:0 1.1em .4em .7em;'
-        f'font-variant-numeric:tabular-nums">{tables}</div>'
+        f'<div style="font-size:.8em;line-height:1.55;padding:0 1.1em .4em .7em">{tables}</div>'
     )
 
 
@@ -87,7 +87,7 @@ def _near_rows(snapshot: Snapshot, why: Explanation) -> list[str]:
         name, beta = words.pair(a, b, why.chain), 0.0
     else:
         name, d, beta = words.pair(pair.a, pair.b, why.chain), pair.d, pair.beta
-    distance = f"{1000 * d:.0f}".replace("-", "−")
+    distance = minus(f"{1000 * d:.0f}")
     held = ", distance held" if pair is not None and pair.held else ""
     return [
         _row("pair", name + more, "the link pair that counts most"),
@@ -133,11 +133,12 @@ def _force_rows(why: Explanation) -> list[str]:
 
 
 def _score_rows(why: Explanation) -> list[str]:
-    first, unit = why.forces[0] if why.forces else _ZERO, f" {why.measure_unit}"
+    first, measure = why.forces[0] if why.forces else _ZERO, measure_of(why.base_kind)
+    unit = f" {measure.unit}"
     values = (
-        (why.measure_label, words.scientific(first.determinant) + unit, why.measure_hint),
+        (measure.label, words.scientific(first.determinant) + unit, measure.hint),
         ("reachability R", f"{first.reachability:.0f}", "(9): how well the arm reaches the point"),
-        ("score S", words.scientific(first.score) + unit, f"(10): {why.score_formula}"),
+        ("score S", words.scientific(first.score) + unit, f"(10): {measure.score}"),
         (
             "score without the step, p_n",
             words.scientific(first.score_near) + unit,
@@ -168,24 +169,17 @@ def _bound_rows(why: Explanation) -> list[str]:
         texts = [*texts[: BOUNDS_SHOWN - 1], f"and {len(texts) - BOUNDS_SHOWN + 1} more"]
     texts = texts or ['<span style="opacity:.65">no limit</span>']
     texts += ["&nbsp;"] * (BOUNDS_SHOWN - len(texts))
-    return [f'<tr><td style="white-space:nowrap">{text}</td></tr>' for text in texts]
+    return [row(cell(text, ONE_LINE)) for text in texts]
 
 
 def _table(title: str, rows: Sequence[str], columns: Sequence[tuple[str, str]] = ()) -> str:
-    cells = "".join(
-        f'<td style="width:{width};text-align:right;opacity:.65;white-space:nowrap">{column}</td>'
-        for column, width in columns
-    )
-    head = f'<tr><td style="font-weight:600;white-space:nowrap">{title}</td>{cells}</tr>'
-    style = "width:100%;border-spacing:0;margin-bottom:.4em"
-    return f'<table cellpadding="0" style="{style}">{head}{"".join(rows)}</table>'
+    heads = (cell(column, f"width:{width}", RIGHT, FAINT, ONE_LINE) for column, width in columns)
+    head = row(cell(title, "font-weight:600", ONE_LINE), *heads)
+    return table((head, *rows), "border-spacing:0;margin-bottom:.4em", tight=True)
 
 
 def _row(label: str, value: str, hint: str, *, span: int = 1) -> str:
-    return (
-        f'<tr title="{hint}"><td style="opacity:.65;white-space:nowrap">{label}</td>'
-        f'<td colspan="{span}" style="text-align:right;white-space:nowrap">{value}</td></tr>'
-    )
+    return row(cell(label, FAINT, ONE_LINE), cell(value, RIGHT, ONE_LINE, span=span), hint=hint)
 
 
 def _acceleration(
@@ -200,8 +194,7 @@ def _acceleration(
     newtons = "" if f is None else f"{_size(f):.0f}"
     values = [newtons, *(words.signed(a) for a in acceleration)]
     values = values if on else [_NONE] * len(values)
-    cells = "".join(f'<td style="text-align:right">{value}</td>' for value in values)
-    return f'<tr title="{hint}"><td style="opacity:.65;white-space:nowrap">{label}</td>{cells}</tr>'
+    return row(cell(label, FAINT, ONE_LINE), *(cell(value, RIGHT) for value in values), hint=hint)
 
 
 def _sum(vectors: Sequence[Sequence[float]]) -> tuple[float, ...]:

@@ -1,13 +1,8 @@
-"""What panels show in the same way: small text, a bar, and only what has changed."""
+"""Widgets: assignments that send only what has changed."""
 
 from __future__ import annotations
 
-from app.dashboard.stage_change import Progress
-
-
-def small(html: str) -> str:
-    """Text of a panel, as HTML."""
-    return f'<div style="padding:.2em .7em;font-size:.82em;line-height:1.5">{html}</div>'
+from app.dashboard.job import Progress
 
 
 def renew(handle: object, name: str, value: object) -> None:

@@ -90,13 +90,6 @@ class DifferentialBase(BaseKind):
     """
 
     axes: ClassVar[tuple[Axis, ...]] = (FORWARD, TURN)
-    measure_title: ClassVar[str] = "det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>), (7)"
-    measure_unit: ClassVar[str] = "m⁴/rad⁴"
-    measure_label: ClassVar[str] = "far from singular, det"
-    measure_hint: ClassVar[str] = (
-        "(7): 0 on the wheels' axis, where the base cannot move the point sideways"
-    )
-    score_formula: ClassVar[str] = "sign · det · R"
 
     kind: Literal["differential"]
     wheel_radius_m: Positive

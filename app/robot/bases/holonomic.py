@@ -12,8 +12,8 @@ from app.strict import Positive
 
 Array = np.ndarray
 
-AHEAD = Axis("v_x", False, "vx_mps", "ax_mps2")
-SIDEWAYS = Axis("v_y", False, "vy_mps", "ay_mps2", way="left")
+AHEAD = Axis("v_x", False)
+SIDEWAYS = Axis("v_y", False, way="left")
 
 
 class HolonomicBase(BaseKind):

@@ -26,20 +26,16 @@ class Axis(NamedTuple):
     Attributes:
         symbol: As people read it, such as "v".
         angular: Whether it turns the base; its unit is rad/s then, else m/s.
-        velocity: Its name in logs, which ends in its unit.
-        acceleration: The name of its derivative there.
         way: Along which the base moves by it in its own frame, if it is not angular.
     """
 
     symbol: str
     angular: bool
-    velocity: str
-    acceleration: str
     way: Literal["forward", "left"] = "forward"
 
 
-FORWARD = Axis("v", False, "v_mps", "a_mps2")
-TURN = Axis("ω", True, "w_radps", "aw_radps2")
+FORWARD = Axis("v", False)
+TURN = Axis("ω", True)
 
 
 def acceleration_symbol(axis: Axis) -> str:
@@ -104,7 +100,7 @@ class Wheels(NamedTuple):
     """Wheels that turn by one angle; drawn only.
 
     Attributes:
-        name: Of the angle in logs.
+        name: Which ones.
         field: Of the description, that names the joints.
         joints: Of the URDF.
     """
@@ -123,16 +119,6 @@ class BaseKind(Sourced, ABC):
 
     axes: ClassVar[tuple[Axis, ...]]
     """The velocity axes ν, in order."""
-    measure_title: ClassVar[str] = "measure of the base"
-    """Of `singularity`, as HTML."""
-    measure_unit: ClassVar[str] = ""
-    """Unit of `singularity`."""
-    measure_label: ClassVar[str] = "measure of the base"
-    """Of `singularity`, short, as HTML."""
-    measure_hint: ClassVar[str] = "how well the base moves the point; in the place of (7)"
-    """What it says of a point."""
-    score_formula: ClassVar[str] = "measure · R"
-    """How (10) makes the score of it."""
 
     kind: str
     """Which kind it is."""

@@ -15,7 +15,7 @@ from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
 from app.simulation.session import DT, Session, Step
-from app.study.sweep_plan import StartedLine
+from app.studies.sweep.plan import StartedLine
 
 Array = np.ndarray
 

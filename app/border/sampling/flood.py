@@ -1,0 +1,151 @@
+"""Flood refinement: from every pose found, step to the empty voxels beside its closest point."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from app.border.cloud import quantise_points
+from app.border.sampling.poses import PairReader, Witnesses
+from app.border.sampling.voxels import Voxels
+from app.robot.model import RobotModel
+
+Array = np.ndarray
+
+_BATCH = 2048
+_DAMPING = 0.03  # [m] of the pseudo-inverse; an arm's Jacobian is around 0.5 m
+_FREE_STEP = 0.10  # [rad] self-motion or perturbation of the first retry; grows with each
+_MAX_STEP = 0.25  # [rad] longest step of a joint: farther the Jacobian says nothing
+
+
+class Found(NamedTuple):
+    """Poses in a row with what they reached.
+
+    Attributes:
+        q_m: (N, n_m) float32 [rad or m].
+        points: (N, 3) int16 as in `Cloud`.
+    """
+
+    q_m: Array
+    points: Array
+
+
+class Flood:
+    """Fills the open voxels of one pair, one point a voxel.
+
+    Attributes:
+        open: (voxels.count,) whether a voxel is still wanted.
+    """
+
+    def __init__(
+        self,
+        model: RobotModel,
+        reader: PairReader,
+        voxels: Voxels,
+        shell: tuple[float, float],
+        rng: np.random.Generator,
+    ) -> None:
+        """Prepare; `shell` [m] holds the least and the largest distance of a wanted point."""
+        self._model, self._reader, self._voxels, self._rng = model, reader, voxels, rng
+        self._low, self._high = shell
+        # A joint's share of a free step: full for a turn, small for a short slide.
+        self._scale = np.minimum(model.q_upper - model.q_lower, 2 * np.pi) / (2 * np.pi)
+        self.open = np.zeros(voxels.count, dtype=bool)
+        self._q = np.empty((0, model.n_m))
+        self._seen = Witnesses(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
+
+    def run(self, open_voxels: Array, sources: Array, retries: int) -> Found:
+        """Flood the open voxels.
+
+        Args:
+            open_voxels: (voxels.count,) bool, the voxels wanted; changed in place.
+            sources: (N, n_m) [rad or m] poses to start from, wherever their points lie.
+            retries: How often a batch tries again for the voxels beside it that are still open;
+                each time the first pose of the batch beside a voxel tries.
+
+        Returns:
+            The poses accepted and their points; the sources among them that fell into open voxels.
+        """
+        self.open = open_voxels
+        seen = self._reader.witnesses(sources)
+        fresh = self._accept(seen)
+        accepted = [Found(sources[fresh].astype(np.float32), quantise_points(seen.p_b[fresh]))]
+        waiting = [[(sources, seen)]] + [[] for _ in range(retries)]
+        while (round_ := next((k for k, queue in enumerate(waiting) if queue), None)) is not None:
+            q, seen = _take(waiting[round_])
+            tried, reached = self._expand(q, seen, round_)
+            fresh = self._accept(reached)
+            if len(fresh):
+                accepted.append(
+                    Found(tried[fresh].astype(np.float32), quantise_points(reached.p_b[fresh]))
+                )
+                waiting[0].append((tried[fresh], _pick(reached, fresh)))
+            if round_ < retries:
+                waiting[round_ + 1].append((q, seen))
+        return Found(
+            np.concatenate([a.q_m for a in accepted]), np.concatenate([a.points for a in accepted])
+        )
+
+    def _accept(self, seen: Witnesses) -> Array:
+        """Indices of the witnesses that fall into open voxels, one each; closes those."""
+        keys = self._voxels.keys(self._voxels.cells(quantise_points(seen.p_b)))
+        fits = (keys >= 0) & (seen.d > self._low) & (seen.d < self._high)
+        candidates = np.flatnonzero(fits & self.open[keys])
+        _, first = np.unique(keys[candidates], return_index=True)
+        fresh = candidates[first]
+        self.open[keys[fresh]] = False
+        return fresh
+
+    def _expand(self, q: Array, seen: Witnesses, round_: int) -> tuple[Array, Witnesses]:
+        """One try towards each open voxel beside the poses' own, from the first pose beside it."""
+        cells = self._voxels.neighbours(self._voxels.cells(quantise_points(seen.p_b)))
+        keys = self._voxels.keys(cells)
+        step = self._voxels.centres(cells) - seen.p_b[:, None]
+        ahead = seen.d[:, None] + (step * seen.normal[:, None]).sum(axis=2)
+        wanted = (keys >= 0) & self.open[keys] & (ahead > self._low) & (ahead < self._high)
+        source, side = np.nonzero(wanted)
+        if not len(source):
+            return q[:0], _pick(seen, source)
+        # Nearly half of the tries would be for a voxel that another pose of the batch tries too.
+        _, first = np.unique(keys[source, side], return_index=True)
+        source, side = source[first], side[first]
+        needed, row = np.unique(source, return_inverse=True)
+        J = self._reader.jacobians(q[needed], seen.p_b[needed])[row]
+        tried = self._step(q[source], J, step[source, side], round_)
+        return tried, self._reader.witnesses(tried)
+
+    def _step(self, q: Array, J: Array, step: Array, round_: int) -> Array:
+        """(N, n_m) poses whose closest points should have moved by `step` (N, 3) [m].
+
+        The first round takes the plain damped step; later ones add self-motion, and the last a
+        perturbation of any direction. Joints that would leave their limits are held instead.
+        """
+        lower, upper = self._model.q_lower, self._model.q_upper
+        free = self._rng.standard_normal(q.shape) * (_FREE_STEP * round_ * self._scale)
+        dq = _damped(J, step, free)
+        held = (q + dq < lower) | (q + dq > upper)
+        dq = _damped(np.where(held[:, None, :], 0.0, J), step, np.where(held, 0.0, free))
+        return np.clip(q + np.clip(dq, -_MAX_STEP, _MAX_STEP), lower, upper)
+
+
+def _damped(J: Array, step: Array, free: Array) -> Array:
+    """ξ + Jᵀ (J Jᵀ + λ² I)⁻¹ (s − J ξ): the damped step s with the self-motion part of ξ."""
+    J_T = J.transpose(0, 2, 1)
+    missing = step[:, :, None] - J @ free[:, :, None]
+    weight = np.linalg.solve(J @ J_T + _DAMPING**2 * np.eye(3), missing)
+    return free + (J_T @ weight)[:, :, 0]
+
+
+def _take(queue: list[tuple[Array, Witnesses]]) -> tuple[Array, Witnesses]:
+    """Poses from the end of a queue, a batch at least if there are as many."""
+    taken, count = [], 0
+    while queue and count < _BATCH:
+        taken.append(queue.pop())
+        count += len(taken[-1][0])
+    columns = zip(*(seen for _, seen in taken), strict=True)
+    return np.concatenate([q for q, _ in taken]), Witnesses(*map(np.concatenate, columns))
+
+
+def _pick(seen: Witnesses, rows: Array | slice) -> Witnesses:
+    return Witnesses(seen.d[rows], seen.p_b[rows], seen.normal[rows])

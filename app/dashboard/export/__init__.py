@@ -1,0 +1,1 @@
+"""Pictures and replays, drawn without a display."""

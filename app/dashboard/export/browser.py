@@ -1,0 +1,133 @@
+"""Headless Chromium with WebGL: found, started and ended."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from app.errors import BrowserError
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, BrowserContext, Playwright
+
+VARIABLE = "DBB_BROWSER"
+"""Environment variable that names the browser to use."""
+
+_NAMES = (
+    "chromium",
+    "chromium-browser",
+    "google-chrome-stable",
+    "google-chrome",
+    "chrome",
+    "microsoft-edge-stable",
+    "brave-browser",
+)
+_APPLICATIONS = (
+    "/Applications/Google Chrome.app/Contents/MacOS/Google Chrome",
+    "/Applications/Chromium.app/Contents/MacOS/Chromium",
+)
+# Mesa draws two to three times faster in software than Chromium's own SwiftShader.
+_MESA = (
+    "--use-gl=angle",
+    "--use-angle=gl-egl",
+    "--ignore-gpu-blocklist",
+    "--disable-gpu-compositing",
+)
+_SWIFTSHADER = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+_QUIET = (
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--disable-dev-shm-usage",
+)
+_RENDERER = """() => {
+  const gl = document.createElement('canvas').getContext('webgl2');
+  if (!gl) return null;
+  const info = gl.getExtension('WEBGL_debug_renderer_info');
+  return gl.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
+}"""
+_HELPERS = Path(__file__).with_suffix(".js").read_text(encoding="utf-8")
+
+
+def browser_path(bundled: str) -> str | None:
+    """Path of a browser, or None if playwright's own at `bundled` is there and none is asked for.
+
+    Raises:
+        BrowserError: There is none, or the environment variable names one that is not there.
+    """
+    if chosen := os.environ.get(VARIABLE):
+        if not Path(chosen).exists():
+            raise BrowserError(f"{VARIABLE}={chosen} does not exist")
+        return chosen
+    for name in _NAMES:
+        if found := shutil.which(name):
+            return found
+    if sys.platform == "darwin":
+        for path in _APPLICATIONS:
+            if Path(path).exists():
+                return path
+    if Path(bundled).exists():
+        return None
+    raise BrowserError(
+        "no Chromium to draw with: `make browser` provides one, or `playwright install chromium`, "
+        f"or Debian's `apt-get install chromium`; or set {VARIABLE} to the path of one"
+    )
+
+
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """A headless browser with WebGL, ended at the end.
+
+    Raises:
+        BrowserError: There is none, or it cannot draw.
+    """
+    # Imported here: most of what uses a scene needs no browser.
+    from playwright.sync_api import sync_playwright
+
+    try:
+        with sync_playwright() as playwright:
+            browser = _launch(playwright, browser_path(playwright.chromium.executable_path))
+            try:
+                yield browser
+            finally:
+                browser.close()
+    except KeyboardInterrupt:
+        # The signal ends playwright's driver too; asyncio would tell of each call that this broke.
+        logging.getLogger("asyncio").setLevel(logging.CRITICAL)
+        raise
+
+
+def new_context(browser: Browser, size: tuple[int, int]) -> BrowserContext:
+    """A window of a width and a height [px]; in its pages `dbbPage` helps to wait for pictures."""
+    context = browser.new_context(
+        viewport={"width": size[0], "height": size[1]}, reduced_motion="reduce"
+    )
+    context.add_init_script(_HELPERS)
+    return context
+
+
+def _launch(playwright: Playwright, path: str | None) -> Browser:
+    from playwright.sync_api import Error
+
+    name = path or "playwright's own browser"
+    for flags in (_MESA, _SWIFTSHADER):
+        try:
+            browser = playwright.chromium.launch(executable_path=path, args=[*flags, *_QUIET])
+        except Error as error:
+            reason = str(error).strip().splitlines()[0]
+            raise BrowserError(f"{name} does not start: {reason}") from None
+        page = browser.new_page()
+        renderer = page.evaluate(_RENDERER)
+        page.close()
+        if renderer and (flags is _SWIFTSHADER or "SwiftShader" not in renderer):
+            return browser
+        browser.close()
+    raise BrowserError(f"{name} has no WebGL 2")

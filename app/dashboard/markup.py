@@ -1,0 +1,82 @@
+"""HTML of panels: text, tables and banners of one look."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from html import escape
+
+RIGHT = "text-align:right"
+FAINT = "opacity:.65"
+ONE_LINE = "white-space:nowrap"
+BAD_COLOUR = "#e03131"
+_BANNERS = {"error": "#c92a2a", "notice": "#1971c2"}
+
+
+def small(html: str, *styles: str) -> str:
+    """Text of a panel."""
+    return _tag("div", html, "padding:.2em .7em;font-size:.82em;line-height:1.5", *styles)
+
+
+def problem(text: str) -> str:
+    """A text that says what went wrong, which may hold anything."""
+    return _tag("span", escape(text), f"color:{BAD_COLOUR}")
+
+
+def banner(kind: str, title: str, text: str) -> str:
+    """What stands above all tabs.
+
+    Args:
+        kind: "error" or "notice".
+        title: Its first line, which may hold anything.
+        text: The rest, which may too.
+    """
+    return _tag(
+        "div",
+        f"<b>{escape(title)}</b><br>{escape(text)}",
+        "margin:.5em .7em;padding:.5em .7em;border-radius:4px;color:white;font-size:.85em",
+        f"background:{_BANNERS[kind]}",
+    )
+
+
+def table(rows: Iterable[str], *styles: str, tight: bool = False) -> str:
+    """A table as wide as its panel, whose digits have one width.
+
+    Args:
+        rows: Each made by `row`.
+        styles: Further declarations of CSS.
+        tight: Whether its cells touch.
+    """
+    style = _style("width:100%;font-variant-numeric:tabular-nums", *styles)
+    space = ' cellpadding="0"' if tight else ""
+    return f"<table{space}{style}>{''.join(rows)}</table>"
+
+
+def row(*cells: str, hint: str = "", style: str = "") -> str:
+    """A row of cells, each made by `cell`, with a text for the pointer over it."""
+    title = f' title="{escape(hint)}"' if hint else ""
+    return f"<tr{title}{_style(style)}>{''.join(cells)}</tr>"
+
+
+def cell(html: str = "", *styles: str, span: int = 1) -> str:
+    """A cell over so many columns."""
+    across = f' colspan="{span}"' if span > 1 else ""
+    return f"<td{across}{_style(*styles)}>{html}</td>"
+
+
+def mark(sign: str, colour: str) -> str:
+    """A sign of a colour, such as a dot."""
+    return _tag("b", sign, f"color:{colour}")
+
+
+def minus(text: str) -> str:
+    """A number's text with a true minus."""
+    return text.replace("-", "−")
+
+
+def _tag(name: str, html: str, *styles: str) -> str:
+    return f"<{name}{_style(*styles)}>{html}</{name}>"
+
+
+def _style(*styles: str) -> str:
+    declared = ";".join(style for style in styles if style)
+    return f' style="{declared}"' if declared else ""

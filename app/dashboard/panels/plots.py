@@ -1,0 +1,212 @@
+"""Plots: curves of the last seconds on one axis of time, with a cursor at the shown instant."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import viser
+from viser import uplot
+
+from app.dashboard.panels.timeline import Timeline
+from app.dashboard.record import Curve, Record
+from app.dashboard.scene.colours import ACTING, PERSON, SERIES, css
+from app.dashboard.view import View
+from app.robot.bases.kind import Axis, acceleration_symbol
+from app.robot.model import RobotModel
+from app.simulation.trace.snapshot import Snapshot
+
+Array = np.ndarray
+
+LENGTH = 20.0
+"""[s] of the axis of time."""
+AHEAD = 5.0  # [s] shown after the instant that a viewer has gone back to
+LINE = 1.6  # [px]
+_BETA = "#8e6bd8"
+_THRESHOLD = "#98a0ab"
+_CURSOR = "#ff7a00"
+OFF = -9.0  # of the cursor, below its scale
+
+
+class PlotPlan(NamedTuple):
+    """What a plot shows.
+
+    Attributes:
+        title: With the unit.
+        curves: Its lines.
+        colours: Of the lines.
+        y_range: As uPlot takes it.
+        height: [px] without title and legend.
+        fill: Whether the area under the lines is filled.
+        dashed: How many of the last lines are thresholds.
+    """
+
+    title: str
+    curves: tuple[Curve, ...]
+    colours: tuple[str, ...]
+    y_range: Any
+    height: int
+    fill: bool = False
+    dashed: int = 0
+
+
+def plot_plans(model: RobotModel, names: list[str]) -> list[PlotPlan]:
+    """All plots of a robot.
+
+    Args:
+        model: The robot, for the limits of its torques.
+        names: Link pairs, in the order of the snapshots.
+    """
+    axes = model.description.base.axes
+    distances = [Curve(name, lambda s, name=name: distance(s, name)) for name in names]
+    distances.append(Curve("d_b", lambda s: s.config.border.d_b))
+    torques = [
+        Curve(f"{i + 1}", lambda s, i=i, most=float(most): s.u_a[i] / most)
+        for i, most in enumerate(model.tau_max)
+    ]
+    return [
+        PlotPlan(
+            "distance [m]",
+            tuple(distances),
+            (*_series(len(names)), _THRESHOLD),
+            _soft(0.0, 0.4),
+            160,
+            dashed=1,
+        ),
+        PlotPlan(
+            "activation β_m",
+            (Curve("β_m", lambda s: s.beta_m),),
+            (_BETA,),
+            (-0.02, 1.05),
+            100,
+            fill=True,
+        ),
+        PlotPlan(
+            "base acceleration of avoidance, β ẍ",
+            tuple(_avoidance(i, axis) for i, axis in enumerate(axes)),
+            (*_series(len(axes) - 2), css(PERSON), css(ACTING))[-len(axes) :],
+            _soft(-1.0, 1.0),
+            125,
+        ),
+        PlotPlan(
+            "torque of joint / its limit", tuple(torques), _series(len(torques)), (-1.05, 1.05), 140
+        ),
+        PlotPlan(
+            "hand off its target [mm]",
+            (Curve("error", lambda s: 1000.0 * s.ee_error),),
+            (_BETA,),
+            _soft(0.0, 5.0),
+            100,
+        ),
+        PlotPlan(
+            "control step [µs]",
+            (Curve("mean of 1 s", lambda s: s.step_time_us),),
+            (css(PERSON),),
+            _soft(0.0, 1000.0),
+            100,
+        ),
+    ]
+
+
+class Plots:
+    """The plots of one viewer; those that are not shown cost nothing."""
+
+    def __init__(self, gui: viser.GuiApi, plans: list[PlotPlan], view: View) -> None:
+        """Empty plots in the GUI container that is now open.
+
+        Args:
+            gui: Of the viewer.
+            plans: All plots; their curves are the record's, in order.
+            view: Says which are shown.
+        """
+        self._view = view
+        self._plots = {plan.title: _plot(gui, plan) for plan in plans}
+        begins = np.cumsum([1, *(len(plan.curves) for plan in plans)])
+        self._columns = {
+            plan.title: slice(int(begin), int(begin) + len(plan.curves))
+            for plan, begin in zip(plans, begins, strict=False)
+        }
+        self._shown: set[str] = set(self._plots)
+
+    def update(self, record: Record, timeline: Timeline, shown: Snapshot) -> None:
+        """Show the stretch of time around the snapshot that is shown."""
+        for title, plot in self._plots.items():
+            if (title in self._view.plots) != (title in self._shown):
+                plot.visible = title in self._view.plots
+        self._shown = set(self._view.plots)
+        until = record.last if timeline.live else min(record.last, shown.t + AHEAD)
+        table = record.columns(until, LENGTH)
+        cursor = np.full(table.shape[1], OFF)
+        if not timeline.live:
+            cursor[int(np.abs(table[0] - shown.t).argmin())] = 1.0
+        for title in self._shown:
+            self._plots[title].data = (table[0], *table[self._columns[title]], cursor)
+
+
+def distance(snapshot: Snapshot, pair: str) -> float:
+    """[m] signed distance of a pair by its name; not a number where the snapshot has no such pair.
+
+    Args:
+        snapshot: One instant.
+        pair: As in `lm-lEE`.
+    """
+    return next((reading.d for reading in snapshot.pairs if reading.name == pair), math.nan)
+
+
+def _plot(gui: viser.GuiApi, plan: PlotPlan) -> viser.GuiUplotHandle:
+    """An empty plot, so many pixels high without title and legend.
+
+    The range of values is given once: a change would rebuild the plot in the browser. Time runs
+    through it as it is: with an axis that never changes uPlot would not draw its numbers. The
+    cursor is a line on a scale of its own that leaves the plot but at one instant.
+    """
+    lines = []
+    for i, (curve, colour) in enumerate(zip(plan.curves, plan.colours, strict=True)):
+        more: dict[str, Any] = {"fill": colour + "40"} if plan.fill else {}
+        if i >= len(plan.curves) - plan.dashed:
+            more["dash"] = [6, 4]
+        lines.append(_line(curve.label, colour, **more))
+    lines.append(_line("looking at", _CURSOR, scale="cursor"))
+    return gui.add_uplot(
+        data=tuple(np.zeros(1) for _ in range(len(lines) + 1)),
+        series=(uplot.Series(label="t [s]"), *lines),
+        title=plan.title,
+        # uPlot takes x for the time of day by default.
+        scales={
+            "x": uplot.Scale(time=False),
+            "y": uplot.Scale(range=plan.y_range),
+            "cursor": uplot.Scale(range=(0.0, 1.0)),
+        },
+        axes=(uplot.Axis(size=38), uplot.Axis(size=48)),
+        legend=uplot.Legend(show=True, live=False),
+        cursor=uplot.Cursor(show=False),
+        height=plan.height,
+        padding=(10, 12, 0, 0),
+    )
+
+
+def _line(label: str, colour: str, **more: Any) -> uplot.Series:
+    return uplot.Series(
+        label=label, stroke=colour, width=LINE, points=uplot.Series_Points(show=False), **more
+    )
+
+
+def _series(count: int) -> tuple[str, ...]:
+    return tuple(SERIES[i % len(SERIES)] for i in range(count))
+
+
+def _avoidance(i: int, axis: Axis) -> Curve:
+    """The acceleration of avoidance along an axis of the base."""
+    unit = "rad/s²" if axis.angular else "m/s²"
+    return Curve(
+        f"{acceleration_symbol(axis)} [{unit}]", lambda s: float(s.avoidance_acceleration[i])
+    )
+
+
+def _soft(low: float, high: float) -> dict[str, dict[str, float]]:
+    """A range that holds [low, high] and grows, with a tenth of a margin, if the data need it."""
+    return {
+        "min": {"pad": 0.1, "soft": low, "mode": 1},
+        "max": {"pad": 0.1, "soft": high, "mode": 1},
+    }

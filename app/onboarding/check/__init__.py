@@ -1,0 +1,1 @@
+"""`dbb check-robot`, row by row."""

@@ -1,0 +1,1 @@
+"""Fitting bodies, groups, reachability and postures to a robot."""

@@ -1,0 +1,1 @@
+"""Reading a URDF: links, joints, arm, base, limits, masses."""

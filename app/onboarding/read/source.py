@@ -1,0 +1,232 @@
+"""A URDF or xacro file as XML, its meshes found; from a path or an installed package."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import NoReturn
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
+from xml.parsers import expat
+
+from app.errors import RobotFileError
+from app.robot.assets import package_roots, resolve_package_uri, share_folders
+
+
+def locate(source: str) -> Path:
+    """The file of a path or a `package://…` address.
+
+    Raises:
+        RobotFileError: There is no such file.
+        AssetError: The package is not installed.
+    """
+    path = resolve_package_uri(source) if source.startswith("package://") else Path(source)
+    if not path.is_file():
+        raise RobotFileError(
+            f"{source}: no such file; give a URDF, a xacro, a zip or package://PACKAGE/…"
+        )
+    return path.resolve()
+
+
+def read_robot(path: Path, packages: Mapping[str, Path] | None = None) -> Element:
+    """The `<robot>` of a URDF or xacro file, each mesh by an address that `mesh_path` takes.
+
+    Args:
+        path: The file.
+        packages: Folders of ROS packages, by name, that come before all others.
+
+    Raises:
+        RobotFileError: As `read_source`, or a mesh is not found.
+    """
+    robot = read_source(path, packages)
+    for mesh in robot.iter("mesh"):
+        mesh.set("filename", mesh_address(str(mesh.get("filename")), path.parent, packages))
+    return robot
+
+
+def read_source(path: Path, packages: Mapping[str, Path] | None = None) -> Element:
+    """The `<robot>` of a URDF or xacro file.
+
+    Args:
+        path: The file.
+        packages: Folders of ROS packages, by name, that a xacro may refer to.
+
+    Raises:
+        RobotFileError: It is not well-formed XML, declares entities, is not a robot, or its macros
+            cannot be expanded.
+    """
+    try:
+        is_xacro = path.suffix == ".xacro"
+        text = _expanded(path, packages or {}) if is_xacro else path.read_text(encoding="utf-8")
+        refuse_entities(text, path)
+        robot = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, UnicodeDecodeError) as error:
+        raise RobotFileError(f"{path}: not well-formed: {error}") from None
+    if robot.tag != "robot":
+        raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
+    return robot
+
+
+def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | None = None) -> str:
+    """How a description refers to a mesh that a URDF names: by package if it is in one.
+
+    Args:
+        reference: What the URDF says.
+        folder: The URDF's own folder.
+        packages: Folders of ROS packages, by name, that come before all others.
+
+    Returns:
+        A `package://…` address of an installed package, else an absolute path.
+
+    Raises:
+        RobotFileError: There is no such file.
+    """
+    if reference.startswith(("package://", "model://")):
+        package, _, inner = reference.partition("://")[2].partition("/")
+        path = _in_package(package, inner, folder, packages or {}, reference)
+    else:
+        path = Path(reference.removeprefix("file://"))
+        path = path if path.is_absolute() else folder / path
+    if not path.is_file():
+        raise RobotFileError(f"mesh {reference}: there is no file {path}")
+    return installed_address(path) or str(path.resolve())
+
+
+def mesh_path(address: str) -> Path:
+    """The file behind what `mesh_address` gave."""
+    return resolve_package_uri(address) if address.startswith("package://") else Path(address)
+
+
+def installed_address(path: Path) -> str | None:
+    """`package://…` of a file that belongs to an installed package, or None."""
+    full = path.resolve()
+    for share in share_folders():
+        if full.is_relative_to(share.resolve()):
+            return f"package://{full.relative_to(share.resolve()).as_posix()}"
+    for parent in full.parents:
+        roots = [root.resolve() for root in package_roots(parent.name)] if parent.name else []
+        if parent in roots:
+            return f"package://{parent.name}/{full.relative_to(parent).as_posix()}"
+    return None
+
+
+def _in_package(
+    package: str, inner: str, folder: Path, packages: Mapping[str, Path], reference: str
+) -> Path:
+    """The file of a ROS package, wherever the package is found first with it."""
+    roots = list(dict.fromkeys(_package_folders(package, folder, packages)))
+    for root in roots:
+        if (root / inner).is_file():
+            return root / inner
+    if roots:
+        places = ", ".join(map(str, roots))
+        raise RobotFileError(f"mesh {reference}: no such file in the package {package!r}: {places}")
+    holder = next((each for each in (folder, *folder.parents) if (each / inner).is_file()), None)
+    found = "FOLDER" if holder is None else f"{holder}, which holds a file of that path"
+    raise RobotFileError(
+        f"mesh {reference}: the package {package!r} is no folder beside or above {folder}, is not "
+        "in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, and is not installed; "
+        f"give --package {package}={found}"
+    )
+
+
+def _package_folders(package: str, folder: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
+    """Folders that may be a ROS package, in the order in which they count.
+
+    That are the one given, those of the name from a folder upwards, those of ROS 1's and ROS 2's
+    search paths, and those of installed packages.
+    """
+    if package in packages:
+        yield packages[package]
+        return
+    for parent in (folder, *folder.parents):
+        if parent.name == package:
+            yield parent
+        if (parent / package).is_dir():
+            yield parent / package
+    for top in ros_folders():
+        yield from (each for each in (top / package, *top.glob(f"*/{package}")) if each.is_dir())
+        if top.name == package:
+            yield top
+    yield from package_roots(package)
+
+
+def ros_folders() -> list[Path]:
+    """Folders of packages that ROS_PACKAGE_PATH (ROS 1) and AMENT_PREFIX_PATH (ROS 2) name."""
+    first, second = (
+        [Path(each) for each in os.environ.get(name, "").split(os.pathsep) if each]
+        for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
+    )
+    found = [*first, *(prefix / "share" for prefix in second)]
+    return [folder for folder in found if folder.is_dir()]
+
+
+def _expanded(path: Path, packages: Mapping[str, Path]) -> str:
+    """A xacro file's URDF; packages are looked for as those of meshes are."""
+    try:
+        from xacrodoc import XacroDoc
+        from xacrodoc import packages as known
+    except ImportError:
+        raise RobotFileError(
+            f"{path}: a xacro needs the package xacrodoc; try: pip install 'xacrodoc>=2,<3'"
+        ) from None
+    refuse_entities(path.read_bytes(), path)
+    known.update_package_cache(_around(path) | {name: str(at) for name, at in packages.items()})
+    try:
+        document = XacroDoc.from_file(str(path), resolve_packages=False)
+    except Exception as error:  # xacro has no common base of its errors
+        why = " ".join(str(error).split())
+        raise RobotFileError(
+            f"{path}: xacro cannot expand it: {why} (--package NAME=FOLDER gives a package's place)"
+        ) from None
+    return document.to_urdf_string()
+
+
+def _around(path: Path) -> dict[str, str]:
+    """Folders that may be the packages a xacro names: those beside any folder above it first."""
+    found: dict[str, str] = {}
+    for parent in [*list(path.parents)[1:5], *ros_folders(), *share_folders()]:
+        for folder in sorted(parent.iterdir()):
+            if folder.is_dir() and not folder.name.startswith((".", "_")):
+                found.setdefault(folder.name, str(folder))
+    return found
+
+
+class _PrologRead(Exception):  # noqa: N818 - the way out of expat, not an error
+    """The root element has begun: no entity can be declared any more."""
+
+
+def refuse_entities(content: bytes | str, path: Path) -> None:
+    """Refuse XML that multiplies itself or reaches for other files, before it is parsed.
+
+    It is read up to the root element; what is not well-formed after it is left to who reads the
+    rest, so that a mesh of many megabytes costs nothing here.
+
+    Args:
+        content: Of an XML file, as it is parsed afterwards: of a text, the encoding that it
+            declares does not count.
+        path: Named in the message.
+
+    Raises:
+        RobotFileError: It declares an entity, as a billion laughs do, or cannot be read so far.
+    """
+
+    def refuse(name: str, *_: object) -> NoReturn:
+        raise RobotFileError(
+            f"{path.name}: it declares the XML entity {name!r}, which could grow without end or "
+            "read other files; write out what it stands for, without <!ENTITY …>"
+        )
+
+    def stop(*_: object) -> NoReturn:
+        raise _PrologRead
+
+    parser = expat.ParserCreate("utf-8" if isinstance(content, str) else None)
+    parser.EntityDeclHandler = refuse
+    parser.StartElementHandler = stop
+    try:
+        parser.Parse(content, True)
+    except _PrologRead:
+        pass
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter of its encoding
+        raise RobotFileError(f"{path}: not well-formed: {error}") from None

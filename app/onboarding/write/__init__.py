@@ -1,0 +1,1 @@
+"""Writing the description, its URDF and its report."""

@@ -1,1 +1,0 @@
-"""The paper's experiments and figures: what was measured here beside what the paper says."""

@@ -1,0 +1,1 @@
+"""The live loop: real time, commands in, snapshots out."""

@@ -1,0 +1,264 @@
+"""The live loop in a child process, where no drawing and no browser's traffic holds it up.
+
+Python runs one thread at a time: in the server's process a drawing thread that the system has put
+aside keeps the simulation waiting. Commands go out by a pipe, snapshots come back by another.
+"""
+
+from __future__ import annotations
+
+import gc
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from app.errors import LoopError
+from app.jobs.process import follow_parent, portable, starting_children
+from app.simulation.loop.commands import Command, check_command
+from app.simulation.loop.gc_freeze import settled
+from app.simulation.loop.loop import SimulationLoop
+from app.simulation.loop.mailbox import Mailbox
+from app.simulation.session import Session
+from app.simulation.trace.history import History
+from app.simulation.trace.snapshot import Snapshot
+from app.system import SPAWN, come_first
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+Array = np.ndarray
+
+_PATIENCE = 5.0  # [s] for a thread, or for the process, to end by itself
+_SEND_EVERY = 0.002  # [s] between two posts of commands
+_POST_EVERY = 0.01  # [s] between two looks for a new snapshot; there is one every 0.02 s
+_SWITCH = 2e-4  # [s] after which the loop's thread gets its turn from the one that posts
+_NICENESS = -10  # [-] wished for; browsers give their drawing -8 where they may
+
+
+class RemoteTraceback(Exception):  # noqa: N818 - the text of one, not an error by itself
+    """Cause of an error that comes from another process: its traceback there."""
+
+    def __str__(self) -> str:
+        """The text on lines of its own."""
+        return f"\n{self.args[0]}"
+
+
+class _Started(NamedTuple):
+    """The loop has begun."""
+
+    links: tuple[str, ...]
+    """Where the arm can be held."""
+
+
+class _Failure(NamedTuple):
+    """The loop has ended with an error."""
+
+    error: BaseException
+    traceback: str
+    """As it would have been printed."""
+
+
+class LoopChild:
+    """A process that waits for a session to simulate; it does so once.
+
+    Its imports take a second or two. Whoever knows early that there will be a simulation begins the
+    process before anything else, and gives it to the `ProcessLoop` later. The process is spawned,
+    so a script that uses it must guard its main part by `if __name__ == "__main__":`.
+
+    Attributes:
+        commands: Takes first how to make the session and the arm's start, then commands.
+        snapshots: Gives `_Started`, then snapshots, and a `_Failure` if it came to one.
+    """
+
+    def __init__(self) -> None:
+        """Begin the process."""
+        self.snapshots, theirs_out = SPAWN.Pipe(duplex=False)
+        theirs_in, self.commands = SPAWN.Pipe(duplex=False)
+        self._process = SPAWN.Process(
+            target=_run_loop, args=(theirs_in, theirs_out), name="simulation", daemon=True
+        )
+        self._one_waits = threading.Lock()  # of two threads that wait, one would learn nothing
+        with starting_children():
+            self._process.start()
+        for connection in (theirs_in, theirs_out):  # else its end would not close the pipes
+            connection.close()
+
+    def __enter__(self) -> Self:
+        """Nothing but itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End it if it has not ended."""
+        self.kill()
+
+    def ended(self) -> int | None:
+        """Its exit status, once it has had time to end; None if it has not ended."""
+        with self._one_waits:
+            self._process.join(_PATIENCE)
+            return self._process.exitcode
+
+    def kill(self) -> None:
+        """End it at once, whatever it does."""
+        self._process.kill()
+        self.ended()
+
+
+class ProcessLoop:
+    """Runs a session in a child process; to others it is what `SimulationLoop` is.
+
+    Attributes:
+        error: The exception that ended the loop, or None.
+        links: Where the arm can be held, once it has started.
+    """
+
+    def __init__(
+        self, make_session: Callable[[], Session], q_start: Array, child: LoopChild | None = None
+    ) -> None:
+        """Prepare; `start` begins.
+
+        Args:
+            make_session: Called once in the child; it must be possible to pickle it, as is
+                `functools.partial(Session, model, data, config)`.
+            q_start: (n_m,) arm configuration at the start and after each reset.
+            child: A process that waits; one of its own if not given.
+        """
+        self.error: BaseException | None = None
+        self.links: tuple[str, ...] = ()
+        self._history = History()
+        self._ready, self._stopping = threading.Event(), threading.Event()
+        self._mailbox, self._posted = Mailbox(), threading.Event()
+        self._task: tuple[Callable[[], Session], Array] | None = (make_session, np.array(q_start))
+        self._child = child
+        self._threads: list[threading.Thread] = []
+
+    def begin(self) -> None:
+        """Begin to make the session; `start` waits for it."""
+        self._child = self._child or LoopChild()
+        for work, name in ((self._receive, "snapshots"), (self._send, "commands")):
+            thread = threading.Thread(target=work, args=(self._child,), name=name, daemon=True)
+            thread.start()
+            self._threads.append(thread)
+
+    def start(self) -> None:
+        """Begin, if it has not begun, and wait for the first snapshot.
+
+        Raises:
+            LoopError: The session could not be made.
+        """
+        if not self._threads:
+            self.begin()
+        self._ready.wait()
+        if self.error is not None:
+            raise LoopError(f"the simulation could not start: {self.error}") from self.error
+
+    def stop(self) -> None:
+        """End the child."""
+        self._stopping.set()
+        self._posted.set()
+        if self._child is None:
+            return
+        if not self._threads or self._child.ended() is None:
+            self._child.kill()
+        for thread in self._threads:
+            thread.join(_PATIENCE)
+
+    def send(self, command: Command) -> None:
+        """See `LoopHandle.send`."""
+        check_command(command, self.links)
+        self._mailbox.put(command)
+        self._posted.set()
+
+    def latest(self) -> Snapshot:
+        """See `LoopHandle.latest`."""
+        return self._history.latest
+
+    def history(self, after: float) -> list[Snapshot]:
+        """See `LoopHandle.history`."""
+        return self._history.after(after)
+
+    def _send(self, child: LoopChild) -> None:
+        """Hand commands on to the child; a flood waits here, where it shrinks, not in the pipe."""
+        try:
+            child.commands.send(self._task)
+            self._task = None  # it holds the robot and its border
+            while not self._stopping.is_set():
+                self._posted.wait()
+                self._posted.clear()
+                for command in self._mailbox.take():
+                    child.commands.send(command)
+                self._stopping.wait(_SEND_EVERY)
+        except OSError:
+            pass  # the child's end, which `_receive` reports
+        except Exception as error:  # what cannot be pickled
+            self.error = error
+        finally:
+            child.commands.close()
+
+    def _receive(self, child: LoopChild) -> None:
+        try:
+            self._take_in(child.snapshots)
+        except (EOFError, OSError):
+            if self.error is None and not self._stopping.is_set():
+                status = child.ended()
+                self.error = LoopError(f"the process of the simulation ended with status {status}")
+        finally:
+            self._ready.set()
+
+    def _take_in(self, snapshots: Connection) -> None:
+        while True:
+            received = snapshots.recv()
+            if isinstance(received, _Failure):
+                received.error.__cause__ = RemoteTraceback(received.traceback)
+                self.error = received.error
+                return
+            if isinstance(received, _Started):
+                self.links = received.links
+                continue
+            self._history.add(received)
+            self._ready.set()
+
+
+def _run_loop(commands: Connection, snapshots: Connection) -> None:
+    """Main function of the child: run a loop until the parent's end of `commands` is closed."""
+    follow_parent()
+    sys.setswitchinterval(_SWITCH)
+    come_first(_NICENESS)
+    try:
+        make_session, q_start = commands.recv()
+    except (EOFError, OSError):
+        return  # the parent is gone, or nothing was to be simulated after all
+    loop = SimulationLoop(make_session, q_start, kept=1)  # the parent keeps the others
+    try:
+        with suppress(LoopError):  # posted below
+            loop.start()
+            snapshots.send(_Started(loop.links))
+        gc.collect()  # what is garbage already would stay with the rest
+        with settled(), suppress(EOFError, OSError):
+            _post(loop, commands, snapshots)
+    finally:
+        loop.stop()
+
+
+def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> None:
+    """Hand on commands and snapshots.
+
+    Raises:
+        EOFError: The parent has closed its end.
+        OSError: The parent is gone.
+    """
+    posted = None
+    while loop.error is None:
+        latest = loop.latest()
+        if latest is not posted:
+            snapshots.send(latest)
+            posted = latest
+        if commands.poll(_POST_EVERY):
+            with suppress(LoopError):  # too many at once, on top of those that the parent held
+                loop.send(commands.recv())
+    trace = "".join(traceback.format_exception(loop.error))
+    snapshots.send(_Failure(portable(loop.error), trace))

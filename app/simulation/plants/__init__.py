@@ -1,0 +1,1 @@
+"""Plants: pybullet, MuJoCo and a kinematic stand-in behind one interface."""

@@ -1,0 +1,106 @@
+"""pybullet and MuJoCo on one robot: what they see, what touches, and how much they differ."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from app.robot.link_pairs import sample_joints
+from app.robot.model import RobotModel
+from app.robot.state import RobotState
+from app.simulation.plants.interface import Contacts
+from app.simulation.plants.mujoco_planar import MujocoPlanar
+from app.simulation.plants.pybullet_planar import PybulletPlanar
+
+Array = np.ndarray
+
+SAME_DEPTH = 0.005
+"""[m] less than which a contact may be one in one engine only: pybullet rounds its hulls, and finds
+the depth of two hulls only nearly."""
+SAME_PICTURE = 0.002
+"""[-] share of a picture's rays below which it is the same."""
+_SAME_PLACE = 0.01  # [m] of what a ray meets: pybullet adds 1 mm to hulls, at a slant several
+_EDGE = 0.003  # [m] by which edges may differ
+_BESIDE = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
+_HALF, _PIXELS = 1.0, 48  # [m] and rays of a picture's side
+_MIDDLE, _FAR = 0.6, 3.0  # [m] height that it looks at, and from how far
+_SIDES = ((1.0, 0.3, 0.4), (-0.6, 1.0, 0.3), (-0.5, -1.0, 1.0))  # where pictures are taken from
+
+
+class Difference(NamedTuple):
+    """How two engines differ over some poses.
+
+    Attributes:
+        picture: [-] largest share of a picture's rays on the robot that meet something elsewhere.
+        depth: [m] of the deepest contact that only one of them has.
+        contacts: How often something touched in both.
+        poses: How many poses were looked at.
+    """
+
+    picture: float
+    depth: float
+    contacts: int
+    poses: int
+
+
+def compare_engines(
+    model: RobotModel, *, poses: int = 30, pictures: int = 3, seed: int = 0
+) -> Difference:
+    """Put both planar plants into random poses, take pictures by rays, and look at what touches.
+
+    Args:
+        model: The robot.
+        poses: How many.
+        pictures: In how many of them pictures are taken, from three sides.
+        seed: Of the poses.
+
+    Raises:
+        AssetError: A mesh is missing, or pybullet cannot load the robot.
+    """
+    plants = PybulletPlanar(model), MujocoPlanar(model)
+    state, rng = RobotState(model), np.random.default_rng(seed)
+    picture = depth = 0.0
+    both = 0
+    try:
+        for k, q_m in enumerate(sample_joints(model, poses, rng)):
+            base = np.array([*rng.uniform(-1, 1, 2), rng.uniform(-3, 3)])
+            for plant in plants:
+                plant.reset(base, q_m)
+            state.update(plants[0].measure())
+            if k < pictures:
+                picture = max(picture, *(_picture(plants, base, side) for side in _SIDES))
+            for plant in plants:
+                plant.step(state.g[model.n_b :], np.zeros(model.n_b), np.zeros(3))
+            one, other = (plant.world.depths() for plant in plants)
+            for group in Contacts._fields:
+                a, b = (any_ in found for any_, found in ((group, one), (group, other)))
+                both += a and b
+                if a != b:
+                    depth = max(depth, one.get(group, 0.0), other.get(group, 0.0))
+    finally:
+        for plant in plants:
+            plant.close()
+    return Difference(picture, depth, both, poses)
+
+
+def _picture(
+    plants: tuple[PybulletPlanar, MujocoPlanar], base: Array, side: tuple[float, ...]
+) -> float:
+    """[-] share of the rays that meet the robot at places that differ, in a parallel projection."""
+    forward = -np.array(side) / np.linalg.norm(side)
+    right = np.cross(forward, (0.0, 0.0, 1.0))
+    right /= np.linalg.norm(right)
+    across = np.array([right, np.cross(right, forward)])
+    grid = np.linspace(-_HALF, _HALF, _PIXELS)
+    begins = np.array([*base[:2], _MIDDLE]) - _FAR * forward
+    begins = begins + np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2) @ across
+    way, (bullet, other) = 2 * _FAR * forward, (plant.world for plant in plants)
+    one = bullet.seen(begins, begins + way)
+    beside = [begins + _EDGE * (u * across[0] + v * across[1]) for u, v in _BESIDE]
+    others = np.array([other.seen(each, each + way) for each in beside])
+    nearest, farthest = others.min(axis=0), others.max(axis=0)
+    floor = -begins[:, 2] / forward[2] - _SAME_PLACE
+    on_robot = (one < floor) | (others[0] < floor)
+    off = (one < nearest - _SAME_PLACE) | (one > farthest + _SAME_PLACE)
+    return float((off & on_robot).sum() / on_robot.sum())

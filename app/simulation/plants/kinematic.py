@@ -1,0 +1,156 @@
+"""A stand-in plant without a physics library: the equation of motion, integrated.
+
+The base moves exactly as its drive says; the arm follows M_aa q̈_a + M_ab q̈_b + h_a = u_a + J_aᵀ f.
+Nothing stops the arm but its joint limits: contacts are overlaps of the convex bodies, reported
+only. For tests, and an independent check of the engines.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from app.control.drive import Drive
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
+from app.simulation.plants.contact_pairs import body_contact_pairs
+from app.simulation.plants.interface import Contacts, Push
+from app.simulation.plants.planar import world_twist
+
+Array = np.ndarray
+
+
+class Kinematic:
+    """`Physics` by pinocchio alone."""
+
+    door = None
+
+    def __init__(
+        self, model: RobotModel, *, dt: float = 0.001, outer: Sequence[str] | None = None
+    ) -> None:
+        """The robot at rest in its ready position.
+
+        Args:
+            model: The robot.
+            dt: [s] one step.
+            outer: Names of the bodies of L_m on the arm; by default all
+                that have a reachability.
+
+        Raises:
+            UnknownNameError: `outer` names a body that the arm does not have.
+        """
+        self.dt = dt
+        self._model = model
+        self._state = RobotState(model)
+        self._overlaps = _Overlaps(model, outer)
+        self._drive = Drive(model.description.base, dt)
+        self._T = model.description.base.T
+        self.reset(np.zeros(3), np.array(model.description.arm.ready_position))
+
+    def reset(self, base_pose: Array, q_m: Array) -> None:
+        """See `Physics.reset`."""
+        self._drive.reset()
+        self._base_pose = np.array(base_pose, dtype=float)
+        self._q, self._qd = np.array(q_m, dtype=float), np.zeros(self._model.n_m)
+        self._stepped = False
+
+    def measure(self) -> Measurement:
+        """See `Physics.measure`."""
+        return Measurement(
+            self._base_pose.copy(),
+            self._drive.velocity.copy(),
+            self._q.copy(),
+            self._qd.copy(),
+            self._drive.state.copy(),
+        )
+
+    def step(
+        self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
+    ) -> None:
+        """See `Physics.step`."""
+        self._state.update(self.measure())
+        before = self._drive.velocity
+        now = self._drive.step(base_velocity)
+        rolling = self._model.J_m_inv
+        qdd_b = rolling @ (now - before) / self.dt
+        self._qd += self._arm_acceleration(u_a + self._felt(hand_force, pushes), qdd_b) * self.dt
+        self._q += self._qd * self.dt
+        twist = world_twist((self._T @ now).tolist(), float(self._base_pose[2]), self.dt)
+        self._base_pose += np.array(twist) * self.dt
+        self._stepped = True
+
+    def contacts(self) -> Contacts:
+        """See `Physics.contacts`; overlaps of the bodies, which are fatter than the links."""
+        if not self._stepped:
+            return Contacts(False, False, False)
+        return self._overlaps.at(self._model.configuration(self._base_pose, self._q))
+
+    def close(self) -> None:
+        """See `Physics.close`."""
+
+    def _felt(self, hand_force: Array, pushes: Sequence[Push]) -> Array:
+        """(n_m,) Σ J_aᵀ f: the joints' share of the forces on the arm."""
+        state, n_b = self._state, self._model.n_b
+        felt = state.J_ee[:3, n_b:].T @ np.asarray(hand_force)
+        for push in pushes:
+            joint = self._model.pin.getJointId(push.joint)
+            p_world = state.data.oMi[joint].act(push.p)
+            felt = felt + state.point_jacobian(joint, p_world)[:, n_b:].T @ push.force
+        return felt
+
+    def _arm_acceleration(self, u_a: Array, qdd_b: Array) -> Array:
+        """(n_m,) q̈_a from the arm's rows of the equation of motion, joint limits included."""
+        M, h, n_b = self._state.M, self._state.h, self._model.n_b
+        u = u_a - h[n_b:] - M[n_b:, :n_b] @ qdd_b
+        M_aa = M[n_b:, n_b:]
+        qdd = np.linalg.solve(M_aa, u)
+        held = np.zeros(len(qdd), dtype=bool)
+        while (stopped := self._beyond_limits(qdd) & ~held).any():
+            qdd[stopped] = self._stopping_acceleration()[stopped]
+            held |= stopped
+            free = ~held
+            u_free = u[free] - M_aa[np.ix_(free, held)] @ qdd[held]
+            qdd[free] = np.linalg.solve(M_aa[np.ix_(free, free)], u_free)
+        return qdd
+
+    def _beyond_limits(self, qdd: Array) -> Array:
+        """(n_m,) which joints an acceleration would bring beyond their limits in this step."""
+        q = self._q + (self._qd + qdd * self.dt) * self.dt
+        return (q < self._model.q_lower) | (q > self._model.q_upper)
+
+    def _stopping_acceleration(self) -> Array:
+        """(n_m,) that brings each joint exactly to the nearer of its limits in this step."""
+        lower, upper = self._model.q_lower, self._model.q_upper
+        limit = np.where(self._q - lower < upper - self._q, lower, upper)
+        return ((limit - self._q) / self.dt - self._qd) / self.dt
+
+
+class _Overlaps:
+    """Which bodies overlap, in the groups of `Contacts`."""
+
+    def __init__(self, model: RobotModel, outer: Sequence[str] | None) -> None:
+        pairs = body_contact_pairs(model.description, outer)
+        self._pin, self._data = model.pin, model.pin.createData()
+        self._geometry = model.geometry.copy()
+        floor = self._geometry.addGeometryObject(
+            pin.GeometryObject("floor", 0, pin.SE3.Identity(), coal.Halfspace(0.0, 0.0, 1.0, 0.0))
+        )
+        ids = {**model.shape_ids, "floor": [floor]}
+        to_floor = frozenset((name, "floor") for name in pairs.arm_floor)
+        groups = {"arm_base": pairs.arm_base, "arm_arm": pairs.arm_arm, "arm_floor": to_floor}
+        self._group_of: list[str] = []
+        for group, names in groups.items():
+            for shapes in ((i, j) for a, b in sorted(names) for i in ids[a] for j in ids[b]):
+                self._geometry.addCollisionPair(pin.CollisionPair(*shapes))
+                self._group_of.append(group)
+        self._results = pin.GeometryData(self._geometry)
+
+    def at(self, q: Array) -> Contacts:
+        """Overlaps at pinocchio's configuration `q`."""
+        pin.computeDistances(self._pin, self._data, self._geometry, self._results, q)
+        distances = [result.min_distance for result in self._results.distanceResults]
+        found = {g for g, d in zip(self._group_of, distances, strict=True) if d <= 0}
+        return Contacts(**{name: name in found for name in Contacts._fields})

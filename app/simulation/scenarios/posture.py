@@ -1,0 +1,230 @@
+"""The posture search: joints of the arm that bring its hand to a target, the best of many tries."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple
+
+import coal
+import numpy as np
+import pinocchio as pin
+from scipy.optimize import least_squares
+
+from app.avoidance.distances import ClosestPoints, DistanceMonitor
+from app.robot.link_pairs import LinkPairs
+from app.robot.model import RobotModel
+from app.robot.state import RobotState, at_rest
+
+Array = np.ndarray
+
+_MOST_EVALUATIONS = 60  # [-] of the residual
+_JOINT_MARGIN = 0.03  # [-] share of a joint's range that the least squares keep from its limits
+_TO_TARGET = 10.0  # [-] weight of the hand's place, or of its whole pose
+_TO_MIDDLE = 1e-5  # [-] weight of the joints' middle
+
+Judge = Callable[[Array], float | str]
+"""The quality [-] of a posture (n_m,), above zero and more is better, or why it may not be used."""
+
+
+class Target(NamedTuple):
+    """Where the hand has to be, and perhaps where it points.
+
+    Attributes:
+        p: (3,) [m] its origin in the world.
+        z: (3,) unit vector along which it points, or None if it may point anywhere.
+    """
+
+    p: Array
+    z: Array | None = None
+
+
+class Found(NamedTuple):
+    """The best of the postures that were tried.
+
+    Attributes:
+        q_m: (n_m,) [rad or m], or None if none may be used.
+        quality: [-] of it, 0 of none.
+        flaws: How many tries failed by each reason.
+    """
+
+    q_m: Array | None
+    quality: float
+    flaws: Counter[str]
+
+
+class PostureSearch:
+    """Tries postures of the arm and says of each what is near it.
+
+    Attributes:
+        model: The robot.
+        d_b: [m] the buffer distance.
+        state: At the posture that was placed last.
+        span, middle: (n_m,) [rad or m] of each joint's range.
+    """
+
+    def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
+        """Prepare for a robot, the pairs that count and a buffer distance [m]."""
+        self.model, self.d_b, self.state = model, d_b, RobotState(model)
+        self.span = model.q_upper - model.q_lower
+        self.middle = (model.q_upper + model.q_lower) / 2
+        self._monitor = DistanceMonitor(self.state, pairs.all)
+        self._floor = FloorDistance(self.state)
+        self._base_pose = np.zeros(3)
+        self._placed: Array | None = None
+
+    def stand(self, base_pose: Array) -> None:
+        """Put the base at x, y [m] and heading [rad], (3,); at first it stands at the origin."""
+        self._base_pose, self._placed = base_pose, None
+
+    def place(self, q_m: Array) -> None:
+        """Put the arm into a posture, (n_m,) [rad or m]."""
+        if self._placed is None or not np.array_equal(q_m, self._placed):
+            self.state.update_kinematics(at_rest(self.model, q_m, self._base_pose))
+            self._placed = q_m.copy()
+
+    def guesses(self, rng: np.random.Generator, count: int) -> Iterator[Array]:
+        """Random postures (n_m,), uniform over the joints' ranges."""
+        for _ in range(count):
+            yield self.middle + (rng.random(self.model.n_m) - 0.5) * self.span
+
+    def best(
+        self,
+        guesses: Iterable[Array],
+        judge: Judge,
+        *,
+        target: Target | pin.SE3 | None = None,
+        enough: float = np.inf,
+    ) -> Found:
+        """The posture of the highest quality among those that guesses lead to.
+
+        Args:
+            guesses: (n_m,) each, where a search begins; the postures themselves without a target.
+            judge: What a posture is worth; it is placed there already.
+            target: Where the hand, or its whole pose, has to be.
+            enough: [-] a quality with which nothing better is looked for.
+        """
+        best = Found(None, 0.0, Counter())
+        for guess in guesses:
+            q_m = guess if target is None else self.reach(target, guess)
+            self.place(q_m)
+            worth = judge(q_m)
+            if isinstance(worth, str):
+                best.flaws[worth] += 1
+            elif worth > best.quality:
+                best = best._replace(q_m=q_m, quality=worth)
+                if worth >= enough:
+                    break
+        return best
+
+    def reach(self, target: Target | pin.SE3, guess: Array) -> Array:
+        """(n_m,) the least squares of the target near a guess, drawn a little to the middle.
+
+        The joints stay a share of their range away from their limits.
+        """
+
+        def residual(q: Array) -> Array:
+            drawn = _TO_MIDDLE * (q - self.middle) / self.span
+            return np.concatenate([self.linearised(q, target)[0], drawn])
+
+        def jacobian(q: Array) -> Array:
+            return np.vstack([self.linearised(q, target)[1], np.diag(_TO_MIDDLE / self.span)])
+
+        margin = _JOINT_MARGIN * self.span
+        bounds = self.model.q_lower + margin, self.model.q_upper - margin
+        return best_posture(residual, jacobian, guess, bounds)
+
+    def linearised(self, q_m: Array, target: Target | pin.SE3) -> tuple[Array, Array]:
+        """(k,) the weighted error of the hand, and (k, n_m) its derivative by the joints.
+
+        Of a pose it is the logarithm of the way there, in the hand's frame; else what the hand is
+        off by and what its direction is.
+        """
+        self.place(q_m)
+        at, J = self.state.T_world_ee, self.J_hand
+        if isinstance(target, pin.SE3):
+            error = pin.log6(at.actInv(target)).vector
+            R = at.rotation.T
+            J = -pin.Jlog6(pin.exp6(-error)) @ np.vstack([R @ J[:3], R @ J[3:]])
+            return _TO_TARGET * error, _TO_TARGET * J
+        off = _TO_TARGET * (at.translation - target.p)
+        if target.z is None:
+            return off, _TO_TARGET * J[:3]
+        z = at.rotation[:, 2]
+        error = np.concatenate([off, z - target.z])
+        return error, np.vstack([_TO_TARGET * J[:3], -pin.skew(z) @ J[3:]])
+
+    @property
+    def J_hand(self) -> Array:
+        """(6, n_m) Jacobian of the hand by the arm's joints, in the world."""
+        return self.state.J_ee[:, self.model.n_b :]
+
+    def closest(self) -> list[ClosestPoints]:
+        """The closest points of every pair."""
+        return self._monitor.find_closest_points()
+
+    def distances(self) -> tuple[float, ...]:
+        """[m] of every pair."""
+        return self._monitor.distances()
+
+    def above_floor(self) -> float:
+        """[m] between the arm and the floor."""
+        return self._floor.least()
+
+    def joint_room(self, q_m: Array) -> float:
+        """[-] the least share of a joint's range that lies between it and a limit."""
+        left = np.minimum(q_m - self.model.q_lower, self.model.q_upper - q_m)
+        return float(np.min(left / self.span))
+
+
+class FloorDistance:
+    """Least signed distance of the arm's bodies to the floor."""
+
+    def __init__(self, state: RobotState) -> None:
+        self._state = state
+        self._geometry = state.model.geometry.copy()
+        slab = coal.Box(20.0, 20.0, 1.0)
+        floor = self._geometry.addGeometryObject(
+            pin.GeometryObject("floor", 0, 0, pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.5])), slab)
+        )
+        for name in state.model.body_names[1:]:
+            for shape in state.model.shape_ids[name]:
+                self._geometry.addCollisionPair(pin.CollisionPair(floor, shape))
+        self._data = pin.GeometryData(self._geometry)
+
+    def least(self) -> float:
+        """[m]"""
+        pin.updateGeometryPlacements(
+            self._state.model.pin, self._state.data, self._geometry, self._data
+        )
+        pin.computeDistances(self._geometry, self._data)
+        return min(result.min_distance for result in self._data.distanceResults)
+
+
+def best_posture(
+    residual: Callable[[Array], Array],
+    jacobian: Callable[[Array], Array],
+    guess: Array,
+    bounds: tuple[Array, Array],
+) -> Array:
+    """(n_m,) the joints with the least sum of squared residuals near a guess.
+
+    Args:
+        residual: (k,) of joints (n_m,).
+        jacobian: (k, n_m) its derivative.
+        guess: (n_m,) where the search begins, moved within the bounds.
+        bounds: Lower and upper, (n_m,) each.
+    """
+    inside = np.clip(guess, bounds[0] + 1e-6, bounds[1] - 1e-6)
+    return least_squares(
+        residual,
+        inside,
+        jacobian,  # pyright: ignore[reportArgumentType] - read off a default, it may be a function
+        bounds=bounds,
+        max_nfev=_MOST_EVALUATIONS,
+    ).x
+
+
+def manipulability(J: Array) -> float:
+    """√det(J Jᵀ) of a Jacobian (k, n_m); 0 where a direction is lost."""
+    return float(np.sqrt(max(np.linalg.det(J @ J.T), 0.0)))

@@ -1,0 +1,131 @@
+"""Starts in trouble: a pair inside its buffer or in penetration, and nobody pulls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from app.avoidance.distances import ClosestPoints
+from app.border.cache import BorderData
+from app.config import Config
+from app.errors import ConfigError, UnreachableError
+from app.robot.link_pairs import LinkPairs
+from app.robot.model import RobotModel
+from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
+
+if TYPE_CHECKING:
+    from app.simulation.session import Session
+
+Array = np.ndarray
+
+Begin = Literal["penetration", "buffer", "arm"]
+BEGINS: tuple[Begin, ...] = ("penetration", "buffer", "arm")
+"""Kinds of starts: some pair in penetration; a pair of L_m inside its buffer, none in penetration;
+a pair of L_m^c inside its buffer, none in penetration."""
+
+DEEPEST = 0.05
+"""[m] the deepest penetration that is drawn."""
+_FLOOR_MARGIN = 0.01  # [m] between arm and floor
+_FROM_ABOVE = 0.7  # [-] |n_z| from which a pair of L_m meets from above
+_TRIES = 20_000  # random configurations before a kind of start is given up
+
+
+@dataclass(frozen=True)
+class WayOutScenario(Scenario):
+    """The arm begins where it should not be, drawn by the seed, and is left alone."""
+
+    name: str = "way-out"
+    duration: float = 3.0
+    about: str = "a start inside a buffer or in penetration, which the robot has to leave"
+    begin: Begin = "penetration"
+    """Which kind of start is drawn."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.begin not in BEGINS:
+            raise ConfigError(f"--begin: {self.begin!r} is none of {', '.join(BEGINS)}")
+
+    def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
+        """See `Scenario.setting`.
+
+        Raises:
+            UnreachableError: The robot has no such start.
+        """
+        starts = TroubledStarts(model, data.pairs, config.border.d_b)
+        return Setting(model, data, np.zeros(3), starts.draw(self.begin, seed), config)
+
+    def leader(self, session: Session) -> Leader:
+        """See `Scenario.leader`."""
+        del session
+        return lambda _: Lead()
+
+
+class TroubledStarts:
+    """Draws arm configurations that begin in trouble, the base at the origin.
+
+    Which pair is in trouble is drawn first, and for a pair of L_m whether the arm meets the base
+    from above or from the side: among uniformly drawn configurations some of these hardly occur.
+    """
+
+    def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
+        """Prepare for a robot and a buffer distance [m]."""
+        # Imported here: scipy would make every command start later.
+        from app.simulation.scenarios.posture import PostureSearch
+
+        self._pairs, self._search = pairs, PostureSearch(model, pairs, d_b)
+
+    def draw(self, begin: Begin, seed: int) -> Array:
+        """(n_m,) an arm configuration of that kind, the same for the same seed.
+
+        Raises:
+            UnreachableError: None was found.
+        """
+        rng = np.random.default_rng([seed, BEGINS.index(begin)])
+        wanted = self._kinds(begin)
+        for k in rng.permutation(len(wanted)):
+            if (q_m := self._first(wanted[k], rng)) is not None:
+                return q_m
+        raise UnreachableError(
+            f"no configuration of the arm begins with {begin!r} in {_TRIES} tries a pair"
+        )
+
+    def _kinds(self, begin: Begin) -> list[Callable[[Sequence[ClosestPoints]], bool]]:
+        """What may be wrong at the start, one condition on the closest points of all pairs each."""
+        mobile = range(len(self._pairs.mobile))
+        arm = range(len(mobile), len(mobile) + len(self._pairs.manipulator))
+        depth = (-DEEPEST, 0.0) if begin == "penetration" else (0.0, self._search.d_b)
+        kinds: list[Callable[[Sequence[ClosestPoints]], bool]] = []
+        if begin != "arm":
+            kinds += [_worst(i, depth, above) for i in mobile for above in (True, False)]
+        if begin != "buffer":
+            kinds += [_worst(i, depth, None) for i in arm]
+        return kinds
+
+    def _first(
+        self, wanted: Callable[[Sequence[ClosestPoints]], bool], rng: np.random.Generator
+    ) -> Array | None:
+        """The first of random postures above the floor for which a condition holds."""
+        search, model = self._search, self._search.model
+        guesses = (rng.uniform(model.q_lower, model.q_upper) for _ in range(_TRIES))
+        return search.best(
+            guesses,
+            lambda _: float(wanted(search.closest()) and search.above_floor() > _FLOOR_MARGIN),
+            enough=1.0,
+        ).q_m
+
+
+def _worst(
+    i: int, depth: tuple[float, float], above: bool | None
+) -> Callable[[Sequence[ClosestPoints]], bool]:
+    """Whether pair i is the nearest one, its distance within `depth`, met from above or not."""
+
+    def holds(closest: Sequence[ClosestPoints]) -> bool:
+        pair = closest[i]
+        if not depth[0] <= pair.d <= depth[1] or pair.d > min(c.d for c in closest):
+            return False
+        return above is None or (abs(pair.n[2]) > _FROM_ABOVE) == above
+
+    return holds

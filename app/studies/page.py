@@ -1,0 +1,145 @@
+"""The one report kit: a page of parts with text, pictures and tables, which needs nothing else."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+from jinja2 import Environment, StrictUndefined, Template
+
+_UNITS = {
+    "_m4prad4": "m⁴/rad⁴",
+    "_radps2": "rad/s²",
+    "_mps2": "m/s²",
+    "_per_m2": "1/m²",
+    "_per_m": "1/m",
+    "_rad": "rad",
+    "_nm": "N m",
+    "_us": "µs",
+    "_m": "m",
+    "_n": "N",
+    "_s": "s",
+    "_radps": "rad/s",
+    "_mps": "m/s",
+}
+"""Endings of keys; longer ones first where one ends in another."""
+
+
+class Cell(NamedTuple):
+    """A cell of a table that is more than its text.
+
+    Attributes:
+        text: What it says.
+        notes: Lines in small print below it.
+        mark: `yes`, `no` or nothing, for its colour.
+    """
+
+    text: str
+    notes: Sequence[str] = ()
+    mark: str = ""
+
+
+class Grid(NamedTuple):
+    """A table.
+
+    Attributes:
+        head: Titles of the columns, or none.
+        rows: Its cells, plain text or `Cell`.
+        numbers: Whether the columns after the first are numbers, which are not broken.
+    """
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[str | Cell]]
+    numbers: bool = False
+
+
+class Part(NamedTuple):
+    """A part of a page, in the order in which it is shown.
+
+    Attributes:
+        title: Its heading, and what its picture shows.
+        name: What the page's links call it, or nothing if none leads to it.
+        text: Paragraphs.
+        png: A picture, which stands in the page itself.
+        tables: Tables.
+        points: A list of sentences.
+        note: A last line, in grey.
+        sides: Two parts side by side.
+    """
+
+    title: str = ""
+    name: str = ""
+    text: Sequence[str] = ()
+    png: bytes | None = None
+    tables: Sequence[Grid] = ()
+    points: Sequence[str] = ()
+    note: str = ""
+    sides: Sequence[Part] = ()
+
+
+def page_html(title: str, lead: str, parts: Sequence[Part]) -> str:
+    """The page; all that it is given is text and no markup.
+
+    Args:
+        title: Its title and heading.
+        lead: A sentence or two below it.
+        parts: The parts; those with a name are linked to at the top.
+    """
+    return _template().render(title=title, lead=lead, parts=parts)
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["base64"] = lambda png: b64encode(png).decode("ascii")
+    return environment.from_string(files("app.studies").joinpath("page.html.j2").read_text("utf-8"))
+
+
+def measured_grids(measured: Mapping[str, Any]) -> list[Grid]:
+    """Tables of figures; cases with figures of their own stand side by side."""
+    plain = _flat({k: v for k, v in measured.items() if not isinstance(v, Mapping)})
+    cases = {k: _flat(v) for k, v in measured.items() if isinstance(v, Mapping)}
+    keys = dict.fromkeys(key for case in cases.values() for key in case)
+    grids = [
+        Grid((), [(label(key), _text(value)) for key, value in plain.items()], numbers=True),
+        Grid(
+            ("", *cases),
+            [(label(key), *(_text(case.get(key)) for case in cases.values())) for key in keys],
+            numbers=True,
+        ),
+    ]
+    return [grid for grid in grids if grid.rows]
+
+
+def label(key: str) -> str:
+    """A key as people read it, its unit in brackets."""
+    for ending, unit in _UNITS.items():
+        if key.endswith(ending) and len(key) > len(ending):
+            return f"{key.removesuffix(ending).replace('_', ' ')} [{unit}]"
+    return key.replace("_", " ")
+
+
+def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Nested figures under joined keys."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            flat |= {f"{key}, {inner}": v for inner, v in value.items()}
+        else:
+            flat[key] = value
+    return flat
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return "never"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_text, value))
+    return f"{value:,}" if isinstance(value, int) else str(value)

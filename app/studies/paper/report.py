@@ -1,0 +1,154 @@
+"""The whole command: runs, figures, claims and the page, written into a folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+from app.studies.drawing import Drawing
+from app.studies.page import Cell, Grid, Part, measured_grids, page_html
+from app.studies.paper.claims import claims_of, judge
+from app.studies.paper.experiments import (
+    ROBOT,
+    Experiment,
+    Sources,
+    duration,
+    load_sources,
+    run_experiments,
+)
+from app.studies.paper.names import FIGURES
+from app.studies.style import styled
+
+_DRAWING = 5.0  # [s] of simulated time that drawing a figure costs about as much as
+
+
+def experiments_for(names: Sequence[str]) -> list[Experiment]:
+    """What has to be run for these figures and their claims, each once."""
+    needs = [e for name in names for e in FIGURES[name].needs]
+    needs += [e for claim in claims_of(names) for e in claim.needs]
+    return list(dict.fromkeys(needs))
+
+
+def work(names: Sequence[str]) -> float:
+    """[s] of simulated time that making these figures costs about as much as."""
+    return duration(experiments_for(names)) + _DRAWING * len(names)
+
+
+def reproduce(
+    names: Sequence[str],
+    out: Path,
+    *,
+    seed: int = 0,
+    processes: int = 1,
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> dict[str, Any]:
+    """Make figures with their data, judge the claims, and write all of it.
+
+    Args:
+        names: Names of figures, in the order of the page.
+        out: An existing folder.
+        seed: Of everything random in the runs.
+        processes: How many runs to do side by side.
+        on_progress: Called now and then with how much of `work` is done [s].
+
+    Returns:
+        What `metrics.json` holds.
+
+    Raises:
+        DbbError: A run cannot be done.
+    """
+    begin = perf_counter()
+    experiments = experiments_for(names)
+    loaded = load_sources()
+    runs = run_experiments(experiments, seed=seed, processes=processes, on_progress=on_progress)
+    sources = Sources(loaded.model, loaded.data, loaded.config, runs)
+    figures: dict[str, dict[str, Any]] = {}
+    parts, done = [], duration(experiments)
+    for name in names:
+        with styled():
+            drawing = FIGURES[name].draw(sources)
+            files = drawing.write(out, name)
+        parts.append(figure_part(name, drawing, files))
+        figures[name] = {
+            "title": drawing.title,
+            "files": [path.name for path in files],
+            "measured": dict(drawing.measured),
+            "remarks": list(drawing.remarks),
+        }
+        done += _DRAWING
+        on_progress(done)
+    claims = [judge(claim, sources) for claim in claims_of(names)]
+    about = f"Robot {ROBOT}, seed {seed}, {len(runs)} runs."
+    (out / "index.html").write_text(paper_page(parts, claims, about), encoding="utf-8")
+    result = {
+        "robot": ROBOT,
+        "seed": seed,
+        "figures": figures,
+        "claims": claims,
+        "claims_that_hold": sum(bool(claim["holds"]) for claim in claims),
+        "claims_that_do_not": sum(not claim["holds"] for claim in claims),
+        "runs": {e.name: runs[e].figures for e in experiments},
+        "page": "index.html",
+        "elapsed_s": perf_counter() - begin,
+    }
+    text = json.dumps(result, indent=2, allow_nan=False) + "\n"
+    (out / "metrics.json").write_text(text, encoding="utf-8")
+    return result
+
+
+def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], about: str) -> str:
+    """`index.html`: all claims, then all figures.
+
+    Args:
+        figures: As `figure_part` makes them.
+        claims: Rows of the table of claims, as `claims.judge` gives them.
+        about: One sentence about what was run.
+    """
+    hold = sum(bool(claim["holds"]) for claim in claims)
+    tally = f"{hold} of {len(claims)} claims hold here. " if claims else ""
+    lead = (
+        "Reactive Self-Collision Avoidance for a Differentially Driven Mobile Manipulator, in "
+        f"simulation. {tally}{about}"
+    )
+    first = [_claims_part(claims)] if claims else []
+    return page_html("The paper's experiments, reproduced", lead, [*first, *figures])
+
+
+def figure_part(name: str, drawing: Drawing, files: Sequence[Path]) -> Part:
+    """One figure: the picture, and what the paper says beside what was measured.
+
+    Args:
+        name: As the command calls it.
+        drawing: The figure.
+        files: What was written of it, the picture first.
+    """
+    measured = Part(
+        "Measured here",
+        tables=measured_grids(drawing.measured),
+        points=drawing.remarks,
+        note=", ".join(path.name for path in files),
+    )
+    paper = Part("The paper says", text=[drawing.paper])
+    return Part(drawing.title, name, png=files[0].read_bytes(), sides=(paper, measured))
+
+
+def _claims_part(claims: Sequence[Mapping[str, Any]]) -> Part:
+    rows = [
+        (
+            f"§{claim['section']}",
+            claim["paper"],
+            Cell(claim["measured"], [_limit(limit) for limit in claim["limits"]]),
+            Cell("✓ holds", mark="yes") if claim["holds"] else Cell("✗ does not", mark="no"),
+        )
+        for claim in claims
+    ]
+    head = ("", "The paper says", "Measured here", "Holds")
+    return Part("What the paper claims", tables=[Grid(head, rows)])
+
+
+def _limit(limit: Mapping[str, Any]) -> str:
+    """Where the number comes from against which the measured one was held."""
+    return f"{limit['value']:g} {limit['unit']}".strip() + f": {limit['source']}"

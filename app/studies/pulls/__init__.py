@@ -1,0 +1,1 @@
+"""Random pulls by the thousand (`dbb study`)."""

@@ -1,0 +1,213 @@
+"""The pictures of a study's report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PathCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from app.studies.pulls.envelope import FORCE, Envelope
+from app.studies.pulls.play import Row, failed, met_base, met_itself
+from app.studies.pulls.sources import Outline
+from app.studies.style import INK, SOFT, TARGET, new_figure, png_of, styled
+
+Array = np.ndarray
+
+_CLEARANCES = 0.0, 0.15  # [m] ends of the scale of colours
+_SHADE = "#DCEBF5"
+_INSIDE, _OUTSIDE = "#0072B2", "#E69F00"
+_BEYOND = 1.15  # [-] of the largest speed, where the picture ends
+
+
+def draw_all(
+    rows: Sequence[Row], envelope: Envelope, outline: Outline, d_b: float
+) -> dict[str, bytes]:
+    """All figures as PNG, by their names.
+
+    Args:
+        rows: One a case, by columns of the table; at least one.
+        envelope: Fitted to them, or stated.
+        outline: Of the mobile robot.
+        d_b: [m] buffer distance.
+    """
+    makers: dict[str, Callable[[], Figure]] = {
+        "envelope": lambda: draw_envelope(rows, envelope),
+        "clearance": lambda: draw_clearance(rows, envelope, d_b),
+        "errors": lambda: draw_errors(rows),
+        "places": lambda: draw_places(rows, outline),
+    }
+    with styled():
+        return {name: png_of(make()) for name, make in makers.items()}
+
+
+def draw_envelope(rows: Sequence[Row], envelope: Envelope) -> Figure:
+    """Exerted force against speed, one panel a band of the delay; what is inside is shaded."""
+    edges, bands = envelope.base_delay, len(envelope.base_delay) - 1
+    figure = new_figure(4.6)
+    panels = figure.subplots(1, bands, sharey=True, squeeze=False)[0]
+    known = [row for row in rows if row.get(FORCE) is not None]
+    top = _BEYOND * max([row[FORCE] for row in known] + [v for r in envelope.force for v in r])
+    points = None
+    for j, axes in enumerate(panels):
+        limits = [row[j] for row in envelope.force]
+        axes.stairs(limits, envelope.speed, fill=True, color=_SHADE, zorder=0)
+        axes.stairs(limits, envelope.speed, baseline=None, color=INK, linewidth=2, zorder=3)
+        last = j == bands - 1
+        here = [
+            row
+            for row in known
+            if edges[j] <= row["base_delay_s"] and (last or row["base_delay_s"] < edges[j + 1])
+        ]
+        points = _scatter(axes, here, "speed_mps", FORCE) or points
+        axes.set_title(f"delay of the base {edges[j]:.2f} to {edges[j + 1]:.2f} s")
+        axes.set_xlabel("speed of the person's hand [m/s]")
+        axes.set_xlim(envelope.speed[0] - 0.02, envelope.speed[-1] + 0.02)
+        axes.set_ylim(0.0, top)
+    panels[0].set_ylabel("force exerted until near [N]")
+    _clearance_scale(figure, points, panels)
+    _legend(figure)
+    return figure
+
+
+def draw_clearance(rows: Sequence[Row], envelope: Envelope, d_b: float) -> Figure:
+    """How near the arm came to the base: over all cases, and by where the pull came from."""
+    figure = new_figure(4.2)
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    known = [row for row in rows if row.get("min_clearance_m") is not None]
+    low = min([0.0] + [row["min_clearance_m"] for row in known])
+    bins = np.arange(np.floor(low / 0.01) * 0.01, 0.3 + 0.01, 0.01)
+    inside = [row["min_clearance_m"] for row in known if envelope.holds_row(row)]
+    outside = [row["min_clearance_m"] for row in known if not envelope.holds_row(row)]
+    left.hist(
+        [np.clip(part, bins[0], bins[-1]) for part in (inside, outside)],
+        bins=list(bins),
+        stacked=True,
+        color=[_INSIDE, _OUTSIDE],
+        label=[f"inside, {len(inside)}", f"outside, {len(outside)}"],
+    )
+    for value in (0.0, d_b):
+        left.axvline(value, color=TARGET if value == 0.0 else SOFT, linewidth=1.2)
+    left.set_xlabel("least distance between arm and base [m]; the last bar holds all beyond")
+    left.set_ylabel("cases")
+    left.legend(title="envelope", loc="upper center")
+    _strips(right, known, "min_clearance_m")
+    right.axvline(0.0, color=TARGET, linewidth=1.2)
+    right.set_xlim(min(low, 0.0) - 0.01, 0.3)
+    right.set_xlabel("least distance [m]")
+    return figure
+
+
+def draw_errors(rows: Sequence[Row]) -> Figure:
+    """How far the hand ended from where the person pulled it."""
+    figure = new_figure(3.8)
+    left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+    known = [row for row in rows if row.get("ee_error_final_m") is not None]
+    values = np.clip([row["ee_error_final_m"] for row in known], 1e-5, None)
+    left.hist(values, bins=list(np.geomspace(1e-5, 1.0, 41)), color=_INSIDE)
+    left.set_xscale("log")
+    left.set_xlabel("distance of the hand from where it is pulled, at the end [m]")
+    left.set_ylabel("cases")
+    _strips(right, known, "ee_error_final_m")
+    right.set_xscale("log")
+    right.set_xlim(1e-5, 1.0)
+    right.set_xlabel("the same [m]")
+    return figure
+
+
+def draw_places(rows: Sequence[Row], outline: Outline) -> Figure:
+    """Starts and pulls in plan, and seen from behind; what failed is red."""
+    figure = new_figure(5.6)
+    plan, behind = figure.subplots(1, 2, width_ratios=(5, 4))
+    (x, y), (length, width) = outline.lower, outline.upper - outline.lower
+    views = (
+        (plan, "x", "y", Rectangle((x, y), length, width)),
+        (behind, "y", "z", Rectangle((y, 0.0), width, outline.top)),
+    )
+    points = None
+    for axes, across, up, base in views:
+        base.set(facecolor="#EEF1F4", edgecolor=SOFT, zorder=0)
+        axes.add_patch(base)
+        for row in sorted(rows, key=failed):
+            begin = np.array([row[f"start_{across}_m"], row[f"start_{up}_m"]])
+            end = np.add(begin, [row[f"move_{across}_m"], row[f"move_{up}_m"]])
+            bad = failed(row)
+            axes.plot(
+                *np.column_stack([begin, end]),
+                color=TARGET if bad else SOFT,
+                linewidth=0.8,
+                alpha=0.9 if bad else 0.4,
+            )
+        points = _scatter(axes, rows, f"start_{across}_m", f"start_{up}_m") or points
+        axes.set_aspect("equal")
+        axes.set_xlabel(f"{across} [m]")
+        axes.set_ylabel(f"{up} [m]")
+    behind.invert_xaxis()  # the left is left for who stands behind
+    _clearance_scale(figure, points, [plan, behind])
+    _legend(figure)
+    return figure
+
+
+def _scatter(axes: Axes, rows: Sequence[Row], x: str, y: str) -> PathCollection | None:
+    """Good cases coloured by their least distance, failed ones as crosses by what failed."""
+    good = [row for row in rows if not failed(row)]
+    points = None
+    if good:
+        points = axes.scatter(
+            [row[x] for row in good],
+            [row[y] for row in good],
+            c=[row["min_clearance_m"] for row in good],
+            cmap="viridis",
+            norm=Normalize(*_CLEARANCES),
+            s=16,
+            linewidths=0.4,
+            edgecolors="white",
+            zorder=4,
+        )
+    for rule, style in _MARKS.values():
+        bad = [row for row in rows if failed(row) and rule(row)]
+        axes.scatter([r[x] for r in bad], [r[y] for r in bad], zorder=5, **style)
+    return points
+
+
+_MARKS: dict[str, tuple[Callable[[Row], bool], dict]] = {
+    "arm met base": (met_base, {"marker": "x", "s": 44, "c": TARGET}),
+    "within the arm": (
+        lambda row: met_itself(row) and not met_base(row),
+        {"marker": "+", "s": 54, "c": "#882E72"},
+    ),
+    "no solution, NaN or broken off": (
+        lambda row: not met_base(row) and not met_itself(row),
+        {"marker": "^", "s": 34, "c": "#D55E00"},
+    ),
+}
+
+
+def _legend(figure: Figure) -> None:
+    """What the marks of failed cases mean, above the panels."""
+    empty = figure.axes[0]
+    handles = [empty.scatter([], [], **style) for _, style in _MARKS.values()]
+    figure.legend(handles, list(_MARKS), loc="outside upper center", ncols=len(_MARKS))
+
+
+def _clearance_scale(figure: Figure, points: PathCollection | None, axes: Sequence[Axes]) -> None:
+    if points is not None:
+        bar = figure.colorbar(points, ax=list(axes), extend="max", pad=0.01)
+        bar.set_label("least distance, arm to base [m]")
+
+
+def _strips(axes: Axes, rows: Sequence[Row], column: str) -> None:
+    """One row of points a kind, spread evenly so that they can be told apart."""
+    kinds = sorted({row["kind"] for row in rows}, reverse=True)
+    for y, kind in enumerate(kinds):
+        here = [row for row in rows if row["kind"] == kind]
+        spread = y + 0.5 * (np.arange(len(here)) % 7 - 3) / 6
+        colours = [TARGET if failed(row) else _INSIDE for row in here]
+        values = np.clip([row[column] for row in here], None if column[0] == "m" else 1e-5, None)
+        axes.scatter(values, spread, c=colours, s=10, linewidths=0)
+    axes.set_yticks(range(len(kinds)), kinds, fontsize=9)
+    axes.grid(visible=False, axis="y")

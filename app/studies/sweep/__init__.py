@@ -1,0 +1,1 @@
+"""Sweeps: paths towards the base from everywhere (`dbb sweep`)."""

@@ -1,0 +1,111 @@
+"""A signal ends a command by its convention, whatever compiled code makes of it."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+
+import pytest
+
+from app.cli import main
+from app.cli.common import progress_bar
+from app.errors import LoopError
+
+ENTRY = sys.modules["app.cli.main"]
+"""The module; the package gives the function by the same name."""
+
+
+def interrupted() -> None:
+    """As if Ctrl-C were pressed here."""
+    signal.raise_signal(signal.SIGINT)
+
+
+@pytest.fixture(autouse=True)
+def default_handler() -> Iterator[None]:
+    """A command finds Python's own; a test that fails must not end the tests."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+def turned_into_another_error() -> None:
+    """As a kernel does that was about to return."""
+    try:
+        interrupted()
+    except KeyboardInterrupt as error:
+        raise SystemError("returned a result with an exception set") from error
+
+
+def swallowed() -> None:
+    """As a callback out of compiled code does; the work goes on."""
+    with progress_bar("work", 10.0) as on_progress:
+        for done in range(10):
+            try:
+                if done == 3:
+                    interrupted()
+            except KeyboardInterrupt:
+                pass
+            on_progress(done)
+            if done > 3:
+                pytest.fail("nobody heard it")
+
+
+@pytest.mark.parametrize("command", [interrupted, turned_into_another_error, swallowed])
+def test_an_interrupted_command_says_so_in_one_line(command, monkeypatch, capsys):
+    monkeypatch.setattr(ENTRY, "_run", lambda _: command())
+    with pytest.raises(SystemExit) as end:
+        main(["run"])
+    assert end.value.code == 130
+    assert capsys.readouterr().err == "dbb: interrupted\n"
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_other_ending_signals_leave_by_every_finally(number, monkeypatch):
+    tidied = []
+
+    def command(_: object) -> None:
+        try:
+            signal.raise_signal(number)
+        except SystemExit:
+            tidied.append(True)
+            raise ValueError("as compiled code makes of it") from None
+
+    monkeypatch.setattr("app.cli.signals._LONGEST", 3600.0)
+    monkeypatch.setattr(ENTRY, "_run", command)
+    with pytest.raises(SystemExit) as end:
+        main(["run"])
+    assert end.value.code == 128 + number
+    assert tidied == [True]
+    assert signal.getsignal(number) is signal.SIG_DFL
+
+
+def test_what_a_command_says_after_it_was_interrupted_is_heard(monkeypatch, capsys):
+    def ended_by_ctrl_c(_: object) -> None:
+        with suppress(KeyboardInterrupt):
+            interrupted()
+        raise LoopError("the simulation had ended")
+
+    monkeypatch.setattr(ENTRY, "_run", ended_by_ctrl_c)
+    with pytest.raises(SystemExit) as end:
+        main(["serve"])
+    assert end.value.code == 2
+    assert "the simulation had ended" in capsys.readouterr().err
+
+
+def test_an_error_that_no_interrupt_caused_stays_what_it_is(monkeypatch):
+    def fails(_: object) -> None:
+        raise SystemError("of another kind")
+
+    monkeypatch.setattr(ENTRY, "_run", fails)
+    with pytest.raises(SystemError, match="of another kind"):
+        main(["run"])
+
+
+def test_who_ignores_ctrl_c_is_not_interrupted(monkeypatch):
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    monkeypatch.setattr(ENTRY, "_run", lambda _: interrupted())
+    main(["run"])
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN

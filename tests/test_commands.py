@@ -1,0 +1,109 @@
+"""Whatever can be known to be wrong is refused where it enters, as its sender's error."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from app.errors import ConfigError, DbbError, TargetError, UnknownNameError
+from app.simulation.loop.commands import (
+    Choose,
+    Compare,
+    Configure,
+    Pause,
+    Play,
+    Pull,
+    Release,
+    Speed,
+    StepOnce,
+    check_command,
+)
+from app.simulation.scenarios.names import SCENARIOS
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_a_scenario_by_its_name_is_the_play_of_that_scenario(name):
+    assert Play.named(name) == Play(SCENARIOS[name])
+
+
+def test_options_are_the_scenarios_own_fields():
+    played = Play.named("refrigerator", {"hinge": "right", "door_width": 0.5})
+    assert played == Play(SCENARIOS["refrigerator"].changed(hinge="right", door_width=0.5))
+
+
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [
+        ("refrigerator", {"door_width": 3.0}),
+        ("refrigerator", {"door_width": "wide"}),
+        ("refrigerator", {"base": (0.0, NAN, 0.0)}),
+        ("refrigerator", {"hinge_position": (1.0,)}),
+        ("refrigerator", {"start": (0.5, 0.0, 0.5)}),
+        ("tracking", {"start": (0.5, 0.0)}),
+        ("tracking", {"move": (0.5, 0.0, math.inf)}),
+        ("tracking", {"mode": "dancing"}),
+        ("tracking", {"moving": 0.0}),
+        ("tracking", {"duration": 0.0}),
+        ("tracking", {"duration": NAN}),
+        ("tracking", {"duration": 1e9}),
+        ("tracking", {"name": "another"}),
+        ("way-out", {"begin": "asleep"}),
+    ],
+)
+def test_options_that_are_none_or_out_of_range_are_refused(name, options):
+    with pytest.raises(ConfigError):
+        Play.named(name, options)
+
+
+@pytest.mark.parametrize(
+    ("make", "error"),
+    [
+        (lambda: Play.named("guiding-latera"), UnknownNameError),
+        (lambda: Choose("dbbb"), UnknownNameError),
+        (lambda: Pull((0.7, 0.0, 0.4), "base_link"), UnknownNameError),
+        (lambda: Pull((0.7, 0.0, 0.4), 5), UnknownNameError),
+        (lambda: Pull((0.7, 0.0, 0.4), "panda_link4", (2.0, 0.0, 0.0)), TargetError),
+        (lambda: Pull((0.7, 0.0, 0.4), "panda_link4", (NAN, 0.0, 0.0)), TargetError),
+        (lambda: Pull((0.7, 0.0, 0.4), None, (0.1, 0.0, 0.0)), TargetError),
+        (lambda: Pull((0.7, 0.0, 0.4), who=-1), ConfigError),
+        (lambda: Pull((0.7, 0.0, 0.4), who="me"), ConfigError),
+        (lambda: Release(None), ConfigError),
+        (lambda: Compare(("dbb", "none", "barrier")), ConfigError),
+        (lambda: Compare("dbb"), ConfigError),
+        (lambda: Compare((["dbb"],)), UnknownNameError),
+        (lambda: Compare(("dbb", "no")), UnknownNameError),
+        (lambda: Compare(("dbb",), "time"), UnknownNameError),
+        (lambda: Pull((0.7, 0.0, -0.01)), TargetError),
+        (lambda: Pull((0.7, NAN, 0.2)), TargetError),
+        (lambda: Pull((0.7, 0.2)), TargetError),
+        (lambda: Pull(("a", "b", "c")), TargetError),
+        (lambda: Pull((1e300, 0.0, 0.5)), TargetError),
+        (lambda: Pull("x"), TargetError),
+        (lambda: Configure("d_b = 0.2"), ConfigError),
+        (lambda: Pause("yes"), ConfigError),
+        (lambda: Speed(0.05), ConfigError),
+        (lambda: Speed(4.5), ConfigError),
+        (lambda: Speed(NAN), ConfigError),
+        (lambda: Speed("fast"), ConfigError),
+        (lambda: StepOnce(0.0), ConfigError),
+        (lambda: StepOnce(60.0), ConfigError),
+        (lambda: Play("tracking"), ConfigError),
+        (lambda: "reset", ConfigError),
+        (lambda: None, ConfigError),
+    ],
+)
+def test_what_is_no_command_is_refused_with_an_error_of_the_project(make, error):
+    with pytest.raises(error) as caught:
+        check_command(make(), ("panda_link4",))
+    assert isinstance(caught.value, DbbError)
+
+
+@pytest.mark.parametrize(
+    "command",
+    [Pull((0.5, 0.0, 0.4), "panda_link4"), Pull(None), Choose("none"), Speed(4), StepOnce()],
+)
+def test_what_can_be_obeyed_passes(command):
+    check_command(command, ("panda_link4",))

@@ -1,0 +1,61 @@
+"""What README and documentation offer to copy works: the loop and the commands."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+import app
+from app.cli.main import main
+from app.robot.state import RobotState
+from tests.readme import README, page, section
+from tools.pages import command_names
+
+LONGEST_LOOP = 12  # [-] lines
+
+
+def run_loop() -> dict[str, Any]:
+    """The names that the README's loop leaves behind."""
+    (code,) = re.findall(r"^```python\n(.*?)^```", README, re.M | re.S)
+    assert len(code.splitlines()) <= LONGEST_LOOP
+    names: dict[str, Any] = {}
+    exec(compile(code, "README.md", "exec"), names)
+    return names
+
+
+@pytest.mark.skipif(not hasattr(app, "ControlLoop"), reason="app does not export its core yet")
+def test_the_loop_of_the_readme_runs_and_holds_the_arm() -> None:
+    """Gravity compensation without a person, and the base stays."""
+    names = run_loop()
+    state = RobotState(names["model"])
+    state.update(names["measured"])
+    assert np.abs(state.g[2:]).max() > 1.0  # [N m] there is something to hold
+    np.testing.assert_allclose(names["command"].u_a, state.g[2:], atol=1e-4)
+    np.testing.assert_allclose(names["command"].base_velocity, 0.0, atol=1e-6)
+    assert names["loop"].controller.failures == 0
+
+
+def examples() -> list[str]:
+    """The examples of the page on commands."""
+    return re.findall(r"^\| `dbb .*\| `(dbb .*?)` \|$", section("Examples", page("commands")), re.M)
+
+
+@pytest.mark.parametrize("example", examples())
+def test_every_option_of_an_example_is_one_of_its_command(
+    example: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, command, *rest = example.split()
+    with pytest.raises(SystemExit) as end:
+        main([command, "--help"])
+    assert end.value.code in (0, None)
+    printed = capsys.readouterr().out
+    for option in (word for word in rest if word.startswith("--")):
+        assert re.search(rf"{option}\b", printed), option
+
+
+def test_there_is_an_example_of_every_command() -> None:
+    assert {"serve", "run", "new-robot"} <= set(command_names())
+    assert {example.split()[1] for example in examples()} == set(command_names())

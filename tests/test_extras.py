@@ -1,0 +1,107 @@
+"""Plain `pip install` brings what the controller needs; a command says which extra it lacks."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+
+import pytest
+
+from app.errors import EXTRAS, MissingExtraError, extras_named
+from tests.test_import_direction import FILES, PROJECT, imported, package_of, room_of
+
+BASE = {
+    "coal",
+    "llvmlite",
+    "numba",
+    "numpy",
+    "pinocchio",
+    "platformdirs",
+    "proxsuite",
+    "pydantic",
+    "pydantic_core",
+    "rich",
+    "tomli",
+    "tomlkit",
+    "typing_extensions",
+    "tyro",
+}
+"""Modules that a plain installation brings."""
+
+NAMED_OTHERWISE = {
+    "fast_simplification": "fast-simplification",
+    "mpl_toolkits": "matplotlib",
+    "PIL": "pillow",
+    "pybullet_data": "pybullet",
+    "dask": "distributed",
+    "msgspec": "viser",
+    "websockets": "viser",
+}
+"""Packages by a module of another name that they or their dependencies bring."""
+
+
+def test_every_library_comes_with_the_package_or_an_extra_that_is_named() -> None:
+    known = BASE | {module for modules in EXTRAS.values() for module in modules} | {"app"}
+    for path in FILES:
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        names = {name.partition(".")[0] for name in imported(tree, package_of(path))}
+        assert names - sys.stdlib_module_names <= known, path
+
+
+def test_the_method_needs_no_extra_where_it_imports_at_the_top_of_a_module() -> None:
+    lazily = {"meshes.py", "map.py", "solver.py"}  # of shapes that are meshes; of `dbb reach`
+    for path in FILES:
+        if room_of(path) in {"robot", "border", "avoidance", "control"} and path.name not in lazily:
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            top = ast.Module(list(tree.body), [])
+            for node in ast.walk(tree):
+                if isinstance(node, ast.FunctionDef):
+                    node.body = []
+            names = {name.partition(".")[0] for name in imported(top, package_of(path))}
+            assert names - sys.stdlib_module_names <= BASE | {"app"}, path
+
+
+@pytest.mark.parametrize(("extra", "modules"), EXTRAS.items())
+def test_an_extra_brings_what_is_said_of_it(extra: str, modules: tuple[str, ...]) -> None:
+    text = (PROJECT / "pyproject.toml").read_text(encoding="utf-8")
+    (packages,) = re.findall(rf"^{extra} = \[\n(.*?)^\]", text, re.M | re.S)
+    named = set(re.findall(r'^    "([A-Za-z0-9-]+)', packages, re.M))
+    assert {NAMED_OTHERWISE.get(module, module) for module in modules} <= named
+
+
+def test_a_missing_module_names_its_extra_and_any_other_stays_an_error() -> None:
+    wanted = r"pip install 'dbb-mobile-manipulator\[dashboard\]'"
+    with pytest.raises(MissingExtraError, match=wanted), extras_named():
+        raise ModuleNotFoundError(name="viser.transforms")
+    with pytest.raises(ModuleNotFoundError, match="elsewhere"), extras_named():
+        raise ModuleNotFoundError("elsewhere", name="elsewhere")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("command", "module", "extra"),
+    [
+        ("serve", "viser", "dashboard"),
+        ("serve", "trimesh", "dashboard"),
+        ("reproduce", "matplotlib", "studies"),
+        ("run guiding-lateral", "scipy", "sim"),
+    ],
+)
+def test_a_command_without_its_extra_says_so_in_one_line(
+    command: str, module: str, extra: str
+) -> None:
+    code = f"import sys; sys.modules[{module!r}] = None; from app.cli import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", code, *command.split()],
+        cwd=PROJECT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr.strip().splitlines() == [
+        f"dbb: error: this needs {module}, which is not installed; "
+        f"try: pip install 'dbb-mobile-manipulator[{extra}]'"
+    ]

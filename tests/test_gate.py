@@ -1,0 +1,401 @@
+"""The gate in front of viser: who may connect, which messages arrive, and that none is lost."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import urllib.error
+import urllib.request
+from contextlib import contextmanager
+
+import msgspec
+import pytest
+import viser
+import websockets
+from hypothesis import given
+from hypothesis import strategies as st
+from viser import _messages
+from websockets.asyncio import server as websockets_server
+from websockets.asyncio.client import connect
+
+from app.dashboard.gate import Gate, Limits, is_allowed
+from app.dashboard.messages import RefusedError, Uploads, checked, is_alike
+from app.dashboard.notifications import Notifier
+from app.dashboard.viser_compat import _Buffer, close_server, open_server
+from app.errors import ServerError
+from tests.browser import wait_for
+from tests.raw_client import RawClient
+
+LARGEST = 10_000
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": [1, 0.0, 0.0, 0.0],
+    "position": [2.0, 2.0, 1.5],
+    "fov": 0.75,
+    "near": 0.01,
+    "far": 100.0,
+    "image_height": 900,
+    "image_width": 1600,
+    "look_at": [0.0, 0.0, 0.4],
+    "up_direction": [0.0, 0.0, 1.0],
+}
+
+
+def pass_on(message, *, uploads=None, widget=None):
+    data = msgspec.msgpack.encode(message)
+    passed = checked(data, LARGEST, uploads or Uploads(1000), lambda uuid: widget)
+    assert passed == data
+    return passed
+
+
+def camera(**changes):
+    return {**CAMERA, **changes}
+
+
+@pytest.mark.parametrize(
+    ("of_page", "host", "allowed"),
+    [
+        ("http://127.0.0.1:8080", "127.0.0.1:8080", True),
+        ("http://localhost:8080", "localhost:8080", True),
+        ("http://LOCALHOST:8080", "localhost:8080", True),
+        ("http://[::1]:8080", "[::1]:8080", True),
+        ("http://192.168.1.7:8080", "192.168.1.7:8080", True),
+        ("http://robot:8080", "robot:8080", True),
+        (None, "127.0.0.1:8080", True),  # no browser
+        ("http://evil.example", "127.0.0.1:8080", False),
+        ("http://127.0.0.1:9000", "127.0.0.1:8080", False),  # another server's page
+        ("http://localhost:8080", "127.0.0.1:8080", False),
+        ("null", "127.0.0.1:8080", False),  # a file, or a sandboxed frame
+        ("", "127.0.0.1:8080", False),
+        ("http://evil.example:8080", "evil.example:8080", False),  # a name made to point here
+        (None, "evil.example:8080", False),
+        ("http://localhost.evil.example:8080", "localhost.evil.example:8080", False),
+        ("http://127.0.0.1:8080", None, False),
+    ],
+)
+def test_only_the_servers_own_page_is_allowed(of_page, host, allowed):
+    assert is_allowed(of_page, host, "robot") is allowed
+
+
+@contextmanager
+def served(**limits):
+    server = open_server("127.0.0.1", 0, Limits(**limits))
+    try:
+        yield server
+    finally:
+        close_server(server)
+
+
+def link(server, of_page):
+    return connect(
+        f"ws://127.0.0.1:{server.get_port()}",
+        origin=of_page,
+        subprotocols=[websockets.Subprotocol(f"viser-v{viser.__version__}")],
+    )
+
+
+def try_to_connect(server, of_page):
+    async def attempt():
+        async with link(server, of_page) as connection:
+            return await asyncio.wait_for(connection.recv(), timeout=10.0)
+
+    return asyncio.run(attempt())
+
+
+def get(server, path):
+    """Status, headers and text of a page."""
+    try:
+        answer = urllib.request.urlopen(f"http://127.0.0.1:{server.get_port()}{path}")
+    except urllib.error.HTTPError as error:
+        answer = error
+    return answer.status, answer.headers, answer.read()
+
+
+def test_a_foreign_page_cannot_connect_and_the_own_one_can():
+    with served() as server:
+        with pytest.raises(websockets.InvalidStatus) as refused:
+            try_to_connect(server, "http://evil.example")
+        assert refused.value.response.status_code == 403
+        assert try_to_connect(server, f"http://127.0.0.1:{server.get_port()}")
+        assert try_to_connect(server, None)
+
+
+@pytest.mark.parametrize("name", ["websocket", "playbackPath", "initDarkMode", "", "x"])
+def test_a_link_cannot_give_the_page_orders(name):
+    with served(parameters=frozenset({"scenario"})) as server:
+        status, _, text = get(server, f"/?{name}=ws://evil.example")
+        assert status == 400
+        assert repr(name).encode() in text
+        assert b"scenario" in text
+        assert get(server, "/?scenario=tracking")[0] == 200
+
+
+def test_every_answer_forbids_frames_and_connections_to_others():
+    with served() as server:
+        for path, expected in (("/", 200), ("/nothing", 404), ("/?websocket=x", 400)):
+            status, headers, _ = get(server, path)
+            assert status == expected
+            policy = headers["Content-Security-Policy"]
+            assert "frame-ancestors 'none'" in policy
+            assert f"connect-src 'self' ws://127.0.0.1:{server.get_port()} data:" in policy
+            assert headers["X-Frame-Options"] == "DENY"
+
+
+def test_one_more_viewer_than_may_come_is_refused_and_may_come_when_one_has_gone():
+    async def visit(server):
+        async with link(server, None), link(server, None):
+            with pytest.raises(websockets.InvalidStatus) as refused:
+                await link(server, None)
+            assert refused.value.response.status_code == 503
+        for _ in range(100):  # the server learns of it a little later
+            try:
+                async with link(server, None) as connection:
+                    return await asyncio.wait_for(connection.recv(), timeout=10.0)
+            except websockets.InvalidStatus:
+                await asyncio.sleep(0.05)
+        return b""
+
+    with served(viewers=2) as server:
+        assert asyncio.run(visit(server))
+
+
+def test_the_gate_is_taken_away_again_for_other_servers():
+    before = websockets_server.serve
+    with served():
+        assert websockets_server.serve is before
+
+
+def test_a_viser_that_starts_in_another_way_is_not_used():
+    with (
+        pytest.raises(ServerError, match="this version of viser"),
+        Gate("127.0.0.1", Limits()).closed(),
+    ):
+        pass
+
+
+def test_what_a_page_sends_passes_unchanged():
+    pass_on(CAMERA)
+    pass_on({"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": [1, 2.5, "x", True]}})
+    pass_on(
+        {
+            "type": "TransformControlsUpdateMessage",
+            "name": "/a",
+            "wxyz": [1, 0, 0, 0],
+            "position": [0.1, 0.2, 0.3],
+            "owner": "c",
+        }
+    )
+    pass_on(
+        {
+            "type": "SceneNodeClickMessage",
+            "name": "/a",
+            "instance_index": None,
+            "ray_origin": [0, 0, 0],
+            "ray_direction": [0, 0, 1.0],
+            "screen_pos": [0.5, 0.5],
+            "modifier": None,
+            "owner": "",
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        camera(position=[0.0, 0.0]),
+        camera(position=[0.0, 0.0, math.nan]),
+        camera(look_at=[math.inf, 0.0, 0.0]),
+        camera(fov="wide"),
+        camera(fov=math.nan),
+        camera(image_height=None),
+        camera(extra=1),
+        {k: v for k, v in CAMERA.items() if k != "wxyz"},
+        {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"label": "forged"}},
+        {"type": "GuiUpdateMessage", "uuid": "a", "updates": {}},
+        {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": 1, "visible": False}},
+        {"type": "GuiUpdateMessage", "uuid": 3, "updates": {"value": 1}},
+        {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": math.nan}},
+        {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": [[[[[[[[1]]]]]]]]}},
+        {"type": "GuiUpdateMessage", "uuid": "a" * 5000, "updates": {"value": 1}},
+        {"type": "ShareUrlRequest"},
+        {"type": "ShareUrlDisconnect"},
+        {"type": "RunJavascriptMessage", "source": "1"},
+        {"type": "NoSuchMessage"},
+        {},
+        [],
+        7,
+    ],
+    ids=repr,
+)  # what viser would believe
+def test_what_no_page_sends_never_reaches_viser(message):
+    with pytest.raises(RefusedError):
+        pass_on(message)
+
+
+@pytest.mark.parametrize(
+    "data", [b"", b"\xff" * 9, b"\x91" * 5000, "text", b"\xdd\xff\xff\xff\xff"]
+)
+def test_bytes_that_are_no_message_are_refused(data):
+    with pytest.raises(RefusedError):
+        checked(data, LARGEST, Uploads(0), lambda uuid: None)
+
+
+def test_only_a_picture_may_be_large():
+    content = b"x" * 2 * LARGEST
+    pass_on({"type": "GetRenderResponseMessage", "payload": content, "render_uuid": "a"})
+    for message in (
+        {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": content}},
+        {
+            "type": "FileTransferPart",
+            "source_component_uuid": None,
+            "transfer_uuid": "a",
+            "part_index": 0,
+            "content": content,
+        },
+        {"type": "GetRenderResponseMessage", "payload": [1] * LARGEST, "render_uuid": "a"},
+    ):
+        with pytest.raises(RefusedError):
+            pass_on(message)
+
+
+def announced(size, parts=1, transfer="a"):
+    return {
+        "type": "FileTransferStartUpload",
+        "source_component_uuid": "b",
+        "transfer_uuid": transfer,
+        "filename": "x.zip",
+        "mime_type": "application/zip",
+        "part_count": parts,
+        "size_bytes": size,
+    }
+
+
+def part(content, transfer="a"):
+    return {
+        "type": "FileTransferPart",
+        "source_component_uuid": "b",
+        "transfer_uuid": transfer,
+        "part_index": 0,
+        "content": content,
+    }
+
+
+def test_an_upload_takes_what_was_announced_and_no_more():
+    uploads = Uploads(1000)
+    pass_on(announced(900, 2), uploads=uploads)
+    pass_on(part(b"x" * 500), uploads=uploads)
+    with pytest.raises(RefusedError, match="more than was announced"):
+        pass_on(part(b"x" * 401), uploads=uploads)
+    with pytest.raises(RefusedError, match="more than was announced"):
+        pass_on(part(b"x"), uploads=uploads)
+
+
+def test_uploads_are_bounded_in_size_and_number():
+    uploads = Uploads(1000)
+    for size, parts in ((1001, 1), (-1, 1), (10, 1_000_000_000)):
+        with pytest.raises(RefusedError):
+            pass_on(announced(size, parts), uploads=uploads)
+    pass_on(announced(900, transfer="a"), uploads=uploads)
+    pass_on(announced(900, transfer="b"), uploads=uploads)
+    with pytest.raises(RefusedError, match="one upload after the other"):
+        pass_on(announced(900, transfer="c"), uploads=uploads)
+    pass_on(part(b"x" * 900), uploads=uploads)
+    pass_on(announced(900, transfer="c"), uploads=uploads)
+
+
+values = st.recursive(
+    st.none() | st.booleans() | st.integers(-9, 9) | st.floats() | st.text(max_size=3),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=2), inner),
+    max_leaves=6,
+)
+
+
+@given(st.sampled_from([1, 0.5, True, "a", (1.0, 2.0), ("a", "b")]), values)
+def test_a_value_that_is_alike_can_be_cast_as_viser_casts_it(current, value):
+    if not is_alike(value, current):
+        return
+    if isinstance(current, tuple):
+        cast = tuple(type(current[0])(each) for each in value)
+        assert len(cast) == len(current)
+    elif isinstance(value, int | float) and not math.isfinite(value):
+        return  # refused before
+    else:
+        assert type(current)(value) == value or isinstance(current, int)
+
+
+@given(st.dictionaries(st.sampled_from(list(CAMERA)), values, max_size=3))
+def test_whatever_a_camera_message_holds_it_is_whole_and_finite_or_refused(changes):
+    message = {**CAMERA, **changes}
+    try:
+        pass_on(message)
+    except RefusedError:
+        return
+    read = _messages.Message.deserialize(msgspec.msgpack.encode(message))
+    numbers = [*read.wxyz, *read.position, *read.look_at, *read.up_direction, read.fov]
+    assert len(numbers) == 14
+    assert all(map(math.isfinite, numbers))
+
+
+async def _set_between_look_and_wait(event: asyncio.Event) -> bool:
+    """Whether a waiter wakes when another thread set the event just before it began to wait."""
+    waiter = asyncio.ensure_future(event.wait())
+    await asyncio.sleep(0)
+    event._value = True  # the thread's call: it saw no waiter yet
+    asyncio.get_running_loop().call_soon(event.set)
+    done, _ = await asyncio.wait([waiter], timeout=0.2)
+    waiter.cancel()
+    return bool(done)
+
+
+def test_no_wake_up_of_the_message_queue_is_lost():
+    async def both():
+        buffer = _Buffer(asyncio.get_running_loop(), persistent_messages=False)
+        ours = await _set_between_look_and_wait(buffer.message_event)
+        return ours, await _set_between_look_and_wait(asyncio.Event())
+
+    assert asyncio.run(both()) == (True, False), "the second is viser's own, which loses it"
+
+
+def test_viewers_and_broadcasts_get_the_queue_that_loses_nothing():
+    with served() as server:
+        assert type(server._websock_server._broadcast_buffer) is _Buffer
+
+        async def come():
+            async with link(server, None) as connection:
+                await connection.recv()
+                states = server._websock_server._client_state_from_id
+                return [type(state.message_buffer) for state in states.values()]
+
+        assert asyncio.run(come()) == [_Buffer]
+
+
+@pytest.mark.parametrize(
+    "updates",
+    [
+        {"value": "much"},
+        {"value": [0.2]},
+        {"value": None},
+        {"value": True},
+        {},
+        {"value": 0.2, "update_cb": []},
+        {"gui_api": 1},
+        {"removed": True},
+    ],
+)
+def test_what_a_widget_cannot_hold_is_told_to_its_sender_who_gets_the_value_back(
+    updates, monkeypatch
+):
+    told, sent = [], []
+    monkeypatch.setattr(Notifier, "warn", lambda _, client, text: told.append(text))
+    with served() as server:
+        slider = server.gui.add_slider("x", min=0.0, max=1.0, step=0.1, initial_value=0.3)
+        state = dict(vars(slider._impl))
+        with RawClient(f"http://127.0.0.1:{server.get_port()}") as raw:
+            wait_for(server.get_clients, what="the client")
+            [client] = server.get_clients().values()
+            monkeypatch.setattr(client._websock_connection, "queue_message", sent.append)
+            raw.send(_messages.GuiUpdateMessage(slider._impl.uuid, updates))
+            wait_for(lambda: sent, what="the value that holds")
+        assert [message.updates for message in sent] == [{"value": 0.3}]
+        assert len(told) == 1
+        assert vars(slider._impl) == state

@@ -1,0 +1,60 @@
+"""The measures of the code's structure count what they say."""
+
+from __future__ import annotations
+
+import ast
+
+import pytest
+
+from tools import house
+
+GRAPH = {
+    "app.a": frozenset({"app.b"}),
+    "app.b": frozenset({"app.c"}),
+    "app.c": frozenset({"app.a", "app.d"}),
+    "app.d": frozenset(),
+    "app.e": frozenset({"app.d"}),
+}
+
+
+def test_a_circle_is_found_by_way_of_others_and_once() -> None:
+    assert house.circles(GRAPH) == [frozenset({"app.a", "app.b", "app.c"})]
+    assert house.circles({**GRAPH, "app.c": frozenset({"app.d"})}) == []
+
+
+def test_a_module_of_one_user_is_counted_and_a_package_is_not() -> None:
+    assert house.single_users(GRAPH, frozenset({"app.c"})) == ["app.a", "app.b"]
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("import app.b", {"app.b"}),
+        ("from app import b", {"app.b"}),
+        ("from app.b import name", {"app.b"}),
+        ("def f():\n    from app.b import name", {"app.b"}),
+        ("if TYPE_CHECKING:\n    from app.b import name", set()),
+        ("import numpy", set()),
+    ],
+)
+def test_an_import_is_seen_unless_it_is_for_annotations(source: str, found: set[str]) -> None:
+    known = frozenset({"app", "app.a", "app.b"})
+    assert house.imports_of("app.a", ast.parse(source), known) - {"app"} == found
+
+
+def test_parameters_and_lines_are_counted_as_people_do() -> None:
+    source = "def f(self, a, /, b, *rest, c=1, **others):\n    return a\n\n\nx = 1"
+    (function,) = (n for n in ast.walk(ast.parse(source)) if isinstance(n, ast.FunctionDef))
+    assert house.parameters_of(function) == 3
+    assert house.lines_of(function) == 2
+
+
+def test_a_control_step_enters_the_algorithms_of_the_paper() -> None:
+    found = house.step_files()
+    assert found[0] == "app/control/controller.py"
+    assert {"app/avoidance/acting_point.py", "app/avoidance/mobile_acceleration.py"} <= set(found)
+    assert len(found) == len(set(found))
+    assert not any(name.startswith(("app/simulation", "app/dashboard")) for name in found)
+    measures = {measure.what: measure.value for measure in house.measures(found)}
+    assert measures["files that one control step enters, besides kernels"] == len(found)
+    assert measures["modules of `app`"] == len(list(house.APP.rglob("*.py")))

@@ -1,0 +1,380 @@
+"""A zip that is uploaded becomes a robot, in a process of its own that can be stopped."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from viser import _messages
+
+from app.dashboard import robot_build
+from app.dashboard.page import Page
+from app.dashboard.panels.new_robot import FIND, build_html, in_words, robot_name
+from app.dashboard.panels.robot import report_html
+from app.dashboard.robot_build import RobotBuild
+from app.dashboard.robot_switch import RobotSwitch
+from app.dashboard.server import DashboardServer, serve_dashboard
+from app.errors import ConfigError, LoopError, RobotFileError
+from app.jobs.process import Cancelled, run_in_process
+from app.onboarding.read.contents import look_into
+from app.onboarding.read.package import LARGEST_URDF
+from app.onboarding.request import Request
+from tests.browser import wait_for
+from tests.dashboards import clouds, parts
+from tests.fakes import ScriptedLoop
+from tests.jobs import (
+    count_up,
+    fail_with,
+    nothing_for_a_request,
+    vanish,
+    wait_for_ever,
+    wait_for_ever_for_a_request,
+    wait_in_a_folder,
+)
+from tests.onboarding import arm, cart, robot, zipped
+from tests.raw_client import RawClient
+from tests.robots import husky_panda
+
+pytestmark = pytest.mark.slow
+
+TOY = robot([*cart(), *arm()])
+
+
+def test_work_apart_tells_and_returns() -> None:
+    told: list[float] = []
+    pid = run_in_process(
+        count_up, 4, report=lambda _, share: told.append(share), cancelled=threading.Event()
+    )
+    assert told == [0.0, 0.25, 0.5, 0.75]
+    assert pid != os.getpid()
+    assert gone(pid)
+
+
+def test_work_apart_that_fails_says_why() -> None:
+    stopping = threading.Event()
+    for raised, error, words in (
+        (RobotFileError("no wheel"), RobotFileError, "no wheel"),
+        (ZeroDivisionError("a defect"), LoopError, "ZeroDivisionError: a defect"),
+    ):
+        with pytest.raises(error, match=words):
+            run_in_process(fail_with, raised, report=lambda *_: None, cancelled=stopping)
+    with pytest.raises(LoopError, match="status 7"):
+        run_in_process(vanish, report=lambda *_: None, cancelled=stopping)
+
+
+def test_work_apart_ends_when_it_is_told_to_with_all_that_it_has_started(tmp_path: Path) -> None:
+    stopping, file = threading.Event(), tmp_path / "child"
+    with pytest.raises(Cancelled):
+        run_in_process(
+            wait_for_ever, str(file), report=lambda *_: stopping.set(), cancelled=stopping
+        )
+    wait_for(lambda: gone(int(file.read_text())), what="the end of the child's child")
+
+
+def test_work_apart_that_is_stopped_leaves_by_its_finally(tmp_path: Path) -> None:
+    stopping = threading.Event()
+    with pytest.raises(Cancelled):
+        run_in_process(
+            wait_in_a_folder,
+            str(tmp_path / "toy"),
+            report=lambda *_: stopping.set(),
+            cancelled=stopping,
+        )
+    assert list(tmp_path.iterdir()) == []
+
+
+def gone(pid: int) -> bool:
+    """Whether a process has ended; one that nobody has asked for its status has, too."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
+    except FileNotFoundError:
+        return True
+
+
+@pytest.fixture
+def making(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RobotBuild]:
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path / "user"))
+    made = RobotBuild(RobotSwitch(None))
+    yield made
+    made.close()
+
+
+def ended(making: RobotBuild) -> None:
+    wait_for(lambda: making.progress is None, what="the end of it")
+
+
+def test_what_a_zip_holds_is_told_before_anything_is_made(tmp_path: Path) -> None:
+    found = look_into(zipped(tmp_path, {"b/toy.urdf": TOY, "a/broken.urdf": "<robot>"}))
+    ((name, contents),) = found.items()
+    assert name == "b/toy.urdf"
+    assert (contents.root, contents.last) == ("base", "hand")
+    assert contents.endless == ("left_axle", "right_axle")
+    assert "column" in contents.links
+
+
+@pytest.mark.parametrize(("links", "joints"), [(60_000, 59_999), (2, 60_000)])
+def test_a_urdf_too_large_for_a_list_is_refused_before_anything_is_asked_of_its_links(
+    tmp_path: Path, links: int, joints: int
+) -> None:
+    text = chain(links, joints)
+    assert len(text) < LARGEST_URDF
+    begin = time.process_time()
+    with pytest.raises(RobotFileError, match=r"it has 60000 (link|joint)s; . to 500 are taken"):
+        look_into(zipped(tmp_path, {"long.urdf": text}))
+    assert time.process_time() - begin < 5.0
+
+
+def test_the_longest_chain_that_is_taken_is_told_whole(tmp_path: Path) -> None:
+    ((_, contents),) = look_into(zipped(tmp_path, {"long.urdf": chain(500, 499)})).items()
+    assert (contents.root, contents.last, len(contents.links)) == ("l0", "l499", 500)
+
+
+def chain(links: int, joints: int) -> str:
+    """A URDF of links, each on the one before, the last one first."""
+    rows = [f'<link name="l{i}"/>' for i in reversed(range(links))]
+    rows += [
+        f'<joint name="j{i}" type="fixed"><parent link="l{i}"/><child link="l{i + 1}"/></joint>'
+        for i in range(joints)
+    ]
+    return robot(rows)
+
+
+def test_a_zip_is_kept_until_another_comes_or_the_server_ends(
+    making: RobotBuild, tmp_path: Path
+) -> None:
+    content = zipped(tmp_path, {"toy.urdf": TOY}).read_bytes()
+    making.receive("../My Robot (2).ZIP", content)
+    ended(making)
+    assert making.package is not None, making.problem
+    first = making.package.archive
+    assert first.name == "myrobot2.zip"
+    assert first.read_bytes() == content
+    making.receive("no.zip", b"nothing")
+    ended(making)
+    assert making.package is None
+    assert "not a zip" in making.problem
+    assert "not a zip" in build_html(making)
+    assert not first.exists()
+
+
+def test_a_robot_is_made_once_and_can_be_stopped(
+    making: RobotBuild, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    request = Request("toy.zip", "base", "hand", tmp_path / "user" / "toy")
+    monkeypatch.setattr(robot_build, "build_robot", wait_for_ever_for_a_request)
+    making.build(request)
+    wait_for(lambda: making.progress is None or making.progress.text == "waiting", what="work")
+    with pytest.raises(ConfigError, match="cancel that first"):
+        making.build(request)
+    making.cancel()
+    ended(making)
+    assert "cancelled" in making.problem
+    assert list((tmp_path / "user").iterdir()) == []
+    with pytest.raises(ConfigError, match="there is a robot 'husky_panda' already"):
+        making.build(Request("toy.zip", "base", "hand", tmp_path / "user" / "husky_panda"))
+    with pytest.raises(RobotFileError, match="letters, digits"):
+        making.build(Request("toy.zip", "base", "hand", tmp_path / "user" / "a b"))
+
+
+def test_what_new_robot_refuses_is_told_and_nothing_is_left(
+    making: RobotBuild, tmp_path: Path
+) -> None:
+    """The whole way, in its own process."""
+    making.receive("toy.zip", zipped(tmp_path, {"toy.urdf": TOY}).read_bytes())
+    ended(making)
+    assert making.package is not None
+    making.build(Request(str(making.package.archive), "bse", "hand", tmp_path / "user" / "toy"))
+    ended(making)
+    assert "the URDF has no link 'bse' (did you mean 'base'?)" in making.problem
+    assert list((tmp_path / "user").iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[DashboardServer]:
+    loop = ScriptedLoop(husky_panda())
+    loop.start()
+    made = serve_dashboard(
+        loop,
+        husky_panda(),
+        clouds(),
+        port=0,
+        parts=parts(),
+        start_loop=lambda *_: ScriptedLoop(husky_panda()),
+    )
+    yield made
+    made.stop()
+    loop.stop()
+
+
+@contextmanager
+def visitor(server: DashboardServer) -> Iterator[tuple[RawClient, Page]]:
+    """A program that has come as a viewer, and the page that was made for it."""
+    known = set(server.pages)
+    with RawClient(server.address) as client:
+        wait_for(lambda: set(server.pages) - known, what="a page")
+        yield client, server.pages[max(server.pages)]
+
+
+def test_an_upload_is_asked_about_and_its_answers_make_the_request(
+    server: DashboardServer, tmp_path: Path
+) -> None:
+    content = zipped(tmp_path, {"toy/toy.urdf": TOY}).read_bytes()
+    with visitor(server) as (client, page):
+        panel = page.robot_panel
+        assert panel is not None
+        own = panel._own
+        upload(client, own._upload._impl.uuid, "Toy-1.zip", content)
+        wait_for(lambda: own._fields["tip"].value == "hand", what="the questions")
+        assert own._fields["base"].value == "base"
+        request = own._request()
+        assert (request.name, request.wheels, request.file) == ("toy_1", None, "toy/toy.urdf")
+        for name in ("/tmp/evil", "../../evil", "toy/", ""):
+            client.set_widget(own._fields["name"], name)
+            wait_for(lambda name=name: own._fields["name"].value == name)
+            with pytest.raises(ConfigError, match="letters, digits"):
+                own._request()
+        client.set_widget(own._fields["name"], "toy_1")
+        wait_for(lambda: own._fields["name"].value == "toy_1")
+        client.set_widget(own._fields["left"], "left_axle")
+        wait_for(lambda: own._fields["left"].value == "left_axle")
+        with pytest.raises(ConfigError, match="both wheels"):
+            own._request()
+        client.set_widget(own._fields["left"], FIND)
+        wait_for(lambda: own._fields["left"].value == FIND)
+        for number, words in (
+            (0.1, "needs “Half track”, and no “Left wheel”"),
+            (0.001, "0.001 m is not within 0.01 to 1 m"),
+            (-1.0, "not within"),
+            (float("nan"), "not within"),
+        ):
+            client.set_widget(own._fields["wheel_radius"], number)
+            wait_for(lambda n=number: repr(own._fields["wheel_radius"].value) == repr(n))
+            with pytest.raises(ConfigError, match=words):
+                own._request()
+
+
+def test_only_what_suits_the_kind_of_base_is_asked_and_answers_to_the_rest_do_not_count(
+    server: DashboardServer, tmp_path: Path
+) -> None:
+    content = zipped(tmp_path, {"toy/toy.urdf": TOY}).read_bytes()
+    with visitor(server) as (client, page):
+        assert page.robot_panel is not None
+        own = page.robot_panel._own
+        upload(client, own._upload._impl.uuid, "toy.zip", content)
+        wait_for(lambda: own._fields["tip"].visible, what="the questions")
+        client.set_widget(own._fields["half_track"], 0.2)
+        wait_for(lambda: own._request().half_track == 0.2)
+        for kind, asked in (
+            ("holonomic", set()),
+            ("car-like", {"left", "right", "wheelbase", "steering_limit"}),
+            ("differential", {"left", "right", "half_track", "wheel_radius"}),
+        ):
+            client.set_widget(own._fields["kind"], kind)
+            wait_for(lambda kind=kind: own._fields["kind"].value == kind)
+            wait_for(
+                lambda asked=asked: (
+                    {n for n, field in own._fields.items() if field.visible}
+                    == {"name", "base", "tip", "kind", "assume", *asked}
+                ),
+                what="its questions",
+            )
+            assert own._request().half_track == (0.2 if kind == "differential" else None)
+
+
+def test_an_upload_is_not_kept_by_the_page_and_not_at_all_once_it_is_a_robot(
+    server: DashboardServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(robot_build, "build_robot", nothing_for_a_request)
+    with visitor(server) as (client, page):
+        assert page.robot_panel is not None
+        own, made = page.robot_panel._own, server.shared.robot_build
+        before = made.package
+        content = zipped(tmp_path, {"toy/toy.urdf": TOY}).read_bytes()
+        upload(client, own._upload._impl.uuid, "toy.zip", content)
+        wait_for(lambda: made.package is not before and made.progress is None, what="the package")
+        assert made.package is not None
+        archive = made.package.archive
+        assert archive.read_bytes() == content
+        assert own._upload.value.content == b""
+        made.build(Request(str(archive), "base", "hand", tmp_path / "toy"))
+        ended(made)
+        assert made.built == "toy", made.problem
+        assert made.package is None
+        assert not archive.exists()
+        wait_for(lambda: "is made" in own._status.content, what="the good news")
+
+
+def test_of_options_the_page_speaks_as_of_its_questions() -> None:
+    assert in_words("--wheelbase: give --wheelbase, or --wheels") == (
+        "“Wheelbase”: give “Wheelbase”, or “Left wheel” and “Right wheel”"
+    )
+    assert in_words("give --mount and --base-x") == "give --mount and --base-x"
+
+
+def test_a_second_upload_is_asked_about_its_own_links(
+    server: DashboardServer, tmp_path: Path
+) -> None:
+    other = TOY.replace('"hand"', '"gripper"')
+    with visitor(server) as (client, page):
+        assert page.robot_panel is not None
+        own = page.robot_panel._own
+        for urdf, tip in ((other, "gripper"), (TOY, "hand")):
+            content = zipped(tmp_path, {"toy/toy.urdf": urdf}).read_bytes()
+            upload(client, own._upload._impl.uuid, "toy.zip", content)
+            wait_for(lambda tip=tip: own._fields["tip"].value == tip, what="the questions")
+            wait_for(lambda: server.shared.robot_build.progress is None)
+
+
+def test_an_upload_that_is_too_large_or_too_many_is_refused_before_it_is_kept(
+    server: DashboardServer,
+) -> None:
+    with visitor(server) as (client, page):
+        assert page.robot_panel is not None
+        uuid, gui = page.robot_panel._own._upload._impl.uuid, page._client.gui
+        states = gui._current_file_upload_states
+        begin(client, uuid, "a", 10**9, 1000)
+        begin(client, uuid, "b", 100, 10**12)
+        begin(client, uuid, "c", 100, 2)
+        wait_for(lambda: "c" in states, what="an upload that may be")
+        assert set(states) == {"c"}
+        begin(client, uuid, "d", 100, 2)
+        begin(client, uuid, "e", 100, 2)
+        wait_for(lambda: "d" in states)
+        time.sleep(0.2)
+        assert set(states) == {"c", "d"}
+        client.send(_messages.FileTransferPart(uuid, "c", 0, b"x" * 10))
+        wait_for(lambda: states["c"]["transferred_bytes"] == 10, what="a part")
+    wait_for(lambda: not states, what="the end of what was begun")
+
+
+def begin(client: RawClient, uuid: str, name: str, size: int, parts: int) -> None:
+    client.send(
+        _messages.FileTransferStartUpload(uuid, name, f"{name}.zip", "application/zip", parts, size)
+    )
+
+
+def upload(client: RawClient, uuid: str, name: str, content: bytes) -> None:
+    client.send(
+        _messages.FileTransferStartUpload(uuid, "t1", name, "application/zip", 1, len(content))
+    )
+    client.send(_messages.FileTransferPart(uuid, "t1", 0, content))
+
+
+@pytest.mark.parametrize(
+    ("stem", "name"),
+    [("toy", "toy"), ("My Robot-2", "my_robot_2"), ("7dof", "robot_7dof"), ("é", "robot")],
+)
+def test_a_file_gives_a_name_that_a_robot_may_have(stem: str, name: str) -> None:
+    assert robot_name(stem) == name
+    assert Request("", "", "", Path("/x") / name).name == name
+
+
+def test_of_a_report_the_page_takes_the_content_alone() -> None:
+    page = "<html><head><style>body{margin:9px}</style></head><body class=x><p>hi</p></body></html>"
+    assert report_html(page).endswith('<div class="dbb-report"><p>hi</p></div>')
+    assert "margin:9px" not in report_html(page)

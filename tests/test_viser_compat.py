@@ -1,0 +1,58 @@
+"""viser's private names are used in one file, and viser has them."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+import viser
+
+from app.dashboard.viser_compat import close_server, open_server
+
+ROOM = Path(__file__).resolve().parent.parent / "app" / "dashboard"
+ONE_FILE = "viser_compat.py"
+OURS = {"_replace", "_exit"}
+"""Of NamedTuples, and of `os`."""
+OF_THE_SERVER = {"_websock_server"}
+OF_A_CLIENT = {"_websock_connection"}
+OF_ITS_CAMERA = {"_state"}
+OF_A_WIDGET = {"_impl"}
+OF_A_CONNECTION = {"_incoming_handlers"}
+
+
+def private(path: Path) -> set[str]:
+    """Names with an underscore of other objects than `self`, and private modules of viser."""
+    names = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Attribute) and node.attr.startswith("_"):
+            of_self = isinstance(node.value, ast.Name) and node.value.id in {"self", "before"}
+            if not of_self and not node.attr.startswith("__"):
+                names.add(node.attr)
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("viser"):
+            names |= {alias.name for alias in node.names if alias.name.startswith("_")}
+    return names - OURS
+
+
+@pytest.mark.parametrize("path", sorted(ROOM.rglob("*.py")), ids=lambda path: path.name)
+def test_private_names_are_used_in_one_file(path: Path) -> None:
+    assert path.name == ONE_FILE or private(path) == set()
+
+
+def test_viser_has_them() -> None:
+    server = open_server("127.0.0.1", 0)
+    try:
+        gui = server.gui
+        used = private(ROOM / ONE_FILE) - OF_A_CLIENT - OF_ITS_CAMERA
+        for owner, names in (
+            (server, OF_THE_SERVER),
+            (gui.add_checkbox("box", False), OF_A_WIDGET),
+            (gui._websock_interface, OF_A_CONNECTION),
+            (viser, {"_messages"}),
+        ):
+            assert [name for name in names if not hasattr(owner, name)] == []
+            used -= names
+        assert used
+        assert [name for name in used if not hasattr(gui, name)] == []
+    finally:
+        close_server(server)

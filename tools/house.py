@@ -1,0 +1,234 @@
+"""Measures of the code's structure, with their limits: `python -m tools.house [--json]`.
+
+The status is 1 while a measure is beyond its limit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from functools import cache
+from pathlib import Path
+from types import FrameType
+from typing import Any, NamedTuple
+
+PROJECT = Path(__file__).resolve().parent.parent
+APP = PROJECT / "app"
+FORMATTED = ("app", "tests", "tools", "benchmarks", "examples", "docs")
+LONG = 60  # [-] lines of a function
+MANY = 10  # [-] parameters of a function
+
+Imports = Mapping[str, frozenset[str]]
+
+
+class Measure(NamedTuple):
+    """One line of the table.
+
+    Attributes:
+        what: Is counted.
+        value: Now.
+        limit: The largest that is fine.
+    """
+
+    what: str
+    value: int
+    limit: int
+
+
+@cache
+def trees() -> dict[str, ast.Module]:
+    """The syntax trees of all modules of `app`, by their dotted names."""
+    return {
+        ".".join(path.relative_to(PROJECT).with_suffix("").parts).removesuffix(".__init__"): (
+            ast.parse(path.read_text(encoding="utf-8"))
+        )
+        for path in sorted(APP.rglob("*.py"))
+    }
+
+
+def imports_of(name: str, tree: ast.Module, known: frozenset[str]) -> frozenset[str]:
+    """The modules of `known` that a module imports anywhere, but for annotations only."""
+    found = set()
+    for node in _running(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                found.add(inner if inner in known else str(node.module))
+    return frozenset(found & known - {name})
+
+
+def _running(node: ast.AST) -> Iterator[ast.AST]:
+    """All nodes below one, without what stands under `if TYPE_CHECKING:`."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING":
+            continue
+        yield child
+        yield from _running(child)
+
+
+def imports() -> Imports:
+    """What each module of `app` imports of `app`."""
+    known = frozenset(trees())
+    return {name: imports_of(name, tree, known) for name, tree in trees().items()}
+
+
+def single_users(graph: Imports, packages: frozenset[str]) -> list[str]:
+    """Modules that one other module imports and no second one; packages do not count."""
+    users: dict[str, int] = {}
+    for found in graph.values():
+        for name in found:
+            users[name] = users.get(name, 0) + 1
+    return sorted(name for name, count in users.items() if count == 1 and name not in packages)
+
+
+def circles(graph: Imports) -> list[frozenset[str]]:
+    """Sets of modules each of which imports, by way of others, each other one of its set."""
+    reach = {name: _reachable(name, graph) for name in graph}
+    found = {
+        frozenset(other for other in reach[name] if name in reach[other]) | {name}
+        for name in graph
+        if name in reach[name]
+    }
+    return sorted(found, key=sorted)
+
+
+def _reachable(name: str, graph: Imports) -> set[str]:
+    seen: set[str] = set()
+    ahead = [*graph[name]]
+    while ahead:
+        here = ahead.pop()
+        if here not in seen:
+            seen.add(here)
+            ahead += graph[here]
+    return seen
+
+
+def functions() -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
+    """All functions and methods of `app`, by module and name."""
+    for module, tree in trees().items():
+        for node in ast.walk(tree):
+            if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+                yield f"{module}.{node.name}", node
+
+
+def lines_of(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines from `def` to the end, the docstring among them."""
+    return (function.end_lineno or function.lineno) - function.lineno + 1
+
+
+def parameters_of(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Parameters, without `self` and `cls`."""
+    given = function.args
+    names = [a.arg for a in (*given.posonlyargs, *given.args, *given.kwonlyargs)]
+    return sum(name not in ("self", "cls") for name in names)
+
+
+def step_files() -> list[str]:
+    """Files of `app` that one control step enters, in their order, compiled kernels left out.
+
+    The arm is guided by hand inside the buffer of a pair with the base.
+    """
+    import numpy as np
+
+    from app.config import Config
+    from app.control.controller import Controller
+    from app.robot.state import Measurement
+    from benchmarks.law.poses import pose_in_buffer
+    from benchmarks.law.robot import load
+
+    robot = load("husky_panda")
+    q_m = pose_in_buffer(robot, np.random.default_rng(0))
+    at_rest = Measurement(np.zeros(3), np.zeros(2), q_m, np.zeros(len(q_m)))
+    controller = Controller(robot.model, robot.data, Config())
+    controller.step(at_rest)
+    entered: dict[str, None] = {}
+
+    def note(frame: FrameType, event: str, _: object) -> None:
+        if event == "call":
+            entered[frame.f_code.co_filename] = None
+
+    sys.setprofile(note)
+    try:
+        controller.step(at_rest)
+    finally:
+        sys.setprofile(None)
+    inside = [Path(name) for name in entered if Path(name).is_relative_to(APP)]
+    return [path.relative_to(PROJECT).as_posix() for path in inside]
+
+
+def measures(step: list[str]) -> list[Measure]:
+    """All of them.
+
+    Args:
+        step: As `step_files` gives it.
+    """
+    packages = frozenset(
+        ".".join(path.parent.relative_to(PROJECT).parts) for path in APP.rglob("__init__.py")
+    )
+    graph = imports()
+    code = list(APP.rglob("*.py"))
+    skipped = sum(
+        line.rstrip().endswith("# fmt: skip")
+        for folder in FORMATTED
+        for path in (PROJECT / folder).rglob("*.py")
+        for line in path.read_text(encoding="utf-8").splitlines()
+    )
+    return [
+        Measure("files that one control step enters, besides kernels", len(step), 15),
+        Measure("modules of `app`", len(code), 200),
+        Measure("lines of `app`", sum(map(_lines, code)), 30_000),
+        Measure("modules with a single user", len(single_users(graph, packages)), 40),
+        Measure(f"functions over {LONG} lines", sum(lines_of(f) > LONG for _, f in functions()), 0),
+        Measure(
+            f"functions over {MANY} parameters",
+            sum(parameters_of(f) > MANY for _, f in functions()),
+            0,
+        ),
+        Measure("circles of imports", len(circles(graph)), 0),
+        Measure("lines marked `# fmt: skip`", skipped, 0),
+        Measure("lines of the README", _lines(PROJECT / "README.md"), 220),
+    ]
+
+
+def _lines(path: Path) -> int:
+    return len(path.read_text(encoding="utf-8").splitlines())
+
+
+def offenders() -> Iterator[str]:
+    """What stands behind the counts, for those who want to lower them."""
+    for name, function in functions():
+        if lines_of(function) > LONG:
+            yield f"{name}: {lines_of(function)} lines"
+        if parameters_of(function) > MANY:
+            yield f"{name}: {parameters_of(function)} parameters"
+    for circle in circles(imports()):
+        yield f"circle: {', '.join(sorted(circle))}"
+
+
+def main() -> int:
+    """Print the measures; 1 while one is beyond its limit."""
+    parser = argparse.ArgumentParser(prog="python -m tools.house", description=__doc__)
+    parser.add_argument("--json", action="store_true", help="print one JSON object; status 0")
+    parser.add_argument("--names", action="store_true", help="what is too long, too wide or round")
+    options = parser.parse_args()
+    step = step_files()
+    found = measures(step)
+    if options.json:
+        table: list[dict[str, Any]] = [measure._asdict() for measure in found]
+        print(json.dumps({"measures": table, "step": step}))
+        return 0
+    for measure in found:
+        mark = " " if measure.value <= measure.limit else "!"
+        print(f"{mark} {measure.value:>7,} of {measure.limit:>7,}  {measure.what}")
+    if options.names:
+        print(*offenders(), sep="\n")
+    return int(any(measure.value > measure.limit for measure in found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

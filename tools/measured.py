@@ -1,0 +1,403 @@
+"""The measurements behind the documentation's tables: commands, figures that are kept, tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import product
+from typing import Any, NamedTuple
+
+from app.control.controller import CONTROLLERS
+from benchmarks.peers.names import PEERS
+from benchmarks.peers.table import markdown as peers_table
+
+Figures = Mapping[str, Any]
+
+LINES = ("guiding-lateral", "guiding-front", "guiding-above", "guiding-fold", "tracking")
+COMPARED = ("none", "repulsive", "barrier", "dbb")
+PLANTS = {"planar": "pybullet", "mujoco": "MuJoCo", "mujoco-contact": "MuJoCo, wheels"}
+ENGINE_RUNS = {
+    "husky_panda": (*LINES, "refrigerator"),
+    "husky_ur5": ("guiding-lateral", "guiding-front", "tracking"),
+    "tiago": ("guiding-lateral", "guiding-front", "tracking"),
+}
+"""Scenarios by robot; other robots than the paper's need the extra `robots`."""
+DISTURBANCES = {
+    "none": (),
+    "encoder noise 1 mrad": ("--encoder-noise", "0.001"),
+    "base delay 0.2 s": ("--base-delay", "0.2"),
+    "masses 20 % too large": ("--mass-error", "0.2"),
+    "masses 20 % too small": ("--mass-error", "-0.2"),
+    "slip 20 %": ("--slip", "0.2"),
+}
+ROBOTS = (
+    "husky_panda",
+    "husky_ur5",
+    "stretch_se3",
+    "tiago",
+    "frankie",
+    "frankie_omni",
+    "racecar_panda",
+)
+PULLS = (
+    *("--cases", "100", "--seed", "17", "--hand-stiffness", "300", "2000", "--hand-mass", "0", "0"),
+    *("--base-delay", "0", "0", "--encoder-noise", "0", "0", "--mass-error", "0", "0"),
+    *("--slip", "0", "0", "--v-max", "0.5", "0.5", "--speed", "0.3", "1.2"),
+)
+"""Of the study that the documentation shows: strong pulls on a robot as modelled."""
+
+
+class ResultSet(NamedTuple):
+    """What one file of docs/results holds, and one table shows.
+
+    Attributes:
+        runs: By the row's name, the arguments after `python -m` of a command that prints JSON.
+        keep: The figures of what it prints.
+        table: Markdown of the figures by the names of their rows; some may be missing.
+        default: Whether it is measured when none is named: neither a browser nor a package index.
+    """
+
+    runs: Mapping[str, Sequence[str]]
+    keep: Callable[[dict[str, Any]], Any]
+    table: Callable[[Figures], str]
+    default: bool = True
+
+
+def grid(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of Markdown."""
+    lines = [list(head), ["---"] * len(head), *map(list, rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def metres(value: float | None) -> str:
+    """To millimetres, with a true minus; empty if there is none."""
+    return "" if value is None else f"{value:.3f} m".replace("-", "−")
+
+
+def millimetres(value: float | None) -> str:
+    """With two digits that count, at least tenths; empty if there is none."""
+    if value is None:
+        return ""
+    return f"{1e3 * value:.1f} mm" if value < 0.01 else f"{1e3 * value:.0f} mm"
+
+
+def number(value: float | None, unit: str = "", digits: int = 3) -> str:
+    """With so many digits that count; empty if there is none."""
+    if value is None:
+        return ""
+    text = f"{value:.{digits}g}" if abs(value) < 10**digits else f"{value:.0f}"
+    return f"{text} {unit}".strip().replace("-", "−")
+
+
+def run(scenario: str, *options: str) -> tuple[str, ...]:
+    """A scenario by `dbb run`."""
+    return ("app", "run", scenario, *options, "--json")
+
+
+def keep_run(printed: dict[str, Any]) -> dict[str, Any]:
+    """What tables show of a run; the least distance is of the pairs that the scenario is about."""
+    least = {"guiding-fold": "arm_min_clearance_m", "refrigerator": "door_min_distance_m"}
+    return {
+        "least_distance_m": printed[least.get(printed["scenario"], "min_clearance_m")],
+        "off_m": printed["ee_error_final_m"],
+        "contacts": printed["contacts"] + printed["arm_contacts"],
+        "base_moved_m": printed["base_displacement_m"],
+        "solver_failures": printed["solver_failures"],
+        "opened_s": printed.get("door_opened_80deg_at_s"),
+    }
+
+
+def run_cell(row: Mapping[str, Any] | None) -> str:
+    """Least distance, how far the hand ends from its target, and whether anything touched."""
+    if row is None:
+        return ""
+    end = f"{millimetres(row['off_m'])} off"
+    if row["opened_s"] is not None:
+        end = f"80° open at {row['opened_s']:.1f} s"
+    touched = ", **contact**" if row["contacts"] else ""
+    return f"{metres(row['least_distance_m'])}, {end}{touched}"
+
+
+def scenarios_table(found: Figures) -> str:
+    """A line a scenario, a column a controller."""
+    rows = []
+    for scenario in (*LINES, "refrigerator"):
+        moved = found.get(f"{scenario} dbb", {}).get("base_moved_m")
+        cells = [run_cell(found.get(f"{scenario} {name}")) for name in COMPARED]
+        rows.append([f"`{scenario}`", *cells, "" if moved is None else f"{moved:.2f} m"])
+    return grid(["scenario", *(f"`{name}`" for name in COMPARED), "base moved, `dbb`"], rows)
+
+
+def disturbances_table(found: Figures) -> str:
+    """A line a disturbance, a column a scenario."""
+    names = ("guiding-lateral", "guiding-front", "tracking")
+    rows = [[d, *(run_cell(found.get(f"{s} {d}")) for s in names)] for d in DISTURBANCES]
+    return grid(["disturbance", *(f"`{name}`" for name in names)], rows)
+
+
+def engines_table(found: Figures) -> str:
+    """A line a robot and scenario, a column a plant."""
+    rows = [
+        [
+            f"`{robot}`, `{scenario}`",
+            *(run_cell(found.get(f"{robot} {scenario} {plant}")) for plant in PLANTS),
+        ]
+        for robot, names in ENGINE_RUNS.items()
+        for scenario in names
+    ]
+    return grid(["robot, scenario", *PLANTS.values()], rows)
+
+
+def plants_table(found: Figures) -> str:
+    """A line a plant."""
+    times = found["times"]["times_us"]
+    first = times["planar"]["least"]
+    return grid(
+        ["plant", "step and reading, median", "least", "of pybullet's least"],
+        [
+            [f"`{n}`", f"{t['median']:.1f} µs", f"{t['least']:.1f} µs", f"{t['least'] / first:.2f}"]
+            for n, t in times.items()
+        ],
+    )
+
+
+def robots_table(found: Figures) -> str:
+    """A line a robot, case and controller."""
+    rows = []
+    for line in (line for lines in found.values() for line in lines):
+        if "reason" in line:
+            rows.append([line["title"], line["case"], line["reason"], *[""] * 4])
+            continue
+        rows.append(
+            [
+                line["title"],
+                line["case"],
+                f"`{line['controller']}`",
+                metres(line["clearance_m"]),
+                millimetres(line["hand_error_m"]),
+                f"{line['base_path_m']:.2f} m",
+                "yes" if line["contacts"] else "no",
+            ]
+        )
+    head = ["robot", "case", "controller", "least distance", "hand off", "base drove", "contact"]
+    return grid(head, rows)
+
+
+def keep_robots(printed: dict[str, Any]) -> list[dict[str, Any]]:
+    """What the table shows of each case."""
+    shown = ("title", "case", "reason", "controller", "clearance_m", "hand_error_m")
+    keys = (*shown, "base_path_m", "contacts")
+    return [{key: line[key] for key in keys if key in line} for line in printed["rows"]]
+
+
+def law(name: str, *options: str) -> tuple[str, ...]:
+    """A measurement of the control law."""
+    return ("benchmarks.law", name, *options, "--json")
+
+
+def law_table(found: Figures) -> str:
+    """A line a figure of the summaries that people ask for."""
+    rows = []
+    if summary := found.get("release", {}).get("summary"):
+        what = f"{summary['releases']} releases inside the buffer: the base's longest path after"
+        speed = number(summary["speed_after_10s_max_mmps"], "mm/s after 10 s")
+        rows.append([what, "release", f"{metres(summary['path_max_m'])}, {speed}"])
+    if summary := found.get("pulls", {}).get("summary"):
+        what = f"{summary['pulls']} hard pulls of up to 100 N: least distance of arm and base"
+        met = f"bodies met in {summary['overlaps']}, contact in {summary['with_contact']}"
+        rows.append([what, "pulls", f"{metres(summary['least_distance_m'])}, {met}"])
+        what = "the same: fastest joint, in its velocity limit"
+        rows.append([what, "pulls", number(summary["joint_speed_share_max"], digits=2)])
+    if summary := found.get("continuity", {}).get("summary"):
+        what = "jump of the base's asked acceleration as the step goes to 0"
+        jump = number(summary["jump_mps2"], "m/s²", 1)
+        jump += f", {number(summary['jump_radps2'], 'rad/s²', 1)}"
+        rows.append([f"{what}, {summary['paths']} motions", "continuity", jump])
+    return grid(
+        ["what", "command", "measured"],
+        [[what, f"`python -m benchmarks.law {name}`", value] for what, name, value in rows],
+    )
+
+
+def performance_table(found: Figures) -> str:
+    """A line a figure of speed."""
+    rows = []
+    if step := found.get("step"):
+        for key, what in (
+            ("step_p50_us", "control step with both pairs in the buffer, median"),
+            ("step_p99_us", "the same, 99th percentile"),
+            ("step_own_p50_us", "the quickest of three such steps, median"),
+            ("floor_p50_us", "the libraries' bare calls, median"),
+        ):
+            if key in step:
+                rows.append([what, number(step[key], "µs")])
+        rows.append(["peak memory of that process", number(step["peak_memory_mb"], "MB")])
+    for name in ("alone", "websocket", "browser"):
+        if loop := found.get(name):
+            what = {
+                "alone": "nobody connected",
+                "websocket": "a client that drags and draws nothing",
+            }
+            client = what.get(name, "a headless browser that drags and draws in software")
+            periods = [number(loop[f"period_{p}_ms"], digits=3) for p in ("p50", "p99", "max")]
+            rows.append([f"real-time factor, {client}", number(loop["realtime_factor"])])
+            rows.append(
+                ["its loop's period: median, 99th percentile, longest", f"{' / '.join(periods)} ms"]
+            )
+    if start := found.get("startup"):
+        rows.append(["from `dbb serve` to the page's answer", number(start["page_answers_s"], "s")])
+        rows.append(["to its first whole picture", number(start["first_picture_s"], "s")])
+    return grid(["what", "measured"], rows)
+
+
+def reach_table(found: Figures) -> str:
+    """A line a body."""
+    rows = []
+    for body, row in found.items():
+        for title, of in (("counted", row), ("paper", row["paper"]), ("used", row["description"])):
+            if of:
+                fit = f"{row['r_squared']:.2f}" if title == "counted" else ""
+                rows.append(
+                    [body, title, *(number(of[key]) for key in ("A_per_m2", "B_m", "C")), fit]
+                )
+    return grid(["body", "", "A [1/m²]", "B [m]", "C [-]", "R² of the shells' means"], rows)
+
+
+def keep_reach(printed: dict[str, Any]) -> dict[str, Any]:
+    """What the table shows of the one body of the command."""
+    (row,) = (each for each in printed["bodies"].values())
+    return {key: row[key] for key in ("A_per_m2", "B_m", "C", "paper", "description", "r_squared")}
+
+
+def study_table(found: Figures) -> str:
+    """A line a band of forces."""
+    study = found["pulls"]
+    rows = []
+    for band in study["by_force"]:
+        if not band["cases"]:
+            continue
+        force = f"{band['from_n']:.0f} to {band['to_n']:.0f} N" if band["to_n"] else "more"
+        counts = ("cases", "entered_buffer", "bodies_overlap", "contact")
+        least, fastest = (
+            metres(band["least_clearance_m"]),
+            number(band["hand_speed_max_mps"], "m/s"),
+        )
+        rows.append([force, *(str(band[key]) for key in counts), least, fastest])
+    columns = ("cases", "in the buffer", "bodies met", "contact", "least distance", "fastest hand")
+    return grid(["force exerted until near", *columns], rows)
+
+
+def keep_study(printed: dict[str, Any]) -> dict[str, Any]:
+    """What the table and its sentence show."""
+    keys = ("cases", "failed", "failed_rate_bound_95", "entered_buffer_share", "by_force")
+    return {key: printed[key] for key in keys}
+
+
+def keep_all(printed: dict[str, Any]) -> dict[str, Any]:
+    """All of it: short enough."""
+    return printed
+
+
+def keep_law(printed: dict[str, Any]) -> dict[str, Any]:
+    """The summary; the rows are for people who look for something."""
+    return {"summary": printed["summary"]}
+
+
+def buffer_table(found: Figures) -> str:
+    """A line a speed, a column a place and delay."""
+    rows = [dict(row) for row in found["rows"]["rows"]]
+    speeds = [f"{row.pop('v_mps'):.2f} m/s" for row in rows]
+    cells = [[f"{need:.2f} m" if need else "none" for need in row.values()] for row in rows]
+    head = ["speed", *rows[0]]
+    return grid(head, [[v, *line] for v, line in zip(speeds, cells, strict=True)])
+
+
+def house_table(found: Figures) -> str:
+    """A line a measure with its limit."""
+    return grid(
+        ["measure", "here", "limit"],
+        [
+            [row["what"], f"{row['value']:,}", "" if row["limit"] is None else f"{row['limit']:,}"]
+            for row in found["house"]["measures"]
+        ],
+    )
+
+
+SETS: dict[str, ResultSet] = {
+    "house": ResultSet({"house": ("tools.house", "--json")}, keep_all, house_table),
+    "scenarios": ResultSet(
+        {
+            **{f"{s} {c}": run(s, "--controller", c) for s, c in product(LINES, COMPARED)},
+            **{
+                f"refrigerator {c}": run("refrigerator", "--controller", c) for c in ("none", "dbb")
+            },
+        },
+        keep_run,
+        scenarios_table,
+    ),
+    "disturbances": ResultSet(
+        {
+            f"{scenario} {name}": run(scenario, *options)
+            for scenario in ("guiding-lateral", "guiding-front", "tracking")
+            for name, options in DISTURBANCES.items()
+        },
+        keep_run,
+        disturbances_table,
+    ),
+    "buffer": ResultSet({"rows": law("buffer")}, keep_all, buffer_table),
+    "law": ResultSet(
+        {
+            "release": law("release"),
+            "pulls": law("pulls"),
+            "continuity": law("continuity", "--count", "100"),
+        },
+        keep_law,
+        law_table,
+    ),
+    "engines": ResultSet(
+        {
+            f"{robot} {scenario} {plant}": run(scenario, "--robot", robot, "--physics", plant)
+            for robot, names in ENGINE_RUNS.items()
+            for scenario in names
+            for plant in PLANTS
+        },
+        keep_run,
+        engines_table,
+    ),
+    "plants": ResultSet({"times": ("benchmarks.engines", "--json")}, keep_all, plants_table),
+    "robots": ResultSet(
+        {name: ("app", "compare-robots", "--robots", name, "--json") for name in ROBOTS},
+        keep_robots,
+        robots_table,
+    ),
+    "study": ResultSet(
+        {"pulls": ("app", "study", *PULLS, "--out", "out/results/study", "--json")},
+        keep_study,
+        study_table,
+    ),
+    "reach": ResultSet(
+        {body: ("app", "reach", "--body", body, "--json") for body in ("lEE", "l3")},
+        keep_reach,
+        reach_table,
+    ),
+    "performance": ResultSet(
+        {
+            "step": ("app", "bench", "--no-border", "--json"),
+            "alone": ("benchmarks.realtime", "--client", "none", "--json"),
+            "websocket": ("benchmarks.realtime", "--client", "websocket", "--drag", "--json"),
+            "browser": ("benchmarks.realtime", "--client", "browser", "--drag", "--json"),
+            "startup": ("benchmarks.startup",),
+        },
+        keep_all,
+        performance_table,
+        default=False,
+    ),
+    "peers": ResultSet(
+        {name: ("benchmarks.peers", "--only", name, "--json") for name in PEERS},
+        lambda printed: printed["rows"],
+        lambda found: peers_table([row for rows in found.values() for row in rows]).strip(),
+        default=False,
+    ),
+}
+"""By their names: of the files, of the tables in the pages, and on the command line."""
+
+assert set(COMPARED) == set(CONTROLLERS)

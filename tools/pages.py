@@ -1,0 +1,192 @@
+"""Put what is generated into README and docs: `python -m tools.pages [--check]`.
+
+A page says where by a pair of comments:
+
+    <!-- generated: results scenarios -->
+    <!-- end -->
+
+Between the two stands what `BLOCKS` makes: tables of the figures in docs/results, parameters and
+commands as the program has them, rooms as their docstrings describe them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import contextlib
+import io
+import re
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from unittest import mock
+
+from app.cli.main import main as dbb
+from app.config import sections
+from app.parameters import Parameter
+from app.studies.pulls.draw_range import LOGARITHMIC, StudyRange
+from tools import results
+from tools.measured import grid
+
+PROJECT = Path(__file__).resolve().parent.parent
+BLOCK = re.compile(r"^(<!-- generated: (.+?) -->\n)(.*?)^(<!-- end -->)$", re.S | re.M)
+COMMAND = re.compile(r"^\W*([a-z][a-z-]+) {2,}[A-Z]", re.M)
+"""A command in the help of `dbb`: its name, then what it does."""
+WIDTH = "124"  # [-] characters of a command's help
+
+
+def pages() -> list[Path]:
+    """All pages that may hold generated blocks."""
+    return [PROJECT / "README.md", *sorted((PROJECT / "docs").rglob("*.md"))]
+
+
+def generated(text: str) -> str:
+    """A page with its blocks made anew.
+
+    Raises:
+        SystemExit: A block has a name that nothing makes.
+    """
+    return BLOCK.sub(lambda found: f"{found[1]}{made(found[2])}\n{found[4]}", text)
+
+
+def made(name: str) -> str:
+    """The text of a block.
+
+    Raises:
+        SystemExit: Nothing makes a block of that name.
+    """
+    kind, _, argument = name.partition(" ")
+    if kind not in BLOCKS or (kind == "results" and argument not in results.SETS):
+        sys.exit(f"no generated block {name!r}; there are {', '.join(BLOCKS)}")
+    return BLOCKS[kind](*argument.split())
+
+
+def parameters() -> str:
+    """A table of the parameters of each section, from the records of app/config.py."""
+    parts = []
+    for section in sections():
+        rows = [
+            [
+                f"`{each.path.partition('.')[2]}`",
+                f"{each.default:g}" if isinstance(each, Parameter) else f"`{each.default}`",
+                f"{each.low:g} to {each.high:g}"
+                if isinstance(each, Parameter)
+                else " or ".join(f"`{choice}`" for choice in each.choices),
+                each.unit if isinstance(each, Parameter) else "-",
+                each.help.replace("|", "\\|"),
+            ]
+            for each in section.tunables
+        ]
+        table = grid(["name", "default", "range", "unit", "meaning"], rows)
+        parts.append(f"## `[{section.name}]`\n\n{section.about}\n\n{table}")
+    return "\n\n".join(parts)
+
+
+def study_range() -> str:
+    """What `dbb study` draws its cases from, from the record of app/studies/pulls/draw_range.py."""
+    rows = []
+    for name, field in StudyRange.model_fields.items():
+        unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
+        value = field.default
+        drawn = " to ".join(f"{x:g}" for x in value) if isinstance(value, tuple) else f"{value:g}"
+        if name in LOGARITHMIC:
+            text += " Every factor is as likely as every other."
+        rows.append([f"`--{name.replace('_', '-')}`", drawn.replace("-", "−"), unit, text.strip()])
+    return grid(["option", "default", "unit", "meaning"], rows)
+
+
+def commands() -> str:
+    """The help of each command, as it prints it."""
+    return "\n\n".join(
+        f"### `dbb {name}`\n\n```text\n{help_of(name)}\n```" for name in command_names()
+    )
+
+
+def command_names() -> list[str]:
+    """The commands in the order of `dbb --help`."""
+    return list(dict.fromkeys(COMMAND.findall(help_of())))
+
+
+def help_of(*words: str) -> str:
+    """What `dbb WORDS --help` prints, on a page without a terminal."""
+    plain = {"COLUMNS": WIDTH, "NO_COLOR": "1", "TERM": "dumb"}
+    printed = io.StringIO()
+    with (
+        mock.patch.dict("os.environ", plain),
+        contextlib.redirect_stdout(printed),
+        contextlib.suppress(SystemExit),
+    ):
+        dbb([*words, "--help"])
+    return "\n".join(line.rstrip() for line in printed.getvalue().strip().splitlines())
+
+
+def rooms() -> str:
+    """A line a module or package right below `app`, and a line a package within it."""
+    rows = []
+    app = PROJECT / "app"
+    for path in sorted(app.iterdir()):
+        if path.suffix == ".py" and not path.stem.startswith("__"):
+            rows.append([f"`app/{path.name}`", about(path)])
+    for path in sorted(app.rglob("__init__.py")):
+        if path.parent != app:
+            rows.append([f"`{path.parent.relative_to(PROJECT).as_posix()}/`", about(path)])
+    return grid(["room", "what is in it"], rows)
+
+
+def step() -> str:
+    """The files that a control step enters, in their order, with what each says of itself."""
+    found = results.figures("house").get("house", {}).get("step", [])
+    lines = [f"{k}. `{name}`: {about(PROJECT / name)}" for k, name in enumerate(found, start=1)]
+    return "\n".join([*lines, "", results.caption("house")])
+
+
+def about(path: Path) -> str:
+    """The first sentence of a module's docstring; of a file that has gone, so much."""
+    if not path.is_file():
+        return "(no longer there)"
+    text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+    return " ".join(text.partition("\n\n")[0].split()).replace("|", "\\|")
+
+
+BLOCKS: dict[str, Callable[..., str]] = {
+    "results": results.table,
+    "parameters": parameters,
+    "commands": commands,
+    "study_range": study_range,
+    "rooms": rooms,
+    "step": step,
+}
+
+
+def words(text: str) -> list[str]:
+    """A page without its layout, so that another version of tyro may draw other boxes."""
+    return re.sub(r"[\s╭╮╰╯│─┌┐└┘]+|-{5,}", " ", text).split()
+
+
+def stale() -> Iterator[Path]:
+    """Pages whose generated blocks are not what is generated."""
+    for path in pages():
+        text = path.read_text(encoding="utf-8")
+        if words(generated(text)) != words(text):
+            yield path
+
+
+def main() -> int:
+    """Write the pages, or name those that are not up to date."""
+    parser = argparse.ArgumentParser(prog="python -m tools.pages", description=__doc__)
+    parser.add_argument("--check", action="store_true", help="write nothing; 1 if a page is stale")
+    options = parser.parse_args()
+    if options.check:
+        found = [path.relative_to(PROJECT) for path in stale()]
+        print(*found, sep="\n", end="\n" if found else "")
+        return int(bool(found))
+    for path in pages():
+        text = path.read_text(encoding="utf-8")
+        if (new := generated(text)) != text:
+            path.write_text(new, encoding="utf-8")
+            print(path.relative_to(PROJECT))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

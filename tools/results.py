@@ -1,0 +1,153 @@
+"""Measure what the tables of the documentation show: `python -m tools.results [NAME ...]`.
+
+Each row of a table is one command with `--json`. What it prints, reduced to the figures that are
+shown, is kept in docs/results/NAME.json with the commit and the machine, as soon as it is there:
+the same call goes on where it was ended, and measures again what an older commit has measured.
+`python -m tools.pages` puts the tables into the pages.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+from collections.abc import Mapping
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from tools.measured import SETS
+
+PROJECT = Path(__file__).resolve().parent.parent
+RESULTS = PROJECT / "docs" / "results"
+CODE = ("app", "robot_assets")
+"""What figures depend on: rows of the commit that last changed one of these are up to date."""
+
+Rows = dict[str, dict[str, Any]]
+
+
+def read(name: str) -> Rows:
+    """The rows of a set by their names, each with `commit`, `machine`, `date` and `figures`."""
+    path = RESULTS / f"{name}.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+
+
+def write(name: str, rows: Mapping[str, Any]) -> None:
+    """Keep the rows of a set: the file is whole at every moment."""
+    RESULTS.mkdir(exist_ok=True)
+    path = RESULTS / f"{name}.json"
+    part = path.with_suffix(".part")
+    part.write_text(json.dumps(rows, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    part.replace(path)
+
+
+def figures(name: str) -> dict[str, Any]:
+    """The figures alone, by the names of their rows."""
+    return {row: kept["figures"] for row, kept in read(name).items()}
+
+
+def caption(name: str) -> str:
+    """One sentence: by which command, at which commit, on which machine and when."""
+    rows = read(name).values()
+    if not rows:
+        return f"*Not measured yet; `make results ARGS={name}` does it.*"
+    commits = ", ".join(sorted({row["commit"] for row in rows}))
+    machines = "; ".join(sorted({row["machine"] for row in rows}))
+    date = max(row["date"] for row in rows)
+    return f"*`make results ARGS={name}`, at commit {commits}, on {machines}, {date}.*"
+
+
+def table(name: str) -> str:
+    """Table and caption of a set in Markdown; the caption alone before anything is measured."""
+    found = figures(name)
+    return f"{SETS[name].table(found)}\n\n{caption(name)}" if found else caption(name)
+
+
+def commit() -> str:
+    """The commit that last changed the code, with a `+` where files have changed since.
+
+    Raises:
+        SystemExit: This is no checkout of git.
+    """
+    last = _git("log", "-1", "--format=%h", "--", *CODE)
+    return f"{last}+" if _git("status", "--porcelain", "--", *CODE) else last
+
+
+def machine() -> str:
+    """What times depend on, as in `Intel Xeon (2 cores), Linux x86_64, Python 3.11`."""
+    name = platform.processor() or platform.machine()
+    cpus = Path("/proc/cpuinfo")
+    if cpus.is_file():
+        lines = cpus.read_text(encoding="utf-8").splitlines()
+        name = next((x.partition(": ")[2] for x in lines if x.startswith("model name")), name)
+    system = f"{platform.system()} {platform.machine()}"
+    return f"{name} ({os.cpu_count()} cores), {system}, Python {platform.python_version()}"
+
+
+def measure(name: str, again: bool) -> bool:
+    """Measure the rows of a set that are missing or of another commit; False if one failed."""
+    rows, at, good = read(name), commit(), True
+    wanted = SETS[name].runs
+    for row in set(rows) - set(wanted):
+        del rows[row]
+    for row, arguments in wanted.items():
+        if not again and row in rows and rows[row]["commit"] == at and not at.endswith("+"):
+            continue
+        print(f"{name}: {row}", file=sys.stderr, flush=True)
+        command = [sys.executable, "-m", *arguments]
+        done = subprocess.run(
+            command, cwd=PROJECT, capture_output=True, text=True, env=_environment()
+        )
+        if done.returncode:
+            print(f"{' '.join(command)}: {done.stderr.strip()[-500:]}", file=sys.stderr)
+            good = False
+            continue
+        rows[row] = {
+            "commit": at,
+            "machine": machine(),
+            "date": datetime.now(timezone.utc).date().isoformat(),
+            "figures": rounded(SETS[name].keep(json.loads(done.stdout))),
+        }
+        write(name, {each: rows[each] for each in wanted if each in rows})
+    return good
+
+
+def rounded(value: Any) -> Any:
+    """With six digits that count in each number: the last ones of a run are not the same twice."""
+    if isinstance(value, dict):
+        return {key: rounded(each) for key, each in value.items()}
+    if isinstance(value, list):
+        return [rounded(each) for each in value]
+    return float(f"{value:.6g}") if isinstance(value, float) else value
+
+
+def _environment() -> dict[str, str]:
+    """This checkout comes first, and numerics take one thread."""
+    return {"OMP_NUM_THREADS": "1", **os.environ, "PYTHONPATH": str(PROJECT)}
+
+
+def _git(*arguments: str) -> str:
+    done = subprocess.run(["git", *arguments], cwd=PROJECT, capture_output=True, text=True)
+    if done.returncode:
+        sys.exit(f"results name the commit they were measured at: {done.stderr.strip()}")
+    return done.stdout.strip()
+
+
+def main() -> int:
+    """Measure what is asked for; 1 if a command failed."""
+    parser = argparse.ArgumentParser(prog="python -m tools.results", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(SETS)}")
+    parser.add_argument("--again", action="store_true", help="what is up to date, too")
+    options = parser.parse_args()
+    if unknown := set(options.names) - set(SETS):
+        parser.error(f"no results {', '.join(sorted(unknown))}; there are {', '.join(SETS)}")
+    names = options.names or [name for name in SETS if SETS[name].default]
+    good = [measure(name, options.again) for name in names]
+    return int(not all(good))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
