@@ -10,7 +10,9 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import ControlOutput
+from app.control.force_bound import force_bound
 from app.robot.model import RobotModel
+from app.robot.state import RobotState
 from app.simulation.plants.interface import Contacts
 from app.simulation.scenarios.names import LINES
 from app.simulation.scenarios.start import StartSolver
@@ -161,6 +163,22 @@ def test_speeds_forces_and_what_was_given_up_are_those_of_the_steps(
     assert figures["base_speed_final_mps"] == abs(steps[-1].truth.base_velocity[0])
     assert figures["hand_speed_max_mps"] == max(s.hand_speed for s in steps) > 0.1
     assert figures["solver_given_up"] == steps[-1].given_up
+
+
+def test_what_the_arm_can_bear_is_looked_at_where_it_is_held_inside_a_buffer(
+    robot: RobotModel, recorder: Recorder, steps: list[Step]
+):
+    state, bounds = RobotState(robot), []
+    for step in steps[::10]:
+        near = [pair.closest for pair in step.output.avoidance.mobile if pair.beta > 0.0]
+        state.update(step.measurement)
+        bounds += [force_bound(state, closest) for closest in near]
+    assert recorder.figures()["force_bound_min_n"] == min(bounds)
+    assert 10.0 < min(bounds) < 500.0  # [N]
+    nobody = Recorder(robot)
+    for step in steps:
+        nobody.add(step._replace(pulls=()))
+    assert nobody.figures()["force_bound_min_n"] is None
 
 
 @pytest.mark.parametrize("near", [0, 350, 1204])

@@ -13,8 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from app.control.buffer_watch import BufferReading
+from app.control.force_bound import force_bound
 from app.robot.bases.kind import Axis
 from app.robot.model import RobotModel
+from app.robot.state import RobotState
 from app.simulation.plants.interface import Contacts
 from app.simulation.session import Step
 from app.simulation.trace.axis_columns import acceleration_column, velocity_column
@@ -27,7 +29,7 @@ Array = np.ndarray
 NEAR = 0.01
 """[m] between two bodies that is as good as contact: the person's force counts until then."""
 
-_LOG_EVERY = 10  # control steps per row of the log
+_LOG_EVERY = 10  # control steps per row of the log, and per look at what the arm can bear
 _BETA = attrgetter("beta")
 
 
@@ -85,6 +87,9 @@ class Recorder:
         self._clear = self._finite = True
         self._failures = 0
         self._joint_speed_share = 0.0
+        self._state = RobotState(model)
+        self._until_look = 0  # control steps
+        self._force_bound = math.inf
         self._released_path: float | None = None  # [m] of the base when the hand was last held
         self._near_until: float | None = None
         self._durations: list[float] = []
@@ -100,6 +105,10 @@ class Recorder:
             self._log.append(values)
             self._until_row = _LOG_EVERY
         self._until_row -= 1
+        if self._until_look == 0:
+            self._look_at_bound(step)
+            self._until_look = _LOG_EVERY
+        self._until_look -= 1
         if step.door is not None:
             self._door = self._door or DoorRecord()
             self._door.add(step)
@@ -124,6 +133,14 @@ class Recorder:
                 step.hand_speed,
             )
         )
+
+    def _look_at_bound(self, step: Step) -> None:
+        """What the arm can bear where somebody holds it inside a buffer of L_m."""
+        near = [pair.closest for pair in step.output.avoidance.mobile if pair.beta > 0.0]
+        if step.pulls and near:
+            self._state.update(step.measurement)
+            bounds = (force_bound(self._state, closest) for closest in near)
+            self._force_bound = min(self._force_bound, *bounds)
 
     def _begin(self, step: Step) -> None:
         self._first = step
@@ -219,6 +236,8 @@ class Recorder:
         `base_path_after_release_m`, since anybody last held the robot, if nobody does at the end;
         `hand_force_max_n` is the person's on the end-effector, or that on a door that it holds,
         `hand_force_clear_max_n` the same until two bodies first came nearer than 10 mm;
+        `force_bound_min_n`, the least force of a person that the arm's torques could bear while
+        somebody held it inside a buffer of L_m, is None if nobody did;
         `stuck` says where and why a tracked hand stops short of a resting target, or is None.
         """
         assert self._first is not None, "no step was recorded"
@@ -250,6 +269,7 @@ class Recorder:
             "torque_rate_sign_changes": self._changes.torque_rate_sign_changes,
             "hand_force_max_n": self._hand_force_max,
             "hand_force_clear_max_n": self._hand_force_clear_max,
+            "force_bound_min_n": self._force_bound if math.isfinite(self._force_bound) else None,
             "hand_speed_max_mps": self._hand_speed_max,
             "joint_speed_share_max": self._joint_speed_share,
             "clear_since_s": self._clear_since(),
