@@ -218,10 +218,10 @@ def plain_posture(state: RobotState, q_posture: Array, config: TaskConfig) -> Ob
 
 
 def plain_tracking(posture: Objective, task: EqualityTask, weight: float) -> Objective:
-    """The posture and ½ w (‖J q̈ - b‖² + λ ‖q̈ + k_v q̇‖²)."""
+    """The posture and ½ w (‖J q̈ - b‖² + λ ‖q̈ + k_v q̇‖²), λ in its weights."""
     J, b, give, drag = task
-    H = posture.H + weight * (J.T @ J + give * np.eye(len(drag)))
-    return Objective(H, posture.c - weight * (b @ J - give * drag))
+    H = (1.0 + weight * give) * posture.H + weight * J.T @ J
+    return Objective(H, posture.c - weight * (b @ J - give * posture.H @ drag))
 
 
 def plain_carried(state: RobotState, speed: float) -> Array:

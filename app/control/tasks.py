@@ -72,6 +72,9 @@ def tracking_objective(posture: Objective, task: EqualityTask, weight: float) ->
     A strict level would ask for unbounded accelerations where a limit or another task makes it
     nearly dependent; this one gives in there, and is off by 1/w of what the posture pulls.
 
+    An error that is left damps it, λ ‖q̈ + k_v q̇‖² in the posture's weights with λ its square
+    (Levenberg and Marquardt, by Sugihara 2011): an arm at full stretch comes to rest.
+
     Paper: Eq. (26).
 
     Args:
@@ -80,9 +83,10 @@ def tracking_objective(posture: Objective, task: EqualityTask, weight: float) ->
         weight: [-] w.
     """
     J, b, give, drag = task
-    H = posture.H + weight * (J.T @ J)
-    H[np.diag_indices(len(H))] += weight * give
-    return Objective(H, posture.c - weight * (J.T @ b - give * drag))
+    damping = weight * give * posture.H  # the base's motion stays as costly beside the arm's
+    return Objective(
+        posture.H + damping + weight * (J.T @ J), posture.c + damping @ drag - weight * (J.T @ b)
+    )
 
 
 def base_rest_acceleration(state: RobotState, config: TaskConfig) -> Array:
