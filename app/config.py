@@ -92,24 +92,26 @@ class TaskConfig(Strict):
     """[1/s²] position gain of the end-effector's task."""
     ee_damping: Annotated[float, Shown("hand task d")] = Field(default=60.0, ge=0.0, le=200.0)
     """[1/s] velocity gain of the end-effector's task."""
+    ee_speed: Annotated[float, Shown("hand task v")] = Field(default=0.5, ge=0.05, le=2.0)
+    """[m/s] and [rad/s] at which the hand takes back an error at most, however large it is."""
     posture_stiffness: Annotated[float, Shown("posture k")] = Field(default=4.0, ge=0.0, le=100.0)
-    """[1/s²] pull of the arm towards its starting pose, lowest level."""
+    """[1/s²] pull of the arm towards its starting pose."""
     centring: Annotated[float, Shown("off limits k")] = Field(default=8.0, ge=0.0, le=100.0)
-    """[1/s²] pull at a joint's limit towards the middle of its range, lowest level."""
+    """[1/s²] pull at a joint's limit towards the middle of its range."""
     posture_damping: Annotated[float, Shown("posture d")] = Field(default=4.0, ge=0.0, le=100.0)
-    """[1/s] damping of the arm, lowest level."""
+    """[1/s] damping of the arm in its posture task."""
     base_damping: Annotated[float, Shown("base rest k")] = Field(default=3.0, ge=0.0, le=20.0)
     """[1/s] k of the base's rest acceleration −k q̇_b."""
     base_slowness: Annotated[float, Shown(advanced=True)] = Field(default=4.0, ge=1.0, le=100.0)
     """[-] how much slower the base corrects errors than the arm; its commands come at 10 Hz."""
     base_weight: Annotated[float, Shown(log=True)] = Field(default=1000.0, ge=1.0, le=1e6)
-    """[-] how much costlier the base's acceleration is than the arm's, lowest level."""
+    """[-] how much costlier the base's acceleration is than the arm's, in the posture task."""
     ee_weight: Annotated[float, Shown(advanced=True, log=True)] = Field(default=1e5, ge=1.0, le=1e7)
     """[-] of the end-effector's task against the posture: how strictly it comes first."""
     softness: Annotated[float, Shown(advanced=True, log=True)] = Field(
-        default=1e-3, ge=1e-6, le=0.1
+        default=1e-3, ge=1e-4, le=0.1
     )
-    """[-] of what is asked against a row in full force, what it gives in; its square of a limit."""
+    """[-] ε by which a row in full force gives in to tasks; a joint's limit ε², a distance ε³."""
 
 
 class LimitConfig(Strict):
@@ -123,8 +125,8 @@ class LimitConfig(Strict):
         default=1000.0, ge=50.0, le=1e6
     )
     """[N m/s] how fast a torque of the arm may change; a Panda takes 1000."""
-    push_rate: Annotated[float, Shown(advanced=True)] = Field(default=60.0, ge=0.0, le=300.0)
-    """[1/s] how fast what others exert on the arm is learnt; its distance is kept against it."""
+    push_rate: Annotated[float, Shown(advanced=True)] = Field(default=200.0, ge=0.0, le=300.0)
+    """[1/s] how fast what others exert on the arm is learnt, so that limits are kept."""
 
 
 class AdmittanceConfig(Strict):

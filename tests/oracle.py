@@ -146,15 +146,15 @@ class PlainQP(TaskQP):
 
     limited = 0
 
-    def solve(self, objective: Objective, limits: Limits, softness: float) -> Array:
-        (H, c), (C, l, u, hard) = objective, limits
+    def solve(self, objective: Objective, limits: Limits) -> Array:
+        (H, c), (C, l, u, softness) = objective, limits
         free = np.linalg.solve(H, -c)
         if ((C @ free >= l) & (C @ free <= u)).all():
             return free
         self.limited += 1
         L, inverse = np.linalg.cholesky(H), np.linalg.inv(H)
         own = np.diag(C @ inverse @ C.T)
-        A = np.hstack([C @ np.linalg.inv(L).T, np.diag(np.sqrt(softness * own))[:, hard:]])
+        A = np.hstack([C @ np.linalg.inv(L).T, np.diag(np.sqrt(softness * own))[:, softness > 0.0]])
         G, h = np.vstack([A, -A]), np.concatenate([l - C @ free, C @ free - u])
         length = np.linalg.norm(G, axis=1)
         kept = np.isfinite(h)
@@ -183,6 +183,7 @@ def plain_arm_limits(
     config: LimitConfig,
     barriers: Sequence[BarrierRow],
     *,
+    softness: float,
     qdd_b: Array,
     pushed: Array,
     torque: tuple[Array, Array],
@@ -196,13 +197,14 @@ def plain_arm_limits(
     both = np.maximum(position[0], velocity[0]), np.minimum(position[1], velocity[1])
     lower, upper = np.sort(both, axis=0)
     extra = np.linalg.inv(M[2:, 2:]) @ pushed
-    C = np.vstack([M[2:, 2:], np.eye(model.n_m), *(row.J[2:] for row in barriers)])
+    n = model.n_m
+    C = np.vstack([M[2:, 2:], np.eye(n), *(row.J[2:] for row in barriers)])
     least = [row.l - row.J[:2] @ qdd_b - row.J[2:] @ extra for row in barriers]
     return Limits(
         C,
-        np.concatenate([torque[0] - there, lower, least]),
-        np.concatenate([torque[1] - there, upper, np.full(len(least), np.inf)]),
-        model.n_m,
+        np.concatenate([torque[0] - there, lower - extra, least]),
+        np.concatenate([torque[1] - there, upper - extra, np.full(len(least), np.inf)]),
+        np.concatenate([np.zeros(n), np.full(n, softness**2), np.full(len(least), softness**3)]),
     )
 
 
@@ -223,9 +225,10 @@ def plain_posture(state: RobotState, q_posture: Array, config: TaskConfig) -> Ob
 
 
 def plain_tracking(posture: Objective, task: EqualityTask, weight: float) -> Objective:
-    """The posture and ½ w ‖J q̈ - b‖²."""
-    J, b = task
-    return Objective(posture.H + weight * J.T @ J, posture.c - weight * b @ J)
+    """The posture and ½ w (‖J q̈ - b‖² + λ ‖q̈ + k_v q̇‖²), λ in its weights."""
+    J, b, give, drag = task
+    H = (1.0 + weight * give) * posture.H + weight * J.T @ J
+    return Objective(H, posture.c - weight * (b @ J - give * posture.H @ drag))
 
 
 def plain_carried(state: RobotState, speed: float) -> Array:

@@ -225,10 +225,10 @@ def test_rows_that_contradict_each_other_give_up_half_of_their_difference_each(r
     e = np.eye(9)
     given_rows = TaskRows(e[:2], np.zeros(2), np.zeros(2), 1.0)
     rows = [TaskRows(e[[5]], np.zeros(1), np.array([b]), 1.0) for b in (1.0, 1.0 + gap)]
-    limits = Limits(e[:1, 2:], np.array([-1e6]), np.array([1e6]), 0)
+    limits = Limits(e[:1, 2:], np.array([-1e6]), np.array([1e6]), np.full(1, 1e-6))
     objective, above = Objective(e, np.zeros(9)), (given_rows, *rows)
     whole = insert_rows(objective, above, 1e-6)
-    qdd = TaskQP().solve(whole, Limits(e[:1], *limits[1:]), 1e-6)
+    qdd = TaskQP().solve(whole, Limits(e[:1], *limits[1:]))
     arm = ArmSolve(above[1:], None, objective, objective, limits, qdd)
     inserted = output.inserted._replace(rows_m=None, rows_arm=(), rows_links=tuple(rows))
     output = output._replace(inserted=inserted)
@@ -279,14 +279,15 @@ def test_a_bound_is_reported_exactly_where_giving_way_would_change_the_answer(se
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(9, 9))
     objective = Objective(A @ A.T + np.eye(9), 3.0 * rng.normal(size=9))
-    limits = Limits(np.eye(9)[:6], np.full(6, -0.3), np.full(6, 0.3), 3)
-    qdd = TaskQP().solve(objective, limits, 1e-6)
-    low, high = met(limits, qdd, 1e-6)
+    softness = np.repeat([0.0, 1e-6], 3)
+    limits = Limits(np.eye(9)[:6], np.full(6, -0.3), np.full(6, 0.3), softness)
+    qdd = TaskQP().solve(objective, limits)
+    low, high = met(limits, qdd)
     assert (low | high).any()
     for i in range(6):
         for side, at in ((limits.l, low[i]), (limits.u, high[i])):
             kept, side[i] = side[i], 10.0 * side[i]
-            moved = np.abs(TaskQP().solve(objective, limits, 1e-6) - qdd).max()
+            moved = np.abs(TaskQP().solve(objective, limits) - qdd).max()
             side[i] = kept
             assert (moved > 10 * TOLERANCE) == at
 

@@ -1,1 +1,1 @@
-"""Tasks, the hierarchical QP, the controller (Algorithm 2) and the base's admittance law."""
+"""Tasks, their one QP, the controller (Algorithm 2) and the base's admittance law."""

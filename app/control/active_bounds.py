@@ -58,7 +58,7 @@ def active_bounds(
         config: The parameters of the step.
     """
     limits, n_m = workings.arm.limits, state.model.n_m
-    low, high = met(limits, workings.arm.qdd[state.model.n_b :], config.task.softness**2)
+    low, high = met(limits, workings.arm.qdd[state.model.n_b :])
     joints = state.model.description.arm.joints
     bounds = []
     for i in np.flatnonzero(low | high).tolist():
@@ -92,13 +92,13 @@ def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list
     ]
 
 
-def met(limits: Limits, qdd: Array, softness: float) -> tuple[Array, Array]:
+def met(limits: Limits, qdd: Array) -> tuple[Array, Array]:
     """(m,) whether q̈ is at the lower, and (m,) at the upper bound of each row.
 
     A soft row at its bound is beyond it by up to its share of what the tasks asked.
     """
     reached = limits.C @ qdd
-    room = TOLERANCE + softness * (np.arange(len(reached)) >= limits.hard)
+    room = TOLERANCE + limits.softness
     return reached <= limits.l + room, reached >= limits.u - room
 
 

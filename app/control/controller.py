@@ -80,7 +80,7 @@ class Controller:
         failures: Steps so far in which the arm got the safe command, for want of a good measurement
             or a solution.
         given_up: Steps so far in which the base's own part had no solution; it was braked.
-        q_posture: (n_m,) the posture of the lowest level, set at the first step after `reset`.
+        q_posture: (n_m,) the posture that the arm is drawn to, set at the first step after `reset`.
     """
 
     def __init__(
@@ -262,11 +262,10 @@ class Controller:
                 posture, end_effector_task(state, reference, task), task.ee_weight
             )
         barriers = inserted.barriers if inserted.base_too else ()
-        limits = robot_limits(state, self._config.limit, barriers)
         softness = self._config.task.softness
+        limits = robot_limits(state, self._config.limit, barriers, softness=softness)
         try:
-            objective = insert_rows(objective, rows, softness)
-            qdd = self._solver.solve(objective, limits, softness**2)
+            qdd = self._solver.solve(insert_rows(objective, rows, softness), limits)
         except NoSolutionError:
             self.given_up += 1
             return base_rest_acceleration(state, self._config.task)
@@ -291,19 +290,20 @@ class Controller:
             objective = tracking_objective(lowest, T_ee, config.task.ee_weight)
         rows = (*inserted.rows_arm, *inserted.rows_links)
         qdd_b = self._model.J_m_inv @ base_acceleration
+        softness = config.task.softness
         limits = arm_limits(
             state,
             config.limit,
             inserted.barriers,
+            softness=softness,
             qdd_b=qdd_b,
             pushed=self._observer.r,
             torque=torque,
         )
-        softness = config.task.softness
         whole = insert_rows(
             _with_base(objective, qdd_b), [_of_arm(row, qdd_b) for row in rows], softness
         )
-        qdd_m = self._solver.solve(whole, limits, softness**2)
+        qdd_m = self._solver.solve(whole, limits)
         return ArmSolve(rows, T_ee, objective, lowest, limits, np.concatenate([qdd_b, qdd_m]))
 
     def _u_0(self, inserted: Inserted) -> Array:

@@ -1,4 +1,4 @@
-"""What each level of the hierarchy gave up for those above it and for the limits."""
+"""What each task gave up for those that weigh more and for the limits."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ LevelName = Literal["base", "arm", "links", "hand", "posture", "free"]
 
 
 class Level(NamedTuple):
-    """The slack of one level: what it asked for less what it got.
+    """The slack of one task: what it asked for less what it got.
 
     Attributes:
         name: "base": the base's rows of T_sca; "arm": the arm's rows against the base; "links":
-            rows between links; "hand": the end-effector's task; "posture": the lowest level, or
+            rows between links; "hand": the end-effector's task; "posture": the lightest, or
             "free" where a person leads the arm: what it would do by itself.
         linear: [m/s²] norm of the slack, or its linear part; None if there is none. Of "base" v̇.
         angular: [rad/s²] norm of the angular part, or of the joints'; None if there is none.
@@ -32,7 +32,7 @@ class Level(NamedTuple):
 
 
 def level_readings(base: BaseKind, output: ControlOutput, workings: Workings) -> tuple[Level, ...]:
-    """The levels that are in the stack of a step, highest priority first.
+    """The tasks of a step, what weighs most first.
 
     They are w_sca* and w_2 of (29).
 

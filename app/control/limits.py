@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -38,11 +39,22 @@ def joint_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Array]:
     return np.minimum(lower, upper), np.maximum(lower, upper)
 
 
+@lru_cache(maxsize=32)
+def softness_of(hard: int, joints: int, barriers: int, softness: float) -> Array:
+    """(hard + joints + barriers,) [-] 0 of what is hard, ε² of joints, ε³ of barriers.
+
+    With ε of a row of T_sca each kind gives way to the next: tasks to rows, rows to the joints'
+    limits, and these, where torques do not suffice for both, to a distance. Not to be written to.
+    """
+    return np.repeat([0.0, softness**2, softness**3], [hard, joints, barriers])
+
+
 def arm_limits(
     state: RobotState,
     config: LimitConfig,
     barriers: Sequence[BarrierRow],
     *,
+    softness: float,
     qdd_b: Array,
     pushed: Array,
     torque: tuple[Array, Array],
@@ -50,13 +62,14 @@ def arm_limits(
     """Limits of the arm's accelerations q̈_m under a given motion of the base.
 
     Hard are the torques; soft the joints' positions and velocities and the barriers. What others
-    exert on the arm moves it too: a barrier is kept by q̈_m + M_aa⁻¹ r, the acceleration that the
-    arm will have.
+    exert on the arm moves it too: these are kept by q̈_m + M_aa⁻¹ r, the acceleration that the arm
+    will have.
 
     Args:
         state: The robot's state.
         config: How fast limits may be approached.
         barriers: Distances that are kept.
+        softness: [-] ε of `softness_of`.
         qdd_b: (n_b,) the base's reduced acceleration.
         pushed: (n_m,) [N m or N] r, the torques that others exert on the arm.
         torque: (n_m,) the smallest and (n_m,) the largest torque [N m or N] of this step.
@@ -79,7 +92,7 @@ def arm_limits(
         least,
         -minimum(state.M[model.n_b :, model.n_b :], pushed)[0],
     )
-    return Limits(*bounds, model.n_m)
+    return Limits(*bounds, softness_of(model.n_m, model.n_m, len(barriers), softness))
 
 
 @compiled(
@@ -123,7 +136,7 @@ def _arm_bounds(
             velocity_rate * (qd_limits[1, i] - qd_m[i]),
         )
         C[n_m + i, i] = 1.0
-        l[n_m + i], u[n_m + i] = min(lower, upper), max(lower, upper)
+        l[n_m + i], u[n_m + i] = min(lower, upper) - extra[i], max(lower, upper) - extra[i]
     for i in range(k):
         l[2 * n_m + i] = least[i]
         for j in range(n_b):
@@ -135,7 +148,11 @@ def _arm_bounds(
 
 
 def robot_limits(
-    state: RobotState, config: LimitConfig, barriers: Sequence[BarrierRow] = ()
+    state: RobotState,
+    config: LimitConfig,
+    barriers: Sequence[BarrierRow] = (),
+    *,
+    softness: float,
 ) -> Limits:
     """Limits of base and arm together: hard torques and base accelerations, the others soft.
 
@@ -143,6 +160,7 @@ def robot_limits(
         state: The robot's state.
         config: How fast limits may be approached.
         barriers: Distances that are kept.
+        softness: [-] ε of `softness_of`.
     """
     model, n_b, n_m = state.model, state.model.n_b, state.model.n_m
     h_a, most = state.h[n_b:], model.base_acceleration_max
@@ -152,4 +170,4 @@ def robot_limits(
     C = np.vstack([state.M[n_b:], base, joints, *(row.J for row in barriers)])
     l = np.concatenate([-model.tau_max - h_a, -most, lower, [row.l for row in barriers]])
     u = np.concatenate([model.tau_max - h_a, most, upper, np.full(len(barriers), np.inf)])
-    return Limits(C, l, u, n_m + len(most))
+    return Limits(C, l, u, softness_of(n_m + len(most), n_m, len(barriers), softness))

@@ -9,6 +9,7 @@ import numpy as np
 from app.compiled import compiled
 
 Array = np.ndarray
+_EPS = 1e-12  # of a bound, by which it may be missed
 
 
 @compiled()
@@ -35,16 +36,22 @@ def _forward(L: Array, b: Array) -> Array:
     return x
 
 
-@compiled("Tuple((f8[::1], f8[:,::1]))(f8[:,:], f8[:])")
-def minimum(H: Array, c: Array) -> tuple[Array, Array]:
-    """-H⁻¹ c (n,), and L (n, n) with H = L Lᵀ; not a number if H is not positive definite."""
-    L = _cholesky(H)
-    x = _forward(L, -c)
+@compiled()
+def _backward(L: Array, b: Array) -> Array:
+    """L⁻ᵀ b."""
+    x = b.copy()
     for i in range(len(x) - 1, -1, -1):
         for l in range(i + 1, len(x)):
             x[i] -= L[l, i] * x[l]
         x[i] /= L[i, i]
-    return x, L
+    return x
+
+
+@compiled("Tuple((f8[::1], f8[:,::1]))(f8[:,:], f8[:])")
+def minimum(H: Array, c: Array) -> tuple[Array, Array]:
+    """-H⁻¹ c (n,), and L (n, n) with H = L Lᵀ; not a number if H is not positive definite."""
+    L = _cholesky(H)
+    return _backward(L, _forward(L, -c)), L
 
 
 @compiled("b1(f8[:,:], f8[:], f8[:], f8[:], f8)")
@@ -59,39 +66,91 @@ def holds(C: Array, l: Array, u: Array, x: Array, tolerance: float) -> bool:
     return True
 
 
-@compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:,:], f8[:], f8[:], f8[:], i8, f8)")
-def scaled_rows(
-    L: Array, C: Array, l: Array, u: Array, x: Array, hard: int, softness: float
-) -> tuple[Array, Array, Array]:
-    """The limits of z = Lᵀ (q̈ - x) as rows of length one, each soft one with a slack.
+@compiled()
+def _bring(
+    p: int, side: float, miss: float, K: Array, y: Array, kept: Array, size: int
+) -> tuple[int, bool]:
+    """Bring row p to its bound, changing y and the rows that are kept there.
+
+    Returns:
+        How many rows are kept, and whether it came there; else the hard rows contradict each other.
+    """
+    m = len(y)
+    while True:
+        active, turn = kept[:size], np.zeros(m)
+        if size > 0:
+            W = np.empty((size, size))
+            for i in range(size):
+                for j in range(size):
+                    W[i, j] = K[active[i], active[j]]
+            factor = _cholesky(W)
+            turn[active] = -side * _backward(factor, _forward(factor, K[active, p]))
+        turn[p] = side
+        rise = side * (K[p] * turn).sum()  # towards the bound, for each unit of y_p
+        step = miss / rise if rise > _EPS * K[p, p] else np.inf
+        blocking = -1
+        for k in range(size):
+            i = active[k]
+            if y[i] * turn[i] < 0.0 and -y[i] / turn[i] < step:
+                step, blocking = -y[i] / turn[i], k
+        if not step < np.inf:
+            return size, False
+        y += step * turn
+        if blocking < 0:
+            kept[size] = p
+            return size + 1, True
+        miss -= step * rise
+        y[active[blocking]] = 0.0
+        kept[blocking : size - 1] = kept[blocking + 1 : size].copy()
+        size -= 1
+
+
+@compiled("Tuple((f8[::1], b1))(f8[:], f8[:,:], f8[:,:], f8[:], f8[:], f8[:])")
+def nearest_within(
+    x: Array, L: Array, C: Array, l: Array, u: Array, softness: Array
+) -> tuple[Array, bool]:
+    """The least within limits, by the dual active-set method of Goldfarb and Idnani (1983).
+
+    With a_i = L⁻¹ C_iᵀ, each of length one, and z = Lᵀ (q̈ - x), the answer is z = Σ y_i a_i. Its
+    multipliers y solve l ≤ K y ≤ u with K = a aᵀ + diag(ε), y_i ≥ 0 at a lower bound, ≤ 0 at an
+    upper one and 0 between. One row after the other, the most missed first, is brought to its
+    bound, while those that are there stay, until one of their multipliers is 0 and it is let go.
 
     Args:
+        x: (n,) the free optimum.
         L: (n, n) of the objective.
         C: (m, n) rows of the limits.
         l: (m,)
         u: (m,)
-        x: (n,) the free optimum.
-        hard: How many rows, the first, have no slack.
-        softness: [-] compliance of a slack against that of its row.
+        softness: (m,) [-] ε, the compliance of a row's slack against that of the row.
 
     Returns:
-        (m, n + m - hard) rows over z and the slacks, and their bounds (m,).
+        (n,) the least, and whether there is one.
     """
     n, m = len(x), len(l)
-    A, below, above = np.zeros((m, n + m - hard)), np.empty(m), np.empty(m)
+    a, below, above = np.empty((m, n)), np.empty(m), np.empty(m)
     for i in range(m):
-        a = _forward(L, C[i])
-        reached = length = 0.0
-        for j in range(n):
-            reached += C[i, j] * x[j]
-            length += a[j] ** 2
-        length = math.sqrt(length) + 1e-12
-        for j in range(n):
-            A[i, j] = a[j] / length
-        if i >= hard:
-            A[i, n + i - hard] = math.sqrt(softness)
+        a[i] = _forward(L, C[i])
+        length = math.sqrt((a[i] ** 2).sum()) + 1e-12
+        a[i] /= length
+        reached = (C[i] * x).sum()
         below[i], above[i] = (l[i] - reached) / length, (u[i] - reached) / length
-    return A, below, above
+    K = a @ a.T + np.diag(softness)
+    y, kept = np.zeros(m), np.empty(m, np.int64)
+    size, found = 0, False
+    for _ in range(10 * m):
+        s = K @ y
+        miss = np.maximum(below - s, s - above)
+        miss[kept[:size]] = 0.0
+        p = int(miss.argmax())
+        if not miss[p] > _EPS * (1.0 + abs(s[p])):
+            found = math.isfinite(miss[p])
+            break
+        side = 1.0 if s[p] < below[p] else -1.0
+        size, reached_it = _bring(p, side, miss[p], K, y, kept, size)
+        if not reached_it:
+            break
+    return x + _backward(L, y @ a), found
 
 
 @compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8)")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -35,14 +36,21 @@ class EqualityTask(NamedTuple):
     Attributes:
         J: (k, n).
         b: (k,) desired acceleration less J̇ q̇.
+        give: [m²] λ of `tracking_objective`.
+        drag: (n,) [rad/s² or m/s²] k_v q̇.
     """
 
     J: Array
     b: Array
+    give: float
+    drag: Array
 
 
 def end_effector_task(state: RobotState, reference: Reference, config: TaskConfig) -> EqualityTask:
     """T_ee ∈ ℝ⁶: J_ee q̈ + J̇_ee q̇ + w = ẍ_d + k_v (ẋ_d - ẋ) + k_p (x_d ⊖ x).
+
+    The pull k_p (x_d ⊖ x) is at most k_v times the speed at which an error is taken back, of its
+    linear and of its angular part: a target however far away asks for no more than that speed.
 
     Paper: Eq. (26), its task T_2.
     """
@@ -50,12 +58,12 @@ def end_effector_task(state: RobotState, reference: Reference, config: TaskConfi
     error = np.empty(6)
     error[:3] = reference.pose.translation - at.translation
     error[3:] = R @ pin.log3(R.T @ reference.pose.rotation)
-    xdd = (
-        reference.acceleration
-        + config.ee_damping * (reference.velocity - state.v_ee)
-        + config.ee_stiffness * error
-    )
-    return EqualityTask(state.J_ee, xdd - state.Jdqd_ee)
+    pull, most = config.ee_stiffness * error, config.ee_damping * config.ee_speed
+    for part in (pull[:3], pull[3:]):
+        part *= min(1.0, most / max(math.sqrt(part @ part), 1e-12))
+    xdd = reference.acceleration + config.ee_damping * (reference.velocity - state.v_ee) + pull
+    slack = float(pull @ pull) / max(config.ee_stiffness, 1e-12) ** 2
+    return EqualityTask(state.J_ee, xdd - state.Jdqd_ee, slack, config.ee_damping * state.qd)
 
 
 def tracking_objective(posture: Objective, task: EqualityTask, weight: float) -> Objective:
@@ -64,15 +72,21 @@ def tracking_objective(posture: Objective, task: EqualityTask, weight: float) ->
     A strict level would ask for unbounded accelerations where a limit or another task makes it
     nearly dependent; this one gives in there, and is off by 1/w of what the posture pulls.
 
+    An error that is left damps it, λ ‖q̈ + k_v q̇‖² in the posture's weights with λ its square
+    (Levenberg and Marquardt, by Sugihara 2011): an arm at full stretch comes to rest.
+
     Paper: Eq. (26).
 
     Args:
-        posture: The lowest level.
+        posture: The posture's objective.
         task: T_ee.
         weight: [-] w.
     """
-    J, b = task
-    return Objective(posture.H + weight * (J.T @ J), posture.c - weight * (J.T @ b))
+    J, b, give, drag = task
+    damping = weight * give * posture.H  # the base's motion stays as costly beside the arm's
+    return Objective(
+        posture.H + damping + weight * (J.T @ J), posture.c + damping @ drag - weight * (J.T @ b)
+    )
 
 
 def base_rest_acceleration(state: RobotState, config: TaskConfig) -> Array:

@@ -120,8 +120,7 @@ def _steps(model: RobotModel, data: BorderData, paths: Sequence[Path], seed: int
         "floor_p50_us": bare,
         "floor_ratio": p50 / bare,
         "floor_qps": [
-            dict(zip(("unknowns", "equalities", "inequalities"), size, strict=True))
-            for size in floor.sizes
+            dict(zip(("unknowns", "equalities", "inequalities"), floor.size, strict=True))
         ],
     }
 

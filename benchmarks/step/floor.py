@@ -1,10 +1,9 @@
 """The bare calls that no control step on these libraries can do without, for comparison.
 
 Dynamics, placements and distances of the pairs, the Jacobian of the end-effector and of each body
-of a pair, and the three QPs of Algorithm 2: T_sca, T_2 under it, and the lowest level. Each QP has
-the size of the paper's problem with the dynamics substituted: q̈ and the level's slack are unknown,
-the levels above are equalities, the limits of torques and of the base's and the joints'
-accelerations inequalities. Only its gradient changes from call to call, and it is warm-started.
+of a pair, and one QP of the size of the arm's: q̈_m is unknown, the limits of torques and joints and
+the distances to the base are inequalities. Only its gradient changes from call to call, and it is
+warm-started.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ class Floor:
     """Makes these calls, and nothing else.
 
     Attributes:
-        sizes: Unknowns, equalities and inequalities of each QP.
+        size: Unknowns, equalities and inequalities of the QP.
     """
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, seed: int) -> None:
@@ -36,14 +35,10 @@ class Floor:
         bodies = {body for pair in pairs.all for body in pair}
         self._joints = [model.body_joint(body) for body in sorted(bodies)]
         self._axes = pin.LOCAL_WORLD_ALIGNED
-        n, limits = model.n, 2 * model.n
-        b = model.n_b
-        self.sizes = ((n + b, b, limits), (n + 6, b + 6, limits), (n, b + 6, limits))
+        self.size = model.n_m, 0, 2 * model.n_m + len(pairs.mobile)
         rng = np.random.default_rng(seed)
-        self._qps = [_make_qp(*size, rng) for size in self.sizes]
-        self._gradients = [
-            g + 0.01 * rng.normal(size=(100, len(g))) for g in (qp.model.g for qp in self._qps)
-        ]
+        self._qp = _make_qp(*self.size, rng)
+        self._gradients = self._qp.model.g + 0.01 * rng.normal(size=(100, model.n_m))
         self._calls = 0
 
     def time(self, moment: Moment) -> float:
@@ -52,7 +47,7 @@ class Floor:
         wheels = np.linalg.solve(model.J_m, m.base_velocity)
         q = model.configuration(m.base_pose, m.q_m)
         v = model.S @ np.concatenate([wheels, m.qd_m])
-        gradients = [rows[self._calls % len(rows)] for rows in self._gradients]
+        gradient = self._gradients[self._calls % len(self._gradients)]
         self._calls += 1
         begin = perf_counter()
         pin.computeAllTerms(model.pin, data, q, v)
@@ -61,9 +56,8 @@ class Floor:
         pin.getFrameJacobian(model.pin, data, model.ee_frame, self._axes)
         for joint in self._joints:
             pin.getJointJacobian(model.pin, data, joint, self._axes)
-        for qp, g in zip(self._qps, gradients, strict=True):
-            qp.update(g=g)
-            qp.solve()
+        self._qp.update(g=gradient)
+        self._qp.solve()
         return 1e6 * (perf_counter() - begin)
 
 
@@ -71,13 +65,11 @@ def _make_qp(
     n: int, equalities: int, inequalities: int, rng: np.random.Generator
 ) -> proxqp.dense.QP:
     """A feasible QP of that size, at whose solution some inequalities are active."""
-    R = rng.normal(size=(n, n))
-    H, g = R @ R.T / n + np.eye(n), rng.normal(size=n)
-    A, C, x = rng.normal(size=(equalities, n)), rng.normal(size=(inequalities, n)), np.zeros(n)
+    R, C = rng.normal(size=(n, n)), rng.normal(size=(inequalities, n))
     bound = rng.uniform(0.3, 3.0, inequalities)
     qp = proxqp.dense.QP(n, equalities, inequalities)
     qp.settings.eps_abs, qp.settings.eps_rel = 1e-8, 0.0
     qp.settings.initial_guess = proxqp.InitialGuess.WARM_START_WITH_PREVIOUS_RESULT
-    qp.init(H, g, A, A @ x, C, -bound, bound)
+    qp.init(R @ R.T / n + np.eye(n), rng.normal(size=n), None, None, C, -bound, bound)
     qp.solve()
     return qp

@@ -110,8 +110,7 @@ def time_stages(controller: Controller, paths: Sequence[Path]) -> dict[str, floa
     for finder in avoidance._finders.values():
         stages.wrap(finder, "find_acting_point", "acting_point")
     stages.wrap(avoidance, "update", "avoidance")
-    stages.wrap(solver, "solve", "solve")
-    stages.wrap(solver, "_nearest", "proxqp")
+    stages.wrap(solver, "solve", "qp")
     spent: list[dict[str, float]] = []
     wholes = time_steps(controller, paths, lambda _, __: spent.append(stages.take()))
     rows = []
@@ -119,11 +118,10 @@ def time_stages(controller: Controller, paths: Sequence[Path]) -> dict[str, floa
         get = {name: 1e6 * parts.get(name, 0.0) for name in _PARTS}
         within = get.pop("avoidance")
         get["task"] = within - get["distances"] - get["acting_point"]
-        get["qp"] = get.pop("solve") - get["proxqp"]
         get["rest"] = whole - sum(get.values())
         rows.append(get)
     chosen = np.flatnonzero(wholes.both)
     return {name: float(np.median([rows[i][name] for i in chosen])) for name in rows[0]}
 
 
-_PARTS = ("kinematics_dynamics", "distances", "acting_point", "avoidance", "solve", "proxqp")
+_PARTS = ("kinematics_dynamics", "distances", "acting_point", "avoidance", "qp")

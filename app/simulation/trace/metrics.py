@@ -30,7 +30,9 @@ def metrics(run: Trace) -> dict[str, Any]:
     within the distance of full activation, is None if one still is; `base_path_after_release_m`,
     since anybody last held the robot, if nobody does at the end; `hand_force_max_n` is the
     person's on the end-effector, or that on a door that it holds, `hand_force_clear_max_n` the same
-    until two bodies first came nearer than 10 mm; `stuck` says where and why a tracked hand stops
+    until two bodies first came nearer than 10 mm; `force_bound_min_n`, the least force of a person
+    that the arm's torques could bear while somebody held it inside a buffer of L_m, is None if
+    nobody did; `stuck` says where and why a tracked hand stops
     short of a resting target, or is None. Changes from one control step to the next are None for a
     log that has not all of them.
     """
@@ -163,6 +165,7 @@ FIGURES: dict[str, Callable[[Trace], Any]] = {
     "torque_rate_sign_changes": lambda r: sign_changes(np.diff(r.of("u_a"), axis=0), _TORQUE_BAND),
     "hand_force_max_n": lambda r: largest(_force(r)),
     "hand_force_clear_max_n": _clear_force,
+    "force_bound_min_n": lambda r: _finite(-largest(-r.of("force_bound"), -math.inf)),
     "hand_speed_max_mps": lambda r: largest(r.of("hand_speed")),
     "joint_speed_share_max": _joint_speed_share,
     "clear_since_s": _clear_since,

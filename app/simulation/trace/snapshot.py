@@ -20,6 +20,7 @@ from app.avoidance.self_collision import PairState
 from app.config import Config
 from app.control.buffer_watch import BufferReading
 from app.control.explanation import Explanation, explain
+from app.control.force_bound import force_bound
 from app.robot.state import RobotState
 from app.simulation.loop.pacing import Clock
 from app.simulation.people import PullReading
@@ -264,6 +265,13 @@ def _door() -> Quantity:
     return Quantity(lambda _: columns, cells, value, take, row)
 
 
+def _force_bound(session: Session, step: Step) -> float:
+    near = [pair.closest for pair in step.output.avoidance.mobile if pair.beta > 0.0]
+    if not (step.pulls and near):
+        return NAN
+    return min(force_bound(session.controller.state, closest) for closest in near)
+
+
 @dataclass(frozen=True)
 class Snapshot:
     """The whole simulation at one instant: every quantity of its record.
@@ -388,6 +396,8 @@ class Snapshot:
         float, number("duration_us", "float", lambda s, o: 1e6 * o.duration, since=2)
     ] = NAN
     """[µs] real time that the controller took in this step."""
+    force_bound: Annotated[float, number("force_bound_n", "float", _force_bound, since=2)] = NAN
+    """[N] of a person that the arm's torques can bear, where somebody holds it inside a buffer."""
     busy: str = ""
     """What is being prepared while time stands still, or empty."""
     refusal: Refusal | None = None
