@@ -7,12 +7,9 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from app.border.cache import load_border_data
-from app.config import Config
-from app.robot.assets import load_robot
+from app import Config, RobotModel, load_border_data, load_robot
 from app.robot.bases.kind import FORWARD, Axis, BaseForce, BaseKind
 from app.robot.description import register_base_kind
-from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
 from app.simulation.scenarios.names import LINES
 
@@ -50,9 +47,7 @@ def main(duration: float = 8.0) -> dict[str, object]:
         "traction_limit_n": 300.0,
         "drive_time_constant_s": 0.05,
     }
-    base["source"] = {
-        name: "an example" for name, value in base.items() if isinstance(value, float)
-    }
+    base["source"] = {k: "an example" for k, value in base.items() if isinstance(value, float)}
     paper = load_robot("husky_panda")
     robot = RobotModel(paper.model_copy(update={"base": RailBase.model_validate(base)}))
     scenario = LINES["guiding-front"].changed(duration=duration)

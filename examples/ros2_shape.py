@@ -10,10 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from app.control.control_loop import ControlLoop
-from app.robot.assets import load_robot
-from app.robot.model import RobotModel
-from app.robot.state import Measurement
+from app import ControlLoop, Measurement, RobotModel, load_robot
 from app.simulation.plants.choice import make_physics
 
 

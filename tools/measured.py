@@ -365,7 +365,7 @@ SETS: dict[str, ResultSet] = {
     ),
     "plants": ResultSet({"times": ("benchmarks.engines", "--json")}, keep_all, plants_table),
     "robots": ResultSet(
-        {name: ("app", "compare-robots", "--robots", name, "--json") for name in ROBOTS},
+        {name: ("app", "sweep", "robots", "--robots", name, "--json") for name in ROBOTS},
         keep_robots,
         robots_table,
     ),
