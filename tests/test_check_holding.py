@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from app.onboarding.check.holding import carried_hand, holding_row, holding_warning, lost_hand
-from app.robot.assets import load_robot, package_roots
+from app.robot.assets import load_robot
 from app.robot.model import RobotModel
+from app.robot.packages import package_roots
 from tests.robots import husky_panda
 
 

@@ -41,7 +41,7 @@ from app.dashboard.scene.visuals import (
 from app.dashboard.server import check_address, serve_dashboard
 from app.dashboard.view import View
 from app.errors import AssetError, ConfigError, DescriptionError, ServerError
-from app.robot.assets import package_roots, resolve_package_uri
+from app.robot.packages import package_roots, resolve_package_uri
 from app.robot.urdf import resolved_urdf
 from app.simulation.loop.commands import Pull, Release
 from app.simulation.trace.snapshot import PairReading

@@ -9,8 +9,9 @@ import pytest
 
 from app.avoidance.holding import base_with_hand, carried
 from app.config import HoldingConfig
-from app.robot.assets import load_robot, package_roots
+from app.robot.assets import load_robot
 from app.robot.model import RobotModel
+from app.robot.packages import package_roots
 from app.robot.state import RobotState, at_rest
 from tests.robots import husky_panda, random_state
 

@@ -143,6 +143,7 @@ def recomputed(r: Columns) -> dict[str, Any]:
         "torque_rate_sign_changes": max(turns(np.diff(values), 0.003) for values in u),
         "hand_force_max_n": max(force),
         "hand_force_clear_max_n": max(force[: near[0] + 1] if near else force),
+        "force_bound_min_n": min((f for f in r["force_bound_n"] if f == f), default=None),
         "hand_speed_max_mps": max(r["hand_speed_mps"]),
         "clear_since_s": r["t_s"][full[-1]] if full else 0.0,
         "approach_speed_max_mps": r["approach_speed_max_mps"][-1],

@@ -11,9 +11,10 @@ import pytest
 
 from app.errors import AssetError, DescriptionError, UnknownNameError
 from app.robot import assets, urdf
-from app.robot.assets import load_robot, resolve_package_uri, robot_names
+from app.robot.assets import load_robot, robot_names
 from app.robot.description import load_description, tomllib
 from app.robot.model import RobotModel
+from app.robot.packages import resolve_package_uri
 from app.robot.urdf import resolved_urdf
 
 ORIGINAL = tomllib.loads((assets.ASSETS / "husky_panda/robot.toml").read_text(encoding="utf-8"))

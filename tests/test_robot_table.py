@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.cli.main import main
-from app.robot import assets
+from app.robot import packages
 from app.studies.sweep import robot_table as table
 from app.studies.sweep.robot_cases import CASES, Case
 from tests.robots import husky_panda
@@ -36,7 +36,7 @@ def test_a_row_for_each_controller_with_avoidance_farther_away():
 
 
 def test_a_robot_that_cannot_be_loaded_has_a_row_that_says_why(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(assets, "share_folders", list)
+    monkeypatch.setattr(packages, "share_folders", list)
     (row,) = table.robot_table(["tiago"], cases=[SHORT])["rows"]
     assert row["robot"] == "tiago"
     assert "pip install" in row["reason"]

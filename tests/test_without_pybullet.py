@@ -15,8 +15,9 @@ from app.border.reach.chain import Chain
 from app.border.reach.solver import make_solver
 from app.dashboard.scene.robot import RobotParts
 from app.errors import AssetError
-from app.robot.assets import load_robot, resolve_package_uri
+from app.robot.assets import load_robot
 from app.robot.model import RobotModel
+from app.robot.packages import resolve_package_uri
 
 PROJECT = Path(__file__).resolve().parent.parent
 WITHOUT = """

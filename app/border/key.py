@@ -7,8 +7,9 @@ import json
 from xml.etree import ElementTree
 
 from app.border.sampling.config import SamplingConfig
-from app.robot.assets import resolve_package_uri, urdf_path
+from app.robot.assets import urdf_path
 from app.robot.description import RobotDescription
+from app.robot.packages import resolve_package_uri
 from app.robot.shapes import ConvexMesh
 
 FORMAT = 2

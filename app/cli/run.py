@@ -198,6 +198,8 @@ def _run(scenario: Scenario, setup: Setup, config: Config, files: _Files) -> Non
         print(f"warning: {warning}", file=sys.stderr)
     if files.json:
         print_json(result.figures)
+        for path in written:
+            print(f"wrote {path}", file=sys.stderr)
         return
     print(verdict(result.figures))
     for key, value in result.figures.items():
@@ -208,13 +210,15 @@ def _run(scenario: Scenario, setup: Setup, config: Config, files: _Files) -> Non
 
 def _write(result: "RunResult", out: Path | None, log: Path | None) -> list[Path]:
     """Write what was asked for; returns what was written."""
-    logs = [path for path in (out and out / "log.csv", log) if path is not None]
-    for path in logs:
-        result.trace.write(path)
-    if out is None:
-        return logs
-    (out / "metrics.json").write_text(as_json(result.figures), encoding="utf-8")
-    return [*logs, out / "metrics.json"]
+    written = []
+    if out is not None:
+        written += [out / "log.csv", out / "metrics.json"]
+        result.trace.write(written[0])
+        written[1].write_text(as_json(result.figures), encoding="utf-8")
+    if log is not None:
+        written.append(log)
+        result.trace.write(log)
+    return written
 
 
 def verdict(figures: dict[str, Any]) -> str:

@@ -135,11 +135,15 @@ def nearest_within(
         a[i] /= length
         reached = (C[i] * x).sum()
         below[i], above[i] = (l[i] - reached) / length, (u[i] - reached) / length
-    K = a @ a.T + np.diag(softness)
+    # Sums in a fixed order: those of BLAS depend on where the memory lies.
+    K = np.diag(softness)
+    for i in range(m):
+        for j in range(m):
+            K[i, j] += (a[i] * a[j]).sum()
     y, kept = np.zeros(m), np.empty(m, np.int64)
     size, found = 0, False
     for _ in range(10 * m):
-        s = K @ y
+        s = (K * y).sum(axis=1)
         miss = np.maximum(below - s, s - above)
         miss[kept[:size]] = 0.0
         p = int(miss.argmax())
@@ -150,7 +154,8 @@ def nearest_within(
         size, reached_it = _bring(p, side, miss[p], K, y, kept, size)
         if not reached_it:
             break
-    return x + _backward(L, y @ a), found
+    z = (a.T * y).sum(axis=1)
+    return x + _backward(L, z), found
 
 
 @compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8)")

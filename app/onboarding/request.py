@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from app.config import Config, parameter
 from app.errors import ConfigError, RobotFileError, UnknownNameError
-from app.robot.description import KINDS
 from app.strict import MOST_SEEDS, Vector3, check_range
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
@@ -150,6 +149,9 @@ def check_request(request: Request) -> None:
     for field in ("mount_xyz", "mount_rpy", "tip_xyz", "tip_rpy"):
         for coordinate in getattr(request, field):
             check_range(option(field), coordinate, -_FARTHEST, _FARTHEST)
+    # Imported here: coal and pinocchio would make `dbb --help` start later.
+    from app.robot.description import KINDS
+
     kind = request.kind
     if kind not in KINDS:
         raise UnknownNameError("kind of base", kind, KINDS)

@@ -7,7 +7,6 @@ from functools import singledispatch
 import numpy as np
 import trimesh
 
-from app.robot.assets import resolve_package_uri
 from app.robot.shapes import Box, Capsule, ConvexMesh, Cylinder, Hull, Sphere, Superquadric
 
 
@@ -45,9 +44,7 @@ def _(shape: Capsule) -> trimesh.Trimesh:
 
 @shape_mesh.register
 def _(shape: ConvexMesh) -> trimesh.Trimesh:
-    loaded = trimesh.load(resolve_package_uri(shape.file), force="mesh")
-    assert isinstance(loaded, trimesh.Trimesh)
-    return loaded.apply_scale(shape.scale).convex_hull
+    return shape.hull()
 
 
 @shape_mesh.register

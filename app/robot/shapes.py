@@ -5,7 +5,7 @@ Each shape gives itself to coal for exact distances with a signed normal; `meshe
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import coal
 import numpy as np
@@ -13,8 +13,12 @@ import pinocchio as pin
 from pydantic import Field
 
 from app.errors import extras_named
+from app.robot.packages import resolve_package_uri
 from app.robot.superquadric import polytope_vertices
 from app.strict import Positive, Strict, Vector3
+
+if TYPE_CHECKING:
+    import trimesh
 
 Exponent = Annotated[float, Field(ge=0.1, le=2.0)]
 
@@ -104,12 +108,22 @@ class ConvexMesh(_Placed):
     """`package://…` address of the mesh."""
     scale: tuple[Positive, Positive, Positive] = (1.0, 1.0, 1.0)
 
-    def coal_geometry(self) -> coal.CollisionGeometry:
+    def hull(self) -> trimesh.Trimesh:
+        """The hull, in the shape's own frame.
+
+        Raises:
+            AssetError: The file is not there.
+        """
         # Imported here: only this shape needs trimesh, which takes longer to import than all else.
         with extras_named():
-            from app.robot.meshes import shape_mesh
+            import trimesh
 
-        return _convex_hull(shape_mesh(self).vertices)
+        loaded = trimesh.load(resolve_package_uri(self.file), force="mesh")
+        assert isinstance(loaded, trimesh.Trimesh)
+        return loaded.apply_scale(self.scale).convex_hull
+
+    def coal_geometry(self) -> coal.CollisionGeometry:
+        return _convex_hull(self.hull().vertices)
 
 
 class Hull(_Placed):

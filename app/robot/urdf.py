@@ -7,8 +7,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from app.errors import AssetError, DescriptionError
-from app.robot.assets import resolve_package_uri, urdf_path
+from app.robot.assets import urdf_path
 from app.robot.description import RobotDescription
+from app.robot.packages import resolve_package_uri
 
 PLANAR_JOINTS = ("planar_x", "planar_y", "planar_yaw")
 """Joints of the planar root that `planar_urdf` puts under the robot."""

@@ -9,7 +9,7 @@ from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.config import Config
 from app.errors import UnreachableError
-from app.onboarding.check.checks import Row
+from app.onboarding.check.row import Row
 from app.onboarding.fit.collision_sampling import ALWAYS
 from app.robot.link_pairs import PairDistances, sample_joints
 from app.robot.model import RobotModel

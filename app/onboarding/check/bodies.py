@@ -9,7 +9,7 @@ import numpy as np
 
 from app.border.mobile import MobileBody
 from app.config import Config
-from app.onboarding.check.checks import Row
+from app.onboarding.check.row import Row
 from app.onboarding.fit.collision_sampling import (
     close_pairs,
     hull_distances,

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from app.errors import DbbError
+from app.onboarding.check.row import Row
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
 
@@ -15,24 +16,6 @@ if TYPE_CHECKING:
     from app.border.cache import BorderData
 
 Array = np.ndarray
-
-Outcome = Literal["passed", "warned", "failed"]
-
-
-class Row(NamedTuple):
-    """One check.
-
-    Attributes:
-        name: What was checked.
-        outcome: passed, warned or failed.
-        text: One sentence.
-        numbers: What was measured; keys end in their unit.
-    """
-
-    name: str
-    outcome: Outcome
-    text: str
-    numbers: dict[str, float]
 
 
 def check_robot(

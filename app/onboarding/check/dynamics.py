@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from app.border.cache import BorderData
 from app.config import Config
-from app.onboarding.check.checks import Outcome, Row
+from app.onboarding.check.row import Outcome, Row
 from app.onboarding.fit.postures import judge_ready
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel

@@ -8,7 +8,7 @@ import numpy as np
 
 from app.config import AdmittanceConfig
 from app.control.admittance import largest_command
-from app.onboarding.check.checks import Row
+from app.onboarding.check.row import Row
 from app.robot.bases.kind import Axis
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from app.robot.model import RobotModel
