@@ -43,12 +43,13 @@ class Limits:
     Attributes:
         viewers: Connections at a time.
         upload: [bytes] of one file.
-        parameters: Names that the page's address may carry.
+        parameters: Names that the page's address may carry; viser's own one for the density of the
+            picture is harmless, others would tell the page whom to obey.
     """
 
     viewers: int = 32
     upload: int = 0
-    parameters: frozenset[str] = frozenset()
+    parameters: frozenset[str] = frozenset({"fixedDpr"})
 
 
 class Gate:
