@@ -125,7 +125,7 @@ class LimitConfig(Strict):
         default=1000.0, ge=50.0, le=1e6
     )
     """[N m/s] how fast a torque of the arm may change; a Panda takes 1000."""
-    push_rate: Annotated[float, Shown(advanced=True)] = Field(default=200.0, ge=0.0, le=300.0)
+    push_rate: Annotated[float, Shown(advanced=True)] = Field(default=30.0, ge=0.0, le=300.0)
     """[1/s] how fast what others exert on the arm is learnt, so that limits are kept."""
 
 
