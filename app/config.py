@@ -70,6 +70,8 @@ class BarrierConfig(Strict):
     """[m] distance that is not undercut as long as the torques suffice."""
     rate: Annotated[float, Shown("approach")] = Field(default=30.0, ge=1.0, le=100.0)
     """[1/s] how fast a pair may close in on that distance, per distance left."""
+    leaving: Annotated[float, Shown(advanced=True)] = Field(default=0.3, ge=0.05, le=2.0)
+    """[m/s] at which a pair that is nearer parts at most, in penetration too."""
 
 
 class HoldingConfig(Strict):
@@ -125,7 +127,7 @@ class LimitConfig(Strict):
         default=1000.0, ge=50.0, le=1e6
     )
     """[N m/s] how fast a torque of the arm may change; a Panda takes 1000."""
-    push_rate: Annotated[float, Shown(advanced=True)] = Field(default=200.0, ge=0.0, le=300.0)
+    push_rate: Annotated[float, Shown(advanced=True)] = Field(default=30.0, ge=0.0, le=300.0)
     """[1/s] how fast what others exert on the arm is learnt, so that limits are kept."""
 
 

@@ -8,6 +8,7 @@ from scipy.optimize import nnls
 
 from app.border.cache import BorderData
 from app.config import Config
+from app.control import qp
 from app.control.controller import Controller
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP
 from app.control.tasks import Reference
@@ -85,6 +86,23 @@ def test_another_solver_finds_the_same_optimum(seed: int, hard: int) -> None:
     np.testing.assert_allclose(qdd, expected, atol=3e-6)
     far = misses(limits, np.linalg.solve(objective.H, -objective.c))
     assert far.max() > 0.1  # else this would be the law above
+
+
+@pytest.mark.parametrize("hard", [0, 5])
+@pytest.mark.parametrize("seed", range(30))
+def test_where_active_sets_do_not_settle_proxqp_finds_the_same_optimum(
+    monkeypatch: pytest.MonkeyPatch, seed: int, hard: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    objective, limits = random_objective(rng), random_limits(rng, (0.1, 1.0, 3.0)[seed % 3], hard)
+    expected = TaskQP().solve(objective, limits)
+    calls = []
+    monkeypatch.setattr(qp, "nearest_within", lambda x, *_: calls.append(x) or (x, False))
+    np.testing.assert_allclose(TaskQP().solve(objective, limits), expected, atol=3e-6)
+    assert len(calls) == 1
+    for spoiled in (limits._replace(l=limits.l * np.nan), limits._replace(C=limits.C * np.inf)):
+        with pytest.raises(NoSolutionError):
+            TaskQP().solve(objective, spoiled)
 
 
 class Turning:

@@ -30,14 +30,15 @@ def barrier_row(state: RobotState, closest: ClosestPoints, config: BarrierConfig
     """The row that keeps a pair's distance above d_min, for the base's columns as for the arm's.
 
     With h = d - d_min it asks for ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that begins with ḣ + λ h ≥ 0 never
-    comes nearer than d_min, and one that begins nearer, in penetration too, leaves at the rate λ.
+    comes nearer than d_min, and one that begins nearer, in penetration too, leaves at the rate λ,
+    at `barrier.leaving` at most: h counts down to that speed over λ.
     It is the second-order form of the barriers ḣ + λ h ≥ 0 that libraries for velocities use.
 
     Args:
         state: The robot's state.
         closest: Closest points of the pair.
-        config: d_min and λ.
+        config: d_min, λ and the speed.
     """
     row = distance_jacobian(state, closest)
-    h = closest.d - config.d_min
+    h = max(closest.d - config.d_min, -config.leaving / config.rate)
     return BarrierRow(row.J, -2 * config.rate * row.speed - config.rate**2 * h - row.Jdqd)

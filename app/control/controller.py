@@ -258,9 +258,8 @@ class Controller:
         else:
             assert self.q_posture is not None
             posture = posture_objective(state, self.q_posture, task)
-            objective = tracking_objective(
-                posture, end_effector_task(state, reference, task), task.ee_weight
-            )
+            T_ee = end_effector_task(state, reference, task)._replace(give=0.0)  # it drives there
+            objective = tracking_objective(posture, T_ee, task.ee_weight)
         barriers = inserted.barriers if inserted.base_too else ()
         softness = self._config.task.softness
         limits = robot_limits(state, self._config.limit, barriers, softness=softness)

@@ -73,7 +73,8 @@ def tracking_objective(posture: Objective, task: EqualityTask, weight: float) ->
     nearly dependent; this one gives in there, and is off by 1/w of what the posture pulls.
 
     An error that is left damps it, λ ‖q̈ + k_v q̇‖² in the posture's weights with λ its square
-    (Levenberg and Marquardt, by Sugihara 2011): an arm at full stretch comes to rest.
+    (Levenberg and Marquardt, by Sugihara 2011): an arm at full stretch comes to rest. In the base's
+    own part nothing is damped, so that it drives to where the arm reaches the target.
 
     Paper: Eq. (26).
 
@@ -83,7 +84,7 @@ def tracking_objective(posture: Objective, task: EqualityTask, weight: float) ->
         weight: [-] w.
     """
     J, b, give, drag = task
-    damping = weight * give * posture.H  # the base's motion stays as costly beside the arm's
+    damping = weight * give * posture.H
     return Objective(
         posture.H + damping + weight * (J.T @ J), posture.c + damping @ drag - weight * (J.T @ b)
     )

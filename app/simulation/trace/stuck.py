@@ -18,7 +18,7 @@ SHORT = 1e-3
 _RESTING = 1e-6  # [m/s, m/s²] below which a reference rests
 _MOVING = 1e-3  # [m/s] towards the target at which the hand is still on its way
 _AT_LIMIT = 0.005  # [-] of a joint's range
-_STRETCHED = 0.05  # [m/rad or m/m] smallest singular value of the arm's translation
+_STRETCHED = 0.05  # [-] smallest singular value of the arm's Jacobian
 _PUSHED = 0.01  # [m/s²] of the hand away from its target, by the border's push on the base
 
 
@@ -49,7 +49,7 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
 
     The reasons are those of the true robot and of what the controller put on the base: joints at
     their position limits; a push of the border on the base that takes the hand away from its
-    target; an arm at full stretch, whose smallest singular value of the hand's translation is near
+    target; an arm at full stretch, whose smallest singular value of the hand's Jacobian is near
     zero.
 
     Args:
@@ -70,7 +70,7 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
         "still moving": bool(state.v_ee[:3] @ towards > _MOVING),
         "joint limits": bool(joints),
         "border against hand": _pushed_away(state, step) @ towards < -_PUSHED,
-        "full stretch": _least_translation(state) < _STRETCHED,
+        "full stretch": _least_motion(state) < _STRETCHED,
     }
     reasons: tuple[Reason, ...] = tuple(reason for reason, holds in found.items() if holds)
     return Stuck(
@@ -91,6 +91,6 @@ def _pushed_away(state: RobotState, step: Step) -> Array:
     return state.J_ee[:3, : model.n_b] @ (model.J_m_inv @ step.output.inserted.base_acceleration)
 
 
-def _least_translation(state: RobotState) -> float:
-    J = state.J_ee[:3, state.model.n_b :]
+def _least_motion(state: RobotState) -> float:
+    J = state.J_ee[:, state.model.n_b :]
     return float(np.linalg.svd(J, compute_uv=False)[-1])
