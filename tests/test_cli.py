@@ -21,10 +21,10 @@ import numpy as np
 import pytest
 
 from app.cli.main import COMMANDS, main
-from app.cli.run import verdict
 from app.robot import assets
 from app.robot.state import Measurement, RobotState
 from app.simulation.scenarios.names import SCENARIOS
+from app.simulation.trace.metrics import verdict
 from app.simulation.trace.trace import read_trace
 
 pytestmark = pytest.mark.slow

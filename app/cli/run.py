@@ -37,7 +37,6 @@ _DURATIONS = 0.01, 3600.0  # [s] shortest and longest run
 _PLACES = {"start": 3, "move": 3, "hinge_position": 2, "base": 2}  # and how many are metres
 _OF_A_CASE = {name: PARAMETERS[name] for name in ("buffer_distance", "border")}
 _OF_SCENARIOS = {name for each in SCENARIOS.values() for name in each.options}
-_TOUCHED = {"contacts": "the base", "arm_contacts": "itself", "floor_contacts": "the floor"}
 
 OutOption = Annotated[
     Path | None,
@@ -179,6 +178,7 @@ def _run(scenario: Scenario, setup: Setup, config: Config, files: _Files) -> Non
     # Imported here: it takes longer than to find a mistake in what was asked.
     from app.control.buffer_watch import buffer_warning
     from app.simulation.run import run_scenario
+    from app.simulation.trace.metrics import verdict
 
     model, data = load_robot_and_border(setup.robot)
     with progress_bar(f"{scenario.name}, {setup.controller}", scenario.duration) as on_progress:
@@ -219,27 +219,3 @@ def _write(result: "RunResult", out: Path | None, log: Path | None) -> list[Path
         written.append(log)
         result.trace.write(log)
     return written
-
-
-def verdict(figures: dict[str, Any]) -> str:
-    """How a run went, in a sentence or two: contact, the least distance, how far the hand is off.
-
-    Args:
-        figures: As `app.simulation.trace.metrics.metrics` gives them.
-    """
-    touched = [what for key, what in _TOUCHED.items() if figures[key]]
-    told = f"The arm touched {' and '.join(touched)}" if touched else "No contact"
-    least = min(figures["min_distance_m"].items(), key=lambda item: item[1], default=None)
-    fatter = ""
-    if least is not None:
-        pair, distance = least[0], 1000 * least[1]
-        near = f"least distance {distance:.0f}"
-        if distance < 0:
-            near = f"bodies overlapped by {-distance:.1f}"
-        told += f"; {near} mm ({pair})"
-        if distance < 0 and not touched:
-            fatter = (
-                " Distances are between bodies that are fatter than the links that they hold:"
-                " they can overlap while nothing touches."
-            )
-    return f"{told}; the hand ended {1000 * figures['ee_error_final_m']:.1f} mm off.{fatter}"

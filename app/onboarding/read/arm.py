@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from app.errors import RobotFileError
 from app.onboarding.read.tree import Joint, Tree
 
@@ -90,14 +88,3 @@ def _nothing_above(tree: Tree, base: str) -> None:
                 f"give --base {parent}"
             )
         link = parent
-
-
-def reach_bound(tree: Tree, arm: Arm) -> float:
-    """[m] sum of the lengths from the mount to the tip, with the longest slides."""
-    length = 0.0
-    for joint in tree.chain(arm.base, arm.tip):
-        if joint.parent != arm.base:
-            length += float(np.linalg.norm(joint.T_parent_child.translation))
-        if joint.kind == "prismatic":
-            length += max(abs(joint.lower or 0.0), abs(joint.upper or 0.0))
-    return length

@@ -21,6 +21,7 @@ _TORQUE_BAND = 0.003  # [N m] or [N] a step, within which a torque's rate has no
 _OPENED = math.radians(80)  # [rad] when a door counts as opened
 _ESTIMATE_AT = 5.0  # [s] when the estimate of the radial direction is judged
 _BACKED_OFF = 0.01  # [m] of the base's motion from which on it counts as one
+_TOUCHED = {"contacts": "the base", "arm_contacts": "itself", "floor_contacts": "the floor"}
 
 
 def metrics(run: Trace) -> dict[str, Any]:
@@ -42,6 +43,30 @@ def metrics(run: Trace) -> dict[str, Any]:
         figures["torque_jump_max_nm"] = None
     opening = run.rows(~np.isnan(run["radial_error_rad"]))
     return figures | ({key: figure(opening) for key, figure in DOOR.items()} if opening else {})
+
+
+def verdict(figures: dict[str, Any]) -> str:
+    """How a run went, in a sentence or two: contact, the least distance, how far the hand is off.
+
+    Args:
+        figures: As `metrics` gives them.
+    """
+    touched = [what for key, what in _TOUCHED.items() if figures[key]]
+    told = f"The arm touched {' and '.join(touched)}" if touched else "No contact"
+    least = min(figures["min_distance_m"].items(), key=lambda item: item[1], default=None)
+    fatter = ""
+    if least is not None:
+        pair, distance = least[0], 1000 * least[1]
+        near = f"least distance {distance:.0f}"
+        if distance < 0:
+            near = f"bodies overlapped by {-distance:.1f}"
+        told += f"; {near} mm ({pair})"
+        if distance < 0 and not touched:
+            fatter = (
+                " Distances are between bodies that are fatter than the links that they hold:"
+                " they can overlap while nothing touches."
+            )
+    return f"{told}; the hand ended {1000 * figures['ee_error_final_m']:.1f} mm off.{fatter}"
 
 
 def clearance(run: Trace, *, mobile: bool) -> float | None:

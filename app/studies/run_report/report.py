@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from matplotlib.figure import Figure
 
 from app.config import Config, parameter
 from app.errors import ConfigError
-from app.simulation.trace.metrics import extremes, metrics
+from app.simulation.trace.metrics import extremes, metrics, verdict
 from app.simulation.trace.trace import Trace
 from app.studies.page import Grid, Part, measured_grids, page_html
 from app.studies.run_report.figures import (
@@ -37,26 +37,14 @@ def run_report(run: Trace) -> str:
         run: As `read_trace` gives it, or made from snapshots.
     """
     title = f"{run.meta.scenario or 'A person leads the hand'}, {_controllers(run)}"
-    parts = [Part(text=[_verdict(run)])]
+    numbers = key_numbers(run)
+    parts = [Part(text=[verdict(numbers)])]
     with styled():
         parts += [
             Part(text, name, png=png_of(draw(run))) for name, (text, draw) in _FIGURES.items()
         ]
-    parts += [Part("Key numbers", "numbers", tables=measured_grids(_shown(run))), _changes(run)]
+    parts += [Part("Key numbers", "numbers", tables=measured_grids(_shown(numbers))), _changes(run)]
     return page_html(title, _about(run), parts)
-
-
-def _verdict(run: Trace) -> str:
-    """One sentence: whether anything touched, how near it came, and where the hand ended."""
-    figures = metrics(run)
-    touched = f"In contact in {figures['contacts']} steps" if figures["contacts"] else "No contact"
-    least, near = figures["min_distance_m"], ""
-    if least:
-        pair = min(least, key=least.get)
-        near = f"; least distance {1e3 * least[pair]:.1f} mm, of {pair}"
-        near += " (between their bodies, which are fatter than the links)"
-    ended = f"; the hand ended {1e3 * figures['ee_error_final_m']:.1f} mm from where it was led"
-    return f"{touched}{near}{ended}."
 
 
 def _controllers(run: Trace) -> str:
@@ -83,10 +71,10 @@ def key_numbers(run: Trace) -> dict[str, Any]:
     return {**extremes(run), **metrics(run)}
 
 
-def _shown(run: Trace) -> dict[str, Any]:
+def _shown(numbers: Mapping[str, Any]) -> dict[str, Any]:
     """Key numbers; those of each pair and each joint stand one below the other."""
     shown: dict[str, Any] = {}
-    for key, value in key_numbers(run).items():
+    for key, value in numbers.items():
         if isinstance(value, dict):
             stem, _, unit = key.rpartition("_")
             shown |= {f"{stem} {name}_{unit}": number for name, number in value.items()}
