@@ -53,18 +53,18 @@ format: $(VENV)/.installed-dev
 browser: $(VENV)/.installed
 	tools/browser.sh $(VENV)
 
-$(VENV)/.installed: pyproject.toml
-	tools/venv.sh $(VENV) '.[all]'
+$(VENV)/.installed: pyproject.toml requirements/all.txt
+	tools/venv.sh $(VENV) all
 	$(KERNELS)
 	touch $@
 
-$(VENV)/.installed-dev: pyproject.toml
-	tools/venv.sh $(VENV) '.[dev]'
+$(VENV)/.installed-dev: pyproject.toml requirements/dev.txt
+	tools/venv.sh $(VENV) dev
 	$(KERNELS)
 	touch $@ $(VENV)/.installed
 
 $(VENV)/.installed-docs: pyproject.toml
-	tools/venv.sh $(VENV) '.[docs]'
+	tools/venv.sh $(VENV) docs
 	touch $@
 
 clean:

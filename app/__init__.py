@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from app.control.controller import ControlOutput as ControlOutput
     from app.control.tasks import Reference as Reference
     from app.errors import DbbError as DbbError
+    from app.errors import MeasurementError as MeasurementError
     from app.robot.assets import load_robot as load_robot
     from app.robot.assets import robot_names as robot_names
     from app.robot.description import RobotDescription as RobotDescription
@@ -52,6 +53,7 @@ _MODULES = {
     "Controller": "app.control.controller",
     "DbbError": "app.errors",
     "Measurement": "app.robot.state",
+    "MeasurementError": "app.errors",
     "Reference": "app.control.tasks",
     "RobotDescription": "app.robot.description",
     "RobotModel": "app.robot.model",

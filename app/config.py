@@ -6,6 +6,7 @@ in brackets at the start of a field's docstring.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
@@ -81,9 +82,7 @@ class HoldingConfig(Strict):
         default=0.2, ge=0.01, le=2.0
     )
     """[m/s] of the hand at the joints' largest speeds: where it is less, the arm does not hold."""
-    weight: Annotated[float, Shown("hand weighs", log=True)] = Field(
-        default=3000.0, ge=0.01, le=1e5
-    )
+    weight: Annotated[float, Shown("hand weighs")] = Field(default=3000.0, ge=0.01, le=1e5)
     """[-] of a hand that the base would take along, in masses of the base."""
 
 
@@ -106,13 +105,11 @@ class TaskConfig(Strict):
     """[1/s] k of the base's rest acceleration −k q̇_b."""
     base_slowness: Annotated[float, Shown(advanced=True)] = Field(default=4.0, ge=1.0, le=100.0)
     """[-] how much slower the base corrects errors than the arm; its commands come at 10 Hz."""
-    base_weight: Annotated[float, Shown(log=True)] = Field(default=1000.0, ge=1.0, le=1e6)
+    base_weight: float = Field(default=1000.0, ge=1.0, le=1e6)
     """[-] how much costlier the base's acceleration is than the arm's, in the posture task."""
-    ee_weight: Annotated[float, Shown(advanced=True, log=True)] = Field(default=1e5, ge=1.0, le=1e7)
+    ee_weight: Annotated[float, Shown(advanced=True)] = Field(default=1e5, ge=1.0, le=1e7)
     """[-] of the end-effector's task against the posture: how strictly it comes first."""
-    softness: Annotated[float, Shown(advanced=True, log=True)] = Field(
-        default=1e-3, ge=1e-4, le=0.1
-    )
+    softness: Annotated[float, Shown(advanced=True)] = Field(default=1e-3, ge=1e-4, le=0.1)
     """[-] ε by which a row in full force gives in to tasks; a joint's limit ε², a distance ε³."""
 
 
@@ -123,9 +120,7 @@ class LimitConfig(Strict):
     """[1/s] how fast a joint may close in on its position limit, per distance left."""
     velocity_rate: Annotated[float, Shown(advanced=True)] = Field(default=30.0, ge=1.0, le=200.0)
     """[1/s] how fast a joint may close in on its velocity limit, per velocity left."""
-    torque_rate: Annotated[float, Shown("torque", log=True)] = Field(
-        default=1000.0, ge=50.0, le=1e6
-    )
+    torque_rate: Annotated[float, Shown("torque")] = Field(default=1000.0, ge=50.0, le=1e6)
     """[N m/s] how fast a torque of the arm may change; a Panda takes 1000."""
     push_rate: Annotated[float, Shown(advanced=True)] = Field(default=30.0, ge=0.0, le=300.0)
     """[1/s] how fast what others exert on the arm is learnt, so that limits are kept."""
@@ -228,7 +223,7 @@ class Config(Strict):
         Raises:
             ConfigError: No such parameter, or a value out of its range.
         """
-        section, name = _split(path)
+        section, _, name = tunable(path).path.partition(".")
         data = self.model_dump()
         data[section][name] = value
         return make_config(data)
@@ -239,7 +234,7 @@ class Config(Strict):
         Raises:
             ConfigError: No such parameter.
         """
-        section, name = _split(path)
+        section, _, name = tunable(path).path.partition(".")
         return getattr(getattr(self, section), name)
 
 
@@ -256,17 +251,26 @@ def make_config(data: dict[str, Any]) -> Config:
         raise ConfigError(explain(error, Config, _range_text)) from None
 
 
+@cache
 def sections() -> tuple[Section, ...]:
     """All parameters, by section, as the records above have them."""
     return tuple(
         Section(
             name,
-            field.description or name,
-            (type(field.default).__doc__ or "").strip(),
-            tuple(read_tunable(name, each, f) for each, f in _fields(name).items()),
+            section.description or name,
+            (type(section.default).__doc__ or "").strip(),
+            tuple(
+                read_tunable(name, each, field)
+                for each, field in type(section.default).model_fields.items()
+            ),
         )
-        for name, field in Config.model_fields.items()
+        for name, section in Config.model_fields.items()
     )
+
+
+@cache
+def _tunables() -> dict[str, Tunable]:
+    return {each.path: each for section in sections() for each in section.tunables}
 
 
 def tunable(path: str) -> Tunable:
@@ -275,8 +279,9 @@ def tunable(path: str) -> Tunable:
     Raises:
         ConfigError: No such parameter.
     """
-    section, name = _split(path)
-    return read_tunable(section, name, _fields(section)[name])
+    if path not in _tunables():
+        raise ConfigError(f"no parameter {path!r}{did_you_mean(path, _tunables())}")
+    return _tunables()[path]
 
 
 def parameter(path: str) -> Parameter:
@@ -291,23 +296,11 @@ def parameter(path: str) -> Parameter:
     return found
 
 
-def _split(path: str) -> tuple[str, str]:
-    section, _, name = path.partition(".")
-    if section not in Config.model_fields or name not in _fields(section):
-        known = [each.path for group in sections() for each in group.tunables]
-        raise ConfigError(f"no parameter {path!r}{did_you_mean(path, known)}")
-    return section, name
-
-
-def _fields(section: str) -> dict[str, Any]:
-    return type(Config.model_fields[section].default).model_fields
-
-
 def _range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
     """What would be right for a section or a parameter that exists."""
     if len(loc) == 1 and kind == "model_type":
         return "must be a section of parameters"
-    if len(loc) != 2 or kind == "extra_forbidden":
+    known = _tunables().get(".".join(map(str, loc)))
+    if known is None:
         return None
-    known = tunable(".".join(map(str, loc)))
     return f"must be {'within ' if isinstance(known, Parameter) else ''}{known.allowed}"

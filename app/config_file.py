@@ -15,6 +15,7 @@ from tomlkit.items import Table
 from app.config import Config, make_config, sections
 from app.errors import ConfigError
 from app.parameters import Parameter, Tunable
+from app.strict import parsed
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -29,23 +30,15 @@ _NAME = "name"  # key of the file's own name, beside the sections
 
 
 class NamedConfig(NamedTuple):
-    """What a file holds.
-
-    Attributes:
-        name: "" if the file gives itself none.
-        config: The parameters.
-    """
+    """What a file holds."""
 
     name: str
+    """"" if the file gives itself none."""
     config: Config
 
 
 def save_config(config: Config, name: str = "") -> str:
     """The text of a file with every parameter, its unit, range and meaning, and what is changed.
-
-    Args:
-        config: The parameters.
-        name: What the file calls itself.
 
     Raises:
         ConfigError: The name is too long or has characters that cannot be printed.
@@ -65,37 +58,26 @@ def save_config(config: Config, name: str = "") -> str:
     return tomlkit.dumps(document)
 
 
-def parse_config(text: str) -> NamedConfig:
-    """The parameters of a file's text.
+def decode_config(content: bytes) -> NamedConfig:
+    """The parameters of a file's bytes.
 
     Raises:
-        ConfigError: It is no TOML, or names a parameter that does not exist or is out of its range.
+        ConfigError: It is too large or no TOML, or names a parameter that does not exist or is out
+            of its range.
     """
+    if len(content) > MOST_BYTES:
+        raise ConfigError(f"{len(content)} bytes, more than the {MOST_BYTES} of a configuration")
     try:
-        data: dict[str, Any] = tomllib.loads(text)
-    except RecursionError:
-        raise ConfigError("no TOML: brackets too deep") from None
-    except ValueError as error:  # also of numbers with thousands of digits
+        text = content.decode("utf-8-sig").replace("\r\n", "\n")
+        data: dict[str, Any] = parsed(tomllib.loads, text)
+    except UnicodeDecodeError:
+        raise ConfigError("no TOML: not UTF-8") from None
+    except ValueError as error:
         raise ConfigError(f"no TOML: {error}") from None
     name = data.pop(_NAME, "")
     if not isinstance(name, str):
         raise ConfigError(f"{_NAME}: must be a text")
     return NamedConfig(checked_name(name), make_config(data))
-
-
-def decode_config(content: bytes) -> NamedConfig:
-    """The parameters of a file's bytes.
-
-    Raises:
-        ConfigError: As `parse_config`, or it is too large or no text.
-    """
-    if len(content) > MOST_BYTES:
-        raise ConfigError(f"{len(content)} bytes, more than the {MOST_BYTES} of a configuration")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise ConfigError("no TOML: not UTF-8") from None
-    return parse_config(text.replace("\r\n", "\n"))
 
 
 def read_config(path: Path) -> NamedConfig:
@@ -130,15 +112,12 @@ def checked_name(name: str) -> str:
 
 
 def _add(table: Table, about: Tunable, value: float | str) -> None:
+    allowed = about.allowed
+    if isinstance(about, Parameter):
+        allowed = f"[{about.unit}] {about.low:.15g} to {about.high:.15g}"
     table.add(tomlkit.nl())
-    table.add(tomlkit.comment(f"{_range(about)}: {about.help}"))
+    table.add(tomlkit.comment(f"{allowed}: {about.help}"))
     item = tomlkit.item(value)
     if value != about.default:
         item.comment(f"changed, the default is {tomlkit.item(about.default).as_string()}")
     table.add(about.path.partition(".")[2], item)
-
-
-def _range(about: Tunable) -> str:
-    if isinstance(about, Parameter):
-        return f"[{about.unit}] {about.low:.15g} to {about.high:.15g}"
-    return about.allowed

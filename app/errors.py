@@ -11,6 +11,10 @@ from traceback import walk_tb
 class DbbError(Exception):
     """Base of all errors that a user can cause and mend; the command line prints it and exits 2."""
 
+    def __str__(self) -> str:
+        """One line, whatever a file that it quotes has in it."""
+        return " ".join(super().__str__().splitlines())
+
 
 class UnknownNameError(DbbError):
     """A name (robot, scenario, controller, pair, …) that does not exist.
@@ -98,10 +102,18 @@ class LoopError(DbbError):
 
 
 EXTRAS = {
-    "dashboard": ("fast_simplification", "msgspec", "PIL", "playwright", "viser", "websockets"),
+    "dashboard": (
+        "fast_simplification",
+        "imageio_ffmpeg",
+        "msgspec",
+        "PIL",
+        "playwright",
+        "viser",
+        "websockets",
+    ),
     "onboarding": ("eaik", "xacrodoc"),
     "studies": ("dask", "distributed", "jinja2", "matplotlib", "mpl_toolkits"),
-    "sim": ("mujoco", "pyarrow", "pybullet", "pybullet_data", "scipy", "trimesh"),
+    "sim": ("mcap", "mujoco", "pyarrow", "pybullet", "pybullet_data", "scipy", "trimesh"),
 }
 """The extras of the package, and the modules that each brings; all bring those of `sim`. The first
 three are for the rooms of their names."""

@@ -9,6 +9,8 @@ from pydantic.fields import FieldInfo
 
 from app.strict import Strict
 
+_DECADES = 1000  # [-] highest over lowest value from which on a scale is logarithmic
+
 
 class Shown(NamedTuple):
     """How a field is shown to people, where its name is not enough; stands in its `Annotated`."""
@@ -17,52 +19,51 @@ class Shown(NamedTuple):
     """In the place of the name."""
     advanced: bool = False
     """Hidden until all parameters are asked for."""
-    log: bool = False
-    """On a logarithmic scale, since the range spans decades."""
 
 
-class Parameter(Strict):
-    """A number that can be tuned."""
-
+class _Tuned(Strict):
     path: str
     """Section and name, as in `border.d_b`."""
-    low: float
-    high: float
-    default: float
-    unit: str
     help: str
     label: str
     """Name for people, without the unit."""
     advanced: bool
-    log: bool
 
     @property
     def title(self) -> str:
-        """Label and unit, as in `α_min [m]`."""
+        """Label and unit, as in `α_min [m]`; a word has no unit."""
+        return self.label
+
+
+class Parameter(_Tuned):
+    """A number that can be tuned."""
+
+    low: float
+    high: float
+    default: float
+    unit: str
+
+    @property
+    def title(self) -> str:
+        """See `_Tuned.title`."""
         return self.label if self.unit == "-" else f"{self.label} [{self.unit}]"
 
     @property
     def allowed(self) -> str:
         """As in `0.06 to 0.3 m`."""
-        return f"{self.low:.15g} to {self.high:.15g}" + (
-            "" if self.unit == "-" else f" {self.unit}"
-        )
-
-
-class Choice(Strict):
-    """One of several words that can be chosen."""
-
-    path: str
-    choices: tuple[str, ...]
-    default: str
-    help: str
-    label: str
-    advanced: bool
+        return f"{self.low:.15g} to {self.high:.15g} {self.unit}".removesuffix(" -")
 
     @property
-    def title(self) -> str:
-        """The label: a word has no unit."""
-        return self.label
+    def log(self) -> bool:
+        """On a logarithmic scale, since the range spans decades."""
+        return self.low > 0 and self.high / self.low >= _DECADES
+
+
+class Choice(_Tuned):
+    """One of several words that can be chosen."""
+
+    choices: tuple[str, ...]
+    default: str
 
     @property
     def allowed(self) -> str:
@@ -74,19 +75,16 @@ Tunable = Parameter | Choice
 
 
 class Section(NamedTuple):
-    """Parameters that belong together.
-
-    Attributes:
-        name: As in `border`.
-        title: For people.
-        about: One sentence.
-        tunables: In the order of the record.
-    """
+    """Parameters that belong together."""
 
     name: str
+    """As in `border`."""
     title: str
+    """For people."""
     about: str
+    """One sentence."""
     tunables: tuple[Tunable, ...]
+    """In the order of the record."""
 
 
 def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
@@ -97,18 +95,15 @@ def read_tunable(section: str, name: str, field: FieldInfo) -> Tunable:
     marks: dict[str, Any] = {type(mark).__name__: mark for mark in field.metadata}
     shown: Shown = marks.get("Shown", Shown())
     unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
+    # A letter with an index, as d_b, stays what it is.
+    plain = name if re.match("[a-z]_", name) else name.replace("_", " ")
     common = {
         "path": f"{section}.{name}",
         "default": field.default,
         "help": text.strip(),
-        "label": shown.label or _words(name),
+        "label": shown.label or plain,
         "advanced": shown.advanced,
     }
     if get_origin(field.annotation) is Literal:
         return Choice(choices=get_args(field.annotation), **common)
-    return Parameter(low=marks["Ge"].ge, high=marks["Le"].le, unit=unit, log=shown.log, **common)
-
-
-def _words(name: str) -> str:
-    """A letter with an index, as d_b, stays what it is."""
-    return name if re.match("[a-z]_", name) else name.replace("_", " ")
+    return Parameter(low=marks["Ge"].ge, high=marks["Le"].le, unit=unit, **common)

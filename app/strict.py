@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AllowInfNan, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import (
+    AllowInfNan,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 from pydantic_core import ErrorDetails
+from typing_extensions import Self
 
 from app.errors import ConfigError, did_you_mean
 
@@ -29,6 +37,34 @@ class Strict(BaseModel):
     model_config = ConfigDict(
         frozen=True, extra="forbid", use_attribute_docstrings=True, arbitrary_types_allowed=False
     )
+
+
+class Sourced(Strict):
+    """A record in which every number that is stated must have a line in `source`."""
+
+    source: dict[str, str] = Field(default_factory=dict)
+    """Where each number comes from: one entry per numeric field, by the field's name."""
+
+    @model_validator(mode="after")
+    def _every_number_has_a_source(self) -> Self:
+        stated = {
+            name
+            for name in self.model_fields_set
+            if name != "source" and _holds_a_number(getattr(self, name))
+        }
+        if missing := stated - self.source.keys():
+            raise ValueError(
+                f"give the source of {', '.join(sorted(missing))} in the table `source`"
+            )
+        if unknown := self.source.keys() - type(self).model_fields.keys():
+            raise ValueError(f"`source` names unknown fields: {', '.join(sorted(unknown))}")
+        return self
+
+
+def _holds_a_number(value: object) -> bool:
+    if isinstance(value, tuple | list):
+        return any(_holds_a_number(item) for item in value)
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def explain(
@@ -92,7 +128,10 @@ def _path(loc: tuple[int | str, ...]) -> str:
 
 
 def _short(value: object) -> str:
-    return _cut(repr(value.tolist() if isinstance(value, np.ndarray) else value))
+    try:
+        return _cut(repr(value.tolist() if isinstance(value, np.ndarray) else value))
+    except (ValueError, RecursionError):  # an integer too long to be printed, lists too deep
+        return "too large to be shown"
 
 
 def _cut(text: str) -> str:
@@ -140,6 +179,18 @@ def _records_in(annotation: object) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [r for a in getattr(annotation, "__args__", ()) for r in _records_in(a)]
+
+
+def parsed(loads: Callable[[str], Any], text: str) -> Any:
+    """What a text holds, by a reader of TOML or JSON, whoever wrote it.
+
+    Raises:
+        ValueError: It is none, or nests too deeply, or an integer in it has thousands of digits.
+    """
+    try:
+        return loads(text)
+    except RecursionError:
+        raise ValueError("its brackets nest too deeply") from None
 
 
 def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:

@@ -11,9 +11,13 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import BinaryIO
+
+from app.errors import OutputError
 
 if sys.platform != "win32":
     import fcntl
@@ -24,6 +28,9 @@ SPAWN = multiprocessing.get_context("spawn")
 safe at all with macOS's own libraries."""
 
 _REAL_TIME = 1  # [-] the least priority of those that come before all others
+_SPARE = 3  # [-] cores from which on one that is never given up leaves enough to others
+_BUDGET = 500_000  # [µs] that a thread may work before all others without a pause
+_MOST = 30_000_000  # [µs] after which the system ends a process that cannot even step back
 
 
 def usable_cores() -> int:
@@ -33,19 +40,26 @@ def usable_cores() -> int:
 
 
 def come_first(niceness: int) -> None:
-    """Before others, as far as this user and this system allow.
+    """Before others, as far as this user and this system allow; wished for by a niceness below 0.
 
-    The real-time policy is what robots run on. With a single core a process that is late would then
-    leave nothing to the others.
-
-    Args:
-        niceness: [-] wished for, below 0, where there is no real-time policy.
+    The real-time policy is what robots run on. On fewer than three cores a process that is late
+    would leave too little to the others; on more, one that does not pause within its budget loses
+    the policy for good. To be called by the main thread, whose threads inherit it.
     """
     with suppress(AttributeError, OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
-    if usable_cores() > 1:
-        with suppress(AttributeError, OSError):
+    if usable_cores() >= _SPARE:
+        with suppress(AttributeError, OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_RTTIME, (_BUDGET, _MOST))
+            signal.signal(signal.SIGXCPU, _queue_up)
             os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(_REAL_TIME))
+
+
+def _queue_up(*_: object) -> None:
+    """All threads of this process share the cores with others again."""
+    for thread in threading.enumerate():
+        with suppress(OSError):  # it has just ended
+            os.sched_setscheduler(thread.native_id or 0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def step_back(niceness: int) -> None:
@@ -100,6 +114,40 @@ def claim(file: BinaryIO) -> bool:
     except OSError:
         return False
     return True
+
+
+@contextmanager
+def whole_file(path: Path) -> Iterator[Path]:
+    """A file beside the wanted one, of the same ending, that takes its place if all went well.
+
+    So nobody who reads it ever sees half of it.
+
+    Raises:
+        OutputError: It cannot be written, as on a full disk; what was there before is still there.
+    """
+    # The name is of one thread: two that write the same file do not write into each other's.
+    beside = path.with_name(f".new-{threading.get_native_id()}-{path.name}")
+    try:
+        try:
+            yield beside
+            with beside.open("rb") as file:
+                os.fsync(file.fileno())
+            beside.replace(path)
+        finally:
+            beside.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+def write_whole(path: Path, content: bytes | str) -> None:
+    """Write a file whole or not at all, as `whole_file` does.
+
+    Args:
+        path: The file; one that is there is replaced.
+        content: Its bytes, or its text, which becomes UTF-8.
+    """
+    with whole_file(path) as beside:
+        beside.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def peak_memory() -> float:

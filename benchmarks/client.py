@@ -61,7 +61,7 @@ def _sweep(tab: DashboardTab, end: float) -> int:
         tab.page.mouse.move(*tab.pixel("", tuple((target + arrow).tolist())))
         tab.page.wait_for_timeout(1000.0 * MOVE)
     tab.page.mouse.up()
-    tab.click("Restart")
+    tab.page.get_by_role("button", name="Restart").click()
     tab.page.wait_for_timeout(300)  # [ms] the gizmo has to be back at the hand
     return int(sweeps)
 
@@ -71,12 +71,18 @@ def listen(address: str, seconds: float) -> dict[str, Any]:
     with RawClient(address) as client:
         print("ready", flush=True)
         time.sleep(FIRST)
-        first = client.received  # with meshes and borders
-        time.sleep(max(seconds - FIRST, 0.0))
-        size = client.received - first
+        first = known = client.received  # with meshes and borders
+        begin = since = time.monotonic()
+        silence = 0.0
+        while time.monotonic() - begin < seconds - FIRST:
+            time.sleep(MOVE)
+            if client.received > known:
+                known, since = client.received, time.monotonic()
+            silence = max(silence, time.monotonic() - since)
     return {
         "first_megabytes": first / 1e6,
-        "megabytes_per_s": size / max(seconds - FIRST, 1e-3) / 1e6,
+        "megabytes_per_s": (known - first) / max(seconds - FIRST, 1e-3) / 1e6,
+        "longest_silence_s": silence,
     }
 
 

@@ -24,11 +24,11 @@ from app.robot.state import RobotState
 from app.simulation.plants.choice import make_physics
 
 PLANTS = ("planar", "mujoco", "mujoco-contact")
-_STEPS = 40  # of each plant in a round
+_STEPS = 200  # of each plant in a round
 
 
 def main(
-    rounds: int = 300,
+    rounds: int = 60,
     study: int = 0,
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> None:

@@ -1,7 +1,8 @@
 """How well the dashboard keeps real time: `python -m benchmarks.realtime --client browser --drag`.
 
 The hard case is a headless browser that draws in software on the same cores while its mouse drags
-the hand at the base. Set up as `dbb serve` sets up; only the session notes its times.
+the hand at the base. Set up as `dbb serve` sets up; only the session notes its times. A soak of
+an hour with ten viewers is `--drag --listeners 9 --seconds 3600`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import tyro
 from app.cli.common import load_robot_and_border
 from app.config import Config
 from app.dashboard.server import DashboardServer, serve_dashboard
-from app.simulation.loop.commands import Compare, Pull, Reset
+from app.simulation.loop.commands import Compare, Pull, Reset, Watch
 from app.simulation.loop.loop import LoopHandle, SimulationLoop
 from app.simulation.loop.process_loop import ProcessLoop
 from app.simulation.scenarios.names import scenario_by_name
@@ -36,6 +37,7 @@ from benchmarks.timed_session import TimedSession
 LOOPS = {"process": ProcessLoop, "thread": SimulationLoop}
 SETTLE = 2.0  # [s] between the client's connection and the measurement
 PULL_EVERY = 0.05  # [s] as often as a browser sends
+LOOKS = 200  # [-] at how much memory is taken
 
 
 @dataclass(frozen=True)
@@ -48,6 +50,8 @@ class Realtime:
     """A headless browser, a client that draws nothing, or nobody."""
     clients: int = 1
     """How many of that kind; the first one drags."""
+    listeners: int = 0
+    """Further clients that draw nothing."""
     drag: bool = False
     """Whether the hand is dragged at the base and back, in the browser by the mouse."""
     loop: Literal["process", "thread"] = "process"
@@ -107,6 +111,8 @@ def measure(args: Realtime, record: Path) -> dict[str, Any]:
         "pictures_per_s": seen.pictures_per_s,
         "shown_realtime_factor": shown,
         "overruns_since_reset": overruns,
+        "memory_mib": float(np.median(seen.memory[-len(seen.memory) // 4 :])),
+        "memory_growth": _growth(seen.memory),
         "servers_cpu_percent": seen.servers_cpu,
         "loop_cpu_percent": seen.loop_cpu,
         **(seen.done[0] if seen.done else {}),
@@ -124,6 +130,7 @@ class Seen(NamedTuple):
         servers_cpu: [%] of a core that the server and the loop took.
         loop_cpu: [%] of a core that the loop took; NaN if it has no process of its own.
         pictures_per_s: How often the server has drawn.
+        memory: [MiB] of the server and the loop, at instants of equal distance.
     """
 
     begin: float
@@ -132,6 +139,7 @@ class Seen(NamedTuple):
     servers_cpu: float
     loop_cpu: float
     pictures_per_s: float
+    memory: list[float]
 
 
 def _observe(args: Realtime, server: DashboardServer, loop: LoopHandle) -> Seen:
@@ -141,21 +149,25 @@ def _observe(args: Realtime, server: DashboardServer, loop: LoopHandle) -> Seen:
     if args.layers:
         _show_all(server)
     time.sleep(SETTLE)
+    loop.send(Watch(True))  # with nobody connected it would rest
     begin, before, first = time.perf_counter(), _cpu(servers), server.pictures
-    _pass_time(args, begin, loop)
+    memory = _pass_time(args, begin, loop, servers)
     end, after, last = time.perf_counter(), _cpu(servers), server.pictures
     done = tuple(json_module.loads(client.communicate(timeout=60)[0]) for client in clients)
     share = 100.0 * (np.array(after) - before) / (end - begin)
     of_loop = float(share[1:].max()) if len(share) > 1 else float("nan")
-    return Seen(begin, end, done, float(share.sum()), of_loop, (last - first) / (end - begin))
+    pictures = (last - first) / (end - begin)
+    return Seen(begin, end, done, float(share.sum()), of_loop, pictures, memory)
 
 
 def _clients(args: Realtime, address: str) -> list[subprocess.Popen[str]]:
     """The clients, each connected."""
     clients: list[subprocess.Popen[str]] = []
-    for number in range(args.clients if args.client != "none" else 0):
-        drags = args.client == "browser" and args.drag and number == 0
-        kind, seconds = "drag" if drags else args.client, SETTLE + args.seconds
+    kinds = [args.client] * (args.clients if args.client != "none" else 0)
+    if kinds and args.client == "browser" and args.drag:
+        kinds[0] = "drag"
+    seconds = SETTLE + args.seconds
+    for kind in [*kinds, *["websocket"] * args.listeners]:
         command = [sys.executable, "-m", "benchmarks.client", kind, address, str(seconds)]
         clients.append(subprocess.Popen(command, stdout=subprocess.PIPE, text=True))
         ready = clients[-1].stdout
@@ -184,8 +196,11 @@ def _cpu(processes: list[psutil.Process]) -> list[float]:
     return [sum(process.cpu_times()[:2]) for process in processes]
 
 
-def _pass_time(args: Realtime, begin: float, loop: LoopHandle) -> None:
-    """Wait; where no mouse does it, pull the hand at the base and back."""
+def _pass_time(
+    args: Realtime, begin: float, loop: LoopHandle, servers: list[psutil.Process]
+) -> list[float]:
+    """Wait; where no mouse does it, pull the hand at the base and back. [MiB] meanwhile."""
+    memory: list[float] = []
     scripted = args.drag and args.client != "browser"
     y, z = (float(value) for value in loop.latest().p_ee[1:])
     while (t := time.perf_counter() - begin) < args.seconds:
@@ -195,7 +210,16 @@ def _pass_time(args: Realtime, begin: float, loop: LoopHandle) -> None:
             share = 0.5 + 0.5 * np.cos(2.0 * np.pi * t / SWEEP)
             x = loop.latest().base_pose[0] + NEAR + share * (FAR - NEAR)
             loop.send(Pull((float(x), y, z)))
+        if t >= len(memory) * args.seconds / LOOKS:
+            memory.append(sum(each.memory_full_info().uss for each in servers) / 2**20)
         time.sleep(PULL_EVERY)
+    return memory
+
+
+def _growth(memory: list[float]) -> float:
+    """[-] of the last quarter's median over the second's: in the first all is met once."""
+    quarter = max(len(memory) // 4, 1)
+    return float(np.median(memory[-quarter:]) / np.median(memory[quarter : 2 * quarter]))
 
 
 def figures(record: np.ndarray, begin: float, end: float) -> dict[str, float]:

@@ -6,7 +6,7 @@ Run it: python examples/obstacle_body.py
 """
 
 from app.border.cache import load_border_data
-from app.border.sampling.config import SamplingConfig
+from app.border.config import SamplingConfig
 from app.config import Config
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel

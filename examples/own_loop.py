@@ -6,11 +6,7 @@ Run it: python examples/own_loop.py
 
 import numpy as np
 
-from app.border.cache import load_border_data
-from app.config import Config
-from app.control.control_loop import ControlLoop
-from app.robot.assets import load_robot
-from app.robot.model import RobotModel
+from app import Config, ControlLoop, RobotModel, load_border_data, load_robot
 from app.simulation.plants.choice import make_physics
 from app.simulation.scenarios.start import StartSolver
 

@@ -2,9 +2,9 @@
 (() => {
   const { viewer, canvas, node } = window.dbbPage;
 
-  // Drawing in software takes nine tenths of the time. So the page draws only until the scene is
+  // Drawing in software takes nine tenths of the time. So the page draws only once the scene is
   // there, and a picture when a test looks; in between the canvas keeps what it shows.
-  let drawing = true;
+  let drawing = false;
   const draws = ["clear", "drawArrays", "drawElements", "drawRangeElements",
     "drawArraysInstanced", "drawElementsInstanced"];
   for (const name of draws) {

@@ -78,8 +78,12 @@ class DashboardTab:
         size: tuple[int, int] = (1280, 720),
         *,
         first_visit: bool = False,
-        dpr: float = 0.5,
+        dpr: float | None = 0.5,
         draws: bool = False,
+        honest: bool = False,
+        touch: bool = False,
+        query: str = "",
+        fresh: bool = False,
     ) -> None:
         """Open the page and wait until the first picture with the robot is drawn.
 
@@ -89,18 +93,27 @@ class DashboardTab:
             size: [px] of the window.
             first_visit: Whether the page shows its tour.
             draws: Whether it goes on drawing, as a person's page does, also while nobody looks.
+            honest: Whether the page may know that it draws in software.
+            touch: Whether it is used by fingers.
+            query: What the address asks for besides, each with a leading "&".
+            fresh: Whether the page may show a demonstration, as one that nobody has touched.
             dpr: Drawn pixels a pixel of the window; drawing in software takes most of the time.
+                None leaves it to the page.
         """
-        context = browser_of_app.new_context(browser, size)
+        context = browser_of_app.new_context(browser, size, honest=honest, touch=touch)
         context.add_init_script(_HELPERS)
+        if not fresh:
+            context.add_init_script("self.dbbTouched = true;")
         if not first_visit:
             context.add_init_script(_NO_TOUR)
         self.page = context.new_page()
         self._rests, self._draws = False, draws
+        self._fingers: Any = None
         self.errors: list[str] = []
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.on("console", self._listen)
-        self.page.goto(f"{address}/?fixedDpr={dpr:g}")
+        self.page.goto(address if dpr is None else f"{address}/?fixedDpr={dpr:g}")
+        self.page.goto(f"{address}/?fixedDpr={dpr:g}{query}")
         self.wait_for_scene()
 
     def wait_for_scene(self) -> None:
@@ -302,6 +315,28 @@ class DashboardTab:
             self.page.wait_for_timeout(60)  # [ms] the page sends at most 20 events a second
         if drop:
             self.page.mouse.up()
+
+    def look_at(self, t: float) -> None:
+        """Click on the time line at a time [s] that is past."""
+        self.wait("t => dbb.seen().now > t + 0.2", t)
+        self.page.mouse.click(*self.page.evaluate("t => dbb.pixel(t)", t))
+
+    def fingers(self, kind: str, points: list[dict[str, float]]) -> None:
+        """Send a "touchStart", "touchMove" or "touchEnd" with fingers at places [px]."""
+        self._fingers = self._fingers or self.page.context.new_cdp_session(self.page)
+        self._fingers.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+
+    def touch(self, a: np.ndarray, b: np.ndarray, steps: int = 8) -> None:
+        """Drag from a pixel to another by a finger, and lift it."""
+
+        def send(kind: str, *places: np.ndarray) -> None:
+            self.fingers(kind, [{"x": float(x), "y": float(y)} for x, y in places])
+            self.page.wait_for_timeout(60)  # [ms] the page sends at most 20 events a second
+
+        send("touchStart", a)
+        for i in range(1, steps + 1):
+            send("touchMove", a + (b - a) * i / steps)
+        send("touchEnd")
 
     def open_tab(self, name: str) -> None:
         """Choose a tab of the panel."""

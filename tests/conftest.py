@@ -1,12 +1,16 @@
 """What many tests share: the paper's robot, compiled once, and its border from the cache."""
 
 import signal
+from collections.abc import Generator
+from contextlib import contextmanager
+from importlib.util import find_spec
 
 import pytest
 from hypothesis import settings
 
 from app.border.cache import BorderData, load_border_data
 from app.cli import common
+from app.errors import AssetError, ConfigError
 from app.robot.model import RobotModel
 from tests.browser import chromium
 from tests.robots import husky_panda
@@ -23,16 +27,44 @@ settings.load_profile("patient")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files that are slow as a whole first; a page that was late is looked at again."""
+    """Files with anything slow first, so that short ones fill up the workers in the end.
+
+    A page that was late is looked at again.
+    """
 
     def is_slow(item: pytest.Item) -> bool:
-        module = item.getparent(pytest.Module)
-        return module is not None and any(m.name in {"slow", "browser"} for m in module.own_markers)
+        return any(item.get_closest_marker(name) for name in ("slow", "browser"))
 
-    items.sort(key=lambda item: not is_slow(item))
+    slow = {item.path for item in items if is_slow(item)}
+    items.sort(key=lambda item: item.path not in slow)
     for item in items:
         if item.get_closest_marker("browser"):  # it draws in software, beside all other tests
             item.add_marker(pytest.mark.flaky(reruns=2))
+
+
+@contextmanager
+def _what_needs_pybullet() -> Generator[None]:
+    """Skip, where it has no wheels, what ends with the line that says that it is needed."""
+    try:
+        yield
+    except (AssetError, ConfigError) as error:
+        if find_spec("pybullet") is None and "pybullet" in str(error):
+            pytest.skip(str(error))
+        raise
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_setup() -> Generator[None]:
+    """Fixtures that need pybullet."""
+    with _what_needs_pybullet():
+        return (yield)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Generator[None]:
+    """Tests that need pybullet."""
+    with _what_needs_pybullet():
+        return (yield)
 
 
 @pytest.fixture(scope="session")

@@ -10,12 +10,14 @@ from xml.etree import ElementTree
 import coal
 import numpy as np
 import pinocchio as pin
+import pytest
 import trimesh
 
 from app.robot.model import RobotModel
 from app.robot.urdf import resolved_urdf
 from tests.robots import husky_panda
 
+pytest.importorskip("pybullet_data")  # it brings the meshes
 URDF = ElementTree.fromstring(resolved_urdf(husky_panda().description))
 
 

@@ -37,7 +37,7 @@ def wait_for_ever(report: Report, file: str) -> None:
 
 
 def wait_in_a_folder(report: Report, out: str) -> None:
-    from app.onboarding.write.folder import whole_folder
+    from app.onboarding.write import whole_folder
 
     with whole_folder(Path(out)):
         report("waiting", 0.5)

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from app.border.reach.config import ReachConfig
-from app.border.sampling.config import SamplingConfig
-from app.onboarding import new_robot
-from app.onboarding.fit import postures, reach
+from app.border.config import SamplingConfig
+from app.onboarding import new_robot, numbers
+from app.onboarding.fit import postures
 from app.robot import assets
 
 INERTIAL = (
@@ -143,14 +142,7 @@ def few_samples(cache: Path) -> Iterator[SamplingConfig]:
         patch.setattr(new_robot, "MEETING_SAMPLES", 1200)
         patch.setattr(new_robot, "PAIR_SAMPLES", 2000)
         patch.setattr(postures, "_SAMPLES", 800)
-        coarse = ReachConfig(
-            spacing_m=0.12,
-            orientations=4,
-            restart_spacing_m=0.4,
-            restart_orientations=1,
-            restarts=2,
-        )
-        patch.setattr(reach, "COUNTING", coarse)
+        patch.setattr(numbers, "COUNTED_POSES", 3000)
         yield SamplingConfig(
             pair_samples=2000,
             cloud_samples=2000,

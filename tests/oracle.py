@@ -13,17 +13,18 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import nnls
 
-from app.avoidance.acting_point import ActingPointFinder
-from app.avoidance.barrier import BarrierRow
+from app.avoidance.mobile_acceleration import ActingPointFinder
 from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
+from app.border.contours import Foot
 from app.border.dbb import construct_dbb
 from app.border.offset import OffsetContours
 from app.border.score import ScoreField
-from app.border.surface import BorderSurface, Foot
+from app.border.surface import BorderSurface
 from app.config import Config, LimitConfig, TaskConfig
 from app.control import controller as controller_module
 from app.control.controller import Controller
+from app.control.limits import BarrierRow
 from app.control.qp import Limits, Objective, TaskQP
 from app.control.tasks import EqualityTask
 from app.robot.model import RobotModel
@@ -80,7 +81,7 @@ class PlainSurface:
     """The nearest point of the border around one shape, by trying every edge of its contour."""
 
     def __init__(self, surface: BorderSurface, offset: OffsetContours) -> None:
-        self._table, self._reached = offset.table, surface.reached
+        self._table, self._reached = offset.table, surface.table.reached
 
     def nearest(self, p: Array) -> Foot | None:
         heights = self._table.heights
@@ -154,6 +155,7 @@ class PlainQP(TaskQP):
         self.limited += 1
         L, inverse = np.linalg.cholesky(H), np.linalg.inv(H)
         own = np.diag(C @ inverse @ C.T)
+        own = np.array([own[softness == epsilon].min() for epsilon in softness])
         A = np.hstack([C @ np.linalg.inv(L).T, np.diag(np.sqrt(softness * own))[:, softness > 0.0]])
         G, h = np.vstack([A, -A]), np.concatenate([l - C @ free, C @ free - u])
         length = np.linalg.norm(G, axis=1)
@@ -178,32 +180,32 @@ def plain_rows(objective: Objective, rows: Sequence[TaskRows], softness: float) 
     return Objective(H, c)
 
 
-def plain_arm_limits(
+def plain_limits(
     state: RobotState,
     config: LimitConfig,
-    barriers: Sequence[BarrierRow],
+    barriers: Sequence[BarrierRow] = (),
     *,
     softness: float,
-    qdd_b: Array,
-    pushed: Array,
-    torque: tuple[Array, Array],
+    torque: tuple[Array, Array] | None = None,
+    pushed: Array | None = None,
 ) -> Limits:
-    """Rows of torques, of joints, of barriers, as `arm_limits` says."""
-    M, m, model = state.M, state.measurement, state.model
-    there = state.h[2:] + M[2:, :2] @ qdd_b
+    """Rows of torques, of joints, of barriers, as `robot_limits` says."""
+    M, h_a, m, model = state.M, state.h[2:], state.measurement, state.model
+    low, high = (-model.tau_max, model.tau_max) if torque is None else torque
     rate = config.position_rate
     position = rate**2 * (model.q_limits - m.q_m) - 2 * rate * m.qd_m
     velocity = config.velocity_rate * (model.qd_limits - m.qd_m)
     both = np.maximum(position[0], velocity[0]), np.minimum(position[1], velocity[1])
     lower, upper = np.sort(both, axis=0)
-    extra = np.linalg.inv(M[2:, 2:]) @ pushed
+    extra = np.zeros(model.n_m) if pushed is None else np.linalg.inv(M[2:, 2:]) @ pushed
     n = model.n_m
-    C = np.vstack([M[2:, 2:], np.eye(n), *(row.J[2:] for row in barriers)])
-    least = [row.l - row.J[:2] @ qdd_b - row.J[2:] @ extra for row in barriers]
+    most = model.qd_max  # joints' rows are in shares of it
+    C = np.vstack([M[2:], np.eye(n + 2)[2:] / most[:, None], *(row.J for row in barriers)])
+    least = [row.l - row.J[2:] @ extra for row in barriers]
     return Limits(
         C,
-        np.concatenate([torque[0] - there, lower - extra, least]),
-        np.concatenate([torque[1] - there, upper - extra, np.full(len(least), np.inf)]),
+        np.concatenate([low - h_a, (lower - extra) / most, least]),
+        np.concatenate([high - h_a, (upper - extra) / most, np.full(len(least), np.inf)]),
         np.concatenate([np.zeros(n), np.full(n, softness**2), np.full(len(least), softness**3)]),
     )
 
@@ -261,7 +263,7 @@ def use_plain_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """While a plain controller steps: its rows, limits and objectives."""
     for name, part in (
         ("insert_rows", plain_rows),
-        ("arm_limits", plain_arm_limits),
+        ("robot_limits", plain_limits),
         ("posture_objective", plain_posture),
         ("tracking_objective", plain_tracking),
         ("carried", plain_carried),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
+from collections.abc import Iterator
 from typing import Any
 
 import msgspec
@@ -57,6 +58,12 @@ class RawClient:
     def set_widget(self, handle: Any, value: object) -> None:
         """Claim that the person has set a widget to a value."""
         self.send(_messages.GuiUpdateMessage(handle._impl.uuid, {"value": value}))
+
+    @contextlib.contextmanager
+    def asleep(self) -> Iterator[None]:
+        """Neither read nor answer, as a browser whose machine sleeps; the connection stays."""
+        with self._connection.protocol_mutex:
+            yield
 
     def close(self) -> None:
         """Leave."""

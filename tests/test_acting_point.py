@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from app.avoidance.acting_point import ActingPointFinder, step_size, tangential_step
+from app.avoidance.mobile_acceleration import ActingPointFinder, step_size, tangential_step
 from app.border.dbb import Border
 from app.border.offset import OffsetContours
 from app.border.points import BorderPoints

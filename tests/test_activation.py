@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from app.avoidance.activation import activation, mobile_activation
+from app.avoidance.task import activation, mobile_activation
 
 PAPER = {"d_b": 0.15, "d_full": 0.05}
 

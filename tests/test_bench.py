@@ -42,17 +42,17 @@ def recorded(robot: RobotModel, border_data: BorderData) -> list[paths_module.Pa
     """The end of the lateral path's way in, where both pairs of L_m are active, and a fold."""
     with pytest.MonkeyPatch.context() as patch:
         lateral, *_, fold, tracking = paths_module.PATHS
-        chosen = (lateral.changed(duration=4.5), fold.changed(duration=0.3))
+        chosen = (lateral.changed(duration=2.5), fold.changed(duration=0.3))
         patch.setattr(paths_module, "PATHS", (*chosen, tracking.changed(duration=0.3)))
         return paths_module.record(robot, border_data, seed=0)
 
 
 def test_a_recorded_path_is_answered_as_in_the_run(recorded, robot, border_data) -> None:
-    assert [len(path) for path in recorded] == [4500, 300, 300]
+    assert [len(path) for path in recorded] == [2500, 300, 300]
     assert recorded[0][0].reference is None
     assert recorded[2][0].reference is not None
     times = time_steps(Controller(robot, border_data, Config()), recorded)
-    assert len(times.step) == 5100
+    assert len(times.step) == 3100
     assert times.both.any()
     assert (times.step > 1.0).all()
     np.testing.assert_array_equal(times.mobile, times.active[:, :2].sum(axis=1))

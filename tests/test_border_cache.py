@@ -5,18 +5,18 @@ from __future__ import annotations
 import logging
 import os
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from app.border import archive
-from app.border.archive import Content, DamagedFileError
-from app.border.cache import load_border_data
+from app.border import cache
+from app.border.cache import Content, border_key, load_border_data, pack, unpack
 from app.border.cloud import make_cloud
-from app.border.key import border_key
+from app.border.config import SamplingConfig
+from app.border.kept import DamagedFileError, read, write
 from app.border.sampling import pairs
-from app.border.sampling.config import SamplingConfig
 from app.robot import assets
 from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel
@@ -43,6 +43,10 @@ def content(count: int = 1000) -> Content:
     return Content(pairs, clouds)
 
 
+def written(path: Path, key: str = "k") -> Content:
+    return read(path, partial(unpack, key=key))
+
+
 def assert_same(a: Content, b: Content) -> None:
     assert a.pairs == b.pairs
     assert a.clouds.keys() == b.clouds.keys()
@@ -56,53 +60,55 @@ def assert_same(a: Content, b: Content) -> None:
 @pytest.mark.parametrize("count", [0, 1, 1000])
 def test_what_is_written_is_what_is_read(tmp_path, count):
     path = tmp_path / "new" / "x.npz"
-    archive.write(path, content(count), key="k", layout=1)
-    assert_same(archive.read(path, key="k", layout=1), content(count))
+    write(path, *pack(content(count), "k"))
+    assert_same(written(path), content(count))
     assert [file.name for file in path.parent.iterdir()] == ["x.npz"]
 
 
 def test_the_same_content_gives_the_same_bytes(tmp_path):
     for name in ("a.npz", "b.npz"):
-        archive.write(tmp_path / name, content(), key="k", layout=1)
+        write(tmp_path / name, *pack(content(), "k"))
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
-def test_a_file_of_another_key_or_format_is_not_believed(tmp_path):
+def test_a_file_of_another_key_or_format_is_not_believed(tmp_path, monkeypatch):
     path = tmp_path / "x.npz"
-    archive.write(path, content(), key="k", layout=1)
-    for key, layout in (("other", 1), ("k", 2)):
-        with pytest.raises(DamagedFileError, match="another"):
-            archive.read(path, key=key, layout=layout)
+    write(path, *pack(content(), "k"))
+    with pytest.raises(DamagedFileError, match="another"):
+        written(path, "other")
+    monkeypatch.setattr(cache, "FORMAT", cache.FORMAT + 1)
+    with pytest.raises(DamagedFileError, match="another"):
+        written(path)
 
 
 def test_no_flipped_byte_and_no_cut_goes_unseen(tmp_path):
     """Either the file is refused, or the flip fell on a byte that zip does not read."""
     path = tmp_path / "x.npz"
-    archive.write(path, content(50), key="k", layout=1)
+    write(path, *pack(content(50), "k"))
     good = path.read_bytes()
     refused = 0
     for at in range(0, len(good), max(1, len(good) // 400)):
         path.write_bytes(good[:at] + bytes([good[at] ^ 0x41]) + good[at + 1 :])
         try:
-            assert_same(archive.read(path, key="k", layout=1), content(50))
+            assert_same(written(path), content(50))
         except DamagedFileError:
             refused += 1
     assert refused > 200
     for length in range(0, len(good), max(1, len(good) // 40)):
         path.write_bytes(good[:length])
         with pytest.raises(DamagedFileError):
-            archive.read(path, key="k", layout=1)
+            written(path)
 
 
 def test_changed_arrays_with_an_old_checksum_are_refused(tmp_path):
     path = tmp_path / "x.npz"
-    archive.write(path, content(), key="k", layout=1)
+    write(path, *pack(content(), "k"))
     with np.load(path) as file:
         arrays = {name: file[name].copy() for name in file.files}
     arrays["cloud0_distances"][0, 0, 5] ^= 1
     np.savez_compressed(path, **arrays)
     with pytest.raises(DamagedFileError, match="checksum"):
-        archive.read(path, key="k", layout=1)
+        written(path)
 
 
 def test_pickles_are_never_loaded(tmp_path):
@@ -113,7 +119,7 @@ def test_pickles_are_never_loaded(tmp_path):
     path = tmp_path / "x.npz"
     np.savez(path, header=np.array([Trap()], dtype=object), checksum=np.zeros(32, np.uint8))
     with pytest.raises(DamagedFileError):
-        archive.read(path, key="k", layout=1)
+        written(path)
     assert not (tmp_path / "sprung").exists()
 
 

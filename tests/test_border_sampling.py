@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from app.border.cloud import quantise_points
-from app.border.sampling.config import SamplingConfig
+from app.border.config import SamplingConfig
+from app.border.sampling.flood import PairReader
 from app.border.sampling.pairs import sample_clouds
-from app.border.sampling.poses import PairReader
 from app.border.sampling.voxels import Voxels
 from app.errors import DescriptionError
 from app.jobs.pool import Workers
@@ -101,7 +101,7 @@ def test_the_jacobian_is_that_of_the_material_point():
 
     model = husky_panda()
     reader = PairReader(model, PAIRS[0])
-    joint, data = model.body_joint("lEE"), model.pin.createData()
+    joint, data = model.body_joints["lEE"], model.pin.createData()
     rng = np.random.default_rng(5)
     for q_m in rng.uniform(model.q_lower, model.q_upper, (10, 7)):
         p = reader.witnesses(q_m[None]).p_b[0]

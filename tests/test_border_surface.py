@@ -5,17 +5,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from app.avoidance.acting_point import ActingPointFinder
-from app.avoidance.mobile_acceleration import PairForce, avoidance_force, generate_mob_acc
+from app.avoidance.mobile_acceleration import (
+    ActingPointFinder,
+    PairForce,
+    avoidance_force,
+    generate_mob_acc,
+)
 from app.border.cache import BorderData
 from app.border.dbb import Border, construct_dbb
 from app.border.mobile import MobileBody
-from app.border.offset import OffsetContours, ray_from
+from app.border.offset import RAYS, OffsetContours, ray_from
 from app.border.points import BorderPoints
-from app.border.reached import STEEPEST_GAP, Gap, find_reached, without_leaps
-from app.border.rings import RAYS
 from app.border.score import ScoreField
-from app.border.surface import BorderSurface
+from app.border.surface import (
+    STEEPEST_GAP,
+    BorderSurface,
+    Gap,
+    find_reached,
+    without_leaps,
+)
 from app.config import ForceConfig
 from app.robot.model import RobotModel
 from app.robot.shapes import Box

@@ -9,8 +9,7 @@ from app.border.cache import load_border_data
 from app.border.cloud import make_cloud
 from app.border.dbb import Border
 from app.border.mobile import MobileBody
-from app.border.offset import OffsetContours
-from app.border.rings import RAYS
+from app.border.offset import RAYS, OffsetContours
 from app.border.surface import BorderSurface
 from app.config import Config
 from app.robot.model import RobotModel
@@ -151,8 +150,8 @@ def test_two_towers_without_a_deck_are_two_islands_and_a_frame_has_a_hole():
     offset = OffsetContours(with_mobile_shapes(towers), D_B)
     assert len(offset.contours(0.2)) == 2
     for x in (0.4, -0.4):
-        found = offset.nearest(np.array([x, 0.0]), 0.2)
-        assert found.xy == pytest.approx([np.sign(x) * 0.35, 0.0], abs=1e-3)
+        found = offset.nearest(np.array([x, 0.0, 0.2]))
+        assert found.p[:2] == pytest.approx([np.sign(x) * 0.35, 0.0], abs=1e-3)
     sides = [((0.5, 0.0), (0.05, 0.55)), ((0.0, 0.5), (0.55, 0.05))]
     frame = [
         box(np.array([*(s * np.array(c)), 0.3]), np.array([*h, 0.3]))
@@ -160,9 +159,9 @@ def test_two_towers_without_a_deck_are_two_islands_and_a_frame_has_a_hole():
         for s in (1.0, -1.0)
     ]
     offset = OffsetContours(with_mobile_shapes(tuple(frame)), D_B)
-    within = offset.nearest(np.array([0.25, 0.1]), 0.2)
-    assert within.xy == pytest.approx([0.3, 0.1], abs=1e-3)  # 0.45 m less d_b
-    assert within.tangent == pytest.approx([0.0, -1.0], abs=1e-3)
+    within = offset.nearest(np.array([0.25, 0.1, 0.2]))
+    assert within.p[:2] == pytest.approx([0.3, 0.1], abs=1e-3)  # 0.45 m less d_b
+    assert within.t[:2] == pytest.approx([0.0, -1.0], abs=1e-3)
 
 
 def test_slanted_and_hanging_shapes_and_those_of_corners_are_followed():
@@ -186,8 +185,8 @@ def test_slanted_and_hanging_shapes_and_those_of_corners_are_followed():
         np.testing.assert_allclose(d[shown[::4] > 4e-6], D_B, atol=2e-6)
         assert (d[shown[::4] < 0.0] < D_B + 4e-6).all()
     points = np.random.default_rng(4).uniform([-0.7, -0.6, 0.0], [0.7, 0.6, 1.2], (400, 3))
-    feet = [offset.nearest(p[:2], p[2]) for p in points]
-    lifted = np.array([[*f.xy, p[2]] for f, p in zip(feet, points, strict=True)])
+    feet = [offset.nearest(p) for p in points]
+    lifted = np.array([foot.p for foot in feet])
     assert np.abs(body.distance(lifted) - D_B).max() < 0.002
 
 
@@ -208,12 +207,9 @@ def test_a_gap_that_begins_at_a_height_opens_no_faster_than_the_foot_may_move(
 ) -> None:
     """All around the tower below 0.8 m, around its front only above."""
     turn = np.linspace(0.0, 2 * np.pi, 400, endpoint=False)
-    around = np.array(
-        [
-            offset.nearest(TOWER[0][:2] + 0.5 * np.array([np.cos(a), np.sin(a)]), 0.7).xy
-            for a in turn
-        ]
-    )
+    circle = 0.5 * np.column_stack([np.cos(turn), np.sin(turn), np.zeros(400)])
+    feet = [offset.nearest(np.array([*TOWER[0][:2], 0.7]) + way) for way in circle]
+    around = np.array([foot.p[:2] for foot in feet])
     layers = [
         np.column_stack([xy, np.full(len(xy), z)])
         for z in np.arange(0.6, 1.0, 0.004)

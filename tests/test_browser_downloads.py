@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from app.dashboard.export.browser import new_context
+from app.dashboard.job import FILM_RATE
 from app.simulation.trace.trace import read_trace
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
@@ -27,13 +28,13 @@ def tab(browser):
         served.pull_at_base(3.0)
         timeline = served.page().timeline
         wait_for(lambda: timeline.shown().t == pytest.approx(3.0))
-        for back, mark in ((3.0 - BEGIN, "Mark begin"), (3.0 - END, "Mark end")):
-            tab.set_slider("Back [s]", -back)
-            wait_for(lambda t=3.0 - back: timeline.shown().t == pytest.approx(t))
+        for t, mark in ((BEGIN, "Mark begin"), (END, "Mark end")):
+            timeline.go_to(t)
             tab.click(mark)
-        wait_for(lambda: timeline.end is not None)
+            wait_for(lambda mark=mark: getattr(timeline, mark.split()[1]) is not None)
         tab.page.get_by_text(f"marked {BEGIN:.2f} to {END:.2f} s").wait_for(timeout=40_000)
         tab.open_tab("Save")
+        tab.pages = served.server.pages
         yield tab
         tab.close()
         assert tab.errors == []
@@ -45,7 +46,7 @@ def download(tab: DashboardTab, button: str, folder: Path) -> Path:
         tab.click(button)
     path = folder / coming.value.suggested_filename
     coming.value.save_as(path)
-    tab.page.get_by_text("is being made").wait_for(state="hidden", timeout=PATIENCE)
+    tab.page.get_by_text("is being made …").wait_for(state="hidden", timeout=PATIENCE)
     return path
 
 
@@ -97,3 +98,18 @@ def test_a_replay_moves_the_robot_from_a_file_with_the_network_off(tab, tmp_path
         return len(heights - {None}) > 3
 
     wait_for(moves, what="the arm moves")
+
+
+def test_a_film_is_made_with_progress_and_can_be_cancelled(tab, tmp_path):
+    job = next(iter(tab.pages.values())).save_job
+    tab.choose("Film as", ".gif")
+    tab.click("Film")
+    tab.page.get_by_text("Film: ").filter(visible=True).first.wait_for(timeout=PATIENCE)
+    tab.click("Cancel")
+    wait_for(lambda: job.progress is None, what="the end of the work")
+    tab.page.get_by_role("button", name="Cancel").wait_for(state="hidden", timeout=PATIENCE)
+    for name, pixels in (("width [px]", 160), ("height [px]", 90)):
+        tab.set_slider(name, pixels)
+    with Image.open(download(tab, "Film", tmp_path)) as film:
+        assert (film.format, film.size) == ("GIF", (160, 90))
+        assert film.n_frames == round((END - BEGIN) * FILM_RATE) + 1

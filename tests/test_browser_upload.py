@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 
 from app.border.cache import BorderData, kept_border_data
-from app.border.sampling.config import SamplingConfig
+from app.border.config import SamplingConfig
 from app.config import Config
-from app.dashboard import robot_build, robot_switch
+from app.dashboard import robots
 from app.dashboard.drag import GIZMO, SCALE
 from app.dashboard.server import DashboardServer
 from app.jobs.process import Report
+from app.onboarding.new_robot import finish
 from app.onboarding.request import Request
-from app.onboarding.write.make import finish
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import SimulationLoop
 from app.simulation.scenarios.start import StartSolver
@@ -57,7 +57,6 @@ def make_of_few(report: Report, request: Request) -> None:
             tell=lambda text: report(text, -1.0),
             processes=1,
             sampling=SAMPLING,
-            progress=False,
             on_progress=lambda share: report("sampling the border", share),
         )
 
@@ -77,11 +76,11 @@ def begin(model: RobotModel, data: BorderData, config: Config, controller: str) 
 @pytest.fixture
 def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[DashboardServer]:
     """With the paper's robot, and a folder of one's own robots that is empty."""
-    robots = tmp_path / "robots"
-    monkeypatch.setenv("DBB_ROBOTS", str(robots))
-    monkeypatch.setattr("app.robot.assets.cache_folder", lambda: robots)
-    monkeypatch.setattr(robot_build, "build_robot", make_of_few)
-    monkeypatch.setattr(robot_switch, "kept_border_data", kept_of_few)
+    folder = tmp_path / "robots"
+    monkeypatch.setenv("DBB_ROBOTS", str(folder))
+    monkeypatch.setattr("app.robot.assets.cache_folder", lambda: folder)
+    monkeypatch.setattr(robots, "build_robot", make_of_few)
+    monkeypatch.setattr(robots, "kept_border_data", kept_of_few)
     with served_dashboard(start_loop=begin) as (server, _):
         yield server
 

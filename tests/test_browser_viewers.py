@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.dashboard.drag import GIZMO, SCALE
-from app.dashboard.scene.robot import ROOT
+from app.dashboard.scene.canvas import ROOT
 from app.simulation.loop.commands import Pause
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
@@ -31,12 +31,12 @@ def test_two_viewers_see_their_own_layers_and_times_of_one_simulation_and_both_p
         assert page_of_second is not page_of_first
 
         first.open_tab("View")
-        first.choose("lm-lEE", "hidden")
+        first.choose("hand – base", "hidden")
         wait_for(lambda: not first.is_shown(f"{ROOT}/border_lm-lEE"))
         assert second.is_shown(f"{ROOT}/border_lm-lEE"), "each has layers of his own"
 
         served.pull_at_base(3.0)
-        first.set_slider("Back [s]", -1.5)
+        first.look_at(1.5)
         wait_for(lambda: not page_of_first.timeline.live)
         then, now = page_of_first.timeline.shown(), loop.latest()
         wait_for(lambda: np.linalg.norm(first.position(GIZMO) - then.p_ee) < 1e-3)
@@ -79,9 +79,9 @@ def test_the_page_goes_on_with_a_server_that_comes_back_and_tells_how_the_simula
         wait_for(lambda: loop.pulls() and loop.pulls()[-1] is None, what="a pull, and its end")
 
         loop.error = RuntimeError("the plant is gone")
-        tab.page.get_by_text("the plant is gone").wait_for(timeout=40_000)
+        tab.page.get_by_text("The simulation has ended").wait_for(timeout=40_000)
         tab.page.reload()
-        tab.page.get_by_text("the plant is gone").wait_for(timeout=60_000)
+        tab.page.get_by_text("The simulation has ended").wait_for(timeout=60_000)
     refused = [text for text in tab.errors if "ERR_CONNECTION_REFUSED" not in text]
     tab.close()
     assert refused == [], "but that nobody was there meanwhile"

@@ -8,8 +8,8 @@ from collections import deque
 import numpy as np
 import pytest
 
-from app.avoidance.activation import activation
-from app.avoidance.distances import DistanceMonitor
+from app.avoidance.closest_points import DistanceMonitor
+from app.avoidance.task import activation
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.admittance import AdmittanceLaw

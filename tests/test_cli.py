@@ -154,6 +154,15 @@ def test_the_base_of_a_hand_that_is_let_go_goes_on_at_the_motions_own_pace(dbb):
     assert figures[1]["ee_error_final_m"] == 0.0
 
 
+def test_a_job_may_fail_on_a_contact_and_still_has_its_figures(dbb):
+    args = ("run", "guiding-above", "--controller", "none", "--duration", "2.5", "--json")
+    assert dbb(*args).status == 0
+    outcome = dbb(*args, "--fail-on-contact")
+    assert outcome.status == 1
+    assert json.loads(outcome.out)["contacts"] > 0
+    assert dbb(*QUICK, "--fail-on-contact").status == 0
+
+
 def test_none_and_dbb_are_told_apart(dbb):
     plain = json.loads(dbb(*QUICK, "--controller", "none", "--seed", "3", "--json").out)
     assert (plain["controller"], plain["seed"], plain["activation_max"]) == ("none", 3, 0.0)
@@ -344,7 +353,7 @@ def test_wrong_usage_points_to_the_help(dbb, args):
         ("half_track_m", "half_track_m = -0.51", ["base.half_track_m", "greater than 0", "-0.51"]),
     ],
 )
-@pytest.mark.parametrize("command", ["robots", "pairs", "border", QUICK], ids=str)
+@pytest.mark.parametrize("command", ["pairs", "border", QUICK], ids=str)
 def test_a_description_that_does_not_hold_names_file_and_field(
     dbb, tmp_path, monkeypatch, command, line, written, words
 ):
@@ -357,6 +366,9 @@ def test_a_description_that_does_not_hold_names_file_and_field(
     path.write_text("\n".join(changed), encoding="utf-8")
     monkeypatch.setattr(assets, "ASSETS", tmp_path)
     refused(dbb(*([command] if isinstance(command, str) else command)), str(path), *words)
+    listed = dbb("robots")  # one that is broken does not hide the others
+    assert listed.status == 0
+    assert all(word in listed.out for word in (str(path), *words))
 
 
 def test_a_wrong_joint_is_one_line_and_a_missing_mesh_holds_nobody_up(dbb, tmp_path, monkeypatch):

@@ -11,7 +11,7 @@ import app.dashboard.server
 from app.cli.main import main
 from app.cli.options import configured
 from app.config import Config, sections
-from app.config_file import parse_config, read_config, save_config
+from app.config_file import decode_config, read_config, save_config
 from app.studies.pulls.case import Case
 
 QUICK = ["run", "guiding-lateral", "--physics", "kinematic", "--duration", "0.01", "--json"]
@@ -147,7 +147,7 @@ def test_a_replayed_case_has_its_own_parameters(capsys, mine, tmp_path):
 
 def test_config_prints_the_defaults_and_writes_no_file_over(capsys, tmp_path):
     main(["config"])
-    assert parse_config(capsys.readouterr().out).config == Config()
+    assert decode_config(capsys.readouterr().out.encode()).config == Config()
     out = tmp_path / "all.toml"
     main(["config", "--out", str(out)])
     assert read_config(out) == ("all", Config())
@@ -155,7 +155,8 @@ def test_config_prints_the_defaults_and_writes_no_file_over(capsys, tmp_path):
     out.write_text("kept")
     assert "exists" in refused(capsys, "config", "--out", str(out))
     assert out.read_text() == "kept"
-    assert "--out" in refused(capsys, "config", "--out", str(tmp_path / "no" / "all.toml"))
+    nowhere = str(tmp_path / "no" / "all.toml")
+    assert nowhere in refused(capsys, "config", "--out", nowhere)
 
 
 def test_config_fills_up_a_file(capsys, mine):

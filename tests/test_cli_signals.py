@@ -73,7 +73,7 @@ def test_other_ending_signals_leave_by_every_finally(number, monkeypatch):
             tidied.append(True)
             raise ValueError("as compiled code makes of it") from None
 
-    monkeypatch.setattr("app.jobs.signals._LONGEST", 3600.0)
+    monkeypatch.setattr("app.jobs.progress._LONGEST", 3600.0)
     monkeypatch.setattr(ENTRY, "_run", command)
     with pytest.raises(SystemExit) as end:
         main(["run"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.avoidance.distances import ClosestPoints, DistanceMonitor
+from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
 from app.avoidance.self_collision import SelfCollisionAvoidance
 from app.border.cache import BorderData
 from app.config import Config

@@ -11,13 +11,13 @@ from app.simulation.loop.commands import (
     Choose,
     Compare,
     Configure,
+    Mailbox,
     Pause,
     Play,
     Pull,
     Release,
     Speed,
     StepOnce,
-    check_command,
 )
 from app.simulation.scenarios.names import SCENARIOS
 
@@ -97,7 +97,7 @@ def test_options_that_are_none_or_out_of_range_are_refused(name, options):
 )
 def test_what_is_no_command_is_refused_with_an_error_of_the_project(make, error):
     with pytest.raises(error) as caught:
-        check_command(make(), ("panda_link4",))
+        Mailbox().put(make(), ("panda_link4",))
     assert isinstance(caught.value, DbbError)
 
 
@@ -106,4 +106,4 @@ def test_what_is_no_command_is_refused_with_an_error_of_the_project(make, error)
     [Pull((0.5, 0.0, 0.4), "panda_link4"), Pull(None), Choose("none"), Speed(4), StepOnce()],
 )
 def test_what_can_be_obeyed_passes(command):
-    check_command(command, ("panda_link4",))
+    Mailbox().put(command, ("panda_link4",))

@@ -182,3 +182,17 @@ def test_what_cannot_be_compared_changes_nothing(make, monkeypatch):
         ensemble.compare(Compare(("none", "barrier"), "force"))
     assert (ensemble.ghosts, ensemble.main.t) == (ghosts, t)
     assert ensemble.comparison == Compare(("none",))
+
+
+def test_scores_are_of_the_scenario_and_not_of_what_a_person_does_after_it(make):
+    ensemble = make()
+    ensemble.compare(Compare(("none",)))
+    ensemble.play(SCENARIOS["guiding-lateral"])
+    run(ensemble, 0.5)
+    before = ensemble.scores()
+    ensemble.pull(PULL)
+    steps = run(ensemble, 0.5)
+    assert ensemble.scores() == before
+    ghost = ensemble.ghosts[0].reading().clearance
+    assert ghost != before[1].clearance, "what is drawn goes on"
+    assert steps[-1].t > 0.9

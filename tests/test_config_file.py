@@ -12,7 +12,6 @@ from app.config_file import (
     MOST_BYTES,
     checked_name,
     decode_config,
-    parse_config,
     read_config,
     save_config,
 )
@@ -42,7 +41,7 @@ names = st.text(max_size=LONGEST_NAME).filter(str.isprintable)
 @given(configs, names)
 def test_a_configuration_survives_being_saved_and_read(config: Config, name: str) -> None:
     text = save_config(config, name)
-    assert parse_config(text) == (name.strip(), config)
+    assert decode_config(text.encode()) == (name.strip(), config)
     if name.isascii():
         assert decode_config(text.replace("\n", "\r\n").encode("utf-8-sig")).config == config
 
@@ -71,8 +70,8 @@ def test_every_parameter_stands_below_its_unit_range_and_meaning() -> None:
 
 
 def test_a_file_may_hold_only_some_parameters() -> None:
-    assert parse_config("") == ("", Config())
-    found = parse_config("name = 'soft'\n[hand]\nstiffness = 100\n")
+    assert decode_config(b"") == ("", Config())
+    found = decode_config(b"name = 'soft'\n[hand]\nstiffness = 100\n")
     assert found == ("soft", Config().replace("hand.stiffness", 100.0))
 
 
@@ -95,7 +94,7 @@ def test_a_file_may_hold_only_some_parameters() -> None:
 )
 def test_a_file_with_a_mistake_is_refused_on_one_short_line(text: str, told: str) -> None:
     with pytest.raises(ConfigError, match=told) as caught:
-        parse_config(text)
+        decode_config(text.encode())
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 300
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,9 @@ import pytest
 
 from app.border.cache import BorderData
 from app.robot.model import RobotModel
-from app.studies.drawing import Drawing
-from app.studies.paper import continuity
-from app.studies.paper.experiments import Sources
+from app.studies.paper import density
+from app.studies.paper.drawing import Drawing
+from app.studies.paper.experiments import LATERAL, Sources
 from app.studies.style import styled
 from tests.reproduction import short_run, sources_of
 
@@ -19,14 +20,14 @@ from tests.reproduction import short_run, sources_of
 @pytest.fixture(scope="module")
 def sources(robot: RobotModel, border_data: BorderData) -> Sources:
     """Two seconds of the lateral guiding, at the end of them in the buffer."""
-    run = short_run(robot, border_data, continuity.LATERAL, 3.0)
-    return sources_of(robot, border_data, {continuity.LATERAL: run})
+    run = short_run(robot, border_data, LATERAL, 3.0)
+    return sources_of(robot, border_data, {LATERAL: run})
 
 
 @pytest.fixture(scope="module")
 def drawn(sources: Sources) -> Drawing:
     with styled():
-        return continuity.figure_continuity(sources)
+        return density.figure_continuity(sources)
 
 
 @pytest.mark.slow
@@ -50,15 +51,23 @@ def test_the_csv_holds_what_is_drawn_and_its_own_steps(drawn) -> None:
 
 
 def test_the_path_is_the_logged_one_inside_the_buffer(sources: Sources) -> None:
-    t, path = continuity.hand_path_in_buffer(sources, 0.001)
-    run = sources.runs[continuity.LATERAL]
+    t, path = density.hand_path_in_buffer(sources, 0.001)
+    run = sources.runs[LATERAL]
     logged = np.interp(t, run.log["t_s"], run.log["d_lm-lEE_m"])
     np.testing.assert_allclose([closest.d for closest in path], logged, atol=1e-4)
     assert logged.max() <= sources.config.border.d_b + 1e-3
     np.testing.assert_allclose([np.linalg.norm(c.normal) for c in path], 1.0)
 
 
-def test_the_longest_stretch_is_taken() -> None:
-    t = np.arange(10.0)
-    inside = np.array([1, 1, 0, 1, 1, 1, 1, 0, 1, 1], dtype=bool)
-    assert continuity._stretch(t, inside) == (3.0, 6.0)
+def test_the_longest_stretch_is_taken(sources: Sources) -> None:
+    """Of a hand that is in its buffer three times, the second time longest."""
+    run = sources.runs[LATERAL]
+    d = run.log["d_lm-lEE_m"]
+    inside = np.zeros(len(d), bool)
+    inside[5:10] = inside[20:90] = inside[-9:] = True
+    log = run.log.rows(slice(None))
+    log["d_lm-lEE_m"][:] = np.where(inside, 0.1, 0.2)
+    t, _ = density.hand_path_in_buffer(
+        replace(sources, runs={LATERAL: run._replace(log=log)}), 0.001
+    )
+    np.testing.assert_allclose([t[0], t[-1]], [log.t[20], log.t[89]], atol=0.002)

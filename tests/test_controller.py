@@ -9,8 +9,8 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import Controller, ControlOutput
-from app.control.limits import robot_limits
-from app.control.qp import NoSolutionError, TaskQP
+from app.control.limits import base_limits, robot_limits
+from app.control.qp import NoSolutionError, TaskQP, insert_rows
 from app.control.tasks import (
     Reference,
     end_effector_task,
@@ -18,11 +18,10 @@ from app.control.tasks import (
     posture_objective,
     tracking_objective,
 )
-from app.control.transition import insert_rows
 from app.errors import UnknownNameError
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
-from app.robot.state import Measurement
+from app.robot.state import Measurement, RobotState
 
 ZERO = np.zeros(3)
 AT_ONCE = Config().replace("limit.torque_rate", 1e6)
@@ -58,22 +57,28 @@ def in_buffer(robot: RobotModel, controller: Controller, seed: int, pair: str) -
         velocities = rng.normal(scale=0.05, size=robot.n)
         m = measured(robot, q_m, qd_m=velocities[2:], base_velocity=velocities[:2])
         controller.reset()  # between states that have nothing to do with each other nobody pushes
-        if not at_a_limit(controller, controller.step(m)):
+        if not at_a_limit(controller.step(m)):
             return m
 
 
-def at_a_limit(controller: Controller, output: ControlOutput) -> bool:
+def at_a_limit(output: ControlOutput) -> bool:
     """Whether the guided answer meets a limit of torque or joint acceleration."""
-    state = controller.state
     assert output.workings is not None
-    limits, qdd_m = output.workings.arm.limits, output.workings.arm.qdd[state.model.n_b :]
-    reached = limits.C @ qdd_m
+    limits = output.workings.limits
+    reached = limits.C @ output.workings.qdd
     return bool(((reached < limits.l + 1e-2) | (reached > limits.u - 1e-2)).any())
 
 
 def reference_here(controller: Controller, acceleration: np.ndarray) -> Reference:
     T = pin.SE3(controller.state.T_world_ee)
     return Reference(T, np.zeros(6), acceleration)
+
+
+def reference_at(robot: RobotModel, m: Measurement) -> Reference:
+    """A hand that stays where it is measured."""
+    state = RobotState(robot)
+    state.update(m)
+    return Reference(state.T_world_ee.copy(), np.zeros(6), np.zeros(6))
 
 
 def test_far_from_everything_a_guided_arm_gives_gravity_compensation_and_damping(
@@ -138,7 +143,7 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     posture = posture_objective(state, m.q_m, config.task)
     objective = tracking_objective(posture, task, config.task.ee_weight)
     objective = insert_rows(objective, rows, softness)
-    limits = robot_limits(state, config.limit, softness=softness)
+    limits = robot_limits(state, config.limit, softness=softness).and_also(base_limits(state))
     whole = TaskQP().solve(objective, limits)
     asked = output.base_acceleration
     np.testing.assert_allclose(robot.J_m @ whole[:2], asked, atol=2e-2, rtol=2e-2)
@@ -246,6 +251,26 @@ def test_a_failed_qp_gives_the_safe_command_and_is_counted(
     assert controller.failures == 1
     np.testing.assert_allclose(output.u_a, free_arm_torque(controller.state))
     assert (output.base_acceleration * m.base_velocity < 0).all()
+
+
+def test_what_was_measured_badly_at_first_is_no_posture_to_go_back_to(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    """Sensors that begin with NaN: what comes after them is what came without them."""
+    good = measured(robot, np.array(robot.description.arm.ready_position) + 0.1)
+    late, well = (Controller(robot, border_data, Config()) for _ in range(2))
+    for _ in range(3):
+        bad = good._replace(qd_m=np.full(robot.n_m, np.nan))
+        first = late.step(bad, Reference(late.state.T_world_ee.copy(), np.zeros(6), np.zeros(6)))
+        assert not first.solved
+        assert np.isfinite(first.u_a).all()
+    reference = reference_at(robot, good)
+    for _ in range(2):
+        np.testing.assert_array_equal(
+            late.step(good, reference).u_a, well.step(good, reference).u_a
+        )
+    assert (late.failures, well.failures) == (3, 0)
+    np.testing.assert_array_equal(late.q_posture, good.q_m)
 
 
 def test_the_command_does_not_depend_on_where_the_world_frame_stands(

@@ -14,7 +14,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app.control.door_opening import (
+from app.control.tasks import Reference
+from app.simulation.scenarios.door_opening import (
     DoorOpening,
     DoorOpeningGains,
     HandReading,
@@ -22,7 +23,6 @@ from app.control.door_opening import (
     radial_update,
     tangent,
 )
-from app.control.tasks import Reference
 
 Array = np.ndarray
 

@@ -48,7 +48,9 @@ def test_the_expected_acceleration_is_what_the_drive_then_does():
     for _ in range(50):
         command, before = rng.normal(0, 1, 2), drive.velocity
         expected = drive.expected_acceleration(command, before)
-        np.testing.assert_allclose((drive.step(command) - before) / dt, expected, rtol=2e-4)
+        np.testing.assert_allclose(
+            np.subtract(drive.step(command), before) / dt, expected, rtol=2e-4
+        )
         follow(drive, command, 500)
 
 

@@ -121,7 +121,8 @@ def test_the_base_gets_out_of_the_way_of_a_hand_that_is_dragged_at_it(browser, s
     assert (status, printed) == (0, "")
 
 
-def test_two_dashboards_cannot_listen_at_one_port(served):
+def test_a_second_one_is_refused_the_port_and_the_simulation_ends_with_its_parent(served):
+    simulation = simulation_of(served)
     port = served.address.rpartition(":")[2]
     second = subprocess.run(
         [sys.executable, "-m", "app", "serve", "--port", port],
@@ -134,6 +135,10 @@ def test_two_dashboards_cannot_listen_at_one_port(served):
     [line] = second.stderr.splitlines()
     assert port in line
     assert "in use" in line
+    assert simulation.is_running()
+    served.process.kill()
+    served.process.wait()
+    simulation.wait(timeout=PATIENCE)
 
 
 def test_the_page_says_why_when_the_process_of_the_simulation_has_died(browser, served):
@@ -144,10 +149,3 @@ def test_the_page_says_why_when_the_process_of_the_simulation_has_died(browser, 
     tab.close()
     assert status == 2
     assert "ended with status -9" in printed.splitlines()[-1]
-
-
-def test_the_process_of_the_simulation_ends_with_its_parent(served):
-    simulation = simulation_of(served)
-    served.process.kill()
-    served.process.wait()
-    simulation.wait(timeout=PATIENCE)

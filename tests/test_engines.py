@@ -17,8 +17,7 @@ from app.robot.urdf import resolved_urdf
 from app.simulation.plants import choice as plants
 from app.simulation.plants.choice import PLANTS, chosen_plant, default_plant, make_physics
 from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
-from app.simulation.plants.mujoco_dynamics import MujocoDynamics
-from app.simulation.plants.mujoco_planar import MujocoPlanar
+from app.simulation.plants.planar import planar_plant
 from tests.robots import husky_panda
 
 NOBODY = np.zeros(3)
@@ -45,11 +44,9 @@ def test_both_engines_see_the_same_robot_and_the_same_contacts(name: str):
 @pytest.mark.parametrize("name", robot_names())
 @pytest.mark.parametrize("engine", ["mujoco", "pybullet"])
 def test_mass_matrix_and_bias_forces_are_pinocchios(name: str, engine: str):
-    from app.simulation.plants.bullet_dynamics import BulletDynamics
-
     model, rng = installed(name), np.random.default_rng(1)
     state, n_b = RobotState(model), model.n_b
-    other = {"mujoco": MujocoDynamics, "pybullet": BulletDynamics}[engine](model)
+    other = planar_plant(engine, model)
     for _ in range(20):
         q_m, qd = rng.uniform(model.q_lower, model.q_upper), rng.uniform(-1, 1, model.n)
         state.update(Measurement(NOBODY, model.J_m @ qd[:n_b], q_m, qd[n_b:]))
@@ -63,7 +60,7 @@ def test_mass_matrix_and_bias_forces_are_pinocchios(name: str, engine: str):
 def test_one_step_from_rest_is_the_equation_of_motion_with_the_base_held(name: str):
     """Torques of a tenth of a joint's gravity scale; one step of dt gives q̈_a dt."""
     model, rng = installed(name), np.random.default_rng(2)
-    plant, state, n_b = MujocoPlanar(model), RobotState(model), model.n_b
+    plant, state, n_b = planar_plant("mujoco", model), RobotState(model), model.n_b
     free = 0
     while free < 5:
         q_m = model.q_lower + rng.uniform(0.1, 0.9, model.n_m) * (model.q_upper - model.q_lower)
@@ -116,3 +113,12 @@ def test_without_meshes_the_bodies_touch_instead_and_the_log_says_so(monkeypatch
             deepest = max(deepest, plant.world.depths().get("arm_base", 0.0))
         assert 0.0 < deepest < 0.005  # [m] they touch, and do not enter each other
         plant.close()
+
+
+def test_what_mujoco_warns_of_is_logged_and_leaves_no_file(tmp_path, monkeypatch, caplog):
+    monkeypatch.chdir(tmp_path)
+    plant = make_physics("mujoco", husky_panda())
+    with caplog.at_level(logging.WARNING):
+        plant.step(np.full(7, np.nan), np.zeros(2), NOBODY)
+    assert "MuJoCo: Nan" in caplog.text
+    assert not list(tmp_path.iterdir())

@@ -14,7 +14,7 @@ from app.robot.model import RobotModel
 from app.simulation.loop.commands import Compare, Pull
 from app.simulation.loop.ensemble import MOST_PULLS, Ensemble
 from app.simulation.loop.pacing import Pacer
-from app.simulation.scenarios.begin import begin
+from app.simulation.run import begin
 from app.simulation.scenarios.leading import Setting
 from app.simulation.scenarios.names import SCENARIOS
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario

@@ -31,7 +31,7 @@ def test_the_carriage_gives_way_along_its_rail_and_the_arm_does_not_touch_it(exa
 
 
 def test_a_registered_kind_is_one_that_a_description_may_have(example) -> None:
-    example["main"](duration=0.001)
+    example["main"](duration=0.01)
     own: type[BaseKind] = example["RailBase"]
     assert KINDS["rail"] is own
     field = RobotDescription.model_fields["base"]
@@ -39,7 +39,7 @@ def test_a_registered_kind_is_one_that_a_description_may_have(example) -> None:
 
 
 def test_another_kind_cannot_take_a_name_that_there_is(example) -> None:
-    example["main"](duration=0.001)
+    example["main"](duration=0.01)
     taken = type("Taken", (example["RailBase"],), {"__module__": __name__})
     with pytest.raises(DescriptionError, match="'rail'"):
         register_base_kind(taken)

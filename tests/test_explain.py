@@ -8,17 +8,18 @@ from dataclasses import replace
 from itertools import product
 
 import pytest
+import viser
 from hypothesis import given
 from hypothesis import strategies as st
 
 from app.config import Config
 from app.control.active_bounds import Bound
 from app.control.controller import CONTROLLERS
-from app.control.explanation import Explanation, ForceSplit, NearPair
-from app.control.levels import Level
+from app.control.explanation import Explanation, ForceSplit, Level, NearPair
 from app.dashboard.panels import phrases as words
-from app.dashboard.panels.explain import LONGEST, sentence
-from app.dashboard.panels.why import WhyPanel, why_html
+from app.dashboard.panels import why as why_panel
+from app.dashboard.panels.why import LONGEST, sentence
+from app.dashboard.verdict import judge
 from app.robot.bases.kind import FORWARD, TURN
 from app.simulation.trace.snapshot import Snapshot
 from tests.fakes import ScriptedLoop
@@ -87,6 +88,10 @@ def explanation(near: tuple[NearPair, ...] = (), **fields: object) -> Explanatio
         bounds=(),
     )
     return why._replace(**fields)
+
+
+def why_html(snapshot: Snapshot) -> str:
+    return why_panel.why_html(snapshot, judge(snapshot))
 
 
 def said(blank: Snapshot, why: Explanation, **fields: object) -> str:
@@ -256,6 +261,11 @@ def test_a_failed_solver_is_said_before_all_else(blank):
     assert text.startswith("The solver found no motion that keeps all limits")
 
 
+def test_of_several_pairs_it_speaks_of_the_one_that_is_inside(blank):
+    deep = LINKS._replace(d=-0.003, beta=1.0)
+    assert "3 mm inside the outline" in said(blank, explanation((BASE, deep)))
+
+
 def test_the_buffer_is_that_of_the_configuration(blank):
     config = Config().replace("border.d_b", 0.22)
     assert "its buffer is 22 cm" in said(blank, explanation(NEAR["base"]), config=config)
@@ -324,31 +334,14 @@ def test_the_text_inherits_its_colour_from_the_theme(blank):
     assert not re.search(r'[;"]\s*color\s*:', html)
 
 
-def test_what_has_not_changed_is_not_sent(blank):
-    panel = WhyPanel(FakeGui())  # type: ignore[arg-type]
-    handle = panel._html
+def test_what_has_not_changed_is_not_sent(blank, monkeypatch):
+    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    panel = server.gui.add_html("")
+    sent = []
+    monkeypatch.setattr(server._websock_server, "queue_message", sent.append)
     one, two = (replace(blank, explanation=explanation(NEAR[near])) for near in ("base", "links"))
     for snapshot in (one, one, two, two, replace(blank, explanation=None)):
-        panel.update(snapshot)
-    assert handle.sent == 3
-    assert "There is no explanation" in handle.content
-
-
-class FakeGui:
-    """Hands out one HTML element that counts what is sent."""
-
-    def add_html(self, content: str) -> FakeHtml:
-        return FakeHtml(content)
-
-
-class FakeHtml:
-    def __init__(self, content: str) -> None:
-        self._content, self.sent = content, 0
-
-    @property
-    def content(self) -> str:
-        return self._content
-
-    @content.setter
-    def content(self, content: str) -> None:
-        self._content, self.sent = content, self.sent + 1
+        panel.content = why_html(snapshot)
+    assert len(sent) == 3
+    assert "There is no explanation" in sent[-1].updates["content"]
+    server.stop()

@@ -15,13 +15,10 @@ from app.border.cache import BorderData
 from app.border.score import ScoreField
 from app.config import Config
 from app.control.active_bounds import TOLERANCE, Bound, admittance_bounds, met
-from app.control.controller import CONTROLLERS, Controller, ControlOutput
-from app.control.explanation import Explanation, NearPair, explain, split
-from app.control.levels import Level, level_readings
-from app.control.qp import Limits, NoSolutionError, Objective, TaskQP
+from app.control.controller import CONTROLLERS, Controller, ControlOutput, Stack, Workings
+from app.control.explanation import Explanation, Level, NearPair, explain, level_readings, split
+from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
 from app.control.tasks import Reference, end_effector_task, free_arm_torque
-from app.control.transition import insert_rows
-from app.control.workings import ArmSolve, Workings
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
@@ -225,16 +222,15 @@ def test_rows_that_contradict_each_other_give_up_half_of_their_difference_each(r
     e = np.eye(9)
     given_rows = TaskRows(e[:2], np.zeros(2), np.zeros(2), 1.0)
     rows = [TaskRows(e[[5]], np.zeros(1), np.array([b]), 1.0) for b in (1.0, 1.0 + gap)]
-    limits = Limits(e[:1, 2:], np.array([-1e6]), np.array([1e6]), np.full(1, 1e-6))
+    limits = Limits(e[:1], np.array([-1e6]), np.array([1e6]), np.full(1, 1e-6))
     objective, above = Objective(e, np.zeros(9)), (given_rows, *rows)
     whole = insert_rows(objective, above, 1e-6)
-    qdd = TaskQP().solve(whole, Limits(e[:1], *limits[1:]))
-    arm = ArmSolve(above[1:], None, objective, objective, limits, qdd)
+    qdd = TaskQP().solve(whole, limits)
+    rest, stack = np.zeros(2), Stack(objective, objective, None)
+    workings = Workings(rest, rest, above[1:], stack, limits, (REST, REST), qdd)
     inserted = output.inserted._replace(rows_m=None, rows_arm=(), rows_links=tuple(rows))
     output = output._replace(inserted=inserted)
-    links, free = level_readings(
-        robot.description.base, output, Workings(np.zeros(2), np.zeros(2), arm, (REST, REST))
-    )
+    links, free = level_readings(robot.description.base, output, workings)
     assert links == ("links", pytest.approx(np.sqrt(2.0) * gap / 2.0, abs=1e-4), None)
     assert free.angular == pytest.approx(1.0 + gap / 2.0, abs=1e-4)
 

@@ -32,6 +32,7 @@ BASE = {
 
 NAMED_OTHERWISE = {
     "fast_simplification": "fast-simplification",
+    "imageio_ffmpeg": "imageio-ffmpeg",
     "mpl_toolkits": "matplotlib",
     "PIL": "pillow",
     "pybullet_data": "pybullet",

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from app.avoidance.distances import ClosestPoints, DistanceMonitor
-from app.avoidance.repulsion import distance_jacobian
+from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
+from app.avoidance.task import distance_jacobian
 from app.border.cache import BorderData
-from app.control.force_bound import force_bound
+from app.control.limits import force_bound
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
+from app.simulation.trace.snapshot import QUANTITIES
 from tests.robots import random_measurement
 
 
@@ -58,3 +63,21 @@ def test_a_pair_that_comes_nearer_bears_less_by_what_stops_it_within_its_distanc
 def test_bodies_that_touch_bear_nothing(robot, border_data):
     state, closest = near(robot, border_data, 0)
     assert force_bound(state, closest._replace(d=0.0)) == 0.0
+
+
+def test_a_snapshot_has_it_always_and_a_table_50_times_a_second(robot, border_data):
+    state, closest = near(robot, border_data, 0)
+    pair = SimpleNamespace(closest=closest, beta=0.5)
+    avoidance = SimpleNamespace(mobile=[pair, SimpleNamespace(closest=closest, beta=0.0)])
+    session: Any = SimpleNamespace(controller=SimpleNamespace(state=state))
+    quantity: Any = QUANTITIES["force_bound"]
+
+    def step(t: float, **fields: Any) -> Any:
+        output = SimpleNamespace(avoidance=avoidance)
+        return SimpleNamespace(**{"t": t, "pulls": ("a pull",), "output": output} | fields)
+
+    rows = [quantity.row(session, step(k / 1000))[0] for k in range(41)]
+    known = [k for k, force in enumerate(rows) if not math.isnan(force)]
+    assert known == [0, 20, 40]
+    assert quantity.take(session, step(0.007)) == rows[0] == force_bound(state, closest)
+    assert math.isnan(quantity.take(session, step(0.007, pulls=())))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Coroutine
 from contextlib import nullcontext
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -15,8 +16,18 @@ from hypothesis import strategies as st
 
 from app.dashboard.drag import SCALE
 from app.dashboard.scene import camera as camera_module
-from app.dashboard.scene.camera import PRESETS, Camera, placed
-from app.dashboard.scene.framing import FIELD_OF_VIEW, UP, Window, fit
+from app.dashboard.scene.camera import (
+    FIELD_OF_VIEW,
+    PRESETS,
+    UP,
+    Camera,
+    Window,
+    fit,
+    placed,
+)
+from app.simulation.loop.commands import Reset
+from app.simulation.scenarios.refrigerator import RefrigeratorScenario
+from app.simulation.trace.snapshot import DoorView
 from tests.dashboards import parts
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
@@ -68,7 +79,7 @@ def test_what_a_browser_says_of_its_window_is_believed_within_reason() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("window", [Window(0.85, 0.23), Window(1.6, 0.18), Window()])
-@pytest.mark.parametrize("name", [name for name in PRESETS if not PRESETS[name].of_hand])
+@pytest.mark.parametrize("name", [name for name in PRESETS if PRESETS[name].of == "robot"])
 def test_a_preset_shows_the_whole_robot_wherever_it_stands(name: str, window: Window) -> None:
     loop = ScriptedLoop(husky_panda())
     loop.place((2.0, -1.0, 0.7))
@@ -93,6 +104,8 @@ class Eye:
 
     def on_update(self, hear: Callable[[Eye], Coroutine[None, None, None]]) -> None:
         self._hear = hear
+
+    look_at = np.zeros(3)
 
     def answer(self, moved: float = 0.0, width: int = 1280) -> None:
         """Say where it is now, after the viewer has moved it, and how wide the page is [px]."""
@@ -160,3 +173,77 @@ def test_the_scene_stays_where_it_is_under_a_viewer_who_holds_something(
     camera, eye, loop = looking
     assert not settled(camera, eye, loop, busy=True)
     assert not settled(camera, eye, loop), "nor once it is let go"
+
+
+@pytest.mark.parametrize("follow", [True, False])
+def test_a_beginning_finds_the_robot_that_a_long_drive_has_taken_out_of_sight(
+    looking: tuple[Camera, Eye, ScriptedLoop], follow: bool
+) -> None:
+    camera, eye, loop = looking
+
+    def seen() -> bool:
+        base = loop.latest().base_pose
+        points = parts().extent + np.array([base[0], base[1], 0.0])
+        return camera_module.sees(eye.position, eye.look_at, points, camera.window)
+
+    camera.find(loop.latest(), on=follow)
+    loop.place((30.0, 0.0, 0.0))
+    camera.find(loop.latest(), on=follow)
+    eye.answer()
+    assert seen() == follow, "the camera that follows finds it on the way, too"
+    loop.send(Reset())
+    if not follow:
+        camera.put(np.array([30.0, 1.0, 1.0]), np.array([30.0, 0.0, 0.0]))
+        eye.answer()
+    assert not seen()
+    camera.find(loop.latest(), on=follow)
+    eye.answer()
+    assert seen()
+
+
+def test_who_has_moved_the_camera_keeps_his_view_of_the_robot_at_a_beginning(
+    looking: tuple[Camera, Eye, ScriptedLoop],
+) -> None:
+    camera, eye, loop = looking
+    camera.find(loop.latest(), on=True)
+    eye.answer(moved=0.1)
+    place = eye.position
+    loop.place((0.5, 0.0, 0.0))
+    camera.find(loop.latest(), on=True)
+    loop.send(Reset())
+    camera.find(loop.latest(), on=True)
+    np.testing.assert_array_equal(eye.position, place)
+
+
+@pytest.mark.parametrize("hinge", ["left", "right"])
+def test_the_view_of_a_door_shows_all_of_it_open_or_closed(hinge: Any) -> None:
+    door = RefrigeratorScenario(hinge=hinge).door
+    view = DoorView(door, np.deg2rad(63.0), np.zeros(3))
+    snapshot = replace(ScriptedLoop(husky_panda()).latest(), door=view)
+    window = Window(0.85, 0.23)
+    eye, target = placed(PRESETS["door"], snapshot, parts().extent, window)
+    _, width, height = door.size
+    corners = [np.array([0.0, -door.side * u, v]) for u in (0.0, width) for v in (0.0, height)]
+    points = [door.pose(angle).act(c) for angle in (0.0, view.angle) for c in corners]
+    seen = on_picture(np.array(points), eye, target, window)
+    assert (np.abs(seen) < 1.0).all()
+    assert (eye - door.pose(0.0).translation) @ door.pose(0.0).rotation[:, 0] < 0.0, (
+        "from its front"
+    )
+
+
+def test_a_step_waits_for_a_slow_browser_that_still_says_where_it_was(
+    looking: tuple[Camera, Eye, ScriptedLoop],
+) -> None:
+    camera, eye, loop = looking
+    before = eye.position
+    camera.use("top", loop.latest())
+    wanted, eye.position = eye.position, before
+    eye.answer()
+    loop.place((0.1, 0.0, 0.0))
+    camera.follow(loop.latest().base_pose[:2], on=True)
+    np.testing.assert_array_equal(eye.position, before, "no step from where it no longer is")
+    eye.position = wanted
+    eye.answer()
+    camera.follow(loop.latest().base_pose[:2], on=True)
+    np.testing.assert_allclose(eye.position, wanted + np.array([0.1, 0.0, 0.0]))

@@ -7,6 +7,7 @@ import math
 import urllib.error
 import urllib.request
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 import msgspec
 import pytest
@@ -18,15 +19,21 @@ from viser import _messages
 from websockets.asyncio import server as websockets_server
 from websockets.asyncio.client import connect
 
-from app.dashboard.gate import Gate, Limits, is_allowed
-from app.dashboard.messages import RefusedError, Uploads, checked, is_alike
+from app.dashboard.gate import (
+    LARGEST_MESSAGE,
+    Gate,
+    RefusedError,
+    Uploads,
+    checked,
+    is_alike,
+    is_allowed,
+)
 from app.dashboard.notifications import Notifier
 from app.dashboard.viser_compat import _Buffer, close_server, open_server
 from app.errors import ServerError
 from tests.browser import wait_for
 from tests.raw_client import RawClient
 
-LARGEST = 10_000
 CAMERA = {
     "type": "ViewerCameraMessage",
     "wxyz": [1, 0.0, 0.0, 0.0],
@@ -43,7 +50,7 @@ CAMERA = {
 
 def pass_on(message, *, uploads=None, widget=None):
     data = msgspec.msgpack.encode(message)
-    passed = checked(data, LARGEST, uploads or Uploads(1000), lambda uuid: widget)
+    passed = checked(data, uploads or Uploads(1000), lambda uuid: widget)
     assert passed == data
     return passed
 
@@ -78,8 +85,8 @@ def test_only_the_servers_own_page_is_allowed(of_page, host, allowed):
 
 
 @contextmanager
-def served(**limits):
-    server = open_server("127.0.0.1", 0, Limits(**limits))
+def served():
+    server = open_server("127.0.0.1", 0)
     try:
         yield server
     finally:
@@ -122,12 +129,12 @@ def test_a_foreign_page_cannot_connect_and_the_own_one_can():
 
 @pytest.mark.parametrize("name", ["websocket", "playbackPath", "initDarkMode", "", "x"])
 def test_a_link_cannot_give_the_page_orders(name):
-    with served(parameters=frozenset({"scenario"})) as server:
+    with served() as server:
         status, _, text = get(server, f"/?{name}=ws://evil.example")
         assert status == 400
         assert repr(name).encode() in text
-        assert b"scenario" in text
-        assert get(server, "/?scenario=tracking")[0] == 200
+        assert b"it may have: fixedDpr" in text
+        assert get(server, "/?fixedDpr=1&scenario=x&border.d_b=y")[0] == 200
 
 
 def test_every_answer_forbids_frames_and_connections_to_others():
@@ -141,7 +148,9 @@ def test_every_answer_forbids_frames_and_connections_to_others():
             assert headers["X-Frame-Options"] == "DENY"
 
 
-def test_one_more_viewer_than_may_come_is_refused_and_may_come_when_one_has_gone():
+def test_one_more_viewer_than_may_come_is_refused_and_may_come_when_one_has_gone(monkeypatch):
+    monkeypatch.setattr("app.dashboard.gate._MOST_VIEWERS", 2)
+
     async def visit(server):
         async with link(server, None), link(server, None):
             with pytest.raises(websockets.InvalidStatus) as refused:
@@ -155,7 +164,7 @@ def test_one_more_viewer_than_may_come_is_refused_and_may_come_when_one_has_gone
                 await asyncio.sleep(0.05)
         return b""
 
-    with served(viewers=2) as server:
+    with served() as server:
         assert asyncio.run(visit(server))
 
 
@@ -168,7 +177,7 @@ def test_the_gate_is_taken_away_again_for_other_servers():
 def test_a_viser_that_starts_in_another_way_is_not_used():
     with (
         pytest.raises(ServerError, match="this version of viser"),
-        Gate("127.0.0.1", Limits()).closed(),
+        Gate("127.0.0.1", 0).closed(),
     ):
         pass
 
@@ -215,6 +224,8 @@ def test_what_a_page_sends_passes_unchanged():
         {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": 1, "visible": False}},
         {"type": "GuiUpdateMessage", "uuid": 3, "updates": {"value": 1}},
         {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": math.nan}},
+        {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": 1e300}},  # int() of it
+        {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": -(2**60)}},
         {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": [[[[[[[[1]]]]]]]]}},
         {"type": "GuiUpdateMessage", "uuid": "a" * 5000, "updates": {"value": 1}},
         {"type": "ShareUrlRequest"},
@@ -237,11 +248,11 @@ def test_what_no_page_sends_never_reaches_viser(message):
 )
 def test_bytes_that_are_no_message_are_refused(data):
     with pytest.raises(RefusedError):
-        checked(data, LARGEST, Uploads(0), lambda uuid: None)
+        checked(data, Uploads(0), lambda uuid: None)
 
 
 def test_only_a_picture_may_be_large():
-    content = b"x" * 2 * LARGEST
+    content = b"x" * 2 * LARGEST_MESSAGE
     pass_on({"type": "GetRenderResponseMessage", "payload": content, "render_uuid": "a"})
     for message in (
         {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": content}},
@@ -252,7 +263,11 @@ def test_only_a_picture_may_be_large():
             "part_index": 0,
             "content": content,
         },
-        {"type": "GetRenderResponseMessage", "payload": [1] * LARGEST, "render_uuid": "a"},
+        {
+            "type": "GetRenderResponseMessage",
+            "payload": [1] * (LARGEST_MESSAGE + 1),
+            "render_uuid": "a",
+        },
     ):
         with pytest.raises(RefusedError):
             pass_on(message)
@@ -321,6 +336,14 @@ def test_a_value_that_is_alike_can_be_cast_as_viser_casts_it(current, value):
         return  # refused before
     else:
         assert type(current)(value) == value or isinstance(current, int)
+
+
+def test_what_is_not_to_choose_is_refused():
+    choice = SimpleNamespace(value="a", options=("a", "b"))
+    message = {"type": "GuiUpdateMessage", "uuid": "w", "updates": {"value": "b"}}
+    pass_on(message, widget=choice)
+    with pytest.raises(RefusedError, match="no 'c' to choose"):
+        pass_on(message | {"updates": {"value": "c"}}, widget=choice)
 
 
 @given(st.dictionaries(st.sampled_from(list(CAMERA)), values, max_size=3))

@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from app.avoidance.holding import base_with_hand, carried
 from app.config import HoldingConfig
+from app.control.tasks import base_with_hand, carried
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 from app.robot.packages import package_roots

@@ -16,16 +16,19 @@ PROJECT = Path(__file__).resolve().parent.parent
 PARENT = r"""
 import os, sys, tempfile, threading, time
 from pathlib import Path
+from app.jobs import process, progress
 from app.jobs.pool import Workers
 from app.jobs.process import run_in_process
-from app.jobs.signals import ending_signals_raised
+from app.jobs.progress import ending_signals_raised
+
+process._PATIENCE = progress._LONGEST = 60.0  # [s] on a busy machine, too, nothing is killed
 
 def wait(made, job):
     os.write(1, b"started\n")
     time.sleep(60)
 
 def wait_in_a_folder(report, folder):
-    with tempfile.TemporaryDirectory(dir=folder):
+    with tempfile.TemporaryDirectory(dir=folder, prefix="of-the-job-"):
         with Workers(int, processes=2) as workers:
             list(workers.map(wait, range(2)))
 
@@ -36,7 +39,7 @@ if __name__ == "__main__":
         kwargs={"report": print, "cancelled": threading.Event()},
         daemon=True,
     )
-    with ending_signals_raised(), tempfile.TemporaryDirectory(dir=sys.argv[1]):
+    with ending_signals_raised(), tempfile.TemporaryDirectory(dir=sys.argv[1], prefix="its-own-"):
         work.start()
         with Workers(int, processes=2) as workers:
             list(workers.map(wait, range(2)))
@@ -72,8 +75,8 @@ def test_all_that_a_process_has_started_ends_with_it(tmp_path: Path, number: int
     process.wait(timeout=30)
     _, alive = psutil.wait_procs(children, timeout=30)
     assert alive == []
-    left = [path.name for path in files.iterdir()]
-    assert len(left) == (number == signal.SIGKILL), "its own folder only when it could do nothing"
+    left = [path.name.rpartition("-")[0] for path in files.iterdir()]
+    assert left == ["its-own"] * (number == signal.SIGKILL), "only when it could do nothing"
 
 
 FOREIGN = "raise SystemExit('a foreign module was imported')"

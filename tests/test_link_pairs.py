@@ -93,6 +93,20 @@ def with_mobile_shapes(model: RobotModel, shapes: tuple[Shape, ...]) -> RobotMod
     return RobotModel(model.description.model_copy(update={"bodies": bodies}))
 
 
+def test_distances_do_not_depend_on_what_was_asked_before(model):
+    """To the bit, so that it does not matter which process does which case of a study."""
+    distances = PairDistances(model, candidate_pairs(model))
+
+    def found(q_m: np.ndarray) -> np.ndarray:
+        distances.update(model.configuration((0.0, 0.0, 0.0), q_m))
+        each = map(distances.closest, range(len(distances.pairs)))
+        return np.concatenate([np.hstack(closest) for closest in each])
+
+    postures = np.random.default_rng(0).uniform(model.q_lower, model.q_upper, (50, model.n_m))
+    there, back = [found(q) for q in postures], [found(q) for q in postures[::-1]]
+    np.testing.assert_array_equal(there, back[::-1])
+
+
 def test_a_body_of_several_shapes_is_as_near_as_its_nearest():
     one = husky_panda()
     lm = one.description.mobile_body

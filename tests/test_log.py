@@ -24,7 +24,7 @@ from app.simulation.trace.trace import read_trace
 from tests.logs import difference, random_snapshots, trace_of
 
 FORMATS = ("csv", "parquet")
-NOT_LOGGED = ("busy", "refusal", "explanation")
+NOT_LOGGED = ("busy", "refusal", "explanation", "case", "changing")
 
 
 @pytest.mark.parametrize("ending", FORMATS)

@@ -8,8 +8,10 @@ import pytest
 from app.config import Config
 from app.errors import LoopError
 from app.simulation.loop.commands import (
+    MOST,
     Choose,
     Configure,
+    Mailbox,
     Pause,
     Play,
     Pull,
@@ -19,7 +21,6 @@ from app.simulation.loop.commands import (
     Speed,
     StepOnce,
 )
-from app.simulation.loop.mailbox import MOST, Mailbox
 from app.simulation.scenarios.names import SCENARIOS
 
 LATERAL = Play(SCENARIOS["guiding-lateral"])
@@ -28,7 +29,7 @@ LATERAL = Play(SCENARIOS["guiding-lateral"])
 def after(*commands) -> list:
     mailbox = Mailbox()
     for command in commands:
-        mailbox.put(command)
+        mailbox.put(command, ("panda_link4",))
     return mailbox.take()
 
 
@@ -58,7 +59,7 @@ def test_of_a_flood_the_newest_of_each_kind_is_left():
 def test_it_is_empty_once_it_was_fetched_and_keeps_order():
     mailbox = Mailbox()
     for command in (LATERAL, pull(0.4), Pause(True)):
-        mailbox.put(command)
+        mailbox.put(command, ("panda_link4",))
     assert mailbox.take() == [LATERAL, pull(0.4), Pause(True)]
     assert mailbox.take() == []
 

@@ -4,11 +4,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app.avoidance.barrier import barrier_row
-from app.avoidance.distances import DistanceMonitor
+from app.avoidance.closest_points import DistanceMonitor
 from app.border.cache import BorderData
 from app.config import BarrierConfig, Config
 from app.control.controller import CONTROLLERS, Controller, ControlOutput
+from app.control.limits import barrier_row
 from app.control.tasks import Reference, base_rest_acceleration
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
@@ -156,14 +156,14 @@ def test_every_method_answers_far_away_as_none_does(
 def run_a_line(
     robot: RobotModel, data: BorderData, name: str, config: Config, start: tuple[float, ...]
 ) -> tuple[float, float, float]:
-    """(clearance, final error, base's path) of the tracking line in 6 s on the kinematic plant."""
-    scenario = scenario_by_name("tracking").changed(start=start, duration=6.0)  # type: ignore[arg-type]
+    """(clearance, final error, base's path) of the tracking line in 4 s on the kinematic plant."""
+    scenario = scenario_by_name("tracking").changed(start=start, duration=4.0)  # type: ignore[arg-type]
     q_m = StartSolver(robot, data.pairs, config.border.d_b).solve(scenario.start, seed=0)
     session = Session(robot, data, config, controller=name, physics="kinematic")
     session.reset(q_m)
     orientation = session.T_world_ee.rotation.copy()
     clearance, path = np.inf, 0.0
-    for _ in range(6000):
+    for _ in range(4000):
         step = session.step(reference=scenario.reference(session.t, orientation))
         clearance = min(clearance, *(p.closest.d for p in step.output.avoidance.mobile))
         path += float(np.abs(step.measurement.base_velocity).sum()) * 0.001

@@ -19,7 +19,7 @@ from app.simulation.plants.interface import Contacts
 from app.simulation.scenarios.names import LINES
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import Session, Step
-from app.simulation.trace.meta import TraceMeta
+from app.simulation.trace.columns import TraceMeta
 from app.simulation.trace.metrics import NEAR, metrics, sign_changes
 from app.simulation.trace.snapshot import QUANTITIES
 from app.simulation.trace.trace import Recorder, Trace

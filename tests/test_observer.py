@@ -8,7 +8,7 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import Controller
-from app.control.observer import PushObserver
+from app.control.limits import PushObserver
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, at_rest
 from app.simulation.scenarios.start import StartSolver
@@ -61,9 +61,23 @@ def test_a_constant_push_is_learnt_at_its_rate(robot: RobotModel) -> None:
         u_a = arm.state.h[2:].copy()
         arm.move(u_a, push)
         observer.update(arm.state, u_a, RATE, DT)
-        errors.append(observer.r - push * (1.0 - (1.0 - RATE * DT) ** after))
+        errors.append(observer.r - push * (1.0 - np.exp(-RATE * DT * after)))
     assert np.abs(errors).max() < 0.1 * np.abs(push).max()
     assert np.abs(observer.r - push).max() < 0.1 * np.abs(push).max()
+
+
+@pytest.mark.parametrize("dt", [0.001, 0.01, 0.1])
+def test_however_slow_a_loop_is_a_push_is_learnt_and_not_overshot(
+    robot: RobotModel, dt: float
+) -> None:
+    """An arm that a push cannot move, whose observer learns at the greatest rate."""
+    state, push = RobotState(robot), np.array([1.0, -2.0, 1.0, 2.0, -1.0, 1.5, -1.0])
+    state.update(at_rest(robot, np.array(robot.description.arm.ready_position)))
+    observer, rate = PushObserver(robot.n_m), 300.0
+    observer.update(state, state.h[2:], rate, dt)
+    for after in range(1, 6):
+        observer.update(state, state.h[2:] - push, rate, dt)
+        np.testing.assert_allclose(observer.r, push * (1.0 - np.exp(-rate * dt * after)))
 
 
 def test_after_a_reset_and_a_pause_nothing_of_before_counts(robot: RobotModel) -> None:

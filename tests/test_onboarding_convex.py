@@ -17,7 +17,7 @@ from app.onboarding.fit.convex import (
     support,
     volume_of,
 )
-from app.robot.meshes import shape_mesh
+from app.robot.shapes import shape_mesh
 from tests.robots import husky_panda
 
 FITS = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}

@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 
 from app.errors import DbbError, RobotFileError
-from app.onboarding.read import unpack as unpacking
+from app.onboarding.new_robot import finish
+from app.onboarding.read import package as unpacking
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.parse import parse
 from app.onboarding.request import Request
-from app.onboarding.write.make import finish
 from tests.onboarding import arm, cart, cube, joint, robot, with_mesh, zipped
 
 TOY = robot([*cart(), *arm()])

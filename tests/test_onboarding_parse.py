@@ -11,11 +11,11 @@ import pytest
 
 from app.errors import DbbError, RobotFileError
 from app.onboarding import new_robot
+from app.onboarding.new_robot import finish
 from app.onboarding.read.parse import parse
 from app.onboarding.read.tree import make_tree
 from app.onboarding.request import Request
-from app.onboarding.write.make import finish
-from app.onboarding.write.urdf_text import rebased_urdf
+from app.onboarding.write import rebased_urdf
 from app.robot.model import RobotModel
 from tests.onboarding import (
     ARM_JOINTS,
@@ -87,6 +87,32 @@ def test_fingers_beside_the_chain_belong_to_the_link_that_carries_them(tmp_path:
     found = parse(request(tmp_path, robot([*cart(), *arm(), *finger]))).arm
     assert tuple(j.name for j in found.joints) == ARM_JOINTS
     assert "finger" in found.segments[5]
+
+
+def suspended(*, travel: float) -> str:
+    """The toy, each wheel on a slide of so much travel."""
+    limit = f'lower="{-travel / 2}" upper="{travel / 2}" effort="100" velocity="1"'
+    parts = []
+    for part in cart():
+        if "_axle" in part:
+            side = "left" if "left" in part else "right"
+            parts += [link(f"{side}_slide")]
+            parts += [joint(f"{side}_spring", "prismatic", "base", f"{side}_slide", limit=limit)]
+            part = part.replace('<parent link="base"/>', f'<parent link="{side}_slide"/>')
+        parts.append(part)
+    return robot([*parts, *arm()])
+
+
+def test_wheels_on_suspensions_are_the_same_drive(tmp_path: Path) -> None:
+    plain, slides = (parse(request(tmp_path, text)) for text in (TOY, suspended(travel=0.01)))
+    assert slides.wheels[:4] == plain.wheels[:4]
+    assert {"left_slide", "right_slide"} < set(slides.arm.rigid_links)
+    given = request(tmp_path, suspended(travel=0.01), wheels=("left_axle", "right_axle"))
+    assert parse(given).wheels[:4] == plain.wheels[:4]
+
+
+def test_a_slide_as_long_as_a_wheel_is_no_suspension(tmp_path: Path) -> None:
+    assert "no pair of wheels" in refused(tmp_path, suspended(travel=0.06))
 
 
 def test_wheels_that_are_given_must_be_wheels(tmp_path: Path) -> None:
@@ -162,6 +188,7 @@ def test_a_long_chain_is_checked_in_time_that_grows_with_its_length_only() -> No
 
 
 def test_a_missing_mesh_is_named(tmp_path: Path) -> None:
+    pytest.importorskip("pybullet_data")
     for file, why in (
         ("meshes/none.stl", "there is no file"),
         ("package://no_such_package/none.stl", "not installed"),
@@ -295,20 +322,23 @@ def test_a_joint_may_have_the_name_of_a_link(tmp_path: Path) -> None:
     assert made.n_m == len(ARM_JOINTS)
 
 
+def test_a_finger_without_zero_in_its_limits_stands_at_the_nearest(tmp_path: Path) -> None:
+    limit = 'lower="0.015" upper="0.037" effort="5" velocity="1"'
+    finger = joint("slide", "prismatic", "hand", "finger", axis="0 1 0", limit=limit)
+    text = TOY.replace("</robot>", link("finger") + finger + "</robot>")
+    model = robot_model(tmp_path, request(tmp_path, text)).pin
+    T = model.frames[model.getFrameId("hand")].placement.actInv(
+        model.frames[model.getFrameId("finger")].placement
+    )
+    assert T.translation == pytest.approx([0.0, 0.015, 0.0])
+
+
 def robot_model(folder: Path, asked: Request) -> RobotModel:
     """What pinocchio makes of the joints alone."""
     parsed = parse(asked)
-    urdf = rebased_urdf(
-        parsed.tree,
-        parsed.arm,
-        parsed.wheels.T_base_floor,
-        parsed.geometry,
-        parsed.inertias,
-        name="toy",
-        header="test",
-    )
-    content = new_robot._bare(asked, parsed, parsed.limits)
-    return new_robot._compiled(content, write(folder, urdf, "robot.urdf"))
+    urdf = rebased_urdf(parsed, name="toy", header="test")
+    content = new_robot.description(asked, parsed)
+    return new_robot.compiled(content, write(folder, urdf, "robot.urdf"))
 
 
 def test_what_a_library_raises_becomes_one_line(

@@ -5,34 +5,47 @@ from __future__ import annotations
 import base64
 import re
 import shutil
+from itertools import combinations
 from pathlib import Path
+from queue import Queue
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
-from app.errors import AssetError
+from app.border import cache
+from app.border.cache import BorderData
+from app.border.config import QUICK, SamplingConfig
+from app.cli import serve
+from app.dashboard import job
+from app.errors import AssetError, RobotFileError
 from app.onboarding import new_robot
-from app.onboarding.check import bodies as check_bodies
-from app.onboarding.check.bodies import arm_row, base_row
-from app.onboarding.check.dynamics import bullet_row, limits_row, mujoco_row
-from app.onboarding.fit.bodies import ArmFitter, fit_base
-from app.onboarding.fit.collision_sampling import sample_meetings
+from app.onboarding.check import (
+    arm_row,
+    base_row,
+    bullet_row,
+    limits_row,
+    mujoco_row,
+    run_row,
+)
+from app.onboarding.fit import grouping
+from app.onboarding.fit.bodies import FittedBody
+from app.onboarding.fit.collision_sampling import Meetings, Poses, make_units, sample_meetings
 from app.onboarding.fit.grouping import find_grouping
-from app.onboarding.fit.rigid_groups import make_units
-from app.onboarding.new_robot import NewRobot
+from app.onboarding.new_robot import NewRobot, compiled, description, finish
 from app.onboarding.read.parse import parse
 from app.onboarding.read.source import mesh_address
 from app.onboarding.request import Request
-from app.onboarding.write.make import finish
-from app.onboarding.write.urdf_text import mesh_name
+from app.onboarding.write import mesh_name
 from app.robot import assets, packages
 from app.robot.assets import ASSETS, load_robot, robot_names
 from app.robot.description import RobotDescription, load_description
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
-from app.robot.packages import resolve_package_uri
+from app.robot.packages import package_roots, resolve_package_uri
 from app.robot.urdf import resolved_urdf
-from app.simulation.plants.contact_pairs import body_contact_pairs
+from app.simulation.plants.collision_shapes import body_contact_pairs
 from app.simulation.scenarios.names import scenario_by_name, scenario_of
 from tests.onboarding import (
     ARM_JOINTS,
@@ -51,21 +64,26 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> NewRobot:
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[NewRobot, BorderData]:
     """The toy from a zip, made with few samples, in a folder of its own with a cache of its own."""
     folder = tmp_path_factory.mktemp("toy")
     text = with_mesh(robot([*cart(), *arm()]), "package://toy/meshes/m.stl")
     path = zipped(folder, {"toy/u/toy.urdf": text, "toy/meshes/m.stl": cube(), "toy/LICENSE": ""})
     with few_samples(folder) as sampling:
         request = Request(urdf=str(path), base="base", tip="hand", out=folder / "toy")
-        return finish(request, processes=1, sampling=sampling)[0]
+        return finish(request, processes=1, sampling=sampling)
 
 
-def compiled(made: NewRobot, **changes: object) -> RobotModel:
+@pytest.fixture(scope="module")
+def made(finished: tuple[NewRobot, BorderData]) -> NewRobot:
+    return finished[0]
+
+
+def written(made: NewRobot, **changes: object) -> RobotModel:
     """The model of what was written, with some fields of its description changed."""
     folder = made.request.out
-    description = load_description(folder / "robot.toml")
-    content = description.model_dump() | {"urdf": str(folder / "robot.urdf")} | changes
+    stated = load_description(folder / "robot.toml")
+    content = stated.model_dump() | {"urdf": str(folder / "robot.urdf")} | changes
     return RobotModel(RobotDescription.model_validate(content))
 
 
@@ -142,7 +160,7 @@ def test_meshes_below_the_robots_own_folder_are_named_by_the_path_in_it(
 
 
 def test_the_description_is_the_urdf_on_the_floor(made: NewRobot) -> None:
-    model = compiled(made)
+    model = written(made)
     assert model.description.arm.joints == ARM_JOINTS
     np.testing.assert_allclose(model.p_base(), [0.1, 0.0, 0.25], atol=1e-9)
     base = model.description.base
@@ -151,7 +169,7 @@ def test_the_description_is_the_urdf_on_the_floor(made: NewRobot) -> None:
 
 
 def test_the_checks_of_bodies_and_dynamics_pass(made: NewRobot) -> None:
-    model = compiled(made)
+    model = written(made)
     for check in (bullet_row, mujoco_row, limits_row, base_row):
         row = check(model)
         assert row.outcome == "passed", row
@@ -160,10 +178,10 @@ def test_the_checks_of_bodies_and_dynamics_pass(made: NewRobot) -> None:
 
 
 def test_a_base_that_is_too_small_for_its_meshes_fails(made: NewRobot) -> None:
-    bodies = [body.model_dump() for body in compiled(made).description.bodies]
+    bodies = [body.model_dump() for body in written(made).description.bodies]
     size = bodies[0]["shapes"][0]["size_m"]
     bodies[0]["shapes"][0]["size_m"] = (size[0] - 0.1, size[1], size[2])
-    row = base_row(compiled(made, bodies=bodies))
+    row = base_row(written(made, bodies=bodies))
     assert row.outcome == "failed"
     assert row.numbers["sticks_out_m"] == pytest.approx(0.05, abs=2e-3)
 
@@ -171,12 +189,93 @@ def test_a_base_that_is_too_small_for_its_meshes_fails(made: NewRobot) -> None:
 def test_a_hand_that_its_body_does_not_hold_fails(
     made: NewRobot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(check_bodies, "_POSES", 1500)
-    bodies = [body.model_dump() for body in compiled(made).description.bodies]
+    monkeypatch.setattr(grouping, "UNSEEN_POSES", 1500)
+    bodies = [body.model_dump() for body in written(made).description.bodies]
     bodies[-1]["shapes"] = [{"type": "sphere", "radius_m": 0.01}]
-    row = arm_row(compiled(made, bodies=bodies))
+    row = arm_row(written(made, bodies=bodies))
     assert row.outcome == "failed"
     assert row.numbers["missed"] > 0
+    assert "does not hold the links with which it meets" in row.text
+
+
+def test_new_robot_and_check_robot_tell_one_figure_of_unseen_collisions(made: NewRobot) -> None:
+    row = arm_row(written(made))
+    assert row.numbers["collisions"] > 100
+    assert row.numbers["unseen_share"] == pytest.approx(made.unseen.share, abs=2e-3)
+    assert row.numbers["collisions"] == pytest.approx(made.unseen.watched, rel=5e-3)
+
+
+def test_an_arm_that_meets_nothing_has_nothing_to_show(made: NewRobot) -> None:
+    """Each joint held within a fraction of a degree of the ready pose, where nothing is near."""
+    arm = written(made).description.arm
+    ready = np.array(arm.ready_position)
+    held = {"position_lower": tuple(ready - 1e-3), "position_upper": tuple(ready + 1e-3)}
+    row = arm_row(written(made, arm=arm.model_dump() | held))
+    assert row.outcome == "nothing to show"
+
+
+def test_bodies_that_do_not_hold_their_links_are_refused(
+    made: NewRobot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    blind = made.unseen._replace(blind=("l1-lEE",))
+    monkeypatch.setattr(new_robot, "unseen_collisions", lambda *_: blind)
+    urdf = str(write(tmp_path, robot([*cart(), *arm()])))
+    request = Request(urdf=urdf, base="base", tip="hand", out=tmp_path / "toy")
+    with (
+        few_samples(tmp_path),
+        pytest.raises(RobotFileError, match=r"l1-lEE do not hold the links.*--bodies than"),
+    ):
+        new_robot.make_robot(request, tmp_path)
+
+
+def test_a_pair_that_random_poses_hardly_bring_together_is_searched_for(made: NewRobot) -> None:
+    model = written(made)
+    few = sample_meetings(model, made.meetings.units, samples=60, seed=3, d_b=0.15)
+    never = [
+        k
+        for k, pair in enumerate(few.pairs)
+        if pair not in few.close and not (few.distances[:, k] <= 0.0).any()
+    ]
+    met = [k for k in never if (few.rare.distances[:, k] <= 0.0).any()]
+    assert met
+    for k in met:
+        assert few.met[few.pairs[k]].any()
+    assert (few.rare.q_m >= model.q_lower).all()
+    assert (few.rare.q_m <= model.q_upper).all()
+
+
+@pytest.mark.parametrize(("share", "outcome"), [(1.0, "passed"), (0.1, "nothing to show")])
+def test_a_line_that_stays_outside_of_the_buffer_shows_nothing(
+    finished: tuple[NewRobot, BorderData], share: float, outcome: str
+) -> None:
+    made, data = finished
+    lines = {n: place.model_dump() for n, place in written(made).description.lines.items()}
+    line = lines["guiding-front"]
+    line["move_m"] = tuple(share * x for x in line["move_m"])
+    row = run_row(written(made, lines=lines), data, "guiding-front")
+    assert row.outcome == outcome, row
+    inside = row.numbers["min_clearance_without_m"] < 0.075
+    assert inside is (outcome == "passed")
+
+
+def test_a_base_that_does_not_give_way_fails(
+    finished: tuple[NewRobot, BorderData], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Figures of runs, not runs: clear of contact, but the base stood still."""
+    from app.simulation import run
+
+    def figures(*_: object, controller: str = "dbb", **__: object) -> SimpleNamespace:
+        counts = ("contacts", "arm_contacts", "floor_contacts", "solver_failures")
+        near = 0.02 if controller == "none" else 0.1
+        told = dict.fromkeys(counts, 0)
+        return SimpleNamespace(
+            figures=told | {"min_clearance_m": near, "base_displacement_m": 0.01}
+        )
+
+    monkeypatch.setattr(run, "run_scenario", figures)
+    row = run_row(written(finished[0]), finished[1], "guiding-front")
+    assert row.outcome == "failed"
+    assert "does not give way" in row.text
 
 
 def test_the_ready_pose_is_outside_of_every_buffer(made: NewRobot) -> None:
@@ -200,7 +299,7 @@ def test_the_report_shows_bodies_pairs_and_warnings(made: NewRobot) -> None:
 
 
 def test_each_line_starts_outside_and_leads_to_the_base(made: NewRobot) -> None:
-    model = compiled(made)
+    model = written(made)
     assert "guiding-front" in model.description.lines
     place = model.description.lines["guiding-front"]
     edge = model.description.bodies[0].shapes[0].size_m[0] / 2
@@ -223,31 +322,83 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     urdf = str(ASSETS / "husky_panda" / "robot.urdf")
     request = Request(urdf=urdf, base="base_link", tip="panda_hand", out=out)
     parsed = parse(request)
-    urdf = new_robot.rebased_urdf(
-        parsed.tree,
-        parsed.arm,
-        parsed.wheels.T_base_floor,
-        parsed.geometry,
-        parsed.inertias,
-        name="husky_fit",
-        header="test",
-    )
+    urdf = new_robot.rebased_urdf(parsed, name="husky_fit", header="test")
     path = write(request.out.parent, urdf)
-    bare = new_robot._compiled(new_robot._bare(request, parsed, parsed.limits), path)
+    bare = compiled(description(request, parsed), path)
     units = make_units(bare, parsed.arm, parsed.geometry)
     meetings = sample_meetings(bare, units, samples=4000, seed=1, d_b=0.15)
-    grouping = find_grouping(
-        bare, fit_base(units[0]), meetings, ArmFitter(bare, meetings), d_b=0.15
-    )
-    content = new_robot._bare(request, parsed, parsed.limits)
-    content["bodies"] = [new_robot._body_content(body) for body in grouping.bodies]
-    return new_robot._compiled(content, path)
+    found = find_grouping(bare, meetings, d_b=0.15)
+    assert not found.verdict.unwatched
+    return compiled(description(request, parsed, found.bodies), path)
 
 
 def test_from_its_urdf_alone_the_papers_robot_gets_the_pairs_of_1(husky: RobotModel) -> None:
     pairs = find_link_pairs(husky, samples=10_000, seed=2)
     assert {pair.name for pair in pairs.mobile} == {"lm-lEE", "lm-l3"}
     assert {pair.name for pair in pairs.manipulator} == {"l1-lEE", "l1-l3", "l2-lEE"}
+
+
+def test_an_upper_arm_that_is_near_the_base_as_built_keeps_its_own_body(tmp_path: Path) -> None:
+    """Husky with a UR5: its links 2 and 3 collide with all of the wrist, and none of it unseen."""
+    if not package_roots("example-robot-data"):
+        pytest.skip("pip install '.[robots]'")
+    ur5 = ASSETS / "husky_ur5" / "robot.urdf"
+    request = Request(urdf=str(ur5), base="base_link", tip="tool0", out=tmp_path / "ur5_fit")
+    parsed = parse(request)
+    path = write(tmp_path, new_robot.rebased_urdf(parsed, name="ur5_fit", header="test"))
+    bare = compiled(description(request, parsed), path)
+    units = make_units(bare, parsed.arm, parsed.geometry)
+    meetings = sample_meetings(bare, units, samples=2000, seed=1, d_b=0.15)
+    found = find_grouping(bare, meetings, d_b=0.15)
+    assert found.verdict.unwatched == ("lm-l2",)
+    assert found.verdict.missed < 0.01
+    why = dict.fromkeys(found.verdict.unwatched, "test")
+    model = compiled(description(request, parsed, found.bodies, unwatched=why), path)
+    pairs = find_link_pairs(model, samples=2000, seed=2)
+    assert "lm-l2" not in pairs.rates
+    assert {"lm-l3", "lm-lEE", "l2-lEE"} <= {pair.name for pair in pairs.all}
+    with pytest.raises(ValidationError, match="there is no pair lm-l9"):
+        compiled(description(request, parsed, found.bodies, unwatched={"lm-l9": "test"}), path)
+
+
+def test_what_l1_cannot_see_of_a_mast_is_seen_by_the_base(husky: RobotModel) -> None:
+    """The fixed part in l_1 meets a link of l_2: no pair; in l_m it meets that as a pair."""
+    meetings = masted(husky, [(1, 3)])
+    assert not grouping._sees(grouped([[0], [1, 2], [3], [4]]), meetings, 1)
+    assert grouping._sees(grouped([[0, 1], [2], [3], [4]]), meetings, 1)
+    assert grouping._sees(grouped([[0], [1, 2], [3], [4]]), masted(husky, [(1, 4)]), 1)
+
+
+def masted(model: RobotModel, meeting: list[tuple[int, int]]) -> Meetings:
+    """Meetings of units of which only some pairs ever meet, and these rarely."""
+    pairs = tuple(combinations(range(5), 2))
+    apart, q_m = np.ones((3, len(pairs))), np.zeros((3, model.n_m))
+    touching = np.where([pair in meeting for pair in pairs], -0.01, 1.0)[None]
+    rare = Poses(q_m[:1], touching, np.ones(1, dtype=bool))
+    return Meetings((), q_m, pairs, apart, frozenset(), np.ones(3, dtype=bool), rare)
+
+
+def grouped(units: list[list[int]]) -> grouping.Grouping:
+    names = ("lm", "l1", "l2", "lEE")
+    bodies = [
+        FittedBody(name, "base_link", (), tuple(each), (), np.zeros((0, 3)))
+        for name, each in zip(names, units, strict=True)
+    ]
+    return grouping.Grouping(bodies, grouping.Verdict(0.0, 0.0, (), (), (), {}, {}, 0.0))
+
+
+def test_a_coarse_border_serves_at_once_and_is_refined(
+    husky: RobotModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    coarse, asked = object(), Queue()
+
+    def kept(_: RobotModel, sampling: SamplingConfig | None = None) -> object | None:
+        return coarse if sampling == QUICK else None
+
+    monkeypatch.setattr(cache, "kept_border_data", kept)
+    monkeypatch.setattr(job.Job, "run", lambda _, *work: asked.put(work))
+    assert serve._border(husky) is coarse
+    assert asked.get(timeout=10) == (job.sample_border, "husky_fit")
 
 
 def test_from_its_urdf_alone_the_papers_robot_has_the_same_dynamics(husky: RobotModel) -> None:
@@ -263,8 +414,7 @@ def test_from_its_urdf_alone_the_papers_robot_has_the_same_dynamics(husky: Robot
 
 
 def test_contacts_are_watched_for_every_body_with_a_reachability() -> None:
-    description = husky_panda().description
-    pairs = body_contact_pairs(description)
+    pairs = body_contact_pairs(husky_panda().description)
     assert pairs.arm_base == {("lm", "l3"), ("lm", "lEE")}
 
 

@@ -9,7 +9,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app.onboarding.fit.rigid_groups import Unit, neighbours
+from app.onboarding.fit import collision_sampling
+from app.onboarding.fit.bodies import ArmFitter
+from app.onboarding.fit.collision_sampling import (
+    Meetings,
+    Poses,
+    Unit,
+    group_distances,
+    neighbours,
+)
+from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
+from tests.robots import husky_panda
 
 
 def chain(joints: list[Any]) -> Any:
@@ -44,3 +54,43 @@ def test_next_parts_and_those_of_a_telescope_are_neighbours(
     joints: list[Any], a: int, b: int, expected: bool
 ) -> None:
     assert neighbours(chain(joints), unit(a), unit(b)) is expected
+
+
+@pytest.mark.parametrize("met", [0, 3, 8])
+def test_a_spot_that_was_met_is_no_body(met: int) -> None:
+    """Of too few points for a body of its links, the whole links are what it holds."""
+    corners = np.array(np.meshgrid([-0.1, 0.1], [-0.1, 0.1], [-0.1, 0.1])).reshape(3, -1).T
+    units = tuple(Unit(k, f"link{k}", (f"link{k}",), k, (), corners) for k in range(3))
+    empty = np.zeros((0, 3))
+    reached = {(2, 0): np.arange(len(corners)) < met}
+    poses = Poses(empty, empty, np.zeros(0, dtype=bool))
+    meetings = Meetings(
+        units, poses.q_m, (), poses.distances, frozenset(), poses.possible, poses, reached
+    )
+    body = ArmFitter(chain([TURN(), TURN()]), meetings).bodies([[1], [2]])[1]
+    assert body.links == ("link2",)
+    assert body.fits[0].volume == pytest.approx(0.2**3, rel=0.02)
+    assert np.isfinite(body.fits[0].over_cover)
+
+
+def test_groups_are_as_near_as_the_library_says_up_to_half_a_metre(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Beyond it, it is only certain that they are beyond it."""
+    monkeypatch.setattr(collision_sampling, "_MANY", 0)
+    model = husky_panda()
+    names, every = model.body_names, candidate_pairs(model)
+    geometry = model.geometry.copy()
+    geometry.removeAllCollisionPairs()
+    pairs = [(names.index(pair.a), names.index(pair.b)) for pair in every]
+    q_m = sample_joints(model, 100, np.random.default_rng(0))
+    ours = group_distances(model, geometry, [model.shape_ids[n] for n in names], pairs, q_m)
+    reader, theirs = PairDistances(model, every), np.empty_like(ours)
+    for row, pose in zip(theirs, q_m, strict=True):
+        reader.update(model.configuration((0.0, 0.0, 0.0), pose))
+        row[:] = [reader.distance(i) for i in range(len(every))]
+    near = theirs < 0.5
+    assert near.any()
+    assert not near.all()
+    np.testing.assert_allclose(ours[near], theirs[near], atol=1e-5)
+    assert (ours[~near] >= 0.5 - 1e-5).all()

@@ -69,9 +69,9 @@ def answers(controller: Controller, given: list[Moment]) -> list[ControlOutput]:
 def met_a_limit(output: ControlOutput) -> bool:
     """Whether the arm's part met one of its limits."""
     assert output.workings is not None
-    arm = output.workings.arm
-    reached = arm.limits.C @ arm.qdd[2:]
-    return bool(((reached < arm.limits.l + 1e-6) | (reached > arm.limits.u - 1e-6)).any())
+    limits = output.workings.limits
+    reached = limits.C @ output.workings.qdd
+    return bool(((reached < limits.l + 1e-6) | (reached > limits.u - 1e-6)).any())
 
 
 @pytest.mark.slow

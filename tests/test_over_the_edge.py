@@ -21,11 +21,10 @@ facing +x at the start, its flank at y = 0.29 and its top at z = 0.38."""
 LEG = 2.0  # [s] from one place to the next
 
 
-@pytest.fixture(scope="module", params=[1.0, -1.0], ids=["left", "right"])
-def steps(request, robot: RobotModel, border_data: BorderData) -> list[Step]:
+@pytest.fixture(scope="module")
+def steps(robot: RobotModel, border_data: BorderData) -> list[Step]:
     """Over the edge and down to the side, and the same way back."""
-    side = np.array([1.0, request.param, 1.0])
-    places = [side * place for place in (ABOVE, OUT, DOWN, OUT, ABOVE)]
+    places = [np.array(place) for place in (ABOVE, OUT, DOWN, OUT, ABOVE)]
     q_m = StartSolver(robot, border_data.pairs, Config().border.d_b).solve(tuple(places[0]))
     session = Session(robot, border_data, Config())
     session.reset(q_m)
@@ -50,9 +49,9 @@ def test_the_normal_turns_from_upwards_to_sideways_and_back(steps):
 
 
 def test_neither_torques_nor_the_base_jump(steps):
-    """A torque changes by its rate limit at most; what is asked of the base stays in its limits."""
+    """The limit of the torques' rate, which would hide a jump, is not met."""
     for before, after in pairwise(steps):
         jump = np.abs(after.output.u_a - before.output.u_a).max()
-        assert jump <= Config().limit.torque_rate * DT + 1e-9
+        assert jump < 0.75 * Config().limit.torque_rate * DT
         asked = after.output.base_acceleration - before.output.base_acceleration
         assert np.abs(asked).max() < 0.1

@@ -12,10 +12,9 @@ from zipfile import ZipFile
 
 import pytest
 
-from app.border.key import border_key
-from app.border.reach.config import ReachConfig
-from app.border.reach.key import reach_key
-from app.border.sampling.config import SamplingConfig
+from app.border.cache import border_key
+from app.border.config import ReachConfig, SamplingConfig
+from app.border.reach.map import reach_key
 from tests.robots import husky_panda
 
 PROJECT = Path(__file__).resolve().parent.parent
@@ -100,7 +99,7 @@ def test_what_is_sampled_goes_to_the_users_cache_and_is_found_again(
 from pathlib import Path
 import app
 from app.border.cache import load_border_data
-from app.border.sampling.config import SamplingConfig
+from app.border.config import SamplingConfig
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 tiny = SamplingConfig(pair_samples=2000, cloud_samples=1000, voxel_plan=0.1, voxel_height=0.1,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.avoidance.activation import activation
+from app.avoidance.task import activation
 from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
-from app.border.score import ScoreField, reachability
+from app.border.score import ScoreField
 from app.config import Config
 from app.control.admittance import AdmittanceLaw
 from app.robot.model import RobotModel
@@ -78,7 +78,7 @@ def test_9_as_printed_is_zero_at_two_distances_and_ours_stays_positive(
     roots = np.roots([-field.A, 2 * field.A * field.B, field.C - field.A * field.B**2])
     assert np.abs(roots - printed).min() < 0.0005  # three decimals
     p = field.p_base + np.array([0.0, 0.0, printed])
-    assert 0.0 < reachability(p, field.p_base, field.A, field.B, field.C) < 0.05 * field.C
+    assert 0.0 < float(field.reachability(p)) < 0.05 * field.C
 
 
 def test_the_best_reach_is_c_at_b(robot: RobotModel) -> None:

@@ -78,7 +78,7 @@ def test_the_common_model_has_our_kinematics_and_our_distances(
         assert judge.hand(q).isApprox(state.T_world_ee, 1e-9)
         reader.update(robot.configuration(m.base_pose, m.q_m))
         ours = [reader.distance(i) for i in range(len(reader.pairs))]
-        np.testing.assert_allclose(judge.distances(q), ours, atol=1e-7)
+        np.testing.assert_allclose(judge.distances(q), ours, atol=1e-5)  # where GJK began
 
 
 def test_its_base_that_turns_and_drives_ahead_is_the_one_on_the_floor(

@@ -144,23 +144,22 @@ def test_people_do_not_disturb_one_another(robot: RobotModel):
     both, one, other = (People(robot, HandConfig(), DT) for _ in range(3))
     a, b = Hold(0, there), Hold(7, high, "panda_link4", (0.0, 0.05, 0.0))
     for _ in range(200):
-        together = both.pull(state, [a, b])
-        alone = [*one.pull(state, [a]), *other.pull(state, [b])]
+        together, forces = both.pull(state, [a, b])
+        alone = [*one.pull(state, [a])[0], *other.pull(state, [b])[0]]
         for reading, same in zip(together, alone, strict=True):
             np.testing.assert_array_equal(reading.force, same.force)
-    forces = both.forces([a, b], together)
     np.testing.assert_array_equal(forces.hand, together[0].force)
     assert [push.joint for push in forces.pushes] == ["panda_joint4"]
-    left = both.pull(state, [b])  # who lets go has no part in it
-    np.testing.assert_allclose(left[0].force, other.pull(state, [b])[0].force)
+    (left,), _ = both.pull(state, [b])  # who lets go has no part in it
+    np.testing.assert_allclose(left.force, other.pull(state, [b])[0][0].force)
 
 
 def test_whoever_takes_another_point_takes_hold_without_a_jerk(robot: RobotModel):
     state, people = RobotState(robot), People(robot, HandConfig(), DT)
     for _ in range(500):
-        before = people.pull(state, [Hold(0, np.array([0.2, 0.3, 0.9]))])[0]
+        (before,), _ = people.pull(state, [Hold(0, np.array([0.2, 0.3, 0.9]))])
     assert np.linalg.norm(before.force) > 10.0
-    after = people.pull(state, [Hold(0, np.array([0.2, 0.3, 0.9]), "panda_link3")])[0]
+    (after,), _ = people.pull(state, [Hold(0, np.array([0.2, 0.3, 0.9]), "panda_link3")])
     assert np.linalg.norm(after.force) < 0.1
 
 

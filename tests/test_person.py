@@ -7,7 +7,7 @@ import pytest
 
 from app.config import HandConfig
 from app.errors import DbbError, TargetError
-from app.simulation.person import PersonHand, checked_target
+from app.simulation.people import PersonHand, checked_target
 
 DT = 0.001  # [s]
 AT = np.array([0.5, 0.1, 0.8])  # [m] where the end-effector is taken
@@ -115,7 +115,7 @@ def test_a_heavy_hand_hits_harder_than_its_spring_pulls_and_a_light_one_does_not
         person = PersonHand(HandConfig(stiffness=2000.0, mass=mass, f_max=60.0), DT)
         x, hits = AT[0], []
         for _ in range(2000):
-            v = 0.0 if person.place is None or x >= AT[0] + 0.2 else 1.2
+            v = 0.0 if person.motion is None or x >= AT[0] + 0.2 else 1.2
             x = min(x + v * DT, AT[0] + 0.2)
             at = np.array([x, *AT[1:]])
             hits.append(person.force(at, np.array([v, 0, 0]), AT + np.array([0.4, 0, 0])))
@@ -144,7 +144,7 @@ def test_the_hand_moves_no_faster_than_a_person_and_does_not_overshoot():
     target, places = AT + np.array([1.0, 0.0, 0.0]), [AT]
     for _ in range(3000):
         person.force(AT, np.zeros(3), target)
-        places.append(person.place)
+        places.append(person.motion[0])
     speed = np.linalg.norm(np.diff(places, axis=0), axis=1) / DT
     assert 1.4 < speed.max() <= 1.5 * (1 + 1e-9)
     assert np.max(places, axis=0)[0] <= target[0] + 1e-9
@@ -158,7 +158,7 @@ def test_the_person_takes_hold_without_a_jerk_and_lets_go_at_once(mass):
     assert np.linalg.norm(person.force(AT, np.zeros(3), far)) < 0.1
     settled_force(person, AT, far)
     np.testing.assert_array_equal(person.force(AT, np.zeros(3), None), np.zeros(3))
-    assert person.place is None
+    assert person.motion is None
     elsewhere = AT + np.array([0.3, 0.0, 0.0])
     assert np.linalg.norm(person.force(elsewhere, np.zeros(3), elsewhere)) < 1e-9
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-import pybullet
 import pytest
 
-from app.robot.urdf import PLANAR_JOINTS
-from app.simulation.plants.pybullet_planar import PybulletPlanar
+from app.simulation.plants.planar import planar_plant
 from tests.robots import husky_panda, random_measurement
+
+pybullet = pytest.importorskip("pybullet")
 
 SEEDS = range(5)
 TOLERANCE = {"rtol": 1e-9, "atol": 1e-9}
@@ -17,7 +17,7 @@ TOLERANCE = {"rtol": 1e-9, "atol": 1e-9}
 
 @pytest.fixture(scope="module")
 def plant():
-    plant = PybulletPlanar(husky_panda())
+    plant = planar_plant("pybullet", husky_panda())
     yield plant
     plant.close()
 
@@ -50,7 +50,7 @@ def test_mass_matrices_agree(plant, seed):
     M = np.triu(M) + np.triu(M, 1).T
     M_bullet = np.array(
         pybullet.calculateMassMatrix(
-            plant.world.robot, q_bullet.tolist(), physicsClientId=plant.world.client
+            plant.world.robot, q_bullet.tolist(), physicsClientId=plant.world.client.id
         )
     )
     np.testing.assert_allclose(M_bullet, to_world @ M @ to_world.T, **TOLERANCE)
@@ -69,7 +69,7 @@ def test_inverse_dynamics_agree(plant, seed, accelerating):
         q_bullet.tolist(),
         (to_world @ v).tolist(),
         a_bullet.tolist(),
-        physicsClientId=plant.world.client,
+        physicsClientId=plant.world.client.id,
     )
     np.testing.assert_allclose(tau_bullet, to_world @ tau, **TOLERANCE)
 
@@ -80,26 +80,15 @@ def test_one_step_of_forward_dynamics_agrees(plant, seed):
     q, v, q_bullet, to_world = random_motion(seed)
     model, world = husky_panda().pin, plant.world
     tau_bullet = np.random.default_rng(seed + 200).normal(0, 5, len(v))
-    joints = [*(world.joints[name] for name in PLANAR_JOINTS), *plant.arm.joints]
+    client, robot, joints = world.client, world.robot, world.moving
     plant.reset(np.zeros(3), q_bullet[3:])
     for joint, at, speed in zip(joints, q_bullet, to_world @ v, strict=True):
-        pybullet.resetJointState(world.robot, joint, at, speed, physicsClientId=world.client)
-    pybullet.setJointMotorControlArray(
-        world.robot,
-        joints,
-        pybullet.VELOCITY_CONTROL,
-        forces=[0.0] * len(joints),
-        physicsClientId=world.client,
-    )
-    pybullet.setJointMotorControlArray(
-        world.robot,
-        joints,
-        pybullet.TORQUE_CONTROL,
-        forces=tau_bullet,
-        physicsClientId=world.client,
-    )
-    world.step()
-    states = pybullet.getJointStates(world.robot, joints, physicsClientId=world.client)
+        client.resetJointState(robot, joint, at, speed)
+    free = [0.0] * len(joints)
+    client.setJointMotorControlArray(robot, joints, pybullet.VELOCITY_CONTROL, forces=free)
+    client.setJointMotorControlArray(robot, joints, pybullet.TORQUE_CONTROL, forces=tau_bullet)
+    client.stepSimulation()
+    states = client.getJointStates(robot, joints)
     a = pin.aba(model, model.createData(), q, v, to_world.T @ tau_bullet)
     speeds = to_world @ (v + (a - bias_of_turning_axes(v)) * plant.dt)
     assert not any(plant.contacts())

@@ -75,7 +75,7 @@ def test_warnings_of_the_loader_do_not_reach_standard_output():
 def test_what_c_code_prints_is_silenced_though_it_is_buffered():
     program = """
 import ctypes
-from app.simulation.plants.silence import silence
+from app.simulation.plants.bullet_world import silence
 C = ctypes.CDLL(None)
 C.puts(b"before")
 with silence(1):

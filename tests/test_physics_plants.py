@@ -17,8 +17,9 @@ DAMPING = np.array(MODEL.description.arm.joint_damping)
 NOBODY = np.zeros(3)
 
 
-@pytest.fixture(params=PLANTS)
+@pytest.fixture(scope="module", params=PLANTS)
 def plant(request):
+    """Each test begins with a reset, which leaves nothing of the last one (and a test says so)."""
     plant = make_physics(request.param, MODEL)
     plant.kind = request.param
     yield plant

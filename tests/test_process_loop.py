@@ -14,7 +14,7 @@ from app.errors import LoopError, TargetError
 from app.simulation.loop.commands import Configure, Pause, Play, Pull, Reset
 from app.simulation.loop.process_loop import LoopChild, ProcessLoop
 from app.simulation.session import Session
-from app.simulation.trace.history import History
+from app.simulation.trace.trace import History
 from tests.fakes import ScriptedLoop
 
 pytestmark = pytest.mark.slow

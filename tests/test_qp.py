@@ -44,12 +44,13 @@ def by_least_distance(objective: Objective, limits: Limits) -> Array:
 
     The shortest v with G v ≥ h is -r[:-1] / r[-1] with r = E w - f, where w ≥ 0 makes E w, E the
     rows of Gᵀ over hᵀ, come nearest to f = (0, …, 0, 1). A soft limit has a slack of length one for
-    √(ε_i C_i H⁻¹ C_iᵀ).
+    √(ε c), with c the least C_i H⁻¹ C_iᵀ of all soft ones.
     """
     (H, c), (C, l, u, softness) = objective, limits
     L, free = np.linalg.cholesky(H), -np.linalg.solve(H, c)
     own = np.einsum("ij,ji->i", C, np.linalg.solve(H, C.T))
-    slack = np.diag(np.sqrt(softness * own))[:, softness > 0.0]
+    least = own[softness > 0.0].min(initial=np.inf)
+    slack = np.diag(np.sqrt(softness) * np.sqrt(least))[:, softness > 0.0]
     A = np.hstack([np.linalg.solve(L, C.T).T, slack])
     G, h = np.vstack([A, -A]), np.concatenate([l - C @ free, C @ free - u])
     kept = np.isfinite(h)
@@ -141,6 +142,17 @@ def test_a_soft_limit_gives_in_by_its_share_of_what_is_asked_beyond_it(seed: int
         assert beyond == pytest.approx(share * (asked - bound), rel=1e-4)
 
 
+def test_no_light_joint_is_thrown_about_to_brake_a_heavy_one_beyond_its_torque() -> None:
+    """A shoulder that cannot brake as its limit asks, and a wrist that could react on it."""
+    M = np.array([[2.0, 0.02], [0.02, 0.02]])
+    C = np.vstack([M, np.eye(2)])
+    l, u = np.array([-1.0, -5.0, -np.inf, -1.0]), np.array([1.0, 5.0, -10.0, 1.0])
+    limits = Limits(C, l, u, np.repeat([0.0, 1e-6], 2))
+    missed = misses(limits, TaskQP().solve(Objective(M, np.zeros(2)), limits))
+    assert missed[2] > 9.0
+    assert missed[3] < 0.02 * missed[2]
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_soft_limits_that_contradict_each_other_and_hard_ones_leave_the_hard_ones_whole(
     seed: int,
@@ -210,7 +222,7 @@ def test_no_hard_state_is_left_without_an_answer_and_no_torque_leaves_its_range(
     robot: RobotModel, border_data: BorderData
 ) -> None:
     """1,200 random states, many in contact, fast or at limits, torques free to change or not."""
-    rng, rooms = np.random.default_rng(1), []
+    rng, room = np.random.default_rng(1), 1e-9  # [N m]
     counts = {"limited": 0, "near": 0}
     controllers = [
         Controller(robot, border_data, Config().replace("limit.torque_rate", rate), name=name)
@@ -229,16 +241,12 @@ def test_no_hard_state_is_left_without_an_answer_and_no_torque_leaves_its_range(
         output = controller.step(m, reference, base_acceleration=rng.uniform(-1, 1, 2))
         assert output.solved
         assert output.workings is not None
-        arm, state = output.workings.arm, controller.state
-        missed = misses(arm.limits, arm.qdd[2:])
-        # [N m] Where distances contradict torques, multipliers are as large as 1/ε³ = 1e9.
-        room = 1e-2
-        rooms.append(missed[arm.limits.softness == 0.0].max())
-        assert missed[arm.limits.softness == 0.0].max() <= room
-        u_a = state.M[2:] @ arm.qdd + state.h[2:]
+        workings, state = output.workings, controller.state
+        missed = misses(workings.limits, workings.qdd)
+        assert missed[workings.limits.softness == 0.0].max() <= room
+        u_a = state.M[2:] @ workings.qdd + state.h[2:]
         np.testing.assert_allclose(output.u_a, u_a, atol=room)  # nothing is clipped afterwards
         counts["limited"] += missed.max() > 1e-6
         counts["near"] += output.avoidance.beta_m > 0.0
     assert [(c.failures, c.given_up) for c in controllers] == [(0, 0)] * 4
-    assert np.median(rooms) <= 1e-5
     assert min(counts.values()) > 150, counts

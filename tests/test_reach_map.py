@@ -10,12 +10,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from app.border.config import ReachConfig
 from app.border.reach.chain import Chain, reach_bodies
-from app.border.reach.config import ReachConfig
-from app.border.reach.fit import fit_reachability
-from app.border.reach.key import reach_key
-from app.border.reach.map import ReachMap, lattice, load_reach_map
-from app.border.reach.radial import radial_profile
+from app.border.reach.fit import fit_reachability, radial_profile
+from app.border.reach.map import (
+    ReachMap,
+    lattice,
+    load_reach_map,
+    reach_key,
+    sample_reach_map,
+)
 from app.border.reach.solver import AnalyticSolver, RestartSolver, make_solver
 from app.errors import ConfigError, UnknownNameError
 from app.robot import assets
@@ -25,6 +29,8 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from tests.finite_differences import jacobian
 from tests.robots import husky_panda
+
+pytest.importorskip("eaik")  # the maps here are those of formulas
 
 TINY = ReachConfig(spacing_m=0.3, orientations=4, restart_spacing_m=0.4, restart_orientations=1)
 BODIES = ["lEE", "l3"]
@@ -186,6 +192,17 @@ def test_the_counts_are_those_of_the_area_formula_which_needs_no_inverse_kinemat
     shipped = counted_shells(load_reach_map(robot, body, progress=False), edges)
     np.testing.assert_allclose(shipped, expected, rtol=0.1, atol=0.03 * expected.max())
     assert shipped.max() > 0.05
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_a_map_of_joint_positions_alone_is_the_counted_one(body, robot):
+    """Means over shells, in shares of their sum."""
+    counted = load_reach_map(robot, body, progress=False)
+    sampled = sample_reach_map(robot, body, spacing=counted.spacing_m)
+    assert sampled.free_joints == counted.free_joints
+    means = [radial_profile(m.rho, m.reach, 0.1).mean[2:11] for m in (sampled, counted)]
+    ours, theirs = (mean / mean.sum() for mean in means)
+    np.testing.assert_allclose(ours, theirs, atol=0.02)
 
 
 @pytest.mark.slow

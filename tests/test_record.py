@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from app.dashboard.record import KEPT, PERIOD, Curve, Record
+from app.dashboard.panels.run import course_html
+from app.dashboard.record import BIN, KEPT, PERIOD, Course, Curve, Record, Strip
+from app.simulation.people import PullReading
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
 
@@ -37,10 +39,10 @@ def test_columns_are_the_curves_over_time(snapshot):
 
 def test_it_is_bounded_in_memory_and_keeps_the_newest(snapshot):
     record = Record(CURVES)
-    record.extend(run(snapshot, 0.0, 200.0), 200.0)
-    table = record.columns(200.0, 1e9)
+    record.extend(run(snapshot, 0.0, 700.0), 700.0)
+    table = record.columns(700.0, 1e9)
     assert table.shape[1] <= KEPT / PERIOD + 2
-    assert table[0, -1] == pytest.approx(200.0)
+    assert table[0, -1] == pytest.approx(700.0)
     assert np.ptp(table[0]) == pytest.approx(KEPT, abs=2 * PERIOD)
 
 
@@ -65,3 +67,94 @@ def test_an_empty_table_and_an_empty_stretch_still_have_a_row(snapshot):
     assert record.columns(1.0, 1.0).shape == (3, 1)
     record.extend(run(snapshot, 0.0, 1.0), 1.0)
     assert record.columns(50.0, 1.0).shape == (3, 1)
+
+
+def led(snapshot, t, name, *, x=0.0, d=0.2, pull=0.0):
+    first, *others = snapshot.pairs
+    return replace(
+        snapshot,
+        t=t,
+        scenario=name,
+        scenario_ends=8.0 if name else None,
+        base_pose=np.array([x, 0.0, 0.0]),
+        pairs=(first._replace(d=d), *others),
+        hand_force=np.array([0.0, pull, 0.0]),
+    )
+
+
+@pytest.mark.parametrize(("d", "result"), [(0.03, "no contact"), (-0.004, "contact")])
+def test_a_scenario_has_a_course_and_ends_with_its_figures(snapshot, d, result):
+    course = Course()
+    assert course_html(course, "") == ""
+    run = [led(snapshot, 2.0, "way-out", x=-0.4, d=d, pull=30.0), led(snapshot, 4.0, "way-out")]
+    course.extend([led(snapshot, 0.0, "way-out"), *run], 4.0)
+    text = course_html(course, "")
+    assert "A start inside a buffer" in text
+    assert "width:50%" in text
+    assert "4.0 of 8 s" in text
+    course.extend([led(snapshot, 7.98, "way-out"), led(snapshot, 8.0, "", d=-1.0, x=9.0)], 8.0)
+    text = course_html(course, "")
+    for part in (
+        f"way-out ended: {result}<",
+        f"{1000 * d:.0f} mm".replace("-", "−"),
+        "30 N",
+        "0.80 m",
+    ):
+        assert part in text, part
+
+
+def test_who_takes_the_hand_ends_a_scenario_early_and_a_beginning_forgets_it(snapshot):
+    course = Course()
+    course.extend([led(snapshot, 3.0, "guiding-front"), led(snapshot, 3.02, "")], 3.02)
+    assert "guiding-front left at 3.0 s" in course_html(course, "")
+    assert "Preparing refrigerator" in course_html(course, "preparing refrigerator")
+    course.extend([led(snapshot, 0.0, "")], 0.0)
+    assert course_html(course, "") == course.name == ""
+
+
+def near(snapshot, t, d, **more):
+    """The first pair at a distance, in force below 0.15 m."""
+    first, *others = snapshot.pairs
+    pair = first._replace(d=d, beta=max(0.0, 1.0 - d / 0.15))
+    return replace(snapshot, t=t, pairs=(pair, *others), beta_m=pair.beta, **more)
+
+
+def test_the_strip_keeps_extremes_and_what_happened_once_each(snapshot):
+    strip = Strip(husky_panda().body_names)
+    tuned = snapshot.config.replace("force.f_max", 200.0)
+    pull = PullReading(0, None, np.zeros(3), np.zeros(3), np.array([0.0, 9.0, 0.0]))
+    run = [
+        near(snapshot, 0.0, 0.2),
+        near(snapshot, 0.02, 0.1, pulls=(pull,)),
+        near(snapshot, 0.04, 0.2),  # out, and in again at once: the same event goes on
+        near(snapshot, 0.06, -0.01),
+        near(snapshot, 0.08, 0.2, config=tuned),
+        near(snapshot, 3.0, 0.1, scenario="way-out"),
+    ]
+    strip.extend(run, 3.0)
+    assert list(strip.rows) == [(0.0, -0.01, pytest.approx(1.0, abs=0.1))]
+    assert strip.nearest is run[3]
+    assert strip.hardest is run[1]
+    assert list(strip.past) == [run[3]]
+    told = [(event.t, event.kind, event.text) for event in strip.events.values()]
+    assert told == [
+        (0.02, "person", "a person takes hold"),
+        (0.02, "buffer", "hand – base inside the buffer"),
+        (0.04, "person", "a person lets go"),
+        (0.06, "contact", "hand – base 10 mm inside"),
+        (0.08, "parameter", "f_max [N]: 200"),
+        (3.0, "scenario", "way-out begins"),
+        (3.0, "parameter", "f_max [N]: 300"),
+        (3.0, "buffer", "hand – base inside the buffer"),
+    ]
+    strip.extend([near(snapshot, 0.0, 0.2)], 0.0)
+    assert (len(strip.rows), len(strip.events), strip.runs) == (0, 0, 1)
+
+
+def test_the_strip_is_bounded_in_memory(snapshot):
+    strip = Strip(husky_panda().body_names)
+    for k in range(8000):
+        strip.extend([near(snapshot, k * BIN, 0.2 if k // 8 % 2 else 0.1)], k * BIN)
+    assert len(strip.rows) == KEPT / BIN < strip.closed
+    assert len(strip.events) == 400
+    assert len(strip.past) <= KEPT / BIN / 2

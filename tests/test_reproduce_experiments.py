@@ -14,11 +14,10 @@ from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
 from app.simulation.scenarios import names as scenarios
 from app.studies.paper import experiments, report
-from app.studies.paper.experiments import Experiment, run_experiments
-from app.studies.paper.names import FIGURES, chosen
+from app.studies.paper.experiments import LATERAL, Experiment, run_experiments
+from app.studies.paper.report import FIGURES, chosen
 
 TIMES = {"step_p50_us", "step_p99_us", "realtime_factor"}
-LATERAL = Experiment("guiding-lateral", "dbb")
 
 
 @pytest.fixture

@@ -8,16 +8,26 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from app.avoidance.activation import activation
+from app.avoidance.task import activation
 from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
-from app.studies.drawing import Drawing
-from app.studies.paper import acting, density, guiding, motion, offline, refrigerator, tracking
-from app.studies.paper.experiments import Sources
-from app.studies.paper.names import FIGURES
+from app.studies.paper import acting, approach, density, offline, refrigerator
+from app.studies.paper.drawing import Drawing
+from app.studies.paper.experiments import (
+    DOOR,
+    DOOR_NONE,
+    LATERAL,
+    TRACKING,
+    TRACKING_NONE,
+    TRACKING_REPULSIVE,
+    WHEEL_AXIS,
+    Run,
+    Sources,
+)
+from app.studies.paper.report import FIGURES
 from app.studies.style import METHOD_COLOURS, styled
 from tests.reproduction import every, short_run, sources_of
 
@@ -25,21 +35,16 @@ from tests.reproduction import every, short_run, sources_of
 @pytest.fixture(scope="module")
 def sources(robot: RobotModel, border_data: BorderData) -> Sources:
     """A second of guiding into the buffer, for every experiment on a line."""
-    run = short_run(robot, border_data, guiding.LATERAL, 2.0)
-    return sources_of(
-        robot,
-        border_data,
-        every(
-            [*tracking.METHODS, tracking.NONE, tracking.WHEEL_AXIS, *guiding.NEEDS_COMPARED], run
-        ),
-    )
+    run = short_run(robot, border_data, LATERAL, 2.0)
+    tracking = [TRACKING, TRACKING_REPULSIVE, TRACKING_NONE, WHEEL_AXIS]
+    return sources_of(robot, border_data, every([*tracking, *approach.COMPARED], run))
 
 
 @pytest.fixture(scope="module")
 def drawn(sources: Sources) -> dict[str, Drawing]:
     names = ("fig3", "fig5", "fig6", "fig7", "fig8", "fig10", "fig12", "fig14", "fig15")
     with styled():
-        return {name: FIGURES[name].draw(sources) for name in names}
+        return {name: FIGURES[name][0](sources) for name in names}
 
 
 def lines(drawing: Drawing) -> list[tuple[Axes, np.ndarray, np.ndarray]]:
@@ -50,7 +55,7 @@ def lines(drawing: Drawing) -> list[tuple[Axes, np.ndarray, np.ndarray]]:
 
 def contains(table: Any, values: np.ndarray) -> bool:
     """Whether the values stand in one of the table's columns, one after the other."""
-    columns = [c for c in table.columns.values() if c.dtype.kind == "f"]
+    columns = [c for c in table.values() if c.dtype.kind == "f"]
     n = len(values)
     return any(
         any(
@@ -86,6 +91,15 @@ def test_figures_have_a_number_labelled_axes_and_units(drawn):
             assert all("[" in text for text in labels if text), (name, labels)
 
 
+def test_no_two_panels_of_a_figure_have_the_same_letter(drawn):
+    for name, drawing in drawn.items():
+        axes = drawing.figure.axes  # those in three dimensions have their title in the middle
+        titles = [ax.get_title("center" if ax.name == "3d" else "left") for ax in axes]
+        letters = [title.split(")")[0] for title in titles if title.startswith("(")]
+        assert len(letters) == len(set(letters)), (name, letters)
+        assert letters or name == "fig10", name
+
+
 def test_columns_of_quantities_end_in_their_unit(drawn):
     plain = (
         "set",
@@ -101,7 +115,7 @@ def test_columns_of_quantities_end_in_their_unit(drawn):
     units = ("_m", "_s", "_rad", "_mps2", "_radps2", "_m4prad4", "_us")
     for drawing in drawn.values():
         for table in drawing.tables.values():
-            odd = [c for c in table.columns if not c.startswith(plain) and not c.endswith(units)]
+            odd = [c for c in table if not c.startswith(plain) and not c.endswith(units)]
             assert odd == []
 
 
@@ -137,10 +151,11 @@ def test_the_fit_of_reachability_is_drawn_with_its_own_numbers(drawn):
     np.testing.assert_allclose(table["paper"], paper)
 
 
-def test_the_components_of_the_force_are_orthogonal_and_add_up(drawn):
-    rng = np.random.default_rng(3)
+def test_the_components_of_the_force_are_orthogonal_and_add_up(drawn, sources: Sources):
+    rng, force = np.random.default_rng(3), acting.turning(sources)
     for p_b, p_n, f in rng.normal(size=(20, 3, 3)):
-        along, across = acting.components(p_b, p_n, f)
+        closest, found = force.closest._replace(p_b=p_b), force.acting._replace(p_n=p_n)
+        along, across = force._replace(closest=closest, acting=found, f=f).components
         np.testing.assert_allclose(along + across, f, atol=1e-12)
         assert along @ across == pytest.approx(0.0, abs=1e-9)
         assert np.linalg.norm(np.cross(along, p_b - p_n)) == pytest.approx(0.0, abs=1e-9)
@@ -155,19 +170,20 @@ def test_too_large_a_step_loses_the_component_along_the_line(drawn):
     assert large["share_along_line"] < 0.5 * chosen["share_along_line"]
 
 
-def test_the_moment_is_where_the_hand_is_nearest(sources: Sources):
-    now = acting.moment(sources)
-    d = sources.runs[guiding.LATERAL].log["d_lm-lEE_m"]
-    assert now.closest.d == pytest.approx(d.min(), abs=1e-9)
-    assert np.abs(now.slice[:, 2] - now.closest.p_b[2]).max() <= 0.005 + 1e-9
+def test_the_moment_is_where_the_hand_is_nearest(drawn, sources: Sources):
+    force = acting.force_at(sources, LATERAL, acting.deepest(sources))
+    d = sources.runs[LATERAL].log["d_lm-lEE_m"]
+    assert force.closest.d == pytest.approx(d.min(), abs=1e-9)
+    height = drawn["fig8"].tables[""]["z_m"]
+    assert np.abs(height - force.closest.p_b[2]).max() <= 0.005 + 1e-9
 
 
 def test_no_other_moment_shows_both_components_better(sources: Sources):
-    def smaller(now: acting.Moment) -> float:
-        found, f = acting._found(sources, now, sources.config.force)
-        return min(np.linalg.norm(v) for v in acting.components(now.closest.p_b, found.p_n, f))
+    def smaller(force: acting.Force) -> float:
+        return min(float(np.linalg.norm(v)) for v in force.components)
 
-    assert smaller(acting.turning(sources)) >= smaller(acting.moment(sources)) - 1.0 > 0.0
+    deepest = acting.force_at(sources, LATERAL, acting.deepest(sources))
+    assert smaller(acting.turning(sources)) >= smaller(deepest) - 1.0 > 0.0
 
 
 def test_the_activation_is_the_controllers(drawn):
@@ -176,17 +192,17 @@ def test_the_activation_is_the_controllers(drawn):
 
 
 def test_the_repulsive_line_is_what_is_asked_of_the_base(sources: Sources):
-    run = sources.runs[guiding.LATERAL]
+    run = sources.runs[LATERAL]
     np.testing.assert_array_equal(
-        guiding._asked(run, "repulsive")["linear_mps2"], run.log["base_a_mps2"]
+        approach._asked(run, "repulsive")["linear_mps2"], run.log["base_a_mps2"]
     )
     np.testing.assert_array_equal(
-        guiding._asked(run, "dbb")["linear_mps2"], run.log["avoidance_a_mps2"]
+        approach._asked(run, "dbb")["linear_mps2"], run.log["avoidance_a_mps2"]
     )
 
 
 def test_the_hands_path_is_the_robots_kinematics(sources: Sources):
-    run = sources.runs[guiding.LATERAL]
+    run = sources.runs[LATERAL]
     path, state = run.log.of("p_ee"), RobotState(sources.model)
     for k in (0, 77, 199):
         m = state.measurement._replace(base_pose=run.base_poses[k], q_m=run.q_m[k])
@@ -195,8 +211,8 @@ def test_the_hands_path_is_the_robots_kinematics(sources: Sources):
 
 
 def test_closest_points_do_not_depend_on_where_the_base_is(sources: Sources):
-    run, pair = sources.runs[guiding.LATERAL], sources.data.pairs.mobile[0]
-    found = motion.closest_points(sources.model, pair, run.q_m[::50])
+    run = sources.runs[LATERAL]
+    found = sources.closest_points(run.q_m[::50])
     np.testing.assert_allclose([c.d for c in found], run.log["d_lm-lEE_m"][::50], atol=1e-9)
 
 
@@ -225,24 +241,24 @@ def test_a_picture_shows_at_most_so_many_points_and_each_once():
 @pytest.mark.slow
 def test_snapshots_are_drawn_with_the_paths_of_the_csv(sources: Sources, monkeypatch):
     """Both rows of Figure 13; the target stands where the scenario ends."""
-    monkeypatch.setattr(guiding, "_SHARES", (0.0, 0.05, 0.1, 0.2))
+    monkeypatch.setattr(approach, "_SHARES", (0.0, 0.05, 0.1, 0.2))
     with styled():
-        drawing = guiding.figure_13(sources)
+        drawing = approach.figure_13(sources)
     pictures = [ax for ax in drawing.figure.axes if ax.images]
     assert len(pictures) == 8
     images = [np.asarray(ax.images[0].get_array()) for ax in pictures]
     assert all(image.std() > 15 for image in images)
     table = drawing.tables[""]
-    half = len(table) // 2
-    hand = sources.runs[guiding.LATERAL].log.of("p_ee")[::10]
+    half = len(table["t_s"]) // 2
+    hand = sources.runs[LATERAL].log.of("p_ee")[::10]
     np.testing.assert_array_equal(table["hand_y_m"][:half], hand[:, 1])
 
 
 @pytest.mark.slow
 def test_the_refrigerators_figures_show_door_and_robot(robot: RobotModel, border_data: BorderData):
     """Of the run's first moments: the door is where its angle says, and its shape is magenta."""
-    run = short_run(robot, border_data, refrigerator.DBB, 0.2, physics="planar")
-    sources = sources_of(robot, border_data, every(refrigerator.NEEDS, run))
+    run = short_run(robot, border_data, DOOR, 0.2, physics="planar")
+    sources = sources_of(robot, border_data, every([DOOR, DOOR_NONE], run))
     with styled():
         drawings = [
             draw(sources)
@@ -258,10 +274,11 @@ def test_the_refrigerators_figures_show_door_and_robot(robot: RobotModel, border
 
 
 def test_the_drawn_door_turns_about_its_hinge_by_its_angle():
-    door = refrigerator._door(refrigerator.DBB)
+    door = refrigerator._door()
     hinge = np.array([*door.hinge_position, 0.0])
     for angle in (0.0, 0.7, 1.4):
-        body, board, _ = refrigerator.refrigerator(door, angle)
+        run = Run({}, {"door_angle_rad": np.array([angle])})
+        body, board, _ = refrigerator.refrigerator(run, 0)
         to_middle = (board.mesh.centroid - hinge) * [1.0, 1.0, 0.0]
         assert np.linalg.norm(to_middle) == pytest.approx(door.width / 2)
         along = door.pose(angle).rotation @ [0.0, -door.side, 0.0]

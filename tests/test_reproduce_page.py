@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from app.studies.drawing import Drawing
 from app.studies.page import Part, label
+from app.studies.paper.drawing import Drawing
 from app.studies.paper.report import figure_part, paper_page
 
 PNG = bytes(range(256))
@@ -70,7 +70,7 @@ class Reader(HTMLParser):
 def test_nothing_outside_of_the_page_is_referred_to(section):
     text = paper_page([section(), section(name="fig2")], [claim(True)], "seed 0")
     reader = Reader(text)
-    assert len(reader.addresses) == 4
+    assert len(reader.addresses) == 5
     assert all(a.startswith(("data:image/png;base64,", "#")) for a in reader.addresses)
     assert not re.search(r"https?:|//|@import|url\(|<script|<link", text.replace("/9", ""))
 
@@ -90,6 +90,11 @@ def test_words_are_no_markup(section):
     assert "<this>" not in text
     assert "<works>" not in text
     assert "a &lt; b" in text
+
+
+def test_the_page_begins_with_its_figures(section):
+    text = Reader(paper_page([section()], [claim(True)], "")).text
+    assert text.index("says <this>") < text.index("it <works>")
 
 
 def test_claims_are_counted_and_those_that_fail_are_shown_as_such(section):

@@ -5,8 +5,8 @@ import pinocchio as pin
 import pytest
 from finite_differences import jacobian
 
-from app.avoidance.distances import ClosestPoints, DistanceMonitor
-from app.avoidance.repulsion import distance_jacobian, generate_rep_acc
+from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
+from app.avoidance.task import distance_jacobian, generate_rep_acc
 from app.border.cache import BorderData
 from app.config import RepulsionConfig
 from app.robot.link_pairs import PairDistances, candidate_pairs
@@ -44,18 +44,18 @@ class Moving:
 def test_J_r_is_the_gradient_of_the_distance(robot: RobotModel, seed: int) -> None:
     moving = Moving(robot, seed)
     for i, closest in enumerate(moving.at(0.0, moving.qd)):
-        row = generate_rep_acc(moving.state, closest, CONFIG)
+        row = generate_rep_acc(moving.state, closest, CONFIG, 1.0)
         numeric = jacobian(lambda qd, i=i: moving.at(1.0, qd)[i].d, robot.n)
         moving.at(0.0, moving.qd)
-        np.testing.assert_allclose(row.J_r, numeric, atol=2e-5)
+        np.testing.assert_allclose(row.J[0], numeric, atol=2e-5)
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_distances_within_the_robot_do_not_depend_on_the_base(robot: RobotModel, seed: int) -> None:
     moving = Moving(robot, seed)
     for closest in moving.at(0.0, moving.qd):
-        row = generate_rep_acc(moving.state, closest, CONFIG)
-        np.testing.assert_allclose(row.J_r[:2], 0.0, atol=1e-12)
+        row = generate_rep_acc(moving.state, closest, CONFIG, 1.0)
+        np.testing.assert_allclose(row.J[0, :2], 0.0, atol=1e-12)
 
 
 def curvature_errors(robot: RobotModel, data: BorderData, count: int) -> np.ndarray:
@@ -104,7 +104,7 @@ def curvature_errors(robot: RobotModel, data: BorderData, count: int) -> np.ndar
 
 def _across(state: RobotState, closest: ClosestPoints) -> float:
     """|v_⊥|² [m²/s²] of the two closest points, fixed to their bodies."""
-    a, b = (state.model.body_joint(body) for body in closest.pair)
+    a, b = (state.model.body_joints[body] for body in closest.pair)
     v = state.point_velocity(b, closest.p_b) - state.point_velocity(a, closest.p_a)
     v -= (closest.n @ v) * closest.n
     return float(v @ v)
@@ -126,10 +126,10 @@ def test_two_links_at_rest_are_parted_and_parting_links_are_braked(robot: RobotM
     moving = Moving(robot, 3)
     moving.at(0.0, np.zeros(robot.n))
     closest = moving.monitor.find_closest_points()[-1]
-    assert generate_rep_acc(moving.state, closest, CONFIG).xdd_r == pytest.approx(60.0)
-    row = generate_rep_acc(moving.state, closest, CONFIG)
-    moving.at(0.0, row.J_r / np.linalg.norm(row.J_r) ** 2)  # distance grows by 1 m/s
-    assert generate_rep_acc(moving.state, closest, CONFIG).xdd_r == pytest.approx(30.0)
+    assert generate_rep_acc(moving.state, closest, CONFIG, 1.0).xdd[0] == pytest.approx(60.0)
+    row = generate_rep_acc(moving.state, closest, CONFIG, 1.0)
+    moving.at(0.0, row.J[0] / np.linalg.norm(row.J[0]) ** 2)  # distance grows by 1 m/s
+    assert generate_rep_acc(moving.state, closest, CONFIG, 1.0).xdd[0] == pytest.approx(30.0)
 
 
 def test_in_penetration_the_normal_still_parts_the_links(robot: RobotModel) -> None:
@@ -143,8 +143,8 @@ def test_in_penetration_the_normal_still_parts_the_links(robot: RobotModel) -> N
             if not -0.05 < closest.d < -0.005:
                 continue
             found += 1
-            row = generate_rep_acc(moving.state, closest, CONFIG)
-            along = row.J_r / np.linalg.norm(row.J_r) ** 2 * 1e-3
+            row = generate_rep_acc(moving.state, closest, CONFIG, 1.0)
+            along = row.J[0] / np.linalg.norm(row.J[0]) ** 2 * 1e-3
             assert moving.at(1.0, along)[i].d > closest.d
             moving.at(0.0, np.zeros(robot.n))
 

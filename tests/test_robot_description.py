@@ -223,6 +223,7 @@ def test_a_missing_urdf_is_named(with_urdf):
 
 
 def test_a_missing_mesh_is_named(with_urdf):
+    pytest.importorskip("pybullet_data")
     description = with_urdf(lambda text: text.replace("top_plate.stl", "roof.stl"))
     with pytest.raises(AssetError, match=r"roof\.stl: no such file in the installed package"):
         resolved_urdf(description)

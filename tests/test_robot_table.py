@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import pytest
 
+from app.border.mobile import MobileBody
 from app.cli.main import main
 from app.robot import packages
-from app.studies.sweep import robot_table as table
-from app.studies.sweep.robot_cases import CASES, Case
+from app.studies.sweep import robots as table
+from app.studies.sweep.robots import CASES, Case
 from tests.robots import husky_panda
 
 SHORT = Case("short", "guiding", (10.0,), length=0.04, speed=0.1)
 
 
 def test_paths_keep_to_the_heights_of_the_base_and_those_on_the_axis_lead_along_it():
-    body = table.MobileBody(husky_panda())
+    robot = husky_panda()
+    top = MobileBody(robot).upper[2]
     for case in CASES:
-        paths = list(case.approaches(body))
+        paths = list(case.approaches(robot))
         assert paths
-        assert all(0.1 < path.height <= body.upper[2] for path in paths)
+        assert all(0.1 < path.height <= top for path in paths)
         if case.on_axis:
             assert {path.kind for path in paths} == {"wheel_axis"}
             assert all(abs(path.inwards[0]) < 1e-9 and path.offset == 0.0 for path in paths)
@@ -40,22 +42,6 @@ def test_a_robot_that_cannot_be_loaded_has_a_row_that_says_why(monkeypatch: pyte
     (row,) = table.robot_table(["tiago"], cases=[SHORT])["rows"]
     assert row["robot"] == "tiago"
     assert "pip install" in row["reason"]
-
-
-@pytest.mark.parametrize(
-    ("change", "passes"),
-    [
-        ({}, True),
-        ({"clearance_m": 0.029}, False),
-        ({"clearance_m": None}, False),
-        ({"hand_error_m": 0.0011}, False),
-        ({"contacts": 1}, False),
-        ({"solver_failures": 1}, False),
-    ],
-)
-def test_a_tracking_row_passes_within_all_limits_only(change: dict, passes: bool):
-    row = {"clearance_m": 0.03, "hand_error_m": 0.001, "contacts": 0, "solver_failures": 0}
-    assert table._passes(row | change, CASES[2]) is passes
 
 
 @pytest.mark.parametrize("words", [["--robots", "r2d2"], ["--case", "dancing"]])

@@ -7,8 +7,7 @@ import importlib.util
 import pytest
 
 from app.errors import AssetError
-from app.onboarding.check.bodies import base_row
-from app.onboarding.check.dynamics import bullet_row, limits_row, mujoco_row
+from app.onboarding.check import base_row, bullet_row, limits_row, mujoco_row
 from app.robot import assets, packages
 from app.robot.assets import load_robot, robot_names
 from app.robot.model import RobotModel

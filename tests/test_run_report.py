@@ -12,8 +12,7 @@ import pytest
 from app.cli.main import main
 from app.config import Config
 from app.simulation.trace.trace import Trace
-from app.studies.run_report.figures import spans
-from app.studies.run_report.report import config_changes, key_numbers, run_report
+from app.studies.run_report import config_changes, key_numbers, run_report, spans
 from tests.logs import random_snapshots, trace_of
 
 pytestmark = pytest.mark.slow

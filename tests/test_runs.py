@@ -25,31 +25,21 @@ pytestmark = pytest.mark.slow
 GUIDED = ("guiding-lateral", "guiding-front", "guiding-above", "guiding-fold")
 
 
+@cache
 def figures(
-    name: str,
-    controller: str = "dbb",
-    seed: int = 0,
-    physics: str = "planar",
-    duration: float | None = None,
+    name: str, controller: str = "dbb", physics: str = "planar", duration: float | None = None
 ) -> dict[str, Any]:
     """Figures of a run, made once however many tests look at them."""
-    return _figures(name, controller, seed, physics, duration)
-
-
-@cache  # which takes f(a) and f(a, seed=0) for two calls
-def _figures(
-    name: str, controller: str, seed: int, physics: str, duration: float | None
-) -> dict[str, Any]:
     scenario = LINES[name].changed(duration=duration)
     return run_scenario(
-        husky_panda(),
-        border(),
-        scenario,
-        Config(),
-        controller=controller,
-        physics=physics,
-        seed=seed,
+        husky_panda(), border(), scenario, Config(), controller=controller, physics=physics
     ).figures
+
+
+@cache
+def without_avoidance(name: str) -> dict[str, Any]:
+    """The same way in half the time, which takes the hand as far."""
+    return figures(name, "none", duration=4.0)
 
 
 @cache
@@ -94,28 +84,28 @@ SHOWN = {
 }
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("name", GUIDED)
-def test_guided_by_hand_nothing_collides(name: str, seed: int):
-    SHOWN[name](figures(name, seed=seed))
+def test_guided_by_hand_nothing_collides(name: str):
+    """From one start; `dbb study` draws many."""
+    SHOWN[name](figures(name))
 
 
 @pytest.mark.parametrize("name", ["guiding-lateral", "guiding-front"])
 def test_without_avoidance_the_base_stays_and_is_met(name: str):
-    run = figures(name, "none")
+    run = without_avoidance(name)
     assert run["contacts"] > 0 or run["min_clearance_m"] <= 0.03
     assert run["base_displacement_m"] < 0.01
     assert run["activation_max"] == 0.0
 
 
 def test_without_avoidance_the_hand_lands_on_the_base():
-    run = figures("guiding-above", "none")
+    run = without_avoidance("guiding-above")
     assert run["contacts"] > 0
     assert run["min_clearance_m"] < 0.03 < figures("guiding-above")["min_clearance_m"]
 
 
 def test_without_avoidance_the_arm_folds_into_itself():
-    assert figures("guiding-fold", "none")["arm_contacts"] > 0
+    assert without_avoidance("guiding-fold")["arm_contacts"] > 0
 
 
 @pytest.mark.parametrize("name", GUIDED)
@@ -125,19 +115,18 @@ def test_no_floor_is_touched(name: str):
 
 @pytest.mark.parametrize("name", GUIDED)
 def test_torques_have_no_steps(name: str):
-    """From one control step to the next, although rows enter and leave."""
-    assert figures(name)["torque_jump_max_nm"] < 3.0
+    """Rows enter and leave; the limit of the torques' rate, which would hide a step, is not met."""
+    assert figures(name)["torque_jump_max_nm"] < 0.75 * Config().limit.torque_rate * DT
 
 
 def test_tracking_keeps_its_line_and_its_distance():
-    """The hand's 0.2 m towards the base's side in 30 s."""
-    run = figures("tracking")
-    assert run["duration_s"] == 30.0
+    """The hand's 0.2 m towards the base's side, three times as fast as the scenario's 30 s."""
+    run = figures("tracking", duration=10.0)
     assert run["ee_error_max_m"] <= 0.002
     assert run["min_clearance_m"] >= 0.05
     assert run["contacts"] == 0
     assert run["solver_failures"] == 0
-    plain = figures("tracking", "none", duration=10.0)  # the same line, faster
+    plain = figures("tracking", "none", duration=5.0)  # the same line, faster
     assert plain["min_clearance_m"] <= run["min_clearance_m"] - 0.05
 
 

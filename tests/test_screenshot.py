@@ -16,12 +16,11 @@ from PIL import Image
 
 from app.config import Config
 from app.dashboard.export.browser import VARIABLE, browser_path
-from app.dashboard.export.offscreen import RecordedLoop
-from app.dashboard.export.screenshot import Look, strip, take_pictures
+from app.dashboard.export.offscreen import Look, RecordedLoop
+from app.dashboard.export.screenshot import strip, take_pictures
 from app.errors import BrowserError
-from app.simulation.run import steps_of
+from app.simulation.run import filmed, steps_of
 from app.simulation.scenarios.names import scenario_by_name
-from app.simulation.trace.trace import filmed
 from tests.logs import random_snapshots
 
 PROJECT = Path(__file__).parent.parent
@@ -138,9 +137,9 @@ def test_each_option_changes_what_is_to_be_seen(take, first, change, least):
 
 @pytest.mark.browser
 def test_the_page_is_taken_whole_with_panels_and_plots_and_the_same_each_time(take):
-    look = Look(width=1280, height=720, page=True)
+    look = Look(width=1000, height=600, page=True)
     [a], [b] = take(look), take(look)
-    assert a.shape == (720, 1280, 3)
+    assert a.shape == (600, 1000, 3)
     assert share(a, b, least=0) <= 0.005
     for panel in (a[:, :300], a[:, -300:]):
         assert (panel.max(axis=-1) > 120).mean() > 0.01, "text"

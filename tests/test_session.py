@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from app.avoidance.self_collision import BUFFER_RATE
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.admittance import AdmittanceLaw
@@ -14,6 +15,7 @@ from app.control.controller import Controller
 from app.control.drive import Drive
 from app.errors import TargetError, UnknownNameError
 from app.robot.model import RobotModel
+from app.robot.state import Measurement
 from app.simulation.plants.choice import PLANTS
 from app.simulation.scenarios.names import LINES
 from app.simulation.scenarios.start import StartSolver
@@ -77,7 +79,7 @@ def same(a: list[Step], b: list[Step]) -> None:
 @pytest.mark.parametrize("physics", PLANTS)
 def test_the_same_inputs_give_bitwise_the_same_outputs(make, physics):
     a, b = make(physics), make(physics)
-    steps = [(a.step(pull=PULL), b.step(pull=PULL)) for _ in range(1500)]
+    steps = [(a.step(pull=PULL), b.step(pull=PULL)) for _ in range(1200)]
     same([first for first, _ in steps], [second for _, second in steps])
     assert steps[-1][0].output.activation > 0.0  # avoidance was part of it
 
@@ -187,14 +189,17 @@ def test_the_base_command_is_renewed_at_its_own_slow_rate(make):
     assert {k % period for k in changes} == {changes[0] % period}
 
 
-def test_another_configuration_holds_from_the_next_step_on(make):
+def test_another_configuration_holds_from_the_next_step_on_and_another_buffer_by_and_by(make):
     session = make()
     before = pulled(session, 5)[-1]
     wide = Config().replace("border.d_b", 0.30).replace("hand.stiffness", 900.0)
     session.configure(wide)
-    after = session.step(pull=PULL)
     assert before.output.activation == 0.0
-    assert after.output.activation > 0.0
+    after = pulled(session, round(0.15 / BUFFER_RATE / DT) + 1)
+    assert session.controller.d_b == pytest.approx(0.30)
+    beta = np.array([step.output.avoidance.beta_m for step in after])
+    assert beta[-1] > 0.1
+    assert np.abs(np.diff(beta)).max() < 0.05, "a jump would throw the arm"
     assert session.config is wide
     session.configure(Config().replace("hand.f_max", 1.0))
     assert max(np.linalg.norm(step.hand_force) for step in pulled(session, 300)) <= 1.0 + 1e-9
@@ -229,3 +234,24 @@ def test_a_pull_below_the_floor_is_refused(make):
 def test_an_unknown_name_lists_those_that_exist(make, option):
     with pytest.raises(UnknownNameError, match="choose from"):
         make(**option)
+
+
+@pytest.mark.parametrize("reading", ["base_pose", "base_velocity", "q_m", "qd_m"])
+def test_readings_that_are_no_numbers_brake_the_robot_and_are_counted_and_it_goes_on(
+    make, monkeypatch, reading
+):
+    session, spoiled = make(), range(60, 80)
+    steps: list[Step] = []
+
+    def sensed(measured: Measurement) -> Measurement:
+        values = getattr(measured, reading).copy()
+        values[0] = np.nan
+        return measured._replace(**{reading: values}) if len(steps) in spoiled else measured
+
+    monkeypatch.setattr(session._disturbances, "sensed", sensed)
+    while len(steps) < 120:
+        steps += pulled(session, 1)
+    assert all(np.isfinite(step.output.u_a).all() for step in steps)
+    assert all(np.isfinite(step.base_command).all() for step in steps)
+    assert [k for k, step in enumerate(steps) if not step.output.solved] == list(spoiled)
+    assert session.controller.failures == len(spoiled)

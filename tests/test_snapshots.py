@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 
 @pytest.fixture(scope="module")
 def photographer(robot: RobotModel) -> Iterator[Photographer]:
-    with Photographer(robot) as photographer:
+    with closing(Photographer(robot)) as photographer:
         yield photographer
 
 

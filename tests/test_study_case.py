@@ -8,28 +8,36 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.avoidance.distances import DistanceMonitor
+from app.avoidance.closest_points import DistanceMonitor
 from app.config import Config
 from app.errors import CaseError, ConfigError, StudyError
 from app.robot.state import Measurement, RobotState
-from app.studies.pulls import draw_range as study_range
-from app.studies.pulls.case import Case, read_case
-from app.studies.pulls.draw import _draw_values, draw_case
-from app.studies.pulls.draw_range import StudyRange
+from app.studies.pulls.case import (
+    TIMES,
+    Case,
+    case_of,
+    flat,
+    inputs_of,
+    play_case,
+    read_case,
+    run_case,
+)
+from app.studies.pulls.draw import (
+    SECTORS,
+    draw_case,
+    draw_value,
+    load_sources,
+    place,
+    sector_of,
+)
 from app.studies.pulls.envelope import Envelope
-from app.studies.pulls.parameters import StudyParameters
-from app.studies.pulls.place import SECTORS, place, sector_of
-from app.studies.pulls.play import TIMES, case_of, flat, inputs_of, play_case, run_case
-from app.studies.pulls.rounding import rounded
-from app.studies.pulls.sources import load_sources
+from app.studies.pulls.parameters import PARAMETERS as DRAWN
+from app.studies.pulls.parameters import StudyParameters, StudyRange
+from app.studies.rows import rounded
 
 RANGES = StudyRange(duration=0.2, released=0.6, regrasped=0.6)
 PARAMETERS = StudyParameters(seed=5, physics="kinematic", ranges=RANGES)
 NUMBERS = range(8)
-
-
-def draw_values(ranges: StudyRange, seed: int) -> dict[str, float]:
-    return _draw_values(ranges, None, np.random.default_rng(seed))
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +87,7 @@ def test_the_hand_is_pulled_no_faster_than_the_case_says_and_as_fast(cases):
 def test_what_is_drawn_lies_in_its_interval_and_reaches_the_configuration(cases):
     ranges = PARAMETERS.ranges
     for case in cases:
-        for name in ("speed", *study_range.PARAMETERS):
+        for name in ("speed", *DRAWN):
             low, high = getattr(ranges, name)
             assert low <= getattr(case, name) <= high
         config = case.config()
@@ -95,7 +103,8 @@ def test_what_is_drawn_lies_in_its_interval_and_reaches_the_configuration(cases)
 
 def test_a_soft_and_a_stiff_spring_are_as_likely(sources):
     """As many below the geometric mean of the interval as above it."""
-    draws = [draw_values(PARAMETERS.ranges, k)["hand_stiffness"] for k in range(400)]
+    rng = np.random.default_rng(0)
+    draws = [draw_value("hand_stiffness", PARAMETERS.ranges, rng) for _ in range(400)]
     middle = np.sqrt(np.prod(PARAMETERS.ranges.hand_stiffness))
     assert 160 < sum(k < middle for k in draws) < 240
     assert min(draws) < 350.0 < 2500.0 < max(draws)
@@ -118,13 +127,12 @@ def test_who_lets_go_does_so_on_the_way_and_takes_hold_again_before_the_end(case
 
 
 def test_directions_are_of_the_whole_sphere_and_each_of_its_sector(sources):
-    rng, outline = np.random.default_rng(0), sources.outline
+    rng, lower, upper = np.random.default_rng(0), sources.lower, sources.upper
     ways = []
     for sector in SECTORS:
         for _ in range(200):
-            start = place(sector, outline, rng)
+            start = place(sector, sources, rng)
             assert sector_of(start.outwards) == sector
-            lower, upper = np.array([*outline.lower, 0.0]), np.array([*outline.upper, outline.top])
             assert ((start.aim > lower) & (start.aim < upper)).all()
             assert ((start.p < lower) | (start.p > upper)).any()
             ways.append(start.outwards)
@@ -141,8 +149,7 @@ def test_a_uniform_direction_falls_into_every_sector():
 
 def test_a_pull_that_does_not_go_along_the_base_goes_into_it(sources, cases):
     """Its way, prolonged, meets the base's box."""
-    lower = np.array([*sources.outline.lower, 0.0])
-    upper = np.array([*sources.outline.upper, sources.outline.top])
+    lower, upper = sources.lower, sources.upper
     for case in cases:
         if "along" in case.kind:
             continue
@@ -227,9 +234,9 @@ def test_a_run_that_breaks_off_is_a_row_that_says_why(sources, cases):
 @pytest.mark.slow
 def test_inside_of_an_envelope_every_case_lies_in_it(sources):
     envelope = Envelope(
-        speed=(0.1, 0.5, 0.9),
-        base_delay=(0.0, 0.2, 0.3),
-        force=((60.0, 50.0), (50.0, 40.0)),
+        force=50.0,
+        speed=(0.1, 0.9),
+        base_delay=(0.0, 0.3),
         v_max=(0.25, 0.9),
         encoder_noise=(0.0, 0.002),
         mass_error=(-0.1, 0.2),
@@ -237,17 +244,18 @@ def test_inside_of_an_envelope_every_case_lies_in_it(sources):
         hand_stiffness=(300.0, 2000.0),
         hand_mass=(0.0, 1.5),
     )
-    study = PARAMETERS.model_copy(update={"inside": True})
+    study = PARAMETERS.model_copy(update={"ranges": envelope.narrowed(RANGES)})
     for number in range(2):
-        case = draw_case(study, number, sources, envelope)
+        case = draw_case(study, number, sources)
         assert envelope.holds(case.model_dump(), force=case.hand_f_max)
         assert draw_case(PARAMETERS, number, sources) != case
     narrow = envelope.model_copy(update={"hand_mass": (1.0, 1.0), "slip": (0.1, 0.1)})
-    case = draw_case(study, 0, sources, narrow)
-    assert (case.hand_mass, case.slip) == (1.0, 0.1)
+    inside = narrow.narrowed(RANGES)
+    assert (inside.hand_mass, inside.slip) == ((1.0, 1.0), (0.1, 0.1))
+    assert (inside.hand_f_max, inside.height) == ((30.0, 50.0), RANGES.height)
     elsewhere = envelope.model_copy(update={"v_max": (1.2, 1.5)})
     with pytest.raises(StudyError, match=r"--v-max: nothing is stated from 0\.25 to 1, only"):
-        draw_case(study, 0, sources, elsewhere)
-    empty = envelope.model_copy(update={"force": ((0.0, 0.0), (0.0, 0.0))})
-    with pytest.raises(StudyError, match="lies in the stated envelope"):
-        draw_case(study, 0, sources, empty)
+        elsewhere.narrowed(RANGES)
+    empty = envelope.model_copy(update={"force": 0.0})
+    with pytest.raises(StudyError, match="--hand-f-max: nothing is stated from 30 to 100, only"):
+        empty.narrowed(RANGES)

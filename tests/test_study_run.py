@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from contextlib import redirect_stdout, suppress
 from pathlib import Path
 
 import psutil
@@ -17,11 +19,10 @@ from distributed import LocalCluster
 
 from app.cli.main import main
 from app.studies.pulls import cluster
-from app.studies.pulls.draw_range import StudyRange
-from app.studies.pulls.parameters import StudyParameters
-from app.studies.pulls.play import TIMES
-from app.studies.pulls.rounding import rounded
+from app.studies.pulls.case import TIMES
+from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.pulls.study import study
+from app.studies.rows import rounded
 
 pytestmark = pytest.mark.slow
 
@@ -68,6 +69,13 @@ def dbb(*args: str) -> tuple[int, str, str]:
     return process.returncode, out, err
 
 
+def printed_here(*args: str) -> str:
+    """What a command prints that ends well, in this process."""
+    with redirect_stdout(io.StringIO()) as out:
+        main(list(args))
+    return out.getvalue()
+
+
 def here(capfd: pytest.CaptureFixture[str], *args: str) -> tuple[int, str, str]:
     """What cannot be done, in this process."""
     with pytest.raises(SystemExit) as end:
@@ -87,10 +95,9 @@ def refused(outcome: tuple[int, str, str], *words: str) -> None:
 def undisturbed(tmp_path_factory) -> Path:
     """The folder of a study that one process did without a break."""
     out = tmp_path_factory.mktemp("undisturbed")
-    status, printed, err = dbb(
+    printed = printed_here(
         "study", "--cases", str(CASES), *OPTIONS, "--processes", "1", "--out", str(out), "--json"
     )
-    assert (status, err) == (0, "")
     assert json.loads(printed) == json.loads((out / "study.json").read_text(encoding="utf-8"))
     return out
 
@@ -180,11 +187,33 @@ def test_a_running_scheduler_gives_the_same_table_and_more_cases_are_added(undis
     assert table == (undisturbed / "results.parquet").read_bytes()
 
 
+def test_a_study_on_this_machine_listens_on_no_port(tmp_path):
+    """Neither its process nor a worker; looked at whenever a case is done."""
+    here = psutil.Process()
+    before, workers = listening(here), set()
+
+    def look(_: float) -> None:
+        children = [child for child in here.children(recursive=True) if child.is_running()]
+        workers.update(child.pid for child in children)
+        assert set().union(*map(listening, [here, *children])) <= before
+
+    study(PARAMETERS, 3, tmp_path, processes=2, on_progress=look)
+    assert len(workers) >= 2
+
+
+def listening(process: psutil.Process) -> set[tuple[str, int]]:
+    """The addresses at which a process takes connections."""
+    with suppress(psutil.NoSuchProcess):
+        found = process.net_connections("inet")
+        return {c.laddr for c in found if c.status == psutil.CONN_LISTEN}
+    return set()
+
+
 def test_a_finished_study_is_not_done_again(undisturbed):
     """No scheduler is asked for, so nothing answers at that address and nothing has to."""
     before = (undisturbed / "cases.jsonl").read_bytes()
     args = ("study", "--cases", str(CASES), *OPTIONS, "--scheduler", "tcp://127.0.0.1:9")
-    assert dbb(*args, "--out", str(undisturbed))[0] == 0
+    printed_here(*args, "--out", str(undisturbed))
     assert (undisturbed / "cases.jsonl").read_bytes() == before
 
 
@@ -201,7 +230,7 @@ def test_another_studys_folder_is_refused_and_left_alone(undisturbed, capfd):
 def test_a_scheduler_that_nobody_answers_for_is_one_line(tmp_path, capfd, monkeypatch):
     monkeypatch.setattr(cluster, "_PATIENCE", 1.0)
     args = ("study", "--cases", "2", *OPTIONS, "--out", str(tmp_path), "--scheduler")
-    for address in ("tcp://127.0.0.1:9", "no address"):
+    for address in ("tcp://127.0.0.1:9", "tls://127.0.0.1:9", "no address"):
         refused(here(capfd, *args, address), "--scheduler", address, "dask scheduler")
 
 
@@ -239,7 +268,9 @@ def test_ctrl_c_ends_it_cleanly_and_keeps_what_is_done(tmp_path):
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does
     out, err = process.communicate(timeout=60)
     assert (process.returncode, out) == (130, "")
-    assert err.splitlines()[-1] == "dbb: interrupted"
+    kept, last = err.splitlines()[-2:]
+    assert "of 500 cases are kept in" in kept
+    assert last == "dbb: interrupted"
     assert "Traceback" not in err
     assert psutil.wait_procs(workers, timeout=30)[1] == []
     lines = journal.read_bytes().splitlines()
@@ -249,16 +280,13 @@ def test_ctrl_c_ends_it_cleanly_and_keeps_what_is_done(tmp_path):
 def test_a_failure_is_kept_and_played_again_with_the_same_figures(tmp_path):
     """Without avoidance, fast and low: some hand meets the base."""
     args = ("study", "--cases", "2", "--physics", "kinematic", "--seed", "3", *FAST)
-    status, _, err = dbb(*args, "--out", str(tmp_path))
-    assert status == 0, err
+    printed_here(*args, "--processes", "1", "--out", str(tmp_path))
     result = json.loads((tmp_path / "study.json").read_text(encoding="utf-8"))
     assert result["contact"] >= 1 <= result["bodies_overlap"]
     files = sorted((tmp_path / "failures").iterdir())
     assert [path.name for path in files] == [f"case-{n:05d}.json" for n in result["failures"]]
     kept = json.loads(files[0].read_text(encoding="utf-8"))["figures"]
-    status, printed, err = dbb("run", "--replay-case", str(files[0]), "--json")
-    assert status == 0, err
-    played = json.loads(printed)
+    played = json.loads(printed_here("run", "--replay-case", str(files[0]), "--json"))
     assert played["contacts"] == kept["contacts"]
     for name in ("min_clearance_m", "ee_error_final_m", "base_path_m", "torque_jump_max_nm"):
         assert rounded(played[name]) == kept[name], name

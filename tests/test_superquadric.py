@@ -11,9 +11,15 @@ from scipy.optimize import minimize
 from scipy.spatial import ConvexHull
 from scipy.special import beta
 
-from app.robot.meshes import shape_mesh
-from app.robot.shapes import Superquadric
-from app.robot.superquadric import INTERVALS, around_box, implicit, onto_surface, polytope_vertices
+from app.robot.shapes import (
+    INTERVALS,
+    Superquadric,
+    around_box,
+    implicit,
+    onto_surface,
+    polytope_vertices,
+    shape_mesh,
+)
 from app.strict import explain
 
 Array = np.ndarray

@@ -13,11 +13,10 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
-from app.studies.sweep.paths import Approach
-from app.studies.sweep.paths_start import Start, StartFinder
-from app.studies.sweep.plan import SweepPlan, Trial
-from app.studies.sweep.result import arrival, passes
-from app.studies.sweep.sweep import sweep
+from app.studies.sweep.plan import Approach, SweepPlan, Trial
+from app.studies.sweep.robots import GUIDED_LIMIT
+from app.studies.sweep.starts import Start, StartFinder
+from app.studies.sweep.sweep import arrival, passes, sweep
 
 pytestmark = pytest.mark.slow
 
@@ -158,6 +157,7 @@ def test_the_hand_has_arrived_when_it_stays_within_a_millimetre() -> None:
     [
         {"ee_error_final_m": 0.0011},
         {"min_clearance_m": 0.029},
+        {"min_clearance_m": None},
         {"contacts": 1},
         {"arm_contacts": 1},
         {"solver_failures": 1},
@@ -166,3 +166,9 @@ def test_the_hand_has_arrived_when_it_stays_within_a_millimetre() -> None:
 def test_any_one_flaw_fails_a_path(flaw: dict[str, Any]) -> None:
     assert passes(GOOD)
     assert not passes(GOOD | flaw)
+
+
+def test_a_guided_hand_may_be_farther_from_the_persons() -> None:
+    off = GOOD | {"ee_error_final_m": GUIDED_LIMIT}
+    assert passes(off, GUIDED_LIMIT)
+    assert not passes(off)

@@ -48,7 +48,7 @@ def test_one_object_on_standard_output_and_the_files_that_it_names(tmp_path: Pat
         str(out),
         "--json",
     )
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert json.loads((out / "sweep.json").read_text(encoding="utf-8")) == result
     assert sorted(p.name for p in out.iterdir()) == sorted(result["files"])

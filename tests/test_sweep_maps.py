@@ -16,12 +16,9 @@ from matplotlib.patches import Rectangle, Wedge
 
 from app.robot.model import RobotModel
 from app.studies.style import styled
-from app.studies.sweep.files import write_sweep
-from app.studies.sweep.maps import newest_map, read_map
-from app.studies.sweep.paths import AXIS_OFFSETS
-from app.studies.sweep.polar import Plan, polar_map
-from app.studies.sweep.polar_above import above_map
-from app.studies.sweep.polar_quantities import quantities
+from app.studies.sweep.files import newest_map, read_map, write_sweep
+from app.studies.sweep.maps import above_map, polar_map, quantities
+from app.studies.sweep.plan import AXIS_OFFSETS
 
 ROW: dict[str, Any] = {
     "speed_mps": 0.025,
@@ -103,7 +100,7 @@ def test_scales_rise_with_the_value_and_stay_within_their_ends(a: float, b: floa
 def test_each_direction_has_its_bar_and_each_closed_one_its_hatch(robot: RobotModel) -> None:
     shown = result()
     with styled():
-        figure = polar_map(shown, 0.3, 0.025, Plan.of(robot))
+        figure = polar_map(shown, 0.3, 0.025, robot)
     assert len(figure.axes) == 6
     for k, ax in enumerate(figure.axes):
         bars = wedges(ax)
@@ -115,7 +112,7 @@ def test_each_direction_has_its_bar_and_each_closed_one_its_hatch(robot: RobotMo
 
 def test_the_lobes_in_which_a_controller_fails_are_red_and_long(robot: RobotModel) -> None:
     with styled():
-        figure = polar_map(result(), 0.3, 0.025, Plan.of(robot))
+        figure = polar_map(result(), 0.3, 0.025, robot)
     dbb, barrier = (wedges(ax) for ax in figure.axes[:2])
     longest = max(w.r for w in dbb if not w.get_hatch())
     failing = [w for w in barrier if w.r > longest and not w.get_hatch()]
@@ -125,7 +122,7 @@ def test_the_lobes_in_which_a_controller_fails_are_red_and_long(robot: RobotMode
 
 def test_the_base_is_drawn_to_scale_with_its_wheel_axis(robot: RobotModel) -> None:
     with styled():
-        figure = polar_map(result(("dbb",)), 0.3, 0.025, Plan.of(robot))
+        figure = polar_map(result(("dbb",)), 0.3, 0.025, robot)
     assert len(figure.axes) == 3
     for ax in figure.axes:
         (base,) = (p for p in ax.patches if type(p) is Rectangle)
@@ -135,7 +132,7 @@ def test_the_base_is_drawn_to_scale_with_its_wheel_axis(robot: RobotModel) -> No
 
 def test_seen_from_above_every_place_has_a_square(robot: RobotModel) -> None:
     with styled():
-        figure = above_map(result(("dbb",)), 0.025, Plan.of(robot))
+        figure = above_map(result(("dbb",)), 0.025, robot)
     for ax in figure.axes:
         squares = [p for p in ax.patches if type(p) is Rectangle and p.get_fill()]
         middles = [np.add(p.get_xy(), (p.get_width() / 2, p.get_height() / 2)) for p in squares]

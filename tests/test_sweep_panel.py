@@ -13,8 +13,8 @@ import psutil
 import pytest
 
 from app.dashboard.job import Job
-from app.dashboard.panels import sweep as sweep_panel
-from app.dashboard.panels.sweep import STEP, SweepPanel, start_sweep
+from app.dashboard.panels import save
+from app.dashboard.panels.save import STEP, SweepPanel, start_sweep
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.errors import OutputError
 from app.studies.sweep.plan import SweepPlan
@@ -92,7 +92,7 @@ def test_the_button_starts_a_sweep_with_what_is_chosen_and_stopping_the_server_e
     dashboard.shared.tuning.set("force.f_max", 200.0)
     plans: list[SweepPlan] = []
     monkeypatch.setattr(
-        sweep_panel,
+        save,
         "start_sweep",
         lambda job, plan, folder: (plans.append(plan), start_sweep(job, plan, folder)),
     )

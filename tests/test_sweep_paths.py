@@ -7,21 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from app.avoidance.distances import DistanceMonitor
+from app.avoidance.closest_points import DistanceMonitor
 from app.border.cache import BorderData
 from app.border.mobile import MobileBody
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.studies.sweep import paths_start
-from app.studies.sweep.paths import (
-    AXIS_OFFSETS,
-    Approach,
-    from_above,
-    outline_distance,
-    ring,
-    wheel_axis,
-)
-from app.studies.sweep.paths_start import Start, StartFinder
+from app.studies.sweep import starts
+from app.studies.sweep.plan import AXIS_OFFSETS, Approach, from_above, ring, way_out, wheel_axis
+from app.studies.sweep.starts import Start, StartFinder
 
 D_B, DISTANCE = 0.15, 0.17  # [m]
 
@@ -58,8 +51,9 @@ def test_a_ring_has_every_direction_once_at_every_height(step: float) -> None:
 def test_the_outline_is_where_a_ray_leaves_the_rectangle(angle: float, a: float, b: float) -> None:
     half = np.array([a, b])
     direction = np.array([np.cos(angle), np.sin(angle)])
-    r = outline_distance(direction, half)
-    assert np.max(np.abs(r * direction) / half) == pytest.approx(1.0)
+    within = np.array([0.3 * a, -0.2 * b])
+    r = way_out(within, direction, -half, half)
+    assert np.max(np.abs(within + r * direction) / half) == pytest.approx(1.0)
 
 
 @given(st.floats(0.05, 0.9))
@@ -131,7 +125,7 @@ def test_from_above_the_hand_begins_over_its_place_with_the_way_down_free(
 
 @pytest.mark.slow
 def test_what_cannot_begin_says_why(finder: StartFinder, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(paths_start, "_SEARCHES", ((0.0, 0),))
+    monkeypatch.setattr(starts, "_SEARCHES", ((0.0, 0),))
     behind = finder.find(Approach("side", 0.3, 180.0), DISTANCE)
     assert "out of the arm's reach" in behind.reason
     assert behind.q_m == ()

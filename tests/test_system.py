@@ -137,6 +137,41 @@ def test_without_a_real_time_policy_a_process_comes_first_by_its_niceness_alone(
     assert wished == [(os.PRIO_PROCESS, 0, -10)]
 
 
+@pytest.mark.parametrize(("cores", "claimed"), [(1, False), (2, False), (3, True)])
+def test_only_with_a_core_to_spare_the_real_time_policy_is_claimed(
+    cores, claimed, monkeypatch
+) -> None:
+    wished = []
+    monkeypatch.setattr(system, "usable_cores", lambda: cores)
+    monkeypatch.setattr(system.resource, "setrlimit", lambda *_: None)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
+    monkeypatch.setattr(os, "setpriority", lambda *_: None)
+    monkeypatch.setattr(os, "sched_setscheduler", lambda *wish: wished.append(wish), raising=False)
+    system.come_first(-10)
+    assert bool(wished) is claimed
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="no real-time policy here")
+def test_who_does_not_pause_within_the_budget_loses_the_real_time_policy() -> None:
+    code = (
+        "import os, threading, time\nfrom app import system\nsystem.usable_cores = lambda: 4\n"
+        "begun = threading.Event()\n"
+        "def work(): begun.wait(); time.sleep(0.1); print(os.sched_getscheduler(0))\n"
+        "system.come_first(-10)\nprint(os.sched_getscheduler(0), flush=True)\n"
+        "other = threading.Thread(target=work)\nother.start()\n"
+        "end = time.process_time() + 3.0\n"
+        "while os.sched_getscheduler(0) == os.SCHED_RR and time.process_time() < end: pass\n"
+        "print(os.sched_getscheduler(0), flush=True)\nbegun.set()\nother.join()"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True, timeout=120
+    )
+    first, *later = done.stdout.split()
+    if first != str(os.SCHED_RR):
+        pytest.skip("this user may not use the real-time policy")
+    assert later == [str(os.SCHED_OTHER)] * 2, done.stderr
+
+
 @pytest.mark.usefixtures("mac")
 def test_without_malloc_trim_nothing_is_given_back_and_output_is_flushed() -> None:
     system.give_freed_memory_back()

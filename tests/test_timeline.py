@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from app.dashboard.panels.timeline import FRAME, REACH, Timeline
-from app.simulation.trace.history import History
+from app.dashboard.panels.timeline import FRAME, MOST_MARKED, Timeline
+from app.dashboard.record import BIN, Strip
+from app.errors import LogError
+from app.simulation.trace.trace import History
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
 
@@ -18,11 +20,13 @@ class Past:
     def __init__(self, seconds: float) -> None:
         self._snapshot = ScriptedLoop(husky_panda()).latest()
         self._history = History()
+        self.strip = Strip(husky_panda().body_names)
         self.run(0.0, seconds)
 
     def run(self, begin: float, end: float) -> None:
         for k in range(round(begin / FRAME), round(end / FRAME) + 1):
             self._history.add(replace(self._snapshot, t=k * FRAME))
+            self.strip.extend([self.latest()], self.latest().t)
 
     def latest(self):
         return self._history.latest
@@ -31,59 +35,51 @@ class Past:
         return self._history.after(after)
 
 
+def line_of(past: Past) -> Timeline:
+    return Timeline(past, past.strip)
+
+
 def test_it_begins_live_and_follows_the_simulation():
     past = Past(2.0)
-    timeline = Timeline(past)
+    timeline = line_of(past)
     assert timeline.live
     past.run(2.0, 5.0)
     assert timeline.shown().t == pytest.approx(5.0)
 
 
-@pytest.mark.parametrize("back", [0.02, 0.5, 3.33, 5.0])
-def test_looking_back_shows_that_instant_though_the_simulation_goes_on(back):
+@pytest.mark.parametrize("t", [5.98, 5.5, 2.67, 1.0])
+def test_looking_back_shows_that_instant_though_the_simulation_goes_on(t):
     past = Past(6.0)
-    timeline = Timeline(past)
-    timeline.look_back(back)
-    assert timeline.shown().t == pytest.approx(6.0 - back, abs=FRAME / 2)
+    timeline = line_of(past)
+    timeline.go_to(t)
+    assert timeline.shown().t == pytest.approx(t, abs=FRAME / 2)
     past.run(6.0, 9.0)
-    assert timeline.shown().t == pytest.approx(6.0 - back, abs=FRAME / 2)
-    assert timeline.back == pytest.approx(back, abs=FRAME / 2)
+    assert timeline.shown().t == pytest.approx(t, abs=FRAME / 2)
     timeline.go_live()
     assert timeline.shown().t == pytest.approx(9.0)
 
 
-def test_looking_back_is_measured_from_where_the_viewer_stopped():
-    past = Past(6.0)
-    timeline = Timeline(past)
-    timeline.look_back(1.0)
-    past.run(6.0, 8.0)
-    timeline.look_back(2.0)
-    assert timeline.shown().t == pytest.approx(4.0)
-
-
 def test_steps_go_on_and_back_by_single_snapshots():
-    timeline = Timeline(Past(6.0))
-    timeline.look_back(3.0)
+    timeline = line_of(Past(6.0))
+    timeline.go_to(3.0)
     timeline.step(FRAME)
     assert timeline.shown().t == pytest.approx(3.0 + FRAME)
     timeline.step(-2 * FRAME)
     assert timeline.shown().t == pytest.approx(3.0 - FRAME)
 
 
-@pytest.mark.parametrize("back", [1e9, REACH])
-def test_nobody_looks_back_farther_than_what_is_kept(back):
-    past = Past(70.0)
-    timeline = Timeline(past)
-    timeline.look_back(back)
-    assert timeline.shown().t == pytest.approx(past.history(-1.0)[0].t)
-    timeline.step(-5.0)
-    assert timeline.shown().t == pytest.approx(past.history(-1.0)[0].t)
+def test_what_is_older_than_a_minute_is_still_there_in_steps():
+    timeline = line_of(Past(90.0))
+    timeline.go_to(10.0)
+    assert timeline.shown().t == pytest.approx(10.0, abs=2 * BIN)
+    timeline.go_to(-5.0)
+    assert timeline.shown().t == pytest.approx(0.0, abs=2 * BIN)
 
 
-def test_a_restart_of_the_simulation_ends_looking_back_and_the_marks():
+def test_a_restart_of_the_simulation_ends_looking_back_and_an_open_mark():
     past = Past(6.0)
-    timeline = Timeline(past)
-    timeline.look_back(1.0)
+    timeline = line_of(past)
+    timeline.go_to(5.0)
     timeline.mark_begin()
     past.run(0.0, 0.1)
     assert timeline.shown().t == pytest.approx(0.1)
@@ -91,28 +87,68 @@ def test_a_restart_of_the_simulation_ends_looking_back_and_the_marks():
     assert timeline.begin is None
 
 
-def test_the_marked_interval_is_what_is_exported():
-    timeline = Timeline(Past(6.0))
-    timeline.look_back(4.0)
+def mark(timeline: Timeline, begin: float, end: float) -> None:
+    timeline.go_to(begin)
     timeline.mark_begin()
-    timeline.look_back(1.0)
+    timeline.go_to(end)
     timeline.mark_end()
+
+
+def test_the_marked_interval_is_what_is_exported():
+    timeline = line_of(Past(6.0))
+    mark(timeline, 2.0, 5.0)
     times = [snapshot.t for snapshot in timeline.interval()]
     assert times[0] == pytest.approx(2.0)
     assert times[-1] == pytest.approx(5.0)
     assert len(times) == round(3.0 / FRAME) + 1
 
 
-def test_without_marks_all_that_is_kept_is_exported():
+@pytest.mark.parametrize("then", [(6.0, 100.0), (0.0, 1.0)])
+def test_a_marked_interval_is_kept_whole_however_long_ago_and_after_a_restart(then):
     past = Past(6.0)
-    assert len(Timeline(past).interval()) == len(past.history(-1.0))
+    timeline = line_of(past)
+    mark(timeline, 2.0, 5.0)
+    past.run(*then)
+    timeline.shown()
+    assert len(timeline.interval()) == round(3.0 / FRAME) + 1
+
+
+def test_an_interval_that_is_open_is_kept_from_its_begin_on_and_ends_by_itself():
+    past = Past(6.0)
+    timeline = line_of(past)
+    timeline.go_to(5.0)
+    timeline.mark_begin()
+    timeline.go_live()
+    for second in range(6, 100):
+        past.run(second, second + 1)
+        timeline.shown()
+    assert len(timeline.interval()) == round(95.0 / FRAME) + 1
+    timeline.begin = 100.0 - MOST_MARKED  # as if it had been so long
+    past.run(100.0, 101.0)
+    timeline.shown()
+    assert timeline.end == pytest.approx(100.0)
+
+
+def test_without_marks_all_of_the_last_minute_is_exported():
+    past = Past(6.0)
+    assert len(line_of(past).interval()) == len(past.history(-1.0))
+
+
+def test_a_single_instant_is_refused_by_name():
+    timeline = line_of(Past(6.0))
+    mark(timeline, 5.0, 5.01)
+    timeline.unmark()
+    timeline.go_to(0.0)
+    timeline.mark_end()
+    with pytest.raises(LogError, match="single instant"):
+        timeline.interval()
 
 
 def test_an_end_before_the_begin_takes_the_begin_away():
-    timeline = Timeline(Past(6.0))
-    timeline.look_back(1.0)
+    timeline = line_of(Past(6.0))
+    timeline.go_to(5.0)
     timeline.mark_begin()
-    timeline.look_back(4.0)
+    timeline.go_to(2.0)
     timeline.mark_end()
-    assert timeline.begin is None
+    assert timeline.begin == pytest.approx(0.0)
     assert timeline.end == pytest.approx(2.0)

@@ -8,10 +8,8 @@ from time import perf_counter
 import numpy as np
 import pytest
 
-from app.avoidance.activation import activation
-from app.avoidance.task import TaskRows, generate_avoidance_task
-from app.control.qp import Objective
-from app.control.transition import insert_rows
+from app.avoidance.task import TaskRows, activation, generate_avoidance_task
+from app.control.qp import Objective, insert_rows
 
 Array = np.ndarray
 
@@ -137,13 +135,13 @@ def random_path(seed: int, steps: int) -> Array:
     return beta**2 * (3.0 - 2.0 * beta)
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 def test_along_smooth_activations_nothing_jumps_and_the_printed_blend_does(seed: int) -> None:
     """Steps a tenth as long change the answer by about a tenth; a jump would stay what it is."""
     problem = Problem(seed)
-    coarse, fine = (largest_step(problem.solve, random_path(seed, n)) for n in (2000, 20_000))
+    coarse, fine = (largest_step(problem.solve, random_path(seed, n)) for n in (1000, 10_000))
     assert fine < 0.2 * coarse
-    coarse, fine = (largest_step(problem.printed, random_path(seed, n)) for n in (2000, 20_000))
+    coarse, fine = (largest_step(problem.printed, random_path(seed, n)) for n in (1000, 10_000))
     assert fine > 0.5 * coarse
 
 

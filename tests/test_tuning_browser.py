@@ -6,6 +6,7 @@ import pytest
 
 from app.config import Config
 from app.config_file import read_config
+from app.dashboard.notifications import Notifier
 from app.simulation.loop.commands import Configure
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
@@ -28,7 +29,9 @@ def box(tab, label):
     return tab.row(label).locator("input[type=text], input[inputmode]").last
 
 
-def test_what_is_typed_saved_loaded_and_undone_is_what_both_viewers_see(browser, served, tmp_path):
+def test_what_is_typed_saved_loaded_and_undone_is_what_both_viewers_see(
+    browser, served, tmp_path, monkeypatch
+):
     server, loop = served
     tabs = [DashboardTab(browser, server.address) for _ in range(2)]
     for tab in tabs:
@@ -54,9 +57,18 @@ def test_what_is_typed_saved_loaded_and_undone_is_what_both_viewers_see(browser,
     first.click("Undo")
     wait_for(lambda: box(second, "d_b [m]").input_value() == "0.225")
 
-    second.set_slider("d_b [m]", 7)
-    second.page.get_by_text("must be within 0.06 to 0.3 m").wait_for()
-    wait_for(lambda: box(second, "d_b [m]").input_value() == "0.225")
+    said = []
+    monkeypatch.setattr(Notifier, "warn", lambda self, client, text: said.append(text))
+    for wrong in ("7", "abc", "", "1e9", "-5"):
+        box(second, "d_b [m]").click()
+        second.page.keyboard.press("Control+a")
+        second.page.keyboard.press("Delete")
+        second.page.keyboard.type(wrong)
+        second.page.keyboard.press("Tab")
+        named = f"“{wrong}”" if wrong else "an empty box"
+        line = f"d_b [m] takes a number from 0.06 to 0.3, not {named}; it stays at 0.225."
+        wait_for(lambda line=line: said[-1:] == [line], what=line)
+        assert box(second, "d_b [m]").input_value() == "0.225"
     assert configured(loop)[-1] == Config().replace("border.d_b", 0.225)
     assert all(config.border.d_b <= 0.25 for config in configured(loop))
     for tab in tabs:

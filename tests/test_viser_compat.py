@@ -13,16 +13,21 @@ from app.dashboard.viser_compat import close_server, open_server
 
 ROOM = Path(__file__).resolve().parent.parent / "app" / "dashboard"
 ONE_FILE = "viser_compat.py"
-OURS = {"_replace", "_exit"}
+OURS = {"_replace", "_fields", "_exit"}
 """Of NamedTuples, and of `os`."""
 OF_THE_SERVER = {"_websock_server"}
-OF_A_CLIENT = {"_websock_connection"}
+OF_A_CLIENT = {"_websock_connection", "_viser_server"}
 OF_ITS_CAMERA = {"_state"}
 OF_A_WIDGET = {"_impl"}
-OF_CONNECTIONS = {"_live_connections"}
+OF_CONNECTIONS = {
+    "_live_connections",
+    "_background_event_loop",
+    "_broadcast_buffer",
+    "_client_state_from_id",
+}
 OF_AN_EVENT = {"_value", "_waiters"}
 """Of asyncio, which viser's queue waits for."""
-ALSO = {"messages.py": {"_messages"}}
+ALSO = {"gate.py": {"_messages"}}
 """What a page may send is told by viser's own types of messages."""
 
 

@@ -54,6 +54,7 @@ def test_a_robot_without_its_meshes_is_drawn_by_its_bodies_and_its_title_says_so
 
 
 def test_with_its_meshes_it_is_drawn_by_them(robot) -> None:
+    pytest.importorskip("pybullet_data")
     parts = RobotParts(robot)
     assert parts.title == robot.description.title
     assert len(parts.visuals) > len(parts.bodies)
@@ -67,6 +68,7 @@ def test_the_dynamics_do_not_depend_on_meshes(robot) -> None:
 
 
 def test_without_eaik_the_restarts_find_inverse_kinematics(robot, monkeypatch) -> None:
+    pytest.importorskip("eaik")
     chain = Chain(robot, "lEE")
     assert make_solver(chain, restarts=8).method == "analytic"
     monkeypatch.setattr(reach_solver, "HPRobot", None)

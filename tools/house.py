@@ -146,10 +146,11 @@ def step_files() -> list[str]:
     at_rest = Measurement(np.zeros(3), np.zeros(2), q_m, np.zeros(len(q_m)))
     controller = Controller(robot.model, robot.data, Config())
     controller.step(at_rest)
+    compiled = _kernels()
     entered: dict[str, None] = {}
 
     def note(frame: FrameType, event: str, _: object) -> None:
-        if event == "call":
+        if event == "call" and (frame.f_code.co_filename, frame.f_code.co_name) not in compiled:
             entered[frame.f_code.co_filename] = None
 
     sys.setprofile(note)
@@ -159,6 +160,16 @@ def step_files() -> list[str]:
         sys.setprofile(None)
     inside = [Path(name) for name in entered if Path(name).is_relative_to(APP)]
     return [path.relative_to(PROJECT).as_posix() for path in inside]
+
+
+def _kernels() -> set[tuple[str, str]]:
+    """File and name of what numba has compiled, and yet tells a profiler of."""
+    from numba.core.dispatcher import Dispatcher
+
+    modules = [module for name, module in sys.modules.items() if name.startswith("app.")]
+    things = [thing for module in modules for thing in vars(module).values()]
+    codes = [thing.py_func.__code__ for thing in things if isinstance(thing, Dispatcher)]
+    return {(code.co_filename, code.co_name) for code in codes}
 
 
 def measures(step: list[str]) -> list[Measure]:

@@ -7,6 +7,7 @@ from itertools import product
 from typing import Any, NamedTuple
 
 from app.control.controller import CONTROLLERS
+from benchmarks.gallery import ROBOTS as GALLERY
 from benchmarks.peers.names import PEERS
 from benchmarks.peers.table import markdown as peers_table
 
@@ -286,6 +287,27 @@ def study_table(found: Figures) -> str:
     return grid(["force exerted until near", *columns], rows)
 
 
+def gallery_table(found: Figures) -> str:
+    """A line a robot: what was made and how its checks ended, or why it was not."""
+    rows = []
+    for name, row in found.items():
+        checks = row.get("checks", {}).items()
+        told = [f"{check}: {each['outcome']}" for check, each in checks]
+        told = [line for line in told if not line.endswith(": passed")]
+        rows.append(
+            [
+                f"`{name}`",
+                row["verdict"],
+                number(row["elapsed_s"], "s"),
+                ", ".join(row.get("pairs", [])),
+                number(100 * row["unseen_share"], "%") if "unseen_share" in row else "",
+                row.get("refusal", "; ".join(told)).replace("|", "\\|"),
+            ]
+        )
+    head = ["robot", "verdict", "made in", "pairs", "unseen collisions", "what did not pass"]
+    return grid(head, rows)
+
+
 def keep_study(printed: dict[str, Any]) -> dict[str, Any]:
     """What the table and its sentence show."""
     keys = ("cases", "failed", "failed_rate_bound_95", "entered_buffer_share", "by_force")
@@ -309,6 +331,19 @@ def buffer_table(found: Figures) -> str:
     cells = [[f"{need:.2f} m" if need else "none" for need in row.values()] for row in rows]
     head = ["speed", *rows[0]]
     return grid(head, [[v, *line] for v, line in zip(speeds, cells, strict=True)])
+
+
+def claims_table(found: Figures) -> str:
+    """A line a claim of the paper: what it says, what was measured here, whether it holds."""
+    columns = ("section", "figure", "paper", "measured")
+    rows = [
+        [
+            *(str(claim[key]).replace("|", "\\|") for key in columns),
+            "yes" if claim["holds"] else "**no**",
+        ]
+        for claim in found["claims"]["claims"]
+    ]
+    return grid(["§", "figure", "the paper says", "here", "holds"], rows)
 
 
 def house_table(found: Figures) -> str:
@@ -343,6 +378,11 @@ SETS: dict[str, ResultSet] = {
         keep_run,
         disturbances_table,
     ),
+    "claims": ResultSet(
+        {"claims": ("app", "reproduce", "--out", "out/results/reproduction", "--json")},
+        lambda printed: {"claims": printed["claims"]},
+        claims_table,
+    ),
     "buffer": ResultSet({"rows": law("buffer")}, keep_all, buffer_table),
     "law": ResultSet(
         {
@@ -368,6 +408,15 @@ SETS: dict[str, ResultSet] = {
         {name: ("app", "sweep", "robots", "--robots", name, "--json") for name in ROBOTS},
         keep_robots,
         robots_table,
+    ),
+    "gallery": ResultSet(
+        {
+            name: ("benchmarks.gallery", "--robots", name, "--again", "--quick", "--json")
+            for name in GALLERY
+        },
+        lambda printed: next(iter(printed.values())),
+        gallery_table,
+        default=False,
     ),
     "study": ResultSet(
         {"pulls": ("app", "study", *PULLS, "--out", "out/results/study", "--json")},

@@ -24,7 +24,9 @@ from unittest import mock
 from app.cli.main import main as dbb
 from app.config import sections
 from app.parameters import Parameter
-from app.studies.pulls.draw_range import LOGARITHMIC, StudyRange
+from app.simulation.scenarios.names import SCENARIOS
+from app.simulation.trace.metrics import DOOR, FIGURES
+from app.studies.pulls.parameters import LOGARITHMIC, StudyRange
 from tools import results
 from tools.measured import grid
 
@@ -83,7 +85,7 @@ def parameters() -> str:
 
 
 def study_range() -> str:
-    """What `dbb study` draws its cases from, from the record of app/studies/pulls/draw_range.py."""
+    """What `dbb study` draws its cases from, from the record of app/studies/pulls/parameters.py."""
     rows = []
     for name, field in StudyRange.model_fields.items():
         unit, _, text = (field.description or "[-]").removeprefix("[").partition("]")
@@ -96,15 +98,23 @@ def study_range() -> str:
 
 
 def commands() -> str:
-    """The help of each command, as it prints it."""
-    return "\n\n".join(
-        f"### `dbb {name}`\n\n```text\n{help_of(name)}\n```" for name in command_names()
+    """The help of each command, as it prints it, and which options a scenario has of its own."""
+    own = grid(
+        ["scenario", "its own options"],
+        [
+            [f"`{name}`", ", ".join(f"`--{each.replace('_', '-')}`" for each in scenario.options)]
+            for name, scenario in SCENARIOS.items()
+        ],
+    )
+    return f"{own}\n\n" + "\n\n".join(
+        f"### `dbb {name}`\n\n```text\n{help_of(*name.split())}\n```" for name in command_names()
     )
 
 
 def command_names() -> list[str]:
     """The commands in the order of `dbb --help`."""
-    return list(dict.fromkeys(COMMAND.findall(help_of())))
+    names = list(dict.fromkeys(COMMAND.findall(help_of())))
+    return [*names[: names.index("sweep") + 1], "sweep robots", *names[names.index("sweep") + 1 :]]
 
 
 def help_of(*words: str) -> str:
@@ -118,6 +128,14 @@ def help_of(*words: str) -> str:
     ):
         dbb([*words, "--help"])
     return "\n".join(line.rstrip() for line in printed.getvalue().strip().splitlines())
+
+
+def figures() -> str:
+    """The figures of a run, by their keys."""
+    return grid(
+        ["key", "what it is"],
+        [[f"`{key}`", figure.about] for key, figure in {**FIGURES, **DOOR}.items()],
+    )
 
 
 def rooms() -> str:
@@ -152,6 +170,7 @@ BLOCKS: dict[str, Callable[..., str]] = {
     "results": results.table,
     "parameters": parameters,
     "commands": commands,
+    "figures": figures,
     "study_range": study_range,
     "rooms": rooms,
     "step": step,

@@ -12,11 +12,11 @@ from matplotlib.axes import Axes
 
 from app.border.mobile import MobileBody
 from app.border.offset import OffsetContours
-from app.onboarding.fit.rigid_groups import units_of_links
-from app.onboarding.read.geometry import read_geometry
+from app.onboarding.fit.collision_sampling import moved, units_of_links
+from app.onboarding.read.links import read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
-from app.onboarding.write.report import BODY_COLOURS, _fill, _placements, _seen, body_corners
+from app.onboarding.report import BODY_COLOURS, _fill, _placements, body_corners
 from app.robot.assets import load_robot, urdf_path
 from app.robot.model import RobotModel
 from app.studies.style import SOFT, new_figure, png_of, styled
@@ -34,7 +34,7 @@ def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
     for units in units_of_links(model, geometry).values():
         for unit in units:
             for part in unit.parts:
-                _fill(axes, _seen(placed[unit.joint], part.corners), x, y, SOFT, 0.5)
+                _fill(axes, moved(part.corners, placed[unit.joint]), x, y, SOFT, 0.5)
     for k, name in enumerate(model.body_names):
         for corners in body_corners(model, placed, name):
             _fill(axes, corners, x, y, BODY_COLOURS[k % len(BODY_COLOURS)], 0.3)

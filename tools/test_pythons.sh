@@ -39,7 +39,7 @@ while read -r python <&3; do
     rm -rf "$venv"
     echo "== $full: $python"
     began=$SECONDS
-    if PYTHON=$python tools/venv.sh "$venv" '.[dev]' >"$log" 2>&1; then
+    if PYTHON=$python tools/venv.sh "$venv" dev >"$log" 2>&1; then
         installed=$((SECONDS - began))
         began=$SECONDS
         OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 "$venv/bin/python" -m pytest -q \

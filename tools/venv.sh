@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # Make a virtual environment, unless it is there, and install this project in it: by uv where there
 # is one, else by pip.
-# Usage: [PYTHON=python] tools/venv.sh FOLDER [REQUIREMENT], such as .[all] or .[dev]
+# Usage: [PYTHON=python] tools/venv.sh FOLDER [EXTRA], such as all or dev
 set -euo pipefail
 folder=$1
-requirement=${2:-}
+extra=${2:-}
 
 # CPython of 64 bits with its lock, as the libraries' wheels want it; without uv, with venv and pip.
 supported() {
@@ -39,15 +39,23 @@ if [ ! -x "$folder/bin/python" ]; then
         :
     elif [ -n "$python" ]; then
         "$python" -m venv "$folder"
-        "$folder/bin/python" -m pip install --quiet 'pip>=22'  # older ones cannot install in place
+        # pip 23.0, which Python 3.10 brings, tries versions for ten minutes where a new one takes seconds.
+        "$folder/bin/python" -m pip install --quiet --upgrade pip
     else
         echo "No CPython 3.10 to 3.14 with venv found: install uv (https://docs.astral.sh/uv) or Debian's python3-venv, or name one: make PYTHON=/path/to/python3 ..." >&2
         exit 1
     fi
 fi
-if [ -z "$requirement" ]; then exit 0; fi
+if [ -z "$extra" ]; then exit 0; fi
 if command -v uv >/dev/null; then
-    uv pip install --quiet --python "$folder/bin/python" -e "$requirement"
+    install=(uv pip install --quiet --python "$folder/bin/python")
 else
-    "$folder/bin/python" -m pip install --quiet --disable-pip-version-check -e "$requirement"
+    install=("$folder/bin/python" -m pip install --quiet --disable-pip-version-check)
+fi
+# The versions that were tested, each with its hash (tools/lock.sh); what has none is searched for.
+if [ -f "requirements/$extra.txt" ]; then
+    "${install[@]}" --require-hashes -r "requirements/$extra.txt"
+    "${install[@]}" --no-deps -e .
+else
+    "${install[@]}" -e ".[$extra]"
 fi

@@ -68,7 +68,9 @@ def compiled(arguments: list[str]) -> Outcome:
     Raises:
         IndexUnreachableError: No package index answers.
     """
-    command = [sys.executable, "-m", "uv", "pip", "compile", "--quiet", "--only-binary", ":all:"]
+    # Nothing is built, so any interpreter will do: else uv looks for that Python, or downloads it.
+    uv = [sys.executable, "-m", "uv", "pip", "compile", "--python", sys.executable]
+    command = [*uv, "--quiet", "--only-binary", ":all:"]
     done = subprocess.run(
         [*command, "--no-header", "--no-annotate", "--color", "never", *arguments],
         cwd=PROJECT,

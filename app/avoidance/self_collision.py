@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 
-from app.avoidance.acting_point import ActingPoint, ActingPointFinder
-from app.avoidance.activation import activation, mobile_activation
-from app.avoidance.distances import ClosestPoints, DistanceMonitor
-from app.avoidance.mobile_acceleration import PairForce, avoidance_force, generate_mob_acc
-from app.avoidance.repulsion import generate_rep_acc
-from app.avoidance.task import TaskRows, mobile_rows, repulsive_rows
+from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
+from app.avoidance.mobile_acceleration import (
+    ActingPoint,
+    ActingPointFinder,
+    PairForce,
+    avoidance_force,
+    generate_mob_acc,
+)
+from app.avoidance.task import (
+    TaskRows,
+    activation,
+    generate_rep_acc,
+    mobile_activation,
+    mobile_rows,
+)
 from app.border.cloud import Cloud
 from app.border.dbb import construct_dbb
 from app.border.offset import OffsetContours
@@ -71,6 +81,10 @@ class Avoidance(NamedTuple):
         return self.pairs[: self.n_mobile]
 
 
+BUFFER_RATE = 0.1
+"""[m/s] at which the buffer takes on another d_b."""
+
+
 class SelfCollisionAvoidance:
     """Builds the avoidance task of each control step; holds the borders for d_b and ε."""
 
@@ -90,10 +104,24 @@ class SelfCollisionAvoidance:
         self._clouds = clouds
         self._monitor = DistanceMonitor(state, [*pairs.mobile, *pairs.manipulator])
         self._config = config
+        self._d_b: float | None = None  # none in force before the first step
         self._finders = self._make_finders(config)
 
+    def reset(self) -> None:
+        """Let the configured buffer distance hold from the next step on."""
+        self._d_b = None
+
+    @property
+    def d_b(self) -> float:
+        """[m] the buffer distance in force."""
+        return self._config.border.d_b if self._d_b is None else self._d_b
+
     def configure(self, config: Config) -> None:
-        """Use other parameters; another d_b or ε selects other borders from the same clouds."""
+        """Use other parameters; another d_b or ε selects other borders from the same clouds.
+
+        The buffer itself grows or shrinks to it by `BUFFER_RATE`: an arm inside of it would be
+        thrown aside.
+        """
         if config.border != self._config.border:
             self._finders = self._make_finders(config)
         self._config = config
@@ -102,14 +130,15 @@ class SelfCollisionAvoidance:
         """The score by which a pair of L_m chooses its acting points, by the pair's name."""
         return self._finders[pair].field
 
-    def update(self) -> Avoidance:
-        """The avoidance task at the state's configuration.
+    def update(self, dt: float = math.inf) -> Avoidance:
+        """The avoidance task at the state's configuration, `dt` [s] after the last one.
 
         Paper: Algorithm 2, lines 3 to 13.
         """
-        border, n_mobile = self._config.border, len(self._pairs.mobile)
+        n_mobile, way = len(self._pairs.mobile), BUFFER_RATE * dt
+        self._d_b = self.d_b + min(max(self._config.border.d_b - self.d_b, -way), way)
         closest = self._monitor.find_closest_points(
-            within=border.d_b, blend=self._config.activation.blend
+            within=self.d_b, blend=self._config.activation.blend
         )
         mobile = [self._mobile_pair(c) for c in closest[:n_mobile]]
         others = [PairState(c, self._beta(c.d), None, np.zeros(3)) for c in closest[n_mobile:]]
@@ -120,11 +149,15 @@ class SelfCollisionAvoidance:
         rows_m = None
         if beta_m > 0.0:
             rows_m = mobile_rows(self._state.model.J_m, self._state.model.n, xdd_m, beta_m)
-        links = self._rows_between_links(others)
+        links = tuple(
+            generate_rep_acc(self._state, pair.closest, self._config.repulsion, pair.beta)
+            for pair in others
+            if pair.beta > 0.0
+        )
         return Avoidance((*mobile, *others), n_mobile, xdd_m, beta_m, rows_m, links)
 
     def _beta(self, d: float) -> float:
-        return activation(d, self._config.border.d_b, self._config.activation.d_full)
+        return activation(d, self.d_b, self._config.activation.d_full)
 
     def _mobile_pair(self, closest: ClosestPoints) -> PairState:
         """Lines 4 to 6 for one pair of L_m."""
@@ -142,17 +175,9 @@ class SelfCollisionAvoidance:
             closest.d,
             self._state.R_world_base.T @ closest.n,
             f_max=self._config.force.f_max,
-            d_b=self._config.border.d_b,
+            d_b=self.d_b,
         )
         return PairState(closest, beta, acting, f)
-
-    def _rows_between_links(self, others: list[PairState]) -> tuple[TaskRows, ...]:
-        """Lines 8 to 11."""
-        return tuple(
-            repulsive_rows(generate_rep_acc(self._state, p.closest, self._config.repulsion), p.beta)
-            for p in others
-            if p.beta > 0.0
-        )
 
     def _make_finders(self, config: Config) -> dict[str, ActingPointFinder]:
         model = self._state.model

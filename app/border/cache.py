@@ -1,23 +1,37 @@
-"""The border of a robot, from a file if there is one, else sampled once and kept."""
+"""The pairs and clouds of a robot, from a file if there is one, else sampled once and kept."""
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
+from functools import partial
+from typing import Literal, NamedTuple
 
-from app.border import archive
-from app.border.checked_file import DamagedFileError
-from app.border.cloud import Cloud
-from app.border.key import FORMAT, border_key
-from app.border.sampling.config import SamplingConfig
-from app.robot import assets
-from app.robot.link_pairs import LinkPairs, find_link_pairs
+import numpy as np
+
+from app.border.cloud import Cloud, make_cloud
+from app.border.config import SamplingConfig
+from app.border.kept import (
+    Arrays,
+    DamagedFileError,
+    Header,
+    digest,
+    find_kept,
+    header_of,
+    keep,
+    robot_content,
+)
+from app.robot.description import RobotDescription
+from app.robot.link_pairs import LinkPairs, Pair, find_link_pairs
 from app.robot.model import RobotModel
+from app.strict import Finite, NonNegative
 
-_log = logging.getLogger(__name__)
+Array = np.ndarray
+
+FORMAT = 2
+"""Number of the file's layout and of the way of sampling; a new one outdates all files."""
+_BLOCK = np.array([80, 80, 50])  # [0.1 mm] points are told by their block and their place in it
+_PARTS = ("blocks", "places", "distances")
 
 
 @dataclass(frozen=True)
@@ -44,9 +58,6 @@ def load_border_data(
     on_progress: Callable[[float], None] | None = None,
 ) -> BorderData:
     """Pairs and clouds of a robot.
-
-    A file that is damaged or of another robot is never believed: it is sampled anew, with a
-    warning. A cache that cannot be written costs a warning and the time to sample again.
 
     Args:
         model: The robot.
@@ -75,7 +86,7 @@ def load_border_data(
         on_progress=on_progress,
     )
     key = border_key(model.description, sampling)
-    _write(assets.cache_folder() / _name(model, key), archive.Content(pairs, clouds), key)
+    keep(model.description.name, *pack(Content(pairs, clouds), key))
     return BorderData(pairs, clouds, "sampled")
 
 
@@ -88,30 +99,101 @@ def kept_border_data(
         AssetError: The URDF or a mesh is not there.
     """
     key = border_key(model.description, sampling or SamplingConfig())
-    name = _name(model, key)
-    if content := _read(assets.cache_folder() / name, key):
-        return BorderData(content.pairs, content.clouds, "cache")
-    if content := _read(assets.SHIPPED_CACHE / name, key):
-        return BorderData(content.pairs, content.clouds, "shipped")
-    return None
+    found = find_kept(model.description.name, key, partial(unpack, key=key))
+    return found and BorderData(*found[0], found[1])
 
 
-def _name(model: RobotModel, key: str) -> str:
-    return f"{model.description.name}-{key}.npz"
+def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
+    """32 hexadecimal digits that change whenever the border could.
+
+    Raises:
+        AssetError: The URDF or a mesh is not there.
+    """
+    return digest(
+        {"format": FORMAT, **robot_content(description), "sampling": sampling.model_dump()}
+    )
 
 
-def _read(path: Path, key: str) -> archive.Content | None:
-    try:
-        return archive.read(path, key=key, layout=FORMAT)
-    except FileNotFoundError:
-        return None
-    except DamagedFileError as error:
-        _log.warning("%s is not used: %s", path, error)
-        return None
+class Content(NamedTuple):
+    """What a file holds."""
+
+    pairs: LinkPairs
+    clouds: dict[str, Cloud]
 
 
-def _write(path: Path, content: archive.Content, key: str) -> None:
-    try:
-        archive.write(path, content, key=key, layout=FORMAT)
-    except OSError as error:
-        _log.warning("%s cannot be kept (%s); it will be sampled again", path, error.strerror)
+class _Header(Header):
+    format: int
+    mobile: tuple[tuple[str, str], ...]
+    manipulator: tuple[tuple[str, str], ...]
+    never: tuple[tuple[str, str], ...]
+    rates: dict[str, NonNegative]
+    least_distance_m: dict[str, Finite]
+    samples: int
+    seed: int
+
+
+def pack(content: Content, key: str) -> tuple[Header, Arrays]:
+    """Header and arrays of a file."""
+    arrays = {}
+    for i, pair in enumerate(content.pairs.mobile):
+        for part, array in _pack(content.clouds[pair.name]).items():
+            arrays[f"cloud{i}_{part}"] = array
+    return _Header(format=FORMAT, key=key, **vars(content.pairs)), arrays
+
+
+def unpack(arrays: Arrays, key: str) -> Content:
+    """The inverse of `pack`.
+
+    Raises:
+        DamagedFileError: The file is of another key or format, or not as it was written.
+    """
+    header = header_of(arrays, _Header, key=key, format=FORMAT)
+    mobile, manipulator, never = (
+        tuple(Pair(*names) for names in group)
+        for group in (header.mobile, header.manipulator, header.never)
+    )
+    rates, least = header.rates, header.least_distance_m
+    pairs = LinkPairs(mobile, manipulator, never, rates, least, header.samples, header.seed)
+    clouds = {
+        pair.name: _unpack(pair.name, *(arrays[f"cloud{i}_{part}"] for part in _PARTS))
+        for i, pair in enumerate(mobile)
+    }
+    return Content(pairs, clouds)
+
+
+def _pack(cloud: Cloud) -> dict[str, Array]:
+    """Bytes that compress well: blocks in a row as differences, places in a block, distances."""
+    blocks = cloud.points // _BLOCK
+    order = np.lexsort((blocks[:, 0], blocks[:, 1], blocks[:, 2]))
+    blocks, points = blocks[order], cloud.points[order]
+    steps = np.diff(blocks, axis=0, prepend=np.zeros((1, 3), dtype=int)).astype(np.int16)
+    places = (points - blocks * _BLOCK).astype(np.uint8)
+    distances = cloud.distances[order]
+    parts = (_bytes(steps), np.ascontiguousarray(places.T), _bytes(distances[:, None]))
+    return dict(zip(_PARTS, parts, strict=True))
+
+
+def _unpack(pair: str, blocks: Array, places: Array, distances: Array) -> Cloud:
+    """The inverse of `_pack`.
+
+    Raises:
+        DamagedFileError: The arrays are not of the right type or shape.
+    """
+    n = places.shape[-1]
+    shapes = [(blocks, (3, 2, n)), (places, (3, n)), (distances, (1, 2, n))]
+    if any(array.dtype != np.uint8 or array.shape != shape for array, shape in shapes):
+        raise DamagedFileError("an array of it has the wrong type or shape")
+    steps = _numbers(blocks, np.dtype("<i2"))
+    points = np.cumsum(steps.T, axis=1, dtype=np.int16) * _BLOCK.astype(np.int16)[:, None] + places
+    return make_cloud(pair, points.T, _numbers(distances, np.dtype("<u2"))[:, 0].astype(np.uint16))
+
+
+def _bytes(array: Array) -> Array:
+    """(k, 2, N) uint8: low and high bytes of each column of (N, k) 16-bit numbers, apart."""
+    little = np.ascontiguousarray(array.T).astype(array.dtype.newbyteorder("<"))
+    return np.ascontiguousarray(little.view(np.uint8).reshape(*little.shape, 2).transpose(0, 2, 1))
+
+
+def _numbers(planes: Array, dtype: np.dtype) -> Array:
+    """(N, k) 16-bit numbers, the inverse of `_bytes`."""
+    return np.ascontiguousarray(planes.transpose(0, 2, 1)).view(dtype)[..., 0].T

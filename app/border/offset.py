@@ -10,80 +10,34 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.border.contours import BLOCK, nearest_point
+from app.border.contours import BLOCK, Contours, Table
 from app.border.mobile import ConvexPart, MobileBody
-from app.border.rings import RAYS, Rings, trace_rings
 from app.robot.model import RobotModel
 
 Array = np.ndarray
 
+RAYS = 360
+_STEP = 0.01  # [m] between heights, and along the arc above the top
+_HIGH_BOTTOM = 0.8  # [-] of d_b: from there on the arc under a bottom needs heights of its own
+_ANGLES = np.linspace(0.0, 2 * np.pi, RAYS, endpoint=False)
+_RAYS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES), np.zeros(RAYS)])
 _TOUCHING = 2e-6  # [m] by which flush shapes still count as outside of each other
 _ALONE = 1.0  # [m] by which a shape counts as outside of others where there is none
 
-
-class OnContour(NamedTuple):
-    """A point of a contour, in the base's frame.
-
-    Attributes:
-        xy: (2,) [m].
-        tangent: (2,) unit vector along the contour, with l_m on its left; turns continuously
-            along it.
-    """
-
-    xy: Array
-    tangent: Array
+_Level = tuple[float, Array, Array | None]  # height, centre, how far each ray goes
 
 
-class Searched(NamedTuple):
-    """The first arguments of `app.border.contours.nearest_point`, in their order."""
-
-    firsts: Array
-    heights: Array
-    vertices: Array
-    tangents: Array
-    shown: Array
-    reached: Array
-    clear: Array
-    spans: Array
-
-
-class Contours(NamedTuple):
-    """The rings of all shapes as the kernel `app.border.contours.nearest_point` takes them.
-
-    Attributes:
-        firsts: (K + 1,) row of each shape's first ring, and the number of rows.
-        heights: (N,) [m] of the rings, ascending for each shape.
-        vertices, tangents: (N, RAYS + 1) as x + iy.
-        shown: (N, RAYS + 1) [m] by how much the vertices lie outside of the other shapes' offsets.
-        spans: (N, RAYS / BLOCK) [m] from the middle vertex of a block of edges to its others.
-    """
-
-    firsts: Array
-    heights: Array
-    vertices: Array
-    tangents: Array
-    shown: Array
-    spans: Array
-
-    def searched(self, reached: Array) -> Searched:
-        """For the search, with (N, RAYS + 1) of what is reached."""
-        open_ = (self.shown > 0.0) & (reached > 0.0)
-        clear = open_[:, :-1] & open_[:, 1:]
-        return Searched(*self[:5], reached, clear, self.spans)
-
-
-class OffsetContours:
+class OffsetContours(Contours):
     """The contours of the offset of l_m, a union of convex shapes, at each height.
 
-    Each shape has a stack of rings around it, blended vertex by vertex between two heights. The
-    contours are what of the rings lies outside of the other shapes' offsets: one closed curve of a
-    single shape, else maybe several islands, and holes.
+    Each shape has a stack of rings around it. The contours are what of the rings lies outside of
+    the other shapes' offsets: one closed curve of a single shape, else maybe several islands, and
+    holes.
 
     Attributes:
         d_b: [m] buffer distance.
         rings: Of each shape that is not hidden in the others, the largest in plan first; none if
             l_m has no offset above the floor.
-        table: The same for the search.
     """
 
     def __init__(self, model: RobotModel, d_b: float) -> None:
@@ -92,56 +46,7 @@ class OffsetContours:
         traced = [(part, trace_rings(part, d_b)) for part in MobileBody(model).parts]
         traced = _outermost([each for each in traced if len(each[1].heights)], d_b)
         self.rings: tuple[Rings, ...] = tuple(rings for _, rings, _ in traced)
-        self.table = _table(self.rings, [shown for *_, shown in traced])
-        self._searched = self.table.searched(np.ones_like(self.table.shown))
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether l_m has no offset above the floor."""
-        return not self.rings
-
-    def within(self, z: float) -> float:
-        """[m] the height nearest to z that there is."""
-        ends = (min(max(z, float(r.heights[0])), float(r.heights[-1])) for r in self.rings)
-        return min(ends, key=lambda end: abs(end - z))
-
-    def contours(self, z: float, reached: Array | None = None) -> list[Array]:
-        """(K, 2) [m] each, the polygons at a height: closed ones, or the open pieces of each ring.
-
-        Args:
-            z: [m] height.
-            reached: (N, RAYS + 1) negative where the arm never is, as the rows of `table`; if it is
-                not given, the arm is everywhere.
-        """
-        found: list[Array] = []
-        for j, rings in enumerate(self.rings):
-            if not rings.heights[0] <= z <= rings.heights[-1]:
-                continue
-            k = min(int(np.searchsorted(rings.heights, z, "right")) - 1, len(rings.heights) - 2)
-            share = (z - rings.heights[k]) / (rings.heights[k + 1] - rings.heights[k])
-            rows, weights = int(self.table.firsts[j]) + k + np.arange(2), (1.0 - share, share)
-            open_ = weights @ self.table.shown[rows]
-            if reached is not None:
-                open_ = np.minimum(open_, weights @ reached[rows])
-            found += _pieces(weights @ self.table.vertices[rows], open_)
-        return found
-
-    def nearest(self, p_xy: Array, z: float) -> OnContour | None:
-        """The point of the contours at a height that is nearest to p.
-
-        It moves continuously with p, but where p has two nearest points (the medial axis).
-
-        Args:
-            p_xy: (2,) [m] in the base's frame.
-            z: [m] height above the floor.
-
-        Returns:
-            None where there is no contour at that height.
-        """
-        if self.is_empty or self.within(z) != z:
-            return None
-        _, _, x, y, t_x, t_y = nearest_point(*self._searched, np.array([p_xy[0], p_xy[1], z]))
-        return OnContour(np.array([x, y]), np.array([t_x, t_y]))
+        super().__init__(_table(self.rings, [shown for *_, shown in traced]))
 
 
 def ray_from(points_xy: Array, centre: Array) -> Array:
@@ -178,38 +83,148 @@ def _shown(rings: Rings, others: list[ConvexPart], d_b: float) -> Array:
     return least.reshape(H, V) - d_b + _TOUCHING
 
 
-def _table(rings: tuple[Rings, ...], shown: list[Array]) -> Contours:
+def _table(rings: tuple[Rings, ...], shown: list[Array]) -> Table:
     none = np.empty((0, RAYS + 1))
     corners = np.concatenate([np.empty((0, RAYS + 1, 2)), *(r.vertices for r in rings)])
     vertices = corners[..., 0] + 1j * corners[..., 1]
     blocks = np.arange(0, RAYS, BLOCK)[:, None] + np.arange(BLOCK + 1)
     middles = vertices[:, blocks[:, BLOCK // 2]]
-    return Contours(
+    return Table(
         np.cumsum([0, *(len(r.heights) for r in rings)]),
         np.concatenate([none[:, 0], *(r.heights for r in rings)]),
         vertices,
         np.concatenate([none.astype(complex), *(r.tangents for r in rings)]),
         np.concatenate([none, *shown]),
+        np.ones((len(vertices), RAYS + 1)),
         np.abs(vertices[:, blocks] - middles[:, :, None]).max(axis=2, initial=0.0),
     )
 
 
-def _pieces(ring: Array, open_: Array) -> list[Array]:
-    """(K, 2) [m] each, where a closed ring (RAYS + 1,) as x + iy has a value of zero or more."""
-    if (open_ >= 0.0).all():
-        return [np.column_stack([ring.real, ring.imag])]
-    turned = int(np.argmin(open_[:-1]))  # begin where it is cut
-    ring, open_ = (np.append(np.roll(a[:-1], -turned), a[turned]) for a in (ring, open_))
-    found: list[Array] = []
-    piece: list[complex] = []
-    for i in range(len(ring) - 1):
-        a, b = open_[i], open_[i + 1]
-        if (a < 0.0) != (b < 0.0):
-            crossing = ring[i] + a / (a - b) * (ring[i + 1] - ring[i])
-            piece.append(complex(crossing))
-        if b >= 0.0:
-            piece.append(complex(ring[i + 1]))
-        elif piece:
-            found.append(np.array([[v.real, v.imag] for v in piece]))
-            piece = []
-    return found
+class Rings(NamedTuple):
+    """Closed polygons around one convex shape, one a height, each vertex at the distance d_b.
+
+    Attributes:
+        heights: (H,) [m], ascending.
+        centres: (H, 2) [m] from which the rays of each height start, in the base's frame.
+        vertices: (H, RAYS + 1, 2) [m] in the base's frame, counter-clockwise, the first repeated.
+        tangents: (H, RAYS + 1) unit tangents at the vertices, as x + iy.
+    """
+
+    heights: Array
+    centres: Array
+    vertices: Array
+    tangents: Array
+
+
+def trace_rings(part: ConvexPart, d_b: float) -> Rings:
+    """The offset of a convex shape above the floor; without any height if it has none there.
+
+    Rays start from the middle of the shape. Where a slice of the offset does not contain it, as of
+    a slanted shape, each height has the middle of its own slice.
+
+    Args:
+        part: The shape.
+        d_b: [m] the offset.
+    """
+    tracer = _Tracer(part, d_b)
+    heights = _levels(float(part.lower[2]), float(part.upper[2]), d_b)
+    found = tracer.from_middle(heights) or tracer.from_slices(heights)
+    kept = np.array([z for z, _, ends in found if ends is not None])
+    centres = np.array([c for _, c, ends in found if ends is not None]).reshape(-1, 2)
+    ends = np.array([e for _, _, e in found if e is not None]).reshape(-1, RAYS)
+    rings = centres[:, None] + ends[:, :, None] * _RAYS[:, :2]
+    vertices = np.concatenate([rings, rings[:, :1]], axis=1)
+    tangents = _vertex_tangents(np.diff(vertices[..., 0] + 1j * vertices[..., 1], axis=1))
+    return Rings(kept, centres, vertices, tangents)
+
+
+class _Tracer:
+    """Follows rays to the end of one shape's offset, height by height."""
+
+    def __init__(self, part: ConvexPart, d_b: float) -> None:
+        self._part, self._d_b = part, d_b
+        self._middle = (part.lower[:2] + part.upper[:2]) / 2
+
+    def from_middle(self, heights: Array) -> list[_Level] | None:
+        """All heights from the shape's middle; None if a slice does not contain it."""
+        found: list[_Level] = []
+        ends: Array | None = None
+        for z in heights:
+            ends = self._ends(self._middle, float(z), ends)
+            hits = np.isfinite(ends)
+            if hits.any() and not hits.all():
+                return None
+            found.append((float(z), self._middle, ends if hits.all() else None))
+        return found if any(ends is not None for _, _, ends in found) else None
+
+    def from_slices(self, heights: Array) -> list[_Level]:
+        """Each height from the middle of its own slice."""
+        found: list[_Level] = []
+        centre = self._middle
+        for z in heights:
+            inside = self._inside(centre, float(z))
+            if inside is None:
+                found.append((float(z), centre, None))
+                continue
+            ring = inside + self._ends(inside, float(z), None)[:, None] * _RAYS[:, :2]
+            centre = (ring.min(axis=0) + ring.max(axis=0)) / 2
+            ends = self._ends(centre, float(z), None)
+            found.append((float(z), centre, ends if np.isfinite(ends).all() else None))
+        return found
+
+    def _inside(self, centre: Array, z: float) -> Array | None:
+        """(2,) [m] a point inside of the slice at a height, or None if the slice is empty.
+
+        The mean of the far ends that rays from outside find is inside: the slice is convex.
+        """
+        nearest = self._part.nearest(np.array([*centre, z]))[:2]
+        for start in (centre, nearest, self._middle):
+            ends = self._ends(start, z, None)
+            hits = np.isfinite(ends)
+            if hits.all():
+                return start
+            if hits.any():
+                inside = (start + ends[hits, None] * _RAYS[hits, :2]).mean(axis=0)
+                if np.isfinite(self._ends(inside, z, None)).all():
+                    return inside
+        return None
+
+    def _ends(self, centre: Array, z: float, start: Array | None) -> Array:
+        """(RAYS,) [m] how far each ray goes; −inf where it misses the offset."""
+        part = self._part
+        outside = float(np.abs([part.lower[:2], part.upper[:2]]).max())
+        beyond = 2 * (outside + self._d_b + float(np.abs(centre).max()))
+        first = np.full(RAYS, beyond)
+        if start is not None:
+            first = np.where(np.isfinite(start), start, beyond)
+        return part.ray_ends(np.array([*centre, z]), _RAYS, first, self._d_b)
+
+
+def _vertex_tangents(edges: Array) -> Array:
+    """Unit tangents at the vertices, as x + iy: between those of the two edges there.
+
+    Args:
+        edges: (H, RAYS).
+
+    Returns:
+        (H, RAYS + 1), the first one repeated.
+    """
+    directions = edges / np.abs(edges)
+    tangents = directions + np.roll(directions, 1, axis=1)
+    tangents /= np.abs(tangents)
+    return np.concatenate([tangents, tangents[:, :1]], axis=1)
+
+
+def _levels(bottom: float, top: float, d_b: float) -> Array:
+    """(H,) [m] heights: every 10 mm beside a shape, then every 10 mm of arc over its upper edge.
+
+    From the floor up; a shape high above it has such an arc under its lower edge too.
+    """
+    low = bottom if bottom > _HIGH_BOTTOM * d_b else min(0.0, top)
+    arc = np.linspace(0.0, np.pi / 2, int(np.ceil(d_b * np.pi / 2 / _STEP)) + 1)[1:]
+    # At the very end the contour lies on the flat of the offset, where rays graze: stop just short.
+    arc[-1] -= 1e-3
+    beside = np.linspace(low, top, max(2, int(np.ceil((top - low) / _STEP)) + 1))
+    under = (low - d_b * np.sin(arc))[::-1] if low > 0.0 else np.empty(0)
+    levels = np.concatenate([under, beside, top + d_b * np.sin(arc)])
+    return levels if levels[0] >= 0.0 else np.concatenate([[0.0], levels[levels > 0.0]])

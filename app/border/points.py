@@ -6,10 +6,9 @@ import math
 
 import numpy as np
 
-from app.border.box_tree import BoxTree
-from app.border.dbb import SAME_HEIGHT, Border
-from app.border.offset import OffsetContours, OnContour
-from app.border.surface import Foot, on_surface
+from app.border.contours import Foot
+from app.border.dbb import Border
+from app.border.offset import OffsetContours
 
 Array = np.ndarray
 
@@ -19,9 +18,7 @@ class BorderPoints:
 
     def __init__(self, border: Border, offset: OffsetContours) -> None:
         """The sampled border of one pair, and the exact offset of l_m for the same d_b."""
-        self._eps = border.eps
-        self._tree = BoxTree(border.points)
-        self._offset = offset
+        self._border, self._offset = border, offset
 
     def nearest(self, p: Array) -> Foot | None:
         """FindSameHeight and FindMinDistancePoint: the point nearest to p at p's height.
@@ -37,25 +34,18 @@ class BorderPoints:
         Returns:
             None only if l_m has no border at all.
         """
-        xy = self._in_plan(p)
-        if xy is not None:
-            return self._foot(p, xy, None)
-        found = on_surface(self._offset, p)
-        if found is None:
+        exact = None
+        points = self._border.same_height(float(p[2]))
+        if len(points):
+            ways = points[:, :2] - p[:2]
+            x, y, _ = points[np.einsum("ij,ij->i", ways, ways).argmin()].tolist()
+        elif (exact := self._offset.nearest(p)) is not None:
+            x, y, _ = exact.p.tolist()
+        else:
             return None
-        x, y = found.xy.tolist()
-        return self._foot(p, (x, y), found)
-
-    def _in_plan(self, p: Array) -> tuple[float, float] | None:
-        """[m] the point nearest in plan among those of p's height, or None if there is none."""
-        return self._tree.nearest(p, SAME_HEIGHT)
-
-    def _foot(self, p: Array, xy: tuple[float, float], found: OnContour | None) -> Foot:
-        p_n = np.array([*xy, p[2]])
-        x, y = xy[0] - float(p[0]), xy[1] - float(p[1])
-        length = math.hypot(x, y)
-        if length > self._eps:
-            return Foot(p_n, np.array([-y / length, x / length, 0.0]))
-        found = found or on_surface(self._offset, p_n)
-        t = found.tangent if found is not None else np.array([0.0, 1.0])
-        return Foot(p_n, np.array([*t, 0.0]))
+        p_n = np.array([x, y, p[2]])
+        length = math.hypot(x - float(p[0]), y - float(p[1]))
+        if length > self._border.eps:
+            return Foot(p_n, np.array([(p[1] - y) / length, (x - p[0]) / length, 0.0]))
+        exact = exact or self._offset.nearest(p_n)
+        return Foot(p_n, np.array([0.0, 1.0, 0.0]) if exact is None else exact.t)

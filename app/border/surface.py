@@ -7,93 +7,149 @@ its nearest point on the surface move together, at a cost that does not depend o
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple, Protocol
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from app.border.contours import nearest_point
+from app.border.contours import Contours
 from app.border.dbb import Border
-from app.border.offset import OffsetContours, OnContour
-from app.border.reached import find_reached
+from app.border.offset import RAYS, OffsetContours, ray_from
 
 Array = np.ndarray
 
-
-class Foot(NamedTuple):
-    """The point of a border nearest to a point at the same height, in the base's frame.
-
-    Attributes:
-        p: (3,) [m] the point of the border.
-        t: (3,) horizontal unit tangent there.
-    """
-
-    p: Array
-    t: Array
-
-
-class NearestBorder(Protocol):
-    """What the search for the acting point asks of a border."""
-
-    def nearest(self, p: Array) -> Foot | None:
-        """The point nearest to p, (3,) [m], at its height; None only if there is no border."""
-        ...
+_NEAR_HEIGHT = 0.015
+"""[m] points that far above and below tell where a contour is reached."""
+_NEAR_CONTOUR = 0.05
+"""[m] from a contour; over the top, points of other heights lie inside of it."""
+_LEAST_POINTS = 20
+"""[-] fewer tell nothing."""
+_LEAST_GAP = 40.0
+"""[rays] narrower gaps are chance."""
+_MARGIN = 10.0
+"""[rays] by which a gap is kept narrower on either side: samples are not everywhere."""
+_INSIDE = 20.0  # [rays] beyond that far from a gap it does not matter how far
+STEEPEST_GAP = 1500.0
+"""[rays/m] by which either end of a gap may move from height to height."""
 
 
-class BorderSurface:
-    """DBB_i as a surface, for nearest points at a height.
-
-    Attributes:
-        reached: (N, RAYS + 1) where the contours are open, as of `find_reached`.
-    """
+class BorderSurface(Contours):
+    """DBB_i as a surface: the offset's contours, open where the border has no points."""
 
     def __init__(self, border: Border, offset: OffsetContours) -> None:
-        """Open the offset's contours where the border has no points.
-
-        Args:
-            border: The sampled border of one pair.
-            offset: The exact offset of l_m for the same d_b.
-        """
-        self._offset = offset
-        self.reached = find_reached(border, offset)
-        self._searched = offset.table.searched(self.reached)
-
-    def nearest(self, p: Array) -> Foot | None:
-        """The surface's point at p's height that is nearest to p.
-
-        Heights beyond the surface are taken as its lowest or its highest. In a gap it is the end of
-        a contour.
-
-        Args:
-            p: (3,) [m] in the base's frame.
-
-        Returns:
-            None only if l_m has no offset at all.
-        """
-        if self._offset.is_empty:
-            return None
-        d, _, x, y, t_x, t_y = nearest_point(*self._searched, p)
-        if d == math.inf:  # nothing is reached at this height: as if all of it were
-            found = on_surface(self._offset, p)
-            assert found is not None
-            return Foot(np.append(found.xy, p[2]), np.append(found.tangent, 0.0))
-        return Foot(np.array([x, y, p[2]]), np.array([t_x, t_y, 0.0]))
-
-    def curves(self, z: float) -> list[Array]:
-        """The surface's curves at a height, closed, or open where the arm never is.
-
-        Args:
-            z: [m] in the base's frame; beyond the surface its lowest or highest curves are given.
-
-        Returns:
-            (K, 3) [m] each, in the base's frame, at that height; none if l_m has no offset at all.
-        """
-        if self._offset.is_empty:
-            return []
-        flat = self._offset.contours(self._offset.within(z), self.reached)
-        return [np.column_stack([curve, np.full(len(curve), z)]) for curve in flat]
+        """The sampled border of one pair, and the exact offset of l_m for the same d_b."""
+        super().__init__(offset.table._replace(reached=find_reached(border, offset)))
 
 
-def on_surface(offset: OffsetContours, p: Array) -> OnContour | None:
-    """The nearest point of the exact offset at p's height, or at the nearest height it has."""
-    return offset.nearest(p[:2], offset.within(float(p[2]))) if not offset.is_empty else None
+class Gap(NamedTuple):
+    """A stretch of a closed contour that the arm never reaches, counted in its rays.
+
+    Attributes:
+        first: Where it begins.
+        last: Where it ends, more than `first` also where it goes beyond the last ray.
+    """
+
+    first: float
+    last: float
+
+
+def gaps_between(stretches: Iterable[tuple[float, float]]) -> list[Gap]:
+    """What stretches without points tell: the narrow ones nothing, the others a gap within each.
+
+    Args:
+        stretches: [rays] from the last point before each to the first one after it.
+    """
+    return [
+        Gap(before + _MARGIN, after - _MARGIN)
+        for before, after in stretches
+        if after - before >= _LEAST_GAP
+    ]
+
+
+def without_leaps(
+    contours: Sequence[list[Gap] | None], heights: Array, rays: int
+) -> list[list[Gap]]:
+    """Gaps narrowed until none leaps from height to height.
+
+    Else one would open within a single height where the border begins, and the foot race.
+
+    Args:
+        contours: (H,) the gaps of each; None where nothing is told. Between contours that tell
+            something such a one has the gaps of the next lower of them, else it has none.
+        heights: (H,) [m] ascending.
+        rays: Of a contour.
+    """
+    told = [k for k, gaps in enumerate(contours) if gaps is not None]
+    found: list[list[Gap]] = [[] for _ in contours]
+    for k in range(told[0], told[-1] + 1) if told else ():
+        known = contours[k]
+        found[k] = found[k - 1] if known is None else known
+    upward = [(k, k - 1) for k in range(1, len(found))]
+    for k, beside in upward + [(below, above) for above, below in reversed(upward)]:
+        further = STEEPEST_GAP * abs(float(heights[k] - heights[beside]))
+        found[k] = [_narrowed(gap, found[beside], further, rays) for gap in found[k]]
+    return found
+
+
+def _narrowed(gap: Gap, beside: Sequence[Gap], further: float, rays: int) -> Gap:
+    """A gap within the one that it overlaps most beside it, or about its middle if none does."""
+    middle, most = (gap.first + gap.last) / 2, 0.0
+    first = last = middle
+    for other in beside:
+        for turn in (-rays, 0, rays):
+            begin, end = other.first + turn, other.last + turn
+            overlap = min(gap.last, end) - max(gap.first, begin)
+            if overlap > most:
+                first, last, most = begin, end, overlap
+    return Gap(max(gap.first, first - further), min(gap.last, last + further))
+
+
+def find_reached(border: Border, offset: OffsetContours) -> Array:
+    """The parts of the rings near which the border has points.
+
+    A gap is a stretch of a ring without points. What other shapes hide has none and belongs to it,
+    but a stretch that is all hidden is no gap. From ring to ring an end moves by `STEEPEST_GAP` at
+    most.
+
+    Args:
+        border: The sampled border of one pair.
+        offset: The exact offset of l_m for the same d_b.
+
+    Returns:
+        (N, RAYS + 1) [rays] from a gap's end, negative inside of it, as the rows of `Table`.
+        Blended between heights, a gap that is not there at the next one closes from its ends.
+    """
+    rows: list[Array] = []
+    shown = offset.table.shown[:, :-1] > 0.0
+    for rings in offset.rings:
+        seen = zip(rings.heights, rings.centres, rings.vertices, strict=True)
+        found = [_gaps(border, z, centre, ring) for z, centre, ring in seen]
+        for gaps in without_leaps(found, rings.heights, RAYS):
+            rows.append(_from_ends([gap for gap in gaps if _shows(gap, shown[len(rows)])]))
+    reached = np.array(rows).reshape(-1, RAYS)
+    return np.concatenate([reached, reached[:, :1]], axis=1)
+
+
+def _gaps(border: Border, z: float, centre: Array, ring: Array) -> list[Gap] | None:
+    """The gaps of one ring, hidden ones too; None if too few points are near."""
+    points = border.same_height(float(z), _NEAR_HEIGHT)[:, :2]
+    cell = np.rint(ray_from(points, centre)).astype(int) % RAYS
+    cell = cell[np.linalg.norm(points - ring[cell], axis=1) < _NEAR_CONTOUR]
+    if len(cell) < _LEAST_POINTS:
+        return None
+    filled = np.unique(cell)
+    return gaps_between(zip(filled, np.append(filled[1:], filled[0] + RAYS), strict=True))
+
+
+def _shows(gap: Gap, shown: Array) -> bool:
+    """Whether any of a gap's rays is not hidden by other shapes."""
+    return bool(shown[np.arange(int(gap.first), int(gap.last) + 1) % RAYS].any())
+
+
+def _from_ends(gaps: list[Gap]) -> Array:
+    """(RAYS,) [rays] from the ends of the gaps of one ring."""
+    found, every = np.full(RAYS, _INSIDE), np.arange(-RAYS, 2 * RAYS)
+    for gap in gaps:
+        outside = np.maximum(gap.first - every, every - gap.last)
+        found = np.minimum(found, outside.reshape(3, RAYS).min(axis=0))
+    return found

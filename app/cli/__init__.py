@@ -1,4 +1,4 @@
-"""The console command `dbb`: one subcommand a module, made with tyro from typed functions."""
+"""The console command `dbb`: a typed function each subcommand, of which tyro makes its options."""
 
 from app.cli.main import main
 

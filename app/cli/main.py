@@ -2,25 +2,41 @@
 
 from __future__ import annotations
 
-import inspect
+import ast
+import errno
 import logging
 import os
 import sys
-from collections.abc import Callable
 from importlib import import_module, metadata
-from typing import Any
+from pathlib import Path
 
 from app.errors import DbbError, UnknownNameError, extras_named
-from app.jobs.signals import ending_signals_raised
+from app.jobs.progress import ending_signals_raised
 
 COMMANDS = {
-    "A robot that moves": ("serve", "run", "screenshot", "report", "replay"),
-    "The method": ("pairs", "border", "reach", "config", "bench"),
-    "Many runs": ("reproduce", "sweep", "study"),
-    "Robots": ("robots", "new-robot", "check-robot"),
+    "A robot that moves": {
+        "serve": "serve",
+        "run": "run",
+        "screenshot": "pictures",
+        "film": "pictures",
+        "report": "report",
+        "replay": "pictures",
+    },
+    "The method": {
+        "pairs": "method",
+        "border": "method",
+        "reach": "reach",
+        "config": "method",
+        "bench": "method",
+    },
+    "Many runs": {"reproduce": "reproduce", "sweep": "sweep", "study": "study"},
+    "Robots": {"robots": "robots", "new-robot": "robots", "check-robot": "robots"},
 }
-"""The commands, by what they are about; each stands in the module of its own name."""
+"""The commands, by what they are about, and the module in which each stands as a function."""
+_MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
 _FORMERLY = {"compare-robots": ("sweep", "robots")}
+_NO_WAY_OUT = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
+"""What is wrong where nothing can be written, and no fault of the program."""
 _ABOUT = "Reactive self-collision avoidance for a mobile manipulator."
 
 
@@ -34,9 +50,14 @@ def main(args: list[str] | None = None) -> None:
     except DbbError as error:
         print(f"dbb: error: {error}", file=sys.stderr)
         sys.exit(2)
-    except BrokenPipeError:  # whoever read the results has gone, as `head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(1)
+    except OSError as error:
+        if error.errno not in _NO_WAY_OUT:
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is still held
+        if error.errno == errno.EPIPE:  # whoever read the results has gone, as `head` does
+            sys.exit(1)
+        print(f"dbb: error: cannot write: {error.strerror}", file=sys.stderr)
+        sys.exit(2)
     except KeyboardInterrupt:
         print("dbb: interrupted", file=sys.stderr)
         sys.exit(130)
@@ -56,37 +77,31 @@ def _run(words: list[str]) -> None:
 
 def _run_command(name: str, *words: str) -> None:
     """Import the command that is asked for, and what it needs; nothing else is imported."""
+    if name not in _MODULES:
+        raise UnknownNameError("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
     from app.cli.options import check_once, in_present_words
 
-    path, function, rest = choose(name, in_present_words(words))
+    module = import_module(f"app.cli.{_MODULES[name]}")
+    rest = in_present_words(words)
+    if hasattr(module, "choose"):
+        about, function, rest = module.choose(rest)
+        name = f"{name} {about}".strip()
+    else:
+        function = getattr(module, name.replace("-", "_"))
     check_once(rest)
-    tyro.cli(function, prog=f"dbb {path}", args=rest, config=(tyro.conf.DisallowNone,))
-
-
-def choose(name: str, words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
-    """The function behind a command, its name with that of what it is about, and the other words.
-
-    Raises:
-        UnknownNameError: No such command, or nothing that it could be about.
-    """
-    known = [each for group in COMMANDS.values() for each in group]
-    if name not in known:
-        raise UnknownNameError("command (dbb --help lists them)", name, known)
-    module = import_module(f"app.cli.{name.replace('-', '_')}")
-    if not hasattr(module, "choose"):
-        return name, getattr(module, name.replace("-", "_")), words
-    about, function, rest = module.choose(words)
-    return f"{name} {about}".strip(), function, rest
+    tyro.cli(function, prog=f"dbb {name}", args=rest, config=(tyro.conf.DisallowNone,))
 
 
 def overview() -> str:
-    """All commands, one line each."""
+    """All commands, one line each, read from their source: to import them all takes long."""
     lines = ["usage: dbb COMMAND …, dbb COMMAND --help, dbb --version", _ABOUT]
-    for title, names in COMMANDS.items():
+    for title, commands in COMMANDS.items():
         lines.append(f"{title}:")
-        for name in names:
-            _, function, _ = choose(name, [])
-            lines.append(f"  {name:12} {(inspect.getdoc(function) or '').splitlines()[0]}")
+        for name, module in commands.items():
+            source = Path(__file__).with_name(f"{module}.py").read_text(encoding="utf-8")
+            functions = (n for n in ast.parse(source).body if isinstance(n, ast.FunctionDef))
+            (command,) = (f for f in functions if f.name == name.replace("-", "_"))
+            lines.append(f"  {name:12} {(ast.get_docstring(command) or '').splitlines()[0]}")
     return "\n".join(lines) + "\n"

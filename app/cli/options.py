@@ -13,7 +13,7 @@ import tyro
 from app.cli.records import Field, Given, from_fields, from_record
 from app.config import Config, DisturbanceConfig, tunable
 from app.config_file import read_config
-from app.control.names import CONTROLLERS
+from app.control import CONTROLLERS
 from app.errors import ConfigError, OutputError, UnknownNameError
 from app.parameters import Parameter
 from app.simulation.plants.choice import chosen_plant, default_plant
@@ -49,13 +49,13 @@ FORMERLY = {
     "--noise": "--encoder-noise",
     "--base-speed": "--v-max",
     "--strength": "--hand-f-max",
+    "--replay-case": "--case",
 }
 """Former spellings of options, which go on working."""
 DISTURBANCES = {name: f"disturbance.{name}" for name in DisturbanceConfig.model_fields}
 PARAMETERS = {"buffer_distance": "border.d_b", "border": "border.kind", **DISTURBANCES}
 """Options that set one parameter, by its path."""
 
-_FARTHEST = 10.0  # [m] from the origin; a longer way is a slip of the keys
 _MOST_PROCESSES = 64
 _USUAL_PROCESSES = 2  # more are possible, but each needs 0.5 GB
 
@@ -75,12 +75,7 @@ class Setup:
     """Seed of everything random."""
 
     def __post_init__(self) -> None:
-        """Refuse names that do not exist, before anything is loaded.
-
-        Raises:
-            UnknownNameError: Lists those that exist.
-            ConfigError: A seed that no generator takes.
-        """
+        """Refuse names that do not exist, before anything is loaded."""
         check_name("controller", self.controller, CONTROLLERS)
         object.__setattr__(self, "physics", chosen_plant(self.physics))
         check_seed(self.seed)
@@ -143,16 +138,6 @@ def check_name(kind: str, name: str, choices: Iterable[str]) -> None:
     """
     if name not in (existing := tuple(choices)):
         raise UnknownNameError(kind, name, existing)
-
-
-def check_point(option: str, point: tuple[float, ...] | None) -> None:
-    """Refuse a point whose coordinates are not numbers within 10 m; None is fine.
-
-    Raises:
-        ConfigError: Names the option and its range.
-    """
-    for coordinate in point or ():
-        check_range(option, coordinate, -_FARTHEST, _FARTHEST, "m")
 
 
 def check_seed(seed: int) -> None:

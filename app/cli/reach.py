@@ -42,8 +42,8 @@ def reach(
         out: Folder for two CSV per body: the map, and its means over shells with the fit.
     """
     # Imported here: scipy and the solver would make every other command start later.
+    from app.border.config import ReachConfig
     from app.border.reach.chain import reach_bodies
-    from app.border.reach.config import ReachConfig
     from app.border.reach.fit import fit_reachability
     from app.border.reach.map import load_reach_map
 
@@ -75,18 +75,12 @@ def _figures(model: RobotModel, reach_map: ReachMap, fit: ReachFit) -> dict[str,
     description = model.description
     used = description.reachability.get(reach_map.body)
     carries = description.arm.end_effector_link in description.body(reach_map.body).covers
+    fitted = fit._asdict()
     return {
-        "A_per_m2": fit.A_per_m2,
-        "B_m": fit.B_m,
-        "C": fit.C,
+        "positions_fitted": fitted.pop("points"),
+        **fitted,
         "paper": _PAPER if carries else None,
         "description": used.model_dump(include=set(_PAPER)) if used else None,
-        "r_squared": fit.r_squared,
-        "rms": fit.rms,
-        "r_squared_positions": fit.r_squared_positions,
-        "rho_min_m": fit.rho_min_m,
-        "rho_max_m": fit.rho_max_m,
-        "positions_fitted": fit.points,
         "positions": len(reach_map.found),
         "poses": reach_map.poses,
         "solutions": int(reach_map.found.sum()),
@@ -99,7 +93,7 @@ def _figures(model: RobotModel, reach_map: ReachMap, fit: ReachFit) -> dict[str,
 def _write(out: Path, reach_map: ReachMap, fit: ReachFit) -> None:
     import numpy as np
 
-    from app.border.reach.radial import radial_profile
+    from app.border.reach.fit import radial_profile
 
     profile = radial_profile(reach_map.rho, reach_map.reach)
     fitted = fit.at(profile.rho_m)

@@ -21,10 +21,12 @@ Given = dict[str, Any]
 _METAVARS = {
     "base": "X Y YAW",
     "hinge_position": "X Y",
+    "span": "BEGIN END",
     "wheels": "LEFT RIGHT",
     "ready": "Q1 Q2 …",
     "controllers": "NAME …",
     "heights": "Z …",
+    "package": "NAME=FOLDER …",
     "speeds": "V …",
 }
 

@@ -9,6 +9,8 @@ import tyro
 
 from app.cli.common import print_json
 from app.cli.options import Json, check_file
+from app.cli.wanted import trace_of
+from app.system import write_whole
 
 
 def report(
@@ -20,16 +22,15 @@ def report(
     """Make one HTML file of a log: figures and key numbers.
 
     Args:
-        log: File that `dbb run --log` or `--out` wrote.
+        log: File that `dbb run --log` or `--out` wrote, or that of a case, JSON.
         out: The HTML file.
     """
     # Imported here: matplotlib and pyarrow would make every other command start later.
-    from app.simulation.trace.trace import read_trace
-    from app.studies.run_report.report import key_numbers, run_report
+    from app.studies.run_report import key_numbers, run_report
 
     check_file("--out", out, (".html",))
-    run = read_trace(log)
-    out.write_text(run_report(run), encoding="utf-8")
+    run = trace_of(log)
+    write_whole(out, run_report(run))
     if json:
         about = {"scenario": run.meta.scenario, "robot": run.meta.robot, "seed": run.meta.seed}
         print_json({**about, "page": str(out), **key_numbers(run)})

@@ -28,24 +28,17 @@ def reproduce(
         out: Folder for a PNG and CSVs a figure, `metrics.json` and `index.html`.
         seed: Seed of everything random in the runs.
     """
-    from app.studies.paper.names import chosen
+    # Imported here: matplotlib and scipy would make every other command start later.
+    from app.studies.paper import report
 
-    names = chosen(figures)
+    names = report.chosen(figures)
     check_seed(seed)
     side_by_side = check_processes(processes)
     make_folder(out)
-    # Imported here: matplotlib and scipy would make every other command start later.
-    from app.studies.paper.report import reproduce as make
-    from app.studies.paper.report import work
-
     text = f"{len(names)} figures" if len(names) > 1 else names[0]
-    with progress_bar(text, work(names)) as on_progress:
-        result = make(
-            names,
-            out,
-            seed=seed,
-            processes=side_by_side,
-            on_progress=on_progress,
+    with progress_bar(text, report.work(names)) as on_progress:
+        result = report.reproduce(
+            names, out, seed=seed, processes=side_by_side, on_progress=on_progress
         )
     if json:
         print_json(result)

@@ -1,17 +1,43 @@
-"""`dbb robots`: which robots there are."""
+"""`dbb robots`, `new-robot`, `check-robot`: those there are, one more, whether it holds."""
 
 from __future__ import annotations
 
-from app.cli.common import print_json
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from app.cli.common import print_json, print_table, rounded_text, say
 from app.cli.options import Json
+from app.cli.records import Given, from_record
+from app.errors import DbbError
+from app.jobs.progress import progress_bar
+from app.onboarding.request import Request, check_request
+
+if TYPE_CHECKING:
+    from app.border.cache import BorderData
+    from app.onboarding.new_robot import NewRobot
+
+_NAMES = {"d_b": "buffer_distance"}
+_GEOMETRY = ("wheel_radius_m", "half_track_m", "wheelbase_m", "steering_limit_rad")
+_MARKS = {"passed": "✓", "warned": "!", "failed": "✗", "nothing to show": "-"}
 
 
 def robots(json: Json = False) -> None:
-    """List the robots that have a description."""
+    """List the described robots, and what is wrong with a broken one."""
     # Imported here: it needs the readers of descriptions.
     from app.robot.assets import load_robot, robot_names
 
-    found = [load_robot(name) for name in robot_names()]
+    found, broken = [], {}
+    for name in robot_names():
+        try:
+            found.append(load_robot(name))
+        except DbbError as error:
+            broken[name] = str(error)
     if json:
         print_json(
             {
@@ -24,9 +50,169 @@ def robots(json: Json = False) -> None:
                         "bodies": [b.name for b in d.bodies],
                     }
                     for d in found
-                ]
+                ],
+                "broken": broken,
             }
         )
         return
     for d in found:
         print(f"{d.name:20} {d.title}: {d.base.kind} base, arm of {len(d.arm.joints)} joints")
+    for name, problem in broken.items():
+        print(f"{name:20} cannot be used: {problem}")
+
+
+def check_robot(
+    name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")],
+    *,
+    runs: Annotated[bool, tyro.conf.arg(name="runs")] = True,
+    json: Json = False,
+) -> None:
+    """Check that a robot's description holds what it promises.
+
+    Both libraries, limits, bodies over meshes, pairs, border, a guiding run; warnings are shown.
+    Ends with status 0 only if no check fails.
+
+    Args:
+        name: Name of the robot; `dbb robots` lists them.
+        runs: Guide the hand towards the base too, which takes longest.
+    """
+    from app.robot.assets import load_robot
+
+    description = load_robot(name)
+    # Imported here: it needs scipy, trimesh and the engines.
+    from app.onboarding import check
+
+    rows = list(check.check_robot(description, runs=runs, tell=say))
+    failed = any(row.outcome == "failed" for row in rows)
+    if json:
+        told = [row._asdict() for row in rows]
+        print_json({"robot": name, "passed": not failed, "checks": told})
+    else:
+        from rich.table import Table
+
+        table = Table("", "check", "result", title=description.title)
+        for row in rows:
+            table.add_row(_MARKS[row.outcome], row.name, f"{row.outcome}: {row.text}")
+        print_table(table)
+    if failed:
+        sys.exit(1)
+
+
+def new_robot(
+    request: Annotated[
+        Given, from_record(Request, leave=("source",), names=_NAMES, positional="urdf")
+    ],
+    quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    json: Json = False,
+) -> None:
+    """Make a robot's description and border from its URDF or xacro.
+
+    Finds the wheels, groups the arm's links into bodies, fits convex shapes to them, samples the
+    pairs, chooses a ready pose, counts the reachability, and writes each number with its source.
+    Nothing is written unless all of it is.
+
+    Args:
+        quick: Sample a coarse border, in seconds; the first `serve` refines it meanwhile.
+    """
+    asked = Request(**request)
+    check_request(asked)
+    # Imported here: matplotlib, scipy and trimesh would make every other command start later.
+    from app.border.config import QUICK
+    from app.onboarding.new_robot import finish
+
+    begin = perf_counter()
+    with ExitStack() as step:
+        share: Callable[[float], None] = lambda _: None  # noqa: E731
+
+        def tell(text: str) -> None:
+            nonlocal share
+            step.close()
+            say(text)
+            share = step.enter_context(progress_bar(text, 1.0))
+
+        robot, data = finish(
+            asked,
+            tell=tell,
+            processes=1 if quick else None,  # to start others takes longer
+            sampling=QUICK if quick else None,
+            on_progress=lambda part: share(part),
+        )
+    result = _figures(robot, data) | {"elapsed_s": perf_counter() - begin}
+    if json:
+        print_json(result)
+    else:
+        _print_made(result)
+
+
+def _print_made(made: dict[str, Any]) -> None:
+    """What was made, and what to do with it."""
+    from app.robot.assets import robot_folder
+
+    name, folder = made["robot"], made["folder"]
+    print(f"{name}: {folder}/robot.toml and {folder}/report.html, in {made['elapsed_s']:.0f} s")
+    geometry = (f"{key} {rounded_text(made[key])}" for key in _GEOMETRY if key in made)
+    base = ", ".join([f"{made['base']}, {made['mass_kg']:.4g} kg", *geometry])
+    bodies = (f"{body} ({', '.join(each['links'])})" for body, each in made["bodies"].items())
+    rates = made["collision_rate"]
+    pairs = ", ".join(f"{pair} ({rates[pair]:.1%} of all poses)" for pair in made["pairs"])
+    reach = (
+        f"{body} A {each['A_per_m2']:.4g} /m², B {each['B_m']:.3g} m, C {each['C']:.3g}"
+        + ("" if each.get("r_squared") is None else f" (R² {each['r_squared']:.2f})")
+        for body, each in made["reachability"].items()
+    )
+    for title, text in (
+        ("base", base),
+        ("arm", f"{made['arm_joints']} joints; {', '.join(bodies)}"),
+        ("can collide", pairs or "nothing"),
+        ("reachability", "; ".join(reach)),
+    ):
+        print(f"  {title:13} {text}")
+    for warning in made["warnings"]:
+        print(f"  warning: {warning}")
+    print("next:")
+    if robot_folder(name).resolve() != Path(folder).resolve():
+        print(f"  export DBB_ROBOTS={Path(folder).resolve().parent}   so that dbb finds it")
+    print(f"  open {folder}/report.html, and look whether the bodies hold the links")
+    print(f"  dbb check-robot {name}")
+    print(f"  dbb serve --robot {name}")
+
+
+def _figures(robot: NewRobot, data: BorderData) -> dict[str, Any]:
+    base = robot.content["base"]
+    return {
+        "robot": robot.request.name,
+        "folder": str(robot.request.out),
+        "arm_joints": len(robot.parsed.arm.joints),
+        "base": base["kind"],
+        **{key: base[key] for key in _GEOMETRY if key in base},
+        "mass_kg": base["mass_kg"],
+        "bodies": {
+            body.name: {
+                "links": list(body.links),
+                "shapes": [fit.shape.type for fit in body.fits],
+                "over_cover": [fit.over_cover for fit in body.fits],
+                "protrusion_m": max(fit.protrusion for fit in body.fits),
+            }
+            for body in robot.bodies
+        },
+        "pairs": [pair.name for pair in data.pairs.all],
+        "collision_rate": data.pairs.rates,
+        "least_distance_m": data.pairs.least_distance_m,
+        "missed_collisions": robot.unseen.share,
+        "false_collisions": robot.verdict.false,
+        "reachability": {
+            name: {
+                "A_per_m2": r.A,
+                "B_m": r.B,
+                "C": r.C,
+                "counted": r.counted is not None,
+                "r_squared": None if r.fit is None else r.fit.r_squared,
+            }
+            for name, r in robot.reach.items()
+        },
+        "ready_position": robot.ready.q_m.tolist(),
+        "ready_clearance_m": robot.ready.clearance if data.pairs.all else None,
+        "lines": {name: list(place.start) for name, place in robot.places.items()},
+        "border_points": {name: len(cloud) for name, cloud in data.clouds.items()},
+        "warnings": robot.warnings,
+    }

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import tyro
 
-from app.cli.common import as_json, load_robot_and_border, print_json, rounded_text
+from app.cli.common import as_json, load_robot_and_border, print_json, rounded_text, say
 from app.cli.options import (
     PARAMETERS,
     ConfigOption,
+    Flag,
     Json,
     ParameterOptions,
     Setup,
@@ -18,23 +19,20 @@ from app.cli.options import (
     changed,
     check_file,
     check_name,
-    check_point,
     configured,
     make_folder,
     parameter_options,
 )
 from app.cli.records import Given, from_record
-from app.config import Config
-from app.jobs.progress import progress_bar
+from app.cli.wanted import Wanted, read
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.names import SCENARIOS, scenario_of
-from app.strict import check_range
+from app.system import write_whole
 
 if TYPE_CHECKING:
+    from app.robot.model import RobotModel
     from app.simulation.run import RunResult
 
-_DURATIONS = 0.01, 3600.0  # [s] shortest and longest run
-_PLACES = {"start": 3, "move": 3, "hinge_position": 2, "base": 2}  # and how many are metres
 _OF_A_CASE = {name: PARAMETERS[name] for name in ("buffer_distance", "border")}
 _OF_SCENARIOS = {name for each in SCENARIOS.values() for name in each.options}
 
@@ -46,9 +44,14 @@ LogOption = Annotated[
     Path | None,
     tyro.conf.arg(
         help="File ending in .csv or .parquet for 50 rows a second with all that the dashboard "
-        "draws; `dbb report` and `dbb replay` take it.",
+        "draws, which `dbb report` and `dbb replay` take; or in .mcap for Foxglove and ROS tools.",
         help_behavior_hint="",
     ),
+]
+
+
+ContactOption = Annotated[
+    Flag, tyro.conf.arg(help="End with status 1 if the arm touched anything.")
 ]
 
 
@@ -61,13 +64,8 @@ class _Files(NamedTuple):
 
 
 def choose(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
-    """The scenario of a command line, the command that runs it, and the other words.
-
-    Raises:
-        UnknownNameError: No such scenario.
-        ConfigError: A scenario or an option of one beside --replay-case.
-    """
-    if any(word.partition("=")[0] == "--replay-case" for word in words):
+    """The scenario of a command line, the command that runs it, and the other words."""
+    if any(word.partition("=")[0] == "--case" for word in words):
         _check_replay(words)
         return "", run_case, words
     first = words[:1] if words and not words[0].startswith("-") else []
@@ -95,10 +93,11 @@ def run(
     config: ConfigOption = None,
     out: OutOption = None,
     log: LogOption = None,
+    fail_on_contact: ContactOption = False,
     json: Json = False,
 ) -> None:
     """Run a scenario, or a case of a study again; print its figures."""
-    del setup, parameters, config, out, log, json
+    del setup, parameters, config, out, log, fail_on_contact, json
     print(f"usage: dbb run SCENARIO …\n\n{_LIST}", file=sys.stderr)
     sys.exit(2)
 
@@ -107,7 +106,7 @@ _LIST = "\n".join(
     [
         "Scenarios, each with its own options (dbb run SCENARIO --help):",
         *(f"  {name:16} {each.about}" for name, each in SCENARIOS.items()),
-        f"  {'--replay-case':16} a case of a study again (dbb run --replay-case FILE)",
+        f"  {'--case':16} a case again: of the page, or of a study (dbb run --case FILE)",
     ]
 )
 run.__doc__ = f"{run.__doc__}\n\n{_LIST}\n\nThe options of all scenarios:"
@@ -123,43 +122,44 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
         config: ConfigOption = None,
         out: OutOption = None,
         log: LogOption = None,
+        fail_on_contact: ContactOption = False,
         json: Json = False,
     ) -> None:
         chosen = Setup(**setup)
-        for name, size in _PLACES.items():
-            check_point(f"--{name.replace('_', '-')}", scenario_options.get(name, ())[:size])
-        if "duration" in scenario_options:
-            check_range("--duration", scenario_options["duration"], *_DURATIONS, "s")
         tuned = configured(config, parameters)
         # Imported here: it takes longer than to find a mistake in what was asked.
         from app.robot.assets import load_robot
 
         own = scenario_of(load_robot(chosen.robot), scenario.name).changed(**scenario_options)
-        _run(own, chosen, tuned, _Files(out, log, json))
+        figures = _run(Wanted(own, chosen, tuned), _Files(out, log, json))
+        _end(figures, fail_on_contact=fail_on_contact)
 
     command.__doc__ = f"Run {scenario.name}: {scenario.about}."
     return command
 
 
 def run_case(
-    replay_case: Path,
+    case: Path,
     setup: Annotated[Given, from_record(Setup, only=("controller", "physics"))],
     parameters: Annotated[Given, parameter_options(_OF_A_CASE)],
     out: OutOption = None,
     log: LogOption = None,
+    fail_on_contact: ContactOption = False,
     json: Json = False,
 ) -> None:
-    """Run a case of a study again: its start, pull, robot, disturbances and seed, so its figures.
+    """Run a case again: its start, pulls, robot, disturbances and seed, so its figures.
 
     Args:
-        replay_case: File of a case, such as those in `failures` of a study.
+        case: File of a case: the page's, or one of `failures` of a study.
     """
-    from app.studies.pulls.case import read_case
-
-    case = read_case(replay_case)
-    own = {name: getattr(case, name) for name in ("robot", "controller", "physics", "seed")}
-    tuned = changed(case.config(), parameters)
-    _run(case.scenario(), Setup(**(own | setup)), tuned, _Files(out, log, json))
+    played = read(case)
+    wanted = Wanted.of(played, setup)
+    wanted = wanted._replace(config=changed(wanted.config, parameters))
+    figures = _run(wanted, _Files(out, log, json))
+    if not setup and not parameters:
+        for change in played.changes(figures):
+            say(f"not as it was: {change}")
+    _end(figures, fail_on_contact=fail_on_contact)
 
 
 def _check_replay(words: list[str]) -> None:
@@ -171,51 +171,54 @@ def _check_replay(words: list[str]) -> None:
     check_no_others(dict.fromkeys(sorted(own & set(given)), True))
 
 
-def _run(scenario: Scenario, setup: Setup, config: Config, files: _Files) -> None:
-    """Run it, write what is asked for, and say how it went."""
+def _run(wanted: Wanted, files: _Files) -> dict[str, Any]:
+    """Run it, write what is asked for, and say how it went; its figures."""
     make_folder(files.out)
-    check_file("--log", files.log, (".csv", ".parquet"))
+    check_file("--log", files.log, (".csv", ".parquet", ".mcap"))
     # Imported here: it takes longer than to find a mistake in what was asked.
     from app.control.buffer_watch import buffer_warning
-    from app.simulation.run import run_scenario
     from app.simulation.trace.metrics import verdict
 
-    model, data = load_robot_and_border(setup.robot)
-    with progress_bar(f"{scenario.name}, {setup.controller}", scenario.duration) as on_progress:
-        result = run_scenario(
-            model,
-            data,
-            scenario,
-            config,
-            controller=setup.controller,
-            physics=setup.physics,
-            seed=setup.seed,
-            on_progress=on_progress,
-            drawn=files.out is not None or files.log is not None,
-        )
-    written = _write(result, files.out, files.log)
-    if warning := buffer_warning(result.trace.buffer, config):
+    model, data = load_robot_and_border(wanted.setup.robot)
+    drawn = files.out is not None or files.log is not None
+    result = wanted.result(model, data, drawn=drawn)
+    written = _write(result, files.out, files.log, model)
+    if warning := buffer_warning(result.trace.buffer, wanted.config):
         print(f"warning: {warning}", file=sys.stderr)
     if files.json:
         print_json(result.figures)
-        for path in written:
-            print(f"wrote {path}", file=sys.stderr)
-        return
-    print(verdict(result.figures))
-    for key, value in result.figures.items():
-        print(f"  {key:34} {rounded_text(value)}")
+    else:
+        print(verdict(result.figures))
+        for key, value in result.figures.items():
+            print(f"  {key:34} {rounded_text(value)}")
     for path in written:
-        print(f"wrote {path}")
+        print(f"wrote {path}", file=sys.stderr if files.json else None)
+    return result.figures
 
 
-def _write(result: "RunResult", out: Path | None, log: Path | None) -> list[Path]:
+def _end(figures: dict[str, Any], *, fail_on_contact: bool) -> None:
+    """End with the status that was asked for."""
+    from app.simulation.trace.metrics import touches
+
+    if fail_on_contact and touches(figures):
+        sys.exit(1)
+
+
+def _write(
+    result: "RunResult", out: Path | None, log: Path | None, model: "RobotModel"
+) -> list[Path]:
     """Write what was asked for; returns what was written."""
     written = []
     if out is not None:
         written += [out / "log.csv", out / "metrics.json"]
         result.trace.write(written[0])
-        written[1].write_text(as_json(result.figures), encoding="utf-8")
+        write_whole(written[1], as_json(result.figures))
     if log is not None:
         written.append(log)
-        result.trace.write(log)
+        if log.suffix.lower() == ".mcap":
+            from app.simulation.trace.mcap_file import write_mcap
+
+            write_mcap(log, result.trace, model)
+        else:
+            result.trace.write(log)
     return written

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-from app.cli.common import load_robot_and_border
+from app.cli.common import load_model, say
 from app.cli.options import (
     ConfigOption,
     ParameterOptions,
@@ -17,24 +17,24 @@ from app.cli.options import (
     SetupOptions,
     changed,
     check_name,
-    check_point,
     configured,
 )
 from app.cli.records import Given, from_record
+from app.cli.wanted import read
 from app.config import Config
+from app.simulation.scenarios.leading import check_point
 from app.simulation.scenarios.line import Point
-from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios.pulled import free_start
 
 if TYPE_CHECKING:
     import numpy as np
 
     from app.border.cache import BorderData
     from app.robot.model import RobotModel
+    from app.simulation.case import RunCase
     from app.simulation.loop.loop import SimulationLoop
     from app.simulation.loop.process_loop import LoopChild, ProcessLoop
     from app.studies.pulls.case import Case
-
-_BEGIN = "guiding-front"  # where the hand stands when the page opens
 
 
 @dataclass(frozen=True)
@@ -50,15 +50,16 @@ class Serving:
     loop: str = "process"
     """process, or thread for the simulation inside the server's process, where drawing disturbs its
     real time."""
-    replay_case: Path | None = None
-    """File of a case, such as those in `failures` of a study: the robot, its start and its
+    case: Path | None = None
+    """File of a case, the page's or one of `failures` of a study: the robot, its start and its
     disturbances are the case's, and a button plays the pull."""
     sweep: Path = Path("out/sweep")
     """Folder of `dbb sweep` whose newest map is shown, and where a button writes new ones."""
 
     def __post_init__(self) -> None:
         check_name("loop", self.loop, ("process", "thread"))
-        check_point("--start", self.start)
+        if self.start is not None:
+            check_point("--start", self.start)
 
 
 def serve(
@@ -70,10 +71,10 @@ def serve(
     """Serve the dashboard: drag the hand, and the base gives way."""
     asked = Serving(**serving)
     case = None
-    if asked.replay_case is not None:
-        from app.studies.pulls.case import check_no_others, read_case
+    if asked.case is not None:
+        from app.studies.pulls.case import check_no_others
 
-        case = read_case(asked.replay_case)
+        case = read(asked.case)
         check_no_others({"start": asked.start, "config": config, **parameters})
         of_case = {"controller": case.controller, "physics": case.physics}
         setup = {**of_case, **setup, "robot": case.robot, "seed": case.seed}
@@ -96,14 +97,14 @@ class _First(NamedTuple):
     setup: Setup
     config: Config
     asked: Serving
-    case: Case | None
+    case: Case | RunCase | None
     child: LoopChild | None
 
     def q_start(self, model: RobotModel, data: BorderData) -> np.ndarray:
         """(n_m,) arm configuration."""
         if self.case is not None:
             return self.case.scenario().setting(model, data, self.config, self.setup.seed).q_m
-        return _start(model, data, self.config, self.asked.start, self.setup.seed)
+        return free_start(model, data, self.config, self.asked.start, self.setup.seed)
 
     def begin_loop(
         self,
@@ -121,7 +122,7 @@ class _First(NamedTuple):
 
         setup = self.setup
         if q_start is None:
-            q_start = _start(model, data, config, None, setup.seed)
+            q_start = free_start(model, data, config, None, setup.seed)
         make_session = partial(
             Session,
             model,
@@ -148,7 +149,8 @@ def _serve(first: _First) -> None:
 
     asked = first.asked
     check_address(asked.host, asked.port)
-    model, data = load_robot_and_border(first.setup.robot)
+    model = load_model(first.setup.robot)
+    data = _border(model)
     q_start = first.q_start(model, data)
     simulation = first.begin_loop(
         model, data, first.config, first.setup.controller, q_start, first.child
@@ -173,17 +175,18 @@ def _serve(first: _First) -> None:
         simulation.stop()
 
 
-def _start(
-    model: RobotModel, data: BorderData, config: Config, start: Point | None, seed: int
-) -> np.ndarray:
-    """(n_m,) the arm with the hand where it was asked for, before the base, or ready."""
-    import numpy as np
+def _border(model: RobotModel) -> BorderData:
+    """The robot's border; a coarse one is refined by another process, for the next start."""
+    from app.border.cache import kept_border_data, load_border_data
+    from app.border.config import QUICK
+    from app.dashboard.job import Job, sample_border
 
-    from app.simulation.scenarios.start import find_start
-
-    own = model.description.lines
-    place = own.get(_BEGIN)
-    if start is None and own and place is None:  # a robot whose hand does not come there
-        return np.array(model.description.arm.ready_position)
-    place_m = start or (place.start_m if place else LINES[_BEGIN].start)
-    return find_start(model, data.pairs, config.border.d_b, place_m, seed=seed)
+    coarse = None
+    if (kept := kept_border_data(model)) is None:
+        coarse = kept_border_data(model, QUICK)
+    if coarse is None:
+        return kept or load_border_data(model)
+    name, job = model.description.name, Job()
+    say(f"the border of {name} is coarse; it is refined in the background, for the next start")
+    job.start(name, "refining its border", lambda: job.run(sample_border, name))
+    return coarse

@@ -25,10 +25,21 @@ from app.cli.options import (
 from app.cli.records import Given, from_record
 from app.jobs.progress import progress_bar
 from app.strict import check_range
-from app.studies.pulls.draw_range import StudyRange, make_range
-from app.studies.pulls.parameters import StudyParameters
+from app.studies.pulls.parameters import StudyParameters, StudyRange
 
 _MOST_CASES = 10_000_000
+_COUNTS = (
+    "cases",
+    "failed",
+    "contact",
+    "bodies_overlap",
+    "arm_contact",
+    "arm_bodies_overlap",
+    "solver_failure",
+    "nan",
+    "error",
+)
+_WIDTHS = {"cases": 5, "failed": 6, "entered_buffer": 6, "bodies_overlap": 7, "contact": 7}
 
 
 def study(
@@ -59,7 +70,7 @@ def study(
     """
     check_range("--cases", cases, 1, _MOST_CASES)
     chosen = asdict(Setup(**setup))
-    parameters = StudyParameters(**chosen, inside=inside, ranges=make_range(ranges))
+    parameters = StudyParameters(**chosen, inside=inside, ranges=StudyRange(**ranges))
     side_by_side = check_processes(processes)
     # Imported here: it takes longer than to find a mistake in what was asked.
     from app.robot.assets import load_robot
@@ -104,38 +115,8 @@ def _kept(cases: int, out: Path) -> Iterator[Callable[[float], None]]:
         raise
 
 
-def _print_force(counts: dict[str, Any]) -> None:
-    if not counts["cases"]:
-        return
-    high = counts["to_n"]
-    name = f"above {counts['from_n']:g}" if high is None else f"{counts['from_n']:g} to {high:g}"
-    numbers = (
-        f"{counts[key]:{width}}"
-        for key, width in (
-            ("cases", 5),
-            ("failed", 6),
-            ("entered_buffer", 6),
-            ("bodies_overlap", 7),
-            ("contact", 7),
-        )
-    )
-    least, fastest = counts["least_clearance_m"], counts["hand_speed_max_mps"]
-    ends = (f"{'–' if value is None else f'{value:.3f}':>10}" for value in (least, fastest))
-    print(f"  {name:26} {' '.join(numbers)} {' '.join(ends)}")
-
-
 def _print(result: dict[str, Any], out: Path) -> None:
-    for key in (
-        "cases",
-        "failed",
-        "contact",
-        "bodies_overlap",
-        "arm_contact",
-        "arm_bodies_overlap",
-        "solver_failure",
-        "nan",
-        "error",
-    ):
+    for key in _COUNTS:
         print(f"{key.replace('_', ' '):28} {result[key]}")
     if (least := result["min_clearance_m"]) is not None:
         print(f"{'least distance to the base':28} {least['0_%']:.4g} m, median {least['50_%']:.4g}")
@@ -145,9 +126,19 @@ def _print(result: dict[str, Any], out: Path) -> None:
         print(f"{'largest force exerted':28} {told}")
     print(f"{'force until near [N]':28} cases failed buffer overlap contact  least [m] hand [m/s]")
     for counts in result["by_force"]:
-        _print_force(counts)
+        if counts["cases"]:
+            print(_force_line(counts))
     for name, title in (("inside", "inside the stated envelope"), ("outside", "outside of it")):
         told = result["stated_envelope"][name]
         bound = f", at most {100 * told['rate_bound_95']:.2g} % with 95 % confidence"
         print(f"{title:28} {told['failed']} of {told['cases']} failed{bound}")
     print(f"{out / 'report.html'}")
+
+
+def _force_line(counts: dict[str, Any]) -> str:
+    low, high = counts["from_n"], counts["to_n"]
+    name = f"above {low:g}" if high is None else f"{low:g} to {high:g}"
+    numbers = (f"{counts[key]:{width}}" for key, width in _WIDTHS.items())
+    least, fastest = counts["least_clearance_m"], counts["hand_speed_max_mps"]
+    ends = (f"{'–' if value is None else f'{value:.3f}':>10}" for value in (least, fastest))
+    return f"  {name:26} {' '.join(numbers)} {' '.join(ends)}"

@@ -1,4 +1,4 @@
-"""`dbb sweep`: hand paths towards the base from everywhere, as a polar map."""
+"""`dbb sweep`: hand paths towards the base, from everywhere or by every robot."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
-from app.cli.common import print_json
-from app.cli.compare_robots import compare_robots
+import tyro
+
+from app.cli.common import print_json, print_table
 from app.cli.options import (
     NO_DEFAULT,
     ConfigOption,
     Json,
     Processes,
     changed,
+    check_name,
     check_processes,
     check_seed,
     configured,
@@ -59,14 +61,13 @@ def sweep(
     """
     if config is not None and parameters is not None:
         raise ConfigError("--parameters: --config gives them already; leave one of them")
-    tuned = configured(config) if parameters is None else read_parameters(parameters)
+    tuned = configured(config) if parameters is None else _read_parameters(parameters)
     if "controllers" in plan:
-        plan["controllers"] = tuple(
-            dict.fromkeys(name for text in plan["controllers"] for name in text.split(",") if name)
-        )
-    for name in ("heights", "speeds"):
-        if name in plan:
-            plan[name] = tuple(dict.fromkeys(plan[name]))
+        plan["controllers"] = [
+            name for text in plan["controllers"] for name in text.split(",") if name
+        ]
+    for name in OPTIONS.keys() & plan.keys():
+        plan[name] = tuple(dict.fromkeys(plan[name]))
     made = SweepPlan(**plan, config=changed(tuned, parameter, _PARAMETERS))
     check_seed(made.seed)
     side_by_side = check_processes(processes)
@@ -87,7 +88,51 @@ def sweep(
         _print(result, out)
 
 
-def read_parameters(path: Path) -> Config:
+def compare_robots(
+    robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME …")] = (),
+    case: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME …")] = (),
+    processes: Processes = None,
+    seed: int = 0,
+    json: Json = False,
+) -> None:
+    """Lead each robot's hand towards its own base, without avoidance and with it.
+
+    Each robot is pulled by its hand from the side and from the front, and tracks a path of 0.2 m at
+    its side and one along its wheel axis, p_b at x = 0. The starts are searched, 0.02 m outside of
+    the buffer; a robot whose hand cannot come there has a row that says so.
+
+    Args:
+        robots: Names of the robots, all without any; `dbb robots` lists them.
+        case: Some of guiding-lateral, guiding-front, tracking and wheel-axis; all without any.
+        seed: Seed of everything random.
+    """
+    # Imported here: pybullet and scipy would make every other command start later.
+    from app.robot.assets import robot_names
+
+    for name in robots:
+        check_name("robot", name, robot_names())
+    check_seed(seed)
+    side_by_side = check_processes(processes)
+    from app.studies.sweep.robots import CASES, robot_table
+
+    known = {each.name: each for each in CASES}
+    for name in case:
+        check_name("case", name, known)
+    with progress_bar("robots", 1.0) as on_progress:
+        result = robot_table(
+            robots or robot_names(),
+            cases=[known[name] for name in case] or CASES,
+            seed=seed,
+            processes=side_by_side,
+            on_progress=on_progress,
+        )
+    if json:
+        print_json(result)
+    else:
+        _print_robots(result["rows"])
+
+
+def _read_parameters(path: Path) -> Config:
     """The parameters of a JSON file, over the defaults.
 
     Raises:
@@ -120,3 +165,28 @@ def _print(result: dict[str, Any], out: Path) -> None:
         print(f"unreachable: {row['kind'].replace('_', ' ')}, {where}: {row['reason']}")
     for name in result["files"]:
         print(out / name)
+
+
+def _print_robots(rows: list[dict[str, Any]]) -> None:
+    from rich.table import Table
+
+    table = Table(
+        "robot", "case", "from", "controller", "clearance", "hand off", "base drove", "contacts", ""
+    )
+    for row in rows:
+        if "reason" in row:
+            table.add_row(row["title"], row["case"], "", "", row["reason"])
+            continue
+        clearance = row["clearance_m"]
+        table.add_row(
+            row["title"],
+            row["case"],
+            f"{row['direction_deg']:g}°, {row['height_m']:.2f} m",
+            row["controller"],
+            "–" if clearance is None else f"{clearance:.3f} m",
+            f"{1000 * row['hand_error_m']:.3g} mm",
+            f"{row['base_path_m']:.2f} m",
+            str(row["contacts"]),
+            "✓" if row["passed"] else "✗",
+        )
+    print_table(table)

@@ -8,10 +8,9 @@ import numpy as np
 
 from app.config import Config
 from app.control.admittance import largest_command
-from app.control.controller import ControlOutput
+from app.control.controller import ControlOutput, Workings
 from app.control.limits import position_bounds, velocity_bounds
 from app.control.qp import Limits
-from app.control.workings import Workings
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 
@@ -57,8 +56,8 @@ def active_bounds(
         workings: How it came about.
         config: The parameters of the step.
     """
-    limits, n_m = workings.arm.limits, state.model.n_m
-    low, high = met(limits, workings.arm.qdd[state.model.n_b :])
+    n_m = state.model.n_m
+    low, high = met(workings.limits, workings.qdd)
     joints = state.model.description.arm.joints
     bounds = []
     for i in np.flatnonzero(low | high).tolist():

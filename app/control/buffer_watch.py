@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from app.avoidance.distances import ClosestPoints
+from app.avoidance.closest_points import ClosestPoints
 from app.config import Config, parameter
 from app.control.buffer_need import Approach, buffer_need
 from app.robot.bases.kind import BaseKind
@@ -127,7 +127,7 @@ def approach_of(state: RobotState, pair: ClosestPoints) -> tuple[Approach, float
         The approach over the ground, and [m/s] how fast the distance shrinks, which is the arm's
         motion alone.
     """
-    J = state.point_jacobian(state.model.body_joint(pair.pair.b), pair.p_b)
+    J = state.point_jacobian(state.model.body_joints[pair.pair.b], pair.p_b)
     along, n_b = -(pair.n @ J), state.model.n_b  # (n,)
     v, closing = float(along @ state.qd), float(along[n_b:] @ state.qd[n_b:])
     return Approach(v, state.R_world_base.T @ pair.n, state.to_base(pair.p_b)), closing

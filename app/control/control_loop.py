@@ -22,7 +22,7 @@ class Command(NamedTuple):
     """What the robot is told in one step.
 
     Attributes:
-        u_a: (n_m,) [N m or N] torques of the arm.
+        u_a: (n_m,) [N m or N] torques of the arm, gravity's and velocities' share included.
         base_velocity: (n_b,) [m/s or rad/s] along the base's axes: v and ω of a differential one;
             renewed at the base's own slow rate.
         output: The controller's own output, such as the distances and how they came about.
@@ -56,7 +56,7 @@ class ControlLoop:
             model: The robot.
             data: Its link pairs and border; from the cache, or sampled now, if not given.
             config: Parameters; the defaults if not given.
-            name: One of `app.control.names.CONTROLLERS`.
+            name: One of `app.control.CONTROLLERS`.
             dt: [s] between two steps.
 
         Raises:

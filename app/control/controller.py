@@ -6,21 +6,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.avoidance.holding import base_with_hand, carried
 from app.avoidance.self_collision import Avoidance, SelfCollisionAvoidance
 from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
 from app.border.score import ScoreField
-from app.config import Config, slowed
+from app.config import Config, TaskConfig, slowed
+from app.control import CONTROLLERS
 from app.control.admittance import response
-from app.control.limits import arm_limits, robot_limits
+from app.control.limits import PushObserver, base_limits, robot_limits
 from app.control.methods import METHODS, Inserted
-from app.control.names import CONTROLLERS
-from app.control.observer import PushObserver
-from app.control.qp import NoSolutionError, Objective, TaskQP
+from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
 from app.control.tasks import (
+    EqualityTask,
     Reference,
     base_rest_acceleration,
+    base_with_hand,
+    carried,
     end_effector_task,
     free_arm_torque,
     guided_objective,
@@ -28,13 +29,48 @@ from app.control.tasks import (
     tracking_objective,
     with_base_at_rest,
 )
-from app.control.transition import insert_rows
-from app.control.workings import ArmSolve, Workings
 from app.errors import UnknownNameError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, checked, is_finite
 
 Array = np.ndarray
+
+
+class Stack(NamedTuple):
+    """The tasks below self-collision avoidance, over q̈ (n,).
+
+    Attributes:
+        objective: All of them.
+        lowest: The posture alone, or what a guided arm does by itself.
+        ee_task: T_ee, or None where the arm is guided.
+    """
+
+    objective: Objective
+    lowest: Objective
+    ee_task: EqualityTask | None
+
+
+class Workings(NamedTuple):
+    """How a control step came to its answer; what explains it is made from this, when asked for.
+
+    Attributes:
+        base_wanted: (n_b,) [m/s² or rad/s²] of (29) before the base's acceleration limits.
+        base_given: (n_b,) the same that the base really has, with which the arm's part is solved.
+        rows: Rows above the tasks: the method's against the base, then those between links.
+        stack: The tasks.
+        limits: On q̈, the hard torques first, then joints, then barriers.
+        torque: (n_m,) the smallest and (n_m,) the largest torque [N m or N] that the step allowed,
+            by the limits of the torques and of their change.
+        qdd: (n,) q̈ of base and arm.
+    """
+
+    base_wanted: Array
+    base_given: Array
+    rows: tuple[TaskRows, ...]
+    stack: Stack
+    limits: Limits
+    torque: tuple[Array, Array]
+    qdd: Array
 
 
 class ControlOutput(NamedTuple):
@@ -80,7 +116,8 @@ class Controller:
         failures: Steps so far in which the arm got the safe command, for want of a good measurement
             or a solution.
         given_up: Steps so far in which the base's own part had no solution; it was braked.
-        q_posture: (n_m,) the posture that the arm is drawn to, set at the first step after `reset`.
+        q_posture: (n_m,) the posture that the arm is drawn to, that of the first good
+            measurement after `reset`.
     """
 
     def __init__(
@@ -130,8 +167,14 @@ class Controller:
         """Forget the posture, the last torques, who pushes, and the counts of failures."""
         self._u_a: Array | None = None
         self._observer.reset()
+        self._avoidance.reset()
         self.q_posture: Array | None = None
         self.failures = self.given_up = 0
+
+    @property
+    def d_b(self) -> float:
+        """[m] the buffer distance in force, which follows another one step by step."""
+        return self._avoidance.d_b
 
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on."""
@@ -164,7 +207,7 @@ class Controller:
         Returns:
             Torques of the arm and acceleration of the base; never without an answer. Where the
             measurement or the reference is not finite, gravity compensation with damping at the
-            last good one, and a base that is braked.
+            last good one, before the first at the arm's ready posture, and a base that is braked.
 
         Raises:
             MeasurementError: A reading is not that many numbers.
@@ -173,53 +216,41 @@ class Controller:
         good = is_finite(measurement)
         if good:
             self.state.update(measurement)
-        if self.q_posture is None:
-            self.q_posture = self.state.measurement.q_m.copy()
-        if self._u_a is None:
-            self._u_a = free_arm_torque(self.state)
-        self._watch_pushes(known=good)
-        avoidance = self._avoidance.update()
+        if good and self.q_posture is None:
+            self.q_posture = measurement.q_m.copy()
+        last = free_arm_torque(self.state) if self._u_a is None else self._u_a
+        if good:
+            self._observer.update(self.state, last, self._config.limit.push_rate, self._dt)
+        else:
+            self._observer.pause()
+        torque, workings = self._torque_range(last), None
+        avoidance = self._avoidance.update(self._dt)
         inserted = self._method(self.state, avoidance, self._config)
-        wanted, asked = self._base_acceleration(inserted, reference)
-        asked = _clipped(asked, self._model.base_acceleration_max)
-        given = asked if base_acceleration is None else base_acceleration
-        torque, workings = self._torque_range(), None
         try:
             if not good:
                 raise NoSolutionError("the measurement is not finite")
-            arm = self._solve_arm(given, inserted, reference, torque)
-            u_a = self.state.M[self._model.n_b :] @ arm.qdd + self.state.h[self._model.n_b :]
-            workings = Workings(wanted, given, arm, torque)
+            wanted, asked = self._base_part(inserted, reference)
+            asked = _clipped(asked, self._model.base_acceleration_max)
+            given = asked if base_acceleration is None else base_acceleration
+            workings = self._arm_part(wanted, given, inserted, reference, torque)
+            n_b = self._model.n_b
+            u_a = self.state.M[n_b:] @ workings.qdd + self.state.h[n_b:]
         except NoSolutionError:
             self.failures += 1
             u_a = free_arm_torque(self.state)
             asked = base_rest_acceleration(self.state, self._config.task)
-        self._u_a = np.minimum(np.maximum(u_a, torque[0]), torque[1])
-        return ControlOutput(
-            self._u_a.copy(),
-            asked,
-            avoidance,
-            inserted,
-            workings is not None,
-            tracking=reference is not None,
-            workings=workings,
-        )
-
-    def _watch_pushes(self, *, known: bool) -> None:
-        if known:
-            assert self._u_a is not None
-            self._observer.update(self.state, self._u_a, self._config.limit.push_rate, self._dt)
-        else:
-            self._observer.pause()
+        u_a = np.minimum(np.maximum(u_a, torque[0]), torque[1])
+        if self.q_posture is not None:  # else the torques are those of no pose that was measured
+            self._u_a = u_a
+        solved, tracking = workings is not None, reference is not None
+        return ControlOutput(u_a.copy(), asked, avoidance, inserted, solved, tracking, workings)
 
     def score_field(self, pair: str) -> ScoreField:
         """The score by which a pair of L_m chooses its acting points, by the pair's name."""
         return self._avoidance.field(pair)
 
-    def _base_acceleration(
-        self, inserted: Inserted, reference: Reference | None
-    ) -> tuple[Array, Array]:
-        """The base's part of (29), (n_b,), and what of it does not take the hand along.
+    def _base_part(self, inserted: Inserted, reference: Reference | None) -> tuple[Array, Array]:
+        """The base's acceleration of (29), (n_b,), and what of it does not take the hand along.
 
         The rows fix it once the solution without them is known.
 
@@ -247,89 +278,81 @@ class Controller:
         if reference is None and not inserted.base_too:
             return base_rest_acceleration(state, self._config.task)
         task, repulsion = self._slow
+        objective, _, _ = self._stack(task, inserted, reference, give=False)
+        if reference is None:
+            objective = with_base_at_rest(state, objective, task)
         rows = [
             row._replace(xdd=repulsion.k_p - repulsion.k_v * (row.J @ state.qd))
             for row in inserted.rows_links
         ]
-        if reference is None:
-            objective = with_base_at_rest(
-                state, guided_objective(state, self._u_0(inserted)), self._config.task
-            )
-        else:
-            assert self.q_posture is not None
-            posture = posture_objective(state, self.q_posture, task)
-            T_ee = end_effector_task(state, reference, task)._replace(give=0.0)  # it drives there
-            objective = tracking_objective(posture, T_ee, task.ee_weight)
         barriers = inserted.barriers if inserted.base_too else ()
-        softness = self._config.task.softness
-        limits = robot_limits(state, self._config.limit, barriers, softness=softness)
+        limits = robot_limits(state, self._config.limit, barriers, softness=task.softness)
         try:
-            qdd = self._solver.solve(insert_rows(objective, rows, softness), limits)
+            whole = insert_rows(objective, rows, task.softness)
+            qdd = self._solver.solve(whole, limits.and_also(base_limits(state)))
         except NoSolutionError:
             self.given_up += 1
             return base_rest_acceleration(state, self._config.task)
         return self._model.J_m @ qdd[:n_b]
 
-    def _solve_arm(
+    def _arm_part(
         self,
-        base_acceleration: Array,
+        wanted: Array,
+        given: Array,
         inserted: Inserted,
         reference: Reference | None,
         torque: tuple[Array, Array],
-    ) -> ArmSolve:
-        """The arm's part of (29) with the acceleration that the base really has."""
-        state, config = self.state, self._config
-        if reference is None:
-            T_ee, lowest = None, guided_objective(state, self._u_0(inserted))
-            objective = lowest
-        else:
-            assert self.q_posture is not None
-            T_ee = end_effector_task(state, reference, config.task)
-            lowest = posture_objective(state, self.q_posture, config.task)
-            objective = tracking_objective(lowest, T_ee, config.task.ee_weight)
+    ) -> Workings:
+        """The arm's part of (29) for the acceleration that the base really has.
+
+        Raises:
+            NoSolutionError: There is none.
+        """
+        config, softness = self._config, self._config.task.softness
         rows = (*inserted.rows_arm, *inserted.rows_links)
-        qdd_b = self._model.J_m_inv @ base_acceleration
-        softness = config.task.softness
-        limits = arm_limits(
-            state,
+        stack = self._stack(config.task, inserted, reference)
+        limits = robot_limits(
+            self.state,
             config.limit,
             inserted.barriers,
             softness=softness,
-            qdd_b=qdd_b,
-            pushed=self._observer.r,
             torque=torque,
+            pushed=self._observer.r,
         )
+        qdd_b = self._model.J_m_inv @ given
         whole = insert_rows(
-            _with_base(objective, qdd_b), [_of_arm(row, qdd_b) for row in rows], softness
+            stack.objective.of_arm(qdd_b), [row.of_arm(qdd_b) for row in rows], softness
         )
-        qdd_m = self._solver.solve(whole, limits)
-        return ArmSolve(rows, T_ee, objective, lowest, limits, np.concatenate([qdd_b, qdd_m]))
+        qdd = np.concatenate([qdd_b, self._solver.solve(whole, limits.of_arm(qdd_b))])
+        return Workings(wanted, given, rows, stack, limits, torque, qdd)
 
-    def _u_0(self, inserted: Inserted) -> Array:
-        """(n_m,) [N m or N] what a guided arm does by itself."""
-        return free_arm_torque(self.state) + inserted.u_a
+    def _stack(
+        self,
+        task: TaskConfig,
+        inserted: Inserted,
+        reference: Reference | None,
+        *,
+        give: bool = True,
+    ) -> Stack:
+        """The tasks of base and arm; `give` lets T_ee be damped where it is far."""
+        if reference is None:
+            u_0 = free_arm_torque(self.state) + inserted.u_a
+            guided = guided_objective(self.state, u_0)
+            return Stack(guided, guided, None)
+        assert self.q_posture is not None
+        posture = posture_objective(self.state, self.q_posture, task)
+        T_ee = end_effector_task(self.state, reference, task)
+        if not give:  # the base drives there
+            T_ee = T_ee._replace(give=0.0)
+        return Stack(tracking_objective(posture, T_ee, task.ee_weight), posture, T_ee)
 
-    def _torque_range(self) -> tuple[Array, Array]:
-        """(n_m,) the smallest and (n_m,) the largest torque [N m or N] of this step."""
-        assert self._u_a is not None
+    def _torque_range(self, last: Array) -> tuple[Array, Array]:
+        """(n_m,) the smallest and (n_m,) the largest torque [N m or N] after the last one."""
         most, slew = self._model.tau_max, self._config.limit.torque_rate * self._dt
-        last = _clipped(self._u_a, most)
+        last = _clipped(last, most)
         return np.maximum(last - slew, -most), np.minimum(last + slew, most)
 
 
-def _with_base(objective: Objective, qdd_b: Array) -> Objective:
-    """An objective over q̈ as one over q̈_m, the base's part given."""
-    n_b = len(qdd_b)
-    H, c = objective
-    return Objective(H[n_b:, n_b:], c[n_b:] + H[n_b:, :n_b] @ qdd_b)
-
-
-def _of_arm(rows: TaskRows, qdd_b: Array) -> TaskRows:
-    """Rows over q̈ as rows over q̈_m, the base's part given."""
-    n_b = len(qdd_b)
-    return rows._replace(J=rows.J[:, n_b:], Jdqd=rows.Jdqd + rows.J[:, :n_b] @ qdd_b)
-
-
-def _clipped(values: Array, largest: Array | float) -> Array:
+def _clipped(values: Array, largest: Array) -> Array:
     """Values within ±largest; `np.clip` costs thrice as much on so few."""
     return np.minimum(np.maximum(values, -largest), largest)

@@ -22,7 +22,7 @@ class Drive:
     and acceleration.
 
     Attributes:
-        velocity: (n_b,) [m/s or rad/s] the velocity that the base is set to now, along its axes.
+        velocity: [m/s or rad/s] the n_b velocities that the base is set to now, along its axes.
         state: (n_d,) what the drive has besides, such as a steering angle [rad].
     """
 
@@ -33,27 +33,26 @@ class Drive:
             base: Time constant and limits.
             dt: [s] between two steps.
         """
-        self._base, self._n_b = base, base.n_b
+        self._base, self._follow = base, base.follower(dt)
         self._at_rest = base.drive_at_rest()
-        self._dt = dt
         self.reset()
 
     def reset(self) -> None:
         """Stand still."""
-        self.velocity = np.zeros(self._n_b)
+        self.velocity = [0.0] * self._base.n_b
         self.state = self._at_rest
 
-    def step(self, v_cmd: Sequence[float] | Array) -> Array:
+    def step(self, v_cmd: Sequence[float] | Array) -> list[float]:
         """Follow a command for one period.
 
         Args:
             v_cmd: (n_b,) the commanded velocity; clamped to the velocity limits.
 
         Returns:
-            (n_b,) the velocity at the end of the period.
+            The velocity at the end of the period.
         """
-        after = self._base.driven(self.velocity, self.state, v_cmd, self._dt)
-        self.velocity, self.state = after[: self._n_b], after[self._n_b :]
+        command = np.asarray(v_cmd).tolist()
+        self.velocity, self.state = self._follow(self.velocity, self.state, command)
         return self.velocity
 
     def expected_acceleration(

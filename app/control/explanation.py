@@ -13,9 +13,9 @@ from app.avoidance.mobile_acceleration import PairForce, generate_mob_acc
 from app.avoidance.self_collision import PairState
 from app.config import Config
 from app.control.active_bounds import Bound, active_bounds, admittance_bounds
-from app.control.controller import Controller, ControlOutput
-from app.control.levels import Level, level_readings
-from app.robot.bases.kind import Axis
+from app.control.controller import Controller, ControlOutput, Workings
+from app.control.qp import Objective
+from app.robot.bases.kind import Axis, BaseKind
 
 Array = np.ndarray
 Planar = tuple[float, float]
@@ -23,6 +23,7 @@ ByAxis = tuple[float, ...]
 """[m/s² or rad/s²] along the base's axes."""
 
 Controlled = Literal["guiding", "tracking"]
+LevelName = Literal["base", "arm", "links", "hand", "posture", "free"]
 
 
 class ForceSplit(NamedTuple):
@@ -79,6 +80,22 @@ class NearPair(NamedTuple):
     force: ForceSplit | None
 
 
+class Level(NamedTuple):
+    """The slack of one task: what it asked for less what it got.
+
+    Attributes:
+        name: "base": the base's rows of T_sca; "arm": the arm's rows against the base; "links":
+            rows between links; "hand": the end-effector's task; "posture": the lightest, or
+            "free" where a person leads the arm: what it would do by itself.
+        linear: [m/s²] norm of the slack, or its linear part; None if there is none. Of "base" v̇.
+        angular: [rad/s²] norm of the angular part, or of the joints'; None if there is none.
+    """
+
+    name: LevelName
+    linear: float | None
+    angular: float | None
+
+
 class Explanation(NamedTuple):
     """One control step, explained.
 
@@ -119,8 +136,11 @@ class Explanation(NamedTuple):
 
     @property
     def bearing(self) -> NearPair | None:
-        """The pair that counts most: the most active one of L_m, else between links, or None."""
-        return self.near[0] if self.near else None
+        """The pair that counts most, or None: the deepest of those one of which is inside the
+        other, else the most active one of L_m, else between links.
+        """
+        inside = (pair for pair in self.near if pair.d < 0.0)
+        return min(inside, key=lambda pair: pair.d, default=next(iter(self.near), None))
 
 
 def explain(
@@ -158,6 +178,65 @@ def explain(
         bounds=(*bounds, *admittance_bounds(state.model, config, base_command)),
         base_kind=base.kind,
     )
+
+
+def level_readings(base: BaseKind, output: ControlOutput, workings: Workings) -> tuple[Level, ...]:
+    """The tasks of a step, what weighs most first.
+
+    They are w_sca* and w_2 of (29).
+
+    Args:
+        base: The robot's base.
+        output: What the controller answered.
+        workings: How it came about.
+    """
+    stack, inserted, qdd = workings.stack, output.inserted, workings.qdd
+    levels = []
+    if inserted.rows_m is not None:
+        missing = workings.base_wanted - output.base_acceleration
+        levels.append(Level("base", *linear_and_angular(base, missing)))
+    avoiding = _row_slacks(workings, base.n_b)
+    count = len(inserted.rows_arm)
+    if inserted.rows_arm:
+        levels.append(Level("arm", _norm(*avoiding[:count]), None))
+    if inserted.rows_links:
+        levels.append(Level("links", _norm(*avoiding[count:]), None))
+    if stack.ee_task is not None:
+        w = stack.ee_task.b - stack.ee_task.J @ qdd
+        levels.append(Level("hand", _norm(w[:3]), _norm(w[3:])))
+    lowest = _norm(objective_slack(stack.lowest, qdd, base.n_b))
+    return (*levels, Level("posture" if output.tracking else "free", None, lowest))
+
+
+def objective_slack(objective: Objective, qdd: Array, n_b: int) -> Array:
+    """(n_m,) [rad/s² or m/s²] the arm's q̈ less the one that the objective alone would choose.
+
+    The base's q̈, the first n_b, is taken as it is.
+    """
+    H, c = objective
+    return qdd[n_b:] + np.linalg.solve(H[n_b:, n_b:], c[n_b:] + H[n_b:, :n_b] @ qdd[:n_b])
+
+
+def linear_and_angular(base: BaseKind, values: Array) -> tuple[float, float]:
+    """Norms of what an axis-by-axis vector (n_b,) has along the base's linear and angular axes."""
+    angular = np.array([axis.angular for axis in base.axes])
+    return float(np.linalg.norm(values[~angular])), float(np.linalg.norm(values[angular]))
+
+
+def _row_slacks(workings: Workings, n_b: int) -> list[Array]:
+    """What each group of rows asked, in the blend of (29), less what it got."""
+    if not workings.rows:
+        return []
+    without = workings.qdd.copy()
+    without[n_b:] -= objective_slack(workings.stack.objective, workings.qdd, n_b)
+    return [
+        row.beta * row.b + (1.0 - row.beta) * (row.J @ without) - row.J @ workings.qdd
+        for row in workings.rows
+    ]
+
+
+def _norm(*vectors: Array) -> float:
+    return float(np.linalg.norm(np.concatenate(vectors)))
 
 
 def split(f: Array, n: Array) -> tuple[Array, Array]:

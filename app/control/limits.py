@@ -1,20 +1,57 @@
-"""Limits of the robot as bounds on its accelerations: those of torques hard, the others soft."""
+"""What the robot keeps whatever its tasks ask: torques, joints' ranges and speeds, distances.
+
+All of it bounds accelerations of one QP. Torques are hard; joints and distances give in where they
+contradict each other. What others exert on the arm moves it too, so the latter are kept by the
+acceleration that the arm will have.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
-from app.avoidance.barrier import BarrierRow
-from app.compiled import compiled
-from app.config import LimitConfig
-from app.control.linear_algebra import minimum
+from app.avoidance.closest_points import ClosestPoints
+from app.avoidance.task import distance_jacobian
+from app.config import BarrierConfig, LimitConfig
+from app.control.kernels import minimum
 from app.control.qp import Limits
 from app.robot.state import RobotState
 
 Array = np.ndarray
+
+
+class BarrierRow(NamedTuple):
+    """J q̈ ≥ l.
+
+    Attributes:
+        J: (n,) Jacobian of the distance.
+        l: [m/s²] lower bound.
+    """
+
+    J: Array
+    l: float
+
+
+def barrier_row(state: RobotState, closest: ClosestPoints, config: BarrierConfig) -> BarrierRow:
+    """The row that keeps a pair's distance above d_min, for the base's columns as for the arm's.
+
+    With h = d - d_min it asks for ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that begins with ḣ + λ h ≥ 0 never
+    comes nearer than d_min, and one that begins nearer, in penetration too, leaves at the rate λ,
+    at `barrier.leaving` at most: h counts down to that speed over λ.
+    It is the second-order form of the barriers ḣ + λ h ≥ 0 that libraries for velocities use.
+
+    Args:
+        state: The robot's state.
+        closest: Closest points of the pair.
+        config: d_min, λ and the speed.
+    """
+    row = distance_jacobian(state, closest)
+    h = max(closest.d - config.d_min, -config.leaving / config.rate)
+    return BarrierRow(row.J, -2 * config.rate * row.speed - config.rate**2 * h - row.Jdqd)
 
 
 def position_bounds(state: RobotState, config: LimitConfig) -> Array:
@@ -39,135 +76,135 @@ def joint_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Array]:
     return np.minimum(lower, upper), np.maximum(lower, upper)
 
 
-@lru_cache(maxsize=32)
-def softness_of(hard: int, joints: int, barriers: int, softness: float) -> Array:
-    """(hard + joints + barriers,) [-] 0 of what is hard, ε² of joints, ε³ of barriers.
-
-    With ε of a row of T_sca each kind gives way to the next: tasks to rows, rows to the joints'
-    limits, and these, where torques do not suffice for both, to a distance. Not to be written to.
-    """
-    return np.repeat([0.0, softness**2, softness**3], [hard, joints, barriers])
-
-
-def arm_limits(
-    state: RobotState,
-    config: LimitConfig,
-    barriers: Sequence[BarrierRow],
-    *,
-    softness: float,
-    qdd_b: Array,
-    pushed: Array,
-    torque: tuple[Array, Array],
-) -> Limits:
-    """Limits of the arm's accelerations q̈_m under a given motion of the base.
-
-    Hard are the torques; soft the joints' positions and velocities and the barriers. What others
-    exert on the arm moves it too: these are kept by q̈_m + M_aa⁻¹ r, the acceleration that the arm
-    will have.
-
-    Args:
-        state: The robot's state.
-        config: How fast limits may be approached.
-        barriers: Distances that are kept.
-        softness: [-] ε of `softness_of`.
-        qdd_b: (n_b,) the base's reduced acceleration.
-        pushed: (n_m,) [N m or N] r, the torques that others exert on the arm.
-        torque: (n_m,) the smallest and (n_m,) the largest torque [N m or N] of this step.
-    """
-    model, m = state.model, state.measurement
-    J = np.array([row.J for row in barriers]).reshape(len(barriers), model.n)
-    least = np.array([row.l for row in barriers])
-    bounds = _arm_bounds(
-        state.M,
-        state.h,
-        m.q_m,
-        m.qd_m,
-        model.q_limits,
-        model.qd_limits,
-        config.position_rate,
-        config.velocity_rate,
-        qdd_b,
-        *torque,
-        J,
-        least,
-        -minimum(state.M[model.n_b :, model.n_b :], pushed)[0],
-    )
-    return Limits(*bounds, softness_of(model.n_m, model.n_m, len(barriers), softness))
-
-
-@compiled(
-    "Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8[:,:], f8[:,:], f8, f8, "
-    "f8[:], f8[:], f8[:], f8[:,:], f8[:], f8[:])"
-)
-def _arm_bounds(
-    M: Array,
-    h: Array,
-    q_m: Array,
-    qd_m: Array,
-    q_limits: Array,
-    qd_limits: Array,
-    position_rate: float,
-    velocity_rate: float,
-    qdd_b: Array,
-    low: Array,
-    high: Array,
-    J: Array,
-    least: Array,
-    extra: Array,
-) -> tuple[Array, Array, Array]:
-    """C, l and u of `arm_limits`: rows of torques, of joints, of barriers; `extra` is M_aa⁻¹ r."""
-    n_m, n_b, k = len(q_m), len(qdd_b), len(least)
-    m = 2 * n_m + k
-    C, l, u = np.zeros((m, n_m)), np.empty(m), np.full(m, np.inf)
-    for i in range(n_m):
-        there = h[n_b + i]
-        for j in range(n_b):
-            there += M[n_b + i, j] * qdd_b[j]
-        for j in range(n_m):
-            C[i, j] = M[n_b + i, n_b + j]
-        l[i], u[i] = low[i] - there, high[i] - there
-        braking = 2 * position_rate * qd_m[i]
-        lower = max(
-            position_rate**2 * (q_limits[0, i] - q_m[i]) - braking,
-            velocity_rate * (qd_limits[0, i] - qd_m[i]),
-        )
-        upper = min(
-            position_rate**2 * (q_limits[1, i] - q_m[i]) - braking,
-            velocity_rate * (qd_limits[1, i] - qd_m[i]),
-        )
-        C[n_m + i, i] = 1.0
-        l[n_m + i], u[n_m + i] = min(lower, upper) - extra[i], max(lower, upper) - extra[i]
-    for i in range(k):
-        l[2 * n_m + i] = least[i]
-        for j in range(n_b):
-            l[2 * n_m + i] -= J[i, j] * qdd_b[j]
-        for j in range(n_m):
-            C[2 * n_m + i, j] = J[i, n_b + j]
-            l[2 * n_m + i] -= J[i, n_b + j] * extra[j]
-    return C, l, u
-
-
 def robot_limits(
     state: RobotState,
     config: LimitConfig,
-    barriers: Sequence[BarrierRow] = (),
+    barriers: Iterable[BarrierRow] = (),
     *,
     softness: float,
+    torque: tuple[Array, Array] | None = None,
+    pushed: Array | None = None,
 ) -> Limits:
-    """Limits of base and arm together: hard torques and base accelerations, the others soft.
+    """Limits on q̈ of base and arm: torques, then joints, then barriers.
+
+    With ε of a row of T_sca each kind gives way to the next: tasks to rows, rows (ε) to the joints'
+    limits (ε²), and these, where torques do not suffice for both, to a distance (ε³).
 
     Args:
         state: The robot's state.
         config: How fast limits may be approached.
         barriers: Distances that are kept.
-        softness: [-] ε of `softness_of`.
+        softness: [-] ε.
+        torque: (n_m,) the smallest and (n_m,) the largest torque [N m or N] of this step; the
+            joints' own, if not given.
+        pushed: (n_m,) [N m or N] r, torques that others exert on the arm: they add (0, M_aa⁻¹ r) to
+            q̈. Nobody does, if not given.
     """
-    model, n_b, n_m = state.model, state.model.n_b, state.model.n_m
-    h_a, most = state.h[n_b:], model.base_acceleration_max
+    model, n, n_b, n_m = state.model, state.model.n, state.model.n_b, state.model.n_m
+    rows = tuple(barriers)
+    m, h_a = 2 * n_m + len(rows), state.h[n_b:]
+    C, l, u = np.empty((m, n)), np.empty(m), np.full(m, np.inf)
+    C[:n_m], C[n_m : 2 * n_m] = state.M[n_b:], _joint_rows(n, n_b) / model.qd_max[:, None]
+    l[:n_m], u[:n_m] = (-model.tau_max, model.tau_max) if torque is None else torque
+    l[:n_m] -= h_a
+    u[:n_m] -= h_a
     lower, upper = joint_bounds(state, config)
-    base, joints = np.zeros((len(most), model.n)), np.zeros((n_m, model.n))
-    base[:, :n_b], joints[:, n_b:] = model.J_m, np.eye(n_m)
-    C = np.vstack([state.M[n_b:], base, joints, *(row.J for row in barriers)])
-    l = np.concatenate([-model.tau_max - h_a, -most, lower, [row.l for row in barriers]])
-    u = np.concatenate([model.tau_max - h_a, most, upper, np.full(len(barriers), np.inf)])
-    return Limits(C, l, u, softness_of(n_m + len(most), n_m, len(barriers), softness))
+    l[n_m : 2 * n_m], u[n_m : 2 * n_m] = lower / model.qd_max, upper / model.qd_max
+    for i, row in enumerate(rows, 2 * n_m):
+        C[i], l[i] = row.J, row.l
+    if pushed is not None:
+        moved = C[n_m:, n_b:] @ -minimum(state.M[n_b:, n_b:], pushed)[0]
+        l[n_m:] -= moved
+        u[n_m:] -= moved
+    return Limits(C, l, u, _softness(n_m, len(rows), softness))
+
+
+@lru_cache(maxsize=8)
+def _joint_rows(n: int, n_b: int) -> Array:
+    """(n_m, n) that take q̈_m out of q̈, not to be written to."""
+    return np.eye(n)[n_b:]
+
+
+@lru_cache(maxsize=32)
+def _softness(n_m: int, barriers: int, softness: float) -> Array:
+    """(2 n_m + barriers,) [-] of torques, joints and barriers, not to be written to."""
+    return np.repeat([0.0, softness**2, softness**3], [n_m, n_m, barriers])
+
+
+def base_limits(state: RobotState) -> Limits:
+    """Limits on q̈ of the base's accelerations, hard."""
+    model, most = state.model, state.model.base_acceleration_max
+    C = np.zeros((len(most), model.n))
+    C[:, : model.n_b] = model.J_m
+    return Limits(C, -most, most, np.zeros(len(most)))
+
+
+class PushObserver:
+    """An observer of first order: ṙ = k (M_a q̈ + h_a - u_a - r), from velocities alone.
+
+    Each period takes (1 - e^{-k dt}) of what is missing, the exact answer however long it lasts.
+
+    It is the generalised-momentum observer of De Luca et al. (2006) with M taken as constant
+    within a step. Tasks never see r: a guided hand stays free. Barriers do, so that
+    a distance is kept while a person pulls.
+
+    Attributes:
+        r: (n_m,) [N m or N] torques that others exert on the arm's joints.
+    """
+
+    def __init__(self, n_m: int) -> None:
+        self._n_m = n_m
+        self.reset()
+
+    def reset(self) -> None:
+        """Nobody touches the robot."""
+        self.r = np.zeros(self._n_m)
+        self._qd: Array | None = None
+
+    def pause(self) -> None:
+        """Skip a period of which nothing is known."""
+        self._qd = None
+
+    def update(self, state: RobotState, u_a: Array, rate: float, dt: float) -> None:
+        """Learn from one period.
+
+        Args:
+            state: The robot's state at its end.
+            u_a: (n_m,) [N m or N] torques given within it.
+            rate: [1/s] k.
+            dt: [s] the period.
+        """
+        if self._qd is not None:
+            n_b = state.model.n_b
+            momentum = state.M[n_b:] @ (state.qd - self._qd)
+            missing = momentum / dt + state.h[n_b:] - u_a - self.r
+            self.r = self.r - math.expm1(-rate * dt) * missing
+        self._qd = state.qd
+
+
+def force_bound(state: RobotState, closest: ClosestPoints) -> float:
+    """[N] a push on the arm's closest point towards the other body that the arm can bear.
+
+    A force F against the normal asks each joint for the torque g_i + J_i F, with J_i how the joint
+    moves the distance. It stands while none of them is at its limit, up to
+
+        F = min_i (τ_i - g_i sgn J_i) / |J_i|,
+
+    of which a pair that comes nearer at the speed v needs v²/(2 d) / (J M⁻¹ Jᵀ) to stop within d.
+    Beyond it the arm holds for a moment by its inertia, and joints may exceed their speeds.
+
+    Args:
+        state: The robot's state.
+        closest: Closest points of a pair.
+
+    Returns:
+        0 where it cannot stop in time even if nobody pushes, and at contact.
+    """
+    n_b, row = state.model.n_b, distance_jacobian(state, closest)
+    J, g = row.J[n_b:], state.g[n_b:]
+    moved = np.abs(J) > 1e-9  # [m/rad or -]
+    if closest.d <= 0.0 or not moved.any():
+        return 0.0
+    static = np.min((state.model.tau_max - g * np.sign(J))[moved] / np.abs(J)[moved])
+    stopping = min(row.speed, 0.0) ** 2 / (2.0 * closest.d)
+    return max(float(static - stopping / (J @ np.linalg.solve(state.M[n_b:, n_b:], J))), 0.0)

@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.avoidance.barrier import BarrierRow, barrier_row
-from app.avoidance.repulsive_force import generate_rep_force_acc
+from app.avoidance.closest_points import ClosestPoints
 from app.avoidance.self_collision import Avoidance, PairState
 from app.avoidance.task import TaskRows
-from app.config import Config
-from app.control.names import CONTROLLERS
+from app.config import Config, RepulsionConfig
+from app.control import CONTROLLERS
+from app.control.limits import BarrierRow, barrier_row
 from app.robot.state import RobotState
 
 Array = np.ndarray
@@ -91,6 +91,35 @@ def repulsive(state: RobotState, avoidance: Avoidance, config: Config) -> Insert
     return Inserted(rows_arm=rows, rows_links=avoidance.rows_links, n_b=state.model.n_b)
 
 
+def generate_rep_force_acc(
+    state: RobotState, closest: ClosestPoints, config: RepulsionConfig, beta: float
+) -> TaskRows:
+    """T_rep ∈ ℝ³, the compared method: the arm's closest point is pushed away from the base.
+
+    ẍ_rep = k_p u - k_v (ṗ_b - ṗ_a), realised by the arm alone: the base's columns are zero.
+    §4.2.1 names the method; its force on the closest point and its damping are Dietrich's.
+
+    Args:
+        state: The robot's state.
+        closest: Closest points of a pair of L_m.
+        config: Gains k_p and k_v.
+        beta: [-] activation parameter of the pair.
+
+    Returns:
+        Three rows, in axes of the world.
+    """
+    joint = state.model.body_joints[closest.pair.b]
+    J = state.point_jacobian(joint, closest.p_b)
+    J[:, : state.model.n_b] = 0.0
+    velocity = J @ state.qd  # relative to the base
+    return TaskRows(
+        J,
+        state.point_bias(joint, closest.p_b),
+        config.k_p * closest.n - config.k_v * velocity,
+        beta,
+    )
+
+
 def barrier(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
     """What today's libraries do: each pair an inequality of control-barrier type.
 
@@ -119,7 +148,7 @@ def _reaction(state: RobotState, pairs: Iterable[PairState], config: Config) -> 
         c = pair.closest
         depth = 1.0 - c.d / config.border.d_b
         if depth > 0.0:
-            J = state.point_jacobian(state.model.body_joint(c.pair.b), c.p_b)[:, n_b:]
+            J = state.point_jacobian(state.model.body_joints[c.pair.b], c.p_b)[:, n_b:]
             u += config.force.f_arm * min(depth, 1.0) * (c.n @ J)
     return u
 

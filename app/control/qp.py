@@ -1,16 +1,19 @@
-"""One strictly convex QP a step: tasks by weight, limits that give in where they contradict.
+"""Continuous task transition (§3.4): one strictly convex QP a step.
 
-Its solution is continuous in its data, whatever enters or leaves: nothing in it can jump.
+Rows of T_sca join the tasks below by their activations, limits give in where they contradict each
+other. The solution is continuous in its data, whatever enters or leaves: nothing in it can jump.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from proxsuite import proxqp
 
-from app.control.linear_algebra import holds, minimum, nearest_within
+from app.avoidance.task import TaskRows, generate_avoidance_task
+from app.control.kernels import compliances, holds, minimum, nearest_within, with_rows
 
 Array = np.ndarray
 
@@ -29,6 +32,11 @@ class Objective(NamedTuple):
     H: Array
     c: Array
 
+    def of_arm(self, qdd_b: Array) -> Objective:
+        """The same over q̈_m, the base's part (n_b,) given."""
+        n_b = len(qdd_b)
+        return Objective(self.H[n_b:, n_b:], self.c[n_b:] + self.H[n_b:, :n_b] @ qdd_b)
+
 
 class Limits(NamedTuple):
     """l ≤ C q̈ ≤ u.
@@ -37,7 +45,8 @@ class Limits(NamedTuple):
         C: (m, n).
         l: (m,) lower bounds.
         u: (m,) upper bounds.
-        softness: (m,) [-] ε of each row; one of 0 holds whatever the others ask.
+        softness: (m,) [-] ε of each row; one of 0 holds whatever the others ask, and those of the
+            same ε are in the same unit.
     """
 
     C: Array
@@ -45,9 +54,46 @@ class Limits(NamedTuple):
     u: Array
     softness: Array
 
+    def of_arm(self, qdd_b: Array) -> Limits:
+        """The same over q̈_m, the base's part (n_b,) given."""
+        n_b = len(qdd_b)
+        there = self.C[:, :n_b] @ qdd_b
+        return Limits(self.C[:, n_b:], self.l - there, self.u - there, self.softness)
+
+    def and_also(self, others: Limits) -> Limits:
+        """These and others."""
+        return Limits(*map(np.concatenate, zip(self, others, strict=True)))
+
 
 class NoSolutionError(Exception):
     """The QP has no solution: what it is given is not finite, or its solver failed."""
+
+
+def insert_rows(objective: Objective, rows: Sequence[TaskRows], softness: float) -> Objective:
+    """The tasks below with the rows of T_sca above them, each as far as its own activation says.
+
+    Row i joins as a spring between J_i q̈ and b_i = ẍ_i - J̇_i q̇ whose compliance is (1 - β_i)/β_i
+    times that of the tasks below, J_i H⁻¹ J_iᵀ. Alone it then yields
+
+        J_i q̈ = β_i b_i + (1 - β_i) J_i q̈_2*,
+
+    the blend of (29). With others, at β_i = 0 it is not there, whatever the others do, and at
+    β_i = 1 it holds but for the softness: the printed blend of all rows with the one solution
+    without any of them jumps where a row enters beside another one. A row costs the same whether
+    it is the first or the tenth.
+
+    Paper: Eq. (29).
+
+    Args:
+        objective: The tasks below.
+        rows: Rows of T_sca; those with β = 0 do nothing.
+        softness: [-] least share of a row's compliance, in full force.
+    """
+    active = [row for row in rows if row.beta > 0.0]
+    if not active:
+        return objective
+    b, J, beta = generate_avoidance_task(active)
+    return Objective(*with_rows(*objective, J, b, beta, softness))
 
 
 class TaskQP:
@@ -55,9 +101,10 @@ class TaskQP:
 
     Where no limit is met the least is known in closed form. Else, with H = L Lᵀ and z = Lᵀ (q̈ -
     q̈*) from the free optimum q̈*, the answer is the z nearest to 0 that keeps the limits. A soft
-    limit i has a slack that costs 1/(ε_i C_i H⁻¹ C_iᵀ): so it gives in by ε_i of what the tasks
-    alone would have asked beyond it, and no soft limit, nor two that contradict each other, can
-    leave the problem without an answer. Where active sets do not settle on it, ProxQP finds it.
+    limit has a slack that costs 1/(ε c), with c the least C_j H⁻¹ C_jᵀ of those with its ε: so it
+    gives in by ε at most of what the tasks alone would have asked beyond it, and no soft limit, nor
+    two that contradict each other, can leave the problem without an answer. Where active sets do
+    not settle on it, ProxQP finds it.
     """
 
     def solve(self, objective: Objective, limits: Limits) -> Array:
@@ -86,7 +133,8 @@ def _by_proxqp(x: Array, L: Array, limits: Limits) -> Array:
         raise NoSolutionError("the limits are not finite")
     a, reached = np.linalg.solve(L, C.T).T, C @ x
     length = np.sqrt((a**2).sum(axis=1)) + 1e-12
-    A = np.hstack([a / length[:, None], np.diag(np.sqrt(softness))[:, softness > 0.0]])
+    slack = np.diag(np.sqrt(compliances(softness, length)))[:, softness > 0.0]
+    A = np.hstack([a / length[:, None], slack])
     l, u = (l - reached) / length, (u - reached) / length
     far = max(l.max(), -u.min())  # in units of the farthest bound from 0
     m, n = A.shape

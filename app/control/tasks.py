@@ -1,4 +1,4 @@
-"""The stack below self-collision avoidance: what the robot does when nothing is near."""
+"""The stack below self-collision avoidance: what hand, posture and base do by themselves."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.config import TaskConfig
+from app.control import kernels
 from app.control.qp import Objective
 from app.robot.state import RobotState
 
@@ -158,3 +159,41 @@ def with_base_at_rest(state: RobotState, guided: Objective, config: TaskConfig) 
     H[:n_b, :n_b] = w * np.eye(n_b) + M_ab.T @ share[:, :n_b]
     c[:n_b] = w * config.base_damping * state.qd[:n_b] + M_ab.T @ share[:, n_b]
     return Objective(H, c)
+
+
+def carried(state: RobotState, speed: float) -> Array:
+    """(3, n_b) R: what the hand's place moves by the base's axes, less what the arm makes up for.
+
+    The method moves the base and leaves the hand to the arm. An arm that lacks a joint for that, or
+    stands at full stretch, does not hold the hand: the base takes it along, the distance stays what
+    it was, and the base would drive on with the hand before it. Our extension:
+    R = (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b with J and J_b the arm's and the base's part of the hand's
+    Jacobian and Q the joints' largest speeds. Along a direction in which they move the hand at v,
+    half of the base's motion is left, and along one of twice that speed a seventeenth.
+
+    Args:
+        state: The robot's state.
+        speed: [m/s] v.
+    """
+    model = state.model
+    return kernels.carried(state.J_ee, model.qd_max, model.J_m_inv, speed)
+
+
+def base_with_hand(
+    state: RobotState, wanted: Array, held: Array, weight: float, taken: Array
+) -> Array:
+    """The base's acceleration nearest to the wanted one that does not take the hand along, (n_b,).
+
+    The least of (a - a_wanted)ᵀ I (a - a_wanted) + w m ‖R K (a - a_held)‖²: as if a mass hung on
+    the hand where the arm does not follow. Where it does, R = 0 and this is the wanted one.
+
+    Args:
+        state: The robot's state.
+        wanted: (n_b,) [m/s² or rad/s²] of (29).
+        held: (n_b,) with which the hand does what its own task asks.
+        weight: [-] w, of the hand in masses of the base.
+        taken: (3, n_b) R of `carried` times K, what the admittance law makes of an acceleration.
+    """
+    base = state.model.description.base
+    inertia = np.array([base.inertia_kgm2 if axis.angular else base.mass_kg for axis in base.axes])
+    return kernels.with_hand(wanted, held, inertia, weight * base.mass_kg, taken)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from time import monotonic
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -9,11 +11,11 @@ import pinocchio as pin
 import viser
 
 from app.dashboard.notifications import Notifier
+from app.dashboard.panels import phrases as words
+from app.dashboard.scene.canvas import Canvas
 from app.dashboard.scene.colours import PERSON
-from app.dashboard.scene.lines import hidden_line, set_polyline
-from app.dashboard.scene.robot import RobotScene
+from app.dashboard.scene.scene import RobotScene
 from app.simulation.loop.commands import Command, Pull, Release
-from app.simulation.people import PullReading
 from app.simulation.trace.snapshot import Snapshot
 
 Array = np.ndarray
@@ -22,7 +24,6 @@ GIZMO = "/hand"
 """Scene node of the gizmo."""
 SCALE = 0.26  # [m] length of the gizmo's arrows
 LEAST_STRETCH = 0.002  # [m] shorter rubber bands are not drawn
-_MOST_BANDS = 4  # people who pull at once that are drawn
 
 
 class Sink(Protocol):
@@ -49,16 +50,13 @@ class Grip:
     """What one viewer holds. Several may pull at once: their forces add."""
 
     def __init__(self, sink: Sink, notifier: Notifier, who: int) -> None:
-        """Nothing held.
-
-        Args:
-            sink: Where pulls go.
-            notifier: For what is not possible.
-            who: Number of the viewer.
-        """
+        """Nothing held by the viewer of number `who`; pulls go to `sink`."""
         self._sink, self._notifier, self._who = sink, notifier, who
         self._hold: Hold | None = None
         self._warned = False
+        self._moved = 0.0  # [s] when it was pulled last
+        self.reach: Callable[[Array], None] | None = None
+        """Instead of a pull: moves the end-effector to a place (3,) [m]."""
 
     @property
     def holds_hand(self) -> bool:
@@ -74,11 +72,16 @@ class Grip:
         """Take hold of the robot; of what was held before, the person lets go."""
         if self._hold is not None:
             self.release()
-        self._hold, self._warned = hold, False
+        self._hold, self._warned, self._moved = hold, False, monotonic()
 
     def pull(self, target: Array, client: viser.ClientHandle | None) -> None:
         """Pull what is held to a place (3,) [m] in the world, or to the floor below it."""
         if self._hold is None:
+            return
+        self._moved = monotonic()
+        if self.reach is not None:
+            if self._hold.link is None:
+                self.reach(target)
             return
         x, y, z = (float(value) for value in target)
         if z < 0.0 and not self._warned:
@@ -91,6 +94,14 @@ class Grip:
         if self._hold is not None:
             self._hold = None
             self._sink.send(Release(self._who))
+
+    def release_if_still(self, seconds: float, client: viser.ClientHandle) -> None:
+        """Let go of what has not been pulled elsewhere for so long [s], and say why."""
+        if self._hold is not None and monotonic() - self._moved > seconds:
+            self.release()
+            self._notifier.warn(
+                client, "Let go: your browser has not answered. Take the robot again."
+            )
 
 
 class DragHandles:
@@ -106,51 +117,34 @@ class DragHandles:
     ) -> None:
         """Put the gizmo into the scene and listen to it and to the arm's links.
 
-        Args:
-            scene: Of the viewer.
-            robot: Whose links may be dragged.
-            grip: What the viewer holds.
-            notifier: For what goes wrong.
-            arm_joints: Names of the arm's joints, by their index in the drawn model.
+        `arm_joints` are the names of the arm's joints, by their index in the drawn model.
         """
         self.grip = grip
         self._gizmo = scene.add_transform_controls(
             GIZMO, scale=SCALE, disable_rotations=True, depth_test=False, opacity=0.7
         )
         self._gizmo.on_update(notifier.guard(self._drag_gizmo))  # type: ignore[arg-type]
-        for joint, mesh in robot.links:
-            if joint in arm_joints:
-                self._listen(mesh, robot, joint, arm_joints[joint], notifier)
-        self._bands = [hidden_line(scene, f"/pull/{i}", PERSON, 3.0) for i in range(_MOST_BANDS)]
-        self._labels = [
-            scene.add_label(
-                f"/pull/label_{i}", "", visible=False, anchor="top-left", font_screen_scale=0.85
-            )
-            for i in range(_MOST_BANDS)
-        ]
+        self._robot, self._arm_joints, self._notifier = robot, arm_joints, notifier
+        self._links: object = None
+        self._canvas = Canvas(scene)
 
     def update(self, snapshot: Snapshot, *, texts: bool) -> None:
         """Let the gizmo follow the hand unless this viewer drags it; draw the rubber bands."""
+        if self._links is not self._robot.links:
+            self._links = self._robot.links
+            for joint, mesh in self._robot.links:
+                if joint in self._arm_joints:
+                    self._listen(mesh, joint, self._arm_joints[joint])
         if not self.grip.holds_hand:
             self._gizmo.position = snapshot.p_ee
-        stretched = [
-            pull
-            for pull in snapshot.pulls
-            if np.linalg.norm(pull.target - pull.point) > LEAST_STRETCH
-        ]
-        for i, (band, label) in enumerate(zip(self._bands, self._labels, strict=True)):
-            band.visible = label.visible = i < len(stretched)
-            if i < len(stretched):
-                self._draw(band, label, stretched[i], texts=texts)
-
-    @staticmethod
-    def _draw(
-        band: viser.LineSegmentsHandle, label: viser.LabelHandle, pull: PullReading, *, texts: bool
-    ) -> None:
-        set_polyline(band, np.array([pull.point, pull.target]), PERSON)
-        label.position = (pull.point + pull.target) / 2
-        if texts:
-            label.text = f"{np.linalg.norm(pull.force):.0f} N"
+        with self._canvas.picture(texts=texts):
+            for i, pull in enumerate(snapshot.pulls):
+                ends = np.array([pull.point, pull.target])
+                if np.linalg.norm(ends[1] - ends[0]) > LEAST_STRETCH:
+                    self._canvas.lines(f"/pull/{i}", [ends], PERSON, 3.0)
+                    text = f"{np.linalg.norm(pull.force):.0f} N"
+                    text += words.borne(snapshot.force_bound)
+                    self._canvas.label(f"/pull/label_{i}", ends.mean(axis=0), text)
 
     def _drag_gizmo(self, event: viser.TransformControlsEvent) -> None:
         """One event of the gizmo: start, update or end."""
@@ -162,17 +156,15 @@ class DragHandles:
         if self.grip.holds_hand:
             self.grip.pull(np.asarray(event.target.position), event.client)
 
-    def _listen(
-        self, mesh: viser.MeshHandle, robot: RobotScene, joint: int, name: str, notifier: Notifier
-    ) -> None:
+    def _listen(self, mesh: viser.MeshHandle, joint: int, name: str) -> None:
         def dragged(event: viser.SceneNodeDragEvent) -> None:
             if event.phase == "end":
                 self.grip.release()
                 return
             if event.phase == "start":
-                T: pin.SE3 = robot.world_pose(joint)
+                T: pin.SE3 = self._robot.world_pose(joint)
                 point = T.actInv(np.array(event.start_position))
                 self.grip.take(Hold(name, (float(point[0]), float(point[1]), float(point[2]))))
             self.grip.pull(np.array(event.end_position), event.client)
 
-        mesh.on_drag(notifier.guard(dragged))  # type: ignore[arg-type]
+        mesh.on_drag(self._notifier.guard(dragged))  # type: ignore[arg-type]

@@ -1,32 +1,54 @@
-"""The gate: what a client sends is checked once, before viser sees it.
+"""The gate: who may connect and what a page may send is checked once, before viser sees it.
 
 viser has no place for such checks, so that what it hands to `websockets` when it starts is wrapped:
 requests are checked by `is_allowed` and answered with headers that keep foreign pages out; each
-message is checked by `checked` before viser takes it apart.
+message is checked by `checked` before viser takes it apart. The types of messages are viser's own
+annotations, which viser itself does not check.
 """
 
 from __future__ import annotations
 
+import dataclasses
+import gzip
 import http
 import ipaddress
+import re
+import secrets
 import socket
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any
-from urllib.parse import parse_qsl, urlsplit
+from functools import lru_cache
+from http.cookies import CookieError, SimpleCookie
+from pathlib import Path
+from typing import Any, Union, get_type_hints
+from urllib.parse import parse_qsl, urlencode, urlsplit
 
+import msgspec
+from viser import _messages
 from websockets.asyncio import server as websockets_server
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from app.dashboard.messages import GarbageError, RefusedError, Uploads, checked
 from app.errors import ServerError
 
-_LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half of that
+LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half of that
 _LARGEST_PICTURE = 32 * 2**20  # [bytes] what a page that was asked for a picture may answer
+_MOST_VIEWERS = 32  # [-] connections at a time
+_PARAMETERS = ("fixedDpr", "scenario", "controller", "robot", "look", "at")
+"""Names that the page's address may carry, beside those with a dot, as border.d_b, which viser has
+none of: its own one for the density of the picture is harmless, others would tell the page whom to
+obey. The rest the page gets by `Gate.link`, and checks."""
+_COOKIE = "dbb_link"
+"""Names the link of a page until the page connects; viser's own request has no query."""
+_MOST_LINKS = 64  # [-] that wait for their pages
+_LONGEST_LINK = 4000  # [characters]
+_MOST_UPLOADS = 2  # [-] unfinished ones of a viewer
+_LONGEST_NAME = 1000  # [characters] of an element, a file or a scene node
+_LONGEST_VALUE = 2**16  # [characters] of what a widget is set to
+_DEEPEST = 6  # [-] containers in one another
+_LARGEST_NUMBER = 2**53  # [-] up to which a page has every integer; beyond it none is meant
 _POLICY = (
     "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob: data:; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data: blob:; "
@@ -34,22 +56,57 @@ _POLICY = (
     "frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
 """viser's page has its scripts in it and compiles its markdown; it speaks to nobody else."""
+_HEADERS = {
+    "X-Frame-Options": "DENY",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+}
+"""Of every answer, with the policy."""
+_SCRIPT, _STYLE = (
+    Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("page.js", "page.css")
+)
+"""What stands in the page before viser's own client."""
+_HEAD = f"<head><script>{_SCRIPT}</script><style>{_STYLE}</style>"
+_lock = threading.Lock()
+
+_TAKEN = (
+    _messages.ViewerCameraMessage,
+    _messages.GuiUpdateMessage,
+    _messages.GuiButtonHoldMessage,
+    _messages.GuiFormSubmitMessage,
+    _messages.GuiFormDirtyMessage,
+    _messages.CommandTriggerMessage,
+    _messages.SceneNodeClickMessage,
+    _messages.ScenePointerMessage,
+    _messages.SceneNodeDragMessage,
+    _messages.TransformControlsUpdateMessage,
+    _messages.TransformControlsDragStartMessage,
+    _messages.TransformControlsDragEndMessage,
+    _messages.GetRenderResponseMessage,
+    _messages.LocalStorageGetItemResponseMessage,
+    _messages.FileTransferStartUpload,
+    _messages.FileTransferPart,
+    _messages.FileTransferPartAck,
+)
+"""What a page may send. Others exist, as one that opens a tunnel to this machine for anybody."""
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Bounds of what clients may do.
+class RefusedError(ValueError):
+    """A message that viser must not see, and why, in words that follow "Refused: ".
 
     Attributes:
-        viewers: Connections at a time.
-        upload: [bytes] of one file.
-        parameters: Names that the page's address may carry; viser's own one for the density of the
-            picture is harmless, others would tell the page whom to obey.
+        message: It, if it has at least its own types: to tell its sender what holds instead.
     """
 
-    viewers: int = 32
-    upload: int = 0
-    parameters: frozenset[str] = frozenset({"fixedDpr"})
+    def __init__(self, why: str, message: Any = None) -> None:
+        super().__init__(why)
+        self.message = message
+
+
+class GarbageError(RefusedError):
+    """What is no message of a page at all: whoever sends it is none."""
 
 
 class Gate:
@@ -60,66 +117,18 @@ class Gate:
         on_refused: Is called with the connection and the reason when a message was refused.
     """
 
-    def __init__(self, own_name: str, limits: Limits) -> None:
+    def __init__(self, own_name: str, largest_upload: int) -> None:
         """Prepare.
 
         Args:
             own_name: The name that the server is told to listen at.
-            limits: Bounds of what clients may do.
+            largest_upload: [bytes] of one file; 0 if there is nothing to upload.
         """
-        self._own_name, self._limits = own_name, limits
+        self._own_name, self._largest_upload = own_name, largest_upload
         self._viewers = 0
+        self._links: dict[str, str] = {}
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
         self.on_refused: Callable[[Any, RefusedError], None] = lambda connection, refused: None
-
-    def answer(self, request: Request) -> Response | None:
-        """The refusal of a request, or None if it may go on to viser."""
-        headers = request.headers
-        if not is_allowed(headers.get("Origin"), headers.get("Host"), self._own_name):
-            return _refusal(
-                http.HTTPStatus.FORBIDDEN, "this page is not allowed to connect to this server"
-            )
-        if headers.get("Upgrade", "").lower() == "websocket":
-            if self._viewers >= self._limits.viewers:
-                return _refusal(
-                    http.HTTPStatus.SERVICE_UNAVAILABLE,
-                    f"{self._viewers} pages are open, which is the most that this server serves",
-                )
-            return None
-        query = parse_qsl(urlsplit(request.path).query, keep_blank_values=True)
-        if unknown := {name for name, _ in query} - self._limits.parameters:
-            return _refusal(
-                http.HTTPStatus.BAD_REQUEST,
-                f"the address has the unknown parameter {min(unknown)!r}; "
-                f"it may have: {', '.join(sorted(self._limits.parameters)) or 'none'}",
-            )
-        return None
-
-    def process_request(self, inner: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps viser's own answer to requests: behind this gate's, with safe headers."""
-
-        async def process(connection: ServerConnection, request: Request) -> Response | None:
-            answer = self.answer(request)
-            if answer is None:
-                answer = inner(connection, request)
-                answer = await answer if hasattr(answer, "__await__") else answer
-            if answer is not None:
-                answer.headers.update(_safe_headers(request.headers.get("Host", "")))
-            return answer
-
-        return process
-
-    def handler(self, inner: Callable[..., Any]) -> Callable[..., Any]:
-        """Wraps viser's handler of connections, which gets only messages that were checked."""
-
-        async def handle(connection: ServerConnection) -> None:
-            self._viewers += 1
-            try:
-                await inner(_Checked(connection, self, self._limits))
-            finally:
-                self._viewers -= 1
-
-        return handle
 
     @contextmanager
     def closed(self) -> Iterator[None]:
@@ -140,9 +149,9 @@ class Gate:
                 seen.append(True)
                 more["max_size"] = _LARGEST_PICTURE
                 return original(
-                    self.handler(handler),
+                    self._handler(handler),
                     *args,
-                    process_request=self.process_request(process_request),
+                    process_request=self._process_request(process_request),
                     **more,
                 )
 
@@ -154,16 +163,104 @@ class Gate:
         if not seen:
             raise ServerError("this version of viser starts its server in a way that is not known")
 
+    def _process_request(self, inner: Callable[..., Any]) -> Callable[..., Any]:
+        """Wraps viser's own answer to requests: behind this gate's, with safe headers."""
 
-_lock = threading.Lock()
+        async def process(connection: ServerConnection, request: Request) -> Response | None:
+            answer = self._refusal(request)
+            if answer is None:
+                answer = inner(connection, request)
+                answer = await answer if hasattr(answer, "__await__") else answer
+            if answer is not None:
+                host = request.headers.get("Host", "")
+                if answer.headers.get("Content-Type", "").startswith("text/html"):
+                    answer.body = with_script(
+                        bytes(answer.body), answer.headers["Content-Encoding"]
+                    )
+                    del answer.headers["Content-Length"]
+                    answer.headers["Content-Length"] = str(len(answer.body))
+                answer.headers.update(_HEADERS)
+                self._keep_link(request, answer)
+                answer.headers["Content-Security-Policy"] = _POLICY.format(host=host)
+            return answer
+
+        return process
+
+    def _refusal(self, request: Request) -> Response | None:
+        """The refusal of a request, or None if it may go on to viser."""
+        headers = request.headers
+        query = parse_qsl(urlsplit(request.path).query, keep_blank_values=True)
+        names = {name for name, _ in query}
+        unknown = {name for name in names if name not in _PARAMETERS and "." not in name}
+        if not is_allowed(headers.get("Origin"), headers.get("Host"), self._own_name):
+            status = http.HTTPStatus.FORBIDDEN
+            why = "this page is not allowed to connect to this server"
+        elif headers.get("Upgrade", "").lower() == "websocket":
+            if self._viewers < _MOST_VIEWERS:
+                return None
+            status = http.HTTPStatus.SERVICE_UNAVAILABLE
+            why = f"{self._viewers} pages are open, which is the most that this server serves"
+        elif unknown:
+            status = http.HTTPStatus.BAD_REQUEST
+            known = ", ".join(_PARAMETERS)
+            why = f"the address has the unknown parameter {min(unknown)!r}; it may have: {known}, "
+            why += "and parameters, as border.d_b"
+        else:
+            return None
+        body = f"{why}\n".encode()
+        kind = "text/plain; charset=utf-8"
+        fields = Headers({"Content-Length": str(len(body)), "Content-Type": kind})
+        return Response(status.value, status.phrase, fields, body)
+
+    def _keep_link(self, request: Request, answer: Response) -> None:
+        """Remember what a page's address asks for, until the page connects."""
+        address = urlsplit(request.path)
+        if answer.status_code != http.HTTPStatus.OK or address.path != "/":
+            return
+        asked = [(k, v) for k, v in parse_qsl(address.query, keep_blank_values=True)]
+        query = urlencode([each for each in asked if each[0] != "fixedDpr"])[:_LONGEST_LINK]
+        name = secrets.token_hex(8) if query else ""
+        if query:
+            self._links[name] = query
+            while len(self._links) > _MOST_LINKS:
+                self._links.pop(next(iter(self._links)))
+        age = 60 if query else 0
+        answer.headers["Set-Cookie"] = (
+            f"{_COOKIE}={name}; Max-Age={age}; Path=/; HttpOnly; SameSite=Strict"
+        )
+
+    def _link(self, request: Request | None) -> str:
+        """The query of the address of a page that connects, once; empty if it has none."""
+        cookies = "; ".join(request.headers.get_all("Cookie")) if request is not None else ""
+        found = re.search(rf"(?:^|;)\s*{_COOKIE}=(\w+)", cookies)
+        return self._links.pop(found[1], "") if found else ""
+
+    def _handler(self, inner: Callable[..., Any]) -> Callable[..., Any]:
+        """Wraps viser's handler of connections, which gets only messages that were checked."""
+
+        async def handle(connection: ServerConnection) -> None:
+            self._viewers += 1
+            try:
+                link = self._link(connection.request)
+                await inner(_Checked(connection, self, Uploads(self._largest_upload), link))
+            finally:
+                self._viewers -= 1
+
+        return handle
 
 
 class _Checked:
-    """A connection whose messages have been checked; all else is the connection's own."""
+    """A connection whose messages have been checked; all else is the connection's own.
 
-    def __init__(self, connection: ServerConnection, gate: Gate, limits: Limits) -> None:
-        self._connection, self._gate = connection, gate
-        self._uploads = Uploads(limits.upload)
+    Attributes:
+        link: The query of the address of its page.
+    """
+
+    def __init__(
+        self, connection: ServerConnection, gate: Gate, uploads: Uploads, link: str
+    ) -> None:
+        self.link = link
+        self._connection, self._gate, self._uploads = connection, gate, uploads
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._connection, name)
@@ -173,16 +270,29 @@ class _Checked:
         while True:
             data = await self._connection.recv()
             try:
-                return checked(
-                    data,
-                    _LARGEST_MESSAGE,
-                    self._uploads,
-                    lambda uuid: self._gate.widget(self, uuid),
-                )
+                return checked(data, self._uploads, lambda uuid: self._gate.widget(self, uuid))
             except GarbageError as garbage:
                 await self._connection.close(1008, str(garbage)[:100])
             except RefusedError as refused:
                 self._gate.on_refused(self, refused)
+
+
+@lru_cache(maxsize=2)
+def with_script(page: bytes, encoding: str) -> bytes:
+    """The page of viser with `_HEAD` before its own; `encoding` is gzip or identity."""
+    html = gzip.decompress(page) if encoding == "gzip" else page
+    html = html.replace(b"<head>", _HEAD.encode(), 1)
+    return gzip.compress(html) if encoding == "gzip" else html
+
+
+def draws_in_software(request: Request | None) -> bool:
+    """Whether the page that opened a connection has said that it has no GPU to draw with."""
+    try:
+        cookies = SimpleCookie(request.headers.get("Cookie", "") if request else "")
+    except CookieError:
+        return False
+    said = cookies.get("dbb-draws")
+    return said is not None and said.value == "software"
 
 
 def is_allowed(origin: str | None, host: str | None, own_name: str) -> bool:
@@ -215,21 +325,124 @@ def _is_here(name: str | None, own_name: str) -> bool:
     return True
 
 
-def _safe_headers(host: str) -> dict[str, str]:
-    """Headers of every answer; `host` has passed `is_allowed`."""
-    return {
-        "Content-Security-Policy": _POLICY.format(host=host),
-        "X-Frame-Options": "DENY",
-        "X-Content-Type-Options": "nosniff",
-        "Referrer-Policy": "no-referrer",
-        "Cross-Origin-Opener-Policy": "same-origin",
-        "Cross-Origin-Resource-Policy": "same-origin",
-    }
-
-
-def _refusal(status: http.HTTPStatus, why: str) -> Response:
-    body = f"{why}\n".encode()
-    fields = Headers(
-        {"Content-Length": str(len(body)), "Content-Type": "text/plain; charset=utf-8"}
+def _record(message: type) -> type:
+    """A record with the fields of a message of viser, whose types msgspec checks."""
+    hints = get_type_hints(message)
+    fields = [
+        (f.name, hints[f.name], *([f.default] if f.default is not dataclasses.MISSING else []))
+        for f in dataclasses.fields(message)
+        if f.init
+    ]
+    return msgspec.defstruct(
+        message.__name__, fields, tag_field="type", tag=message.__name__, forbid_unknown_fields=True
     )
-    return Response(status.value, status.phrase, fields, body)
+
+
+_RECORDS = {message: _record(message) for message in _TAKEN}
+_decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa: UP007
+
+
+class Uploads:
+    """What one viewer is uploading: viser keeps what it gets until a file is whole."""
+
+    def __init__(self, largest: int) -> None:
+        """Nothing yet; a file may have `largest` [bytes]."""
+        self._largest = largest
+        self._left: dict[str, int] = {}
+
+    def begin(self, transfer: str, size: int, parts: int) -> None:
+        """Take note of a file that is announced.
+
+        Raises:
+            RefusedError: It is too large, or another is not finished.
+        """
+        if size > self._largest:
+            raise RefusedError(f"{size / 1e6:.0f} MB; a file may have {self._largest / 1e6:.0f} MB")
+        if not (size >= 0 and 0 <= parts <= max(size, 1)):
+            raise RefusedError("this is no upload")
+        if len(self._left) >= _MOST_UPLOADS:
+            raise RefusedError("one upload after the other")
+        self._left[transfer] = size
+
+    def add(self, transfer: str, size: int) -> None:
+        """Take note of a part.
+
+        Raises:
+            RefusedError: Nothing was announced of which it is a part.
+        """
+        left = self._left.pop(transfer, -1) - size
+        if left < 0:
+            raise RefusedError("more than was announced")
+        if left > 0:
+            self._left[transfer] = left
+
+
+def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> bytes:
+    """The bytes of a message that viser may see.
+
+    Args:
+        data: As it came.
+        uploads: Of the same viewer.
+        widget: Finds a widget of the page by its name; None if there is none.
+
+    Raises:
+        GarbageError: It is none that a page sends, or of other types.
+        RefusedError: Its values are not of their kinds, beyond a number of a page or too large.
+    """
+    if not isinstance(data, bytes):
+        raise GarbageError("this is no message")
+    large = RefusedError(f"a message of {len(data) / 1e6:.0f} MB")
+    if len(data) > LARGEST_MESSAGE and b"GetRenderResponseMessage" not in data[:200]:
+        raise large
+    try:
+        message = _decoder.decode(data)
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise GarbageError(f"this is no message ({error})") from None
+    if isinstance(message, _RECORDS[_messages.GetRenderResponseMessage]):
+        return data
+    if len(data) > LARGEST_MESSAGE:
+        raise large
+    for name in message.__struct_fields__:
+        longest = _LONGEST_VALUE if name == "updates" else _LONGEST_NAME
+        if not _is_plain(getattr(message, name), longest, _DEEPEST):
+            raise RefusedError(f"{name} is too long, too deep or no number of a page", message)
+    if isinstance(message, _RECORDS[_messages.GuiUpdateMessage]):
+        if set(message.updates) != {"value"}:
+            raise RefusedError("of a widget only its value can be set", message)
+        shown, value = widget(message.uuid), message.updates["value"]
+        if shown is not None and not is_alike(value, shown.value):
+            raise RefusedError("the value is not of the widget's kind", message)
+        if value not in getattr(shown, "options", (value,)):
+            raise RefusedError(f"there is no {str(value)[:60]!r} to choose", message)
+    elif isinstance(message, _RECORDS[_messages.FileTransferStartUpload]):
+        uploads.begin(message.transfer_uuid, message.size_bytes, message.part_count)
+    elif isinstance(message, _RECORDS[_messages.FileTransferPart]):
+        uploads.add(message.transfer_uuid, len(message.content))
+    return data
+
+
+def is_alike(value: object, current: object) -> bool:
+    """Whether a widget with a current value can be set to another: a number to a number."""
+    if isinstance(current, tuple):
+        return (
+            isinstance(value, list)
+            and len(value) == len(current)
+            and all(map(is_alike, value, current))
+        )
+    if isinstance(current, bool):
+        return isinstance(value, bool)
+    if isinstance(current, int | float):
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    return isinstance(value, type(current))
+
+
+def _is_plain(value: Any, longest: int, depth: int) -> bool:
+    """Whether numbers are a page's, texts at most `longest` long and containers at most so deep."""
+    if isinstance(value, int | float):
+        return abs(value) <= _LARGEST_NUMBER  # and no NaN
+    if isinstance(value, str):
+        return len(value) <= longest
+    if isinstance(value, dict | list | tuple):
+        inner = (*value, *value.values()) if isinstance(value, dict) else value
+        return depth > 0 and all(_is_plain(each, longest, depth - 1) for each in inner)
+    return True

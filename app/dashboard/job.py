@@ -1,22 +1,36 @@
-"""Background job: one piece of work beside the simulation, with progress, result and cancellation.
+"""Background jobs: work beside the simulation, the same for all viewers, that can be cancelled.
 
-All viewers see the same job. Work that takes a core runs in a process of its own (`Job.run`).
+Work that takes a core runs in a process of its own (`Job.run`), which imports this module first:
+what a function of such work needs, it imports.
 """
 
 from __future__ import annotations
 
 import gc
 import logging
+import os
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from app.dashboard.markup import plain
 from app.errors import ConfigError, DbbError
-from app.jobs.process import Cancelled, run_in_process
-from app.system import give_freed_memory_back
+from app.jobs.process import Cancelled, Report, run_in_process
+from app.system import give_freed_memory_back, write_whole
+
+if TYPE_CHECKING:
+    from app.border.cache import BorderData
+    from app.dashboard.export.offscreen import Look
+    from app.onboarding.read.package import Contents
+    from app.onboarding.request import Request
+    from app.studies.sweep.plan import SweepPlan
 
 logger = logging.getLogger(__name__)
+_CORES = max(1, (os.cpu_count() or 1) - 1)  # of a job: one core is the simulation's
+FILM_RATE = 25.0
+"""[1/s] pictures of a film."""
 _PATIENCE = 10.0  # [s] for a thread to end
 
 
@@ -32,13 +46,7 @@ def give_back() -> None:
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a job is.
-
-    Attributes:
-        title: What is worked on.
-        text: What is being done.
-        share: 0 to 1; below 0 if it is unknown.
-    """
+    """How far the work on `title` is: `share` is 0 to 1, or below 0 if it is unknown."""
 
     title: str
     text: str
@@ -64,12 +72,9 @@ class Job:
         self._lock = threading.Lock()
 
     def start(self, title: str, text: str, work: Callable[[], None]) -> None:
-        """Do a piece of work in a thread.
+        """Do a piece of work in a thread, which ends early by `Cancelled`.
 
-        Args:
-            title: What is worked on.
-            text: What is done first.
-            work: Ends early by `Cancelled`; any other exception becomes `problem`.
+        Any other exception becomes `problem`.
 
         Raises:
             ConfigError: Another one is under way.
@@ -124,8 +129,117 @@ class Job:
             problem = f"{title}: {str(error).removeprefix(f'{title}: ')}"
         except Exception as error:  # nobody joins this thread: the viewers have to learn of it
             logger.exception("%s failed", title)
-            problem = f"{title}: {type(error).__name__}: {error}"
+            problem = f"{title}: {plain(error)}"
         finally:
             self.problem = problem
             give_back()
             self.progress = None
+
+
+def sample_border(report: Report, robot: str) -> BorderData:
+    """Pairs and clouds of a robot, sampled if they are not cached."""
+    from app.border.cache import load_border_data
+    from app.robot.assets import load_robot
+    from app.robot.model import RobotModel
+
+    text = "sampling its border, once"
+    report(text, 0.0)
+    return load_border_data(
+        RobotModel(load_robot(robot)),
+        processes=_CORES,
+        on_progress=lambda share: report(text, share),
+    )
+
+
+def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
+    """The URDFs of an uploaded zip: a stranger's, which may take long to read."""
+    from app.onboarding.read.package import look_into
+
+    report("reading the zip", -1.0)
+    return look_into(archive)
+
+
+def build_robot(report: Report, request: Request) -> None:
+    """Description, border and report of a new robot, in the folder that the request names."""
+    from app.onboarding.new_robot import finish
+
+    text = ""
+
+    def say(what: str) -> None:
+        nonlocal text
+        text = what
+        report(text, -1.0)
+
+    finish(
+        request,
+        tell=say,
+        processes=_CORES,
+        on_progress=lambda share: report(text, share),
+    )
+
+
+def sweep_to_files(report: Report, plan: SweepPlan, folder: Path) -> None:
+    """A sweep, and its files in a folder."""
+    from app.studies.sweep.files import write_sweep
+    from app.studies.sweep.sweep import sweep
+
+    result = sweep(plan, processes=1, on_progress=lambda share: report("sweep under way", share))
+    write_sweep(result, folder)
+
+
+def write_report(report: Report, log: Path, page: Path) -> None:
+    """The report of a log as a page."""
+    from app.simulation.trace.trace import read_trace
+    from app.studies.run_report import run_report
+
+    report("reading the log", 0.0)
+    read = read_trace(log)
+    write_whole(page, run_report(read, lambda share: report("drawing the figures", share)))
+
+
+def write_replay(report: Report, log: Path, page: Path) -> None:
+    """The replay of a log as a page."""
+    from app.border.cache import load_border_data
+    from app.dashboard.export.offscreen import Look, replay_html
+    from app.robot.assets import load_robot
+    from app.robot.model import RobotModel
+    from app.simulation.trace.trace import read_trace
+
+    read = read_trace(log)
+    duration = max(read.snapshots[-1].t - read.snapshots[0].t, 1e-9)
+    model = RobotModel(load_robot(read.meta.robot))
+    clouds = load_border_data(model, progress=False).clouds
+
+    def on_progress(t: float) -> None:
+        report("drawing the pictures", min(t / duration, 1.0))
+
+    text = replay_html(read, model, clouds, Look(), on_progress=on_progress)
+    write_whole(page, text)
+
+
+def write_film_of(report: Report, log: Path, film: Path, look: Look) -> None:
+    """The film of a log, at its own pace."""
+    from contextlib import closing
+
+    from app.border.cache import load_border_data
+    from app.dashboard.export.browser import chromium
+    from app.dashboard.export.film import CODECS, film_pictures, write_film
+    from app.robot.assets import load_robot
+    from app.robot.model import RobotModel
+    from app.simulation.trace.trace import read_trace
+
+    report("starting a browser", 0.0)
+    with chromium() as browser:  # first of all: without one the rest is in vain
+        read = read_trace(log)
+        model = RobotModel(load_robot(read.meta.robot))
+        clouds = load_border_data(model, progress=False).clouds
+        begin, end = read.snapshots[0].t, read.snapshots[-1].t
+        times = [begin + k / FILM_RATE for k in range(1 + int((end - begin) * FILM_RATE + 1e-9))]
+        pictures = film_pictures(browser, read.snapshots, times, model, clouds, look)
+
+        def on_progress(k: int) -> None:
+            report(f"picture {k + 1} of {len(times)}", k / len(times))
+
+        with closing(pictures):
+            codec = next(iter(CODECS[film.suffix]))
+            write_film(film, pictures, FILM_RATE, codec, on_progress)

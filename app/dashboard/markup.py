@@ -5,11 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterable
 from html import escape
 
+from app.errors import DbbError
+
 RIGHT = "text-align:right"
 FAINT = "opacity:.65"
 ONE_LINE = "white-space:nowrap"
 BAD_COLOUR = "#e03131"
 _BANNERS = {"error": "#c92a2a", "notice": "#1971c2"}
+
+
+DEFECT = "A defect of the program; its log, where it was started, says which."
+"""What a page shows of an exception that no user can cause."""
+
+
+def plain(error: BaseException) -> str:
+    """What a page says of an error: never the name of a Python exception."""
+    return str(error) if isinstance(error, DbbError) else DEFECT
 
 
 def small(html: str, *styles: str) -> str:
@@ -23,13 +34,7 @@ def problem(text: str) -> str:
 
 
 def banner(kind: str, title: str, text: str) -> str:
-    """What stands above all tabs.
-
-    Args:
-        kind: "error" or "notice".
-        title: Its first line, which may hold anything.
-        text: The rest, which may too.
-    """
+    """What stands above all tabs: an "error" or a "notice", whose texts may hold anything."""
     return _tag(
         "div",
         f"<b>{escape(title)}</b><br>{escape(text)}",
@@ -39,13 +44,7 @@ def banner(kind: str, title: str, text: str) -> str:
 
 
 def table(rows: Iterable[str], *styles: str, tight: bool = False) -> str:
-    """A table as wide as its panel, whose digits have one width.
-
-    Args:
-        rows: Each made by `row`.
-        styles: Further declarations of CSS.
-        tight: Whether its cells touch.
-    """
+    """A table of rows, each made by `row`, as wide as its panel; `tight` if its cells touch."""
     style = _style("width:100%;font-variant-numeric:tabular-nums", *styles)
     space = ' cellpadding="0"' if tight else ""
     return f"<table{space}{style}>{''.join(rows)}</table>"

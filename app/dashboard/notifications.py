@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable, Coroutine
 from typing import Any
 
 import viser
 
+from app.dashboard.markup import plain
 from app.errors import DbbError
 
 logger = logging.getLogger(__name__)
@@ -18,6 +19,8 @@ class Notifier:
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
+        self._shown: dict[tuple[int, str], tuple[str, int, Any]] = {}
+        """By viewer and title: the text, how often it was said, and its handle."""
 
     def warn(self, client: viser.ClientHandle | None, text: str) -> None:
         """Something was refused; goes away by itself."""
@@ -25,32 +28,44 @@ class Notifier:
 
     def inform(self, text: str) -> None:
         """Something that all viewers should know; goes away by itself."""
-        self._show(None, "Robot", text, "blue", 6.0)
+        self.tell(None, "Robot", text)
+
+    def tell(self, client: viser.ClientHandle | None, title: str, text: str) -> None:
+        """What one viewer should know; goes away by itself."""
+        self._show(client, title, text, "blue", 6.0)
 
     def fail(self, client: viser.ClientHandle | None, error: BaseException) -> None:
-        """A defect of the program: stays until it is closed, and goes to the log."""
+        """A defect of the program: stays for longer, and goes to the log."""
         logger.error("the dashboard failed", exc_info=error)
-        self._show(client, "Internal error", f"{type(error).__name__}: {error}", "red", None)
+        self._show(client, "Internal error", plain(error), "red", 30.0)
 
-    def guard(self, callback: Callable[[Any], None]) -> Callable[[Any], Awaitable[None]]:
-        """The callback for viser, none of whose exceptions is lost.
+    def clear(self, client: viser.ClientHandle) -> None:
+        """Take away what a viewer is shown."""
+        for key, (_, _, handle) in list(self._shown.items()):
+            if key[0] == client.client_id:
+                handle.remove()
+                del self._shown[key]
+
+    def guard(self, callback: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
+        """The callback for viser, none of whose exceptions is lost; its event has a `client`.
 
         It is `async`, so that viser runs it on its event loop: in order, and one at a time. So it
         must be short.
-
-        Args:
-            callback: Takes an event that has a `client`.
         """
 
         async def guarded(event: Any) -> None:
-            try:
-                callback(event)
-            except DbbError as error:
-                self.warn(event.client, str(error))
-            except Exception as error:  # the person who pressed must learn of it
-                self.fail(event.client, error)
+            self.attempt(event.client, lambda: callback(event))
 
         return guarded
+
+    def attempt(self, client: viser.ClientHandle | None, act: Callable[[], None]) -> None:
+        """Do what a viewer asked for, who learns of it if it goes wrong."""
+        try:
+            act()
+        except DbbError as error:
+            self.warn(client, str(error))
+        except Exception as error:  # the person who pressed must learn of it
+            self.fail(client, error)
 
     def _show(
         self,
@@ -58,8 +73,15 @@ class Notifier:
         title: str,
         text: str,
         colour: Any,
-        seconds: float | None,
+        seconds: float,
     ) -> None:
         clients = [client] if client is not None else list(self._server.get_clients().values())
         for each in clients:
-            each.add_notification(title, text, color=colour, auto_close_seconds=seconds)
+            key = (each.client_id, title)
+            before, count, old = self._shown.get(key, ("", 0, None))
+            if old is not None:
+                old.remove()  # of one kind there is one at a time
+            count = count + 1 if before == text else 1
+            body = text if count == 1 else f"{text} ({count} times)"
+            handle = each.add_notification(title, body, color=colour, auto_close_seconds=seconds)
+            self._shown[key] = text, count, handle

@@ -1,50 +1,57 @@
-"""The last minute as the plots need it: one table for all viewers, in bounded memory."""
+"""What pages keep of the past: curves, ways of base and hand, and what happened when."""
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from app.config import Config, sections
+from app.dashboard.panels import phrases as words
+from app.dashboard.verdict import judge
+from app.simulation.case import RunCase
 from app.simulation.trace.snapshot import Snapshot
 
 Array = np.ndarray
 
-KEPT = 60.0
-"""[s] how far back the table goes."""
+KEPT = 600.0
+"""[s] how far back a viewer can look."""
 PERIOD = 0.04
-"""[s] least time between two rows."""
+"""[s] least time between two rows of them."""
+SPACING = 0.01  # [m] between two points of a track
+_LONGEST = 1500  # points of a track
+BIN = 0.1
+"""[s] of which the time line keeps the least distance and the largest activation."""
+_QUIET = 1.0  # [s] after which the same happening is another event
+_MOST_EVENTS = 400
 
 
-class Curve(NamedTuple):
-    """One line of a plot.
-
-    Attributes:
-        label: In the plot's legend.
-        value: Its value at a snapshot.
-    """
-
-    label: str
-    value: Callable[[Snapshot], float]
-
-
-class Record:
-    """Values of curves over time.
+class Rows:
+    """What snapshots say over time, in bounded memory.
 
     Attributes:
         last: [s] time of the newest snapshot that was taken in, -1 if there is none.
     """
 
-    def __init__(self, curves: Iterable[Curve]) -> None:
+    def __init__(
+        self,
+        values: Callable[[Snapshot], Sequence[float] | Array],
+        longest: int,
+        is_due: Callable[[Array, Array], bool],
+    ) -> None:
         """An empty table.
 
         Args:
-            curves: Its columns, after the time.
+            values: A row, after its time.
+            longest: Rows that are kept.
+            is_due: Whether the second of two rows is taken in after the first.
         """
-        self._curves = tuple(curves)
-        self._rows: deque[Array] = deque(maxlen=int(KEPT / PERIOD) + 2)
+        self._values, self._is_due, self._longest = values, is_due, longest
+        self._rows: list[Array] = []
+        self._times: list[float] = []
         self.last = -1.0
 
     def extend(self, snapshots: Iterable[Snapshot], now: float) -> None:
@@ -56,29 +63,253 @@ class Record:
                 anew, and so does the table.
         """
         if now < self.last:
-            self._rows.clear()
-            self.last = -1.0
+            self._rows, self._times, self.last = [], [], -1.0
         for snapshot in snapshots:
             if snapshot.t <= self.last:
                 continue
             self.last = snapshot.t
+            row = np.array([snapshot.t, *self._values(snapshot)])
+            if not self._rows or self._is_due(self._rows[-1], row):
+                self._rows.append(row)
+                self._times.append(snapshot.t)
+        if (over := len(self._rows) - self._longest) > 0:
+            del self._rows[:over], self._times[:over]
+
+    def table(self) -> Array:
+        """(N, 1 + C) times [s] and values."""
+        return np.array(self._rows)
+
+
+class Curve(NamedTuple):
+    """One line of a plot: its label in the legend, and its value at a snapshot."""
+
+    label: str
+    value: Callable[[Snapshot], float]
+
+
+class Record(Rows):
+    """Values of curves over time."""
+
+    def __init__(self, curves: Iterable[Curve]) -> None:
+        """An empty table, whose columns after the time are the curves."""
+        curves = tuple(curves)
+        self._width = 1 + len(curves)
+        super().__init__(
+            lambda snapshot: [curve.value(snapshot) for curve in curves],
+            int(KEPT / PERIOD) + 2,
             # Half a millisecond of grace: times are sums of floats.
-            if not self._rows or snapshot.t >= self._rows[-1][0] + PERIOD - 5e-4:
-                values = [curve.value(snapshot) for curve in self._curves]
-                self._rows.append(np.array([snapshot.t, *values]))
+            lambda before, row: row[0] >= before[0] + PERIOD - 5e-4,
+        )
 
     def columns(self, until: float, length: float) -> Array:
-        """The rows of a stretch of time as columns.
+        """(1 + C, N) times [s] and values of a stretch of time, N ≥ 1.
 
         Args:
             until: [s] its end.
             length: [s] of it.
-
-        Returns:
-            (1 + C, N) times [s] and the curves' values, N ≥ 1.
         """
         if not self._rows:
-            return np.zeros((1 + len(self._curves), 1))
-        table = np.array(self._rows).T
-        inside = (table[0] >= until - length) & (table[0] <= until)
-        return table[:, inside] if inside.any() else table[:, :1]
+            return np.zeros((self._width, 1))
+        begin, end = bisect_left(self._times, until - length), bisect_right(self._times, until)
+        return np.array(self._rows[begin:end] or self._rows[:1]).T
+
+
+class Track(Rows):
+    """A line with a point for each centimetre."""
+
+    def __init__(self, place: Callable[[Snapshot], Array]) -> None:
+        """No points yet; `place` gives them, (3,) [m]."""
+        super().__init__(
+            place,
+            _LONGEST,
+            lambda before, row: bool(np.linalg.norm(row[1:] - before[1:]) >= SPACING),
+        )
+
+    def until(self, t: float) -> Array:
+        """(K, 3) [m] the points passed until a time [s]."""
+        table = self.table().reshape(-1, 4)
+        return table[table[:, 0] <= t, 1:]
+
+
+class Course:
+    """The scenario that was begun last, and what it has come to.
+
+    Attributes:
+        last: [s] time of the newest snapshot that was taken in, -1 if there is none.
+        name: Of the scenario; empty at the free start.
+        running: Whether it leads the hand.
+        duration: [s] at which it ends.
+        until: [s] time of the newest snapshot in which it led.
+        least: [m] the least distance of all pairs.
+        pull: [N] the hardest pull.
+        speed: [m/s] of the fastest hand.
+        path: [m] the way of the base.
+        touched: Whether anything has touched, or was inside something else.
+        case: What it takes to play again what was played last, or None.
+    """
+
+    def __init__(self) -> None:
+        """No scenario has begun."""
+        self.case: RunCase | None = None
+        self.last, self.name, self.running = -1.0, "", False
+        self.duration = self.until = self.pull = self.speed = self.path = 0.0
+        self.least, self.touched = np.inf, False
+        self._place: Array | None = None
+
+    def extend(self, snapshots: Iterable[Snapshot], now: float) -> None:
+        """Take in what is new, as `Rows.extend` does."""
+        if now < self.last:
+            self.__init__()
+        for snapshot in snapshots:
+            if snapshot.t > self.last:
+                self.last, self.running = snapshot.t, bool(snapshot.scenario)
+                self.case = snapshot.case or self.case
+                if self.running:
+                    self._add(snapshot)
+
+    def _add(self, snapshot: Snapshot) -> None:
+        place = np.array(snapshot.base_pose[:2])
+        if self._place is not None:
+            self.path += float(np.linalg.norm(place - self._place))
+        self._place, self.name, self.until = place, snapshot.scenario, snapshot.t
+        self.duration = snapshot.scenario_ends or snapshot.t
+        self.least = min(self.least, *(pair.d for pair in snapshot.pairs))
+        forces = (snapshot.hand_force, *(pull.force for pull in snapshot.pulls))
+        self.pull = max(self.pull, *(float(np.linalg.norm(force)) for force in forces))
+        self.speed = max(self.speed, snapshot.hand_speed)
+        self.touched = self.touched or judge(snapshot).state == "contact"
+
+
+class Event(NamedTuple):
+    """What happened, for a mark on the time line."""
+
+    t: float
+    """[s] when it began."""
+    kind: str
+    """One of "scenario", "parameter", "person", "buffer", "limit" and "contact"."""
+    text: str
+
+
+class Strip:
+    """What happened when: the least distance and β of each `BIN`, events, and a thinned past.
+
+    Attributes:
+        last: [s] time of the newest snapshot that was taken in, -1 if there is none.
+        runs: How often time has begun anew.
+        rows: Time [s] at which a bin begins, least distance [m] and largest β in it.
+        closed: How many rows there have been, also those that are kept no longer.
+        events: By their number, in order.
+        past: Snapshots, that of the least distance of each two bins.
+        nearest, hardest: Snapshots of the least distance and of the hardest pull so far.
+    """
+
+    def __init__(self, chain: Sequence[str], runs: int = 0) -> None:
+        """Nothing yet; `chain` names the robot's bodies, the mobile one first."""
+        self._chain, self.runs, self.last = chain, runs, -1.0
+        self.rows: deque[tuple[float, float, float]] = deque(maxlen=round(KEPT / BIN))
+        self.closed = self._numbered = 0
+        self.events: dict[int, Event] = {}
+        self._seen: dict[tuple[str, str], tuple[int, float]] = {}
+        self.past: deque[Snapshot] = deque(maxlen=round(KEPT / BIN / 2))
+        self.nearest: Snapshot | None = None
+        self.hardest: Snapshot | None = None
+        self._bin: list[Snapshot] = []
+        self._before: Snapshot | None = None
+
+    def extend(self, snapshots: Iterable[Snapshot], now: float) -> None:
+        """Take in what is new, as `Rows.extend` does."""
+        if now < self.last:
+            self.__init__(self._chain, self.runs + 1)
+        for snapshot in snapshots:
+            if snapshot.t > self.last:
+                self.last = snapshot.t
+                self._add(snapshot)
+
+    def _add(self, snapshot: Snapshot) -> None:
+        if self._bin and int(snapshot.t / BIN + 1e-6) != int(self._bin[0].t / BIN + 1e-6):
+            self._close()
+        self._bin.append(snapshot)
+        if self.nearest is None or least(snapshot) < least(self.nearest):
+            self.nearest = snapshot
+        if pulled(snapshot) > (0.0 if self.hardest is None else pulled(self.hardest)):
+            self.hardest = snapshot
+        for kind, subject, text in happenings(self._before, snapshot, self._chain):
+            self._note(snapshot.t, kind, subject, text)
+        self._before = snapshot
+
+    def _close(self) -> None:
+        nearest = min(self._bin, key=least)
+        self.rows.append((self._bin[0].t, least(nearest), max(s.beta_m for s in self._bin)))
+        self.closed += 1
+        if self.closed % 2 or least(nearest) < least(self.past[-1]):
+            if self.closed % 2 == 0:
+                self.past.pop()
+            self.past.append(nearest)
+        self._bin = []
+
+    def _note(self, t: float, kind: str, subject: str, text: str) -> None:
+        """A new event, or the same one that goes on, whose text is renewed."""
+        number, seen = self._seen.get((kind, subject), (-1, -np.inf))
+        if t - seen <= _QUIET and number in self.events:
+            self.events[number] = self.events[number]._replace(text=text)
+        else:
+            number = self._numbered
+            self._numbered += 1
+            self.events[number] = Event(t, kind, text)
+            self.events.pop(number - _MOST_EVENTS, None)
+        self._seen[kind, subject] = number, t
+
+
+def least(snapshot: Snapshot) -> float:
+    """[m] the least distance of all pairs."""
+    return min(pair.d for pair in snapshot.pairs)
+
+
+def pulled(snapshot: Snapshot) -> float:
+    """[N] of the hardest pull at any point of the robot."""
+    forces = [np.linalg.norm(pull.force) for pull in snapshot.pulls]
+    return float(max([np.linalg.norm(snapshot.hand_force), *forces]))
+
+
+def happenings(
+    before: Snapshot | None, now: Snapshot, chain: Sequence[str]
+) -> list[tuple[str, str, str]]:
+    """What has begun between two snapshots: kind, subject and text of each event."""
+    if before is None:
+        return [("scenario", "", f"{now.scenario} begins")] if now.scenario else []
+    found = []
+    if now.scenario != before.scenario:
+        said = f"{now.scenario} begins" if now.scenario else f"{before.scenario} ends"
+        found.append(("scenario", "", said))
+    if now.controller != before.controller:
+        found.append(("parameter", "controller", f"controller: {now.controller}"))
+    found += [("parameter", path, text) for path, text in changes(before.config, now.config)]
+    held, holds = ({pull.who for pull in s.pulls if pull.who >= 0} for s in (before, now))
+    if held != holds:
+        text = "takes hold" if holds - held else "lets go"
+        found.append(("person", text, f"a person {text}"))
+    for old, pair in zip(before.pairs, now.pairs, strict=True):
+        if pair.beta > 0.0 and old.beta == 0.0:
+            text = f"{words.spoken(pair.name, chain)} inside the buffer"
+            found.append(("buffer", pair.name, text))
+    met, meets = (
+        {words.bound(bound, chain) for bound in s.explanation.bounds} if s.explanation else set()
+        for s in (before, now)
+    )
+    found += [("limit", text, text) for text in sorted(meets - met)]
+    spoken = {pair.name: words.spoken(pair.name, chain) for pair in now.pairs}
+    if (touching := judge(now, spoken).touching) and not judge(before).touching:
+        found.append(("contact", "", touching))
+    return found
+
+
+def changes(before: Config, now: Config) -> list[tuple[str, str]]:
+    """Path and new value, with its label and unit, of each parameter that differs."""
+    if before is now or before == now:
+        return []
+    return [
+        (each.path, f"{each.title}: {value if isinstance(value, str) else f'{value:.4g}'}")
+        for section in sections()
+        for each in section.tunables
+        if (value := now.value(each.path)) != before.value(each.path)
+    ]

@@ -14,19 +14,19 @@ from pathlib import Path
 import viser
 
 from app.border.cloud import Cloud
+from app.dashboard.demonstration import Demonstration
 from app.dashboard.export.screenshot import page_picture
-from app.dashboard.gate import Limits
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page, show_failure
-from app.dashboard.panels.sweep import DEFAULT_FOLDER
-from app.dashboard.robot_switch import RobotSwitch, RunningRobot, StartLoop
+from app.dashboard.panels.save import SWEEPS
+from app.dashboard.robots import RobotSwitch, RunningRobot, StartLoop
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
+from app.dashboard.scene.colours import set_theme
 from app.dashboard.scene.robot import RobotParts
-from app.dashboard.scene.theme import set_theme
 from app.dashboard.shared import SharedState
-from app.dashboard.viser_compat import close_server, open_server
+from app.dashboard.viser_compat import Watchdog, close_server, link_of, open_server
 from app.errors import LoopError, ServerError
-from app.onboarding.read.unpack import LARGEST_ARCHIVE
+from app.onboarding.read.package import LARGEST_ARCHIVE
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios.leading import Scenario
@@ -35,34 +35,29 @@ logger = logging.getLogger(__name__)
 _PAGE_ENDED = "This page has ended; reload it. The simulation and other pages go on"
 
 FRAME = 1 / 30  # [s] between two pictures
-TEXTS_EVERY = 3  # pictures between two renewals of panels, plots and labels: 10 Hz
+TEXTS_EVERY = 6  # pictures between two renewals of panels, plots and labels: 5 Hz
+LIGHT_EVERY = 2  # pictures, of which a page that draws in software gets one
 LARGEST_SHARE = 0.5  # [-] of the time that drawing may take
 
 
 class DashboardServer:
-    """Pages that show a loop and send it commands, one for each viewer.
+    """Pages that show a loop and send it commands, one for each viewer, by the viewer's number.
 
     Attributes:
-        address: As to be typed into a browser.
-        shared: What all viewers share.
-        pages: Of the viewers, by their number.
         pictures: How often all pages have been drawn.
         error: Why the drawing thread ended, if it did.
+        watchdog: Looks after the viewers' connections.
     """
 
     def __init__(self, viser_server: viser.ViserServer, shared: SharedState) -> None:
-        """Begin to draw.
-
-        Args:
-            viser_server: Accepts connections.
-            shared: The simulation and what else the pages need.
-        """
+        """Begin to draw."""
         self.viser, self.shared = viser_server, shared
         self.address = f"http://{viser_server.get_host()}:{viser_server.get_port()}"
         self.pages: dict[int, Page] = {}
         self.pictures = 0
         self.error: BaseException | None = None
         self._notifier = Notifier(viser_server)
+        self._demonstration = Demonstration()
         self._failure: tuple[str, BaseException] | None = None
         self._arrived: queue.SimpleQueue[viser.ClientHandle] = queue.SimpleQueue()
         self._gone: queue.SimpleQueue[int] = queue.SimpleQueue()
@@ -72,6 +67,7 @@ class DashboardServer:
         self._thread.start()
         viser_server.on_client_connect(self._welcome)
         viser_server.on_client_disconnect(self._part)
+        self.watchdog = Watchdog(viser_server, self._silent)
 
     def run_forever(self) -> None:
         """Serve until `stop` is called from another thread, or Ctrl-C.
@@ -110,12 +106,15 @@ class DashboardServer:
             page.save_job.cancel()
         self._gone.put(client.client_id)
 
+    def _silent(self, number: int) -> None:
+        page = self.pages.get(number)
+        if page is not None:
+            page.browser_is_silent()
+
     def _draw_until_stopped(self) -> None:
         try:
             self._draw_frames()
-        except (
-            Exception
-        ) as error:  # nobody joins this thread, so it has to say itself what went wrong
+        except Exception as error:  # nobody joins this thread: it says itself what went wrong
             self.error = error
             logger.exception("drawing ended")
             self._fail("Drawing has ended", error)
@@ -125,23 +124,31 @@ class DashboardServer:
         due = time.monotonic()
         while not self._stopping.wait(max(0.0, due - time.monotonic())):
             begin = time.monotonic()
-            self._open_and_close_pages()
-            self._switch_robot()
-            self.shared.update()
-            self._draw_pages(texts=self.pictures % TEXTS_EVERY == 0)
-            self.pictures += 1
-            error = self.shared.loop.error
-            if error is not None and self._failure is None:
-                logger.error("the simulation ended", exc_info=error)
-                self._fail("The simulation has ended", error)
+            self._draw_picture()
             # Many viewers are drawn less often rather than let drawing fill all the time. After a
             # hold-up go on from now: a burst of late pictures would only delay more.
             now = time.monotonic()
             due = max(due + FRAME, now, begin + (now - begin) / LARGEST_SHARE)
 
+    def _draw_picture(self) -> None:
+        """One of each page; a name of this frame would keep the robot before from collection."""
+        self.shared.watch(bool(self.pages) or not self._arrived.empty())
+        self._open_and_close_pages()
+        self._switch_robot()
+        self.shared.update()
+        pages = [page for page in self.pages.values() if not page.closed]
+        shared = self.shared
+        self._demonstration.update(pages, shared.loop, shared.model.description)
+        self._draw_pages(texts=self.pictures % TEXTS_EVERY == 0)
+        self.pictures += 1
+        error = self.shared.loop.error
+        if error is not None and self._failure is None:
+            logger.error("the simulation ended", exc_info=error)
+            self._fail("The simulation has ended", error)
+
     def _draw_pages(self, *, texts: bool) -> None:
         for page in self.pages.values():
-            if not page.closed:
+            if not page.closed and not (page.view.light and self.pictures % LIGHT_EVERY):
                 try:
                     page.draw(texts=texts)
                 except Exception as error:  # of this viewer alone
@@ -162,6 +169,7 @@ class DashboardServer:
                 continue
             if self._failure is not None:
                 page.fail(*self._failure)
+            page.open_link(link_of(client))
         while not self._gone.empty():
             self.pages.pop(self._gone.get(), None)
 
@@ -205,7 +213,7 @@ def serve_dashboard(
     host: str = "127.0.0.1",
     port: int = 8080,
     case: Scenario | None = None,
-    sweeps: Path = DEFAULT_FOLDER,
+    sweeps: Path = SWEEPS,
     parts: RobotParts | None = None,
     start_loop: StartLoop | None = None,
 ) -> DashboardServer:
@@ -221,8 +229,7 @@ def serve_dashboard(
         case: A scenario that begins where the loop does, for a button that plays it.
         sweeps: Folder of the maps of sweeps, where new ones are written too.
         parts: The robot's meshes if they have been read already.
-        start_loop: Begins the simulation of another robot that a viewer chooses; without, the robot
-            cannot be changed.
+        start_loop: Begins the simulation of another robot; without, it cannot be changed.
 
     Raises:
         ServerError: The address cannot be bound.
@@ -231,7 +238,7 @@ def serve_dashboard(
     check_address(host, port)
     switch = RobotSwitch(start_loop)
     shared = SharedState(loop, model, clouds, parts, case=case, sweeps=sweeps, robot_switch=switch)
-    server = open_server(host, port, Limits(upload=LARGEST_ARCHIVE))
+    server = open_server(host, port, LARGEST_ARCHIVE)
     try:
         if port not in (0, server.get_port()):
             raise ServerError(f"port {port} was taken while the server started; try --port 0")

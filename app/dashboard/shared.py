@@ -2,22 +2,142 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from app.border.cloud import Cloud
+from app.config import Config, tunable
+from app.dashboard.challenge import Challenge
+from app.dashboard.drag import Sink
+from app.dashboard.explorer import Explorer
 from app.dashboard.job import Job
 from app.dashboard.panels.plots import plot_plans
-from app.dashboard.record import Record
-from app.dashboard.robot_build import RobotBuild
-from app.dashboard.robot_switch import RobotSwitch, RunningRobot
+from app.dashboard.record import Course, Record, Strip
+from app.dashboard.robots import RobotBuild, RobotSwitch, RunningRobot
 from app.dashboard.scene.robot import RobotParts
 from app.dashboard.scene.scene import SceneData
-from app.dashboard.tuning import Tuning
+from app.errors import ConfigError
 from app.robot.model import RobotModel
+from app.simulation.loop.commands import Configure, Watch
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios.leading import Scenario
-from app.simulation.trace.snapshot import Snapshot
+
+BURST = 0.7
+"""[s] moves of one slider that follow each other faster are one step."""
+MOST_STEPS = 200
+"""[-] that can be undone; each is a small record."""
+
+
+class Tuning:
+    """The configuration and its history; every change is sent to the simulation at once.
+
+    May be called by any thread.
+    """
+
+    def __init__(
+        self, sink: Sink, config: Config, *, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """Begin without a history; `config` holds already where changes go, to `sink`."""
+        self._sink, self._clock = sink, clock
+        self._config = config
+        self._past: list[Config] = []
+        self._future: list[Config] = []
+        self._burst: tuple[str, float] | None = None
+        """Parameter that was moved last, and when."""
+        self._lock = threading.RLock()
+
+    @property
+    def config(self) -> Config:
+        """What holds now; the same object as long as nothing changes."""
+        return self._config
+
+    def value(self, path: str) -> float | str:
+        """The value of a parameter now."""
+        return self._config.value(path)
+
+    def set(self, path: str, value: float | str) -> None:
+        """Change one parameter; moves of the same one in a burst are one step.
+
+        Raises:
+            ConfigError: No such parameter, or a value that it cannot have.
+        """
+        with self._lock:
+            if self._config.value(path) == value:
+                return
+            config, now = self._config.replace(path, value), self._clock()
+            last, at = self._burst or ("", -math.inf)
+            if last != path or now - at > BURST:
+                self._remember()
+            self._burst = path, now
+            self._hold(config)
+            if self._past[-1] == config:  # there and back in one burst is no step
+                self._past.pop()
+                self._burst = None
+
+    def load(self, config: Config) -> None:
+        """Take over a whole configuration, in one step."""
+        with self._lock:
+            if config != self._config:
+                self._burst = None
+                self._remember()
+                self._hold(config)
+
+    def reset(self, paths: Iterable[str] | None = None) -> None:
+        """Set parameters, by default all, to their defaults, in one step."""
+        with self._lock:
+            config = Config() if paths is None else self._config
+            for path in paths or ():
+                config = config.replace(path, tunable(path).default)
+            self.load(config)
+
+    def undo(self) -> None:
+        """Take the last step back.
+
+        Raises:
+            ConfigError: There is none.
+        """
+        with self._lock:
+            self._step(self._past, self._future, "nothing to undo")
+
+    def redo(self) -> None:
+        """Do the step again that was undone last.
+
+        Raises:
+            ConfigError: There is none, or something was changed since.
+        """
+        with self._lock:
+            self._step(self._future, self._past, "nothing to do again")
+
+    def move_to(self, sink: Sink, config: Config) -> None:
+        """Go on with another simulation, which has a configuration already.
+
+        If that is another than here, it is one step.
+        """
+        with self._lock:
+            self._sink = sink
+            if self._config != config:
+                self._burst = None
+                self._remember()
+                self._config = config
+
+    def _step(self, source: list[Config], target: list[Config], nothing: str) -> None:
+        if not source:
+            raise ConfigError(nothing)
+        target.append(self._config)
+        self._burst = None
+        self._hold(source.pop())
+
+    def _remember(self) -> None:
+        self._past.append(self._config)
+        del self._past[:-MOST_STEPS]
+        self._future.clear()
+
+    def _hold(self, config: Config) -> None:
+        self._config = config
+        self._sink.send(Configure(config))
 
 
 class SharedState(SceneData):
@@ -27,11 +147,11 @@ class SharedState(SceneData):
         case: A scenario that begins where the loop does, for a button that plays it, or None.
         sweeps: Folder of the maps of sweeps.
         tuning: The parameters, one set for all viewers.
-        plans: The plots.
-        record: Their values in the last minute.
-        sweep_job: A sweep that a viewer has begun.
-        robot_switch: To another robot.
-        robot_build: Of a new robot from an uploaded zip.
+        plans, record: The plots, and their values in the last minute.
+        course: The scenario that was begun last.
+        strip: What happened when, in the last ten minutes.
+        sweep_job, challenge: What viewers may begin beside the simulation.
+        robot_switch, robot_build: The same for other robots.
     """
 
     def __init__(
@@ -46,18 +166,10 @@ class SharedState(SceneData):
         robot_switch: RobotSwitch | None = None,
         before: SharedState | None = None,
     ) -> None:
-        """Load what pages need.
+        """Load what pages need; see `serve_dashboard`.
 
-        Args:
-            loop: A started simulation.
-            model: The robot that it simulates.
-            clouds: P_i of every pair of L_m, by the pair's name.
-            parts: The robot's meshes if they have been read already.
-            case: A scenario that a button plays, or None.
-            sweeps: Folder of the maps of sweeps.
-            robot_switch: To another robot; without, it cannot be switched.
-            before: What was shared with another robot: of it stay the parameters, with their
-                history, and the jobs for new robots.
+        Of what was shared `before` with another robot stay the parameters, with their history, and
+        the jobs for new robots.
         """
         super().__init__(loop, model, clouds, parts)
         self.case, self.sweeps = case, sweeps
@@ -66,24 +178,37 @@ class SharedState(SceneData):
         self.robot_build = before.robot_build if before else RobotBuild(self.robot_switch)
         self.plans = plot_plans(model, self.pairs)
         self.record = Record(curve for plan in self.plans for curve in plan.curves)
+        self.course = Course()
+        self.strip = Strip(model.body_names)
+        self._kept += [self.record, self.course, self.strip]
         self.sweep_job = Job()
+        self.challenge = Challenge()
+        self._watched = True
+        self._explorer: Explorer | None = None
+
+    def explorer(self) -> Explorer:
+        """What answers for postures, made when it is asked first; for the drawing thread."""
+        if self._explorer is None:
+            self._explorer = Explorer(self.model, self.clouds, self.loop.latest())
+        return self._explorer
 
     def followed_by(self, robot: RunningRobot) -> SharedState:
         """The same with another robot; what was started for this one ends."""
         self.sweep_job.close()
+        self.challenge.close()
         after = SharedState(
             robot.loop, robot.model, robot.clouds, robot.parts, sweeps=self.sweeps, before=self
         )
         self.tuning.move_to(robot.loop, robot.config)
         return after
 
+    def watch(self, watched: bool) -> None:
+        """Let the simulation rest while nobody is there."""
+        if watched != self._watched:
+            self._watched = watched
+            self.loop.send(Watch(watched))
+
     def close(self) -> None:
         """End the background jobs."""
-        for job in (self.sweep_job, self.robot_build, self.robot_switch):
+        for job in (self.sweep_job, self.challenge, self.robot_build, self.robot_switch):
             job.close()
-
-    def update(self) -> list[Snapshot]:
-        """Extend record and tracks; see `SceneData.update`."""
-        new = super().update()
-        self.record.extend(new, self.loop.latest().t)
-        return new

@@ -29,6 +29,8 @@ class View:
     """Also the part of the border above the base's top, which hides the arm."""
     slice: bool = True
     """The border's contour at the hand's height."""
+    shell: bool = False
+    """The border as a translucent body, in the place of its points."""
     meshes: bool = True
     bodies: bool = False
     distances: bool = True
@@ -46,6 +48,8 @@ class View:
     follow: bool = True
     """Whether the camera follows the base."""
     dark: bool = True
+    light: bool = False
+    """Drawn for who has no GPU: fewer triangles and points, no shadows, fewer pictures."""
     plots: set[str] = field(default_factory=set)
     """Titles of the plots that are shown."""
 
@@ -55,12 +59,7 @@ class View:
             setattr(self, each.name, copy(getattr(other, each.name)))
 
     def of_robot(self, pairs: list[str], plots: list[str]) -> View:
-        """The same choices for another robot, as far as it has the pairs and plots.
-
-        Args:
-            pairs: Names of its pairs of L_m.
-            plots: Titles of its plots.
-        """
+        """The same choices for another robot, as far as it has the pairs of L_m and the plots."""
         new, shown = View.first(pairs, plots), self.plots & set(plots)
         borders, first = new.borders, copy(new.borders)
         new.take_over(self)
@@ -72,12 +71,7 @@ class View:
 
     @classmethod
     def first(cls, pairs: list[str], plots: list[str]) -> View:
-        """What a new viewer sees: the score of the first pair's border, and the first three plots.
-
-        Args:
-            pairs: Names of the pairs of L_m.
-            plots: Titles of all plots.
-        """
+        """What a new viewer sees: the score of the first border, and the first three plots."""
         borders = dict.fromkeys(pairs, HIDDEN)
         if pairs:
             borders[pairs[0]] = "score"
@@ -85,12 +79,7 @@ class View:
 
 
 class Viewpoint(NamedTuple):
-    """What a viewer sees, and where from.
-
-    Attributes:
-        view: The viewer's layers.
-        eye, target: (3,) [m] where the viewer's camera is and what it looks at, in the world.
-    """
+    """What a viewer sees, and where from: eye and target (3,) [m] of the camera, in the world."""
 
     view: View
     eye: np.ndarray

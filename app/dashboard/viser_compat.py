@@ -9,32 +9,39 @@ import asyncio
 import contextlib
 import io
 import logging
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import viser
 from viser import _messages
 from viser.infra import _infra
 from viser.infra._async_message_buffer import AsyncMessageBuffer
+from websockets.exceptions import ConnectionClosed
 
-from app.dashboard.gate import Gate, Limits
-from app.dashboard.messages import RefusedError
+from app.dashboard.gate import Gate, RefusedError, draws_in_software
 from app.dashboard.notifications import Notifier
 
+logger = logging.getLogger(__name__)
 
-def open_server(host: str, port: int, limits: Limits | None = None) -> viser.ViserServer:
+LOOK = 0.5  # [s] between two looks at the connections
+SILENT = 3  # [looks] without an answer, after which a viewer may sleep
+STUCK = 20  # [looks] without anything delivered, after which a connection is closed
+
+
+def open_server(host: str, port: int, largest_upload: int = 0) -> viser.ViserServer:
     """A server that listens.
 
     Args:
         host: Address to listen at, which can be bound: viser waits for ever at one that cannot.
         port: Port to listen at; 0 takes a free one, and so does viser if it is taken.
-        limits: Bounds of what clients may do.
+        largest_upload: [bytes] of one file; 0 if there is nothing to upload.
 
     Raises:
         ServerError: viser starts in a way that is not known.
     """
     logging.getLogger("websockets").setLevel(logging.WARNING)  # every viewer's coming and going
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private
-    gate = Gate(host, limits or Limits())
+    gate = Gate(host, largest_upload)
     with _silence(), gate.closed():
         server = viser.ViserServer(host=host, port=port, verbose=False)
     notifier = Notifier(server)
@@ -76,10 +83,78 @@ def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
     return file
 
 
+def link_of(client: viser.ClientHandle) -> str:
+    """The query of the address at which a viewer has opened the page; once, and then empty."""
+    connection = _connection(client)
+    if connection is None:
+        return ""
+    query, connection.link = getattr(connection, "link", ""), ""
+    return query
+
+
+def address_of(client: viser.ClientHandle) -> str:
+    """The page's address, as the viewer's browser has it, without a query."""
+    connection = _connection(client)
+    request = connection.request if connection is not None else None
+    return f"http://{request.headers.get('Host', '') if request is not None else ''}/"
+
+
 def image_size(client: viser.ClientHandle) -> tuple[float, float]:
     """[px] width and height of a viewer's scene; 0 while unknown."""
     state = client.camera._state
     return state.image_width, state.image_height
+
+
+def run_script(client: viser.ClientHandle, source: str) -> None:
+    """Have a viewer's page run a script, after all that was sent to it before."""
+    client._websock_connection.queue_message(_messages.RunJavascriptMessage(source=source))
+
+
+def widget_name(handle: viser.GuiTextHandle) -> str:
+    """The name by which a page means a widget."""
+    return handle._impl.uuid
+
+
+def number_ranges(gui: viser.GuiApi) -> dict[str, tuple[float | None, float | None]]:
+    """Least and largest number that each box of a page takes, by the name of its widget."""
+    return {
+        uuid: (handle.min, handle.max)
+        for uuid, handle in gui._gui_input_handle_from_uuid.items()
+        if isinstance(handle, viser.GuiSliderHandle | viser.GuiNumberHandle)
+    }
+
+
+def has_no_gpu(client: viser.ClientHandle) -> bool:
+    """Whether a viewer's browser has said that it draws in software."""
+    connection = _connection(client)
+    return connection is not None and draws_in_software(connection.request)
+
+
+def add_light_mark(gui: viser.GuiApi, *, visible: bool) -> viser.GuiHtmlHandle:
+    """What has the page draw fewer pixels while it is visible."""
+    return gui.add_html("<div data-light></div>", visible=visible)
+
+
+def add_sight(gui: viser.GuiApi, mark: str = "") -> viser.GuiCheckboxHandle:
+    """A hidden box in the GUI container that is now open: on while a person sees the container.
+
+    With the mark `data-narrow` it is so on narrow pages only.
+    """
+    box = gui.add_checkbox("seen", False, visible=False)
+    gui.add_html(f'<div data-seen="{box._impl.uuid}" {mark}></div>')
+    return box
+
+
+def add_untouched(gui: viser.GuiApi) -> viser.GuiCheckboxHandle:
+    """A hidden box: on from when a page is there until a person presses or turns anything."""
+    box = gui.add_checkbox("untouched", False, visible=False)
+    gui.add_html(f'<div data-untouched="{box._impl.uuid}"></div>')
+    return box
+
+
+def _connection(client: viser.ClientHandle) -> Any:
+    """A viewer's connection, or None once he has gone."""
+    return client._viser_server._websock_server._live_connections.get(client.client_id)
 
 
 def _widget(gui: viser.GuiApi, uuid: str) -> Any:
@@ -89,6 +164,81 @@ def _widget(gui: viser.GuiApi, uuid: str) -> Any:
 def _silence() -> contextlib.redirect_stdout[io.StringIO]:
     """Holds back what viser prints about itself: the address is the caller's to print."""
     return contextlib.redirect_stdout(io.StringIO())
+
+
+class _Seen(NamedTuple):
+    """What was seen of a connection; numbers of looks at which it was so, one after the other."""
+
+    answer: asyncio.Task[None] | None = None
+    """To the last question whether anybody is there."""
+    unanswered: int = 0
+    sent: tuple[int, ...] = ()
+    """Number of the last message that was taken out of each queue for this viewer."""
+    unsent: int = 0
+
+
+class Watchdog:
+    """Notices viewers who do not answer, and closes connections that deliver nothing.
+
+    A browser answers a ping by itself, also while its page waits. All is counted in looks, made in
+    the thread that receives: if this program itself is held up, that is one look.
+
+    Attributes:
+        closed: Connections that it has closed; their pages connect anew by themselves.
+    """
+
+    def __init__(self, server: viser.ViserServer, on_silent: Callable[[int], None]) -> None:
+        """Begin; `on_silent` gets the number of a viewer at each look at which he is silent."""
+        self.closed = 0
+        self._server, self._on_silent = server._websock_server, on_silent
+        self._seen: dict[int, _Seen] = {}
+        loop = self._server._background_event_loop
+        assert loop is not None, "the server runs"
+        self._loop = loop
+        loop.call_soon_threadsafe(self._look)
+
+    def _look(self) -> None:
+        live = dict(self._server._live_connections)
+        self._seen = {
+            number: self._seen_now(number, connection, self._seen.get(number, _Seen()))
+            for number, connection in live.items()
+        }
+        for number, seen in self._seen.items():
+            if seen.unanswered >= SILENT:
+                self._on_silent(number)
+            if max(seen.unanswered, seen.unsent) == STUCK:
+                self.closed += 1
+                logger.warning(
+                    "nothing reached viewer %d for %g s: the connection is closed, so that the "
+                    "page connects anew",
+                    number,
+                    STUCK * LOOK,
+                )
+                live[number].transport.abort()
+        self._loop.call_later(LOOK, self._look)
+
+    def _seen_now(self, number: int, connection: Any, before: _Seen) -> _Seen:
+        answer, unanswered = before.answer, before.unanswered + 1
+        if answer is None or answer.done():
+            answer, unanswered = self._loop.create_task(_ping(connection)), 0
+        queues = [self._server._broadcast_buffer]
+        if number in self._server._client_state_from_id:
+            queues.append(self._server._client_state_from_id[number].message_buffer)
+        sent = tuple(queue.generator_cursors.get(number, -1) for queue in queues)
+        unsent = before.unsent
+        if sent != before.sent or all(
+            last + 1 >= queue.message_counter for last, queue in zip(sent, queues, strict=True)
+        ):
+            unsent = 0
+        elif not any(queue.atomic_counter for queue in queues):  # else a picture is being composed
+            unsent += 1
+        return _Seen(answer, unanswered, sent, unsent)
+
+
+async def _ping(connection: Any) -> None:
+    """Wait until a viewer's browser has answered, or is gone."""
+    with contextlib.suppress(ConnectionClosed):
+        await (await connection.ping())
 
 
 class _WakingEvent(asyncio.Event):

@@ -32,7 +32,7 @@ class Workers:
 
         Args:
             make_context: Makes what the jobs share; must be picklable.
-            processes: How many; all cores if not given. One means within this process.
+            processes: All cores if not given. One means within this process.
         """
         self._make_context = make_context
         self._processes = processes or os.cpu_count() or 1

@@ -13,10 +13,12 @@ import pickle
 import signal
 import threading
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
+from multiprocessing.pool import RemoteTraceback
 from typing import Any, NamedTuple
 
 from app.errors import DbbError, LoopError
@@ -44,11 +46,7 @@ class _Activity(NamedTuple):
 class _Outcome(NamedTuple):
     result: Any
     error: BaseException | None
-
-
-def background_cores() -> int:
-    """Processes that a job beside the simulation may use: one core is the simulation's."""
-    return max(1, (os.cpu_count() or 1) - 1)
+    traceback: str = ""
 
 
 @contextmanager
@@ -73,8 +71,7 @@ def starting_children() -> Iterator[None]:
 def follow_parent(*, leads_group: bool = False) -> None:
     """First act of a child process: ignore Ctrl-C, and end when the parent has ended.
 
-    Args:
-        leads_group: Whether all processes that this one starts end with it.
+    If it leads a group, all processes that this one starts end with it.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if leads_group:
@@ -89,24 +86,22 @@ def run_in_process(
     cancelled: threading.Event,
     niceness: int = 10,
 ) -> Any:
-    """Run `work(report, *args)` in a process of low priority, and wait for it.
+    """Run `work(report, *args)` in a process of low priority, and give what it returns.
 
-    The process leads a group, which ends with it.
+    The process leads a group, which ends with it; `work` is a function of a module, and it and
+    its arguments must survive pickling.
 
     Args:
-        work: A function of a module; it and its arguments must survive pickling.
+        work: What is done.
         args: Its arguments after `report`.
         report: Called here with what `work` reports there.
         cancelled: Ends the process as soon as it is set.
         niceness: [-] of the process, 0 to 19.
 
-    Returns:
-        What `work` returns.
-
     Raises:
         Cancelled: `cancelled` was set.
         LoopError: The process ended by itself.
-        DbbError: What `work` raised.
+        Exception: What `work` raised, its traceback the cause.
     """
     receiver, sender = SPAWN.Pipe(duplex=False)
     process = SPAWN.Process(target=_run, args=(sender, niceness, work, args), name="dbb job")
@@ -120,7 +115,7 @@ def run_in_process(
         if outcome is None:
             raise LoopError(f"the process for this ended with status {process.exitcode}")
         if outcome.error is not None:
-            raise outcome.error
+            raise outcome.error from RemoteTraceback(outcome.traceback)
         return outcome.result
     finally:
         _running.discard(process)
@@ -182,10 +177,8 @@ def _run(sender: Connection, niceness: int, work: Callable[..., Any], args: tupl
     try:
         result = work(lambda text, share: sender.send(_Activity(text, share)), *args)
         outcome = _Outcome(result, None)
-    except DbbError as error:
-        outcome = _Outcome(None, portable(error))
     except Exception as error:  # raised again in the process that waits
-        outcome = _Outcome(None, LoopError(f"{type(error).__name__}: {error}"))
+        outcome = _Outcome(None, portable(error), traceback.format_exc())
     sender.send(outcome)
     sender.close()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # nothing is left that a `finally` would do

@@ -1,36 +1,38 @@
-"""Progress of long work on standard error: a bar on a terminal, else a line now and then."""
+"""Long commands: progress on standard error, and signals that end them by way of `finally`."""
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from time import monotonic
+from types import FrameType
 
-from app.jobs.signals import check_signals
+from app.errors import DbbError
+from app.system import ENDING
 
 _EVERY = 20.0  # [s] between two plain lines; shorter work says nothing
+_LONGEST = 2.0  # [s] for a command to end after SIGTERM or SIGHUP; its children take 2.5 s more
+_received: list[int] = []
 
 
 @contextmanager
 def progress_bar(
     text: str, total: float, *, shown: bool = True
 ) -> Iterator[Callable[[float], None]]:
-    """Show how far some work is.
-
-    Args:
-        text: What is being done.
-        total: How much there is to do, in any unit.
-        shown: Whether to show it at all.
+    """Show how far some work is, of a total in any unit.
 
     Yields:
         The function to be told how much is done, where Ctrl-C is heard again if it was lost.
     """
-    show = (_bar if sys.stderr.isatty() else _lines) if shown else _nothing
-    with show(text, total) as update:
+    show = _bar if sys.stderr.isatty() else _lines
+    with show(text, total) if shown else nullcontext(lambda _: None) as update:
 
         def on_progress(done: float) -> None:
-            check_signals()
+            _check_signals()
             update(done)
 
         yield on_progress
@@ -68,6 +70,51 @@ def _lines(text: str, total: float) -> Iterator[Callable[[float], None]]:
 
 
 @contextmanager
-def _nothing(text: str, total: float) -> Iterator[Callable[[float], None]]:
-    del text, total
-    yield lambda _: None
+def ending_signals_raised() -> Iterator[None]:
+    """SIGINT raises `KeyboardInterrupt`; SIGTERM and SIGHUP raise `SystemExit` of 128 + the signal.
+
+    Whatever error compiled code makes of that is the same exception again at the end. After SIGTERM
+    or SIGHUP the process ends within 2 s whatever it does.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C was pressed, and something ended by it.
+        SystemExit: Another of the signals came.
+    """
+    _received.clear()
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in ENDING:
+            handler = signal.getsignal(number)
+            # A signal that is ignored stays so; a handler of others, such as a test's, too.
+            if handler in (signal.default_int_handler, signal.SIG_DFL):
+                before[number] = signal.signal(number, _end)
+    try:
+        yield
+    except Exception as error:
+        if _received and not isinstance(error, DbbError):  # ours says what it is
+            raise _exception() from error
+        raise
+    finally:
+        _received.clear()
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _check_signals() -> None:
+    """Raise what a signal did, if compiled code has swallowed it; for the main thread alone."""
+    if _received and threading.current_thread() is threading.main_thread():
+        raise _exception()
+
+
+def _end(number: int, _: FrameType | None) -> None:
+    _received.append(number)
+    if number != signal.SIGINT:
+        timer = threading.Timer(_LONGEST, os._exit, (128 + number,))
+        timer.daemon = True
+        timer.start()
+    raise _exception()
+
+
+def _exception() -> BaseException:
+    last = _received[-1]
+    return KeyboardInterrupt() if last == signal.SIGINT else SystemExit(128 + last)

@@ -1,31 +1,46 @@
-"""From a URDF to a description: every step in order, each number with where it comes from."""
+"""From a URDF to a robot's folder: every step in order, each number with where it comes from."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import logging
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
-from app.onboarding.fit.collision_sampling import Meetings, sample_meetings
-from app.onboarding.fit.grouping import Grouping, Verdict, find_grouping
+from app.border.cache import BorderData, load_border_data
+from app.border.config import SamplingConfig
+from app.errors import DbbError, RobotFileError
+from app.onboarding.fit.bodies import FittedBody
+from app.onboarding.fit.collision_sampling import Meetings, make_units, sample_meetings
+from app.onboarding.fit.grouping import Grouping, Unseen, Verdict, find_grouping, unseen_collisions
 from app.onboarding.fit.postures import RULE, Place, Ready, find_places, find_ready, judge_ready
-from app.onboarding.fit.reach import Reach, find_reach
-from app.onboarding.fit.rigid_groups import make_units
-from app.onboarding.read.drives import base_numbers, drive_fields
-from app.onboarding.read.limits import Limits, completed, damping
+from app.onboarding.numbers import (
+    Reach,
+    Sourced,
+    base_numbers,
+    completed,
+    damping,
+    find_reach,
+    wheel_fields,
+    with_source,
+)
+from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.parse import Parsed, parse
+from app.onboarding.report import report_html
 from app.onboarding.request import Request
-from app.onboarding.write.urdf_text import ROOT, rebased_urdf
-from app.onboarding.write.warn import warnings_of
+from app.onboarding.warn import warnings_of
+from app.onboarding.write import ROOT, rebased_urdf, whole_folder, write_robot
 from app.robot.description import KINDS, RobotDescription
 from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.model import RobotModel
+from app.system import write_whole
 
-Array = np.ndarray
+_log = logging.getLogger(__name__)
 
 MEETING_SAMPLES = 6000
 """[-] random poses in which the links' hulls are compared."""
@@ -38,16 +53,9 @@ class NewRobot:
     """A robot that was made, before anything is written.
 
     Attributes:
-        request: What was asked.
-        parsed: What its URDF says.
         urdf: Text of the new URDF.
         content: The description, as `RobotDescription` takes it, its URDF by name.
-        model: The compiled robot.
-        meetings: Of its links.
-        bodies: With what they over-cover.
         verdict: Of the grouping.
-        pairs: Sampled.
-        ready: The ready pose.
         reach: By the name of the body.
         places: By the name of the scenario.
         warnings: One sentence each.
@@ -61,6 +69,7 @@ class NewRobot:
     meetings: Meetings
     bodies: list[FittedBody]
     verdict: Verdict
+    unseen: Unseen
     pairs: LinkPairs
     ready: Ready
     reach: dict[str, Reach]
@@ -68,58 +77,132 @@ class NewRobot:
     warnings: list[str]
 
 
+def finish(
+    request: Request,
+    *,
+    tell: Callable[[str], None] = lambda _: None,
+    processes: int | None = None,
+    sampling: SamplingConfig | None = None,
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> tuple[NewRobot, BorderData]:
+    """Make a robot and its border, and only then put its folder in its place.
+
+    Args:
+        request: What is asked.
+        tell: Called with what is being done.
+        processes: How many to sample with; all cores if not given.
+        sampling: Of the border; by default as every command samples it.
+        on_progress: Called with the share of a long step that is done, 0 to 1: of the places that
+            are searched, then of the border.
+
+    Raises:
+        RobotFileError: The URDF cannot become a robot, or a library cannot take it.
+        AssetError: A package is not installed.
+        DescriptionError: What came out is no robot that the core takes.
+        OutputError: The folder is there already or cannot be written.
+    """
+    request.name  # noqa: B018 - a wrong name is told before any work
+    doing = ""
+
+    def say(what: str) -> None:
+        nonlocal doing
+        doing = what
+        tell(what)
+
+    with whole_folder(request.out) as folder, _one_message(lambda: doing):
+        if request.urdf.lower().endswith(".zip"):
+            say("unpacking the zip")
+            path = open_package(Path(request.urdf), folder, request.file)
+            name = f"{Path(request.urdf).name}: {path.relative_to((folder / FOLDER).resolve())}"
+            request = replace(request, urdf=str(path), source=name)
+        robot = make_robot(request, folder, tell=say, on_progress=on_progress)
+        say("sampling the border")
+        data = load_border_data(
+            robot.model,
+            sampling=sampling,
+            processes=processes,
+            progress=False,
+            on_progress=on_progress,
+        )
+        say("writing the report")
+        write_robot(robot, folder)
+        page = report_html(robot, data)
+        write_whole(folder / "report.html", page)
+    return robot, data
+
+
+@contextmanager
+def _one_message(doing: Callable[[], str]) -> Iterator[None]:
+    """Whatever a library raises becomes one line that names the step; its trace goes to the log."""
+    try:
+        yield
+    except DbbError:
+        raise
+    except Exception as error:  # pinocchio, coal, qhull, trimesh: they have no common base
+        _log.debug("%s", doing(), exc_info=True)
+        why = " ".join(str(error).split())[:300] or "no reason given"
+        raise RobotFileError(
+            f"{doing()}: a library cannot take this robot: {type(error).__name__}: {why}; "
+            "look whether check_urdf takes the file, then report it with the URDF"
+        ) from error
+
+
+_UNWATCHED = "chosen: links of them are nearer than d_b as they are built"
+"""Why a pair is not watched."""
+
+
 def make_robot(
     request: Request,
     folder: Path,
     *,
     tell: Callable[[str], None] = lambda _: None,
-    processes: int | None = None,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> NewRobot:
-    """Everything but the border and the report.
+    """Everything but the border and the report, which `finish` adds; its arguments and errors.
 
-    Args:
-        request: What is asked.
-        folder: A temporary one; the URDF is written into it.
-        tell: Called with what is being done.
-        processes: For the reachability.
-        on_progress: Called with the share of the step that takes long, 0 to 1.
-
-    Raises:
-        RobotFileError: The URDF cannot become a robot.
-        DescriptionError: What came out is no robot that the core takes.
+    The URDF is written into the folder, a temporary one.
     """
     tell("reading the URDF")
     parsed = parse(request)
-    urdf = _urdf_text(request, parsed, folder)
+    header = f"Made by dbb new-robot from {request.told}; its sources and licences: SOURCES.md"
+    urdf = rebased_urdf(parsed, name=request.name, header=header, home=folder)
     path = folder / "robot.urdf"
-    path.write_text(urdf, encoding="utf-8")
-    bare = _compiled(_bare(request, parsed, parsed.limits), path)
+    write_whole(path, urdf)
+    bare = compiled(description(request, parsed), path)
     parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
-    meetings, (bodies, verdict) = _find_bodies(request, parsed, bare, tell)
-    content = _bare(request, parsed, parsed.limits)
-    content["bodies"] = [_body_content(body) for body in bodies]
-    model = _compiled(content, path)
+    meetings, (bodies, verdict) = _fitted(request, parsed, bare, tell)
+    d_b, unwatched = request.d_b, dict.fromkeys(verdict.unwatched, _UNWATCHED)
+    model = compiled(description(request, parsed, bodies, unwatched=unwatched), path)
     pairs = find_link_pairs(model, samples=PAIR_SAMPLES, seed=request.seed)
+    unseen = unseen_collisions(model, parsed.geometry, d_b)
+    if unseen.blind:
+        raise RobotFileError(
+            f"the bodies {', '.join(unseen.blind)} do not hold the links with which they meet; "
+            f"give another number of --bodies than {len(bodies) - 1}, or another --seed"
+        )
     tell("choosing the ready pose")
-    ready = _ready(request, model, pairs)
-    _fill(content, request, parsed, model, ready)
+    if request.ready is None:
+        ready = find_ready(model, pairs, d_b=d_b, seed=request.seed)
+    else:
+        ready = judge_ready(model, pairs, np.array(request.ready), d_b=d_b)
+    moving = _moving(request, parsed, model, ready)
+    content = description(request, parsed, bodies, moving, unwatched)
     tell("counting the reachability")
-    reach = find_reach(_compiled(content, path), pairs, processes=processes)
+    reach = find_reach(compiled(content, path), pairs)
     content["reachability"] = {name: each.content() for name, each in reach.items()}
     tell("looking for places to guide the hand")
-    places = find_places(_compiled(content, path), pairs, request.d_b, on_progress=on_progress)
+    places = find_places(compiled(content, path), pairs, d_b, on_progress=on_progress)
     content["lines"] = {name: place.content() for name, place in places.items()}
-    model = _compiled(content, path)
     robot = NewRobot(
         request,
         parsed,
         urdf,
         content,
-        model,
+        compiled(content, path),
         meetings,
         bodies,
         verdict,
+        unseen,
         pairs,
         ready,
         reach,
@@ -129,143 +212,106 @@ def make_robot(
     return replace(robot, warnings=warnings_of(robot))
 
 
-def _urdf_text(request: Request, parsed: Parsed, folder: Path) -> str:
-    """The new URDF, whose meshes below the folder are named by their path in it."""
-    return rebased_urdf(
-        parsed.tree,
-        parsed.arm,
-        parsed.wheels.T_base_floor,
-        parsed.geometry,
-        parsed.inertias,
-        name=request.name,
-        header=f"Made by dbb new-robot from {request.told}; its sources and licences: SOURCES.md",
-        home=folder,
-    )
-
-
-def _ready(request: Request, model: RobotModel, pairs: LinkPairs) -> Ready:
-    """The ready pose that is given, or the best of random ones."""
-    if request.ready is None:
-        return find_ready(model, pairs, d_b=request.d_b, seed=request.seed)
-    return judge_ready(model, pairs, np.array(request.ready), d_b=request.d_b)
-
-
-def _find_bodies(
+def _fitted(
     request: Request, parsed: Parsed, bare: RobotModel, tell: Callable[[str], None]
 ) -> tuple[Meetings, Grouping]:
-    """Which links meet, and the bodies that are fitted around groups of them."""
+    """Which links meet, and the bodies around groups of them."""
+    d_b = request.d_b
     tell(f"looking at {MEETING_SAMPLES:,} random poses")
     units = make_units(bare, parsed.arm, parsed.geometry)
-    d_b = request.d_b
     meetings = sample_meetings(bare, units, samples=MEETING_SAMPLES, seed=request.seed, d_b=d_b)
     tell("fitting bodies")
-    base, fitter = fit_base(units[0]), ArmFitter(bare, meetings)
-    return meetings, find_grouping(bare, base, meetings, fitter, d_b=d_b, count=request.bodies)
+    return meetings, find_grouping(bare, meetings, d_b=d_b, count=request.bodies)
 
 
-def _bare(request: Request, parsed: Parsed, limits: Limits) -> dict[str, Any]:
-    """A description with the joints alone, good for kinematics and dynamics."""
-    arm, wheels = parsed.arm, parsed.wheels
-    n = len(arm.joints)
-    middle = tuple((a + b) / 2 for a, b in zip(limits.lower, limits.upper, strict=True))
-    joints = drive_fields(request.kind, wheels, parsed.steering)
-    fields = KINDS[request.kind].model_fields.keys() - {"source", "kind", "link", *joints}
-    ones = dict.fromkeys(sorted(fields), 1.0)
-    dot = {"type": "sphere", "radius_m": 0.01}
-    sourced = dict.fromkeys(
-        (
-            "end_effector_xyz_m",
-            "end_effector_rpy_rad",
-            "position_lower",
-            "position_upper",
-            "max_velocity",
-            "max_effort",
-            "ready_position",
-            "joint_damping",
+def _moving(
+    request: Request, parsed: Parsed, model: RobotModel, ready: Ready
+) -> tuple[Sourced, Sourced]:
+    """Numbers of the base, and those of the arm that follow from its bodies and masses."""
+    base = base_numbers(model, parsed.wheels, ready.q_m, request.half_track, parsed.steering)
+    why = "chosen: as the paper's robot, less where a light joint would not be damped stably in "
+    return base, {
+        "ready_position": (
+            tuple(float(q) for q in ready.q_m),
+            RULE if request.ready is None else "given: --ready",
         ),
-        "assumed",
-    )
+        "joint_damping": (damping(parsed.limits, parsed.arm, model), why + "steps of 1 ms"),
+    }
+
+
+def description(
+    request: Request,
+    parsed: Parsed,
+    bodies: Sequence[FittedBody] = (),
+    moving: tuple[Sourced, Sourced] | None = None,
+    unwatched: Mapping[str, str] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """A description, its URDF by name; without numbers and bodies, for kinematics and dynamics.
+
+    Args:
+        request: What was asked.
+        parsed: What the URDF says.
+        bodies: Of the robot; dots stand for them.
+        moving: Of the base and the arm; ones stand for them, and the middle of the joints.
+        unwatched: Why a pair of bodies is not watched, by its name.
+    """
+    arm, limits = parsed.arm, parsed.limits
+    wheels = wheel_fields(request.kind, parsed.wheels, parsed.steering)
+    if moving is None:
+        fields = KINDS[request.kind].model_fields.keys() - {"source", "kind", "link", *wheels}
+        middle = tuple((a + b) / 2 for a, b in zip(limits.lower, limits.upper, strict=True))
+        limits = limits._replace(effort=tuple(e or 1.0 for e in limits.effort))
+        moving = (
+            dict.fromkeys(sorted(fields), (1.0, "assumed")),
+            {
+                "ready_position": (middle, "assumed"),
+                "joint_damping": ((0.0,) * len(middle), "assumed"),
+            },
+        )
+    given = any((*request.tip_xyz, *request.tip_rpy))
+    tip = "given: --tip-xyz, --tip-rpy" if given else "from the URDF: the origin of --tip"
+    hand = {
+        "end_effector_xyz_m": (request.tip_xyz, tip),
+        "end_effector_rpy_rad": (request.tip_rpy, tip),
+    }
+    chain = {
+        "mount_link": arm.mount,
+        "joints": tuple(joint.name for joint in arm.joints),
+        "end_effector_link": arm.tip,
+    }
+    dot = {"source": "none", "frame": ROOT, "covers": (ROOT,)}
+    dot["shapes"] = [{"type": "sphere", "radius_m": 0.01}]
     return {
         "name": request.name,
         "title": request.title or request.name.replace("_", " "),
         "urdf": "robot.urdf",
         "licence": request.licence or "Of the files that the URDF refers to: see SOURCES.md.",
-        "base": {
-            "kind": request.kind,
-            "link": ROOT,
-            **ones,
-            **joints,
-            "source": dict.fromkeys(ones, "assumed"),
-        },
-        "arm": {
-            "mount_link": arm.mount,
-            "joints": tuple(j.name for j in arm.joints),
-            "end_effector_link": arm.tip,
-            "end_effector_xyz_m": request.tip_xyz,
-            "end_effector_rpy_rad": request.tip_rpy,
-            "position_lower": limits.lower,
-            "position_upper": limits.upper,
-            "max_velocity": limits.velocity,
-            "max_effort": tuple(e or 1.0 for e in limits.effort),
-            "ready_position": middle,
-            "joint_damping": (0.0,) * n,
-            "source": sourced,
-        },
-        "bodies": [
-            {"name": name, "source": "none", "frame": ROOT, "covers": (ROOT,), "shapes": [dot]}
-            for name in ("lm", "l1")
-        ],
+        "base": with_source({"kind": request.kind, "link": ROOT}, moving[0], wheels),
+        "arm": with_source(chain, {**hand, **limits.numbers, **moving[1]}),
+        "bodies": [_body(body) for body in bodies] or [{"name": n, **dot} for n in ("lm", "l1")],
         "reachability": {},
+        "unwatched": dict(unwatched),
     }
 
 
-def _fill(
-    content: dict[str, Any], request: Request, parsed: Parsed, model: RobotModel, ready: Ready
-) -> None:
-    """Put the real numbers of base and arm in place."""
-    values, sources = base_numbers(
-        model, parsed.wheels, ready.q_m, request.half_track, parsed.steering
-    )
-    old = content["base"]
-    joints = drive_fields(request.kind, parsed.wheels, parsed.steering)
-    content["base"] = {"kind": old["kind"], "link": old["link"], **values, **joints}
-    content["base"]["source"] = sources
-    tip = (
-        "given: --tip-xyz, --tip-rpy"
-        if any((*request.tip_xyz, *request.tip_rpy))
-        else ("from the URDF: the origin of --tip")
-    )
-    content["arm"] |= {
-        "ready_position": tuple(float(q) for q in ready.q_m),
-        "joint_damping": damping(parsed.limits, parsed.arm, model),
-        "source": {
-            "end_effector_xyz_m": tip,
-            "end_effector_rpy_rad": tip,
-            **parsed.limits.source,
-            "ready_position": RULE if request.ready is None else "given: --ready",
-            "joint_damping": "chosen: as the paper's robot, less where a light joint would not be "
-            "damped stably in steps of 1 ms",
-        },
-    }
-
-
-def _body_content(body: FittedBody) -> dict[str, Any]:
+def _body(body: FittedBody) -> dict[str, Any]:
     over = ", ".join(f"{fit.over_cover:.2f}" for fit in body.fits)
     out = max(fit.protrusion for fit in body.fits)
+    shapes = [fit.shape.model_dump() for fit in body.fits]
     return {
         "name": body.name,
         "source": f"fitted around the hulls of the covered links where they can meet others: "
         f"{over} times their volume, at most {out:.3f} m outside of them",
         "frame": body.frame,
         "covers": body.links,
-        "shapes": [_shape_content(fit.shape) for fit in body.fits],
+        "shapes": [{k: v for k, v in s.items() if k != "rpy_rad" or any(v)} for s in shapes],
     }
 
 
-def _shape_content(shape: Any) -> dict[str, Any]:
-    content = shape.model_dump()
-    return {k: v for k, v in content.items() if k != "rpy_rad" or any(v)}
+def compiled(content: Mapping[str, Any], urdf: Path) -> RobotModel:
+    """The robot of a description and a URDF.
 
-
-def _compiled(content: Mapping[str, Any], urdf: Path) -> RobotModel:
+    Raises:
+        DescriptionError: It is no robot that the core takes.
+    """
     return RobotModel(RobotDescription.model_validate({**content, "urdf": str(urdf)}))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Union, get_args
 
@@ -15,8 +16,7 @@ from app.robot.bases.differential import DifferentialBase
 from app.robot.bases.holonomic import HolonomicBase
 from app.robot.bases.kind import BaseKind
 from app.robot.shapes import Shape
-from app.robot.sourced import Sourced
-from app.strict import Finite, NonNegative, Positive, Strict, Vector3, explain
+from app.strict import Finite, NonNegative, Positive, Sourced, Strict, Vector3, explain, parsed
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -132,6 +132,8 @@ class RobotDescription(Strict):
     """By the name of the body; every body that may come near l_m needs one."""
     lines: dict[str, LinePlace] = Field(default_factory=dict)
     """By the name of the scenario; the others keep the places that suit the paper's robot."""
+    unwatched: dict[str, str] = Field(default_factory=dict)
+    """Why a pair of bodies is not watched, by its name such as `lm-l2`: as neighbours never are."""
 
     @model_validator(mode="after")
     def _names_agree(self) -> Self:
@@ -142,6 +144,12 @@ class RobotDescription(Strict):
             raise ValueError(
                 f"reachability: no arm body is named {', '.join(sorted(unknown))}; "
                 f"bodies of the arm: {', '.join(names[1:])}"
+            )
+        pairs = [f"{a}-{b}" for a, b in combinations(names, 2)]
+        if unknown := self.unwatched.keys() - set(pairs):
+            raise ValueError(
+                f"unwatched: there is no pair {', '.join(sorted(unknown))}; "
+                f"pairs of bodies: {', '.join(pairs)}"
             )
         return self
 
@@ -209,12 +217,12 @@ def load_description(path: Path) -> RobotDescription:
             of its range; the message names file, field and what would be right.
     """
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = parsed(tomllib.loads, path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise DescriptionError(f"{path}: no such description") from None
     except OSError as error:
         raise DescriptionError(f"{path}: cannot be read: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise DescriptionError(f"{path}: not a TOML file: {error}") from None
     try:
         return RobotDescription.model_validate(data)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
 
+import coal
 import numpy as np
 import pinocchio as pin
 
@@ -94,7 +95,7 @@ class PairDistances:
                 for j in model.shape_ids[pair.b]:
                     self._geometry.addCollisionPair(pin.CollisionPair(i, j))
             groups.append(range(first, len(self._geometry.collisionPairs)))
-        self._placed = pin.GeometryData(self._geometry)
+        self._placed = geometry_data(self._geometry)
         # References into pinocchio's own results: reading them anew would cost more than computing.
         self._results = [[self._placed.distanceResults[k] for k in group] for group in groups]
 
@@ -128,14 +129,27 @@ class PairDistances:
         return results[0] if len(results) == 1 else min(results, key=lambda r: r.min_distance)
 
 
+def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
+    """Takes distances that depend on where bodies are alone, to the last digit.
+
+    By pinocchio's own requests each search begins where the pair's last one has ended, which shows
+    from 1e-6 m downwards, and saves a step nothing.
+    """
+    data = pin.GeometryData(geometry)
+    for k in range(len(data.distanceRequests)):
+        data.distanceRequests[k] = coal.DistanceRequest()
+    return data
+
+
 def candidate_pairs(model: RobotModel) -> tuple[Pair, ...]:
-    """All pairs of bodies that are no neighbours in the chain, in the order of (1).
+    """All pairs of bodies that are no neighbours in the chain and are watched, in the order of (1).
 
     By the body nearer to the base, and for each of those from the end-effector inwards.
     """
     names = model.body_names
     order = sorted(combinations(range(len(names)), 2), key=lambda ij: (ij[0], -ij[1]))
-    return tuple(Pair(names[i], names[j]) for i, j in order if j - i > 1)
+    pairs = (Pair(names[i], names[j]) for i, j in order if j - i > 1)
+    return tuple(pair for pair in pairs if pair.name not in model.description.unwatched)
 
 
 def sample_joints(model: RobotModel, count: int, rng: np.random.Generator) -> Array:

@@ -28,6 +28,7 @@ class RobotModel:
         description: The description it was compiled from.
         pin: pinocchio's model: a planar joint, then the arm's; all other joints are locked at zero.
         geometry: pinocchio's geometry model with the convex shapes of all bodies.
+        body_joints: Pinocchio's joint that carries each body, by its name.
         n: Degrees of freedom of the reduced velocity, n_b + n_m.
         n_b: Degrees of freedom of the base.
         n_m: Degrees of freedom of the arm.
@@ -66,7 +67,7 @@ class RobotModel:
         self.base_frame = self._frame(description.base.link, "base.link")
         self.geometry = pin.GeometryModel()
         self.shape_ids: dict[str, list[int]] = {}
-        self._body_joints: dict[str, int] = {}
+        self.body_joints: dict[str, int] = {}
         for body in description.bodies:
             self._add_body(body.name)
 
@@ -89,10 +90,6 @@ class RobotModel:
         q = self.configuration((0.0, 0.0, 0.0), np.zeros(self.n_m))
         pin.framesForwardKinematics(self.pin, data, q)
         return data.oMf[self.mount_frame].translation.copy()
-
-    def body_joint(self, name: str) -> int:
-        """Pinocchio's joint that carries a body."""
-        return self._body_joints[name]
 
     def _read_limits(self) -> None:
         arm = self.description.arm
@@ -144,7 +141,7 @@ class RobotModel:
         frame = self.pin.frames[frame_id]
         for link in body.covers:
             self._frame(link, f"bodies.{name}.covers")
-        self._body_joints[name] = frame.parentJoint
+        self.body_joints[name] = frame.parentJoint
         self.shape_ids[name] = [
             self.geometry.addGeometryObject(
                 pin.GeometryObject(

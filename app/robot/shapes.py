@@ -1,10 +1,16 @@
 """Convex shapes of the simplified collision bodies (Figure 2b), as a description states them.
 
-Each shape gives itself to coal for exact distances with a signed normal; `meshes.py` draws it.
+Each shape gives itself to coal for exact distances with a signed normal, and as a mesh for drawing.
+
+A superquadric (hyper-ellipsoid) has the surface f(p) = 1, and less inside, of
+f(p) = (|x/a|^(2/e₂) + |y/b|^(2/e₂))^(e₂/e₁) + |z/c|^(2/e₁). e₁ rounds it from top to bottom, e₂ in
+plan: 1 is an ellipsoid, towards 0 it becomes a box. A convex polytope stands for it.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import coal
@@ -14,12 +20,14 @@ from pydantic import Field
 
 from app.errors import extras_named
 from app.robot.packages import resolve_package_uri
-from app.robot.superquadric import polytope_vertices
 from app.strict import Positive, Strict, Vector3
 
 if TYPE_CHECKING:
     import trimesh
 
+Array = np.ndarray
+INTERVALS = 24
+"""[-] along each edge of the cube whose grid is projected onto a superquadric."""
 Exponent = Annotated[float, Field(ge=0.1, le=2.0)]
 
 
@@ -123,7 +131,7 @@ class ConvexMesh(_Placed):
         return loaded.apply_scale(self.scale).convex_hull
 
     def coal_geometry(self) -> coal.CollisionGeometry:
-        return _convex_hull(self.hull().vertices)
+        return convex_hull(self.hull().vertices)
 
 
 class Hull(_Placed):
@@ -134,7 +142,7 @@ class Hull(_Placed):
     """[m] points in the shape's own frame; those inside of the others' hull do nothing."""
 
     def coal_geometry(self) -> coal.CollisionGeometry:
-        return _convex_hull(np.array(self.vertices_m))
+        return convex_hull(np.array(self.vertices_m))
 
 
 class Superquadric(_Placed):
@@ -153,18 +161,27 @@ class Superquadric(_Placed):
     e2: Exponent
     """[-] roundness in plan."""
 
-    def vertices(self) -> np.ndarray:
+    def vertices(self) -> Array:
         """(N, 3) [m] the polytope's corners, in the shape's own frame; read-only."""
         return polytope_vertices(self.semi_axes_m, self.e1, self.e2)
 
     def coal_geometry(self) -> coal.CollisionGeometry:
-        return _convex_hull(self.vertices())
+        return convex_hull(self.vertices())
 
 
-def _convex_hull(points: np.ndarray) -> coal.CollisionGeometry:
+_THIN = 1e-4  # [m] the least thickness of a hull
+
+
+def convex_hull(points: Array) -> coal.CollisionGeometry:
+    """The convex hull of points (N, 3) [m]; 0.1 mm thick where they lie in a plane or on a line."""
+    points = np.asarray(points, dtype=float)
+    around = points - points.mean(axis=0)
+    for axis in np.linalg.eigh(around.T @ around)[1].T:
+        if np.ptp(points @ axis) < _THIN:  # coal ends the process at a hull without a volume
+            points = np.concatenate([points + s * _THIN / 2 * axis for s in (-1.0, 1.0)])
     vertices = coal.StdVec_Vec3s()
     for vertex in points:
-        vertices.append(np.asarray(vertex, dtype=float))
+        vertices.append(vertex)
     return coal.Convex.convexHull(vertices, True, "Qt")
 
 
@@ -172,3 +189,97 @@ Shape = Annotated[
     Box | Sphere | Cylinder | Capsule | ConvexMesh | Hull | Superquadric,
     Field(discriminator="type"),
 ]
+
+
+def shape_mesh(shape: Shape) -> trimesh.Trimesh:
+    """The surface of a shape, in its own frame: that of its `placement()`.
+
+    Raises:
+        AssetError: The file of a convex mesh is not there.
+    """
+    with extras_named():
+        from trimesh import convex, creation
+    match shape:
+        case Box():
+            return creation.box(extents=shape.size_m)
+        case Sphere():
+            return creation.icosphere(subdivisions=3, radius=shape.radius_m)
+        case Cylinder():
+            return creation.cylinder(shape.radius_m, shape.length_m, sections=48)
+        case Capsule():
+            mesh = creation.capsule(shape.length_m, shape.radius_m, count=[24, 24])
+            mesh.apply_translation((0.0, 0.0, -mesh.bounds.mean(axis=0)[2]))
+            return mesh
+        case ConvexMesh():
+            return shape.hull()
+        case Hull():
+            return convex.convex_hull(np.array(shape.vertices_m))
+        case Superquadric():
+            return convex.convex_hull(shape.vertices())
+
+
+def implicit(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Array:
+    """The function f at points (…, 3) [m] in the superquadric's frame, (…); 1 on its surface.
+
+    Args:
+        p: (…, 3) [m] points.
+        semi_axes: a, b, c [m].
+        e1: e₁, from top to bottom.
+        e2: e₂, in plan.
+    """
+    x, y, z = np.moveaxis(np.abs(p) / np.asarray(semi_axes), -1, 0)
+    # By the largest of each sum: a power of 2/e of a number far from 1 would overflow.
+    plan = _power_sum(x, y, e2 / 2)
+    return _power_sum(plan, z, e1 / 2) ** (2 / e1)
+
+
+def onto_surface(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Array:
+    """(…, 3) [m] where the rays from the centre through points (…, 3) meet the surface."""
+    scaled = np.asarray(p) / np.abs(np.asarray(p) / np.asarray(semi_axes)).max(-1, keepdims=True)
+    return scaled * implicit(scaled, semi_axes, e1, e2)[..., None] ** (-e1 / 2)
+
+
+def around_box(size: Sequence[float], e1: float, e2: float) -> tuple[float, float, float]:
+    """Semi-axes [m] of the superquadric on which all corners of a box lie.
+
+    Args:
+        size: (3,) [m] full side lengths of the box.
+        e1: e₁, from top to bottom.
+        e2: e₂, in plan.
+    """
+    growth = (2.0 ** (e2 / e1) + 1.0) ** (e1 / 2)
+    a, b, c = (0.5 * side * growth for side in size)
+    return a, b, c
+
+
+@lru_cache(maxsize=16)
+def polytope_vertices(
+    semi_axes: tuple[float, float, float], e1: float, e2: float, intervals: int = INTERVALS
+) -> Array:
+    """Points of the surface whose convex hull stands for the superquadric, read-only.
+
+    They are the points of a cube's grid, denser towards its edges, where a small exponent bends the
+    surface most. The hull lies inside of the surface.
+
+    Returns:
+        (6 intervals² + 2, 3) [m] in the superquadric's frame.
+    """
+    s = np.sin(np.linspace(-0.5, 0.5, intervals + 1) * np.pi)
+    u, v = (grid.ravel() for grid in np.meshgrid(s, s))
+    ones = np.ones_like(u)
+    faces = [
+        np.roll(np.column_stack([sign * ones, u, v]), axis, axis=1)
+        for axis in range(3)
+        for sign in (-1.0, 1.0)
+    ]
+    cube = np.unique(np.round(np.vstack(faces), 12), axis=0)
+    vertices = onto_surface(cube * np.asarray(semi_axes), semi_axes, e1, e2)
+    vertices.setflags(write=False)
+    return vertices
+
+
+def _power_sum(a: Array, b: Array, e: float) -> Array:
+    """(a^(1/e) + b^(1/e))^e for numbers of zero or more, without overflow."""
+    high, low = np.maximum(a, b), np.minimum(a, b)
+    ratio = np.divide(low, high, out=np.zeros_like(high), where=high > 0)
+    return high * (1.0 + ratio ** (1.0 / e)) ** e

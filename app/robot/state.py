@@ -1,4 +1,12 @@
-"""Where the robot is now: kinematics and dynamics computed once a step, then only read."""
+"""Where the robot is now: kinematics and dynamics computed once a step, then only read.
+
+The kernels take pinocchio's Jacobian of a serial chain on a planar base. Column k of `J`
+(6, 3 + n_m) is the twist that the k-th velocity gives to all that it carries, linear over angular,
+at the origin of the world. Joint 1 is the planar base with columns 0 to 2, and each joint after it
+carries all later ones: a body on joint j is moved by the columns before j + 2. `B` (3, n_b) maps
+the base's reduced velocities to its own twist (v_x, v_y, ω_z), and the reduced velocity q̇ stands
+for (B q̇_b, q̇_m).
+"""
 
 from __future__ import annotations
 
@@ -7,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from app.compiled import compiled
 from app.errors import MeasurementError
-from app.robot import motion
 from app.robot.model import RobotModel
 
 Array = np.ndarray
@@ -59,7 +67,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
 def is_finite(measurement: Measurement) -> bool:
     """Whether no reading is infinite or not a number."""
-    return motion.all_finite(*measurement[:4])
+    return _all_finite(*measurement[:4])
 
 
 def at_rest(model: RobotModel, q_m: Array, base_pose: Array | None = None) -> Measurement:
@@ -67,6 +75,178 @@ def at_rest(model: RobotModel, q_m: Array, base_pose: Array | None = None) -> Me
     pose = np.zeros(3) if base_pose is None else base_pose
     base = model.description.base
     return Measurement(pose, np.zeros(model.n_b), q_m, np.zeros(model.n_m), base.drive_at_rest())
+
+
+@compiled("Tuple((f8[::1], f8[::1], f8[::1]))(f8[:], f8[:], f8[:], f8[:], f8[:,:], f8[:,:])")
+def _coordinates(
+    base_pose: Array, base_velocity: Array, q_m: Array, qd_m: Array, B: Array, J_m_inv: Array
+) -> tuple[Array, Array, Array]:
+    """Reduced velocity (n,), and pinocchio's configuration (4 + n_m,) and velocity (3 + n_m,)."""
+    n_b, n_m = B.shape[1], len(q_m)
+    qd, q, v = np.zeros(n_b + n_m), np.empty(4 + n_m), np.zeros(3 + n_m)
+    for i in range(n_b):
+        for k in range(len(base_velocity)):
+            qd[i] += J_m_inv[i, k] * base_velocity[k]
+        for k in range(3):
+            v[k] += B[k, i] * qd[i]
+    q[0], q[1] = base_pose[0], base_pose[1]
+    q[2], q[3] = np.cos(base_pose[2]), np.sin(base_pose[2])
+    for i in range(n_m):
+        q[4 + i] = q_m[i]
+        qd[n_b + i] = v[3 + i] = qd_m[i]
+    return qd, q, v
+
+
+@compiled("b1(f8[:], f8[:], f8[:], f8[:])")
+def _all_finite(a: Array, b: Array, c: Array, d: Array) -> bool:
+    """Whether all numbers of four vectors are finite."""
+    return np.isfinite(a.sum() + b.sum() + c.sum() + d.sum())
+
+
+@compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:,:])")
+def _reduced_dynamics(M: Array, h: Array, g: Array, B: Array) -> tuple[Array, Array, Array]:
+    """Sᵀ M S (n, n), Sᵀ h (n,) and Sᵀ g (n,) of pinocchio's M, h and g."""
+    n_b, nv = B.shape[1], len(h)
+    n = n_b + nv - 3
+    reduced, h_r, g_r = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    for i in range(n_b):
+        for k in range(3):
+            h_r[i] += B[k, i] * h[k]
+            g_r[i] += B[k, i] * g[k]
+            for j in range(n_b):
+                for l in range(3):
+                    reduced[i, j] += B[k, i] * M[k, l] * B[l, j]
+            for j in range(3, nv):
+                reduced[i, n_b + j - 3] += B[k, i] * M[k, j]
+        for j in range(n_b, n):
+            reduced[j, i] = reduced[i, j]
+    for i in range(3, nv):
+        h_r[n_b + i - 3], g_r[n_b + i - 3] = h[i], g[i]
+        for j in range(3, nv):
+            reduced[n_b + i - 3, n_b + j - 3] = M[i, j]
+    return reduced, h_r, g_r
+
+
+@compiled("Tuple((f8[:,::1], f8[:,::1]))(f8[:,:], f8[:])")
+def _chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
+    """Twist and acceleration of the body on each joint, at the origin of the world.
+
+    The accelerations are those at q̈ = 0, J̇ q̇: each joint's axes turn with what carries it. The
+    base's own are fixed to it, and its twist does not change by itself.
+
+    Args:
+        J: (6, 3 + n_m) as of this module.
+        v: (3 + n_m,) pinocchio's velocity.
+
+    Returns:
+        Twice (2 + n_m, 6), by joint; the first row is the world's.
+    """
+    joints = J.shape[1] - 1
+    twists, biases = np.zeros((joints, 6)), np.zeros((joints, 6))
+    for k in range(3):
+        for i in range(6):
+            twists[1, i] += J[i, k] * v[k]
+    for joint in range(2, joints):
+        k = joint + 1
+        x, y, z, a, b, c = twists[joint - 1]
+        X, Y, Z = J[0, k] * v[k], J[1, k] * v[k], J[2, k] * v[k]
+        A, B, C = J[3, k] * v[k], J[4, k] * v[k], J[5, k] * v[k]
+        twist, bias, before = twists[joint], biases[joint], biases[joint - 1]
+        twist[:] = x + X, y + Y, z + Z, a + A, b + B, c + C
+        bias[0] = before[0] + b * Z - c * Y + y * C - z * B
+        bias[1] = before[1] + c * X - a * Z + z * A - x * C
+        bias[2] = before[2] + a * Y - b * X + x * B - y * A
+        bias[3] = before[3] + b * C - c * B
+        bias[4] = before[4] + c * A - a * C
+        bias[5] = before[5] + a * B - b * A
+    return twists, biases
+
+
+@compiled("UniTuple(f8, 3)(f8[:], f8[:])")
+def _point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
+    """Velocity [m/s] of a body's point at p (3,), from the body's twist (6,)."""
+    w_x, w_y, w_z = twist[3], twist[4], twist[5]
+    return (
+        twist[0] + w_y * p[2] - w_z * p[1],
+        twist[1] + w_z * p[0] - w_x * p[2],
+        twist[2] + w_x * p[1] - w_y * p[0],
+    )
+
+
+@compiled("UniTuple(f8, 3)(f8[:], f8[:], f8[:])")
+def _point_bias(twist: Array, bias: Array, p: Array) -> tuple[float, float, float]:
+    """Acceleration [m/s²] of a body's point at p (3,) at q̈ = 0, from twist and bias (6,)."""
+    x, y, z = _point_velocity(bias, p)
+    v_x, v_y, v_z = _point_velocity(twist, p)
+    w_x, w_y, w_z = twist[3], twist[4], twist[5]
+    return x + w_y * v_z - w_z * v_y, y + w_z * v_x - w_x * v_z, z + w_x * v_y - w_y * v_x
+
+
+@compiled("f8[:,::1](f8[:,:], f8[:,:], i8, f8[:])")
+def _point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
+    """(3, n) Jacobian of the point of a joint's body that is now at p (3,) [m]."""
+    n_b = B.shape[1]
+    reduced = np.zeros((3, n_b + J.shape[1] - 3))
+    column = np.empty(3)
+    for k in range(joint + 2 if joint > 0 else 0):
+        column[0] = J[0, k] + J[4, k] * p[2] - J[5, k] * p[1]
+        column[1] = J[1, k] + J[5, k] * p[0] - J[3, k] * p[2]
+        column[2] = J[2, k] + J[3, k] * p[1] - J[4, k] * p[0]
+        for i in range(3):
+            if k < 3:
+                for j in range(n_b):
+                    reduced[i, j] += column[i] * B[k, j]
+            else:
+                reduced[i, n_b + k - 3] = column[i]
+    return reduced
+
+
+@compiled("Tuple((f8[::1], f8, f8))(f8[:,:], f8[:,:], f8[:,:], f8[:,:], i8, i8, f8[:], f8[:])")
+def _pair_motion(
+    J: Array, B: Array, twists: Array, biases: Array, joint_a: int, joint_b: int, p: Array, n: Array
+) -> tuple[Array, float, float]:
+    """As `RobotState.pair_motion`."""
+    row = np.zeros(B.shape[1] + J.shape[1] - 3)
+    relative = _point_jacobian(J, B, joint_b, p) - _point_jacobian(J, B, joint_a, p)
+    for k in range(len(row)):
+        for i in range(3):
+            row[k] += n[i] * relative[i, k]
+    v_b, v_a = _point_velocity(twists[joint_b], p), _point_velocity(twists[joint_a], p)
+    a_b = _point_bias(twists[joint_b], biases[joint_b], p)
+    a_a = _point_bias(twists[joint_a], biases[joint_a], p)
+    x, y, z = v_b[0] - v_a[0], v_b[1] - v_a[1], v_b[2] - v_a[2]
+    w_x, w_y, w_z = twists[joint_a, 3], twists[joint_a, 4], twists[joint_a, 5]
+    speed = n[0] * x + n[1] * y + n[2] * z
+    bias = (
+        n[0] * (a_b[0] - a_a[0] - 2.0 * (w_y * z - w_z * y))
+        + n[1] * (a_b[1] - a_a[1] - 2.0 * (w_z * x - w_x * z))
+        + n[2] * (a_b[2] - a_a[2] - 2.0 * (w_x * y - w_y * x))
+    )
+    return row, bias, speed
+
+
+@compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:])")
+def _tip_motion(
+    J: Array, B: Array, twists: Array, biases: Array, p: Array
+) -> tuple[Array, Array, Array]:
+    """Jacobian (6, n), velocity (6,) and J̇ q̇ (6,) of a frame at p (3,) on the last body.
+
+    Linear over angular, in axes of the world.
+    """
+    last, n_b = len(twists) - 1, B.shape[1]
+    J_p = np.zeros((6, n_b + J.shape[1] - 3))
+    J_p[:3] = _point_jacobian(J, B, last, p)
+    for i in range(3):
+        for k in range(3):
+            for j in range(n_b):
+                J_p[3 + i, j] += J[3 + i, k] * B[k, j]
+        for k in range(3, J.shape[1]):
+            J_p[3 + i, n_b + k - 3] = J[3 + i, k]
+    v, Jdqd = np.empty(6), np.empty(6)
+    v[0], v[1], v[2] = _point_velocity(twists[last], p)
+    Jdqd[0], Jdqd[1], Jdqd[2] = _point_bias(twists[last], biases[last], p)
+    v[3:], Jdqd[3:] = twists[last, 3:], biases[last, 3:]
+    return J_p, v, Jdqd
 
 
 class RobotState:
@@ -118,7 +298,7 @@ class RobotState:
         q, v = self._take(measurement)
         data = self.data
         pin.computeAllTerms(self._pin, data, q, v)
-        self.M, self.h, self.g = motion.reduced_dynamics(data.M, data.nle, data.g, self._B)
+        self.M, self.h, self.g = _reduced_dynamics(data.M, data.nle, data.g, self._B)
         self._update_motion(v)
 
     def update_kinematics(self, measurement: Measurement) -> None:
@@ -130,16 +310,16 @@ class RobotState:
     def _take(self, measurement: Measurement) -> tuple[Array, Array]:
         """Pinocchio's configuration and velocity."""
         self.measurement = measurement
-        self.qd, q, v = motion.coordinates(*measurement[:4], self._B, self.model.J_m_inv)
+        self.qd, q, v = _coordinates(*measurement[:4], self._B, self.model.J_m_inv)
         return q, v
 
     def _update_motion(self, v: Array) -> None:
         """Placements, velocities and accelerations, with the Jacobians already there."""
         data, frame = self.data, self.model.ee_frame
         self._J = data.J
-        self._twists, self._biases = motion.chain_motion(self._J, v)
+        self._twists, self._biases = _chain_motion(self._J, v)
         self.T_world_ee = pin.updateFramePlacement(self._pin, data, frame)
-        self.J_ee, self.v_ee, self.Jdqd_ee = motion.tip_motion(
+        self.J_ee, self.v_ee, self.Jdqd_ee = _tip_motion(
             self._J, self._B, self._twists, self._biases, self.T_world_ee.translation
         )
         root = data.oMi[1]
@@ -156,15 +336,15 @@ class RobotState:
 
     def point_jacobian(self, joint: int, p_world: Array) -> Array:
         """(3, n) Jacobian of the point of a joint's body that is now at `p_world`."""
-        return motion.point_jacobian(self._J, self._B, joint, p_world)
+        return _point_jacobian(self._J, self._B, joint, p_world)
 
     def point_velocity(self, joint: int, p_world: Array) -> Array:
         """(3,) [m/s] velocity of that point."""
-        return np.array(motion.point_velocity(self._twists[joint], p_world))
+        return np.array(_point_velocity(self._twists[joint], p_world))
 
     def point_bias(self, joint: int, p_world: Array) -> Array:
         """(3,) J̇ q̇ of that point: its acceleration at q̈ = 0."""
-        return np.array(motion.point_bias(self._twists[joint], self._biases[joint], p_world))
+        return np.array(_point_bias(self._twists[joint], self._biases[joint], p_world))
 
     def pair_motion(
         self, joint_a: int, joint_b: int, p: Array, n: Array
@@ -181,6 +361,4 @@ class RobotState:
             (n,) its Jacobian nᵀ(J_b - J_a); [m/s²] its acceleration at q̈ = 0, with the turning of
             the normal; [m/s] its speed.
         """
-        return motion.pair_motion(
-            self._J, self._B, self._twists, self._biases, joint_a, joint_b, p, n
-        )
+        return _pair_motion(self._J, self._B, self._twists, self._biases, joint_a, joint_b, p, n)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.loop.gc_freeze import settled
+from app.simulation.loop.pacing import settled
 from app.simulation.plants.choice import chosen_plant
-from app.simulation.scenarios.begin import begin
-from app.simulation.scenarios.leading import Scenario
+from app.simulation.scenarios.leading import Scenario, Setting
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.metrics import metrics
+from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.trace import Recorder, Trace
 
 
@@ -24,6 +24,36 @@ class RunResult(NamedTuple):
 
     figures: dict[str, Any]
     trace: Trace
+
+
+def begin(
+    setting: Setting, robot: RobotModel, *, controller: str, physics: str | None, seed: int
+) -> Session:
+    """A new session at the beginning of a setting.
+
+    Args:
+        setting: Where it begins.
+        robot: The robot as it is, without the door that the setting's may hold.
+        controller: One of `app.control.CONTROLLERS`.
+        physics: Kind of plant; the default one if None.
+        seed: Of everything random.
+
+    Raises:
+        ConfigError: The plant has no doors, and the setting has one.
+        UnknownNameError: No such controller or plant.
+    """
+    session = Session(
+        setting.model,
+        setting.data,
+        setting.config,
+        controller=controller,
+        physics=physics,
+        seed=seed,
+        plant=robot,
+        door=setting.door,
+    )
+    session.reset(setting.q_m, setting.base_pose)
+    return session
 
 
 def steps_of(
@@ -45,7 +75,7 @@ def steps_of(
         data: Its pairs and clouds.
         scenario: What happens.
         config: Parameters.
-        controller: One of `app.control.names.CONTROLLERS`.
+        controller: One of `app.control.CONTROLLERS`.
         physics: Kind of plant; the default one if not given.
         seed: Of everything random in the run.
 
@@ -78,19 +108,11 @@ def run_scenario(
     on_step: Callable[[Session, Step], None] | None = None,
     drawn: bool = False,
 ) -> RunResult:
-    """Run a scenario and take its figures; arguments and errors are those of `steps_of`.
+    """Run a scenario and take its figures.
 
-    Args:
-        model: The robot.
-        data: Its pairs and clouds.
-        scenario: What happens.
-        config: Parameters.
-        controller: One of `app.control.names.CONTROLLERS`.
-        physics: Kind of plant; the default one if not given.
-        seed: Of everything random in the run.
-        on_progress: Called now and then with the simulated time [s].
-        on_step: Called after each control step.
-        drawn: Whether the trace has snapshots, to be written and replayed.
+    Arguments and errors are those of `steps_of`. `on_progress` is called now and then with the
+    simulated time [s], `on_step` after each control step. A trace that is `drawn` has snapshots, to
+    be written and replayed.
     """
     physics = chosen_plant(physics)
     recorder = Recorder(scenario, drawn=drawn, physics=physics, seed=seed)
@@ -120,3 +142,30 @@ def run_scenario(
         "realtime_factor": scenario.duration / elapsed,
     }
     return RunResult(figures, trace)
+
+
+def filmed(
+    steps: Generator[tuple[Session, Step], None, None],
+    scenario: Scenario,
+    times: Sequence[float],
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> list[Snapshot]:
+    """Snapshots of a run up to the last of some times, those of the times themselves among them.
+
+    Args:
+        steps: The run, as `steps_of` gives it; it is ended here.
+        scenario: Which leads the hand.
+        times: [s] within the scenario's duration.
+        on_progress: Called now and then with the simulated time [s].
+    """
+    last = round(scenario.duration / DT) - 1
+    wanted = {min(round(t / DT), last) for t in times}
+    recorder = Recorder(scenario, quantities=(), drawn=True, also=wanted)
+    with closing(steps):
+        for k, (session, step) in enumerate(steps):
+            recorder.add(session, step)
+            if k % 100 == 0:
+                on_progress(step.t)
+            if k == max(wanted):
+                break
+    return recorder.snapshots

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from app.avoidance.closest_points import DistanceMonitor
 from app.border.cache import BorderData
 from app.config import Config, DisturbanceConfig
 from app.control.buffer_watch import BufferReading, BufferWatch
@@ -25,7 +26,6 @@ from app.simulation.plants.choice import chosen_plant, make_physics
 from app.simulation.plants.door import OpenDoor
 from app.simulation.plants.interface import Contacts, Physics
 from app.simulation.scenarios.leading import DoorReading
-from app.simulation.truth import Truth
 
 Array = np.ndarray
 
@@ -57,7 +57,7 @@ class Step(NamedTuple):
         pulls: All that hold the robot.
         person: The forces of people that acted on the robot.
         reference: What the arm tracked, or None while it was guided.
-        given_up: QPs of lower levels that were given up since the last reset.
+        given_up: Steps since the last reset in which the base's own part had no solution.
         hand_speed: [m/s] true speed of the end-effector.
     """
 
@@ -94,6 +94,7 @@ class Session:
         door: The door that the hand holds, and how far it is open at the start, or None.
         loop: All of the control, as a robot's own loop calls it.
         physics: The plant.
+        state: The robot as it was at the last step.
         wheel_angles: (n_w,) [rad] of the base's `wheels`, for drawing.
     """
 
@@ -115,9 +116,9 @@ class Session:
             model: The robot as the controller knows it.
             data: Its pairs and clouds.
             config: Parameters.
-            controller: One of `app.control.names.CONTROLLERS`.
+            controller: One of `app.control.CONTROLLERS`.
             physics: Kind of plant; the default one if not given.
-            seed: Of what the plant draws at random, and of the sensors' noise.
+            seed: Of the sensors' noise.
             plant: The robot as it is, where the controller's has what it holds as one more body.
             door: A door that the hand holds, or None.
 
@@ -128,10 +129,12 @@ class Session:
         self.model, self.data, self.config = model, data, config
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
         self.loop = ControlLoop(model, data, config, name=controller, dt=DT)
-        self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, seed=seed, door=door)
+        self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self._base = model.description.base
         self._disturbances = Disturbances(config.disturbance, DT, seed)
-        self._truth = Truth(model, data, self.controller)
+        self._own_state = RobotState(model)  # where sensors say something else
+        pairs = [*data.pairs.mobile, *data.pairs.manipulator]
+        self._distances = DistanceMonitor(self._own_state, pairs)
         self._watch = BufferWatch(config)
         self._disturb(config.disturbance)
         self.reset(np.array(model.description.arm.ready_position))
@@ -154,7 +157,7 @@ class Session:
         self._people = People(self.model, self.config.hand, DT)
         self.wheel_angles = np.zeros(len(self._base.wheels))
         self.controller.state.update(self.physics.measure())
-        self._truth.reset()
+        self.state = self.controller.state
         self._watch.reset()
 
     def configure(self, config: Config) -> None:
@@ -175,18 +178,13 @@ class Session:
         """Pose of the end-effector at the last step, as the sensors have it."""
         return self.controller.state.T_world_ee
 
-    @property
-    def state(self) -> RobotState:
-        """The robot as it was at the last step."""
-        return self._truth.state
-
     def step(
         self,
         reference: Reference | None = None,
         pull: Array | None = None,
         door: DoorReading | None = None,
-        *,
         holds: Sequence[Hold] = (),
+        *,
         forces: PersonForces | None = None,
     ) -> Step:
         """Advance by one control step.
@@ -204,13 +202,12 @@ class Session:
         begin = perf_counter()
         _, command, output = self.loop.step(measurement, reference)
         duration = perf_counter() - begin
-        self._truth.update(truth, measurement, output.avoidance.pairs)
-        state = self.state
+        state, distances = self._observe(truth, measurement, output)
         p_ee = state.T_world_ee.translation
         if pull is not None:
             holds = (Hold(LEAD, pull), *holds)
-        pulls = self._people.pull(state, holds if forces is None else ())
-        person = self._people.forces(holds, pulls) if forces is None else forces
+        pulls, own = self._people.pull(state, holds if forces is None else ())
+        person = own if forces is None else forces
         target = next((hold.target for hold in holds if hold.link is None), None)
         aim = target if target is not None else reference.pose.translation if reference else p_ee
         error = math.dist(p_ee.tolist(), aim.tolist())
@@ -230,10 +227,10 @@ class Session:
             self.physics.contacts(),
             duration,
             truth,
-            self._truth.distances,
+            distances,
             self._look(output),
             door,
-            tuple(pulls),
+            pulls,
             person,
             reference,
             self.controller.given_up,
@@ -241,6 +238,17 @@ class Session:
         )
         self.t += DT
         return step
+
+    def _observe(
+        self, truth: Measurement, sensed: Measurement, output: ControlOutput
+    ) -> tuple[RobotState, tuple[float, ...]]:
+        """The true state, and [m] of all pairs; without noise both are the controller's."""
+        if sensed is truth:
+            self.state = self.controller.state
+            return self.state, tuple(pair.closest.d for pair in output.avoidance.pairs)
+        self.state = self._own_state
+        self.state.update_kinematics(truth)
+        return self.state, self._distances.distances()
 
     def _look(self, output: ControlOutput) -> BufferReading:
         closest = [pair.closest for pair in output.avoidance.mobile]

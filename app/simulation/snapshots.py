@@ -7,21 +7,17 @@ as a texture would blur. What a figure draws over a picture it places with `Pict
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Iterable, Sequence
-from pathlib import Path
-from types import TracebackType
 from typing import NamedTuple
 
 import numpy as np
 import trimesh
 from scipy import ndimage
 
-from app.errors import AssetError
 from app.robot.model import RobotModel
 from app.robot.urdf import PLANAR_JOINTS, planar_urdf
-from app.simulation.plants.bullet_world import pybullet
-from app.simulation.plants.silence import silence
+from app.simulation.plants.bullet_world import BulletWorld, pybullet
+from app.simulation.session import DT
 
 Array = np.ndarray
 Rgba = tuple[float, float, float, float]
@@ -141,42 +137,23 @@ class Picture(NamedTuple):
 
 
 class Photographer:
-    """Takes pictures of one robot, in a pybullet client of its own; use it in a `with`."""
+    """Takes pictures of one robot, in a pybullet client of its own, until it is closed."""
 
     def __init__(self, model: RobotModel) -> None:
         """Load the robot's visual meshes.
 
-        Args:
-            model: The robot.
-
         Raises:
             AssetError: A mesh is missing, or pybullet cannot load the robot.
         """
-        self._joints: list[int] = []
-        with silence(1):  # warnings about the URDF, on standard output
-            self._client = pybullet.connect(pybullet.DIRECT)
-            try:
-                self._robot = self._load(model)
-            except pybullet.error as error:
-                self.close()
-                raise AssetError(f"pybullet cannot load the robot: {error}") from None
-
-    def __enter__(self) -> Photographer:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
+        self._world = BulletWorld(planar_urdf(model.description), DT)
+        self._client = self._world.client
+        self._client.removeBody(self._world.floor)  # it is painted
+        names = (*PLANAR_JOINTS, *model.description.arm.joints)
+        self._joints = [self._world.joints[name] for name in names]
 
     def close(self) -> None:
         """End the client; may be called twice."""
-        if self._client >= 0:
-            pybullet.disconnect(physicsClientId=self._client)
-            self._client = -1
+        self._world.close()
 
     def take(
         self,
@@ -199,15 +176,13 @@ class Photographer:
         away = 0.0 if robot else 1000.0  # [m] far outside of any picture
         pose = [base_pose[0] + away, *base_pose[1:], *q_m]
         for joint, position in zip(self._joints, pose, strict=True):
-            pybullet.resetJointState(
-                self._robot, joint, float(position), physicsClientId=self._client
-            )
+            self._client.resetJointState(self._world.robot, joint, float(position))
         bodies = [self._add(solid) for solid in solids]
         try:
             return self._render(camera)
         finally:
             for body in bodies:
-                pybullet.removeBody(body, physicsClientId=self._client)
+                self._client.removeBody(body)
 
     def _render(self, camera: Camera) -> Picture:
         fine = camera._replace(width=_FINER * camera.width, height=_FINER * camera.height)
@@ -245,7 +220,7 @@ class Photographer:
         view, projection = camera.matrices()
         c, s = math.cos(camera.yaw), math.sin(camera.yaw)
         x, y, z = _LIGHT
-        image = pybullet.getCameraImage(
+        image = self._client.getCameraImage(
             camera.width,
             camera.height,
             view.T.ravel().tolist(),
@@ -258,42 +233,24 @@ class Photographer:
             lightDiffuseCoeff=0.45,
             lightSpecularCoeff=0.08,
             renderer=pybullet.ER_TINY_RENDERER,
-            physicsClientId=self._client,
         )
         shape = camera.height, camera.width
         rgb = np.reshape(image[2], (*shape, 4))[..., :3].astype(float)
         return rgb, np.reshape(image[4], shape)
 
-    def _load(self, model: RobotModel) -> int:
-        with tempfile.TemporaryDirectory(prefix="dbb-") as folder:
-            path = Path(folder) / "robot.urdf"
-            path.write_text(planar_urdf(model.description), encoding="utf-8")
-            robot = pybullet.loadURDF(str(path), useFixedBase=True, physicsClientId=self._client)
-        infos = [
-            pybullet.getJointInfo(robot, i, physicsClientId=self._client)
-            for i in range(pybullet.getNumJoints(robot, physicsClientId=self._client))
-        ]
-        index = {info[1].decode(): info[0] for info in infos}
-        self._joints = [index[n] for n in (*PLANAR_JOINTS, *model.description.arm.joints)]
-        return robot
-
     def _add(self, solid: Solid) -> int:
         """Show a solid; its body."""
-        with tempfile.TemporaryDirectory(prefix="dbb-") as folder:
-            path = Path(folder) / "solid.obj"
-            # Corners of their own for each face: pybullet would round the edges of a box.
-            flat = solid.mesh.copy()
-            flat.unmerge_vertices()
-            path.write_text(
-                str(flat.export(file_type="obj", include_normals=True)), encoding="utf-8"
-            )
-            shape = pybullet.createVisualShape(
-                pybullet.GEOM_MESH,
-                fileName=str(path),
-                rgbaColor=list(solid.rgba),
-                physicsClientId=self._client,
-            )
-            return pybullet.createMultiBody(0, -1, shape, physicsClientId=self._client)
+        # Corners of their own for each face: pybullet would round the edges of a box.
+        flat = solid.mesh.copy()
+        flat.unmerge_vertices()
+        shape = self._client.createVisualShape(
+            pybullet.GEOM_MESH,
+            vertices=flat.vertices.tolist(),
+            indices=flat.faces.ravel().tolist(),
+            normals=flat.vertex_normals.tolist(),
+            rgbaColor=list(solid.rgba),
+        )
+        return self._client.createMultiBody(0, -1, shape)
 
 
 def _floor_points(camera: Camera) -> Array:

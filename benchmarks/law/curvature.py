@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.avoidance.distances import ClosestPoints, DistanceMonitor
-from app.avoidance.repulsion import distance_jacobian
+from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
+from app.avoidance.task import distance_jacobian
 from app.config import Config
 from app.robot.link_pairs import PairDistances
 from app.robot.state import RobotState
@@ -126,7 +126,7 @@ def _samples(pose: Pose) -> list[Sample]:
 def _fixed_points(state: RobotState, closest: ClosestPoints) -> tuple[float, float]:
     """[m/s²] nᵀ(J̇_b - J̇_a) q̇ of the closest points, and [m²/s²] their squared speed across n."""
     model, n = state.model, closest.n
-    a, b = model.body_joint(closest.pair.a), model.body_joint(closest.pair.b)
+    a, b = model.body_joints[closest.pair.a], model.body_joints[closest.pair.b]
     bias = state.point_bias(b, closest.p_b) - state.point_bias(a, closest.p_a)
     v = state.point_velocity(b, closest.p_b) - state.point_velocity(a, closest.p_a)
     across = v - (v @ n) * n

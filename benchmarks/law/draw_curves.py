@@ -71,7 +71,8 @@ def _drawn(options: Options, number: int) -> list[object]:
         if quickest > _DURATION[1]:
             continue
         curve = curve._replace(duration=float(rng.uniform(quickest, _DURATION[1])))
-        q = posture(options.robot, curve.start, seed=seed, turn=turn)
+        along = [tuple(curve.place(float(s))[0].tolist()) for s in _ALONG]
+        q = posture(options.robot, curve.start, seed=seed, turn=turn, along=along)
         if q is not None and _reached(model, curve, q, rng):
             return [list(curve), q.tolist()]
     raise StudyError(f"the arm of {options.robot} tracks none of {_TRIES} curves")

@@ -9,7 +9,7 @@ import numpy as np
 
 from app.config import Config
 from app.errors import StudyError
-from app.simulation.loop.gc_freeze import settled
+from app.simulation.loop.pacing import settled
 from app.simulation.people import PersonForces
 from app.simulation.session import DT, Session
 from benchmarks.law.motions import Waves, random_waves

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.config import Config
-from app.simulation.loop.gc_freeze import settled
+from app.simulation.loop.pacing import settled
 from app.simulation.session import Session, Step
 from benchmarks.law.curves import Curve
 from benchmarks.law.draw_curves import task_of

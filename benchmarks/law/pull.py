@@ -11,8 +11,8 @@ import numpy as np
 
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.loop.gc_freeze import settled
-from app.simulation.person import PersonHand
+from app.simulation.loop.pacing import settled
+from app.simulation.people import PersonHand
 from app.simulation.session import DT, Session, Step
 from benchmarks.law.robot import load
 
@@ -89,7 +89,7 @@ def moments(pull: Pull) -> Generator[Moment, bool | None, None]:
             state = session.state
             p, v = state.T_world_ee.translation.copy(), state.v_ee[:3].copy()
             shadow.force(p, v, target)  # moves as the session's person does, who shows no place
-            place = shadow.place
+            place = None if shadow.motion is None else shadow.motion[0]
             speed = 0.0 if place is None else math.dist(place, before) / DT
             before = before if place is None else place
             let_go = yield Moment(session, step, p, v, speed)

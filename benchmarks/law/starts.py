@@ -12,7 +12,7 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -73,7 +73,13 @@ def place_above(robot: str, rng: np.random.Generator) -> Place:
 
 
 def posture(
-    robot: str, p: Point, *, seed: int = 0, turn: float = 0.0, tries: int = 4
+    robot: str,
+    p: Point,
+    *,
+    seed: int = 0,
+    turn: float = 0.0,
+    tries: int = 4,
+    along: Sequence[Point] = (),
 ) -> Array | None:
     """(n_m,) the arm with its hand at a place, clear of all buffers, or None if there is none.
 
@@ -83,15 +89,17 @@ def posture(
         seed: Of the search.
         turn: [rad] by how much the hand points to the left of straight away from the mount.
         tries: Of the search per pitch of the hand.
+        along: (3,) [m] each, where the hand comes to afterwards.
     """
+    way = [np.array(each) for each in along]
 
     def search() -> list[float] | None:
         try:
-            return _solver(robot).solve(p, seed=seed, turn=turn, tries=tries).tolist()
+            return _solver(robot).solve(p, seed=seed, turn=turn, tries=tries, along=way).tolist()
         except UnreachableError:
             return None
 
-    found = kept(robot, ["posture", p, seed, turn, tries], search)
+    found = kept(robot, ["posture", p, seed, turn, tries, along], search)
     return None if found is None else np.array(found)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from app.border.cache import BorderData
-from app.border.sampling.config import SamplingConfig
+from app.border.config import SamplingConfig
 from app.border.sampling.pairs import sample_clouds
 from app.config import Config
 from app.control.controller import Controller, ControlOutput

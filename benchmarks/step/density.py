@@ -9,8 +9,7 @@ import numpy as np
 
 from app.border.cache import BorderData
 from app.border.cloud import DISTANCE_UNIT, make_cloud, quantise_points
-from app.border.offset import OffsetContours
-from app.border.rings import RAYS
+from app.border.offset import RAYS, OffsetContours
 from app.config import Config
 from app.control.controller import Controller
 from app.robot.model import RobotModel

@@ -33,7 +33,7 @@ class Floor:
         self._model, self._data = model, model.pin.createData()
         self._distances = PairDistances(model, pairs.all)
         bodies = {body for pair in pairs.all for body in pair}
-        self._joints = [model.body_joint(body) for body in sorted(bodies)]
+        self._joints = [model.body_joints[body] for body in sorted(bodies)]
         self._axes = pin.LOCAL_WORLD_ALIGNED
         self.size = model.n_m, 0, 2 * model.n_m + len(pairs.mobile)
         rng = np.random.default_rng(seed)

@@ -12,7 +12,7 @@ from app.config import Config
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
-from app.simulation.scenarios.begin import begin
+from app.simulation.run import begin
 from app.simulation.scenarios.line import LineScenario
 from app.simulation.scenarios.names import LINES
 from app.simulation.session import DT

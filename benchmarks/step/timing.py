@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.control.controller import Controller, ControlOutput
-from app.simulation.loop.gc_freeze import settled
+from app.simulation.loop.pacing import settled
 from benchmarks.step.paths import Moment, Path
 
 Array = np.ndarray

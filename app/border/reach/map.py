@@ -1,35 +1,40 @@
-"""§2.3.2: the reachability map of a body, from a file if there is one, else counted and kept."""
+"""§2.3.2: the reachability map of a body, from a file if there is one, else counted and kept.
+
+Inverse kinematics solutions of uniformly sampled poses are counted, as jobs for processes; where a
+map in seconds is enough, their density is found from random joint positions alone.
+"""
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
+import pinocchio as pin
+from pydantic import Field
 
-from app.border.checked_file import DamagedFileError
-from app.border.reach import archive as reach_archive
-from app.border.reach.chain import reach_bodies
-from app.border.reach.config import ReachConfig
-from app.border.reach.count import CountContext, CountJob, count_solutions
-from app.border.reach.key import reach_key
-from app.border.reach.radial import radial_profile
+from app.border.config import ReachConfig
+from app.border.kept import Arrays, Header, digest, find_kept, header_of, keep, robot_content
+from app.border.reach.chain import Chain, reach_bodies
+from app.border.reach.fit import radial_profile
+from app.border.reach.solver import AnalyticSolver, free_joints, make_solver
 from app.errors import DescriptionError, UnknownNameError
 from app.jobs.pool import Workers
 from app.jobs.progress import progress_bar
-from app.robot import assets
+from app.robot.description import RobotDescription
+from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
+from app.strict import Positive, Vector3
 
 Array = np.ndarray
 
+FORMAT = 1
+"""Number of the file's layout and of the way of counting; a new one outdates all files."""
 PEAK = 100.0
 """[-] largest mean reachability over a shell around the mount: the paper's C."""
 
 _JOB_POINTS = 64  # a fixed number, so that the counts do not depend on the number of cores
-_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -40,13 +45,14 @@ class ReachMap:
         body: Name of the body.
         points: (N, 3) [m] positions in the base's frame: of the end-effector for the body that
             carries it, else of the middle of the body's first shape.
-        found: (N,) inverse kinematics solutions counted at each position, over all its poses.
-        samples: Poses at each position.
+        found: (N,) inverse kinematics solutions counted at each position, over all its poses; by
+            the area formula a measure of them.
+        samples: Poses at each position; by the area formula, all joint positions.
         reach: (N,) [-] density of solutions, scaled so that its mean over the best shell is 100.
         p_base: (3,) [m] the arm's mount in the base's frame.
         spacing_m: [m] of the lattice.
         seed: Of the poses.
-        method: analytic, or restarts.
+        method: analytic, restarts, or area formula.
         free_joints: Joints held at random while the others are solved for.
         origin: Where it came from: the cache, a file shipped with the project, or counted now.
     """
@@ -107,17 +113,89 @@ def load_reach_map(
         raise UnknownNameError("body of a reachability map", body, choices)
     config = config or ReachConfig()
     key = reach_key(model.description, body, config)
-    name = f"{model.description.name}-reach-{body}-{key}.npz"
-    kept = assets.cache_folder() / name
-    if not recompute:
-        if content := _read(kept, key):
-            return _as_map(content, "cache")
-        if content := _read(assets.SHIPPED_CACHE / name, key):
-            return _as_map(content, "shipped")
-    content = _count(model, body, config, key, progress, processes)
-    result = _as_map(content, "counted")
-    _write(kept, content)
+    name = f"{model.description.name}-reach-{body}"
+    found = None if recompute else find_kept(name, key, partial(_unpack, key=key))
+    if found is not None:
+        return _as_map(*found)
+    counts = _count(model, body, config, key, progress, processes)
+    result = _as_map(counts, "counted")
+    keep(name, counts.header, {"steps": counts.steps.T, "found": counts.found})
     return result
+
+
+def sample_reach_map(
+    model: RobotModel, body: str, *, samples: int = 20_000, spacing: float = 0.08, seed: int = 0
+) -> ReachMap:
+    """The same density without inverse kinematics, by the area formula; not kept.
+
+    The solutions of all poses in a region are counted by the integral of |det J| over the joint
+    positions that lead there, J of the joints that are not held.
+
+    Args:
+        model: The robot.
+        body: Name of a body of the arm that at least three joints move.
+        samples: Joint positions, uniform within their limits.
+        spacing: [m] of the lattice.
+        seed: Of the joint positions.
+
+    Raises:
+        DescriptionError: No pose has any solution.
+    """
+    chain, p_base = Chain(model, body), model.p_base()
+    free, clearance = free_joints(chain), _SelfClearance(model, chain)
+    rng = np.random.default_rng(seed)
+    steps, J = np.zeros((samples, 3), dtype=int), np.zeros((samples, chain.size, chain.size))
+    for i in range(samples):
+        q = chain.random(rng)
+        if clearance.is_free(q):
+            q[len(chain.joints) :] = 0.0  # turns of these change no pose that is asked for
+            at, jacobian = chain.pose_and_jacobian(q)
+            steps[i] = np.round((at.translation - p_base) / spacing)
+            J[i, :6] = jacobian
+    solved = np.delete(J[:, :6], free, axis=2)
+    weight = np.abs(np.linalg.det(solved))
+    cells = lattice(chain.longest(p_base) + spacing, spacing)
+    most = int(np.abs(cells).max())
+    grid = np.zeros((2 * most + 1,) * 3)
+    np.add.at(grid, tuple((steps + most).T), weight)
+    names = model.description.arm.joints
+    header = _Header(
+        key="",
+        body=body,
+        p_base=(p_base[0], p_base[1], p_base[2]),
+        seed=seed,
+        spacing_m=spacing,
+        samples=samples,
+        method="area formula",
+        free_joints=tuple(names[chain.joints[i]] for i in free),
+    )
+    return _as_map(_Counts(header, cells, grid[tuple((cells + most).T)]), "counted")
+
+
+def reach_key(description: RobotDescription, body: str, config: ReachConfig) -> str:
+    """32 hexadecimal digits that change whenever the map could.
+
+    It covers the robot as the border's key does (shapes, joints, limits, URDF), the end-effector's
+    frame, the body, and the counting; the way in which borders are sampled does not matter.
+
+    Raises:
+        AssetError: The URDF or a mesh is not there.
+    """
+    arm = description.arm
+    return digest(
+        {
+            "format": FORMAT,
+            "robot": robot_content(description),
+            "end_effector": [
+                arm.end_effector_link,
+                arm.end_effector_xyz_m,
+                arm.end_effector_rpy_rad,
+                arm.end_effector_link in description.body(body).covers,
+            ],
+            "body": body,
+            "sampling": config.model_dump(),
+        }
+    )
 
 
 def lattice(radius: float, spacing: float) -> Array:
@@ -128,6 +206,28 @@ def lattice(radius: float, spacing: float) -> Array:
     return steps[(steps**2).sum(axis=1) <= (radius / spacing) ** 2].astype(np.int16)
 
 
+class _Header(Header):
+    body: str
+    p_base: Vector3
+    seed: int
+    spacing_m: Positive
+    samples: int = Field(ge=1)
+    method: str
+    free_joints: tuple[str, ...]
+
+
+class _Counts(NamedTuple):
+    """Positions (N, 3) int16 in steps of the lattice, and solutions (N,), uint16 in a file."""
+
+    header: _Header
+    steps: Array
+    found: Array
+
+
+def _unpack(arrays: Arrays, key: str) -> _Counts:
+    return _Counts(header_of(arrays, _Header, key=key), arrays["steps"].T, arrays["found"])
+
+
 def _count(
     model: RobotModel,
     body: str,
@@ -135,7 +235,7 @@ def _count(
     key: str,
     progress: bool,
     processes: int | None,
-) -> reach_archive.Counts:
+) -> _Counts:
     make_context = partial(CountContext, model.description, body, config)
     context, p_base = make_context(), model.p_base()
     steps = lattice(context.chain.longest(p_base), context.spacing)
@@ -152,7 +252,7 @@ def _count(
             found.append(counts)
             update(len(found))
     names = model.description.arm.joints
-    header = reach_archive.Header(
+    header = _Header(
         key=key,
         body=body,
         p_base=(p_base[0], p_base[1], p_base[2]),
@@ -162,12 +262,10 @@ def _count(
         method=context.solver.method,
         free_joints=tuple(names[context.chain.joints[i]] for i in context.solver.free),
     )
-    return reach_archive.Counts(header, steps, np.concatenate(found))
+    return _Counts(header, steps, np.concatenate(found))
 
 
-def _as_map(
-    content: reach_archive.Counts, origin: Literal["cache", "shipped", "counted"]
-) -> ReachMap:
+def _as_map(content: _Counts, origin: Literal["cache", "shipped", "counted"]) -> ReachMap:
     header, steps, found = content
     p_base = np.array(header.p_base)
     offsets = header.spacing_m * steps
@@ -190,18 +288,76 @@ def _as_map(
     )
 
 
-def _read(path: Path, key: str) -> reach_archive.Counts | None:
-    try:
-        return reach_archive.read(path, key)
-    except FileNotFoundError:
-        return None
-    except DamagedFileError as error:
-        _log.warning("%s is not used: %s", path, error)
-        return None
+class CountJob(NamedTuple):
+    """Some positions of the lattice.
+
+    Attributes:
+        points: (N, 3) [m] in the base's frame.
+        seed: Of their random numbers.
+    """
+
+    points: Array
+    seed: np.random.SeedSequence
 
 
-def _write(path: Path, content: reach_archive.Counts) -> None:
-    try:
-        reach_archive.write(path, content)
-    except OSError as error:
-        _log.warning("%s cannot be kept (%s); it will be counted again", path, error.strerror)
+class CountContext:
+    """What the jobs of one process share.
+
+    Attributes:
+        chain: The body's joints.
+        solver: Gives all solutions of a pose.
+        spacing: [m] of the lattice that suits the solver.
+        orientations: Poses at each position that suit the solver.
+    """
+
+    def __init__(self, description: RobotDescription, body: str, config: ReachConfig) -> None:
+        model = RobotModel(description)
+        self.chain = Chain(model, body)
+        self.solver = make_solver(self.chain, config.restarts)
+        quick = isinstance(self.solver, AnalyticSolver)
+        self.spacing = config.spacing_m if quick else config.restart_spacing_m
+        self.orientations = config.orientations if quick else config.restart_orientations
+        self._clearance = _SelfClearance(model, self.chain)
+
+    def count(self, point: Array, rng: np.random.Generator) -> int:
+        """Solutions of a pose with a random orientation, the free joints held at random.
+
+        Only those within the joint limits and without self-collision count.
+        """
+        target = pin.SE3(_random_rotation(rng), point)
+        held = self.chain.random(rng)[list(self.solver.free)]
+        found = self.chain.within(self.solver.solve(target, held, rng))
+        return sum(self._clearance.is_free(q) for q in found)
+
+
+def count_solutions(context: CountContext, job: CountJob) -> Array:
+    """(N,) uint16 solutions at each position, summed over its poses."""
+    rng = np.random.default_rng(job.seed)
+    counts = [
+        sum(context.count(point, rng) for _ in range(context.orientations)) for point in job.points
+    ]
+    return np.array(counts, dtype=np.uint16)
+
+
+class _SelfClearance:
+    """Whether the bodies up to the chain's own, the mobile robot included, keep apart."""
+
+    def __init__(self, model: RobotModel, chain: Chain) -> None:
+        names = model.body_names
+        known = names[: names.index(chain.body) + 1]
+        pairs = [pair for pair in candidate_pairs(model) if pair.b in known]
+        self._distances = PairDistances(model, pairs)
+        self._count = len(pairs)
+        self._arm = [4 + joint for joint in chain.joints]
+        self._q = model.configuration((0.0, 0.0, 0.0), np.array(model.q_lower))
+
+    def is_free(self, q: Array) -> bool:
+        self._q[self._arm] = q[: len(self._arm)]
+        self._distances.update(self._q)
+        return all(self._distances.distance(i) > 0.0 for i in range(self._count))
+
+
+def _random_rotation(rng: np.random.Generator) -> Array:
+    """(3, 3) uniformly distributed."""
+    q = rng.standard_normal(4)
+    return pin.Quaternion(q / np.linalg.norm(q)).matrix()

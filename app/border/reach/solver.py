@@ -62,12 +62,21 @@ def make_solver(chain: Chain, restarts: int) -> Solver:
         for free in _choices(chain):
             if (solver := _complete_analytic(chain, free)) is not None:
                 return solver
+    return RestartSolver(chain, free_joints(chain), restarts)
+
+
+def free_joints(chain: Chain) -> tuple[int, ...]:
+    """Indices of the outermost joints that may be held while the others meet a pose.
+
+    Raises:
+        DescriptionError: There are none with which they do.
+    """
     free = next(_choices(chain), None)
     if free is None:
         raise DescriptionError(
             f"arm.joints: no pose determines the {len(chain.joints)} joints that move {chain.body}"
         )
-    return RestartSolver(chain, free, restarts)
+    return free
 
 
 def _complete_analytic(chain: Chain, free: tuple[int, ...]) -> AnalyticSolver | None:

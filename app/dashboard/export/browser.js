@@ -1,14 +1,24 @@
 // Helpers inside the page. They use hooks of viser's client that are private, so viser is pinned.
 (() => {
   // What draws in software here does so on purpose: without this a warning covers a part of the page.
+  // The server takes it for a GPU then, and sends the fine drawing.
   for (const kind of [self.WebGLRenderingContext, self.WebGL2RenderingContext]) {
-    if (!kind) continue;
+    if (!kind || self.dbbHonest) continue;
     const original = kind.prototype.getParameter;
     const UNMASKED_RENDERER = 37446;
     kind.prototype.getParameter = function (name) {
       const value = original.call(this, name);
       return name === UNMASKED_RENDERER && typeof value === "string" ? "headless" : value;
     };
+  }
+
+  // While drawing is held, the page does all but that: what arrives meanwhile costs no picture.
+  let held = false;
+  for (const kind of [self.WebGL2RenderingContext?.prototype]) {
+    for (const name of ["drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
+      const original = kind?.[name];
+      if (original) kind[name] = function (...args) { if (!held) original.apply(this, args); };
+    }
   }
 
   const viewer = () => window.__viserMutable;
@@ -20,23 +30,58 @@
   const node = (name) => viewer().nodeRefFromName[name];
   const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
+  const render = async (count) => {
+    const last = frame() + count;
+    while (frame() < last) {
+      viewer().requestRender();
+      await pause(held ? 4 : 15);
+    }
+  };
+  let flat = null;
+
   window.dbbPage = {
     viewer,
     canvas,
     node,
     ready: () => !!viewer()?.canvas && frame() > 0,
+    // What meshes mirror comes later, and is itself drawn into textures: it must not be held.
+    lit: () => {
+      let root = viewer().nodeRefFromName[""];
+      while (root?.parent) root = root.parent;
+      return !!root?.environment;
+    },
     has: (name) => !!node(name),
+    hold: (on) => { held = on; },
     // x of a frame that the server has put last: all that it sent before has arrived.
     arrived: (name) => viewer().nodePoseData[name]?.position?.[0],
     // Reading a pixel back waits for the drawing, which software renderers do later.
     render: async (count) => {
-      const last = frame() + count;
-      while (frame() < last) {
-        viewer().requestRender();
-        await pause(15);
-      }
+      await render(count);
       const gl = canvas().getContext("webgl2");
       gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+    },
+    // One picture of a film, as the text of a JPEG, drawn once after all that was sent has arrived.
+    // Eye and target are in the scene's frame, z up; three.js itself has y up.
+    still: async ([name, n, eye, target, ground]) => {
+      held = true;
+      while (dbbPage.arrived(name) !== n) await pause(2);
+      const inWorld = ([x, y, z]) =>
+        node("").localToWorld(viewer().camera.position.clone().set(x, y, z)).toArray();
+      viewer().cameraControl.setLookAt(...inWorld(eye), ...inWorld(target), false);
+      await render(2);
+      held = false;
+      await render(1);
+      held = true;
+      const { width, height } = canvas();
+      flat ??= new OffscreenCanvas(width, height);
+      const ink = flat.getContext("2d");
+      ink.fillStyle = ground;
+      ink.fillRect(0, 0, width, height);
+      ink.drawImage(canvas(), 0, 0);
+      const blob = await flat.convertToBlob({ type: "image/jpeg", quality: 0.95 });
+      const reader = new FileReader();
+      await new Promise((done) => ((reader.onload = done), reader.readAsDataURL(blob)));
+      return reader.result.split(",")[1];
     },
   };
 })();

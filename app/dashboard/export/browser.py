@@ -105,11 +105,18 @@ def chromium() -> Iterator[Browser]:
         raise
 
 
-def new_context(browser: Browser, size: tuple[int, int]) -> BrowserContext:
-    """A window of a width and a height [px]; in its pages `dbbPage` helps to wait for pictures."""
+def new_context(
+    browser: Browser, size: tuple[int, int], *, honest: bool = False, touch: bool = False
+) -> BrowserContext:
+    """A window of a width and a height [px]; in its pages `dbbPage` helps to wait for pictures.
+
+    An `honest` one says that it draws in software; one of `touch` is used by fingers.
+    """
     context = browser.new_context(
-        viewport={"width": size[0], "height": size[1]}, reduced_motion="reduce"
+        viewport={"width": size[0], "height": size[1]}, reduced_motion="reduce", has_touch=touch
     )
+    if honest:
+        context.add_init_script("self.dbbHonest = true;")
     context.add_init_script(_HELPERS)
     return context
 

@@ -1,41 +1,75 @@
-"""Off-screen scene: recorded snapshots drawn without widgets, for pictures and replays."""
+"""Off-screen scene: recorded snapshots drawn without widgets, and a run as a page that plays it."""
 
 from __future__ import annotations
 
 import contextlib
 from bisect import bisect_right
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from html import escape
+from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
 import viser
 
 from app.border.cloud import Cloud
+from app.dashboard.export.browser import new_context
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
+from app.dashboard.scene.colours import set_theme
 from app.dashboard.scene.scene import Scene, SceneData
-from app.dashboard.scene.theme import set_theme
 from app.dashboard.view import HIDDEN, View
 from app.dashboard.viser_compat import close_server, open_server
+from app.errors import BrowserError
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Command
 from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.trace import Trace
+
+if TYPE_CHECKING:
+    import playwright.sync_api as web
 
 HOST = "127.0.0.1"
+BARRIER = "/sent"
+"""Scene node whose place tells the page how much has been sent."""
+ONLY_SCENE = "body * { visibility: hidden !important; } canvas { visibility: visible !important; }"
+TIMEOUT = 60.0  # [s] for a page to open or a picture to arrive
 LAYERS = ("determinant", "reachability", "score", "none")
 """What a border may be coloured by; without a border, none."""
+RATE = 25.0  # [Hz] pictures of a second of a replay
+_TEXTS_EVERY = 5  # pictures between two renewals of labels and trails
+
+
+class Look(NamedTuple):
+    """What a picture shows.
+
+    Attributes:
+        width, height: [px].
+        layer: What the border of the first pair of L_m is coloured by, one of `LAYERS`.
+        view: Where from, a key of `app.dashboard.scene.camera.PRESETS`.
+        dark: A dark ground, else a light one.
+        page: The whole dashboard, else the scene alone.
+    """
+
+    width: int = 1280
+    height: int = 720
+    layer: str = "score"
+    view: str = "iso"
+    dark: bool = True
+    page: bool = False
 
 
 class RecordedLoop:
-    """The interface of the simulation's loop over recorded snapshots.
+    """The interface of the simulation's loop over recorded snapshots: nothing runs or is pulled.
 
     Attributes:
-        error: Always None: nothing runs that could end.
-        links: None: nobody can pull.
-        snapshots: In order of time.
+        snapshots: In order of time, at least one.
     """
 
     def __init__(self, snapshots: Sequence[Snapshot]) -> None:
-        """Stand at the first of the snapshots, of which there is at least one."""
+        """Stand at the first of the snapshots."""
         self.error: BaseException | None = None
         self.links: tuple[str, ...] = ()
+        self.silence = 0.0
         self.snapshots = tuple(snapshots)
         self._times = [snapshot.t for snapshot in self.snapshots]
         self._at = 0
@@ -58,13 +92,7 @@ class RecordedLoop:
 
 
 class OffscreenScene:
-    """All layers of the dashboard's scene, drawn from recorded snapshots.
-
-    Attributes:
-        server: viser's, at a free port of this machine.
-        view: What is to be seen; read at each drawing.
-        scene: The layers.
-    """
+    """All layers of the dashboard's scene, drawn from recorded snapshots."""
 
     def __init__(
         self,
@@ -72,60 +100,40 @@ class OffscreenScene:
         loop: RecordedLoop,
         model: RobotModel,
         clouds: Mapping[str, Cloud],
+        look: Look,
         *,
-        layer: str,
-        dark: bool,
+        labels: bool = True,
     ) -> None:
-        """Send what does not change.
+        """Send what does not change to a server of this scene alone.
 
-        Args:
-            server: Of this scene alone.
-            loop: What is shown.
-            model: The robot.
-            clouds: P_i of every pair of L_m, by the pair's name.
-            layer: One of `LAYERS`, of the border of the first pair of L_m.
-            dark: A dark ground, else a light one.
+        Raises:
+            AssetError: A mesh of the robot is not there.
         """
-        self.server, self._loop = server, loop
+        self._server, self._loop = server, loop
         self._data = SceneData(loop, model, clouds)
-        self.view = View.first(self._data.mobile, [])
-        choose_layer(self.view, layer)
-        self.view.dark = dark
-        set_theme(server.gui, dark=dark)
-        self.scene = Scene(server.scene, self._data, self.view)
+        view = View.first(self._data.mobile, [])
+        choose_layer(view, look.layer)
+        set_theme(server.gui, dark=look.dark)
+        self._scene = Scene(server.scene, self._data, view)
+        self._scene.canvas.labels = labels
 
-    def look(self, preset: str, snapshot: Snapshot) -> None:
-        """Where new viewers look from.
+    def look(self, preset: str, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
+        """Where new viewers look from, at base and hand: eye and target of a key of `PRESETS`."""
+        eye, target = placed(PRESETS[preset], snapshot, self._data.parts.extent)
+        set_first_look(self._server, eye, target)
+        return eye, target
 
-        Args:
-            preset: A key of `app.dashboard.scene.camera.PRESETS`.
-            snapshot: Where base and hand are.
-        """
-        extent = self._data.parts.extent
-        set_first_look(self.server, *placed(PRESETS[preset], snapshot, extent))
-
-    def draw(self, t: float, *, texts: bool = True) -> Snapshot:
-        """Draw the snapshot at a time [s]; trails lead up to it.
-
-        Args:
-            t: [s] of the simulation.
-            texts: Whether labels and trails are due too.
-        """
+    def draw(self, t: float, *, texts: bool = True) -> None:
+        """Draw the snapshot at a time [s], with trails that lead up to it if `texts` are due."""
         snapshot = self._loop.go_to(t)
         self._data.update()
-        self.scene.select_border(snapshot)
-        with self.server.atomic():
-            self.scene.draw(snapshot, texts=texts)
-        return snapshot
+        self._scene.select_border(snapshot)
+        with self._server.atomic():
+            self._scene.draw(snapshot, texts=texts)
 
 
 def choose_layer(view: View, layer: str) -> None:
-    """Colour the borders that are drawn by a layer.
-
-    Args:
-        view: What is to be seen.
-        layer: One of `LAYERS`.
-    """
+    """Colour the borders that are drawn by a layer, one of `LAYERS`."""
     for pair, quantity in view.borders.items():
         if quantity != HIDDEN:
             view.borders[pair] = HIDDEN if layer == "none" else layer
@@ -141,24 +149,81 @@ def own_server() -> Iterator[viser.ViserServer]:
         close_server(server)
 
 
-@contextlib.contextmanager
-def offscreen_scene(
-    loop: RecordedLoop,
+def replay_html(
+    log: Trace,
     model: RobotModel,
     clouds: Mapping[str, Cloud],
+    look: Look,
     *,
-    layer: str,
-    dark: bool,
-) -> Iterator[OffscreenScene]:
-    """A scene with a server of its own, closed at the end; see `OffscreenScene`.
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> str:
+    """A run as one HTML file that plays in any browser, without a server or a network.
+
+    Args:
+        log: What is shown: robot, border, lines, arrows, trails, and a bar to go to any time.
+        model: The robot of the log.
+        clouds: P_i of every pair of L_m, by the pair's name.
+        look: Layer, first view and ground.
+        on_progress: Called now and then with how many seconds of the log are done.
 
     Raises:
         AssetError: A mesh of the robot is not there.
     """
+    begin, end = log.snapshots[0].t, log.snapshots[-1].t
+    pictures = 1 + round((end - begin) * RATE)
     with own_server() as server:
-        yield OffscreenScene(server, loop, model, clouds, layer=layer, dark=dark)
+        scene = OffscreenScene(server, RecordedLoop(log.snapshots), model, clouds, look)
+        scene.look(look.view, log.snapshots[0])
+        scene.draw(begin)
+        recording = server.get_scene_serializer()
+        for k in range(1, pictures):
+            recording.insert_sleep(1.0 / RATE)
+            last = k == pictures - 1
+            scene.draw(begin + k / RATE, texts=last or k % _TEXTS_EVERY == 0)
+            if k % round(RATE) == 0:
+                on_progress(k / RATE)
+        recording.insert_sleep(1.0 / RATE)
+        page = recording.as_html(dark_mode=look.dark)
+    return _titled(page, f"{log.meta.scenario or 'replay'}, {log.snapshots[0].controller}")
 
 
-def address_of(server: viser.ViserServer) -> str:
-    """As to be typed into a browser."""
-    return f"http://{HOST}:{server.get_port()}"
+def _titled(page: str, title: str) -> str:
+    """The page with a title of its own in the browser's tab."""
+    head, begin, rest = page.partition("<title>")
+    _, end, tail = rest.partition("</title>")
+    return f"{head}{begin}{escape(title)}{end}{tail}" if end else page
+
+
+@contextlib.contextmanager
+def own_page(browser: web.Browser, look: Look) -> Iterator[tuple[viser.ViserServer, web.Page]]:
+    """A server, and an empty page for it as large as the pictures; both end."""
+    context = new_context(browser, (look.width, look.height))
+    try:
+        with own_server() as server:
+            yield server, context.new_page()
+    finally:
+        context.close()
+
+
+def send_barrier(server: viser.ViserServer, number: int) -> None:
+    """Send a number after all that was drawn so far, which the page finds at `BARRIER`."""
+    server.scene.add_frame(BARRIER, show_axes=False, position=(float(number), 0.0, 0.0))
+    server.flush()
+
+
+def open_page(page: web.Page, server: viser.ViserServer) -> None:
+    """Open the page of a server and wait until it could draw; drawing is held until a picture."""
+    from playwright.sync_api import Error
+
+    try:
+        page.goto(f"http://{HOST}:{server.get_port()}/?fixedDpr=1")
+        page.wait_for_function("() => dbbPage.ready() && dbbPage.lit()", timeout=1000 * TIMEOUT)
+        page.evaluate("() => dbbPage.hold(true)")
+    except Error as error:
+        raise BrowserError(f"the page does not open: {str(error).splitlines()[0]}") from None
+
+
+def middle(snapshots: Sequence[Snapshot]) -> Snapshot:
+    """A snapshot with the mean place of base and hand of some."""
+    base = np.mean([s.base_pose for s in snapshots], axis=0)
+    return replace(snapshots[0], base_pose=base, p_ee=np.mean([s.p_ee for s in snapshots], axis=0))

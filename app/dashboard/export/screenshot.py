@@ -6,26 +6,31 @@ import io
 import itertools
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-import numpy as np
 import viser
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw
 
 from app.border.cloud import Cloud
-from app.dashboard.export.browser import chromium, new_context
+from app.dashboard.export.browser import chromium
+from app.dashboard.export.labels import INK, label
 from app.dashboard.export.offscreen import (
+    BARRIER,
+    ONLY_SCENE,
+    TIMEOUT,
+    Look,
+    OffscreenScene,
     RecordedLoop,
-    address_of,
     choose_layer,
-    offscreen_scene,
-    own_server,
+    middle,
+    open_page,
+    own_page,
+    send_barrier,
 )
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
 from app.dashboard.panels.help import SEEN
-from app.dashboard.panels.sweep import DEFAULT_FOLDER
+from app.dashboard.panels.save import SWEEPS
 from app.dashboard.scene.scene import SceneData
 from app.dashboard.shared import SharedState
 from app.dashboard.view import Viewpoint
@@ -36,32 +41,8 @@ from app.simulation.trace.snapshot import Snapshot
 if TYPE_CHECKING:
     import playwright.sync_api as web
 
-_BARRIER = "/sent"
-"""Scene node whose place tells the page how much has been sent."""
-_ONLY_SCENE = "body * { visibility: hidden !important; } canvas { visibility: visible !important; }"
-_TIMEOUT = 60.0  # [s] for a page to open or a picture to arrive
 _MOST_LOOKS = 12  # pictures until two in a row are the same
-_BAR = 0.045  # [-] height of a strip's label, of the picture's height
 _numbers = itertools.count(1)
-
-
-class Look(NamedTuple):
-    """What a picture shows.
-
-    Attributes:
-        width, height: [px].
-        layer: What the border is coloured by, one of `app.dashboard.export.offscreen.LAYERS`.
-        view: Where from, a key of `app.dashboard.scene.camera.PRESETS`.
-        dark: A dark ground, else a light one.
-        page: The whole dashboard, else the scene alone.
-    """
-
-    width: int = 1280
-    height: int = 720
-    layer: str = "score"
-    view: str = "iso"
-    dark: bool = True
-    page: bool = False
 
 
 def take_pictures(
@@ -89,14 +70,15 @@ def take_pictures(
         AssetError: A mesh of the robot is not there.
     """
     loop = RecordedLoop(snapshots)
-    context = new_context(browser, (look.width, look.height))
-    try:
-        page = context.new_page()
+    with own_page(browser, look) as (server, page):
         if look.page:
-            return _of_page(page, loop, times, model, clouds, look, viewpoint)
-        return _of_scene(page, loop, times, model, clouds, look)
-    finally:
-        context.close()
+            shared = SharedState(loop, model, clouds, sweeps=SWEEPS)
+            try:
+                return _of_page(page, server, loop, shared, times, look, viewpoint)
+            finally:
+                shared.close()
+        scene = OffscreenScene(server, loop, model, clouds, look)
+        return _of_scene(page, server, loop, scene, times, look)
 
 
 def page_picture(
@@ -126,100 +108,70 @@ def strip(pictures: Sequence[Image.Image], times: Sequence[float], *, dark: bool
     """Pictures of one size side by side, each with its time [s] in its upper left corner."""
     width, height = pictures[0].size
     whole = Image.new("RGB", (width * len(pictures), height))
-    draw = ImageDraw.Draw(whole)
-    size = max(round(_BAR * height), 12)
-    font = ImageFont.load_default(size)
-    ink, ground = ((240, 240, 245), (20, 20, 22)) if dark else ((25, 30, 38), (255, 255, 255))
     for k, (picture, t) in enumerate(zip(pictures, times, strict=True)):
-        whole.paste(picture, (k * width, 0))
-        at = (k * width + size, size // 2)
-        draw.text(
-            at,
-            f"t = {t:g} s",
-            fill=ink,
-            font=font,
-            stroke_width=max(size // 12, 1),
-            stroke_fill=ground,
-        )
+        whole.paste(label(picture.copy(), [f"t = {t:g} s"], dark=dark), (k * width, 0))
         if k:
-            draw.line([(k * width, 0), (k * width, height)], fill=ink, width=1)
+            ImageDraw.Draw(whole).line([(k * width, 0), (k * width, height)], fill=INK[dark])
     return whole
 
 
 def _of_scene(
     page: web.Page,
+    server: viser.ViserServer,
     loop: RecordedLoop,
+    scene: OffscreenScene,
     times: Sequence[float],
-    model: RobotModel,
-    clouds: Mapping[str, Cloud],
     look: Look,
 ) -> list[Image.Image]:
-    with offscreen_scene(loop, model, clouds, layer=look.layer, dark=look.dark) as made:
-        made.look(look.view, _middle([loop.go_to(t) for t in times]))
-        made.draw(times[0])
-        _open(page, made.server)
-        page.add_style_tag(content=_ONLY_SCENE)
-        pictures = []
-        for t in times:
-            made.draw(t)
-            pictures.append(_settled(page, made.server))
-        return pictures
+    scene.look(look.view, middle([loop.go_to(t) for t in times]))
+    scene.draw(times[0])
+    open_page(page, server)
+    page.add_style_tag(content=ONLY_SCENE)
+    pictures = []
+    for t in times:
+        scene.draw(t)
+        pictures.append(_settled(page, server))
+    return pictures
 
 
 def _of_page(
     page: web.Page,
+    server: viser.ViserServer,
     loop: RecordedLoop,
+    shared: SharedState,
     times: Sequence[float],
-    model: RobotModel,
-    clouds: Mapping[str, Cloud],
     look: Look,
     viewpoint: Viewpoint | None,
 ) -> list[Image.Image]:
-    with own_server() as server:
-        shared = SharedState(loop, model, clouds, sweeps=DEFAULT_FOLDER)
-        try:
-            _open(page, server)
-            client = _client_of(server)
-            client.local_storage.set_item(SEEN, "yes")  # no tour for who only takes a picture
-            shown = Page(client, shared, Notifier(server))
-            shown.view.dark = look.dark
-            choose_layer(shown.view, look.layer)
-            if viewpoint is not None:
-                shown.view.take_over(viewpoint.view)
-            pictures = []
-            loop.go_to(times[0])
-            shared.update()
+    open_page(page, server)
+    client = _client_of(server)
+    client.local_storage.set_item(SEEN, "yes")  # no tour for who only takes a picture
+    shown = Page(client, shared, Notifier(server))
+    shown.view.dark = look.dark
+    choose_layer(shown.view, look.layer)
+    if viewpoint is not None:
+        shown.view.take_over(viewpoint.view)
+    pictures = []
+    loop.go_to(times[0])
+    shared.update()
+    shown.draw(texts=True)
+    _settled(page, server)  # from now on it is known what the panels leave of the scene
+    for t in times:
+        loop.go_to(t)
+        shared.update()
+        if viewpoint is None:
+            shown.look(look.view)
+        else:
+            shown.sit(viewpoint.eye, viewpoint.target)
+        for _ in range(2):  # what the first drawing of a panel makes, the second fills
             shown.draw(texts=True)
-            _settled(page, server)  # from now on it is known what the panels leave of the scene
-            for t in times:
-                loop.go_to(t)
-                shared.update()
-                if viewpoint is None:
-                    shown.look(look.view)
-                else:
-                    shown.sit(viewpoint.eye, viewpoint.target)
-                for _ in range(2):  # what the first drawing of a panel makes, the second fills
-                    shown.draw(texts=True)
-                pictures.append(_settled(page, server))
-            return pictures
-        finally:
-            shared.close()
-
-
-def _open(page: web.Page, server: viser.ViserServer) -> None:
-    """Open the page of a server and wait until it can draw."""
-    from playwright.sync_api import Error
-
-    try:
-        page.goto(f"{address_of(server)}/?fixedDpr=1")
-        page.wait_for_function("() => dbbPage.ready()", timeout=1000 * _TIMEOUT)
-    except Error as error:
-        raise BrowserError(f"the page does not open: {str(error).splitlines()[0]}") from None
+        pictures.append(_settled(page, server))
+    return pictures
 
 
 def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
     """The one viewer of a server."""
-    deadline = time.monotonic() + _TIMEOUT
+    deadline = time.monotonic() + TIMEOUT
     while not (clients := server.get_clients()):
         if time.monotonic() > deadline:
             raise BrowserError("the browser's page does not connect")
@@ -230,12 +182,12 @@ def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
 def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
     """The picture when all that was sent is drawn, and nothing changes any more."""
     n = next(_numbers)
-    server.scene.add_frame(_BARRIER, show_axes=False, position=(float(n), 0.0, 0.0))
-    server.flush()
+    send_barrier(server, n)
     page.wait_for_function(
-        "([name, n]) => dbbPage.arrived(name) === n", arg=[_BARRIER, n], timeout=1000 * _TIMEOUT
+        "([name, n]) => dbbPage.arrived(name) === n", arg=[BARRIER, n], timeout=1000 * TIMEOUT
     )
     page.evaluate("() => document.fonts.ready.then(() => 0)")
+    page.evaluate("() => dbbPage.hold(false)")
     before = b""
     for _ in range(_MOST_LOOKS):  # texts of the scene are made after they have arrived
         page.evaluate("n => dbbPage.render(n)", 2)
@@ -243,10 +195,5 @@ def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
         if picture == before:
             break
         before = picture
+    page.evaluate("() => dbbPage.hold(true)")
     return Image.open(io.BytesIO(before)).convert("RGB")
-
-
-def _middle(snapshots: Sequence[Snapshot]) -> Snapshot:
-    """A snapshot with the mean place of base and hand of some."""
-    base = np.mean([s.base_pose for s in snapshots], axis=0)
-    return replace(snapshots[0], base_pose=base, p_ee=np.mean([s.p_ee for s in snapshots], axis=0))

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
+from time import monotonic
 from typing import Any, NamedTuple
 
 import viser
 
 from app.dashboard.notifications import Notifier
+from app.dashboard.panels import Panel
+from app.dashboard.viser_compat import add_sight
 
 TEXT = """
 **Drag the hand** by the arrows at the gripper, or any link of the arm by itself: a person's spring
@@ -35,11 +40,28 @@ robots and yours, *Save* pictures, logs and replays.
 Several people may look at once: each has a view and a place in time of his own; the simulation
 is one, and whoever pulls adds a force.
 """
+_PAUSE = 2.5  # [s] between what was done and the next step
+
+
+class Act(NamedTuple):
+    """What a step of the tour is about, on one viewer's page.
+
+    Attributes:
+        place: The tab that the step stands in; empty for what is above all tabs.
+        show: Does it for the visitor.
+        done: Whether it is done, by whomever.
+    """
+
+    place: str
+    show: Callable[[], None]
+    done: Callable[[], bool]
+
+
 STEPS = (
     (
         "Drag the hand",
-        "Pull one of the arrows at the gripper towards the base: a person's spring "
-        "pulls the hand along. Any link of the arm can be pulled by itself.",
+        "Pull one of the arrows at the gripper towards the base, by mouse or finger: a person's "
+        "spring pulls the hand along. Any link of the arm can be pulled by itself.",
     ),
     (
         "Watch the base",
@@ -48,18 +70,18 @@ STEPS = (
     ),
     (
         "Read why",
-        "The tab **Why** on the left says in words and numbers what moves the base, and "
-        "**Key** what each colour and arrow means.",
+        "Here stands in words and numbers what moves the base. **Key** says what each colour and "
+        "arrow means.",
     ),
     (
         "Go back in time",
-        "The slider below the scene shows the last minute again, with all readings "
-        "and plots. **Now** returns.",
+        "The time line below the scene shows what was, with all readings and plots. Go back a few "
+        "seconds; **Now** returns.",
     ),
     (
-        "Compare and tune",
-        "**Scenario** plays the paper's experiments. **Compare** runs other "
-        "controllers on the same pull, **Tune** has every parameter.",
+        "Compare",
+        "Here other controllers run beside the real one, on the same pull. **Scenario** plays the "
+        "paper's experiments, **Tune** has every parameter.",
     ),
 )
 """Title and text of each step."""
@@ -68,13 +90,7 @@ _PATIENCE = 5.0  # [s] for the browser's answer
 
 
 class Shortcut(NamedTuple):
-    """One command.
-
-    Attributes:
-        label: In the palette.
-        key: That triggers it, or None.
-        action: What it does.
-    """
+    """One command: its label in the palette, its key or None, and what it does."""
 
     label: str
     key: Any
@@ -85,76 +101,93 @@ def add_shortcuts(gui: viser.GuiApi, shortcuts: list[Shortcut], notifier: Notifi
     """Enter the commands into a viewer's palette."""
     for shortcut in shortcuts:
         command = gui.add_command(shortcut.label, hotkey=shortcut.key)
-        command.on_trigger(notifier.guard(lambda _, action=shortcut.action: action()))  # type: ignore[arg-type]
+        command.on_trigger(notifier.guard(lambda _, action=shortcut.action: action()))
 
 
-def keys_text(shortcuts: list[Shortcut]) -> str:
-    """The keys and what they do, as a line of markdown."""
-    return ", ".join(f"`{s.key}` {s.label.lower()}" for s in shortcuts if s.key is not None)
-
-
-def add_help(gui: viser.GuiApi, keys: str) -> None:
-    """Build the tab in the GUI container that is now open.
-
-    Args:
-        gui: Of the viewer.
-        keys: The shortcuts, as text.
-    """
+def add_help(gui: viser.GuiApi, shortcuts: list[Shortcut]) -> None:
+    """Build the tab in the GUI container that is now open."""
+    keys = ", ".join(f"`{s.key}` {s.label.lower()}" for s in shortcuts if s.key is not None)
     gui.add_markdown(TEXT.format(keys=keys))
 
 
-class Tour:
-    """Opens by itself at a first visit, and whenever `begin` is called."""
+class Tour(Panel):
+    """Opens by itself at a first visit, and whenever `begin` is called.
 
-    def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:
-        """Ask the browser whether it has been here before.
+    Each step stands in the panel that it speaks of, and waits until it is done: by the visitor, or
+    for him.
+    """
 
-        Args:
-            client: The viewer.
-            notifier: For what goes wrong.
-        """
-        self._client, self._notifier = client, notifier
-        self._modal: viser.GuiModalHandle | None = None
-        self._step = 0
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        notifier: Notifier,
+    ) -> None:
+        """Ask the browser whether it has been here before, unless a page `before` this has."""
+        super().__init__(client.gui, notifier)
+        self._storage = client.local_storage
+        self._acts: tuple[Act, ...] = ()
+        self._places: Mapping[str, Any] = {}
+        self._card: viser.GuiFolderHandle | None = None
+        self._step = self._wanted = -1  # that is shown, and that is to be
+        self._next_at = math.inf
         threading.Thread(target=self._ask, name="tour", daemon=True).start()
+
+    def lead(self, acts: Sequence[Act], places: Mapping[str, Any]) -> None:
+        """Go on, on a new page, whose acts are those of `STEPS` and whose tabs have these names."""
+        self._acts, self._places = tuple(acts), places
+        self._card, self._step = None, -1
+        self._narrow = add_sight(self._gui, "data-narrow")  # there all steps stand above the tabs
+        self._mark = self._gui.add_html("")  # has the page open the panel in which a step stands
 
     def begin(self) -> None:
         """Show the first step."""
-        self._step = 0
-        self._show()
-
-    def _ask(self) -> None:
-        storage = self._client.local_storage
-        try:
-            seen = storage.get_item(SEEN, timeout=_PATIENCE)
-        except (RuntimeError, TimeoutError):  # gone already, or without storage
-            return
-        if seen is None:
-            storage.set_item(SEEN, "yes")
-            self.begin()
-
-    def _show(self) -> None:
-        self.end()
-        title, text = STEPS[self._step]
-        gui = self._client.gui
-        modal = self._modal = gui.add_modal(f"{self._step + 1} of {len(STEPS)}: {title}")
-        with modal:
-            gui.add_markdown(text)
-            last = self._step + 1 == len(STEPS)
-            self._button("Done" if last else "Next", self.end if last else self._next)
-            if not last:
-                self._button("Skip the tour", self.end)
+        self._wanted = 0
 
     def end(self) -> None:
         """Close it."""
-        if self._modal is not None:
-            self._modal.close()
-            self._modal = None
+        self._wanted = -1
 
-    def _next(self) -> None:
-        self._step += 1
-        self._show()
+    def update(self) -> None:
+        """Show the step that it has come to; called by the thread that draws."""
+        if self._step != self._wanted:
+            self._show(self._wanted)
+        elif self._step >= 0 and self._next_at == math.inf and self._acts[self._step].done():
+            self._next_at = monotonic() + _PAUSE
+            self._said.content = "**Done.**"
+        elif monotonic() > self._next_at:
+            self._go_on()
 
-    def _button(self, label: str, action: Callable[[], None]) -> None:
-        button = self._client.gui.add_button(label)
-        button.on_click(self._notifier.guard(lambda _: action()))  # type: ignore[arg-type]
+    def _go_on(self) -> None:
+        self._wanted = self._step + 1 if self._step + 1 < len(STEPS) else -1
+
+    def _ask(self) -> None:
+        try:
+            seen = self._storage.get_item(SEEN, timeout=_PATIENCE)
+        except (RuntimeError, TimeoutError):  # gone already, or without storage
+            return
+        if seen is None:
+            self._storage.set_item(SEEN, "yes")
+            self.begin()
+
+    def _show(self, step: int) -> None:
+        self._step, self._next_at = step, math.inf
+        if self._card is not None:
+            self._card.remove()
+            self._card = None
+        if step < 0:
+            self._mark.content = ""
+            return
+        (title, text), act = STEPS[step], self._acts[step]
+        name = "" if self._narrow.value else act.place
+        self._mark.content = f'<div data-tour="{name}"></div>'
+        with self._places.get(name, nullcontext()):
+            card = self._gui.add_folder(f"{step + 1} of {len(STEPS)}: {title}", order=-1.0)
+        with card:
+            self._gui.add_markdown(text)
+            self._said = self._gui.add_markdown("")
+            self.button("Show me", lambda _: act.show(), color="blue")
+            last = step + 1 == len(STEPS)
+            self.button("Done" if last else "Next", lambda _: self._go_on(), color="gray")
+            if not last:
+                self.button("Skip the tour", lambda _: self.end(), color="gray")
+        self._card = card

@@ -10,26 +10,17 @@ from app.control.active_bounds import Bound, BoundKind
 AT_REST = (0.01, 0.02)
 """[m/s], [rad/s] below which the base stands still."""
 
-_DIRECTIONS = (
-    "forward",
-    "forward left",
-    "left",
-    "backward left",
-    "backward",
-    "backward right",
-    "right",
-    "forward right",
+_SECTORS = (
+    ("forward", "front"),
+    ("forward left", "front left corner"),
+    ("left", "left side"),
+    ("backward left", "rear left corner"),
+    ("backward", "rear"),
+    ("backward right", "rear right corner"),
+    ("right", "right side"),
+    ("forward right", "front right corner"),
 )
-_PLACES = (
-    "front",
-    "front left corner",
-    "left side",
-    "rear left corner",
-    "rear",
-    "rear right corner",
-    "right side",
-    "front right corner",
-)
+"""Direction and place on the base of the eighths of a turn, from forward to the left."""
 _FROM_OUTSIDE = ("hand", "forearm", "upper arm", "shoulder")
 _TOP = 0.8  # [-] height of a normal from which on it points out of the top, as in activation.py
 
@@ -46,15 +37,9 @@ _BOUNDS: dict[BoundKind, str] = {
 }
 
 
-def bearing_deg(x: float, y: float) -> float:
-    """[°] from forward, left positive, in (-180, 180]; 0 without a direction."""
-    degrees = math.degrees(math.atan2(y, x))
-    return 180.0 if degrees == -180.0 else degrees
-
-
 def angle(x: float, y: float) -> str:
     """A direction in degrees from forward, as in "150° to the left"."""
-    degrees = round(bearing_deg(x, y))
+    degrees = round(math.degrees(math.atan2(y, x)))
     if degrees in (0, 180, -180):
         return f"{abs(degrees)}°"
     return f"{abs(degrees)}° to the {'left' if degrees > 0 else 'right'}"
@@ -62,14 +47,14 @@ def angle(x: float, y: float) -> str:
 
 def direction(x: float, y: float) -> str:
     """A direction in the base's frame, as one of eight: forward, forward left, ..."""
-    return _DIRECTIONS[_sector(x, y)]
+    return _sector(x, y)[0]
 
 
 def place(n: Sequence[float]) -> str:
     """Where on the base something is near, by the unit normal out of the base, in its frame."""
     if abs(n[2]) > _TOP:
         return "top" if n[2] > 0 else "underside"
-    return _PLACES[_sector(n[0], n[1])]
+    return _sector(n[0], n[1])[1]
 
 
 def body(name: str, chain: Sequence[str]) -> str:
@@ -94,18 +79,32 @@ def pair(a: str, b: str, chain: Sequence[str]) -> str:
     return f"{body(b, chain)} – {body(a, chain)}"
 
 
+def spoken(name: str, chain: Sequence[str]) -> str:
+    """A link pair by its name, such as `lm-lEE`."""
+    a, _, b = name.partition("-")
+    return pair(a, b, chain)
+
+
 def bound(reading: Bound, chain: Sequence[str]) -> str:
     """A limit that was met, as in "panda_joint4: torque limit"."""
     where = reading.where
     if reading.kind == "barrier":
-        a, _, b = where.partition("-")
-        where = pair(a, b, chain)
+        where = spoken(where, chain)
     return f"{where}: {_BOUNDS[reading.kind]}"
 
 
 def length(d: float) -> str:
     """A length of metres in whole centimetres, or in millimetres below one."""
     return f"{1000 * d:.0f} mm" if abs(d) < 0.01 else f"{100 * d:.0f} cm"
+
+
+def borne(bound: float) -> str:
+    """What follows a person's force, as in ", the arm bears 62 N"; nothing while no bound is known.
+
+    Args:
+        bound: [N] as in `Snapshot.force_bound`.
+    """
+    return "" if math.isnan(bound) else f", the arm bears {bound:.0f} N"
 
 
 def motion(v: float, w: float, *, ahead: bool, left: float = 0.0) -> str | None:
@@ -117,36 +116,34 @@ def motion(v: float, w: float, *, ahead: bool, left: float = 0.0) -> str | None:
         ahead: Whether what it avoids is not behind it.
         left: [m/s] to the left, of a base that moves sideways.
     """
-    parts = []
-    if abs(left) >= AT_REST[0]:
-        way = direction(v, left)
-        parts.append(f"drives {way} at {math.hypot(v, left):.2f} m/s")
-    elif abs(v) >= AT_REST[0]:
-        back = "backs away" if ahead else "drives backward"
-        parts.append(f"{back if v < 0 else 'drives forward'} at {abs(v):.2f} m/s")
-    if abs(w) >= AT_REST[1]:
-        side = "left" if w > 0 else "right"
-        parts.append(f"turns {side}" + ("" if parts else f" at {math.degrees(abs(w)):.0f}°/s"))
-    return " and ".join(parts) or None
+    speed = f" at {math.hypot(v, left):.2f} m/s"
+    turning = f" at {math.degrees(abs(w)):.0f}°/s"
+    return _moves(v, w, ahead, left, "s", speed, turning)
 
 
 def intention(v_dot: float, w_dot: float, *, ahead: bool, left: float = 0.0) -> str | None:
     """What a base at rest is about to do, as in "back away and turn left"; None if nothing.
 
-    Args:
-        v_dot: [m/s²] asked for.
-        w_dot: [rad/s²] asked for, left positive.
-        ahead: Whether what it avoids is not behind it.
-        left: [m/s²] to the left, of a base that moves sideways.
+    Its arguments are the accelerations [m/s²], [rad/s²] that are asked for, in the place of the
+    velocities of `motion`.
     """
+    return _moves(v_dot, w_dot, ahead, left, "", "", "")
+
+
+def _moves(
+    v: float, w: float, ahead: bool, left: float, s: str, speed: str, turning: str
+) -> str | None:
+    """The parts along and about, the verbs with the ending `s`; the first part has its speed."""
     parts = []
     if abs(left) >= AT_REST[0]:
-        parts.append(f"drive {direction(v_dot, left)}")
-    elif abs(v_dot) >= AT_REST[0]:
-        back = "back away" if ahead else "drive backward"
-        parts.append(back if v_dot < 0 else "drive forward")
-    if abs(w_dot) >= AT_REST[1]:
-        parts.append("turn left" if w_dot > 0 else "turn right")
+        parts.append(f"drive{s} {direction(v, left)}{speed}")
+    elif v <= -AT_REST[0]:
+        parts.append((f"back{s} away" if ahead else f"drive{s} backward") + speed)
+    elif v >= AT_REST[0]:
+        parts.append(f"drive{s} forward{speed}")
+    if abs(w) >= AT_REST[1]:
+        side = "left" if w > 0 else "right"
+        parts.append(f"turn{s} {side}" + ("" if parts else turning))
     return " and ".join(parts) or None
 
 
@@ -164,5 +161,5 @@ def scientific(value: float) -> str:
     return f"{mantissa}·10{power}".replace("-", "−")
 
 
-def _sector(x: float, y: float) -> int:
-    return round(bearing_deg(x, y) / 45.0) % 8
+def _sector(x: float, y: float) -> tuple[str, str]:
+    return _SECTORS[round(math.degrees(math.atan2(y, x)) / 45.0) % 8]

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import math
+import time
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import viser
 from viser import uplot
 
+from app.dashboard.panels import phrases as words
 from app.dashboard.panels.timeline import Timeline
 from app.dashboard.record import Curve, Record
 from app.dashboard.scene.colours import ACTING, PERSON, SERIES, css
 from app.dashboard.view import View
+from app.dashboard.viser_compat import add_sight
 from app.robot.bases.kind import Axis, acceleration_symbol
 from app.robot.model import RobotModel
 from app.simulation.trace.snapshot import Snapshot
@@ -22,6 +26,9 @@ Array = np.ndarray
 LENGTH = 20.0
 """[s] of the axis of time."""
 AHEAD = 5.0  # [s] shown after the instant that a viewer has gone back to
+SPACING = 0.08  # [s] of drawn values, as many as there are pixels
+PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0  # [s] between two pictures of what goes on
+RESTING, STILL = 12, 2e-3  # [-] values, and how far they differ in the units of the plots, at rest
 LINE = 1.6  # [px]
 _BETA = "#8e6bd8"
 _THRESHOLD = "#98a0ab"
@@ -43,7 +50,7 @@ class PlotPlan(NamedTuple):
     """
 
     title: str
-    curves: tuple[Curve, ...]
+    curves: Sequence[Curve]
     colours: tuple[str, ...]
     y_range: Any
     height: int
@@ -52,60 +59,30 @@ class PlotPlan(NamedTuple):
 
 
 def plot_plans(model: RobotModel, names: list[str]) -> list[PlotPlan]:
-    """All plots of a robot.
-
-    Args:
-        model: The robot, for the limits of its torques.
-        names: Link pairs, in the order of the snapshots.
-    """
+    """All plots of a robot; `names` are its link pairs, in the order of the snapshots."""
     axes = model.description.base.axes
-    distances = [Curve(name, lambda s, name=name: distance(s, name)) for name in names]
+    distances = [
+        Curve(words.spoken(name, model.body_names), lambda s, name=name: distance(s, name))
+        for name in names
+    ]
     distances.append(Curve("d_b", lambda s: s.config.border.d_b))
     torques = [
         Curve(f"{i + 1}", lambda s, i=i, most=float(most): s.u_a[i] / most)
         for i, most in enumerate(model.tau_max)
     ]
+    beta = Curve("β_m", lambda s: s.beta_m)
+    avoidance = [_avoidance(i, axis) for i, axis in enumerate(axes)]
+    of_axes = (*_series(len(axes) - 2), css(PERSON), css(ACTING))[-len(axes) :]
+    error = Curve("error", lambda s: 1000.0 * s.ee_error)
+    step = Curve("mean of 1 s", lambda s: s.step_time_us)
+    of_pairs, of_joints = (*_series(len(names)), _THRESHOLD), _series(len(torques))
     return [
-        PlotPlan(
-            "distance [m]",
-            tuple(distances),
-            (*_series(len(names)), _THRESHOLD),
-            _soft(0.0, 0.4),
-            160,
-            dashed=1,
-        ),
-        PlotPlan(
-            "activation β_m",
-            (Curve("β_m", lambda s: s.beta_m),),
-            (_BETA,),
-            (-0.02, 1.05),
-            100,
-            fill=True,
-        ),
-        PlotPlan(
-            "base acceleration of avoidance, β ẍ",
-            tuple(_avoidance(i, axis) for i, axis in enumerate(axes)),
-            (*_series(len(axes) - 2), css(PERSON), css(ACTING))[-len(axes) :],
-            _soft(-1.0, 1.0),
-            125,
-        ),
-        PlotPlan(
-            "torque of joint / its limit", tuple(torques), _series(len(torques)), (-1.05, 1.05), 140
-        ),
-        PlotPlan(
-            "hand off its target [mm]",
-            (Curve("error", lambda s: 1000.0 * s.ee_error),),
-            (_BETA,),
-            _soft(0.0, 5.0),
-            100,
-        ),
-        PlotPlan(
-            "control step [µs]",
-            (Curve("mean of 1 s", lambda s: s.step_time_us),),
-            (css(PERSON),),
-            _soft(0.0, 1000.0),
-            100,
-        ),
+        PlotPlan("distance [m]", distances, of_pairs, _soft(0.0, 0.4), 160, dashed=1),
+        PlotPlan("activation β_m", [beta], (_BETA,), (-0.02, 1.05), 100, fill=True),
+        PlotPlan("base acceleration of avoidance, β ẍ", avoidance, of_axes, _soft(-1.0, 1.0), 125),
+        PlotPlan("torque of joint / its limit", torques, of_joints, (-1.05, 1.05), 140),
+        PlotPlan("hand off its target [mm]", [error], (_BETA,), _soft(0.0, 5.0), 100),
+        PlotPlan("control step [µs]", [step], (css(PERSON),), _soft(0.0, 1000.0), 100),
     ]
 
 
@@ -113,44 +90,43 @@ class Plots:
     """The plots of one viewer; those that are not shown cost nothing."""
 
     def __init__(self, gui: viser.GuiApi, plans: list[PlotPlan], view: View) -> None:
-        """Empty plots in the GUI container that is now open.
-
-        Args:
-            gui: Of the viewer.
-            plans: All plots; their curves are the record's, in order.
-            view: Says which are shown.
-        """
-        self._view = view
+        """Empty plots, whose curves are the record's, in order; the view says which are shown."""
+        self._view, self._sight = view, add_sight(gui)
+        self._drawn: tuple[object, ...] = ()
+        self._due = 0.0
         self._plots = {plan.title: _plot(gui, plan) for plan in plans}
         begins = np.cumsum([1, *(len(plan.curves) for plan in plans)])
         self._columns = {
             plan.title: slice(int(begin), int(begin) + len(plan.curves))
             for plan, begin in zip(plans, begins, strict=False)
         }
-        self._shown: set[str] = set(self._plots)
 
     def update(self, record: Record, timeline: Timeline, shown: Snapshot) -> None:
-        """Show the stretch of time around the snapshot that is shown."""
+        """Show the stretch of time around the snapshot that is shown, if anybody sees it."""
         for title, plot in self._plots.items():
-            if (title in self._view.plots) != (title in self._shown):
-                plot.visible = title in self._view.plots
-        self._shown = set(self._view.plots)
+            plot.visible = title in self._view.plots
+        asked = (record, timeline.live, frozenset(self._view.plots))
+        drawn = (*asked, record.last, shown.t)
+        soon = timeline.live and asked == self._drawn[:3] and time.monotonic() < self._due
+        if not self._sight.value or soon or drawn == self._drawn:
+            return
+        self._drawn = drawn
         until = record.last if timeline.live else min(record.last, shown.t + AHEAD)
         table = record.columns(until, LENGTH)
+        table = table[:, np.diff(np.floor(table[0] / SPACING), prepend=-1.0) > 0.0]
+        now = [table[self._columns[title], -RESTING:] for title in self._view.plots]
+        rests = all(np.ptp(lines, axis=1).max() < STILL for lines in now)
+        period = PERIOD_REST if rests else PERIOD_LIGHT if self._view.light else PERIOD
+        self._due = time.monotonic() + period
         cursor = np.full(table.shape[1], OFF)
         if not timeline.live:
             cursor[int(np.abs(table[0] - shown.t).argmin())] = 1.0
-        for title in self._shown:
+        for title in tuple(self._view.plots):
             self._plots[title].data = (table[0], *table[self._columns[title]], cursor)
 
 
 def distance(snapshot: Snapshot, pair: str) -> float:
-    """[m] signed distance of a pair by its name; not a number where the snapshot has no such pair.
-
-    Args:
-        snapshot: One instant.
-        pair: As in `lm-lEE`.
-    """
+    """[m] signed distance of a pair, such as `lm-lEE`; not a number where there is none."""
     return next((reading.d for reading in snapshot.pairs if reading.name == pair), math.nan)
 
 

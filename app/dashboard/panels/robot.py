@@ -1,22 +1,53 @@
-"""Tab "Robot": which robot is simulated, and the report of one that was built here."""
+"""Tab "Robot": which robot is simulated, and a new one made of an uploaded zip."""
 
 from __future__ import annotations
 
 import re
 from html import escape
+from typing import Any
 
 import viser
 
-from app.dashboard.job import Progress
+from app.dashboard.job import Job, Progress
 from app.dashboard.markup import banner, problem, small
 from app.dashboard.notifications import Notifier
-from app.dashboard.panels.new_robot import NewRobotPanel
-from app.dashboard.panels.widgets import renew, renew_bar
-from app.dashboard.robot_switch import RobotEntry
+from app.dashboard.panels import Panel
+from app.dashboard.robots import Package, RobotBuild, RobotEntry
 from app.dashboard.shared import SharedState
+from app.dashboard.viser_compat import taken_upload
 from app.errors import AssetError, ConfigError
-from app.robot.assets import robot_folder
+from app.onboarding.read.package import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
+from app.onboarding.request import BOUNDS, NAME, OF_KIND, Request, check_request, option
+from app.robot.assets import robot_folder, user_robots
+from app.robot.description import KINDS
 
+FIND = "(find them)"
+"""Choice of no wheels: they are looked for."""
+_WHEEL = "Joint of a driven wheel; of a car-like base, of a rear one"
+_QUESTIONS = {
+    "file": ("URDF", "Which of the zip's URDFs"),
+    "out": ("Name", "Letters, digits and _"),
+    "base": ("Base link", "Moves with the base, z up"),
+    "tip": ("Tip link", "Carries the end-effector"),
+    "kind": ("Base", "How the base drives"),
+    "left": ("Left wheel", _WHEEL),
+    "right": ("Right wheel", _WHEEL),
+    "half_track": ("Half track [m]", "Effective; 0 measures it between the wheels"),
+    "wheel_radius": (
+        "Wheel radius [m]",
+        "Only for a base whose URDF has no wheels, with its half track; else 0",
+    ),
+    "wheelbase": ("Wheelbase [m]", "0 measures it to the steered wheels"),
+    "steering_limit": ("Steering limit [rad]", "To either side; 0 takes the URDF's"),
+    "assume_inertia": (
+        "Assume masses",
+        "From volumes, where the arm's URDF states none at all",
+    ),
+}
+"""Label and hint by the field of `Request`; `wheels` is asked for as two."""
+_WHEELS = "“Left wheel” and “Right wheel”"
+_CHOICES = {"kind": tuple(KINDS), "left": (FIND,), "right": (FIND,)}
+"""Of the questions that have them before there is a zip."""
 _STYLE = (
     "<style>.dbb-report table{border-collapse:collapse;width:100%;font-size:.82em}"
     ".dbb-report th,.dbb-report td{text-align:left;vertical-align:top;padding:.2em .7em .2em 0;"
@@ -28,51 +59,12 @@ _STYLE = (
 )
 
 
-def show_report(client: viser.ClientHandle, name: str, notifier: Notifier) -> None:
-    """Open it over the page, with a button to keep it as a file.
-
-    Args:
-        client: The viewer.
-        name: Of the robot.
-        notifier: For what goes wrong.
-
-    Raises:
-        AssetError: The robot has none.
-    """
-    path = robot_folder(name) / "report.html"
-    if not path.is_file():
-        raise AssetError(f"{name}: there is no report {path}")
-    page = path.read_text(encoding="utf-8")
-    modal = client.gui.add_modal(f"How {name} was made")
-    with modal:
-        keep = client.gui.add_button("Keep as a file", icon=viser.Icon.DOWNLOAD, color="gray")
-        client.gui.add_html(report_html(page))
-        shut = client.gui.add_button("Close")
-
-    def send(_: viser.GuiEvent) -> None:
-        client.send_file_download(f"{name}-report.html", page.encode(), save_immediately=True)
-
-    keep.on_click(notifier.guard(send))  # type: ignore[arg-type]
-    shut.on_click(notifier.guard(lambda _: modal.close()))  # type: ignore[arg-type]
-
-
-def report_html(page: str) -> str:
-    """The report's content, without what belongs to a page of its own."""
-    body = re.search(r"<body[^>]*>(.*)</body>", page, re.DOTALL)
-    return f'{_STYLE}<div class="dbb-report">{body[1] if body else ""}</div>'
-
-
-class RobotPanel:
+class RobotPanel(Panel):
     """A list of the robots; what one viewer chooses, all see."""
 
     def __init__(self, gui: viser.GuiApi, shared: SharedState, notifier: Notifier) -> None:
-        """Build the tab in the GUI container that is now open.
-
-        Args:
-            gui: Of the viewer.
-            shared: Simulation, parameters and the change of the robot.
-            notifier: For what goes wrong.
-        """
+        """Build the tab."""
+        super().__init__(gui, notifier)
         self._shared, self._switch = shared, shared.robot_switch
         self._entries: list[RobotEntry] = []
         self._list = gui.add_dropdown(
@@ -81,54 +73,59 @@ class RobotPanel:
             hint="Those in robot_assets and in your own folder; what one viewer chooses, all see.",
         )
         self._about = gui.add_html("")
-        self._use = gui.add_button("Use this robot", icon=viser.Icon.ROBOT)
-        self._cancel = gui.add_button("Cancel", icon=viser.Icon.X, color="gray", visible=False)
-        self._report = gui.add_button("Report", icon=viser.Icon.REPORT, color="gray")
-        self._bar = gui.add_progress_bar(0.0, animated=True, visible=False)
-        self._status = gui.add_html("")
-        for handle, callback in (
-            (self._use, lambda _: self._begin()),
-            (self._cancel, lambda _: self._switch.cancel()),
-            (self._report, lambda event: show_report(event.client, self._name(), notifier)),
-        ):
-            handle.on_click(notifier.guard(callback))  # type: ignore[arg-type]
+        self._use = self.button("Use this robot", self._begin, viser.Icon.ROBOT)
+        self._report = self.button("Report", self._show_report, viser.Icon.REPORT, color="gray")
+        self.status = JobStatus(gui, self._switch, notifier)
         self._renew_list()
         self._choose(shared.model.description.name)
-        self._own = NewRobotPanel(gui, shared.robot_build, notifier)
+        self.own = NewRobotPanel(gui, shared.robot_build, notifier)
         self.update()
 
     def update(self) -> None:
-        """Renew list, texts and progress; what has not changed is not sent."""
+        """Renew list, texts and progress."""
         if self._switch.entries is not self._entries:
             self._renew_list()
-        progress, chosen = self._switch.progress, self._chosen()
+        chosen, progress = self._chosen(), self._switch.progress
         here = chosen is not None and chosen.name == self._shared.model.description.name
         ended = self._shared.loop.error is not None  # then the same robot can be had again
         usable = chosen is not None and chosen.problem is None and (ended or not here)
-        renew(self._about, "content", about_html(chosen, here=here) if chosen else "")
-        renew(self._use, "disabled", progress is not None or not usable)
-        renew(self._cancel, "visible", progress is not None)
-        renew(self._report, "visible", chosen is not None and chosen.report)
-        renew_bar(self._bar, progress)
-        renew(self._status, "content", status_html(progress, self._switch.problem))
-        self._own.update()
+        self._about.content = about_html(chosen, here=here) if chosen else ""
+        self._use.disabled = progress is not None or not usable
+        self._report.visible = chosen is not None and chosen.report
+        reason = self._switch.problem
+        self.status.update(f"{problem(reason)}. Nothing has changed." if reason else "")
+        self.own.update()
 
-    def _begin(self) -> None:
-        shared = self._shared
+    def _begin(self, _: viser.GuiEvent) -> None:
+        shared, chosen = self._shared, self._chosen()
         self._switch.begin(
-            self._name(), shared.tuning.config, shared.loop.latest().controller, shared.loop
+            chosen.name if chosen else "",
+            shared.tuning.config,
+            shared.loop.latest().controller,
+            shared.loop,
         )
 
-    def _name(self) -> str:
-        """Of the robot that is chosen in the list.
-
-        Raises:
-            ConfigError: A program has sent a word that is not in it.
-        """
-        chosen = self._chosen()
-        if chosen is None:
-            raise ConfigError("choose a robot from the list")
-        return chosen.name
+    def _show_report(self, event: viser.GuiEvent) -> None:
+        """Open the robot's report over the page, with a button to keep it as a file."""
+        chosen, client = self._chosen(), event.client
+        name = chosen.name if chosen else ""
+        path = robot_folder(name) / "report.html"
+        if client is None or not path.is_file():
+            raise AssetError(f"{name}: there is no report {path}")
+        page = path.read_text(encoding="utf-8")
+        modal = client.gui.add_modal(f"How {name} was made")
+        over = Panel(client.gui, self._notifier)
+        with modal:
+            over.button(
+                "Keep as a file",
+                lambda _: client.send_file_download(
+                    f"{name}-report.html", page.encode(), save_immediately=True
+                ),
+                viser.Icon.DOWNLOAD,
+                color="gray",
+            )
+            client.gui.add_html(report_html(page))
+            over.button("Close", lambda _: modal.close())
 
     def _chosen(self) -> RobotEntry | None:
         return next((each for each in self._entries if each.label == self._list.value), None)
@@ -139,21 +136,159 @@ class RobotPanel:
                 self._list.value = entry.label
 
     def _renew_list(self) -> None:
-        chosen = next((e.name for e in self._entries if e.label == self._list.value), "")
+        chosen = self._chosen()
         self._entries = self._switch.entries
         self._list.options = tuple(entry.label for entry in self._entries) or ("",)
-        self._choose(self._shared.robot_build.built or chosen)
+        self._choose(self._shared.robot_build.built or (chosen.name if chosen else ""))
+
+
+class NewRobotPanel(Panel):
+    """Folder "Your own robot": upload, the questions that a URDF leaves open, and the work."""
+
+    def __init__(self, gui: viser.GuiApi, build: RobotBuild, notifier: Notifier) -> None:
+        """Build the folder; what was uploaded and is built is common to all viewers."""
+        super().__init__(gui, notifier)
+        self._build, self._package = build, None
+        self._shown_urdf = ""
+        with gui.add_folder("Your own robot", expand_by_default=False):
+            gui.add_html(upload_html())
+            self.uploads = self.upload(
+                "Upload a zip", self._receive, mime_type=".zip,application/zip"
+            )
+            self.status = JobStatus(gui, build, notifier)
+            self.fields = {name: _field(gui, name) for name in _QUESTIONS}
+            self._make = self.button(
+                "Make it", lambda _: build.build(self.request()), viser.Icon.HAMMER, visible=False
+            )
+        self.update()
+
+    def update(self) -> None:
+        """Renew questions, texts and progress."""
+        package, progress = self._build.package, self._build.progress
+        if package is not self._package:
+            self._package = package
+            if package is not None:
+                self._ask(package)
+        if package is not None and self.fields["file"].value != self._shown_urdf:
+            self._ask_of_urdf(package)
+        asks = package is not None and progress is None
+        for name, field in self.fields.items():
+            field.visible = asks and self._suits(name)
+        self._make.visible = asks
+        self.uploads.disabled = progress is not None
+        self.status.update(outcome_html(self._build))
+
+    def request(self) -> Request:
+        """What the fields say.
+
+        Raises:
+            ConfigError: They do not go together.
+        """
+        package = self._package
+        if package is None:
+            raise ConfigError("upload a zip first")
+        value = {name: field.value for name, field in self.fields.items()}
+        if not NAME.fullmatch(value["out"]):  # before it becomes a part of a path
+            raise ConfigError("a name is a letter, then letters, digits and _ only")
+        left, right = (
+            value[name] if self._suits(name) and value[name] != FIND else ""
+            for name in ("left", "right")
+        )
+        if bool(left) != bool(right):
+            raise ConfigError("choose both wheels, or let both be found")
+        numbers: dict[str, Any] = {
+            name: float(value[name])
+            for name in _QUESTIONS
+            if name in BOUNDS and self._suits(name) and value[name]
+        }
+        request = Request(
+            str(package.archive),
+            value["base"],
+            value["tip"],
+            user_robots() / value["out"],
+            wheels=(left, right) if left else None,
+            kind=value["kind"],
+            assume_inertia=value["assume_inertia"],
+            file=value["file"],
+            **numbers,
+        )
+        try:
+            check_request(request)
+        except ConfigError as error:
+            raise ConfigError(in_words(str(error))) from None
+        return request
+
+    def _receive(self, event: viser.GuiEvent) -> None:
+        file = taken_upload(event.target)
+        self._build.receive(file.name, file.content)
+
+    def _suits(self, name: str) -> bool:
+        """Whether a question is one for the kind of base, and the zip, that is chosen."""
+        kind = self.fields["kind"].value
+        if name in ("left", "right"):
+            return kind != "holonomic"
+        if name == "file":
+            return self._package is not None and len(self._package.urdfs) > 1
+        return OF_KIND.get(name, kind) == kind
+
+    def _ask(self, package: Package) -> None:
+        self._shown_urdf = ""  # one of the same path may have other links
+        self.fields["file"].options = tuple(package.urdfs)
+        self.fields["out"].value = robot_name(package.archive.stem)
+
+    def _ask_of_urdf(self, package: Package) -> None:
+        """The links of the URDF that is chosen; the first guess is to be confirmed."""
+        self._shown_urdf = self.fields["file"].value
+        contents = package.urdfs.get(self._shown_urdf)
+        if contents is None:  # a choice of the zip before
+            return
+        for name, options, guess in (
+            ("base", contents.links, contents.root),
+            ("tip", contents.links, contents.last),
+            ("left", (FIND, *contents.endless), FIND),
+            ("right", (FIND, *contents.endless), FIND),
+        ):
+            self.fields[name].options = options
+            self.fields[name].value = guess
+
+
+class JobStatus(Panel):
+    """How far a job is, or how it ended, and a button that cancels it."""
+
+    def __init__(self, gui: viser.GuiApi, job: Job, notifier: Notifier) -> None:
+        """Add the widgets."""
+        super().__init__(gui, notifier)
+        self._job = job
+        self.text = gui.add_html("")
+        self._bar = gui.add_progress_bar(0.0, animated=True, visible=False)
+        self._cancel = self.button(
+            "Cancel", lambda _: job.cancel(), viser.Icon.X, color="gray", visible=False
+        )
+
+    def update(self, idle: str) -> None:
+        """Show the progress, or HTML while nothing is under way."""
+        progress = self._job.progress
+        if progress is not None:
+            idle = f"<b>{escape(progress.title)}</b>: {escape(how_far(progress))} …"
+            self._bar.value = round(100.0 * max(progress.share, 0.0), 1)
+        self.text.content = small(idle) if idle else ""
+        self._bar.visible = progress is not None and progress.share >= 0.0
+        self._cancel.visible = progress is not None
+
+
+def how_far(progress: Progress) -> str:
+    """What is being done, with its share if anybody knows it."""
+    return progress.text + (f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else "")
 
 
 def switch_html(progress: Progress | None) -> str:
     """What stands above all tabs while another robot is being made ready; empty if none is."""
     if progress is None:
         return ""
-    share = f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else ""
     return banner(
         "notice",
         f"{progress.title} is being made ready",
-        f"{progress.text}{share}. The robot that is shown goes on until then.",
+        f"{how_far(progress)}. The robot that is shown goes on until then.",
     )
 
 
@@ -165,14 +300,66 @@ def about_html(entry: RobotEntry, *, here: bool) -> str:
     if entry.own:
         lines.append("One of your own.")
     if entry.problem is not None:
-        lines.append(f'<span style="color:#e8590c">{escape(entry.problem)}</span>')
+        lines.append(problem(entry.problem))
     return small("<br>".join(lines))
 
 
-def status_html(progress: Progress | None, reason: str) -> str:
-    """What is going on, or why the last change failed."""
-    if progress is not None:
-        return small(f"{escape(progress.title)}: {escape(progress.text)} …")
-    if reason:
-        return small(f"{problem(reason)}. Nothing has changed.")
+def report_html(page: str) -> str:
+    """The report's content, without what belongs to a page of its own."""
+    body = re.search(r"<body[^>]*>(.*)</body>", page, re.DOTALL)
+    return f'{_STYLE}<div class="dbb-report">{body[1] if body else ""}</div>'
+
+
+def upload_html() -> str:
+    """What may be uploaded, and where the robot will be."""
+    return small(
+        f"A zip with a URDF and its meshes: at most {LARGEST_ARCHIVE / 1e6:.0f} MB, "
+        f"{MOST_FILES} files, {LARGEST_CONTENT / 1e6:.0f} MB expanded. Nothing in it is executed; "
+        "a xacro has to be expanded first. What is made of it, a description, its border and a "
+        f"report, is kept in<br><code>{escape(str(user_robots()))}</code>"
+    )
+
+
+def outcome_html(build: RobotBuild) -> str:
+    """How the last work on a zip ended, and what to do next."""
+    if build.problem:
+        return problem(in_words(build.problem))
+    if build.built:
+        return (
+            f"<b>{escape(build.built)}</b> is made: it is in the list above, with its report. "
+            "“Use this robot” shows it."
+        )
+    if build.package is not None:
+        count = len(build.package.urdfs)
+        what = "a URDF" if count == 1 else f"{count} URDFs"
+        return f"<b>{escape(build.package.archive.name)}</b> holds {what}. Which links?"
     return ""
+
+
+def in_words(text: str) -> str:
+    """What is said of options, said of the questions that stand for them here."""
+    named = {
+        option(name): f"“{label.partition(' [')[0]}”" for name, (label, _) in _QUESTIONS.items()
+    }
+    named |= {"--wheels LEFT RIGHT": _WHEELS, "--wheels": _WHEELS}
+    longest = sorted(named, key=len, reverse=True)
+    pattern = "|".join(rf"{re.escape(name)}(?![\w-])" for name in longest)
+    return re.sub(pattern, lambda found: named[found[0]], text)
+
+
+def robot_name(stem: str) -> str:
+    """A name that a robot may have, from that of a file."""
+    name = re.sub(r"\W+", "_", stem, flags=re.ASCII).strip("_").lower()
+    return name if name[:1].isalpha() else f"robot_{name}".rstrip("_")
+
+
+def _field(gui: viser.GuiApi, name: str) -> Any:
+    """The widget of a question."""
+    label, hint = _QUESTIONS[name]
+    if name in BOUNDS:
+        return gui.add_number(label, 0.0, min=0.0, max=BOUNDS[name].high, step=0.001, hint=hint)
+    if name == "out":
+        return gui.add_text(label, "", hint=hint)
+    if name == "assume_inertia":
+        return gui.add_checkbox(label, False, hint=hint)
+    return gui.add_dropdown(label, _CHOICES.get(name, ("",)), hint=hint)

@@ -1,45 +1,40 @@
-"""Time line: which instant a viewer sees, of the last 60 s, and the panel to choose it."""
+"""Time line: which instant a viewer sees, and the bar along the page's edge to choose it."""
 
 from __future__ import annotations
 
-import math
+import threading
+from typing import Any
 
-import viser
-
+from app.dashboard.channel import Channel
 from app.dashboard.drag import Sink
-from app.dashboard.notifications import Notifier
-from app.dashboard.panels.widgets import renew
+from app.dashboard.record import BIN, KEPT, Event, Strip
 from app.errors import LogError
 from app.simulation.loop.commands import Pause, StepOnce
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
 
-REACH = 60.0
-"""[s] how far back a viewer can look."""
 FRAME = 0.02
 """[s] between two snapshots."""
-WIDTH = 520  # [px]
-_STEPS = {"−1 s": -1.0, "−20 ms": -FRAME, "+20 ms": FRAME, "+1 s": 1.0}
-_PAUSE, _NOW = "Stop / go", "Now"
-_MARKS = ("Mark begin", "Mark end", "No marks")
+MOST_MARKED = 300.0
+"""[s] of a marked interval, all of whose snapshots are kept for one viewer."""
 
 
 class Timeline:
     """The place of one viewer in time; the simulation does not notice.
 
+    Any thread may call any of the methods.
+
     Attributes:
         begin, end: [s] the marked interval; None if it is not marked.
     """
 
-    def __init__(self, loop: LoopHandle) -> None:
-        """Begin with now.
-
-        Args:
-            loop: Gives the newest snapshot and those of the last 60 s.
-        """
-        self._loop = loop
+    def __init__(self, loop: LoopHandle, strip: Strip) -> None:
+        """Begin with now; the loop has every snapshot of the last 60 s, the strip older ones."""
+        self._loop, self._strip = loop, strip
         self._shown: Snapshot | None = None
-        self._reference = 0.0
+        self._newest = -1.0
+        self._marked: list[Snapshot] = []
+        self._lock = threading.RLock()
         self.begin: float | None = None
         self.end: float | None = None
 
@@ -49,109 +44,120 @@ class Timeline:
         return self._shown is None
 
     def shown(self) -> Snapshot:
-        """The snapshot to be drawn; after a restart of the simulation always the newest."""
-        newest = self._loop.latest()
-        if self._shown is not None and newest.t < self._shown.t:
-            self.go_live()
-        if self.begin is not None and newest.t < self.begin:
-            self.begin = self.end = None
-        return newest if self._shown is None else self._shown
+        """The snapshot to be drawn; after a restart of the simulation always the newest.
 
-    def look_back(self, seconds: float) -> None:
-        """Show what was so many seconds before the instant at which the viewer stopped.
-
-        Args:
-            seconds: [s] 0 goes to that instant, not to now.
+        An interval whose end is marked outlives the restart, until another one is marked.
         """
-        if self._shown is None:
-            self._reference = self._loop.latest().t
-        self._go_to(self._reference - min(max(seconds, 0.0), REACH))
+        newest = self._loop.latest()
+        with self._lock:
+            if newest.t < self._newest:
+                self.go_live()
+                if self.end is None:
+                    self.unmark()
+            self._newest = newest.t
+            if self.begin is not None and self.end is None:
+                self._hold()
+            return self._shown or newest
+
+    def go_to(self, t: float) -> None:
+        """Show the snapshot that is nearest to a time [s]."""
+        self.show(min(self._kept(), key=lambda snapshot: abs(snapshot.t - t)))
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Show this one, which has been published before."""
+        self._shown = snapshot
 
     def step(self, seconds: float) -> None:
         """Go on (or back, if negative) by so many seconds, within what is kept."""
-        self._go_to(self.shown().t + seconds)
+        self.go_to(self.shown().t + seconds)
 
     def go_live(self) -> None:
         """Show the newest snapshot again, from now on."""
         self._shown = None
 
-    @property
-    def back(self) -> float:
-        """[s] how far back the viewer is, as `look_back` takes it."""
-        return 0.0 if self._shown is None else max(self._reference - self._shown.t, 0.0)
-
     def mark_begin(self) -> None:
-        """The marked interval begins at the instant that is shown."""
-        self.begin = self.shown().t
-        if self.end is not None and self.end <= self.begin:
+        """The marked interval begins at the instant that is shown; its end is open."""
+        with self._lock:
+            self.begin, end = self.shown().t, self.end
             self.end = None
+            self._marked = [s for s in self._kept() if s.t >= self.begin]
+            if end is not None and end > self.begin:
+                self._cut(end)
 
     def mark_end(self) -> None:
-        """The marked interval ends at the instant that is shown."""
-        self.end = self.shown().t
-        if self.begin is not None and self.begin >= self.end:
-            self.begin = None
+        """The marked interval ends at the instant that is shown.
+
+        Where no earlier begin is marked it begins with what is kept.
+        """
+        with self._lock:
+            at = self.shown().t
+            if self.begin is None or self.begin >= at:
+                self._marked = self._kept()
+                self.begin = min(self._marked[0].t, at)
+            elif self.end is None:
+                self._hold()
+            else:
+                self._marked = [s for s in self._kept() if s.t >= self.begin] or self._marked
+            self._cut(at)
+
+    def unmark(self) -> None:
+        """No interval is marked."""
+        with self._lock:
+            self.begin = self.end = None
+            self._marked = []
 
     def interval(self) -> list[Snapshot]:
-        """The snapshots of the marked interval, or all that are kept, oldest first.
+        """The snapshots of the marked interval, or all of the last 60 s, oldest first.
 
         Raises:
-            LogError: Nothing of the interval is kept any more.
+            LogError: There is a single one, of which there is nothing to tell.
         """
-        kept = self._loop.history(-1.0)
-        low = -1.0 if self.begin is None else self.begin
-        high = kept[-1].t if self.end is None else self.end
-        marked = [snapshot for snapshot in kept if low - 1e-9 <= snapshot.t <= high + 1e-9]
-        if not marked:
-            raise LogError(
-                f"the marked interval ended at {high:.1f} s, and only the last {REACH:.0f} s are "
-                f"kept, from {kept[0].t:.1f} s on: mark another"
-            )
-        return marked
+        self.shown()
+        with self._lock:
+            found = list(self._marked) if self.begin is not None else self._loop.history(-1.0)
+        if len(found) < 2:
+            raise LogError("the marked interval is a single instant: mark a begin and a later end")
+        return found
 
-    def _go_to(self, t: float) -> None:
+    def _kept(self) -> list[Snapshot]:
+        """All there is to look at, older ones thinned."""
         kept = self._loop.history(-1.0)
-        if self._shown is None:
-            self._reference = kept[-1].t
-        self._shown = min(kept, key=lambda snapshot: abs(snapshot.t - t))
-        self._reference = max(self._reference, self._shown.t)
+        return [*(s for s in tuple(self._strip.past) if s.t < kept[0].t), *kept]
+
+    def _hold(self) -> None:
+        """Keep what is new of an interval whose end is open; a long one ends by itself."""
+        self._marked += self._loop.history(self._marked[-1].t)
+        if self.begin is not None and self._marked[-1].t - self.begin > MOST_MARKED:
+            self._cut(self.begin + MOST_MARKED)
+
+    def _cut(self, end: float) -> None:
+        """Let the interval end at a time [s]."""
+        self.end = end
+        self._marked = [s for s in self._marked if s.t <= end + 1e-9]
 
 
 class TimelinePanel:
-    """Slider and buttons over one viewer's place in time."""
+    """The bar of one viewer's page, drawn by the page's own script over the whole width."""
 
-    def __init__(
-        self, gui: viser.GuiApi, timeline: Timeline, sink: Sink, notifier: Notifier
-    ) -> None:
-        """Open the panel, floating under the scene.
-
-        Args:
-            gui: Of the viewer.
-            timeline: What is moved.
-            sink: Where commands go.
-            notifier: For what goes wrong.
-        """
-        self._timeline, self._sink = timeline, sink
-        self._set = 0.0
+    def __init__(self, channel: Channel, timeline: Timeline, sink: Sink, strip: Strip) -> None:
+        """Open it; commands go to the sink."""
+        self._channel, self._timeline, self._sink, self._strip = channel, timeline, sink, strip
         self._newest: Snapshot | None = None
-        panel = gui.add_panel()
-        with panel.add_tab("Time line", viser.Icon.HISTORY):
-            self._text = gui.add_html("")
-            self._slider = gui.add_slider(
-                "Back [s]",
-                min=-REACH,
-                max=0.0,
-                step=FRAME,
-                initial_value=0.0,
-                hint="Shows the scene, readings and plots as they were; the simulation goes on.",
-            )
-            back, on = tuple(_STEPS)[:2], tuple(_STEPS)[2:]
-            go = gui.add_button_group("Go", (*back, _PAUSE, *on, _NOW))
-            marks = gui.add_button_group("Interval", _MARKS)
-        panel.float(x=12, y=-12, width=WIDTH)
-        self._slider.on_update(notifier.guard(self._slide))  # type: ignore[arg-type]
-        go.on_click(notifier.guard(self._press))  # type: ignore[arg-type]
-        marks.on_click(notifier.guard(self._mark))  # type: ignore[arg-type]
+        self._sent: tuple[int, int] = (-1, 0)
+        self._events: dict[int, Event] = {}
+        self._state: list[Any] = []
+        for word, act in {
+            "go": lambda t: timeline.go_to(float(t)),
+            "step": lambda seconds: self.step(float(seconds)),
+            "pause": self._toggle_pause,
+            "now": timeline.go_live,
+            "nearest": lambda: self._jump(strip.nearest),
+            "pull": lambda: self._jump(strip.hardest),
+            "begin": timeline.mark_begin,
+            "end": timeline.mark_end,
+            "unmark": timeline.unmark,
+        }.items():
+            channel.on(word, act)
 
     def step(self, seconds: float) -> None:
         """Go on or back; where time stands still at now, one step on is simulated."""
@@ -163,52 +169,32 @@ class TimelinePanel:
             self._timeline.step(seconds)
 
     def update(self, newest: Snapshot, shown: Snapshot) -> None:
-        """Renew text and slider."""
-        self._newest = newest
-        renew(self._text, "content", time_html(newest, shown, self._timeline))
-        back = -round(self._timeline.back / FRAME) * FRAME
-        if abs(back - self._slider.value) > 0.5 * FRAME:
-            self._set = back
-            self._slider.value = back
+        """Send what is new: rows, events, and where the viewer is."""
+        self._newest, strip, line = newest, self._strip, self._timeline
+        runs, closed = self._sent
+        if runs != strip.runs:
+            closed, self._events = 0, {}
+            self._channel.tell("clear", KEPT, BIN)
+        if fresh := strip.closed - closed:
+            rows = list(strip.rows)[-fresh:]
+            self._channel.tell("rows", [[round(x, 3) for x in row] for row in rows])
+        self._sent = strip.runs, strip.closed
+        events = dict(strip.events)
+        new = [(k, *each) for k, each in events.items() if self._events.get(k) != each]
+        if new:
+            self._channel.tell("events", new)
+        self._events = events
+        marks = [None if x is None else round(x, 3) for x in (line.begin, line.end)]
+        times = [round(newest.t, 3), round(shown.t, 3), *marks]
+        state = [*times, line.live, newest.paused, shown.config.border.d_b]
+        if state != self._state:
+            self._state = state
+            self._channel.tell("state", *state)
 
-    def _slide(self, event: viser.GuiEvent) -> None:
-        value = event.target.value
-        if not isinstance(value, (int, float)) or not math.isfinite(value):
-            return  # the server does not check what a client sends
-        if abs(value - self._set) < 0.5 * FRAME:  # set by `update`
-            return
-        self._set = value
-        self._timeline.look_back(-value)
+    def _jump(self, to: Snapshot | None) -> None:
+        if to is None:
+            raise LogError("nobody has pulled the robot yet")
+        self._timeline.show(to)
 
-    def _press(self, event: viser.GuiEvent) -> None:
-        choice = event.target.value
-        if choice == _NOW:
-            self._timeline.go_live()
-        elif choice == _PAUSE:
-            self._sink.send(Pause(self._newest is None or not self._newest.paused))
-        elif choice in _STEPS:
-            self.step(_STEPS[choice])
-
-    def _mark(self, event: viser.GuiEvent) -> None:
-        begin, end, neither = _MARKS
-        if event.target.value == begin:
-            self._timeline.mark_begin()
-        elif event.target.value == end:
-            self._timeline.mark_end()
-        elif event.target.value == neither:  # a program may send any word
-            self._timeline.begin = self._timeline.end = None
-
-
-def time_html(newest: Snapshot, shown: Snapshot, timeline: Timeline) -> str:
-    """Which instant is shown, and which interval is marked."""
-    state = "paused" if newest.paused else "running"
-    where = "now" if timeline.live else f"{newest.t - shown.t:.2f} s ago"
-    begin = "…" if timeline.begin is None else f"{timeline.begin:.2f}"
-    end = "…" if timeline.end is None else f"{timeline.end:.2f}"
-    marked = timeline.begin is not None or timeline.end is not None
-    mark = f"marked {begin} to {end} s" if marked else "no interval marked"
-    return (
-        '<div style="display:flex;justify-content:space-between;padding:.2em .8em;font-size:.85em;'
-        f'font-variant-numeric:tabular-nums"><b>t = {shown.t:.2f} s, {where}</b>'
-        f'<span style="opacity:.65">{mark}, {state}</span></div>'
-    )
+    def _toggle_pause(self) -> None:
+        self._sink.send(Pause(self._newest is None or not self._newest.paused))

@@ -1,23 +1,37 @@
-"""Tab "Tune": all parameters in folders, made from the configuration's records, and as a file."""
+"""Tab "Tune": widgets of all parameters, made from the configuration's records, and files of them.
+
+What a viewer sets is checked, and what others set is shown.
+"""
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from collections.abc import Callable, Iterable
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import viser
 
-from app.config import Config, sections
+from app.config import sections, tunable
 from app.config_file import decode_config, save_config
 from app.dashboard.markup import FAINT, cell, row, small, table
 from app.dashboard.notifications import Notifier
-from app.dashboard.panels.parameter_widgets import ParameterWidgets
-from app.dashboard.tuning import Tuning
+from app.dashboard.panels import Panel
+from app.dashboard.shared import Tuning
 from app.errors import ConfigError
+from app.parameters import Choice, Parameter
 from app.robot.description import RobotDescription
 
+PATIENCE = 2.0
+"""[s] a refused value stands before it is set back: typing 0.2 begins with 0."""
+LONGEST = 6.0
+"""[s] of refused values on end, such as a flood, after which they are answered all the same."""
+DECIMALS = 6
+"""[-] that a number box takes."""
+MARK = "\N{NO-BREAK SPACE}•"
+"""Behind the label of what is not at its default."""
 FIRST_NAME = "tuning"
 MAIN = (
     "border.d_b",
@@ -31,57 +45,8 @@ MAIN = (
 _BEFORE_SCORE = "border"  # section after which the score stands, as in the paper
 
 
-class ConfigFilePanel:
-    """A name, a button that saves, and one that loads, in the GUI container that is open."""
-
-    def __init__(self, gui: viser.GuiApi, tuning: Tuning, notifier: Notifier) -> None:
-        """Add the widgets.
-
-        Args:
-            gui: Of the page or of one client.
-            tuning: What is saved, and takes over what is loaded.
-            notifier: For what is wrong with a file.
-        """
-        self._tuning = tuning
-        self._name = gui.add_text("Name", FIRST_NAME, hint="Of the file, without .toml")
-        save = gui.add_button(
-            "Save", icon=viser.Icon.DOWNLOAD, hint="For --config of dbb run, serve and sweep"
-        )
-        load = gui.add_upload_button(
-            "Load",
-            icon=viser.Icon.UPLOAD,
-            color="gray",
-            mime_type=".toml",
-            hint="A TOML file; what is not in it goes to its default",
-        )
-        save.on_click(notifier.guard(self._save))  # type: ignore[arg-type]
-        load.on_upload(notifier.guard(self._load))  # type: ignore[arg-type]
-
-    def _save(self, event: Any) -> None:
-        name = self._name.value.strip()
-        text = save_config(self._tuning.config, name)
-        event.client.send_file_download(
-            file_name(name), text.encode("utf-8"), save_immediately=True
-        )
-
-    def _load(self, event: Any) -> None:
-        file: viser.UploadedFile = event.target.value
-        try:
-            loaded = decode_config(file.content)
-        except ConfigError as error:
-            raise ConfigError(f"{file.name[:60]}: {error}") from None
-        self._tuning.load(loaded.config)
-        self._name.value = loaded.name or file.name.removesuffix(".toml")[:60]
-
-
-def file_name(name: str) -> str:
-    """A name for a file on any system, as in `stiff arm.toml`."""
-    safe = re.sub(r"[^\w .+-]", "-", name).strip(" .")
-    return f"{safe or FIRST_NAME}.toml"
-
-
-class TuningPanel:
-    """Folders of widgets, in the GUI container that is open when it is made.
+class TuningPanel(Panel):
+    """Folders of widgets.
 
     Attributes:
         widgets: The widgets of each parameter, by its path.
@@ -108,10 +73,10 @@ class TuningPanel:
             robot: Whose numbers of the score are shown.
             clock: [s] for what waits for the end of typing.
         """
-        self._gui, self._tuning, self._notifier, self._clock = gui, tuning, notifier, clock
+        super().__init__(gui, notifier)
+        self._tuning, self._clock = tuning, clock
         self.widgets: dict[str, ParameterWidgets] = {}
         self._folders: list[_Folder] = []
-        self._seen: Config | None = None
         self._all: viser.GuiCheckboxHandle | None = None
         if paths is None:
             self._add_everything(robot)
@@ -121,21 +86,23 @@ class TuningPanel:
 
     def update(self) -> None:
         """Show what has changed, whoever changed it; called by the drawing thread."""
-        config = self._tuning.config
-        waiting = any(each.is_waiting for each in self.widgets.values())
-        if config is self._seen and not waiting:
-            return
-        self._seen = config
         for each in self.widgets.values():
             each.update()
         for folder in self._folders:
-            folder.update()
+            count = sum(self.widgets[path].is_marked for path in folder.paths)
+            folder.handle.label = f"{folder.title} · {count} changed" if count else folder.title
+            folder.reset.disabled = not count
         self._show_advanced()
 
     def _add_everything(self, robot: RobotDescription | None) -> None:
-        self._add_steps()
+        tuning = self._tuning
+        self.buttons(
+            "Changes",
+            {"Undo": tuning.undo, "Redo": tuning.redo, "Reset all": tuning.reset},
+            hint="One step is one move of a slider, whoever moved it",
+        )
         self._all = self._gui.add_checkbox("Advanced", False, hint="Show all parameters")
-        self._all.on_update(self._notifier.guard(lambda _: self._show_advanced()))  # type: ignore[arg-type]
+        self.on_update(self._all, lambda _: self._show_advanced())
         for section in sections():
             paths = tuple(each.path for each in section.tunables)
             self._add_folder(section.title, paths, expand=section.name == _BEFORE_SCORE)
@@ -143,59 +110,74 @@ class TuningPanel:
                 with self._gui.add_folder("Score", expand_by_default=False):
                     self._gui.add_html(score_html(robot))
         with self._gui.add_folder("File"):
-            ConfigFilePanel(self._gui, self._tuning, self._notifier)
-
-    def _add_steps(self) -> None:
-        tuning = self._tuning
-        acts = {"Undo": tuning.undo, "Redo": tuning.redo, "Reset all": tuning.reset}
-        steps = self._gui.add_button_group(
-            "Changes", tuple(acts), hint="One step is one move of a slider, whoever moved it"
-        )
-
-        def pressed(event: Any) -> None:
-            if (act := acts.get(event.target.value)) is not None:  # a program may send any word
-                act()
-
-        steps.on_click(self._notifier.guard(pressed))  # type: ignore[arg-type]
+            self._name = self._gui.add_text("Name", FIRST_NAME, hint="Of the file, without .toml")
+            self.button(
+                "Save",
+                self._save,
+                viser.Icon.DOWNLOAD,
+                hint="For --config of dbb run, serve and sweep",
+            )
+            self.upload(
+                "Load",
+                self._load,
+                color="gray",
+                mime_type=".toml",
+                hint="A TOML file; what is not in it goes to its default",
+            )
 
     def _add_folder(self, title: str, paths: tuple[str, ...], *, expand: bool) -> None:
         handle = self._gui.add_folder(title, expand_by_default=expand)
         with handle:
-            widgets = [
-                ParameterWidgets(self._gui, self._tuning, self._notifier, path, self._clock)
-                for path in paths
-            ]
-            reset = self._gui.add_button(
+            for path in paths:
+                self.widgets[path] = ParameterWidgets(
+                    self._gui, self._tuning, self._notifier, path, self._clock
+                )
+            reset = self.button(
                 "Defaults",
-                icon=viser.Icon.ARROW_BACK_UP,
+                lambda _: self._tuning.reset(paths),
+                viser.Icon.ARROW_BACK_UP,
                 color="gray",
                 disabled=True,
                 hint="Set what stands above to its defaults",
             )
-        reset.on_click(self._notifier.guard(lambda _: self._tuning.reset(paths)))  # type: ignore[arg-type]
-        self.widgets |= dict(zip(paths, widgets, strict=True))
-        self._folders.append(_Folder(handle, reset, title, widgets))
+        self._folders.append(_Folder(handle, reset, title, paths))
 
     def _show_advanced(self) -> None:
         wanted = self._all is None or self._all.value
         for each in self.widgets.values():
-            each.show(visible=wanted or each.is_marked or not each.about.advanced)
+            for handle in each.handles:
+                handle.visible = wanted or each.is_marked or not each.about.advanced
+
+    def _save(self, event: Any) -> None:
+        name = self._name.value.strip()
+        text = save_config(self._tuning.config, name)
+        event.client.send_file_download(
+            file_name(name), text.encode("utf-8"), save_immediately=True
+        )
+
+    def _load(self, event: Any) -> None:
+        file: viser.UploadedFile = event.target.value
+        try:
+            loaded = decode_config(file.content)
+        except ConfigError as error:
+            raise ConfigError(f"{file.name[:60]}: {error}") from None
+        self._tuning.load(loaded.config)
+        self._name.value = loaded.name or file.name.removesuffix(".toml")[:60]
 
 
-class _Folder:
+class _Folder(NamedTuple):
     """Its title says how many of its parameters are changed."""
 
-    def __init__(
-        self, handle: Any, reset: Any, title: str, widgets: list[ParameterWidgets]
-    ) -> None:
-        self._handle, self._reset, self._title, self._widgets = handle, reset, title, widgets
+    handle: Any
+    reset: Any
+    title: str
+    paths: tuple[str, ...]
 
-    def update(self) -> None:
-        count = sum(each.is_marked for each in self._widgets)
-        title = f"{self._title} · {count} changed" if count else self._title
-        if self._handle.label != title:
-            self._handle.label = title
-            self._reset.disabled = not count
+
+def file_name(name: str) -> str:
+    """A name for a file on any system, as in `stiff arm.toml`."""
+    safe = re.sub(r"[^\w .+-]", "-", name).strip(" .")
+    return f"{safe or FIRST_NAME}.toml"
 
 
 def score_html(robot: RobotDescription | None) -> str:
@@ -209,3 +191,135 @@ def score_html(robot: RobotDescription | None) -> str:
         "Nothing to tune: det J_c of (7) follows from the wheels, and A, B, C of (9) are the "
         f"robot's, from its description.{table((head, *rows)) if rows else ''}"
     )
+
+
+class ParameterWidgets(Panel):
+    """Widgets of one parameter.
+
+    A value that is refused changes nothing, is reported to its sender, and is set back.
+
+    Attributes:
+        about: The parameter.
+        is_marked: Whether it was not at its default at the last update.
+    """
+
+    def __init__(
+        self,
+        gui: viser.GuiApi,
+        tuning: Tuning,
+        notifier: Notifier,
+        path: str,
+        clock: Callable[[], float],
+    ) -> None:
+        """Add the widgets of the parameter at a path; see `TuningPanel`."""
+        super().__init__(gui, notifier)
+        self.about, self.is_marked = tunable(path), False
+        self._tuning, self._clock = tuning, clock
+        self._shown = tuning.value(path)
+        self._refused: _Refused | None = None
+        self._faces = _faces(gui, self.about, self._shown)
+        for face in self._faces:
+            self.on_update(face.handle, partial(self._set, face))
+
+    @property
+    def handles(self) -> list[Any]:
+        """The widgets; the first one shows the value itself."""
+        return [face.handle for face in self._faces]
+
+    def update(self) -> None:
+        """Show what holds by now; answer a refused value that has stood long enough.
+
+        Called by one thread only, not by the one that brings what people set. Should both write a
+        widget at once, the next update mends it.
+        """
+        value, refused = self._tuning.value(self.about.path), self._refused
+        if refused is not None and refused.is_due(self._clock()):
+            self._refused = None
+            self._put(value)
+            self._notifier.warn(refused.client, str(refused.error))
+        if value != self._shown:
+            self._put(value)
+        self.is_marked = value != self.about.default
+        for face in self._faces:
+            face.handle.label = face.label + (MARK if self.is_marked else "")
+
+    def _set(self, face: _Face, event: Any) -> None:
+        try:
+            value = face.read(event.target.value)
+            self._tuning.set(self.about.path, value)
+        except ConfigError as error:
+            now = self._clock()
+            since = now if self._refused is None else self._refused.since
+            self._refused = _Refused(event.client, error, since, now)
+        else:
+            self._refused = None
+            self._put(value, but=face)
+
+    def _put(self, value: float | str, but: _Face | None = None) -> None:
+        self._shown = value
+        for face in self._faces:
+            if face is not but and face.read(face.handle.value) != value:
+                face.handle.value = face.write(value)
+
+
+class _Refused(NamedTuple):
+    """A value that a widget holds and that no parameter may have."""
+
+    client: Any
+    error: ConfigError
+    since: float
+    last: float
+
+    def is_due(self, now: float) -> bool:
+        return now - self.last > PATIENCE or now - self.since > LONGEST
+
+
+class _Face(NamedTuple):
+    """A widget, and how its value becomes that of the parameter, and back."""
+
+    handle: Any
+    label: str
+    read: Callable[[Any], Any] = lambda shown: shown
+    write: Callable[[Any], Any] = lambda value: value
+
+
+def _faces(gui: viser.GuiApi, about: Parameter | Choice, value: float | str) -> list[_Face]:
+    title, hint = unbroken(about.title), about.help
+    if isinstance(about, Choice):
+        choice = gui.add_dropdown(title, about.choices, initial_value=str(value), hint=hint)
+        return [_Face(choice, title)]
+    value, hint = float(value), f"{hint} {about.allowed}"
+    if not about.log:
+        step = slider_step(about.low, about.high)
+        slider = gui.add_slider(title, about.low, about.high, step, value, hint=hint)
+        slider.precision = DECIMALS
+        return [_Face(slider, title)]
+    number = gui.add_number(title, value, min=about.low, max=about.high, step=1.0, hint=hint)
+    number.precision = DECIMALS
+    low, high = math.log10(about.low), math.log10(about.high)
+    scale = f"{about.label}, 10ˣ"
+    marks = ((low, f"{about.low:g}"), (high, power_of_ten(high)))
+    slider = gui.add_slider(scale, low, high, 0.01, math.log10(value), marks=marks, hint=hint)
+    return [_Face(number, title), _Face(slider, scale, read_exponent, math.log10)]
+
+
+def read_exponent(exponent: float) -> float:
+    """To three digits, what a logarithmic slider sets."""
+    # Beyond a double's exponents, and not-a-number, the parameter's range refuses them.
+    return float(f"{10.0**exponent:.3g}") if abs(exponent) < 300 else exponent * math.inf
+
+
+def unbroken(title: str) -> str:
+    """A title that is broken before its unit, if at all."""
+    name, bracket, unit = title.partition("[")
+    return name + bracket + unit.replace(" ", "\N{NO-BREAK SPACE}")
+
+
+def power_of_ten(exponent: float) -> str:
+    """As in 10⁶, for a whole exponent."""
+    return "10" + f"{exponent:.0f}".translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def slider_step(low: float, high: float) -> float:
+    """The power of ten that gives a slider 100 to 1000 steps."""
+    return 10.0 ** math.floor(math.log10((high - low) / 100.0))

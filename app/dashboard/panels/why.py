@@ -1,21 +1,24 @@
-"""Panel "Why did it move?": one plain sentence, and below it every quantity behind it."""
+"""Tab "Why": why the robot moved, in one plain sentence, and every quantity behind it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-import viser
-
-from app.control.explanation import Explanation, ForceSplit
-from app.control.levels import Level, LevelName
-from app.dashboard.base_measures import measure_of
+from app.config import Config
+from app.control.explanation import Explanation, Level, LevelName, NearPair
 from app.dashboard.markup import FAINT, ONE_LINE, RIGHT, cell, minus, row, table
 from app.dashboard.panels import phrases as words
-from app.dashboard.panels.explain import sentence
-from app.dashboard.panels.widgets import renew
-from app.dashboard.scene.colours import FULL, REST, css, distance_colour
-from app.robot.bases.kind import Axis, acceleration_symbol
+from app.dashboard.scene.colours import css
+from app.dashboard.scene.legend import measure_of
+from app.dashboard.verdict import Verdict, base_cannot_help
+from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
+
+LONGEST = 280
+"""Characters of the longest answer of `sentence`."""
+
+UNDISTURBED = (0.05, 0.2)
+"""[m/s²], [rad/s²] of slack below which the hand's own task is met: 0.06 mm at its gain."""
 
 BOUNDS_SHOWN = 3
 """Lines for limits that were met; of more than that the number is shown."""
@@ -32,40 +35,181 @@ _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (
         ("posture", "free"),
     ),
 )
-_ZERO = ForceSplit((0, 0), (0, 0), (0, 0), (0, 0), (0, 0), 0, 0, 0, 0)
+_BEHIND = -0.5  # [-] forward part of a normal above which what is near is not behind the base
 
 
-class WhyPanel:
-    """The sentence and a table of fixed height."""
-
-    def __init__(self, gui: viser.GuiApi) -> None:
-        """Build the panel in the GUI container that is now open."""
-        self._html = gui.add_html("")
-
-    def update(self, snapshot: Snapshot) -> None:
-        """Explain a snapshot; what has not changed is not sent."""
-        renew(self._html, "content", why_html(snapshot))
-
-
-def why_html(snapshot: Snapshot) -> str:
+def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
     """The whole panel; its number of lines is the same whatever it says."""
-    why = snapshot.explanation
+    why, colour = snapshot.explanation, css(verdict.colour)
     tables = "" if why is None else _tables(snapshot, why)
+    loud = f"background:{colour};color:white;" if verdict.state == "contact" else ""
     return (
-        f'<div style="border-left:4px solid {_colour(snapshot)};margin:.4em .7em;padding-left:.6em;'
-        f'height:7.1em;overflow:hidden;font-size:.85em;line-height:1.4">{sentence(snapshot)}</div>'
+        f'<div style="{loud}border-left:6px solid {colour};margin:.4em .7em;padding-left:.6em;'
+        'height:8.6em;overflow:hidden;font-size:.85em;line-height:1.4"><b style="font-size:1.1em">'
+        f"{verdict.state.capitalize()}</b><br>{sentence(snapshot)}</div>"
         f'<div style="font-size:.8em;line-height:1.55;padding:0 1.1em .4em .7em">{tables}</div>'
     )
 
 
-def _colour(snapshot: Snapshot) -> str:
-    """Grey while nothing is near, then the colour of the distance; red if something is wrong."""
-    why, config = snapshot.explanation, snapshot.config
-    if snapshot.in_contact or snapshot.arm_in_contact or (why is not None and not why.solved):
-        return css(FULL)
-    if why is None or why.bearing is None:
-        return css(REST)
-    return css(distance_colour(why.bearing.d, config.border.d_b, config.activation.d_full))
+def sentence(snapshot: Snapshot) -> str:
+    """Why the robot does what it does at a snapshot's instant."""
+    why = snapshot.explanation
+    if why is None:
+        return "There is no explanation for this instant."
+    touch = "Parts of the arm touch! " if snapshot.arm_in_contact else ""
+    return ("Arm and base touch! " if snapshot.in_contact else touch) + _answer(snapshot, why)
+
+
+def _hand_is_disturbed(why: Explanation) -> bool:
+    """Whether the end-effector's task gave up more than what nobody notices."""
+    return any(
+        (level.linear or 0.0) > UNDISTURBED[0] or (level.angular or 0.0) > UNDISTURBED[1]
+        for level in why.levels
+        if level.name == "hand"
+    )
+
+
+def _answer(snapshot: Snapshot, why: Explanation) -> str:
+    if not why.solved:
+        return (
+            "The solver found no motion that keeps all limits, so the arm holds itself up and the "
+            "base brakes."
+        )
+    pair = why.bearing
+    if pair is None:
+        return _nothing_near(snapshot, why)
+    if why.controller == "none":
+        return f"{_cause(pair, why, snapshot.config)}, but avoidance is off: nothing gives way."
+    if why.controller == "barrier":
+        return _barrier(snapshot, why, pair)
+    if not pair.mobile:
+        return _links(snapshot, why, pair)
+    if why.controller == "repulsive":
+        return _repulsive(snapshot, why, pair)
+    return _gives_way(snapshot, why, pair)
+
+
+def _nothing_near(snapshot: Snapshot, why: Explanation) -> str:
+    a, b, d = why.nearest
+    buffer = words.length(snapshot.config.border.d_b)
+    text = f"Nothing is near: {_the(b, why)} is {_beside(d, snapshot)} from {_the(a, why)}"
+    if why.controller == "none":
+        return f"{text}. Avoidance is off."
+    text += f" (buffer {buffer}), so nothing has to give way"
+    moves = _motion(snapshot, why, ahead=False)
+    if moves is None:
+        return f"{text}."
+    if why.mode == "tracking":
+        return f"{text}; the base {moves} to carry the hand along."
+    return f"{text}; the base, which {moves}, comes to rest."
+
+
+def _gives_way(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
+    """The paper's method: the base gives way; where its barrier is met, the arm resists."""
+    cause, also = _cause(pair, why, snapshot.config), _also(why)
+    if base_cannot_help(pair):
+        where = f"{cause}, where no motion of the base helps"
+        if pair.held:
+            return f"{where}: the arm itself keeps its distance{_off_target(snapshot)}.{also}"
+        least = words.length(snapshot.config.barrier.d_min)
+        return f"{where}: the arm itself will stay {least} away.{also}"
+    moves = _base_moves(snapshot, why, pair)
+    moved = f"so {moves}" if moves else "too little yet to move the base"
+    if pair.held:
+        return f"{cause}, {moved}, and the arm itself keeps its distance.{also}"
+    return f"{cause}, {moved}; {_hand(why)}.{also}"
+
+
+def _repulsive(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
+    cause = _cause(pair, why, snapshot.config)
+    text = f"{cause}, so this method pushes the arm away and does not ask the base"
+    return f"{text}; {_hand(why, held=True)}{_off_target(snapshot)}."
+
+
+def _barrier(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
+    """The inequality's distance stands in the place of the buffer, which it does not know."""
+    held = next((p for p in why.near if p.held), None)
+    shown = held or pair
+    cause = _cause(shown, why, None)
+    least = words.length(snapshot.config.barrier.d_min)
+    if held is None:
+        return f"{cause}; only nearer than {least} is forbidden, so nothing gives way yet."
+    moves = _base_moves(snapshot, why, shown) or "the base stays where it is"
+    hand = _hand(why, held=True) + _off_target(snapshot)
+    return f"{cause}, held back by the hard limit of {least}; {moves}; {hand}."
+
+
+def _links(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str:
+    cause = _cause(pair, why, snapshot.config)
+    text = f"{cause}, so the arm pushes the two apart; the base has no part in it"
+    if why.mode == "tracking":
+        return f"{text}; {_hand(why)}."
+    return f"{text}{_off_target(snapshot)}."
+
+
+def _cause(pair: NearPair, why: Explanation, config: Config | None) -> str:
+    """What is near what; with the buffer if a configuration is given."""
+    b = _the(pair.b, why).capitalize()
+    near = f"{_the(pair.a, why)}'s {words.place(pair.n)}" if pair.mobile else _the(pair.a, why)
+    if pair.d < 0.0:
+        return f"{b} is {words.length(-pair.d)} inside the outline of {near}"
+    if config is None:
+        return f"{b} is {words.length(pair.d)} from {near}"
+    buffer = words.length(config.border.d_b)
+    if pair.d > config.border.d_b - 0.005:
+        return f"{b} is at the edge of the {buffer} buffer around {near}"
+    return f"{b} came within {words.length(pair.d)} of {near} (its buffer is {buffer})"
+
+
+def _base_moves(snapshot: Snapshot, why: Explanation, pair: NearPair) -> str | None:
+    """What the base does now, or is about to do; None if nothing."""
+    ahead = pair.n[0] > _BEHIND
+    moves = _motion(snapshot, why, ahead=ahead)
+    if moves is not None:
+        top = any(bound.kind == "speed" for bound in why.bounds)
+        return f"the base {moves}" + (", as fast as it may" if top else "")
+    asked = planar(why.axes, why.base_asked)
+    will = words.intention(asked.forward, asked.turn, ahead=ahead, left=asked.left)
+    return None if will is None else f"the base is about to {will}"
+
+
+def _motion(snapshot: Snapshot, why: Explanation, *, ahead: bool) -> str | None:
+    v = planar(why.axes, snapshot.base_velocity)
+    return words.motion(v.forward, v.turn, ahead=ahead, left=v.left)
+
+
+def _hand(why: Explanation, *, held: bool = False) -> str:
+    """How the hand fares; `held` if the arm itself keeps its distance."""
+    if why.mode == "guiding":
+        return "the hand cannot be led on freely" if held else "the hand stays free to be led"
+    if _hand_is_disturbed(why):
+        return "the hand's own task has to give way"
+    return "the hand's own task is not disturbed"
+
+
+def _off_target(snapshot: Snapshot) -> str:
+    if snapshot.ee_error < 0.01:
+        return ""
+    return f"; the hand stays {words.length(snapshot.ee_error)} off its target"
+
+
+def _beside(d: float, snapshot: Snapshot) -> str:
+    """A distance, to the millimetre where it is near the buffer distance."""
+    near = abs(d - snapshot.config.border.d_b) < 0.01
+    return f"{100 * d:.1f} cm" if near else words.length(d)
+
+
+def _also(why: Explanation) -> str:
+    """Links of the arm that are pushed apart besides."""
+    for pair in why.near:
+        if not pair.mobile:
+            a, b = words.body(pair.a, why.chain), words.body(pair.b, why.chain)
+            return f" {b.capitalize()} and {a} are pushed apart as well."
+    return ""
+
+
+def _the(name: str, why: Explanation) -> str:
+    return f"the {words.body(name, why.chain)}"
 
 
 def _tables(snapshot: Snapshot, why: Explanation) -> str:
@@ -90,9 +234,9 @@ def _near_rows(snapshot: Snapshot, why: Explanation) -> list[str]:
     distance = minus(f"{1000 * d:.0f}")
     held = ", distance held" if pair is not None and pair.held else ""
     return [
-        _row("pair", name + more, "the link pair that counts most"),
-        _row("distance d, of buffer d_b", distance + buffer, "signed distance of its bodies"),
-        _row("activation β", f"{beta:.2f}{held}", "0 outside of the buffer, 1 in full force"),
+        _row("pair", "the link pair that counts most", name + more),
+        _row("distance d, of buffer d_b", "signed distance of its bodies", distance + buffer),
+        _row("activation β", "0 outside of the buffer, 1 in full force", f"{beta:.2f}{held}"),
     ]
 
 
@@ -115,7 +259,7 @@ def _force_rows(why: Explanation) -> list[str]:
     x, y = f
     towards = f"{words.direction(x, y)}, {words.angle(x, y)}" if _size(f) > 0.05 else _NONE
     return [
-        _row("direction", towards, "from forward, as the base sees it", span=1 + len(why.axes)),
+        _row("direction", "from forward, as the base sees it", towards, span=1 + len(why.axes)),
         _acceleration("moving away", away, away_acc, "the part along −n, Figure 7b", on=on),
         _acceleration(
             "to the better score",
@@ -133,19 +277,22 @@ def _force_rows(why: Explanation) -> list[str]:
 
 
 def _score_rows(why: Explanation) -> list[str]:
-    first, measure = why.forces[0] if why.forces else _ZERO, measure_of(why.base_kind)
-    unit = f" {measure.unit}"
-    values = (
-        (measure.label, words.scientific(first.determinant) + unit, measure.hint),
-        ("reachability R", f"{first.reachability:.0f}", "(9): how well the arm reaches the point"),
-        ("score S", words.scientific(first.score) + unit, f"(10): {measure.score}"),
-        (
-            "score without the step, p_n",
-            words.scientific(first.score_near) + unit,
-            "S where the force would act without (12)",
-        ),
+    measure, values = measure_of(why.base_kind), [_NONE] * 4
+    if why.forces:
+        first = why.forces[0]
+        values = [
+            f"{words.scientific(first.determinant)} {measure.unit}",
+            f"{first.reachability:.0f}",
+            f"{words.scientific(first.score)} {measure.unit}",
+            f"{words.scientific(first.score_near)} {measure.unit}",
+        ]
+    labels = (
+        (measure.label, measure.hint),
+        ("reachability R", "(9): how well the arm reaches the point"),
+        ("score S", f"(10): {measure.score}"),
+        ("score without the step, p_n", "S where the force would act without (12)"),
     )
-    return [_row(label, text if why.forces else _NONE, hint) for label, text, hint in values]
+    return [_row(*label, value) for label, value in zip(labels, values, strict=True)]
 
 
 def _level_rows(levels: Sequence[Level]) -> list[str]:
@@ -153,7 +300,7 @@ def _level_rows(levels: Sequence[Level]) -> list[str]:
     rows = []
     for label, hint, names in _LEVELS:
         level = next((by_name[name] for name in names if name in by_name), None)
-        rows.append(_row(label, _NONE if level is None else _given_up(level), hint))
+        rows.append(_row(label, hint, _NONE if level is None else _given_up(level)))
     return rows
 
 
@@ -178,7 +325,7 @@ def _table(title: str, rows: Sequence[str], columns: Sequence[tuple[str, str]] =
     return table((head, *rows), "border-spacing:0;margin-bottom:.4em", tight=True)
 
 
-def _row(label: str, value: str, hint: str, *, span: int = 1) -> str:
+def _row(label: str, hint: str, value: str, *, span: int = 1) -> str:
     return row(cell(label, FAINT, ONE_LINE), cell(value, RIGHT, ONE_LINE, span=span), hint=hint)
 
 

@@ -1,28 +1,63 @@
-"""Camera of one viewer: views by name, and following the base."""
+"""Camera of one viewer: views by name that show all of the robot, and following the base."""
 
 from __future__ import annotations
 
 from time import monotonic
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 import viser
 
 from app.dashboard.drag import SCALE
-from app.dashboard.scene.framing import ANY_WINDOW, FIELD_OF_VIEW, UP, Window, fit
 from app.dashboard.viser_compat import image_size
 from app.simulation.trace.snapshot import Snapshot
 
 Array = np.ndarray
 
+FIELD_OF_VIEW = np.deg2rad(42.0)  # [rad] vertical; longer than viser's 75°, so less distortion
+_MARGIN = 0.10  # [-] of the free part that stays empty, both sides together
+_ASPECTS = (0.4, 4.0)  # [-] that are believed
+_MOST_COVERED = 0.45  # [-]
+UP = np.array([0.0, 0.0, 1.0])
 _LEAST_STEP = 1e-3  # [m] nobody sees less
+_SAME = 0.02  # [m] nearer to where it was put nobody has moved a camera
 _ECHO = 0.3  # [s] after which what comes back from a browser holds what was set
-_PATIENCE = 2.0  # [s] after which nothing is waited for any more
+_PATIENCE = 6.0  # [s] after which nothing is waited for any more
 _SETTLING = 8.0  # [s] in which a page still takes its shape
 _COVERED = 168.0  # [px] of the scene, from below, that the time line lies over
+_LEAST_SHARE = 0.05  # [-] of the picture's height; a robot that looks smaller is not found
+_MOVED = 0.2  # [m] of the base, from which on who follows it wants to see it
 _CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
 _HAND = 0.12 * _CORNERS  # [m] what has to be seen around the hand
 _NEAR_HAND = 0.22 * _CORNERS  # [m] the same if the hand alone is looked at
+_NEAR_PAIR = 0.30 * _CORNERS  # [m] the same around closest points
+_OPEN = np.deg2rad(90.0)  # [rad] of a door for whose way there is room in the picture
+_BACK = 1e-3  # [s] that time goes back where a run begins anew
+
+
+class Window(NamedTuple):
+    """The part of a page in which a scene is drawn.
+
+    Attributes:
+        aspect: [-] its width over its height.
+        covered: [-] share of its height, from below, that something else lies over.
+    """
+
+    aspect: float = 1.5
+    covered: float = 0.0
+
+    @classmethod
+    def of(cls, width: float, height: float, covered: float) -> Window:
+        """Of what a browser says of itself, all in pixels, which may be nothing yet."""
+        if not (0 < width < np.inf and 0 < height < np.inf):
+            return ANY_WINDOW
+        aspect = float(np.clip(width / height, *_ASPECTS))
+        return cls(aspect, min(covered / height, _MOST_COVERED))
+
+
+ANY_WINDOW = Window()
+"""One that nothing is known of yet."""
 
 
 class Preset(NamedTuple):
@@ -30,11 +65,12 @@ class Preset(NamedTuple):
 
     Attributes:
         away: (3,) from what is looked at towards the camera.
-        of_hand: Whether the hand alone is looked at, instead of the whole robot.
+        of: What is looked at: the whole robot, the hand alone, the closest points of the nearest
+            pair, or a door with its hinge and the hand, from where a person stands who opens it.
     """
 
     away: Array
-    of_hand: bool = False
+    of: Literal["robot", "hand", "pair", "door"] = "robot"
 
 
 PRESETS = {
@@ -43,19 +79,21 @@ PRESETS = {
     "top": Preset(np.array([-0.01, 0.0, 3.3])),
     "front": Preset(np.array([2.9, 0.0, 0.22])),
     "side": Preset(np.array([0.0, -3.1, 0.22])),
-    "hand": Preset(np.array([0.55, 0.75, 0.45]), of_hand=True),
+    "hand": Preset(np.array([0.55, 0.75, 0.45]), "hand"),
+    "pair": Preset(np.array([0.9, 1.2, 0.7]), "pair"),
+    "door": Preset(np.array([-1.3, -0.8, 1.5]), "door"),
 }
 """Views by name."""
+OF_SCENARIOS = {"refrigerator": "door", "way-out": "pair"}
+"""Views that scenarios have of their own."""
 
 
 class _Look(NamedTuple):
-    """A preset that was looked from.
+    """A preset that was looked from at a time [s].
 
     Attributes:
-        name: Of it.
         window: Where the picture was to be drawn then.
         eye: (3,) [m] where the camera was put, and has been carried to since.
-        at: [s] when.
     """
 
     name: str
@@ -77,9 +115,15 @@ class Camera:
         self._extent = np.zeros((1, 3))
         self._looked: _Look | None = None
         self._arrived = False
+        self._preset = "iso"
+        self._stands: Array | None = None  # where that has put it, and carried it since
+        self._before: Snapshot | None = None
+        self._seen_at: Array | None = None
+        self._begun = False  # anew, and not found since
         self._followed: Array | None = None
         self._set: Array | None = None
         self._set_at = 0.0
+        self._from = np.zeros(3)  # where it was before what is on its way was set
         client.camera.on_update(self._hear)
 
     @property
@@ -92,37 +136,39 @@ class Camera:
         self._extent = extent
 
     def use(self, name: str, snapshot: Snapshot) -> None:
-        """Look from a preset at the robot as it is in a snapshot.
-
-        Args:
-            name: A key of `PRESETS`.
-            snapshot: Where base and hand are.
-        """
-        window = self.window
+        """Look from a key of `PRESETS` at the robot as it is in a snapshot."""
+        window, self._preset = self.window, name
         eye, target = placed(PRESETS[name], snapshot, self._extent, window)
         self.put(eye, target)
         self._followed = np.array(snapshot.base_pose[:2])
         self._looked = _Look(name, window, eye, self._set_at)
+        self._stands = np.array(eye)
+
+    @property
+    def preset(self) -> str:
+        """The key of `PRESETS` from which the viewer still looks, or empty."""
+        stands = self._stands
+        away = np.inf if stands is None else np.linalg.norm(self._client.camera.position - stands)
+        return self._preset if self._waits() or away < _SAME else ""
 
     def put(self, eye: Array, target: Array) -> None:
         """Look from a place (3,) [m] in the world at another one."""
         camera = self._client.camera
+        if self._set is None:
+            self._from = np.array(camera.position)
         with self._client.atomic():
             camera.up_direction = UP
             camera.position = eye
             camera.look_at = target
             camera.fov = FIELD_OF_VIEW
-        self._followed = self._looked = None
+        self._followed = self._looked = self._stands = None
         self._set, self._set_at, self._arrived = eye, monotonic(), False
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
         """Look again if the page has taken another shape since; call it until it has settled.
 
-        A page's panels come with its first picture, and narrow the scene only then.
-
-        Args:
-            snapshot: Where base and hand are.
-            busy: Whether the viewer holds something, under whom the scene must not move.
+        A page's panels come with its first picture, and narrow the scene only then. While the
+        viewer is `busy` holding something, the scene must not move.
         """
         look, window = self._looked, self.window
         if look is None:
@@ -134,11 +180,9 @@ class Camera:
             self._looked = self._looked and self._looked._replace(at=look.at)
 
     def follow(self, base_position: Array, *, on: bool) -> None:
-        """Carry the camera along by what the base has moved since the last step.
+        """Carry the camera along by what the base (2,) [m] has moved since the last step.
 
-        Args:
-            base_position: (2,) [m] the base's centre in the world.
-            on: Whether to do so; off forgets where the base was.
+        Off forgets where the base was.
         """
         if not on:
             self._followed = None
@@ -146,15 +190,52 @@ class Camera:
         if self._followed is None:
             self._followed = np.array(base_position)
         step = np.append(base_position - self._followed, 0.0)
-        waiting = self._set is not None and monotonic() < self._set_at + _PATIENCE
-        if waiting or np.linalg.norm(step) < _LEAST_STEP:
+        if self._waits() or np.linalg.norm(step) < _LEAST_STEP:
             return
         self._followed, look = np.array(base_position), self._looked
+        if self._stands is not None:
+            self._stands = self._stands + step
         if look is not None:
             self._looked = None if self._left(look) else look._replace(eye=look.eye + step)
-        self._set, self._set_at = self._client.camera.position + step, monotonic()
+        self._from = np.array(self._client.camera.position)
+        self._set, self._set_at = self._from + step, monotonic()
         # Setting the position carries the point that is looked at along, by the same step.
         self._client.camera.position = self._set
+
+    def find(self, snapshot: Snapshot, *, on: bool, busy: bool = False) -> None:
+        """Look again where the robot has got out of sight; call it with each snapshot shown.
+
+        That is after a beginning, whoever has moved the camera, and, if it follows, once the base
+        has gone on unseen. A scenario that has a view of its own begins with it.
+
+        Args:
+            snapshot: What is shown.
+            on: Whether the camera follows.
+            busy: Whether the viewer holds something, under whom the scene must not move.
+        """
+        before, self._before = self._before, snapshot
+        begun = before is not None and (
+            snapshot.t < before.t - _BACK or (snapshot.scenario not in ("", before.scenario))
+        )
+        self._begun = self._begun or begun
+        own = OF_SCENARIOS.get(snapshot.scenario)
+        if begun and own is not None:
+            self.use(own, snapshot)
+        elif begun and self._preset in OF_SCENARIOS.values():
+            self.use("iso", snapshot)
+        if busy or self._waits():
+            return
+        camera, base = self._client.camera, np.array(snapshot.base_pose[:2])
+        if self._seen_at is None or sees(
+            camera.position, camera.look_at, _in_world(snapshot, self._extent), self.window
+        ):
+            self._seen_at, self._begun = base, False
+        elif self._begun or (on and np.linalg.norm(base - self._seen_at) > _MOVED):
+            self.use(self._preset, snapshot)
+
+    def _waits(self) -> bool:
+        """Whether what was set may still be on its way to the browser."""
+        return self._set is not None and monotonic() < self._set_at + _PATIENCE
 
     def _left(self, look: _Look) -> bool:
         """Whether the viewer has moved the camera away; unknown while a step is on its way."""
@@ -167,7 +248,9 @@ class Camera:
             np.linalg.norm(camera.position - self._set) < _LEAST_STEP
         )
         self._arrived = self._arrived or there
-        if there or monotonic() > self._set_at + _ECHO:
+        # A slow browser says for seconds where it was before: what is set is on its way still.
+        late = np.linalg.norm(camera.position - self._from) < _LEAST_STEP
+        if there or (monotonic() > self._set_at + _ECHO and not late):
             self._set = None
 
 
@@ -176,31 +259,106 @@ def placed(
 ) -> tuple[Array, Array]:
     """Eye and target of a preset (3,) [m] in the world, turned with the base.
 
-    Args:
-        preset: The view.
-        snapshot: Where base and hand are.
-        extent: (N, 3) [m] of the robot in its ready pose, in the base's frame.
-        window: Where the picture is drawn.
+    `extent` are points (N, 3) [m] of the robot in its ready pose, in the base's frame.
     """
+    R, _ = _frame(snapshot)
+    away, hand = R @ preset.away, snapshot.p_ee
+    seen = np.vstack([_in_world(snapshot, extent), hand + _HAND])
+    if preset.of == "hand":
+        seen = hand + _NEAR_HAND
+    elif preset.of == "pair":
+        nearest = min(snapshot.pairs, key=lambda pair: pair.d)
+        seen = np.vstack([nearest.p_a + _NEAR_PAIR, nearest.p_b + _NEAR_PAIR])
+    elif preset.of == "door" and snapshot.door is not None:
+        door, (_, width, height) = snapshot.door.door, snapshot.door.door.size
+        corners = [(0.0, -door.side * u, v) for u in (0.0, width) for v in (0.0, height)]
+        poses = (door.pose(0.0), door.pose(snapshot.door.angle), door.pose(_OPEN))
+        seen = np.array([T.act(np.array(c)) for T in poses for c in corners])
+        away = door.pose(0.0).rotation @ (preset.away * (1.0, -door.side, 1.0))
+        return fit(np.vstack([seen, hand + _HAND]), away, window)
+    return fit(np.vstack([seen, hand + SCALE * np.eye(3)]), away, window)  # and the gizmo's tips
+
+
+def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
+    """Whether the middle of points (N, 3) [m] is in the free part of a picture, large enough."""
+    axes = _axes(target - eye)
+    middle = points.mean(axis=0)
+    u, v, depth = axes @ (middle - eye)
+    high = np.tan(FIELD_OF_VIEW / 2) * depth
+    size = float(np.linalg.norm(points - middle, axis=1).max())
+    low = -high * (1 - 2 * window.covered)
+    return bool(depth > 0.0 and abs(u) < high * window.aspect and low < v < high) and (
+        size > _LEAST_SHARE * high
+    )
+
+
+def _frame(snapshot: Snapshot) -> tuple[Array, Array]:
+    """R (3, 3) from the base's frame to the world, and its origin (3,) [m] on the floor."""
     x, y, phi = snapshot.base_pose
-    c, s = np.cos(phi), np.sin(phi)
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    origin = np.array([x, y, 0.0])
-    hand = R.T @ (snapshot.p_ee - origin)
-    arrows = hand + SCALE * R  # tips, whose axes are the world's: those of Rᵀ in the base's frame
-    seen = hand + _NEAR_HAND if preset.of_hand else np.vstack([extent, hand + _HAND])
-    seen = np.vstack([seen, arrows])
-    eye, target = fit(seen, preset.away, window)
-    return origin + R @ eye, origin + R @ target
+    return pin.utils.rotate("z", phi), np.array([x, y, 0.0])
+
+
+def _in_world(snapshot: Snapshot, extent: Array) -> Array:
+    """(N, 3) [m] points of the robot in the base's frame, in the world."""
+    R, origin = _frame(snapshot)
+    return origin + extent @ R.T
+
+
+def _axes(forward: Array) -> Array:
+    """(3, 3) right, up and forward of a camera that looks along a direction; not upright."""
+    forward = forward / np.linalg.norm(forward)
+    right = np.cross(forward, UP)
+    right /= np.linalg.norm(right)
+    return np.array([right, np.cross(right, forward), forward])
 
 
 def set_first_look(server: viser.ViserServer, eye: Array, target: Array) -> None:
-    """Where new viewers of a server look from at first.
-
-    Args:
-        server: Of the page.
-        eye: (3,) [m] in the world.
-        target: (3,) [m] what is looked at.
-    """
+    """Where new viewers of a server look from at first, (3,) [m] in the world each."""
     camera = server.initial_camera
     camera.position, camera.look_at, camera.fov = eye, target, FIELD_OF_VIEW
+
+
+def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
+    """The nearest camera that sees all points, in the middle of the free part.
+
+    Args:
+        points: (N, 3) [m].
+        away: (3,) from what is looked at towards the camera; not upright.
+        window: Where the picture is drawn.
+
+    Returns:
+        (3,) [m] the eye, and (3,) [m] a point before it on the middle of the picture, as far away
+        as the middle of the points.
+    """
+    axes = _axes(-away)
+    forward = axes[2]
+    u, v, depth = axes @ points.T
+    high = np.tan(FIELD_OF_VIEW / 2)
+    across = _Strip(u, depth, -high * window.aspect, high * window.aspect)
+    along = _Strip(v, depth, -high * (1 - 2 * window.covered), high)
+    nearest = min(across.nearest, along.nearest)
+    eye = axes.T @ np.array([across.middle(nearest), along.middle(nearest), nearest])
+    return eye, eye + ((depth.min() + depth.max()) / 2 - nearest) * forward
+
+
+class _Strip:
+    """What one direction of the picture asks of the camera.
+
+    A point at u and depth w is seen at (u − u₀)/(w − w₀) from a camera at u₀, w₀, which has to be
+    between low and high: two half-planes of (u₀, w₀) a point.
+    """
+
+    def __init__(self, u: Array, depth: Array, low: float, high: float) -> None:
+        spare = _MARGIN / 2 * (high - low)
+        self._low, self._high = low + spare, high - spare
+        self._least = float(np.max(u - self._high * depth))
+        self._most = float(np.min(u - self._low * depth))
+
+    @property
+    def nearest(self) -> float:
+        """[m] the depth of the camera that is nearest to the points."""
+        return (self._most - self._least) / (self._high - self._low)
+
+    def middle(self, depth: float) -> float:
+        """[m] where a camera at a depth has as much room on either side."""
+        return (self._least + self._high * depth + self._most + self._low * depth) / 2

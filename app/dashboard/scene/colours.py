@@ -1,11 +1,16 @@
-"""Colours of what is drawn: a perceptual map for the border, a traffic light for distances."""
+"""Colours: of a dark and a light page, of what is drawn, and a perceptual map for the border."""
 
 from __future__ import annotations
 
 import numpy as np
+import viser
 
 Array = np.ndarray
 Rgb = tuple[int, int, int]
+
+BRAND: Rgb = (38, 132, 214)
+BACKGROUND: dict[bool, Rgb] = {True: (20, 20, 20), False: (255, 255, 255)}
+"""Of a dark and of a light page, behind the scene."""
 
 _VIRIDIS = np.array(
     [
@@ -28,12 +33,16 @@ _VIRIDIS = np.array(
 SERIES: tuple[str, ...] = ("#e4572e", "#f2a541", "#3b8ea5", "#7b6cd9", "#4caf7d", "#b56576")
 """One colour a link pair, in the order of the snapshot; distinct on white and on black."""
 
-REST: Rgb = (128, 138, 150)
+CLEAR: Rgb = (128, 138, 150)
 """A pair outside of its buffer."""
-NEAR: Rgb = (232, 170, 40)
-"""A pair that has just entered its buffer."""
-FULL: Rgb = (222, 49, 40)
-"""A pair so near that its task is in full force."""
+NEAR: Rgb = (235, 205, 70)
+"""A pair inside of its buffer, on which nothing acts."""
+YIELDS: Rgb = (240, 150, 40)
+"""A pair for which the base gives way."""
+RESISTS: Rgb = (224, 84, 36)
+"""A pair whose distance the arm itself keeps."""
+CONTACT: Rgb = (226, 16, 56)
+"""What touches, or a pair of which one is inside the other."""
 PERSON: Rgb = (32, 150, 230)
 """What the person does."""
 ACTING: Rgb = (222, 49, 140)
@@ -49,14 +58,7 @@ GHOSTS: tuple[Rgb, Rgb] = ((150, 110, 230), (40, 180, 170))
 
 
 def viridis(u: Array) -> Array:
-    """Colours of values between 0 and 1.
-
-    Args:
-        u: (N,) values, clipped to [0, 1].
-
-    Returns:
-        (N, 3) uint8.
-    """
+    """Colours (N, 3) uint8 of values (N,), clipped to [0, 1]."""
     at = np.linspace(0.0, 1.0, len(_VIRIDIS))
     u = np.clip(u, 0.0, 1.0)
     return np.stack([np.interp(u, at, channel) for channel in _VIRIDIS.T], axis=-1).astype(np.uint8)
@@ -67,35 +69,21 @@ def viridis_css() -> str:
     return ", ".join(f"rgb({r:.0f},{g:.0f},{b:.0f})" for r, g, b in _VIRIDIS)
 
 
-def distance_colour(d: float, d_b: float, d_full: float) -> Rgb:
-    """Grey outside of the buffer, from amber at the border to red where the task is in full force.
-
-    Args:
-        d: [m] signed distance of the pair.
-        d_b: [m] buffer distance.
-        d_full: [m] distance of full force, below `d_b`.
-    """
-    if d >= d_b:
-        return REST
-    u = np.clip((d_b - d) / (d_b - d_full), 0.0, 1.0)
-    r, g, b = ((1.0 - u) * np.array(NEAR) + u * np.array(FULL)).round()
-    return int(r), int(g), int(b)
-
-
 def css(colour: Rgb) -> str:
     """The colour as CSS writes it."""
     return "rgb({},{},{})".format(*colour)
 
 
 def linear(colours: Array) -> Array:
-    """Colours as viser takes them for single segments of lines, which it does not convert.
+    """Colours (N, 3) uint8 of a screen (sRGB), linear in light.
 
-    Args:
-        colours: (N, 3) uint8 as on a screen (sRGB).
-
-    Returns:
-        (N, 3) uint8 linear in light.
+    So viser takes them for single segments of lines, which it does not convert.
     """
     u = np.asarray(colours, float) / 255.0
     light = np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4)
     return (255.0 * light).round().astype(np.uint8)
+
+
+def set_theme(gui: viser.GuiApi, *, dark: bool) -> None:
+    """Dark or light page."""
+    gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False, brand_color=BRAND)

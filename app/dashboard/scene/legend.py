@@ -7,22 +7,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.dashboard.base_measures import measure_of
 from app.dashboard.markup import mark, minus
+from app.dashboard.scene.canvas import METRES_PER_ACCELERATION, METRES_PER_NEWTON
 from app.dashboard.scene.colours import (
     ACCELERATION,
     ACTING,
-    FULL,
-    NEAR,
     PERSON,
-    REST,
     TRAIL_BASE,
     TRAIL_HAND,
     Rgb,
     css,
     viridis_css,
 )
-from app.dashboard.scene.lines import METRES_PER_ACCELERATION, METRES_PER_NEWTON
+from app.dashboard.verdict import COLOURS, State
 from app.robot.bases.kind import BaseKind
 
 Array = np.ndarray
@@ -33,15 +30,40 @@ QUANTITIES = ("determinant", "reachability", "score")
 """What the border can be coloured by."""
 
 
+class BaseMeasure(NamedTuple):
+    """Words for what (10) makes its score of, by kind of base: `BaseKind.singularity`.
+
+    Texts are HTML; `unit` is also the score's, and `score` says how (10) makes it.
+    """
+
+    title: str = "measure of the base"
+    unit: str = ""
+    label: str = "measure of the base"
+    hint: str = "how well the base moves the point; in the place of (7)"
+    score: str = "measure · R"
+
+
+_DETERMINANT = BaseMeasure(
+    title="det(J<sub>c</sub>J<sub>c</sub><sup>T</sup>), (7)",
+    unit="m⁴/rad⁴",
+    label="far from singular, det",
+    hint="(7): 0 on the wheels' axis, where the base cannot move the point sideways",
+    score="sign · det · R",
+)
+
+
+def measure_of(kind: str) -> BaseMeasure:
+    """The words for a kind of base, by its name in a description."""
+    return _DETERMINANT if kind == "differential" else BaseMeasure()
+
+
 class Legend(NamedTuple):
     """What the colour bar says.
 
     Attributes:
-        pair: The link pair of the border.
         title: What is shown, as HTML.
-        unit: Of it, empty if it has none.
+        unit: Of it, and of the least and the largest value on the border; may be empty.
         d_b: [m] buffer distance.
-        low, high: Least and largest value on the border, in that unit.
         drawn, total: Points drawn, and points of the border.
         top: [m] height up to which it is drawn, None if all of it.
     """
@@ -66,14 +88,14 @@ def make_legend(
     drawn: int,
     top: float | None,
 ) -> Legend:
-    """The legend of a border from the values of all its points.
+    """The legend of a border from the values (N,) of all its points, N ≥ 1.
 
     Args:
         pair: The link pair.
         quantity: One of `QUANTITIES`.
         base: Whose measure stands in the score.
         d_b: [m] buffer distance.
-        values: (N,) values of all points, N ≥ 1.
+        values: (N,) values of all points.
         drawn: How many of the N points are drawn.
         top: [m] height up to which it is drawn, None if all of it.
     """
@@ -100,22 +122,23 @@ def legend_html(legends: list[Legend]) -> str:
     return "".join(map(_bar_html, legends))
 
 
-def key_html(d_b: float, d_full: float) -> str:
-    """What the other colours and arrows mean, as HTML.
-
-    Args:
-        d_b: [m] buffer distance.
-        d_full: [m] distance of full force.
-    """
-    near = f"inside d<sub>b</sub> = {d_b:.2f} m, red from {d_full:.2f} m on"
+def key_html(d_b: float) -> str:
+    """What the other colours and arrows mean, as HTML, for d_b [m]."""
     force, push = 0.1 / METRES_PER_NEWTON, 0.2 / METRES_PER_ACCELERATION
+    states: dict[State, str] = {
+        "clear": "closest points, pair outside its buffer",
+        "near": f"inside d<sub>b</sub> = {d_b:.2f} m, nothing acts on it",
+        "giving way": "the base gives way",
+        "resisting": "the arm keeps the distance itself",
+        "contact": "contact: one is inside the other",
+    }
+    acting = _signs("●", ACTING) + _signs("→", ACTING)
     rows = [
-        (_dash(REST), "closest points, pair outside its buffer"),
-        (_dash(NEAR) + _dash(FULL), near),
-        (_dot(ACTING) + _arrow(ACTING), f"acting point and its force: 0.1 m is {force:.0f} N"),
-        (_arrow(PERSON), f"person's force: 0.1 m is {force:.0f} N"),
-        (_arrow(ACCELERATION), f"asked of the base: v̇, 0.2 m is {push:.0f} m/s²; ω̇ as an arc"),
-        (_dash(TRAIL_BASE) + _dash(TRAIL_HAND), "ways of base and hand"),
+        *((_signs("―", COLOURS[state]), text) for state, text in states.items()),
+        (acting, f"acting point and its force: 0.1 m is {force:.0f} N"),
+        (_signs("→", PERSON), f"person's force: 0.1 m is {force:.0f} N"),
+        (_signs("→", ACCELERATION), f"asked of the base: v̇, 0.2 m is {push:.0f} m/s²; ω̇ as an arc"),
+        (_signs("―", TRAIL_BASE, TRAIL_HAND), "ways of base and hand"),
         ("<b>―</b>", "border at the hand's height"),
     ]
     body = "".join(
@@ -141,20 +164,13 @@ def _bar_html(legend: Legend) -> str:
         '<div style="display:flex;justify-content:space-between;'
         f'font-variant-numeric:tabular-nums">{ticks}</div>'
         f'<div style="opacity:.65">d<sub>b</sub> = {legend.d_b:.3f} m, '
-        f"{share} {legend.total:,} points{part}</div></div>"
+        f"{share} {legend.total:,} points{part}. Where there are none, the arm cannot be at that "
+        "distance.</div></div>"
     )
 
 
-def _dash(colour: Rgb) -> str:
-    return mark("―", css(colour))
-
-
-def _dot(colour: Rgb) -> str:
-    return mark("●", css(colour))
-
-
-def _arrow(colour: Rgb) -> str:
-    return mark("→", css(colour))
+def _signs(sign: str, *colours: Rgb) -> str:
+    return "".join(mark(sign, css(colour)) for colour in colours)
 
 
 def tick_texts(low: float, high: float) -> tuple[list[str], str]:

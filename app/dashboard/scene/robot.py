@@ -1,46 +1,54 @@
-"""Robot: meshes sent once, under frames that move."""
+"""Robot: what it looks like, read once for many viewers, and where its links are."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
 
+import coal
 import numpy as np
 import pinocchio as pin
 import trimesh
-import viser
 
 from app.dashboard.scene.colours import Rgb
-from app.dashboard.scene.visuals import GREY, Visual, for_display, load_visuals
-from app.errors import AssetError
+from app.errors import AssetError, DescriptionError
 from app.robot.description import RobotDescription
-from app.robot.meshes import shape_mesh
 from app.robot.model import RobotModel
-from app.robot.urdf import bare_urdf
+from app.robot.shapes import shape_mesh
+from app.robot.urdf import bare_urdf, floats, resolved_urdf
 
 Array = np.ndarray
 logger = logging.getLogger(__name__)
-ROOT = "/robot"
-"""Scene node that moves with the base: origin on the floor below the base's centre, x forward."""
+MAX_FACES = 2500
+"""Faces a mesh may have on the page; the Panda's links come with 12,000 to 22,000."""
+MOST_FACES = 4 * MAX_FACES
+"""Faces that are borne where fewer would show; what cannot be decimated at all keeps more."""
+AGGRESSIONS = (3, 5, 7)
+"""Of the decimation, the first that gets below `MOST_FACES`. More of it takes corners off meshes of
+many parts, such as UR5's tubes; with less such meshes stay too heavy."""
+LIGHT_FACES = 400
+"""Faces of all meshes of one colour that one joint moves, where a page draws in software."""
+CREASE = np.deg2rad(35.0)  # [rad] sharper edges are drawn as edges, not shaded over
+GREY: Rgb = (150, 150, 155)
+"""Colour of a visual for which the URDF states none."""
 BODY: Rgb = (64, 156, 224)
-BODY_OPACITY = 0.28  # [-]
-GHOST_OPACITY = 0.30  # [-]
 _AROUND = np.array([0.15, 0.15, 0.0])  # [m] of a border around the base
 
 
-def to_viser(T: pin.SE3) -> tuple[Array, Array]:
-    """Position (3,) [m] and quaternion wxyz (4,) of a pose."""
-    xyzquat = np.array(pin.SE3ToXYZQUAT(T))
-    return xyzquat[:3], xyzquat[[6, 3, 4, 5]]
+class Visual(NamedTuple):
+    """One mesh in the frame of the joint that moves it."""
 
-
-def from_viser(position: Array, wxyz: Array) -> pin.SE3:
-    """The pose of a position (3,) [m] and a quaternion wxyz (4,)."""
-    return pin.XYZQUATToSE3(np.concatenate([position, wxyz[1:], wxyz[:1]]))
-
-
-def moved(T: pin.SE3, points: np.ndarray) -> np.ndarray:
-    """(N, 3) points of one frame in another."""
-    return points @ T.rotation.T + T.translation
+    name: str
+    joint: int
+    """Index of pinocchio's joint, 0 for what is fixed to the root."""
+    placement: pin.SE3
+    """T_joint_mesh."""
+    mesh: trimesh.Trimesh
+    colour: Rgb
 
 
 class LinkPoses:
@@ -53,13 +61,9 @@ class LinkPoses:
     def __init__(self, robot: RobotModel) -> None:
         self.model = pin.buildModelFromXML(bare_urdf(robot.description))
         self._data = self.model.createData()
-        self._q = pin.neutral(self.model)
         base, arm = robot.description.base, robot.description.arm
-        self._arm = [self.model.joints[self.model.getJointId(name)] for name in arm.joints]
-        self._wheels = [
-            [self.model.joints[self.model.getJointId(name)] for name in wheels.joints]
-            for wheels in base.wheels
-        ]
+        self._arm = self._places(arm.joints)
+        self._wheels = [self._places(wheels.joints) for wheels in base.wheels]
 
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
         """T_root_joint of every joint.
@@ -68,18 +72,17 @@ class LinkPoses:
             q_m: (n_m,) [rad or m] arm joints.
             wheel_angles: (n_w,) [rad] of the base's wheels, right and left.
         """
-        for joint, position in zip(self._arm, q_m, strict=True):
-            self._set(joint, position)
-        for wheels, angle in zip(self._wheels, wheel_angles, strict=True):
-            for joint in wheels:
-                self._set(joint, angle)
-        pin.forwardKinematics(self.model, self._data, self._q)
+        turned = np.zeros(self.model.nv)
+        turned[self._arm] = q_m
+        for joints, angle in zip(self._wheels, wheel_angles, strict=True):
+            turned[joints] = angle
+        # pinocchio keeps a continuous joint, which a wheel often is, as a point on the circle.
+        q = pin.integrate(self.model, pin.neutral(self.model), turned)
+        pin.forwardKinematics(self.model, self._data, q)
         return [T.copy() for T in self._data.oMi]
 
-    def _set(self, joint: pin.JointModel, position: float) -> None:
-        # pinocchio keeps a continuous joint, which a wheel often is, as a point on the circle.
-        at = (np.cos(position), np.sin(position)) if joint.nq == 2 else (position,)
-        self._q[joint.idx_q : joint.idx_q + joint.nq] = at
+    def _places(self, joints: Sequence[str]) -> list[int]:
+        return [self.model.joints[self.model.getJointId(name)].idx_v for name in joints]
 
 
 class RobotParts:
@@ -102,9 +105,24 @@ class RobotParts:
             self.visuals = load_visuals(robot.description, self.kinematics.model)
         except AssetError as error:
             logger.warning("%s is drawn by its convex bodies: %s", robot.description.name, error)
-            self.visuals = [_as_look(body) for body in self.bodies]
+            self.visuals = [
+                body._replace(name=f"look_{body.name}", mesh=for_display(body.mesh), colour=GREY)
+                for body in self.bodies
+            ]
             self.title += " (its meshes are not installed: convex bodies)"
         self.extent = self._extent(robot.description)
+
+    @cached_property
+    def light_visuals(self) -> list[Visual]:
+        """The visuals with few faces, one for each colour of what a joint moves."""
+        groups: dict[tuple[int, Rgb], list[trimesh.Trimesh]] = {}
+        for visual in self.visuals:
+            mesh = visual.mesh.copy().apply_transform(visual.placement.homogeneous)
+            groups.setdefault((visual.joint, visual.colour), []).append(mesh)
+        return [
+            Visual(f"light_{i}", joint, pin.SE3.Identity(), _light(meshes), colour)
+            for i, ((joint, colour), meshes) in enumerate(groups.items())
+        ]
 
     def _extent(self, robot: RobotDescription) -> Array:
         ready = np.array(robot.arm.ready_position)
@@ -112,104 +130,12 @@ class RobotParts:
 
         def corners(visual: Visual) -> Array:
             T = poses[visual.joint] * visual.placement
-            return moved(T, trimesh.bounds.corners(visual.mesh.bounds))
+            return trimesh.transform_points(trimesh.bounds.corners(visual.mesh.bounds), np.array(T))
 
         mobile = np.vstack([corners(body) for body in self.bodies[: len(robot.bodies[0].shapes)]])
         around = np.array([mobile.min(axis=0) - _AROUND, mobile.max(axis=0) + _AROUND])
         links = [corners(visual) for visual in self.visuals or self.bodies]
         return np.vstack([trimesh.bounds.corners(around), *links])
-
-    def joint_name(self, joint: int) -> str:
-        """Name of a joint of the model; empty for the root."""
-        return "" if joint == 0 else self.kinematics.model.names[joint]
-
-
-class RobotScene:
-    """A robot in a scene: visual meshes and, on demand, the convex bodies."""
-
-    def __init__(
-        self,
-        scene: viser.SceneApi,
-        parts: RobotParts,
-        root: str = ROOT,
-        *,
-        ghost: Rgb | None = None,
-    ) -> None:
-        """Send all meshes.
-
-        Args:
-            scene: Where to.
-            parts: The robot.
-            root: Scene node that moves with the base.
-            ghost: Colour of a translucent robot without bodies; None for the real one.
-        """
-        self._parts, self._scene, self._ghost, self._path = parts, scene, ghost, root
-        self._root = scene.add_frame(root, show_axes=False)
-        bodies = parts.bodies if ghost is None else []
-        moving = sorted({visual.joint for visual in (*parts.visuals, *bodies)})
-        self._frames = {
-            joint: scene.add_frame(self._node(joint), show_axes=False) for joint in moving
-        }
-        opacity = None if ghost is None else GHOST_OPACITY
-        self.links = [(visual.joint, self._add(visual, opacity)) for visual in parts.visuals]
-        """Joint that moves it, and handle, of each visual mesh."""
-        self._bodies = [self._add(body, BODY_OPACITY) for body in bodies]
-        self.show(meshes=True, bodies=False)
-
-    def show(self, *, meshes: bool, bodies: bool) -> None:
-        """Choose what is to be seen of the robot."""
-        for _, handle in self.links:
-            handle.visible = meshes
-        for handle in self._bodies:
-            handle.visible = bodies
-
-    def update(self, base_pose: Array, q_m: Array, wheel_angles: Array) -> None:
-        """Move the frames; viser sends only those that moved.
-
-        Args:
-            base_pose: (3,) x, y [m] and heading [rad] in the world.
-            q_m: (n_m,) [rad or m] arm joints.
-            wheel_angles: (n_w,) [rad] of the base's wheels, right and left.
-        """
-        x, y, phi = base_pose
-        self._root.position = (x, y, 0.0)
-        self._root.wxyz = (np.cos(phi / 2), 0.0, 0.0, np.sin(phi / 2))
-        poses = self._parts.kinematics.update(q_m, wheel_angles)
-        for joint, frame in self._frames.items():
-            frame.position, frame.wxyz = to_viser(poses[joint])
-
-    def world_pose(self, joint: int) -> pin.SE3:
-        """T_world_joint of a joint, as it was drawn last."""
-        frame = self._frames[joint]
-        return from_viser(self._root.position, self._root.wxyz) * from_viser(
-            frame.position, frame.wxyz
-        )
-
-    def remove(self) -> None:
-        """Take it out of the scene."""
-        self._root.remove()
-
-    def _add(self, visual: Visual, opacity: float | None) -> viser.MeshHandle:
-        position, wxyz = to_viser(visual.placement)
-        return self._scene.add_mesh_simple(
-            f"{self._node(visual.joint)}/{visual.name}",
-            vertices=np.asarray(visual.mesh.vertices),
-            faces=np.asarray(visual.mesh.faces),
-            color=visual.colour if self._ghost is None else self._ghost,
-            opacity=opacity,
-            position=position,
-            wxyz=wxyz,
-            cast_shadow=opacity is None,
-            receive_shadow=opacity is None,
-        )
-
-    def _node(self, joint: int) -> str:
-        return f"{self._path}/{self._parts.joint_name(joint) or 'fixed'}"
-
-
-def _as_look(body: Visual) -> Visual:
-    """A convex body in place of the meshes that it covers."""
-    return body._replace(name=f"look_{body.name}", mesh=for_display(body.mesh), colour=GREY)
 
 
 def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
@@ -222,3 +148,137 @@ def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
             name = f"body_{body.name}_{i}"
             bodies.append(Visual(name, frame.parentJoint, placement, shape_mesh(shape), BODY))
     return bodies
+
+
+def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual]:
+    """All visual meshes of the URDF, decimated, in the URDF's colours.
+
+    Args:
+        description: The robot.
+        model: pinocchio's model of the whole URDF, whose joints the visuals refer to.
+
+    Raises:
+        AssetError: The URDF or a mesh is not there.
+        DescriptionError: A mesh of the URDF has no file, or a scale that is not three numbers.
+    """
+    urdf, files = _without_files(resolved_urdf(description))
+    geometry = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.VISUAL)
+    ready: dict[_MeshFile, trimesh.Trimesh] = {}  # four wheels share one file
+    visuals = []
+    for item in geometry.geometryObjects:
+        file = files.get(item.name)
+        if file is None:
+            mesh = for_display(mesh_of(item.geometry))
+        else:
+            if file not in ready:
+                ready[file] = for_display(read_mesh(file.path).apply_scale(file.scale))
+            mesh = ready[file]
+        # A copy: the placement inside the item dies with `geometry`.
+        placement = item.placement.copy()
+        visuals.append(Visual(item.name, item.parentJoint, placement, mesh, _colour(item)))
+    return visuals
+
+
+class _MeshFile(NamedTuple):
+    path: str
+    scale: tuple[float, ...]
+
+
+def _without_files(urdf: str) -> tuple[str, dict[str, _MeshFile]]:
+    """A URDF with a sphere in place of each visual's mesh, and the meshes by pinocchio's names.
+
+    pinocchio tells where they are; it would read each file too, which takes as long as all else.
+
+    Raises:
+        DescriptionError: A mesh has no file, or a scale that is not three numbers.
+    """
+    tree = ElementTree.fromstring(urdf)
+    files = {}
+    for link in tree.iterfind("link"):
+        name = link.get("name", "")
+        for i, visual in enumerate(link.iterfind("visual")):
+            geometry = visual.find("geometry")
+            if geometry is None or not len(geometry) or geometry[0].tag != "mesh":
+                continue
+            files[f"{name}_{i}"] = _mesh_file(name, geometry[0])
+            geometry[0] = ElementTree.Element("sphere", radius="1")
+    return ElementTree.tostring(tree, encoding="unicode"), files
+
+
+def _mesh_file(link: str, mesh: ElementTree.Element) -> _MeshFile:
+    path, scale = mesh.get("filename", ""), mesh.get("scale", "1 1 1")
+    values = floats(scale, 3)
+    if values is None:
+        raise DescriptionError(f"link {link!r}: scale={scale!r} of a mesh is not three numbers")
+    if not path:
+        raise DescriptionError(f"link {link!r}: a mesh has no filename")
+    return _MeshFile(path, tuple(values))
+
+
+def read_mesh(path: str) -> trimesh.Trimesh:
+    """The triangles of a mesh file, parts joined, equal vertices merged, textures left behind.
+
+    Raises:
+        AssetError: The file cannot be read, or its format needs a package that is not installed.
+    """
+    try:
+        with open(path, "rb") as file:  # a file, not a path: then no texture beside it is read
+            kind = Path(path).suffix[1:].lower()
+            mesh = trimesh.load(file, file_type=kind, force="mesh", skip_materials=True)
+    except (ImportError, NotImplementedError, ValueError, OSError) as error:
+        raise AssetError(f"{path}: trimesh cannot read it: {error}") from None
+    assert isinstance(mesh, trimesh.Trimesh)
+    # A new mesh of positions only: textures would be copied with every part of it.
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
+
+
+def mesh_of(geometry: coal.CollisionGeometry) -> trimesh.Trimesh:
+    """The triangles of a primitive shape.
+
+    Raises:
+        TypeError: A shape that a URDF cannot hold.
+    """
+    if isinstance(geometry, coal.Box):
+        return trimesh.creation.box(extents=2.0 * np.asarray(geometry.halfSide))
+    if isinstance(geometry, coal.Cylinder):
+        return trimesh.creation.cylinder(geometry.radius, 2.0 * geometry.halfLength, sections=48)
+    if isinstance(geometry, coal.Sphere):
+        return trimesh.creation.icosphere(subdivisions=3, radius=geometry.radius)
+    if isinstance(geometry, coal.Capsule):
+        mesh = trimesh.creation.capsule(2.0 * geometry.halfLength, geometry.radius, count=[24, 24])
+        return mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    raise TypeError(f"no mesh for {type(geometry).__name__}")
+
+
+def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A mesh of about `MAX_FACES`, with the vertices of sharp edges doubled.
+
+    The browser averages normals over shared vertices, so without the doubling every edge of a box
+    would look like a pillow.
+    """
+    if len(mesh.faces) > MAX_FACES:
+        mesh = _decimated(mesh)
+    return trimesh.graph.smooth_shade(mesh, angle=CREASE)
+
+
+def _decimated(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    for aggression in AGGRESSIONS:
+        light = mesh.simplify_quadric_decimation(face_count=MAX_FACES, aggression=aggression)
+        if len(light.faces) <= MOST_FACES:
+            break
+    return light
+
+
+def _light(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    mesh = trimesh.util.concatenate(meshes)
+    mesh.merge_vertices(merge_norm=True)  # those that were doubled for the sake of their normals
+    if len(mesh.faces) > LIGHT_FACES:
+        mesh = mesh.simplify_quadric_decimation(face_count=LIGHT_FACES, aggression=AGGRESSIONS[-1])
+    return trimesh.graph.smooth_shade(mesh, angle=CREASE)
+
+
+def _colour(item: pin.GeometryObject) -> Rgb:
+    if not item.overrideMaterial:
+        return GREY
+    r, g, b = (round(255 * channel) for channel in item.meshColor[:3])
+    return r, g, b

@@ -1,55 +1,43 @@
-"""Scene: all layers, and how a snapshot is drawn on them."""
+"""Scene: the robot and all layers, and how a snapshot is drawn on them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+import pinocchio as pin
 import viser
 
 from app.border.cloud import Cloud
+from app.dashboard.panels import phrases as words
+from app.dashboard.record import Course, Rows, Strip, Track
 from app.dashboard.scene.borders import BorderCloud, Borders, BorderSlice
-from app.dashboard.scene.colours import GHOSTS
-from app.dashboard.scene.door import DoorScene
-from app.dashboard.scene.forces import ActingPoints, Motion
+from app.dashboard.scene.canvas import ROOT, Canvas, from_viser, to_viser
+from app.dashboard.scene.colours import GHOSTS, TRAIL_BASE, TRAIL_HAND, Rgb
+from app.dashboard.scene.layers import (
+    draw_acting_points,
+    draw_distances,
+    draw_door,
+    draw_motion,
+    draw_names,
+)
 from app.dashboard.scene.legend import Legend
-from app.dashboard.scene.pair_lines import PairLines
-from app.dashboard.scene.robot import RobotParts, RobotScene
-from app.dashboard.scene.theme import set_floor, set_lights
-from app.dashboard.scene.trails import Tracks, Trails
+from app.dashboard.scene.robot import RobotParts, Visual
+from app.dashboard.scene.shell import Shell
+from app.dashboard.verdict import judge
 from app.dashboard.view import View
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
 
+Array = np.ndarray
 
-class Ghosts:
-    """Up to two robots; their meshes are sent when the first snapshot has them."""
-
-    def __init__(self, scene: viser.SceneApi, parts: RobotParts) -> None:
-        """None yet.
-
-        Args:
-            scene: Where to draw.
-            parts: The robot that all of them are.
-        """
-        self._scene, self._parts = scene, parts
-        self._robots: list[RobotScene] = []
-        self._shown = 0
-
-    def update(self, snapshot: Snapshot) -> None:
-        """Move the ghosts of a snapshot, hide the others."""
-        while len(self._robots) < len(snapshot.ghosts):
-            i = len(self._robots)
-            self._robots.append(
-                RobotScene(self._scene, self._parts, f"/ghost_{i}", ghost=GHOSTS[i % len(GHOSTS)])
-            )
-            self._shown = len(self._robots)
-        if len(snapshot.ghosts) != self._shown:
-            self._shown = len(snapshot.ghosts)
-            for i, robot in enumerate(self._robots):
-                robot.show(meshes=i < self._shown, bodies=False)
-        for robot, ghost in zip(self._robots, snapshot.ghosts, strict=False):
-            robot.update(ghost.base_pose, ghost.q_m, ghost.wheel_angles)
+BODY_OPACITY = 0.28  # [-]
+GHOST_OPACITY = 0.30  # [-]
+SURROUNDINGS = "city"
+"""What viser mirrors in the meshes unless it is told otherwise."""
+_TRACK_LIFT = 0.004  # [m] of the base's track above the floor
+_TRAILS = {"base": TRAIL_BASE, "hand": TRAIL_HAND}
 
 
 class SceneData:
@@ -57,13 +45,10 @@ class SceneData:
 
     Attributes:
         loop: Gives the snapshots.
-        model: The robot.
         clouds: P_i of every pair of L_m, by the pair's name.
-        pairs: Names of all link pairs, in the order of the snapshots.
-        mobile: Names of those of L_m.
-        parts: The robot's meshes.
-        borders: Its borders.
-        tracks: Where base and hand have been.
+        pairs, mobile: Names of all link pairs, in the order of the snapshots, and of those of L_m.
+        spoken: The pairs in words, by their names.
+        tracks: Where "base" and "hand" have been.
     """
 
     def __init__(
@@ -73,58 +58,131 @@ class SceneData:
         clouds: Mapping[str, Cloud],
         parts: RobotParts | None = None,
     ) -> None:
-        """Load what scenes need.
-
-        Args:
-            loop: Has a snapshot already.
-            model: The robot of the snapshots.
-            clouds: P_i of every pair of L_m, by the pair's name.
-            parts: The robot's meshes if they have been read already.
-        """
+        """Load what scenes need; `loop` has a snapshot already, `parts` may have been read."""
         first = loop.latest()
         self.loop, self.model, self.clouds = loop, model, clouds
         self.pairs = [pair.name for pair in first.pairs]
         self.mobile = [pair.name for pair in first.pairs if pair.mobile]
+        self.spoken = {name: words.spoken(name, model.body_names) for name in self.pairs}
         self.parts = parts or RobotParts(model)
         self.borders = Borders(model, clouds)
-        self.tracks = Tracks()
+        self.tracks = {
+            "base": Track(lambda snapshot: np.append(snapshot.base_pose[:2], _TRACK_LIFT)),
+            "hand": Track(lambda snapshot: snapshot.p_ee),
+        }
+        self._kept: list[Rows | Course | Strip] = [*self.tracks.values()]
 
-    def update(self) -> list[Snapshot]:
-        """Extend the tracks.
-
-        Returns:
-            The new snapshots, or all that are kept if time went back.
-        """
-        newest, last = self.loop.latest(), self.tracks.last
+    def update(self) -> None:
+        """Take in the new snapshots, or all that are kept if time went back."""
+        newest, last = self.loop.latest(), self.tracks["hand"].last
         new = self.loop.history(last if newest.t >= last else -1.0)
-        self.tracks.extend(new, newest.t)
-        return new
+        for rows in self._kept:
+            rows.extend(new, newest.t)
+
+
+class RobotScene:
+    """A robot in a scene: meshes sent once, under frames that move."""
+
+    def __init__(
+        self,
+        scene: viser.SceneApi,
+        parts: RobotParts,
+        root: str = ROOT,
+        *,
+        ghost: Rgb | None = None,
+        light: bool = False,
+    ) -> None:
+        """Send all meshes, below a node that moves with the base.
+
+        A ghost is translucent, of one colour and without bodies; `light` sends few faces.
+        """
+        self._parts, self._scene, self._path, self._ghost = parts, scene, root, ghost
+        self.root = scene.add_frame(root, show_axes=False)
+        bodies = parts.bodies if ghost is None else []
+        moving = sorted({visual.joint for visual in (*parts.visuals, *bodies)})
+        self._frames = {
+            joint: scene.add_frame(self._node(joint), show_axes=False) for joint in moving
+        }
+        self.links: list[tuple[int, viser.MeshHandle]] = []
+        """Joint that moves it, and handle, of each visual mesh; a new list with new ones."""
+        self.dress(light=light)
+        self._bodies = [self._add(body, body.colour, BODY_OPACITY) for body in bodies]
+        self.show(meshes=True, bodies=False)
+
+    def dress(self, *, light: bool) -> None:
+        """Send the visual meshes, or those of few faces, in place of the others."""
+        for _, handle in self.links:
+            handle.remove()
+        opacity = None if self._ghost is None else GHOST_OPACITY
+        self.links = [
+            (visual.joint, self._add(visual, self._ghost or visual.colour, opacity, light))
+            for visual in (self._parts.light_visuals if light else self._parts.visuals)
+        ]
+
+    def show(self, *, meshes: bool, bodies: bool) -> None:
+        """Choose what is to be seen of the robot."""
+        for _, handle in self.links:
+            handle.visible = meshes
+        for handle in self._bodies:
+            handle.visible = bodies
+
+    def update(self, base_pose: Array, q_m: Array, wheel_angles: Array) -> None:
+        """Move the frames; viser sends only those that moved.
+
+        Args:
+            base_pose: (3,) x, y [m] and heading [rad] in the world.
+            q_m: (n_m,) [rad or m] arm joints.
+            wheel_angles: (n_w,) [rad] of the base's wheels, right and left.
+        """
+        x, y, phi = base_pose
+        self.root.position = (x, y, 0.0)
+        self.root.wxyz = (np.cos(phi / 2), 0.0, 0.0, np.sin(phi / 2))
+        poses = self._parts.kinematics.update(q_m, wheel_angles)
+        for joint, frame in self._frames.items():
+            frame.position, frame.wxyz = to_viser(poses[joint])
+
+    def world_pose(self, joint: int) -> pin.SE3:
+        """T_world_joint of a joint, as it was drawn last."""
+        frame = self._frames[joint]
+        return from_viser(self.root.position, self.root.wxyz) * from_viser(
+            frame.position, frame.wxyz
+        )
+
+    def _add(
+        self, visual: Visual, colour: Rgb, opacity: float | None, light: bool = False
+    ) -> viser.MeshHandle:
+        position, wxyz = to_viser(visual.placement)
+        return self._scene.add_mesh_simple(
+            f"{self._node(visual.joint)}/{visual.name}",
+            vertices=np.asarray(visual.mesh.vertices),
+            faces=np.asarray(visual.mesh.faces),
+            color=colour,
+            opacity=opacity,
+            position=position,
+            wxyz=wxyz,
+            cast_shadow=opacity is None and not light,
+            receive_shadow=opacity is None and not light,
+        )
+
+    def _node(self, joint: int) -> str:
+        return f"{self._path}/{self._parts.kinematics.model.names[joint] if joint else 'fixed'}"
 
 
 class Scene:
     """The robot and what explains its motion, without any widget."""
 
     def __init__(self, scene: viser.SceneApi, data: SceneData, view: View) -> None:
-        """Send what does not change.
-
-        Args:
-            scene: Of a viewer, or of a server that all see alike.
-            data: What is drawn.
-            view: What is to be seen; read at each drawing.
-        """
-        self._scene, self._view = scene, view
-        set_lights(scene)
-        self.robot = RobotScene(scene, data.parts)
+        """Send what does not change; `view` is read at each drawing."""
+        self._scene, self._data, self._view = scene, data, view
+        self.robot = RobotScene(scene, data.parts, light=view.light)
+        self._ghosts: list[RobotScene] = []
+        self.canvas = Canvas(scene)
         self._border = BorderCloud(scene, data.borders)
-        self._slice = BorderSlice(scene, data.borders, data.mobile)
-        self._lines = PairLines(scene, data.pairs)
-        self._acting = ActingPoints(scene, data.mobile, data.borders.top)
-        self._motion = Motion(scene, data.borders.top, data.model.description.base.axes)
-        self._trails = Trails(scene, data.tracks)
-        self._ghosts = Ghosts(scene, data.parts)
-        self._door = DoorScene(scene)
-        self._shown: tuple[bool, bool] | None = None
-        self._dark: bool | None = None
+        self._slice = BorderSlice(data.borders)
+        self._shell = Shell(scene, data.borders, data.model)
+        self._trails: dict[str, Array] = {}
+        self._dark, self._light, self._plain = view.dark, view.light, False
+        self._light_up()
 
     @property
     def legends(self) -> list[Legend]:
@@ -139,28 +197,94 @@ class Scene:
         Returns:
             Whether `legends` is new.
         """
-        return self._border.update(self._view, snapshot.config.border)
+        changed = self._border.update(self._view, snapshot.config.border)
+        self._shell.update(self._view, snapshot, self._border.legends)
+        return changed
 
     def draw(self, snapshot: Snapshot, *, texts: bool) -> None:
-        """Draw a snapshot.
-
-        Args:
-            snapshot: What is to be seen.
-            texts: Whether labels and trails are due too.
-        """
+        """Draw a snapshot; labels and trails only if `texts`."""
         view = self._view
+        if self._light != view.light:
+            self._light = view.light
+            for robot in (self.robot, *self._ghosts):
+                robot.dress(light=view.light)
+            self._light_up()
         if self._dark != view.dark:
             self._dark = view.dark
-            set_floor(self._scene, dark=view.dark)
-        if self._shown != (view.meshes, view.bodies):
-            self._shown = (view.meshes, view.bodies)
-            self.robot.show(meshes=view.meshes, bodies=view.bodies)
+            self._light_up()
+        self.robot.show(meshes=view.meshes, bodies=view.bodies)
         self.robot.update(snapshot.base_pose, snapshot.q_m, snapshot.wheel_angles)
-        self._ghosts.update(snapshot)
-        self._door.update(snapshot.door)
-        self._slice.update(snapshot, view)
-        self._lines.update(snapshot, view, texts=texts)
-        self._acting.update(snapshot, view, texts=texts)
-        self._motion.update(snapshot, view)
-        if texts:
-            self._trails.update(snapshot, view)
+        self._draw_ghosts(snapshot)
+        if texts and view.trails:
+            self._trails = {name: t.until(snapshot.t) for name, t in self._data.tracks.items()}
+        with self.canvas.picture(texts=texts):
+            self._draw_layers(snapshot)
+
+    def _light_up(self) -> None:
+        """Lights that leave no side of the robot black, and the floor.
+
+        Where a page draws in software, each point that mirrors its surroundings costs as much as
+        all else of it.
+        """
+        scene, light = self._scene, self._light
+        scene.configure_default_lights(enabled=True, cast_shadow=not light)
+        if light or self._plain:
+            scene.configure_environment_map(None if light else SURROUNDINGS)
+        self._plain = light
+        scene.add_light_hemisphere(
+            "/lights/sky",
+            sky_color=(255, 255, 255),
+            ground_color=(120, 125, 135),
+            intensity=1.2 if light else 0.35,
+        )
+        set_floor(self._scene, dark=self._dark, shadows=not self._light)
+
+    def _draw_layers(self, snapshot: Snapshot) -> None:
+        view, canvas, top = self._view, self.canvas, self._data.borders.top
+        if view.slice:
+            self._slice.draw(canvas, snapshot, dark=view.dark)
+        self._shell.draw(canvas, snapshot, view, top)
+        if view.distances:
+            draw_distances(canvas, snapshot, judge(snapshot), view, self._data.spoken)
+        if view.acting:
+            draw_acting_points(canvas, snapshot, view, top)
+        if view.motion:
+            draw_motion(canvas, snapshot, self._data.model.description.base.axes, top)
+        draw_names(canvas, snapshot)
+        if snapshot.door is not None:
+            draw_door(canvas, snapshot.door)
+        for name, points in self._trails.items():
+            if view.trails and len(points) > 1:
+                canvas.lines(f"/trails/{name}", [points], _TRAILS[name], 2.5)
+
+    def _draw_ghosts(self, snapshot: Snapshot) -> None:
+        """Move the ghosts of a snapshot, hide the others; meshes are sent with the first one."""
+        for i, ghost in enumerate(snapshot.ghosts):
+            if i == len(self._ghosts):
+                colour = GHOSTS[i % len(GHOSTS)]
+                robot = RobotScene(
+                    self._scene, self._data.parts, f"/ghost_{i}", ghost=colour, light=self._light
+                )
+                self._ghosts.append(robot)
+            self._ghosts[i].update(ghost.base_pose, ghost.q_m, ghost.wheel_angles)
+        for i, robot in enumerate(self._ghosts):
+            robot.root.visible = i < len(snapshot.ghosts)
+
+
+def set_floor(scene: viser.SceneApi, *, dark: bool, shadows: bool = True) -> None:
+    """A grid of 0.1 m with lines of 1 m, that can be read on a dark or a light page."""
+    scene.add_grid(
+        "/floor",
+        width=8.0,
+        height=8.0,
+        cell_size=0.1,
+        section_size=1.0,
+        cell_color=(58, 62, 68) if dark else (222, 225, 230),
+        section_color=(98, 104, 114) if dark else (176, 182, 192),
+        cell_thickness=0.8,
+        section_thickness=1.2,
+        fade_distance=9.0,
+        fade_strength=1.5,
+        shadow_opacity=(0.35 if dark else 0.22) if shadows else 0.0,
+        infinite_grid=True,
+    )

@@ -9,9 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from app.errors import RobotFileError
-from app.onboarding.fit.collision_sampling import Meetings
+from app.onboarding.fit.collision_sampling import Meetings, Unit, moved
 from app.onboarding.fit.convex import Fit, fit_best, hull_corners, hull_volume
-from app.onboarding.fit.rigid_groups import Unit
 from app.robot.model import RobotModel
 
 Array = np.ndarray
@@ -22,6 +21,7 @@ BASE_WEIGHTS = {"box": 1.0, "hull": 1.3}
 """[-] the same on the base."""
 _ONE_BOX = 1.6  # [-] a base whose box has more than this of its hulls' volume gets several
 _WORTH = 0.75  # [-] share of the one box's volume that several bodies may have at most
+_SPOT = 1e-6  # [m³] of points that are too few for a body of links
 _MERGE = 1.15  # [-] two shapes become one if that adds less than this to their volume
 
 
@@ -45,15 +45,20 @@ class FittedBody(NamedTuple):
     points: Array
 
 
-def fit_base(base: Unit) -> FittedBody:
+def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBody:
     """l_m around the whole base: one shape, or several where one would be mostly empty.
+
+    Args:
+        units: Of the robot, by their index.
+        mobile: Indices of those of l_m.
 
     Raises:
         RobotFileError: The base has no shapes.
     """
-    if not base.parts:
+    base = units[0]
+    corners = [part.corners for k in mobile for part in units[k].parts]
+    if not corners:
         raise RobotFileError(f"--base: no link of {base.frame!r} has a shape")
-    corners = [part.corners for part in base.parts]
     everything = np.vstack(corners)
     one = fit_best(everything, BASE_WEIGHTS)
     fits = (one,)
@@ -61,7 +66,8 @@ def fit_base(base: Unit) -> FittedBody:
         several = _merged(corners)
         if sum(fit.volume for fit in several) < _WORTH * one.volume:
             fits = tuple(several)
-    return FittedBody("lm", base.frame, base.links, (0,), fits, everything)
+    links = tuple(link for k in mobile for link in units[k].links)
+    return FittedBody("lm", base.frame, links, mobile, fits, everything)
 
 
 def _merged(corners: Sequence[Array]) -> list[Fit]:
@@ -88,9 +94,11 @@ def _merged(corners: Sequence[Array]) -> list[Fit]:
 class ArmFitter:
     """Fits the bodies of an arm for one grouping of its units after the other."""
 
-    def __init__(self, model: RobotModel, meetings: Meetings) -> None:
-        self._model, self._meetings = model, meetings
-        self._known: dict[bytes, tuple[Fit, int, Array]] = {}
+    def __init__(
+        self, model: RobotModel, meetings: Meetings, mobile: tuple[int, ...] = (0,)
+    ) -> None:
+        self._model, self._meetings, self._mobile = model, meetings, mobile
+        self._known: dict[bytes, tuple[Fit, int, Array] | None] = {}
 
     def bodies(self, grouping: Sequence[Sequence[int]]) -> list[FittedBody]:
         """The bodies l_1 … l_EE for groups of units, from the base outwards."""
@@ -99,7 +107,7 @@ class ArmFitter:
         for k, group in enumerate(grouping):
             others = [u for j, far in enumerate(grouping) if abs(j - k) > 1 for u in far]
             if k > 0:
-                others.append(0)
+                others.extend(self._mobile)
             result.append(self._body(names[k], tuple(group), tuple(sorted(others))))
         return result
 
@@ -110,29 +118,38 @@ class ArmFitter:
             points = self._meetings.needed(index, others)
             joint = units[index].joint
             needed[joint] = np.vstack([needed.get(joint, np.zeros((0, 3))), points])
-        if not any(map(len, needed.values())):  # it meets nobody: what it looks like will do
-            needed = {units[i].joint: units[i].surface for i in group}
-        # Links at either end that meet nobody do not change the body.
-        used = [joint for joint, points in needed.items() if len(points)]
-        if not used:
-            links = ", ".join(link for i in group for link in units[i].links)
-            raise RobotFileError(f"the links {links} have no shapes to fit a body to")
-        needed = {j: p for j, p in needed.items() if min(used) <= j <= max(used)}
-        key = b"".join(bytes([j]) + p.tobytes() for j, p in sorted(needed.items()))
-        if key not in self._known:
-            self._known[key] = self._smallest(needed)
-        fit, joint, points = self._known[key]
-        frame = next(u.frame for u in units if u.joint == joint)
         links = tuple(link for i in group for link in units[i].links)
+        fitted = self._smallest(needed)
+        if fitted is None:  # it meets nobody, or in a spot that is no body: what it looks like
+            fitted = self._smallest({units[i].joint: units[i].surface for i in group})
+        if fitted is None:
+            raise RobotFileError(
+                f"the links {', '.join(links)} have no shapes to fit a body to; give other --bodies"
+            )
+        fit, joint, points = fitted
+        frame = next(u.frame for u in units if u.joint == joint)
         return FittedBody(name, frame, links, group, (fit,), points)
 
-    def _smallest(self, needed: dict[int, Array]) -> tuple[Fit, int, Array]:
-        """The smallest fit in the frame of any of the joints, with that joint and the points."""
+    def _smallest(self, needed: Mapping[int, Array]) -> tuple[Fit, int, Array] | None:
+        """The smallest fit in the frame of any of the joints, with that joint and the points.
+
+        Links at either end that meet nobody do not change it; None where there is no volume to fit.
+        """
+        used = [joint for joint, points in needed.items() if len(points)]
+        needed = {j: p for j, p in needed.items() if used and min(used) <= j <= max(used)}
+        key = b"".join(bytes([j]) + p.tobytes() for j, p in sorted(needed.items()))
+        if key not in self._known:
+            self._known[key] = self._fitted(needed)
+        return self._known[key]
+
+    def _fitted(self, needed: Mapping[int, Array]) -> tuple[Fit, int, Array] | None:
         tried = []
         for joint in needed:
             points = swept(self._model, needed, joint)
             tried.append((hull_volume(points), joint, points))
         tried.sort(key=lambda each: each[0])
+        if not tried or tried[0][0] < _SPOT:
+            return None
         fits = [(fit_best(points, ARM_WEIGHTS), joint, points) for _, joint, points in tried[:2]]
         return min(fits, key=lambda each: each[0].volume)
 
@@ -164,7 +181,7 @@ def _through(model: RobotModel, points: Array, joint: int, *, outwards: bool) ->
     if not len(points):
         return points
     placement = model.pin.jointPlacements[joint]
-    corners = hull_corners(points if outwards else _moved(points, placement.inverse()))
+    corners = hull_corners(points if outwards else moved(points, placement.inverse()))
     axis, turns = _axis(model, joint)
     if turns:
         corners = _grown(corners, axis)
@@ -175,7 +192,7 @@ def _through(model: RobotModel, points: Array, joint: int, *, outwards: bool) ->
             motion.rotation = pin.exp3(axis * position)
         else:
             motion.translation = axis * position
-        clouds.append(_moved(corners, placement * motion if outwards else motion.inverse()))
+        clouds.append(moved(corners, placement * motion if outwards else motion.inverse()))
     return hull_corners(np.vstack(clouds))
 
 
@@ -202,7 +219,3 @@ def _positions(model: RobotModel, joint: int, turns: bool) -> Sequence[float]:
     if high - low >= 2 * np.pi:
         return list(np.arange(0.0, 2 * np.pi, _STEP))
     return list(np.linspace(low, high, max(2, int(np.ceil((high - low) / _STEP)) + 1)))
-
-
-def _moved(points: Array, T: pin.SE3) -> Array:
-    return points @ T.rotation.T + T.translation

@@ -1,27 +1,246 @@
-"""Which parts of the robot meet which: the hulls of its links in random poses of the arm."""
+"""Collision sampling: which links that move as one meet which others in random poses of the arm."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from app.onboarding.fit.convex import directions
-from app.onboarding.fit.rigid_groups import Unit, add_hulls, group_distances, neighbours
+from app.onboarding.fit.convex import directions, hull_corners
+from app.onboarding.read.links import LinkGeometry
+from app.onboarding.read.tree import Arm
+from app.onboarding.write import ROOT
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
+from app.robot.shapes import convex_hull
 
 Array = np.ndarray
+Pairs = Sequence[tuple[int, int]]
 
 ALWAYS = 0.6
 """[-] A pair inside its buffer in more of the free poses would keep the task on for good."""
+_ALONG = 0.999  # [-] cosine between two lines that count as parallel
+_THIN_OUT = 500  # [-] points on a unit's surface that are looked at
 _BUILT_IN = 0.5  # [-] close hulls that touch in more of the poses are nested, as a telescope is
 _FEWEST = 50  # [-] poses without a collision that say what is near
 _MARGIN = 0.015  # [m] within which a point counts as met
 _MOST_LOOKS = 200  # [-] poses per pair of units in which the points are looked at
+_RARE = 30  # [-] random poses in which a pair meets, below which others are searched for
+_EXACT = 0.5  # [m] up to which distances are computed where there are many shapes
+_MANY = 150  # [-] pairs of shapes, from which on it is faster to look at their spheres first
+_FAR = 0.3  # [m] between two units at the nearest, beyond which none are
+_NEAREST, _TRIES = 20, 10  # [-] poses that are varied at a time, and variations of each
+_SPREADS = (0.1, 0.05, 0.05, 0.02)  # [-] of a joint's range by which they are varied
+
+
+class Part(NamedTuple):
+    """One hull of a unit.
+
+    Attributes:
+        link: The link it belongs to.
+        corners: (N, 3) [m] of its hull, in the joint's frame.
+        reach: (K,) [m] its support along `directions(2)`.
+    """
+
+    link: str
+    corners: Array
+    reach: Array
+
+
+class Unit(NamedTuple):
+    """Links that move as one.
+
+    Attributes:
+        index: 0 the base, 1 what is fixed to it below the arm, k + 1 what the arm's joint k moves.
+        frame: The link whose frame is the joint's; the floor point for the first two.
+        links: All of them.
+        joint: pinocchio's joint that moves them.
+        parts: Their hulls.
+        surface: (N, 3) [m] points on the hulls, in the joint's frame.
+    """
+
+    index: int
+    frame: str
+    links: tuple[str, ...]
+    joint: int
+    parts: tuple[Part, ...]
+    surface: Array
+
+
+def make_units(
+    model: RobotModel, arm: Arm, geometry: Mapping[str, LinkGeometry]
+) -> tuple[Unit, ...]:
+    """The base, the arm's fixed part, and one unit a joint of the arm."""
+    frames = [ROOT, ROOT, *(joint.child for joint in arm.joints)]
+    links = [arm.base_links, *arm.segments]
+    return tuple(
+        _unit(model, k, frame, names, max(k, 1), geometry)
+        for k, (frame, names) in enumerate(zip(frames, links, strict=True))
+    )
+
+
+def units_of_links(
+    model: RobotModel, geometry: Mapping[str, LinkGeometry]
+) -> dict[str, list[Unit]]:
+    """The links that each body of a description stands for, by joint, by the body's name.
+
+    The units' indices are those of all of them in a row.
+    """
+    found: dict[str, list[Unit]] = {}
+    for body in model.description.bodies:
+        by_joint: dict[int, list[str]] = {}
+        for link in body.covers:
+            joint = model.pin.frames[model.pin.getFrameId(link)].parentJoint
+            by_joint.setdefault(joint, []).append(link)
+        first = sum(map(len, found.values()))
+        found[body.name] = [
+            _unit(model, first + k, body.frame, tuple(links), joint, geometry)
+            for k, (joint, links) in enumerate(by_joint.items())
+        ]
+    return found
+
+
+def _unit(
+    model: RobotModel,
+    index: int,
+    frame: str,
+    links: tuple[str, ...],
+    joint: int,
+    geometry: Mapping[str, LinkGeometry],
+) -> Unit:
+    parts, surface = [], [np.zeros((0, 3))]
+    D = directions(2)
+    for link in links:
+        T = model.pin.frames[model.pin.getFrameId(link)].placement
+        for shape in geometry[link].shapes:
+            corners = hull_corners(moved(np.asarray(shape.hull.vertices), T))
+            parts.append(Part(link, corners, (corners @ D.T).max(axis=0)))
+        surface.append(moved(geometry[link].surface, T))
+    points = np.vstack(surface)
+    if len(points) > _THIN_OUT:
+        points = points[np.random.default_rng(0).permutation(len(points))[:_THIN_OUT]]
+    return Unit(index, frame, links, joint, tuple(parts), points)
+
+
+def moved(points: Array, T: pin.SE3) -> Array:
+    """(N, 3) points of a frame as seen from the one in which it stands at T."""
+    return points @ T.rotation.T + T.translation
+
+
+def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
+    """Whether two units may touch by design.
+
+    One joint or none lies between them, or only joints that slide along one line: the parts of a
+    telescope stand in each other, and only its joints' limits can keep them apart.
+    """
+    first, last = sorted((a.joint, b.joint))
+    if last - first <= 1:
+        return True
+    data = model.pin.createData()
+    pin.computeJointJacobians(model.pin, data, pin.neutral(model.pin))
+    joints = model.pin.joints[first + 1 : last + 1]
+    columns = data.J[:, [joint.idx_v for joint in joints]]
+    parallel = np.abs(columns[:3].T @ columns[:3, 0]) > _ALONG
+    return not columns[3:].any() and bool(parallel.all())
+
+
+def add_hulls(geometry: pin.GeometryModel, units: Sequence[Unit]) -> list[list[int]]:
+    """Put the parts of units into pinocchio's geometry; gives their ids, unit by unit."""
+    return [
+        [
+            geometry.addGeometryObject(
+                pin.GeometryObject(
+                    f"{part.link}_{i}", unit.joint, 0, pin.SE3.Identity(), convex_hull(part.corners)
+                )
+            )
+            for i, part in enumerate(unit.parts)
+        ]
+        for unit in units
+    ]
+
+
+def group_distances(
+    model: RobotModel,
+    geometry: pin.GeometryModel,
+    groups: Sequence[Sequence[int]],
+    pairs: Pairs,
+    q_m: Array,
+) -> Array:
+    """(N, pairs) [m] signed distances between groups of shapes, each as near as its nearest shape.
+
+    With many shapes, of those above 0.5 m only that is certain: the spheres around them are so far
+    apart.
+
+    Args:
+        model: The robot, its base at the origin.
+        geometry: The shapes, without collision pairs; those of the groups are added.
+        groups: Indices of the shapes of each group.
+        pairs: Of groups.
+        q_m: (N, n_m) [rad or m] the arm's joints.
+    """
+    starts, shapes = [], []
+    for a, b in pairs:
+        starts.append(len(shapes))
+        shapes += [(i, j) for i in groups[a] for j in groups[b]]
+    for i, j in shapes:
+        geometry.addCollisionPair(pin.CollisionPair(i, j))
+    found = np.empty((len(q_m), len(pairs)))
+    if not shapes:
+        return found
+    placed, data = pin.GeometryData(geometry), model.pin.createData()
+    results = [placed.distanceResults[k] for k in range(len(shapes))]
+    joints, centres, radii = _spheres(geometry)
+    first, second = np.array(shapes).T
+    ends = [*starts[1:], len(shapes)]
+    for row, pose in zip(found, q_m, strict=True):
+        q = model.configuration((0.0, 0.0, 0.0), pose)
+        pin.updateGeometryPlacements(model.pin, data, geometry, placed, q)
+        if len(shapes) < _MANY:
+            pin.computeDistances(geometry, placed)
+            row[:] = np.minimum.reduceat([r.min_distance for r in results], starts)
+            continue
+        T = np.array([each.homogeneous for each in data.oMi])[joints]
+        at = np.einsum("nij,nj->ni", T[:, :3, :3], centres) + T[:, :3, 3]
+        least = np.linalg.norm(at[first] - at[second], axis=1) - radii[first] - radii[second]
+        row[:] = np.minimum.reduceat(least, starts)
+        for k in np.flatnonzero(row < _EXACT):
+            nearest = np.inf
+            for i in starts[k] + np.argsort(least[starts[k] : ends[k]]):
+                if least[i] >= min(nearest, _EXACT):
+                    break
+                nearest = min(nearest, pin.computeDistance(geometry, placed, int(i)).min_distance)
+            row[k] = nearest
+    return found
+
+
+def _spheres(geometry: pin.GeometryModel) -> tuple[Array, Array, Array]:
+    """The joints (K,) of shapes, and centres (K, 3) [m] in them and radii (K,) [m] around them."""
+    centres, radii = [], []
+    for shape in geometry.geometryObjects:
+        shape.geometry.computeLocalAABB()
+        centres.append(shape.placement.act(shape.geometry.aabb_center))
+        radii.append(shape.geometry.aabb_radius)
+    joints = np.array([shape.parentJoint for shape in geometry.geometryObjects])
+    return joints, np.array(centres), np.array(radii)
+
+
+class Poses(NamedTuple):
+    """Poses of the arm.
+
+    Attributes:
+        q_m: (N, n_m) [rad or m]
+        distances: (N, pairs) [m] signed, of hulls.
+        possible: (N,) whether no close pair touches, but for those built into each other, which
+            always do: joint limits have to prevent the others.
+    """
+
+    q_m: Array
+    distances: Array
+    possible: Array
 
 
 @dataclass(frozen=True)
@@ -33,28 +252,27 @@ class Meetings:
         q_m: (N, n_m) [rad or m] the poses.
         pairs: Pairs of units, by their indices, that are no neighbours.
         distances: (N, pairs) [m] signed distance of their hulls.
+        close: Pairs that are within the buffer in most poses without a collision, as they are
+            built: no buffer can watch them.
+        possible: (N,) as of `Poses`.
+        rare: Poses around those in which pairs that hardly meet are nearest, where they do.
         met: By the pair (u, v): (points of u,) whether v came to that point of u's surface.
-        close: Pairs that are within the buffer in most poses, as they are built: no buffer can
-            watch them.
     """
 
     units: tuple[Unit, ...]
     q_m: Array
     pairs: tuple[tuple[int, int], ...]
     distances: Array
-    met: dict[tuple[int, int], Array] = field(repr=False)
     close: frozenset[tuple[int, int]]
+    possible: Array
+    rare: Poses
+    met: dict[tuple[int, int], Array] = field(repr=False, default_factory=dict)
 
     @property
     def collides(self) -> Array:
         """(N, pairs) whether the hulls meet; never for the close pairs."""
         watched = np.array([pair not in self.close for pair in self.pairs], dtype=bool)
         return np.logical_and(self.distances <= 0.0, watched)
-
-    @property
-    def possible(self) -> Array:
-        """(N,) poses in which no close pair touches: joint limits have to prevent the others."""
-        return possible_poses(self.distances, self.pairs, self.close)
 
     def needed(self, unit: int, others: Sequence[int]) -> Array:
         """(K, 3) [m] points of a unit's surface to which any of the others can come."""
@@ -67,34 +285,85 @@ class Meetings:
 
 
 def sample_meetings(
-    model: RobotModel, units: Sequence[Unit], *, samples: int, seed: int, d_b: float
+    model: RobotModel,
+    units: tuple[Unit, ...],
+    *,
+    samples: int,
+    seed: int,
+    d_b: float,
+    points: bool = True,
 ) -> Meetings:
     """Distances between the hulls of all units that are no neighbours, in random poses.
 
     Args:
         model: The robot.
-        units: Its links that move as one.
+        units: Its links that move as one, by their index.
         samples: Poses.
         seed: Of the poses.
         d_b: [m] buffer distance.
+        points: Whether to look at the points that met, too.
     """
-    rng = np.random.default_rng(seed)
-    q_m = sample_joints(model, samples, rng)
+    q_m = sample_joints(model, samples, np.random.default_rng(seed))
     pairs = tuple(
         (a.index, b.index)
         for a, b in combinations(units, 2)
         if a.parts and b.parts and not neighbours(model, a, b)
     )
-    distances = hull_distances(model, units, pairs, q_m)
-    close = close_pairs(distances, pairs, d_b)
-    met = _met(model, units, pairs, q_m, distances, close)
-    return Meetings(tuple(units), q_m, pairs, distances, met, close)
+    distances = _hull_distances(model, units, pairs, q_m)
+    close = _close_pairs(distances, pairs, d_b)
+    rare_q = _rare_poses(model, units, pairs, (q_m, distances), close, seed)
+    rare_distances = _hull_distances(model, units, pairs, rare_q)
+    nested = (distances <= 0.0).mean(axis=0) >= _BUILT_IN
+    columns = [k for k, pair in enumerate(pairs) if pair in close and not nested[k]]
+    possible, rare_possible = (
+        np.asarray((each[:, columns] > 0.0).all(axis=1)) for each in (distances, rare_distances)
+    )
+    rare = Poses(rare_q, rare_distances, rare_possible)
+    found = Meetings(units, q_m, pairs, distances, close, possible, rare)
+    if points:
+        _meet(found, model)
+    return found
 
 
-def close_pairs(
-    distances: Array, pairs: Sequence[tuple[int, int]], d_b: float
-) -> frozenset[tuple[int, int]]:
-    """Pairs that are within d_b [m] in most poses without a collision, as they are built."""
+def _hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:
+    """(N, pairs) [m] signed distances between the hulls of units at poses (N, n_m)."""
+    geometry = pin.GeometryModel()
+    return group_distances(model, geometry, add_hulls(geometry, units), pairs, q_m)
+
+
+def _rare_poses(
+    model: RobotModel,
+    units: Sequence[Unit],
+    pairs: Pairs,
+    sampled: tuple[Array, Array],
+    close: frozenset[tuple[int, int]],
+    seed: int,
+) -> Array:
+    """(N, n_m) poses in which pairs meet that random ones hardly bring together.
+
+    What meets in one of thousands of poses meets in many around those in which it is nearest.
+    """
+    rng, span = np.random.default_rng([seed, 1]), model.q_upper - model.q_lower
+    found = [np.zeros((0, model.n_m))]
+    for k, (a, b) in enumerate(pairs):
+        q_m, gaps = sampled[0], sampled[1][:, k]
+        if (a, b) in close or np.count_nonzero(gaps <= 0.0) >= _RARE or gaps.min() > _FAR:
+            continue
+        nearest = np.argsort(gaps)[:_NEAREST]
+        for spread in _SPREADS:
+            q_m, gaps = q_m[nearest], gaps[nearest]
+            varied = np.repeat(q_m, _TRIES, axis=0)
+            varied = varied + spread * span * rng.standard_normal(varied.shape)
+            varied = np.clip(varied, model.q_lower, model.q_upper)
+            found_gaps = _hull_distances(model, (units[a], units[b]), [(0, 1)], varied)[:, 0]
+            found.append(varied[found_gaps <= 0.0])
+            q_m, gaps = np.vstack([q_m, varied]), np.concatenate([gaps, found_gaps])
+            met = rng.permutation(np.flatnonzero(gaps <= 0.0))
+            nearest = met[:_NEAREST] if len(met) >= _NEAREST else np.argsort(gaps)[:_NEAREST]
+    return np.vstack(found)
+
+
+def _close_pairs(distances: Array, pairs: Pairs, d_b: float) -> frozenset[tuple[int, int]]:
     free = np.asarray((distances > 0.0).all(axis=1))
     if np.count_nonzero(free) < _FEWEST:
         free = np.ones(len(distances), dtype=bool)
@@ -102,52 +371,28 @@ def close_pairs(
     return frozenset(pair for pair, share in zip(pairs, near, strict=True) if share > ALWAYS)
 
 
-def possible_poses(
-    distances: Array, pairs: Sequence[tuple[int, int]], close: frozenset[tuple[int, int]]
-) -> Array:
-    """(N,) whether none of the close pairs touches; those built into each other always do."""
-    rates = (distances <= 0.0).mean(axis=0)
-    columns = [k for k, pair in enumerate(pairs) if pair in close and rates[k] < _BUILT_IN]
-    return np.asarray((distances[:, columns] > 0.0).all(axis=1))
-
-
-def hull_distances(
-    model: RobotModel, units: Sequence[Unit], pairs: Sequence[tuple[int, int]], q_m: Array
-) -> Array:
-    """(N, pairs) [m] signed distances between the hulls of units at poses (N, n_m)."""
-    geometry = pin.GeometryModel()
-    ids = add_hulls(geometry, units)
-    return group_distances(model, geometry, ids, pairs, q_m)
-
-
-def _met(
-    model: RobotModel,
-    units: Sequence[Unit],
-    pairs: Sequence[tuple[int, int]],
-    q_m: Array,
-    distances: Array,
-    close: frozenset[tuple[int, int]],
-) -> dict[tuple[int, int], Array]:
-    data = model.pin.createData()
-    possible = possible_poses(distances, pairs, close)
-    met: dict[tuple[int, int], Array] = {}
-    for (a, b), column in zip(pairs, distances.T, strict=True):
-        if (a, b) in close:
-            continue
-        met_in = np.flatnonzero((column <= _MARGIN) & possible)
+def _meet(found: Meetings, model: RobotModel) -> None:
+    """Fill in which points of the units met."""
+    data, units = model.pin.createData(), found.units
+    for k, (a, b) in enumerate(found.pairs):
+        column = found.distances[:, k]
+        met_in = np.flatnonzero((column <= _MARGIN) & found.possible)
         # The shallow ones first: deep ones, where arms pass through each other, come last.
         met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MOST_LOOKS)]
-        if not len(met_in):
+        poses = found.q_m[met_in]
+        if np.count_nonzero(column <= 0.0) < _RARE:
+            rare = found.rare.q_m[(found.rare.distances[:, k] <= _MARGIN) & found.rare.possible]
+            poses = np.vstack([poses, rare])
+        if (a, b) in found.close or not len(poses):
             continue
         masks = {(u, v): np.zeros(len(units[u].surface), dtype=bool) for u, v in ((a, b), (b, a))}
-        for pose in q_m[met_in]:
+        for pose in poses:
             q = model.configuration((0.0, 0.0, 0.0), pose)
             pin.forwardKinematics(model.pin, data, q)
             for (u, v), mask in masks.items():
                 T = data.oMi[units[v].joint].actInv(data.oMi[units[u].joint])
-                mask |= _reached(units[u].surface @ T.rotation.T + T.translation, units[v])
-        met |= masks
-    return met
+                mask |= _reached(moved(units[u].surface, T), units[v])
+        found.met.update(masks)
 
 
 def _reached(points: Array, unit: Unit) -> Array:

@@ -61,7 +61,7 @@ def hull_corners(points: Array) -> Array:
 
 
 def fit_capsule(points: Array) -> Capsule:
-    """The capsule of least volume, as far as a search from the main axes finds it."""
+    """The capsule of least volume, as far as a search from the best main axis finds it."""
     some = _outermost(points)
     centre = some.mean(axis=0)
     axes = np.linalg.svd(some - centre, full_matrices=False)[2]
@@ -71,29 +71,27 @@ def fit_capsule(points: Array) -> Capsule:
         r, length = _radius(some, a, b), float(np.linalg.norm(b - a))
         return np.pi * r**2 * (length + 4 / 3 * r)
 
-    best = None
+    starts = []
     for axis in axes:
         along = (some - centre) @ axis
         r = _radius(some, centre - axis, centre + axis)
         low, high = along.min() + 0.7 * r, along.max() - 0.7 * r
         if low > high:
             low = high = (low + high) / 2
-        start = np.concatenate([centre + (low - 1e-3) * axis, centre + (high + 1e-3) * axis])
-        found = minimize(
-            volume,
-            start,
-            method="Nelder-Mead",
-            options={
-                "maxiter": 400,
-                "xatol": 2e-4,
-                "fatol": 1e-7,
-                "adaptive": True,
-                "initial_simplex": _simplex(start),
-            },
-        )
-        if best is None or found.fun < best.fun:
-            best = found
-    assert best is not None
+        starts.append(np.concatenate([centre + (low - 1e-3) * axis, centre + (high + 1e-3) * axis]))
+    start = min(starts, key=volume)
+    best = minimize(
+        volume,
+        start,
+        method="Nelder-Mead",
+        options={
+            "maxiter": 400,
+            "xatol": 2e-4,
+            "fatol": 1e-7,
+            "adaptive": True,
+            "initial_simplex": _simplex(start),
+        },
+    )
     found = _capsule(points, np.round(best.x.reshape(2, 3), 4))
     # Ends on the link's planes, where that costs little: an axis that meets a joint's has formulas.
     ends = np.array([found.start_m, found.end_m])

@@ -2,22 +2,29 @@
 
 The paper's l_1 … l_EE join neighbouring links of a chain. Every way to cut the chain is judged by
 the share of real collisions that its pairs do not see, the share of free poses in which they see
-one, and whether a pair stays inside its buffer for good.
+one, and whether a pair stays inside its buffer for good. A pair that does because of how its links
+are built is not watched, as neighbours are not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import combinations, pairwise
+from collections.abc import Mapping, Sequence
+from itertools import combinations, combinations_with_replacement, compress, pairwise
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from app.errors import RobotFileError
-from app.onboarding.fit.bodies import ArmFitter, FittedBody
-from app.onboarding.fit.collision_sampling import ALWAYS, Meetings
-from app.onboarding.fit.rigid_groups import group_distances
+from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
+from app.onboarding.fit.collision_sampling import (
+    ALWAYS,
+    Meetings,
+    group_distances,
+    sample_meetings,
+    units_of_links,
+)
+from app.onboarding.read.links import LinkGeometry
 from app.robot.model import RobotModel
 
 Array = np.ndarray
@@ -25,22 +32,28 @@ Array = np.ndarray
 _PAPER = 4  # [-] bodies of the paper's arm; others are tried only if that many do not do
 _MOST = 5  # [-] bodies
 _MISSED = 0.1  # [-] share of collisions that a good grouping may miss
+_MOST_JUDGED = 40  # [-] groupings that are fitted, those that can cost least
 _JUDGED = 1200  # [-] poses in which a fitted grouping is judged
+UNSEEN_POSES = 4000
+"""[-] in which the bodies are tried that were chosen."""
+_UNSEEN_SEED = 2**31  # [-] of them; the fit has others
 _BODY_COST = 0.03  # [-] of one body more
 _FALSE_COST = 2.0  # [-] of free poses in which a task is on for nothing
 _SPURIOUS_COST = 0.25  # [-] of a pair that can only meet as bodies, not as links
 _APART_COST = 0.1  # [-] of links of the arm that are close as they are built, and no neighbours
 _ALWAYS_COST = 1.0  # [-] of a pair that is always near
+_UNWATCHED_COST = 0.1  # [-] of one that is so as built
 
 
 class Verdict(NamedTuple):
     """How good a grouping is.
 
     Attributes:
-        missed: [-] share of the poses with a collision of links in which no pair of bodies meets.
+        missed: [-] share of the collisions of links that the pair of their bodies does not see.
         false: [-] share of the poses without any in which one does.
         spurious: Pairs of bodies that meet though their links never do.
         always: Pairs that are inside their buffer nearly always.
+        unwatched: Those that would be, by links that are close as built: they are no pair.
         rates, near: [-] share of the poses in collision, and of the poses without a collision of
             links inside the buffer, by the pair's name.
         cost: The sum that the best grouping has least of.
@@ -50,34 +63,30 @@ class Verdict(NamedTuple):
     false: float
     spurious: tuple[str, ...]
     always: tuple[str, ...]
+    unwatched: tuple[str, ...]
     rates: dict[str, float]
     near: dict[str, float]
     cost: float
 
 
 class Grouping(NamedTuple):
-    """The bodies of the arm and how good they are."""
+    """The bodies, l_m first, and how good they are."""
 
     bodies: list[FittedBody]
     verdict: Verdict
 
 
 def find_grouping(
-    model: RobotModel,
-    base: FittedBody,
-    meetings: Meetings,
-    fitter: ArmFitter,
-    *,
-    d_b: float,
-    count: int | None = None,
+    model: RobotModel, meetings: Meetings, *, d_b: float, count: int | None = None
 ) -> Grouping:
-    """The best grouping of the arm's units into bodies.
+    """The best grouping of the robot's units into bodies.
+
+    What is fixed to the base below the arm belongs to l_1 as the paper's link 0 does; where its
+    body is no pair with one of a link that it can meet, as around a mast, it belongs to l_m.
 
     Args:
         model: The robot.
-        base: l_m.
         meetings: Of its links.
-        fitter: Fits the bodies.
         d_b: [m] buffer distance.
         count: How many bodies; by default four as the paper has, or two to five where four do not
             do: a pair always near, one that only the bodies make, a tenth of collisions missed.
@@ -85,51 +94,59 @@ def find_grouping(
     Raises:
         RobotFileError: The arm has fewer parts than `count`, or none of a shape.
     """
-    units = [u.index for u in meetings.units if u.index > 0 and (u.index > 1 or u.links)]
-    search = _Search(model, base, meetings, fitter, d_b, units)
-    if count is not None:
-        best = search.best([count])
-    else:
-        best = search.best([min(_PAPER, len(units))])
-        if best is None or not _good(best.verdict):
-            others = [k for k in range(2, _MOST + 1) if k <= len(units)]
-            best = search.best(others) or best
-    if best is None:
-        raise RobotFileError(f"--bodies: the arm has {len(units)} parts; choose up to that many")
-    return best
+    fixed = meetings.units[1]
+    found = _arm_grouping(model, meetings, (0,), d_b, count)
+    if fixed.links and not _sees(found, meetings, fixed.index):
+        found = _arm_grouping(model, meetings, (0, fixed.index), d_b, count)
+    return found
 
 
-class _Search:
-    """Tries groupings, those that can be best first."""
+def _sees(grouping: Grouping, meetings: Meetings, unit: int) -> bool:
+    """Whether the body of a unit is a pair with that of each one that it meets, however rarely."""
+    owner = {u: k for k, body in enumerate(grouping.bodies) for u in body.units}
+    names = [body.name for body in grouping.bodies]
+    rare = (meetings.rare.distances <= 0.0) & meetings.rare.possible[:, None]
+    hits = meetings.collides[meetings.possible]
+    for k, (u, v) in enumerate(meetings.pairs):
+        if unit not in (u, v) or (u, v) in meetings.close:
+            continue
+        i, j = sorted((owner[u], owner[v]))
+        watched = j - i > 1 and f"{names[i]}-{names[j]}" not in grouping.verdict.unwatched
+        if not watched and (hits[:, k].any() or rare[:, k].any()):
+            return False
+    return True
 
-    def __init__(
-        self,
-        model: RobotModel,
-        base: FittedBody,
-        meetings: Meetings,
-        fitter: ArmFitter,
-        d_b: float,
-        units: Sequence[int],
-    ) -> None:
-        self._model, self._base, self._meetings = model, base, meetings
-        self._fitter, self._d_b, self._units = fitter, d_b, units
 
-    def best(self, counts: Sequence[int]) -> Grouping | None:
-        """The grouping of the least cost with one of these numbers of bodies."""
-        best: Grouping | None = None
+def _arm_grouping(
+    model: RobotModel, meetings: Meetings, mobile: tuple[int, ...], d_b: float, count: int | None
+) -> Grouping:
+    """The best grouping around an l_m of given units."""
+    base, fitter = fit_base(meetings.units, mobile), ArmFitter(model, meetings, mobile)
+    units = [u.index for u in meetings.units if u.index not in mobile and (u.index > 1 or u.links)]
+
+    def best(*counts: int) -> Grouping | None:
+        """That of the least cost; those that can have it are judged first."""
+        found: Grouping | None = None
         judged: set[tuple[int, ...]] = set()
-        for at_least, grouping in _ranked(self._units, counts, self._meetings):
-            if best is not None and at_least >= best.verdict.cost:
+        for at_least, grouping in _ranked(units, counts, meetings, mobile)[:_MOST_JUDGED]:
+            if found is not None and at_least >= found.verdict.cost:
                 break
-            bodies = [self._base, *self._fitter.bodies(grouping)]
+            bodies = [base, *fitter.bodies(grouping)]
             shapes = tuple(id(body.fits[0]) for body in bodies)
             if shapes in judged:  # it differs only in links that meet nobody
                 continue
             judged.add(shapes)
-            tried = Grouping(bodies, judge(self._model, bodies, self._meetings, self._d_b))
-            if best is None or tried.verdict.cost < best.verdict.cost:
-                best = tried
-        return best
+            tried = Grouping(bodies, judge(model, bodies, meetings, d_b))
+            if found is None or tried.verdict.cost < found.verdict.cost:
+                found = tried
+        return found
+
+    chosen = best(min(_PAPER, len(units)) if count is None else count)
+    if count is None and (chosen is None or not _good(chosen.verdict)):
+        chosen = best(*(k for k in range(2, _MOST + 1) if k <= len(units))) or chosen
+    if chosen is None:
+        raise RobotFileError(f"--bodies: the arm has {len(units)} parts; choose up to that many")
+    return chosen
 
 
 def _good(verdict: Verdict) -> bool:
@@ -145,84 +162,154 @@ def judge(
     free = (meetings.distances[chosen] > 0).all(axis=1)
     free = free if free.any() else ~free
     pairs = [(i, j) for i, j in combinations(range(len(bodies)), 2) if j - i > 1]
-    distances = body_distances(model, bodies, pairs, q_m)
+    distances = _body_distances(model, bodies, pairs, q_m)
     names = [f"{bodies[i].name}-{bodies[j].name}" for i, j in pairs]
+    owner = {unit: k for k, body in enumerate(bodies) for unit in body.units}
+    owners = [(min(owner[u], owner[v]), max(owner[u], owner[v])) for u, v in meetings.pairs]
+    near = (distances[free] < d_b).mean(axis=0)
+    built = {owners[meetings.pairs.index(pair)] for pair in meetings.close}
+    given_up = [pair in built and share > ALWAYS for pair, share in zip(pairs, near, strict=True)]
+    unwatched = tuple(compress(names, given_up))
+    kept = np.logical_not(given_up)
+    pairs, names = list(compress(pairs, kept)), list(compress(names, kept))
+    distances, near = distances[:, kept], dict(zip(names, near[kept].tolist(), strict=True))
     real, seen = hits.any(axis=1), (distances <= 0).any(axis=1)
+    columns = [pairs.index(each) if each in pairs else -1 for each in owners]
+    none = np.zeros((len(distances), 1), dtype=bool)
+    unseen = hits & ~np.hstack([distances <= 0, none])[:, columns]
     rates = dict(zip(names, (distances <= 0).mean(axis=0).tolist(), strict=True))
-    near = dict(zip(names, (distances[free] < d_b).mean(axis=0).tolist(), strict=True))
     truly = {
-        name: _truly(meetings, hits, bodies[i], bodies[j])
-        for name, (i, j) in zip(names, pairs, strict=True)
+        name: hits[:, [each == pair for each in owners]].any()
+        for name, pair in zip(names, pairs, strict=True)
     }
-    spurious = tuple(n for n in names if rates[n] > 0 and truly[n] == 0)
+    spurious = tuple(n for n in names if rates[n] > 0 and not truly[n])
     always = tuple(n for n in names if rates[n] > 0 and near[n] > ALWAYS)
-    missed = float((real & ~seen).sum() / max(1, real.sum()))
+    missed = float(unseen.sum() / max(1, hits.sum()))
     false = float((seen & ~real).sum() / max(1, (~real).sum()))
-    apart = sum(_apart(bodies, pair) for pair in meetings.close)
+    apart = _apart(meetings, owner)
     cost = (
         missed
         + _FALSE_COST * false
         + _BODY_COST * len(bodies)
         + _SPURIOUS_COST * len(spurious)
         + _ALWAYS_COST * len(always)
+        + _UNWATCHED_COST * len(unwatched)
         + _APART_COST * apart
     )
-    return Verdict(missed, false, spurious, always, rates, near, cost)
+    return Verdict(missed, false, spurious, always, unwatched, rates, near, cost)
 
 
-def body_distances(
+class Unseen(NamedTuple):
+    """Collisions of links in poses that no step of the fit has seen, one a pose and pair of bodies.
+
+    Attributes:
+        watched: How many of links whose bodies are a pair.
+        missed: How many of those in which the bodies do not meet.
+        deepest: [m] the largest distance of bodies in one of those.
+        unwatched: How many of links of bodies that are no pair, such as neighbours.
+        blind: Pairs of bodies that see less than half of their links' collisions, also of those
+            that random poses hardly ever bring about.
+        worst: The links that meet most often without being seen.
+    """
+
+    watched: int
+    missed: int
+    deepest: float
+    unwatched: int
+    blind: tuple[str, ...]
+    worst: str
+
+    @property
+    def share(self) -> float:
+        """[-] of all collisions, those that no pair sees."""
+        return (self.missed + self.unwatched) / max(1, self.watched + self.unwatched)
+
+
+def unseen_collisions(
+    model: RobotModel, geometry: Mapping[str, LinkGeometry], d_b: float
+) -> Unseen:
+    """What the bodies of a description do not see of its links' collisions.
+
+    Links that may touch by design do not count, nor those that are within d_b [m] as built.
+    """
+    names = model.body_names
+    by_body = units_of_links(model, geometry)
+    units = tuple(unit for each in by_body.values() for unit in each)
+    met = sample_meetings(
+        model, units, samples=UNSEEN_POSES, seed=_UNSEEN_SEED, d_b=d_b, points=False
+    )
+    owner = {unit.index: names.index(name) for name, each in by_body.items() for unit in each}
+    shapes, groups = model.geometry.copy(), [model.shape_ids[name] for name in names]
+    hits = met.collides & met.possible[:, None]
+    blame = np.zeros(len(met.pairs))
+    watched = missed = unwatched = 0
+    deepest, blind = 0.0, []
+    for i, j in combinations_with_replacement(range(len(names)), 2):
+        columns = [
+            k
+            for k, (u, v) in enumerate(met.pairs)
+            if sorted((owner[u], owner[v])) == [i, j] and (u, v) not in met.close
+        ]
+        random = hits[:, columns].any(axis=1)
+        rare = (met.rare.distances[:, columns] <= 0.0).any(axis=1) & met.rare.possible
+        if j - i <= 1 or f"{names[i]}-{names[j]}" in model.description.unwatched:
+            unwatched += int(random.sum())
+            blame[columns] = hits[:, columns].mean(axis=0)
+            continue
+        shapes.removeAllCollisionPairs()
+        q_m = np.vstack([met.q_m[random], met.rare.q_m[rare]])
+        gaps = group_distances(model, shapes, groups, [(i, j)], q_m)[:, 0]
+        unseen = gaps[: random.sum()] > 0.0
+        blame[columns] = hits[random][unseen][:, columns].sum(axis=0) / len(hits)
+        watched, missed = watched + len(unseen), missed + int(unseen.sum())
+        deepest = max(deepest, float(gaps[: len(unseen)].max(initial=0.0)))
+        if (gaps > 0.0).sum() > 0.5 * len(gaps):
+            blind.append(f"{names[i]}-{names[j]}")
+    worst = "none"
+    if blame.any():
+        a, b = (units[k].links[0] for k in met.pairs[int(blame.argmax())])
+        worst = f"{a} and {b} ({blame.max():.1%} of the poses)"
+    return Unseen(watched, missed, deepest, unwatched, tuple(blind), worst)
+
+
+def _body_distances(
     model: RobotModel, bodies: Sequence[FittedBody], pairs: Sequence[tuple[int, int]], q_m: Array
 ) -> Array:
     """(N, pairs) [m] signed distances between bodies at poses (N, n_m)."""
     geometry = pin.GeometryModel()
-    ids = [_add(geometry, model, body) for body in bodies]
+    ids: list[list[int]] = []
+    for body in bodies:
+        joint = model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint
+        shapes = [(fit.shape.placement(), fit.shape.coal_geometry()) for fit in body.fits]
+        ids.append(
+            [
+                geometry.addGeometryObject(pin.GeometryObject(f"{body.name}_{i}", joint, 0, *shape))
+                for i, shape in enumerate(shapes)
+            ]
+        )
     return group_distances(model, geometry, ids, pairs, q_m)
 
 
-def _add(geometry: pin.GeometryModel, model: RobotModel, body: FittedBody) -> list[int]:
-    joint = model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint
-    return [
-        geometry.addGeometryObject(
-            pin.GeometryObject(
-                f"{body.name}_{i}", joint, 0, fit.shape.placement(), fit.shape.coal_geometry()
-            )
-        )
-        for i, fit in enumerate(body.fits)
-    ]
-
-
-def _apart(bodies: Sequence[FittedBody], pair: tuple[int, int]) -> bool:
-    """Whether two units of the arm stand in bodies that are a pair."""
-    of = {unit: k for k, body in enumerate(bodies) for unit in body.units}
-    return pair[0] > 1 and abs(of[pair[0]] - of[pair[1]]) > 1
-
-
-def _truly(meetings: Meetings, hits: Array, a: FittedBody, b: FittedBody) -> int:
-    """In how many poses links of both bodies meet."""
-    columns = [
-        k
-        for k, (u, v) in enumerate(meetings.pairs)
-        if (u in a.units and v in b.units) or (v in a.units and u in b.units)
-    ]
-    return int(hits[:, columns].any(axis=1).sum())
+def _apart(meetings: Meetings, owner: Mapping[int, int]) -> int:
+    """How many pairs of the arm's units that are close as built stand in bodies that are a pair."""
+    return sum(u > 1 and abs(owner[u] - owner[v]) > 1 for u, v in meetings.close)
 
 
 def _ranked(
-    units: Sequence[int], counts: Sequence[int], meetings: Meetings
+    units: Sequence[int], counts: Sequence[int], meetings: Meetings, mobile: Sequence[int]
 ) -> list[tuple[float, list[list[int]]]]:
     """All cuts of the chain, with the least cost that each can have, the least one first."""
     hits = meetings.collides[meetings.possible]
-    real = hits.any(axis=1)
+    often = hits.sum(axis=0)
     ranked = []
     for count in counts:
         for cuts in combinations(range(1, len(units)), count - 1):
             groups = [list(units[a:b]) for a, b in pairwise([0, *cuts, len(units)])]
-            of = {unit: k + 1 for k, group in enumerate(groups) for unit in group} | {0: 0}
-            watched = [abs(of[u] - of[v]) > 1 for u, v in meetings.pairs]
-            missed = (real & ~hits[:, watched].any(axis=1)).sum() / max(1, real.sum())
+            owner = {unit: k + 1 for k, group in enumerate(groups) for unit in group}
+            owner |= dict.fromkeys(mobile, 0)
+            watched = [abs(owner[u] - owner[v]) > 1 for u, v in meetings.pairs]
+            missed = 1.0 - often[watched].sum() / max(1, often.sum())
             uneven = sum(len(group) ** 2 for group in groups)
-            apart = _APART_COST * len(
-                [1 for u, v in meetings.close if u > 1 and abs(of[u] - of[v]) > 1]
-            )
+            apart = _APART_COST * _apart(meetings, owner)
             ranked.append((float(missed) + _BODY_COST * (count + 1) + apart, uneven, groups))
     return [(cost, groups) for cost, _, groups in sorted(ranked)]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -12,7 +12,7 @@ from app.border.mobile import MobileBody
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.simulation.scenarios.posture import PostureSearch, manipulability
+from app.simulation.scenarios.posture import PostureSearch, Target, manipulability
 from app.simulation.scenarios.start import StartSolver
 
 Array = np.ndarray
@@ -46,14 +46,7 @@ class Ready(NamedTuple):
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, d_b: float, seed: int) -> Ready:
-    """The best of random poses by the rule.
-
-    Args:
-        model: The robot with its bodies.
-        pairs: The pairs that avoidance watches.
-        d_b: [m] buffer distance.
-        seed: Of the poses.
-    """
+    """The best of random poses by the rule, for the pairs that avoidance watches and d_b [m]."""
     rng, judge = np.random.default_rng(seed), _Judge(model, pairs, d_b)
     search, middle = judge.search, judge.search.middle
     span = np.minimum(search.span, 2 * np.pi)  # nobody waits with a joint wound up
@@ -115,17 +108,15 @@ class _Judge:
 Point = tuple[float, float, float]
 
 _OUT = (0.425, 0.375, 0.35, 0.325, 0.30, 0.275, 0.25)  # [m] from the base's side, farthest first
-_LEFT_OVER = 0.125  # [m] to the base's side at the end, if the base stood still
+_LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
+_INNER, _DEEP = 0.4, 0.1  # [-] shares of the buffer into which a line has to, and should, lead
+_STEPS = 24  # [-] along the line
+_NEAR = 0.15  # [m] from a place to the hand in some posture that is clear of the buffers
 _TRIES = 4
 
 
 class Place(NamedTuple):
-    """A line of guiding.
-
-    Attributes:
-        start, move: [m] as the scenario has them.
-        source: In words.
-    """
+    """A line of guiding [m], as the scenario has it, and where it comes from in words."""
 
     start: Point
     move: Point
@@ -147,29 +138,74 @@ def find_places(
     """Lines towards the base from its side and its front, by the scenario's name.
 
     From 0.43 m beside the box around l_m (0.25 m where the arm is short) to 0.125 m, as with the
-    paper's robot, at the height nearest to 0.8 of the box at which the arm can start. A side that
-    the arm does not reach has none.
+    paper's robot, or nearer, at the height nearest to 0.8 of the box at which the arm can start.
+    Without avoidance the arm would come to the base itself there, or well into the inner half of
+    the buffer. A side on which the arm does not reach so far has none.
 
     Args:
         model: The robot.
-        pairs: Its pairs.
+        pairs: Those that avoidance watches.
         d_b: [m] buffer distance.
         on_progress: Called with the share of the places that was looked at, 0 to 1.
     """
-    solver = StartSolver(model, pairs, d_b)
+    solver, search = StartSolver(model, pairs, d_b), PostureSearch(model, pairs, d_b)
+
+    def nearest(q_m: Array, start: Array, move: Array) -> float:
+        """[m] least distance of the arm to a base that stands still while the hand is led."""
+        least = np.inf
+        for share in np.linspace(0.0, 1.0, _STEPS):
+            q_m = search.reach(Target(start + share * move), q_m)
+            search.place(q_m)
+            least = min(least, *search.distances()[: len(pairs.mobile)])
+        return float(least)
+
     body, mount = MobileBody(model), model.p_base()
     top = float(body.upper[2])
     reachable = min(top, float(mount[2]) + 0.4)
     heights = [round(h, 3) for h in _heights(reachable)]
+    inner, deep = _INNER * d_b, _DEEP * d_b
     found: dict[str, Place] = {}
     ways = {"guiding-lateral": _lateral(body, mount), "guiding-front": _front(body, mount)}
+    if not pairs.mobile:
+        return found
+    hands = _free_hands(search)
     for k, (name, lines) in enumerate(ways.items()):
-        place = _first(
-            solver, list(lines), heights, lambda share, k=k: on_progress((k + share) / len(ways))
-        )
-        if place is not None:
-            found[name] = place
+        tried, least = list(product(lines, heights)), inner
+        for i, ((start, inwards), z) in enumerate(tried):
+            on_progress((k + i / len(tried)) / len(ways))
+            p = _point([*np.round(start[:2], 3), z])
+            if np.linalg.norm(hands - p, axis=1).min(initial=np.inf) > _NEAR:
+                continue
+            try:
+                q_m = solver.solve(p, tries=_TRIES)
+            except UnreachableError:
+                continue
+            for left in _LEFT_OVER:
+                move = np.round((start[2] - left) * inwards, 3)
+                now = nearest(q_m, np.array(p), move)
+                if now < least:
+                    least, found[name] = now, Place(p, _point(move), _LED.format(left))
+                if now < deep:
+                    break
+            if least < deep:
+                break
     return found
+
+
+def _free_hands(search: PostureSearch) -> Array:
+    """(N, 3) [m] where the hand is in random postures of which it may start."""
+    hands = [np.zeros((0, 3))]
+    for q_m in search.guesses(np.random.default_rng(0), _SAMPLES):
+        search.place(q_m)
+        if search.above_floor() > 0.0 and min(search.distances()) > search.d_b:
+            hands.append(search.state.T_world_ee.translation[None].copy())
+    return np.vstack(hands)
+
+
+_LED = (
+    "chosen: the first place, from far to near, where the arm can start clear of the buffers; it "
+    "leads to {:g} m beside the base"
+)
 
 
 def _heights(top: float) -> list[float]:
@@ -177,46 +213,22 @@ def _heights(top: float) -> list[float]:
 
 
 def _lateral(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:
-    """Starts and moves in plan, beside the mount, left before right."""
+    """Starts x, y and how far out they are [m], and the way inwards, left before right."""
     x = float(np.clip(mount[0], body.lower[0] + 0.05, body.upper[0] - 0.05))
     for out in _OUT:
         for side, edge in ((1.0, body.upper[1]), (-1.0, body.lower[1])):
-            yield np.array([x, edge + side * out]), np.array([0.0, -side * (out - _LEFT_OVER)])
+            yield np.array([x, edge + side * out, out]), np.array([0.0, -side, 0.0])
 
 
 def _front(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:
-    """Starts and moves in plan, ahead of the mount or at either edge."""
+    """The same, ahead of the mount or at either edge."""
     low, high = float(body.lower[1]), float(body.upper[1])
     beside = float(np.clip(mount[1], low, high)) + 0.1
     for y in (min(beside, high), low + 0.05, high - 0.05):
         for out in _OUT:
-            yield np.array([body.upper[0] + out, y]), np.array([-(out - _LEFT_OVER), 0.0])
+            yield np.array([body.upper[0] + out, y, out]), np.array([-1.0, 0.0, 0.0])
 
 
-def _first(
-    solver: StartSolver,
-    lines: list[tuple[Array, Array]],
-    heights: list[float],
-    on_progress: Callable[[float], None],
-) -> Place | None:
-    for k, ((start, move), z) in enumerate(product(lines, heights)):
-        on_progress(k / (len(lines) * len(heights)))
-        p = _point([*np.round(start, 3), z])
-        if not solver.reaches(p):
-            continue
-        try:
-            solver.solve(p, tries=_TRIES)
-        except UnreachableError:
-            continue
-        return Place(
-            p,
-            _point([*np.round(move, 3), 0.0]),
-            "chosen: the first place, from far to near, where the arm can start clear of the "
-            "buffers; it leads to 0.125 m beside the base",
-        )
-    return None
-
-
-def _point(values: list[float]) -> Point:
+def _point(values: Iterable[float]) -> Point:
     x, y, z = (float(v) + 0.0 for v in values)
     return x, y, z

@@ -1,43 +1,174 @@
-"""A robot's package as a zip: what one chooses from in it, and its URDF with meshes inside of it.
+"""A robot's package as a zip that a stranger may have made: unpacked within bounds, and read.
 
-Nothing of a package is executed: a xacro, whose expressions are Python, is refused.
+Nothing of it is executed: a xacro, whose expressions are Python, is refused.
 """
 
 from __future__ import annotations
 
 import os
+import re
+import stat
+import struct
 import tempfile
+import zipfile
+import zlib
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import IO, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from app.errors import RobotFileError
 from app.onboarding.read.source import read_source, refuse_entities
 from app.onboarding.read.tree import make_tree
-from app.onboarding.read.unpack import unpack
 
 FOLDER = "package"
 """Where a package lies in the robot's own folder."""
 LARGEST_URDF = 10_000_000
 """[bytes] of a URDF in a package."""
+LARGEST_ARCHIVE = 100_000_000
+"""[bytes] of the zip."""
+LARGEST_CONTENT = 500_000_000
+"""[bytes] of all its files, expanded."""
+MOST_FILES = 2000
+"""[-] in it."""
+KEPT = (".urdf", ".xml", ".stl", ".dae", ".obj", ".ply")
+"""Ends of the names of files that are written; others, such as programs, stay in the zip."""
+_NOTES = re.compile(r"(licen[cs]e|copying|notice)(\.[a-z]+)?", re.IGNORECASE)
+_LARGEST_DIRECTORY = 500 * MOST_FILES  # [bytes] of a zip's list of files; each takes 46 and a name
+_LONGEST_NAME = 200  # [characters]
+_CHUNK = 1 << 20  # [bytes]
+_BOUNDED = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+# Of these a chunk is expanded at a time; bzip2 and LZMA expand all that they read.
+_UNREADABLE = (
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+    NotImplementedError,
+    OSError,
+    ValueError,  # a name that is not UTF-8
+)
 
 
-def is_package(source: str) -> bool:
-    """Whether a robot is given as a zip."""
-    return source.lower().endswith(".zip")
+def unpack(archive: Path, folder: Path) -> list[str]:
+    """Write the URDFs, meshes and licences of a zip into a folder; gives the names of all files.
+
+    Raises:
+        RobotFileError: It is no plain zip, too large, or holds a path that leads elsewhere, a link,
+            a password, a file packed by another method than deflate, or a name twice; says which.
+    """
+    where = archive.name
+    _check_size(archive)
+    try:
+        with zipfile.ZipFile(archive) as opened:
+            infos = _checked(opened.infolist(), where)
+            left = LARGEST_CONTENT
+            for info, path in infos:
+                if _wanted(path):
+                    target = folder / path
+                    target.parent.mkdir(parents=True, exist_ok=True)
+                    with opened.open(info) as source, target.open("xb") as sink:
+                        left -= _copy(source, sink, left, where)
+    except _UNREADABLE as error:
+        raise RobotFileError(f"{where}: not a zip that can be read: {error}") from None
+    return [str(path) for _, path in infos]
+
+
+def _check_size(archive: Path) -> None:
+    """Before anything of it is believed: the file itself, and its list of files."""
+    size = archive.stat().st_size
+    if size > LARGEST_ARCHIVE:
+        raise RobotFileError(
+            f"{archive.name}: {size / 1e6:.0f} MB; a zip may have {LARGEST_ARCHIVE / 1e6:.0f} MB"
+        )
+    with archive.open("rb") as file:
+        file.seek(max(0, size - (1 << 16) - 22 - 20))
+        tail = file.read()
+    at = tail.rfind(b"PK\x05\x06")
+    if at < 0 or len(tail) < at + 22:
+        raise RobotFileError(f"{archive.name}: not a zip: it has no list of files at its end")
+    if tail[:at][-20:].startswith(b"PK\x06\x07"):  # it would stand in for the record that is read
+        raise RobotFileError(
+            f"{archive.name}: a ZIP64, the form for archives of over 4 GB; zip it as a plain zip"
+        )
+    count, directory = struct.unpack_from("<HI", tail, at + 10)
+    if count > MOST_FILES or directory > _LARGEST_DIRECTORY:
+        raise RobotFileError(
+            f"{archive.name}: a list of {count} files; a zip may hold {MOST_FILES:,}: "
+            "leave out all but the URDF and its meshes"
+        )
+
+
+def _checked(
+    infos: list[zipfile.ZipInfo], where: str
+) -> list[tuple[zipfile.ZipInfo, PurePosixPath]]:
+    """The files, each with its path inside of the folder."""
+    total = sum(info.file_size for info in infos)
+    if total > LARGEST_CONTENT:
+        raise RobotFileError(
+            f"{where}: it expands to {total / 1e6:,.0f} MB; "
+            f"at most {LARGEST_CONTENT / 1e6:.0f} MB are taken"
+        )
+    if len(infos) > MOST_FILES:
+        raise RobotFileError(f"{where}: {len(infos):,} files; a zip may hold {MOST_FILES:,}")
+    found: dict[PurePosixPath, zipfile.ZipInfo] = {}
+    for info in infos:
+        path = _path(info, where)
+        if info.is_dir():
+            continue
+        if path in found:
+            raise RobotFileError(f"{where}: the file {str(path)!r} stands twice in it")
+        found[path] = info
+    return [(info, path) for path, info in found.items()]
+
+
+def _path(info: zipfile.ZipInfo, where: str) -> PurePosixPath:
+    """Where an entry may go; only plain files and folders below the top."""
+    name = info.orig_filename
+    problem = None
+    if name.startswith("/"):
+        problem = "is an absolute path"
+    elif "\\" in name or re.match(r"[A-Za-z]:", name):
+        problem = "is a path of Windows, with a drive or backslashes"
+    elif ".." in PurePosixPath(name).parts:
+        problem = "leads out of the zip by '..'"
+    elif not name.isprintable() or not name.strip("/. ") or len(name) > _LONGEST_NAME:
+        problem = "is no name of a file"
+    elif stat.S_IFMT(info.external_attr >> 16) not in (0, stat.S_IFREG, stat.S_IFDIR):
+        problem = "is a link or a device, not a file"
+    elif info.flag_bits & 1:
+        problem = "is locked by a password"
+    elif info.compress_type not in _BOUNDED:
+        problem = "is packed by another method than deflate"
+    if problem is not None:
+        raise RobotFileError(
+            f"{where}: {name[:_LONGEST_NAME]!r} {problem}; "
+            "zip the package's folder itself, with plain files below it"
+        )
+    return PurePosixPath(name)
+
+
+def _wanted(path: PurePosixPath) -> bool:
+    return path.suffix.lower() in KEPT or _NOTES.fullmatch(path.name) is not None
+
+
+def _copy(source: IO[bytes], sink: IO[bytes], most: int, where: str) -> int:
+    """Copy what is really there, whatever the zip's list says of its size; [bytes]."""
+    written = 0
+    while chunk := source.read(_CHUNK):
+        written += len(chunk)
+        if written > most:
+            raise RobotFileError(f"{where}: it expands to more than {LARGEST_CONTENT / 1e6:.0f} MB")
+        sink.write(chunk)
+    return written
 
 
 def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
-    """Unpack a zip; its URDF's meshes are then named by paths that stay inside.
+    """Unpack a zip; gives its URDF, whose meshes are then named by paths that stay inside.
 
     Args:
         archive: The zip.
         folder: The robot's own; the package goes below it.
         file: The URDF's path in the zip; may be left out where there is one only.
-
-    Returns:
-        The URDF, ready to be read.
 
     Raises:
         RobotFileError: The zip cannot be trusted (`unpack`), has no such URDF, or it refers to
@@ -49,23 +180,14 @@ def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
             f"{archive}: no such file; give a URDF, a xacro, a zip or package://PACKAGE/…"
         )
     names = unpack(archive, root)
-    path = root / chosen_urdf(names, archive.name, file)
-    tie_meshes(path, root)
+    path = root / _chosen_urdf(names, archive.name, file)
+    _tie_meshes(path, root)
     return path
 
 
-def chosen_urdf(names: list[str], where: str, file: str | None) -> str:
-    """The path of the one URDF that is meant.
-
-    Args:
-        names: Of all files.
-        where: The zip, for messages.
-        file: What was asked for, or None.
-
-    Raises:
-        RobotFileError: There is none, or there are several and none was named.
-    """
-    found = urdfs(names)
+def _chosen_urdf(names: list[str], where: str, file: str | None) -> str:
+    """The path of the one URDF of a zip that is meant."""
+    found = _urdfs(names)
     if file is not None:
         if file not in found:
             raise RobotFileError(
@@ -87,35 +209,31 @@ def chosen_urdf(names: list[str], where: str, file: str | None) -> str:
     raise RobotFileError(f"{where}: no .urdf in it; zip the URDF together with its meshes")
 
 
-def urdfs(names: list[str]) -> list[str]:
+def _urdfs(names: list[str]) -> list[str]:
     """Those of some files that are URDFs; hidden files and what macOS adds to a zip are none."""
-    return sorted(name for name in names if name.lower().endswith(".urdf") and not _hidden(name))
+    paths = [PurePosixPath(name) for name in names if name.lower().endswith(".urdf")]
+    return sorted(
+        str(path)
+        for path in paths
+        if not path.name.startswith(".") and "__MACOSX" not in path.parts[:-1]
+    )
 
 
-def _hidden(name: str) -> bool:
-    path = PurePosixPath(name)
-    return path.name.startswith(".") or "__MACOSX" in path.parts[:-1]
-
-
-def tie_meshes(path: Path, root: Path) -> None:
-    """Write a URDF again with each mesh by its path relative to it.
-
-    Args:
-        path: The URDF.
-        root: The package's folder.
-
-    Raises:
-        RobotFileError: It is no URDF, or a mesh is missing or outside of the package.
-    """
+def _read_bounded(path: Path) -> Element:
     if path.stat().st_size > LARGEST_URDF:
         raise RobotFileError(f"{path.name}: a URDF may have {LARGEST_URDF / 1e6:.0f} MB")
-    robot = read_source(path)
+    return read_source(path)
+
+
+def _tie_meshes(path: Path, root: Path) -> None:
+    """Write a URDF again with each mesh, inside of the root, by its path relative to it."""
+    robot = _read_bounded(path)
     for mesh in robot.iter("mesh"):
         reference = str(mesh.get("filename"))
         found = _inside(reference, path.parent, root)
         if found.suffix.lower() == ".dae":
             refuse_entities(found.read_bytes(), found)
-        mesh.set("filename", _relative(found, path.parent))
+        mesh.set("filename", Path(os.path.relpath(found, path.parent)).as_posix())
     path.write_text(ElementTree.tostring(robot, encoding="unicode"), encoding="utf-8")
 
 
@@ -149,11 +267,6 @@ def _in_packages(rest: str, root: Path) -> list[Path]:
     return [place / inner for place in (*named, *tops, root)]
 
 
-def _relative(path: Path, folder: Path) -> str:
-    """A path from a folder on, by `..` where it has to."""
-    return Path(os.path.relpath(path, folder)).as_posix()
-
-
 _MOST_URDFS = 20  # [-] that are looked into
 _MOST_NAMES = 500  # [-] links or joints in a list
 
@@ -182,9 +295,9 @@ def look_into(archive: Path) -> dict[str, Contents]:
     """
     with tempfile.TemporaryDirectory() as folder:
         names = unpack(archive, Path(folder))
-        found = urdfs(names)
+        found = _urdfs(names)
         if not found:
-            chosen_urdf(names, archive.name, None)  # says why
+            _chosen_urdf(names, archive.name, None)  # says why
         contents, problem = {}, ""
         for name in found[:_MOST_URDFS]:
             try:
@@ -197,40 +310,14 @@ def look_into(archive: Path) -> dict[str, Contents]:
 
 
 def _contents(path: Path) -> Contents:
-    if path.stat().st_size > LARGEST_URDF:
-        raise RobotFileError(f"{path.name}: a URDF may have {LARGEST_URDF / 1e6:.0f} MB")
-    robot = read_source(path)
-    _not_too_many(robot, path)
-    make_tree(robot)  # what is wrong with the whole is told before anything is asked
-    links = tuple(str(link.get("name")) for link in robot.findall("link"))
-    above = {_link(joint, "child"): _link(joint, "parent") for joint in robot.findall("joint")}
-    endless = tuple(
-        str(joint.get("name"))
-        for joint in robot.findall("joint")
-        if joint.get("type") == "continuous"
-    )
-    root = next((link for link in links if link not in above), links[0])
-    return Contents(links, endless, root, max(links, key=lambda l: _depth(l, above)))
-
-
-def _not_too_many(robot: Element, path: Path) -> None:
-    """Look at nothing more closely that is too large for a list: it is done in the server."""
-    for tag, least in (("link", 1), ("joint", 0)):
+    robot = _read_bounded(path)
+    for tag, least in (("link", 1), ("joint", 0)):  # no more than a list in the page can show
         count = len(robot.findall(tag))
         if not least <= count <= _MOST_NAMES:
             raise RobotFileError(
                 f"{path.name}: it has {count} {tag}s; {least} to {_MOST_NAMES} are taken"
             )
-
-
-def _link(joint: Element, tag: str) -> str:
-    found = joint.find(tag)
-    return "" if found is None else str(found.get("link"))
-
-
-def _depth(link: str, above: dict[str, str]) -> int:
-    """Joints between a link and its root; a ring ends after as many as there are."""
-    depth = 0
-    while link in above and depth < len(above):
-        link, depth = above[link], depth + 1
-    return depth
+    tree = make_tree(robot)  # what is wrong with the whole is told before anything is asked
+    endless = tuple(joint.name for joint in tree.joints.values() if joint.kind == "continuous")
+    last = max(tree.links, key=lambda link: len(tree.chain(tree.root, link)))
+    return Contents(tuple(tree.links), endless, tree.root, last)

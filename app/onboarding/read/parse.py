@@ -7,14 +7,11 @@ from dataclasses import dataclass
 from xml.etree.ElementTree import Element, SubElement
 
 from app.errors import RobotFileError
-from app.onboarding.read.arm import Arm, find_arm
-from app.onboarding.read.drives import Steering, find_drive
-from app.onboarding.read.geometry import LinkGeometry, read_geometry
-from app.onboarding.read.inertia import LinkInertia, read_inertias
-from app.onboarding.read.limits import Limits, read_limits
+from app.onboarding.numbers import Limits, read_limits
+from app.onboarding.read.links import LinkGeometry, LinkInertia, read_geometry, read_inertias
 from app.onboarding.read.source import locate, read_robot
-from app.onboarding.read.tree import Tree, make_tree
-from app.onboarding.read.wheels import Wheels
+from app.onboarding.read.tree import Arm, Tree, find_arm, make_tree
+from app.onboarding.read.wheels import Steering, Wheels, find_drive, with_rigid_suspensions
 from app.onboarding.request import Request, package_folders
 
 PREFIX = "arm_"
@@ -42,27 +39,30 @@ def parse(request: Request) -> Parsed:
         AssetError: A package is not installed.
     """
     robot, tip = _whole_robot(request)
-    tree = make_tree(with_distinct_joints(robot))
+    tree = make_tree(_with_distinct_joints(robot))
     arm = find_arm(tree, request.base, tip, request.mount)
-    if request.ready is not None and len(request.ready) != len(arm.joints):
-        names = ", ".join(joint.name for joint in arm.joints)
-        raise RobotFileError(
-            f"--ready: {len(request.ready)} numbers; the arm has {len(arm.joints)} joints: {names}"
-        )
     limits = read_limits(arm)
     _check_ready(request, arm, limits)
     geometry = read_geometry(tree)
     if not any(geometry[name].shapes for part in arm.segments for name in part):
         raise RobotFileError(f"no link between {request.base!r} and {tip!r} has a shape")
-    wheels, steering = find_drive(request, tree, arm)
+    arm = with_rigid_suspensions(tree, arm, geometry)
+    wheels, steering = find_drive(request, tree, arm, geometry)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
     return Parsed(tree, arm, geometry, wheels, inertias, limits, steering)
 
 
 def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
-    """Refuse a ready pose outside of the joints' limits, which the description would not take."""
+    """Refuse a ready pose that the description would not take."""
+    if request.ready is None:
+        return
+    if len(request.ready) != len(arm.joints):
+        names = ", ".join(joint.name for joint in arm.joints)
+        raise RobotFileError(
+            f"--ready: {len(request.ready)} numbers; the arm has {len(arm.joints)} joints: {names}"
+        )
     for joint, q, low, high in zip(
-        arm.joints, request.ready or (), limits.lower, limits.upper, strict=False
+        arm.joints, request.ready, limits.lower, limits.upper, strict=True
     ):
         if not low <= q <= high:
             raise RobotFileError(
@@ -79,14 +79,11 @@ def _whole_robot(request: Request) -> tuple[Element, str]:
     arm = read_robot(locate(request.arm_urdf), packages)
     for part in (robot, arm):  # what is wrong with either is reported as its own
         make_tree(part)
-    taken = {link.get("name") for link in robot.findall("link")}
-    in_arm = {link.get("name") for link in arm.findall("link")}
-    tip = PREFIX + tip if tip in taken and tip in in_arm else tip
-    xyz, rpy = request.mount_xyz, request.mount_rpy
-    return compose(robot, arm, link=request.base, xyz=xyz, rpy=rpy), tip
+    names = [{link.get("name") for link in part.findall("link")} for part in (robot, arm)]
+    return _composed(robot, arm, request), PREFIX + tip if tip in names[0] & names[1] else tip
 
 
-def with_distinct_joints(robot: Element) -> Element:
+def _with_distinct_joints(robot: Element) -> Element:
     """The robot with `_joint` after the name of each joint that is a link's name too.
 
     A URDF may name them so, but pinocchio then cannot tell their frames apart.
@@ -108,54 +105,28 @@ def with_distinct_joints(robot: Element) -> Element:
     return robot
 
 
-def compose(
-    base: Element,
-    arm: Element,
-    *,
-    link: str,
-    xyz: tuple[float, ...],
-    rpy: tuple[float, ...],
-) -> Element:
-    """One robot: the arm's root fixed to a link of the base.
+def _composed(base: Element, arm: Element, request: Request) -> Element:
+    """One robot: the arm's root fixed to --base; its names that the base has get `arm_` in front.
 
-    Names that both have get `arm_` before them on the arm, where the tip is looked for too.
-
-    Args:
-        base: The base's `<robot>`.
-        arm: The arm's.
-        link: Link of the base.
-        xyz: [m] the arm's root in it.
-        rpy: [rad] how it is turned.
-
-    Raises:
-        RobotFileError: The arm's links do not hang together.
+    Neither of the two is changed.
     """
     robot, arm = deepcopy(base), deepcopy(arm)
-    for tag in ("link", "joint"):
+    for tag, roles in (("link", ("parent", "child")), ("joint", ("mimic",))):
         taken = {each.get("name") for each in base.findall(tag)}
         for each in arm.findall(tag):
             if each.get("name") in taken:
-                _rename(arm, tag, str(each.get("name")))
-    children = {str(c.get("link")) for c in arm.iterfind("joint/child")}
-    roots = [str(x.get("name")) for x in arm.findall("link") if x.get("name") not in children]
-    if len(roots) != 1:
-        raise RobotFileError(f"--arm-urdf: it has {len(roots)} roots; an arm has one")
+                each.set("name", f"{PREFIX}{each.get('name')}")
+        for role in roles:
+            for end in arm.iterfind(f"joint/{role}"):
+                if end.get(tag) in taken:
+                    end.set(tag, f"{PREFIX}{end.get(tag)}")
+    root = make_tree(arm).root
     known = {m.get("name") for m in base.findall("material")}
     robot.extend(m for m in arm.findall("material") if m.get("name") not in known)
     robot.extend([*arm.findall("link"), *arm.findall("joint")])
     joint = SubElement(robot, "joint", name="arm_on_base", type="fixed")
-    SubElement(joint, "parent", link=link)
-    SubElement(joint, "child", link=roots[0])
-    SubElement(joint, "origin", xyz=" ".join(map(repr, xyz)), rpy=" ".join(map(repr, rpy)))
+    SubElement(joint, "parent", link=request.base)
+    SubElement(joint, "child", link=root)
+    xyz, rpy = (" ".join(map(repr, each)) for each in (request.mount_xyz, request.mount_rpy))
+    SubElement(joint, "origin", xyz=xyz, rpy=rpy)
     return robot
-
-
-def _rename(arm: Element, tag: str, name: str) -> None:
-    for each in arm.findall(tag):
-        if each.get("name") == name:
-            each.set("name", PREFIX + name)
-    if tag == "link":
-        for role in ("parent", "child"):
-            for end in arm.iterfind(f"joint/{role}"):
-                if end.get("link") == name:
-                    end.set("link", PREFIX + name)

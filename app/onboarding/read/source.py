@@ -30,11 +30,7 @@ def locate(source: str) -> Path:
 
 
 def read_robot(path: Path, packages: Mapping[str, Path] | None = None) -> Element:
-    """The `<robot>` of a URDF or xacro file, each mesh by an address that `mesh_path` takes.
-
-    Args:
-        path: The file.
-        packages: Folders of ROS packages, by name, that come before all others.
+    """The `<robot>` of `read_source`, each mesh by an address that `mesh_path` takes.
 
     Raises:
         RobotFileError: As `read_source`, or a mesh is not found.
@@ -50,7 +46,7 @@ def read_source(path: Path, packages: Mapping[str, Path] | None = None) -> Eleme
 
     Args:
         path: The file.
-        packages: Folders of ROS packages, by name, that a xacro may refer to.
+        packages: Folders of ROS packages, by name, that come before all others.
 
     Raises:
         RobotFileError: It is not well-formed XML, declares entities, is not a robot, or its macros
@@ -59,25 +55,17 @@ def read_source(path: Path, packages: Mapping[str, Path] | None = None) -> Eleme
     try:
         is_xacro = path.suffix == ".xacro"
         text = _expanded(path, packages or {}) if is_xacro else path.read_text(encoding="utf-8")
-        refuse_entities(text, path)
-        robot = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
         raise RobotFileError(f"{path}: not well-formed: {error}") from None
+    refuse_entities(text, path)
+    robot = ElementTree.fromstring(text)
     if robot.tag != "robot":
         raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
     return robot
 
 
 def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | None = None) -> str:
-    """How a description refers to a mesh that a URDF names: by package if it is in one.
-
-    Args:
-        reference: What the URDF says.
-        folder: The URDF's own folder.
-        packages: Folders of ROS packages, by name, that come before all others.
-
-    Returns:
-        A `package://…` address of an installed package, else an absolute path.
+    """A mesh that a URDF in a folder names: by `package://…` if it is installed, else by its path.
 
     Raises:
         RobotFileError: There is no such file.
@@ -90,7 +78,7 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
         path = path if path.is_absolute() else folder / path
     if not path.is_file():
         raise RobotFileError(f"mesh {reference}: there is no file {path}")
-    return installed_address(path) or str(path.resolve())
+    return _installed_address(path) or str(path.resolve())
 
 
 def mesh_path(address: str) -> Path:
@@ -98,7 +86,7 @@ def mesh_path(address: str) -> Path:
     return resolve_package_uri(address) if address.startswith("package://") else Path(address)
 
 
-def installed_address(path: Path) -> str | None:
+def _installed_address(path: Path) -> str | None:
     """`package://…` of a file that belongs to an installed package, or None."""
     full = path.resolve()
     for share in share_folders():
@@ -132,11 +120,7 @@ def _in_package(
 
 
 def _package_folders(package: str, folder: Path, packages: Mapping[str, Path]) -> Iterator[Path]:
-    """Folders that may be a ROS package, in the order in which they count.
-
-    That are the one given, those of the name from a folder upwards, those of ROS 1's and ROS 2's
-    search paths, and those of installed packages.
-    """
+    """The folder given, or those upwards, of ROS's search paths and installed, as they count."""
     if package in packages:
         yield packages[package]
         return
@@ -145,21 +129,20 @@ def _package_folders(package: str, folder: Path, packages: Mapping[str, Path]) -
             yield parent
         if (parent / package).is_dir():
             yield parent / package
-    for top in ros_folders():
+    for top in _ros_folders():
         yield from (each for each in (top / package, *top.glob(f"*/{package}")) if each.is_dir())
         if top.name == package:
             yield top
     yield from package_roots(package)
 
 
-def ros_folders() -> list[Path]:
+def _ros_folders() -> list[Path]:
     """Folders of packages that ROS_PACKAGE_PATH (ROS 1) and AMENT_PREFIX_PATH (ROS 2) name."""
     first, second = (
         [Path(each) for each in os.environ.get(name, "").split(os.pathsep) if each]
         for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
     )
-    found = [*first, *(prefix / "share" for prefix in second)]
-    return [folder for folder in found if folder.is_dir()]
+    return list(filter(Path.is_dir, [*first, *(prefix / "share" for prefix in second)]))
 
 
 def _expanded(path: Path, packages: Mapping[str, Path]) -> str:
@@ -186,22 +169,19 @@ def _expanded(path: Path, packages: Mapping[str, Path]) -> str:
 def _around(path: Path) -> dict[str, str]:
     """Folders that may be the packages a xacro names: those beside any folder above it first."""
     found: dict[str, str] = {}
-    for parent in [*list(path.parents)[1:5], *ros_folders(), *share_folders()]:
+    for parent in [*list(path.parents)[1:5], *_ros_folders(), *share_folders()]:
         for folder in sorted(parent.iterdir()):
             if folder.is_dir() and not folder.name.startswith((".", "_")):
                 found.setdefault(folder.name, str(folder))
     return found
 
 
-class _PrologRead(Exception):  # noqa: N818 - the way out of expat, not an error
-    """The root element has begun: no entity can be declared any more."""
+_MOST_ELEMENTS = 100_000  # [-] of an XML file; the largest known URDFs have some thousands
+_DEEPEST = 100  # [-] elements in one another
 
 
 def refuse_entities(content: bytes | str, path: Path) -> None:
-    """Refuse XML that multiplies itself or reaches for other files, before it is parsed.
-
-    It is read up to the root element; what is not well-formed after it is left to who reads the
-    rest, so that a mesh of many megabytes costs nothing here.
+    """Refuse XML that multiplies itself, reaches for other files or is huge, before a tree is made.
 
     Args:
         content: Of an XML file, as it is parsed afterwards: of a text, the encoding that it
@@ -209,7 +189,8 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
         path: Named in the message.
 
     Raises:
-        RobotFileError: It declares an entity, as a billion laughs do, or cannot be read so far.
+        RobotFileError: It declares an entity, as a billion laughs do, nests deeper or has more
+            elements than any robot, or is not well-formed.
     """
 
     def refuse(name: str, *_: object) -> NoReturn:
@@ -218,15 +199,25 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
             "read other files; write out what it stands for, without <!ENTITY …>"
         )
 
-    def stop(*_: object) -> NoReturn:
-        raise _PrologRead
+    depth = count = 0
+
+    def begin(*_: object) -> None:
+        nonlocal depth, count
+        depth, count = depth + 1, count + 1
+        if depth > _DEEPEST or count > _MOST_ELEMENTS:
+            raise RobotFileError(
+                f"{path.name}: it has more than {_MOST_ELEMENTS:,} elements, or more than "
+                f"{_DEEPEST} in one another, which no robot has"
+            )
+
+    def end(*_: object) -> None:
+        nonlocal depth
+        depth -= 1
 
     parser = expat.ParserCreate("utf-8" if isinstance(content, str) else None)
     parser.EntityDeclHandler = refuse
-    parser.StartElementHandler = stop
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
     try:
         parser.Parse(content, True)
-    except _PrologRead:
-        pass
     except (expat.ExpatError, LookupError, ValueError) as error:  # the latter of its encoding
         raise RobotFileError(f"{path}: not well-formed: {error}") from None

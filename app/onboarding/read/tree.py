@@ -1,9 +1,9 @@
-"""The links and joints of a URDF as a tree that was checked, with poses at zero."""
+"""The links and joints of a URDF as a tree that was checked, and the arm in it."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
@@ -22,12 +22,10 @@ _FARTHEST = 20.0  # [m] between neighbouring links; a robot in millimetres has h
 
 
 class Joint(NamedTuple):
-    """One joint of a URDF.
+    """One joint of a URDF, its pose at zero, its limits None where the URDF states none.
 
     Attributes:
-        T_parent_child: At zero.
         axis: (3,) unit vector in the child's frame.
-        lower, upper, effort, velocity: Of its limit, or None where the URDF states none.
         mimic: Whether it follows another joint.
     """
 
@@ -51,19 +49,17 @@ class Joint(NamedTuple):
 
 @dataclass(frozen=True)
 class Tree:
-    """A robot's links and joints.
-
-    Attributes:
-        robot: The XML.
-        links: By name.
-        joints: By name, in the order of the file.
-        joint_of: The joint above a link, by the link's name.
-    """
+    """A robot's XML, its links and joints by name, and the joint above each link by the link's."""
 
     robot: Element
     links: dict[str, Element]
     joints: dict[str, Joint]
     joint_of: dict[str, Joint]
+
+    @property
+    def root(self) -> str:
+        """The link that hangs on no joint."""
+        return next(link for link in self.links if link not in self.joint_of)
 
     def link(self, name: str, option: str) -> str:
         """The name, if there is such a link.
@@ -96,19 +92,18 @@ class Tree:
             link = chain[-1].parent
         return chain[::-1]
 
-    def below(self, link: str, *, without: Iterable[str] = ()) -> list[str]:
-        """A link and all that hangs on it, but not what hangs on the joints `without`."""
-        found, cut = [link], set(without)
-        for name in found:
-            found += [j.child for j in self.children(name) if j.name not in cut]
-        return found
-
-    def rigid(self, link: str) -> list[str]:
-        """A link and what is fixed to it."""
+    def below(
+        self, link: str, *, without: Collection[str] = (), moving: bool = True
+    ) -> tuple[str, ...]:
+        """A link and all that hangs on it by joints, or fixed ones only, other than `without`."""
         found = [link]
         for name in found:
-            found += [j.child for j in self.children(name) if j.kind not in MOVING]
-        return found
+            found += [
+                j.child
+                for j in self.children(name)
+                if j.name not in without and (moving or j.kind not in MOVING)
+            ]
+        return tuple(found)
 
     def pose(self, link: str, base: str) -> pin.SE3:
         """T_base_link with all joints at zero, for a link below the base."""
@@ -160,8 +155,7 @@ def _once(robot: Element, tag: str) -> None:
 
 
 def _hang_together(links: dict[str, Element], joint_of: dict[str, Joint]) -> None:
-    roots = [name for name in links if name not in joint_of]
-    if len(roots) > 1:
+    if len(roots := [name for name in links if name not in joint_of]) > 1:
         raise RobotFileError(
             f"the links do not hang together: {_some(roots)} hang on no joint; "
             "a robot has one such link"
@@ -249,3 +243,75 @@ def numbers(element: Element | None, key: str, default: tuple[float, ...], where
     if values is None:
         raise RobotFileError(f"{where}: {key}={words!r} should be {len(default)} numbers")
     return np.array(values)
+
+
+class Arm(NamedTuple):
+    """The arm's chain.
+
+    Attributes:
+        base: The base's link.
+        tip: The link that carries the end-effector.
+        mount: Link at whose origin the arm stands.
+        joints: The joints that move it, from the base outwards.
+        base_links: All that is fixed to the base or hangs on it, but not the arm; wheels too.
+        rigid_links: Those of them that do not move against the base.
+        segments: (n_m + 1) links that move as one: what is fixed below the first joint, then what
+            each joint carries, joints beside the chain (fingers) held at zero.
+    """
+
+    base: str
+    tip: str
+    mount: str
+    joints: tuple[Joint, ...]
+    base_links: tuple[str, ...]
+    rigid_links: tuple[str, ...]
+    segments: tuple[tuple[str, ...], ...]
+
+
+def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
+    """The arm between two links, standing at `mount` or the link that carries its first joint.
+
+    Raises:
+        RobotFileError: A link is not there, or no joint moves between them; names the option.
+    """
+    tree.link(base, "--base")
+    tree.link(tip, "--tip")
+    chain = tree.chain(base, tip)
+    _nothing_above(tree, base)
+    joints = [joint for joint in chain if joint.moves]
+    if not joints:
+        raise RobotFileError(f"--tip: no joint moves {tip!r} against --base {base!r}")
+    first = joints[0]
+    on_chain = [joint.parent for joint in chain]
+    fixed_part = on_chain[: on_chain.index(first.parent) + 1]
+    if mount is None:
+        mount = first.parent if first.parent != base else first.child
+    elif tree.link(mount, "--mount") not in (*fixed_part, first.child):
+        raise RobotFileError(
+            f"--mount: {mount!r} is not between --base and the first joint {first.name!r}; "
+            f"choose from: {', '.join(fixed_part[1:]) or first.child}"
+        )
+    segments = [tree.below(mount, without=[first.name]) if mount in fixed_part[1:] else ()]
+    for joint, following in zip(joints, [*joints[1:], None], strict=True):
+        without = [] if following is None else [following.name]
+        segments.append(tree.below(joint.child, without=without))
+    cut = [first.name, *([tree.joint_of[mount].name] if segments[0] else [])]
+    base_links = tree.below(base, without=cut)
+    rigid = tuple(link for link in tree.below(base, moving=False) if link in base_links)
+    return Arm(base, tip, mount, tuple(joints), base_links, rigid, tuple(segments))
+
+
+def _nothing_above(tree: Tree, base: str) -> None:
+    """What lies between the root and the base may be frames, and nothing else may hang there."""
+    link = base
+    while link in tree.joint_of:
+        parent = tree.joint_of[link].parent
+        beside = [j.child for j in tree.children(parent) if j.child != link]
+        solid = any(tree.links[parent].findall(tag) for tag in ("collision", "visual"))
+        if beside or solid:
+            what = f"{', '.join(beside)} hang on" if beside else "there are shapes on"
+            raise RobotFileError(
+                f"--base: {what} {parent!r}, above {base!r}: they would be lost; "
+                f"give --base {parent}"
+            )
+        link = parent

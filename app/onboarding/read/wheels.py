@@ -1,17 +1,17 @@
-"""The driven wheels of a base: which joints they are, their radius, and how far they are apart."""
+"""What moves a base: its driven wheels, found by their shape, and a car-like base's steering."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from app.errors import RobotFileError
-from app.onboarding.read.arm import Arm, rigid_to_base
-from app.onboarding.read.geometry import looks, read_shapes
-from app.onboarding.read.tree import Joint, Tree
+from app.onboarding.read.links import LinkGeometry, LinkShape, link_geometry
+from app.onboarding.read.tree import Arm, Joint, Tree
+from app.onboarding.request import Request
 
 Array = np.ndarray
 
@@ -19,6 +19,10 @@ _LEVEL = np.cos(np.radians(2.0))  # an axle may lean by 2 degrees
 _ROUND = 0.08  # [-] by how much the two widths of a wheel may differ
 _ALIKE = 0.03  # [-] by how much the radii of the wheels may differ
 _SAME_PLACE = 0.01  # [m] by which mirrored wheels may be off
+_UPRIGHT = np.cos(np.radians(10.0))  # a steering axis may lean by 10 degrees
+_STEERING_RATE = 1.5  # [rad/s]
+_IN_LINE = 0.02  # [m] by which steered wheels may be ahead of each other
+_TRAVEL = 0.5  # [-] of a wheel's radius that its suspension may travel
 
 
 class Wheels(NamedTuple):
@@ -42,6 +46,26 @@ class Wheels(NamedTuple):
     how: str
 
 
+class Steering(NamedTuple):
+    """The steered front wheels of a car-like base.
+
+    Attributes:
+        wheelbase: [m] from the rear axle to theirs.
+        limit: [rad] how far they turn to either side.
+        rate: [rad/s] how fast.
+        rolling: Joints of the wheels on them.
+        joints: Joints that turn with the steering.
+        sources: Of the first three.
+    """
+
+    wheelbase: float
+    limit: float
+    rate: float
+    rolling: tuple[str, ...]
+    joints: tuple[str, ...]
+    sources: tuple[str, str, str]
+
+
 class _Wheel(NamedTuple):
     joint: Joint
     centre: Array  # (3,) [m] in the base's link
@@ -50,82 +74,55 @@ class _Wheel(NamedTuple):
     how: str
 
 
-def find_wheels(tree: Tree, arm: Arm, given: tuple[str, str] | None = None) -> Wheels:
-    """The wheels.
+def with_rigid_suspensions(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> Arm:
+    """The arm's base with what short slides carry counted as rigid, if wheels are on them.
 
-    Without `given`, they are the round links on level axles fixed to the base that stand on the
-    floor in mirrored pairs.
+    A slide is short if it travels less than `_TRAVEL` of the radius of each wheel below it.
+    """
+    taken = {joint.name for joint in arm.joints}
+    rigid = list(arm.rigid_links)
+    for link in rigid:
+        for joint in tree.children(link):
+            if joint.kind != "prismatic" or joint.name in taken:
+                continue
+            below = [tree.joint_of[name] for name in tree.below(joint.child)]
+            try:
+                radii = [_wheel(tree, arm, geometry, j).r for j in below if _rolls(tree, arm, j)]
+            except RobotFileError:
+                continue
+            travel = (joint.upper or 0.0) - (joint.lower or 0.0)
+            if radii and travel < _TRAVEL * min(radii):
+                rigid += tree.below(joint.child, moving=False)
+    return arm._replace(rigid_links=tuple(rigid))
 
-    Args:
-        tree: The robot.
-        arm: Its arm.
-        given: Joints or links of a left and a right wheel; those of the same shape on the same side
-            and height go with them.
+
+def find_drive(
+    request: Request, tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]
+) -> tuple[Wheels, Steering | None]:
+    """The wheels that the kind of base needs, and its steering.
+
+    A base whose URDF has no wheels, as a holonomic one needs none, stands on a floor below its
+    shapes and faces its link's x.
 
     Raises:
-        RobotFileError: What was given is no wheel, or there are none or several to choose from.
+        RobotFileError: The URDF has not what the kind needs; names the option that helps.
     """
-    found = _candidates(tree, arm)
-    if given is not None:
-        sides = [
-            _named(tree, arm, name, side)
-            for name, side in zip(given, ("left", "right"), strict=True)
-        ]
-        left, right = sides
-    else:
-        pairs = _mirrored([w for w in found if isinstance(w, _Wheel)])
-        if not pairs:
-            reasons = "; ".join(str(w) for w in found if isinstance(w, str)) or "no joint turns"
-            raise RobotFileError(
-                f"--wheels: no pair of wheels found under {arm.base!r} ({reasons}); "
-                "give --wheels LEFT RIGHT, their joints; or --wheel-radius and --half-track if the "
-                "URDF has no wheels"
-            )
-        lowest = min(left.centre[2] - left.r for left, _ in pairs)
-        pairs = [p for p in pairs if p[0].centre[2] - p[0].r < lowest + _SAME_PLACE]
-        if max(p[0].r for p in pairs) > (1 + _ALIKE) * min(p[0].r for p in pairs):
-            names = "; ".join(f"{a.joint.name} {b.joint.name}" for a, b in pairs)
-            raise RobotFileError(
-                f"--wheels: pairs of different radius may be the driven ones: {names}; "
-                "give --wheels LEFT RIGHT"
-            )
-        left, right = pairs[0]
-    if abs(left.r - right.r) > _ALIKE * left.r:
-        raise RobotFileError(
-            f"--wheels: {left.joint.name} has a radius of {left.r:.4f} m and {right.joint.name} of "
-            f"{right.r:.4f} m: two driven wheels are equal"
-        )
-    wheels = [w for w in found if isinstance(w, _Wheel)] + [left, right]
-    forward = _forward(left, right)
-    return _drive(tree, left, right, wheels, forward)
+    given = request.wheel_radius is not None and request.half_track is not None
+    if request.kind == "holonomic" or given:
+        floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, _floor_below(tree, arm, geometry)]))
+        r, b = request.wheel_radius or 0.0, request.half_track or 0.0
+        return Wheels((), (), r, b, floor, None, "given: --wheel-radius" if given else ""), None
+    wheels = _find_wheels(tree, arm, geometry, request.wheels)
+    steered = request.kind == "car-like"
+    return wheels, _find_steering(request, tree, arm, wheels.T_base_floor) if steered else None
 
 
-def stated_wheels(tree: Tree, arm: Arm, r: float, b: float) -> Wheels:
-    """A base whose URDF has no wheels: the floor is below its shapes, ahead is its link's x.
-
-    Args:
-        tree: The robot.
-        arm: Its arm.
-        r: [m] radius of the wheels.
-        b: [m] half track.
-
-    Raises:
-        RobotFileError: The base has no shapes.
-    """
-    floor = pin.SE3(np.eye(3), np.array([0.0, 0.0, floor_below(tree, arm)]))
-    return Wheels((), (), r, b, floor, None, "given: --wheel-radius")
-
-
-def floor_below(tree: Tree, arm: Arm) -> float:
-    """[m] the height of the lowest point of the base's shapes in its link's frame.
-
-    Raises:
-        RobotFileError: The base has no shapes.
-    """
+def _floor_below(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> float:
+    """[m] the height of the lowest point of the base's shapes in its link's frame."""
     lows = [
-        float((tree.pose(link, arm.base).act(corner))[2])
+        float(tree.pose(link, arm.base).act(corner)[2])
         for link in arm.base_links
-        for shape in read_shapes(tree, link)
+        for shape in geometry[link].shapes
         for corner in np.asarray(shape.hull.bounding_box.vertices)
     ]
     if not lows:
@@ -133,10 +130,60 @@ def floor_below(tree: Tree, arm: Arm) -> float:
     return min(lows)
 
 
-def _drive(
-    tree: Tree, left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel], forward: Array
+def _find_wheels(
+    tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], given: tuple[str, str] | None
 ) -> Wheels:
+    """The given wheels and those like them, or else the ones that stand on the floor in pairs.
+
+    Without `given`, they are the round links on level axles fixed to the base.
+    """
+    found: list[_Wheel] = []
+    reasons: list[str] = []
+    taken = {joint.name for joint in arm.joints}
+    for joint in tree.joints.values():
+        if joint.parent in arm.rigid_links and joint.name not in taken and _turns_round(joint):
+            try:
+                found.append(_wheel(tree, arm, geometry, joint))
+            except RobotFileError as error:
+                reasons.append(str(error))
+    if given is not None:
+        left, right = (
+            _named(tree, arm, geometry, name, side)
+            for name, side in zip(given, ("left", "right"), strict=True)
+        )
+    else:
+        why = "; ".join(reasons) or "no joint turns"
+        left, right = _driven(_mirrored(found), f"{arm.base!r} ({why})")
+    if abs(left.r - right.r) > _ALIKE * left.r:
+        raise RobotFileError(
+            f"--wheels: {left.joint.name} has a radius of {left.r:.4f} m and {right.joint.name} of "
+            f"{right.r:.4f} m: two driven wheels are equal"
+        )
+    return _drive(left, right, [*found, left, right])
+
+
+def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wheel]:
+    """The one pair of equal wheels that stand lowest."""
+    if not pairs:
+        raise RobotFileError(
+            f"--wheels: no pair of wheels found under {where}; "
+            "give --wheels LEFT RIGHT, their joints; or --wheel-radius and --half-track if the "
+            "URDF has no wheels"
+        )
+    lowest = min(left.centre[2] - left.r for left, _ in pairs)
+    pairs = [p for p in pairs if p[0].centre[2] - p[0].r < lowest + _SAME_PLACE]
+    if max(p[0].r for p in pairs) > (1 + _ALIKE) * min(p[0].r for p in pairs):
+        names = "; ".join(f"{a.joint.name} {b.joint.name}" for a, b in pairs)
+        raise RobotFileError(
+            f"--wheels: pairs of different radius may be the driven ones: {names}; "
+            "give --wheels LEFT RIGHT"
+        )
+    return pairs[0]
+
+
+def _drive(left: _Wheel, right: _Wheel, wheels: Sequence[_Wheel]) -> Wheels:
     """The whole drive: both sides with what is like the two wheels."""
+    forward = _forward(left, right)
     floor = float(np.mean([left.centre[2] - left.r, right.centre[2] - right.r]))
     like = {
         w.joint.name: w
@@ -178,22 +225,9 @@ def _forward(left: _Wheel, right: _Wheel) -> Array:
     return np.cross(across, [0.0, 0.0, 1.0])
 
 
-def _candidates(tree: Tree, arm: Arm) -> list[_Wheel | str]:
-    """What turns on the base: wheels, and why the others are none."""
-    rigid = set(rigid_to_base(tree, arm))
-    taken = {joint.name for joint in arm.joints}
-    found: list[_Wheel | str] = []
-    for joint in tree.joints.values():
-        if joint.parent not in rigid or joint.name in taken or not _turns_round(joint):
-            continue
-        try:
-            found.append(_wheel(tree, arm, joint))
-        except RobotFileError as error:
-            found.append(str(error))
-    return found
-
-
-def _named(tree: Tree, arm: Arm, name: str, side: str) -> _Wheel:
+def _named(
+    tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], name: str, side: str
+) -> _Wheel:
     joint = tree.joints.get(name) or tree.joint_of.get(name)
     if joint is None:
         turning = [j.name for j in tree.joints.values() if _turns_round(j)]
@@ -205,49 +239,54 @@ def _named(tree: Tree, arm: Arm, name: str, side: str) -> _Wheel:
         raise RobotFileError(f"--wheels: {name!r} ({side}) is not on the base")
     if not _turns_round(joint):
         raise RobotFileError(f"--wheels: {joint.name} is no wheel: it is {joint.kind}")
-    if joint.parent not in rigid_to_base(tree, arm):
+    if joint.parent not in arm.rigid_links:
         raise RobotFileError(f"--wheels: {joint.name} is a caster's wheel: its fork turns too")
     try:
-        return _wheel(tree, arm, joint)
+        return _wheel(tree, arm, geometry, joint)
     except RobotFileError as error:
         raise RobotFileError(f"--wheels: {error}") from None
 
 
 def _turns_round(joint: Joint) -> bool:
-    if joint.kind == "continuous":
-        return True
     span = (joint.upper or 0.0) - (joint.lower or 0.0)
-    return joint.kind == "revolute" and span > 4 * np.pi
+    return joint.kind == "continuous" or (joint.kind == "revolute" and span > 4 * np.pi)
 
 
-def _wheel(tree: Tree, arm: Arm, joint: Joint) -> _Wheel:
+def _rolls(tree: Tree, arm: Arm, joint: Joint) -> bool:
+    """Whether it turns without end about a level axis."""
+    level = np.linalg.norm((tree.pose(joint.child, arm.base).rotation @ joint.axis)[:2]) >= _LEVEL
+    return _turns_round(joint) and bool(level)
+
+
+def _wheel(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], joint: Joint) -> _Wheel:
     T = tree.pose(joint.child, arm.base)
     axis = T.rotation @ joint.axis
     if np.linalg.norm(axis[:2]) < _LEVEL:
         raise RobotFileError(f"{joint.name} is no wheel: its axis is not level")
-    links = tree.rigid(joint.child)
-    touched = [s for link in links for s in read_shapes(tree, link)]
+    links = tree.below(joint.child, moving=False)
+    touched = [s for link in links for s in geometry[link].shapes]
     if not touched:
         raise RobotFileError(f"{joint.name}: {joint.child} has no shape to read a radius from")
     try:
         r, how = _radius(touched, joint)
     except RobotFileError:  # a wheel may collide as a box: then what is seen counts
-        r, how = _radius([s for link in links for s in looks(tree, link).shapes], joint)
+        looks = [link_geometry(tree.links[link], ("visual", "collision")) for link in links]
+        r, how = _radius([s for each in looks for s in each.shapes], joint)
     return _Wheel(joint, T.translation.copy(), axis, r, how)
 
 
-def _radius(shapes: Sequence, joint: Joint) -> tuple[float, str]:
+def _radius(shapes: Sequence[LinkShape], joint: Joint) -> tuple[float, str]:
     """Radius about the joint's axis, and where it comes from."""
-    stated = [s for s in shapes if s.radius is not None]
+    stated = [s.radius for s in shapes if s.radius is not None]
     if stated:
-        return max(s.radius for s in stated), f"{stated[0].kind} of {joint.child}"
+        kind = next(s.kind for s in shapes if s.radius is not None)
+        return max(stated), f"{kind} of {joint.child}"
     points = np.vstack([np.asarray(s.hull.vertices) for s in shapes])
     one = np.cross(joint.axis, [1.0, 0.0, 0.0])
     if np.linalg.norm(one) < 0.5:
         one = np.cross(joint.axis, [0.0, 1.0, 0.0])
     one /= np.linalg.norm(one)
-    two = np.cross(joint.axis, one)
-    flat = points @ np.column_stack([one, two])
+    flat = points @ np.column_stack([one, np.cross(joint.axis, one)])
     widths = [float(np.ptp(flat @ [np.cos(a), np.sin(a)])) for a in np.linspace(0, np.pi, 12)]
     r = float(np.linalg.norm(flat, axis=1).max())
     if max(widths) > (1 + _ROUND) * min(widths) or abs(2 * r / max(widths) - 1) > _ROUND:
@@ -273,3 +312,52 @@ def _mirrored(wheels: Sequence[_Wheel]) -> list[tuple[_Wheel, _Wheel]]:
                 swap = apart[1] < 0 if along_y else apart[0] > 0
                 pairs.append((b, a) if swap else (a, b))
     return pairs
+
+
+def _find_steering(request: Request, tree: Tree, arm: Arm, T_base_floor: pin.SE3) -> Steering:
+    """Upright joints on the base, each with a wheel on it; what is given counts before them."""
+    taken = {joint.name for joint in arm.joints}
+    found: list[Joint] = []
+    rolling: list[str] = []
+    places: list[float] = []
+    for joint in tree.joints.values():
+        if joint.parent not in arm.rigid_links or joint.name in taken or not joint.moves:
+            continue
+        T = T_base_floor.inverse() * tree.pose(joint.child, arm.base)
+        on_it = [j for j in tree.children(joint.child) if j.kind in ("continuous", "revolute")]
+        if abs((T.rotation @ joint.axis)[2]) > _UPRIGHT and on_it:
+            found.append(joint)
+            rolling += [j.name for j in on_it]
+            places.append(float(T.translation[0]))
+    if request.wheelbase is None and (not places or np.ptp(places) > _IN_LINE):
+        raise RobotFileError(
+            f"--wheelbase: {len(places)} steered wheels found on {arm.base!r}, none of them or not "
+            "in line; give --wheelbase, from the rear axle to the front one"
+        )
+    wheelbase = request.wheelbase or float(np.mean(places))
+    if wheelbase <= 0:
+        raise RobotFileError("--wheels: the steered wheels are behind them; give LEFT and RIGHT")
+    limit = request.steering_limit or _tightest(found)
+    speeds = [joint.velocity for joint in found if joint.velocity]
+    rate = request.steering_rate or min(speeds, default=_STEERING_RATE)
+    measured = "measured: from the wheels to the steered"
+    tightest = "from the URDF: the tightest joint"
+    slowest = "from the URDF: the slowest joint" if speeds else "assumed: as a small car's"
+    sources = (
+        "given: --wheelbase" if request.wheelbase else measured,
+        "given: --steering-limit" if request.steering_limit else tightest,
+        "given: --steering-rate" if request.steering_rate else slowest,
+    )
+    joints = tuple(joint.name for joint in found)
+    return Steering(wheelbase, limit, rate, tuple(rolling), joints, sources)
+
+
+def _tightest(joints: Sequence[Joint]) -> float:
+    """[rad] the smallest way of any of them to either side."""
+    ways = [min(-(j.lower or 0.0), j.upper or 0.0) for j in joints if j.kind == "revolute"]
+    if not ways or not 0.0 < min(ways) < np.pi / 2:
+        raise RobotFileError(
+            "--steering-limit: the URDF limits no steered joint to both sides, to less than a "
+            "right angle; give it"
+        )
+    return min(ways)

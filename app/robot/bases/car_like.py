@@ -30,6 +30,7 @@ from app.robot.bases.kind import (
     BaseForce,
     BaseKind,
     Channel,
+    Follower,
     Wheels,
     clamp,
 )
@@ -163,11 +164,6 @@ class CarLikeBase(BaseKind):
         gradient[..., 0] = 2.0 * per * np.abs(x)
         return per * x * np.abs(x), gradient
 
-    def singularity_at(self, p: Array) -> tuple[float, float, float]:
-        """See `BaseKind`."""
-        per, x = 4.0 * self.curvature_max**2, float(p[0])
-        return per * x * abs(x), 2.0 * per * abs(x), 0.0
-
     def acceleration(self, force: BaseForce) -> Array:
         """What the force wants, before the cone; see `admissible`."""
         return free_acceleration(force, self.mass_kg, self.inertia_kgm2)
@@ -188,14 +184,18 @@ class CarLikeBase(BaseKind):
         """The steering angle δ [rad], straight ahead."""
         return np.zeros(1)
 
-    def driven(self, v: Array, drive: Array, v_cmd: Sequence[float] | Array, dt: float) -> Array:
+    def follower(self, dt: float) -> Follower:
         """See `BaseKind`."""
-        speed, angle = float(v[0]), float(drive[0])
-        speed_to, angle_to = self._goal(speed, angle, v_cmd)
         gain = -math.expm1(-dt / self.drive_time_constant_s)
-        angle += clamp((angle_to - angle) * gain, self.steering_rate_radps * dt)
-        speed += clamp((speed_to - speed) * gain, self.max_linear_acceleration_mps2 * dt)
-        return np.array([speed, speed * math.tan(angle) / self.wheelbase_m, angle])
+
+        def follow(v: list[float], drive: Array, v_cmd: list[float]) -> tuple[list[float], Array]:
+            speed, angle = v[0], drive.item(0)
+            speed_to, angle_to = self._goal(speed, angle, v_cmd)
+            angle += clamp((angle_to - angle) * gain, self.steering_rate_radps * dt)
+            speed += clamp((speed_to - speed) * gain, self.max_linear_acceleration_mps2 * dt)
+            return [speed, speed * math.tan(angle) / self.wheelbase_m], np.array([angle])
+
+        return follow
 
     def drive_acceleration(
         self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array

@@ -58,11 +58,6 @@ class HolonomicBase(BaseKind):
         p = np.asarray(p, dtype=float)
         return np.ones(p.shape[:-1]), np.zeros(p.shape)
 
-    def singularity_at(self, p: Array) -> tuple[float, float, float]:
-        """See `BaseKind`."""
-        del p
-        return 1.0, 0.0, 0.0
-
     def acceleration(self, force: BaseForce) -> Array:
         """See `BaseKind`."""
         m = self.mass_kg

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from app.robot.sourced import Sourced
-from app.strict import Positive
+from app.strict import Positive, Sourced
 
 Array = np.ndarray
 
@@ -108,6 +107,11 @@ class Wheels(NamedTuple):
     name: str
     field: str
     joints: tuple[str, ...]
+
+
+Follower = Callable[[list[float], Array, list[float]], tuple[list[float], Array]]
+"""From the velocity (n_b,) so far, the drive as `BaseKind.drive_at_rest` and the velocity command
+(n_b,) to velocity and drive one period later; it changes neither of those given."""
 
 
 class BaseKind(Sourced, ABC):
@@ -221,38 +225,30 @@ class BaseKind(Sourced, ABC):
         """(n_d,) what the drive has beside its velocity, such as a steering angle, at a reset."""
         return np.zeros(0)
 
-    def driven(self, v: Array, drive: Array, v_cmd: Sequence[float] | Array, dt: float) -> Array:
-        """Follow a command for one period.
-
-        Args:
-            v: (n_b,) the velocity so far.
-            drive: (n_d,) as `drive_at_rest`.
-            v_cmd: (n_b,) the velocity command; clamped to the limits.
-            dt: [s] the period.
-
-        Returns:
-            (n_b + n_d,) velocity and drive at its end.
-        """
-        del drive
+    def follower(self, dt: float) -> Follower:
+        """How the drive follows a command, which it clamps to the limits, for one period dt [s]."""
         # Exact for a command held over the step, so that any dt is stable.
         gain = -math.expm1(-dt / self.drive_time_constant_s)
-        return v + self._response(v, v_cmd, gain, dt)
+        limits = list(zip(self.max_velocity, (a * dt for a in self.max_acceleration), strict=True))
+
+        def follow(v: list[float], drive: Array, v_cmd: list[float]) -> tuple[list[float], Array]:
+            axes = zip(v, v_cmd, limits, strict=True)
+            return [
+                now + clamp((clamp(cmd, top) - now) * gain, most) for now, cmd, (top, most) in axes
+            ], drive
+
+        return follow
 
     def drive_acceleration(
         self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
     ) -> Array:
         """What the drive does now with a command, (n_b,): clip((v_cmd - v)/τ, ±limits)."""
         del drive
-        return self._response(v, v_cmd, 1.0 / self.drive_time_constant_s, 1.0)
-
-    def _response(
-        self, v: Sequence[float] | Array, v_cmd: Sequence[float] | Array, gain: float, dt: float
-    ) -> Array:
-        """(n_b,) gain times what a command is off, no more than the accelerations do in dt [s]."""
-        velocities = np.asarray(v).tolist(), np.asarray(v_cmd).tolist()
-        axes = zip(*velocities, self.max_velocity, self.max_acceleration, strict=True)
+        gain, velocities = 1.0 / self.drive_time_constant_s, (np.asarray(v), np.asarray(v_cmd))
+        limits = self.max_velocity, self.max_acceleration
+        axes = zip(*(each.tolist() for each in velocities), *limits, strict=True)
         return np.array(
-            [clamp((clamp(cmd, top) - now) * gain, a_max * dt) for now, cmd, top, a_max in axes]
+            [clamp((clamp(cmd, top) - now) * gain, a_max) for now, cmd, top, a_max in axes]
         )
 
     def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:

@@ -1,19 +1,22 @@
-"""Commands to the live loop: immutable records that are valid once they exist.
+"""Commands to the live loop: immutable records that are valid once they exist, and their mailbox.
 
-A record that can never be obeyed cannot be made, so its maker gets the error. What only the
-session knows is refused later, by a snapshot's `refusal`.
+A record that can never be obeyed cannot be made: its maker gets a ConfigError, for a name an
+UnknownNameError, for a place a TargetError. What only the session knows is refused later, by a
+snapshot's `refusal`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import math
+import threading
+from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
 from app.config import Config
 from app.control.controller import CONTROLLERS
-from app.errors import ConfigError, DbbError, TargetError, UnknownNameError
-from app.simulation.person import checked_hold, checked_target
+from app.errors import ConfigError, DbbError, LoopError, TargetError, UnknownNameError
+from app.simulation.people import checked_hold, checked_target
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.names import scenario_by_name
 from app.simulation.trace.comparison import MOST_GHOSTS, SAMES
@@ -24,6 +27,9 @@ SPEEDS = 0.1, 4.0
 """[-] slowest and fastest, in times of real time."""
 STEPS = 0.001, 1.0
 """[s] shortest and longest single step."""
+MOST = 64
+"""Commands that may wait at once; as those of a kind replace one another, far more than there are
+kinds."""
 
 
 @dataclass(frozen=True)
@@ -32,10 +38,6 @@ class Pull:
 
     Taking or letting go of the end-effector ends a scenario that leads it; a pull elsewhere
     disturbs it.
-
-    Raises:
-        TargetError: The target lies below the floor, or the point is none of a link's.
-        ConfigError: `who` is no number of a person.
     """
 
     target: Point | None
@@ -59,11 +61,7 @@ class Pull:
 
 @dataclass(frozen=True)
 class Release:
-    """A person lets go, if he holds the robot; a scenario goes on.
-
-    Raises:
-        ConfigError: `who` is no number of a person.
-    """
+    """A person lets go, if he holds the robot; a scenario goes on."""
 
     who: int
 
@@ -73,26 +71,17 @@ class Release:
 
 @dataclass(frozen=True)
 class Configure:
-    """Use this configuration from now on.
-
-    Raises:
-        ConfigError: It is none.
-    """
+    """Use this configuration from now on."""
 
     config: Config
 
     def __post_init__(self) -> None:
-        if not isinstance(self.config, Config):
-            raise ConfigError(f"a configuration is a Config, was {self.config!r}")
+        _check_type("a configuration", self.config, Config)
 
 
 @dataclass(frozen=True)
 class Choose:
-    """Use the controller of that name from now on.
-
-    Raises:
-        UnknownNameError: No controller has it.
-    """
+    """Use the controller of that name from now on."""
 
     controller: str
 
@@ -102,26 +91,27 @@ class Choose:
 
 @dataclass(frozen=True)
 class Pause:
-    """Stop (True) or go on (False).
-
-    Raises:
-        ConfigError: It is neither.
-    """
+    """Stop (True) or go on (False)."""
 
     paused: bool
 
     def __post_init__(self) -> None:
-        if not isinstance(self.paused, bool):
-            raise ConfigError(f"paused is True or False, was {self.paused!r}")
+        _check_type("paused", self.paused, bool)
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Somebody is there (True), or nobody: then no step is taken, and all stays as it is."""
+
+    watched: bool
+
+    def __post_init__(self) -> None:
+        _check_type("watched", self.watched, bool)
 
 
 @dataclass(frozen=True)
 class Speed:
-    """Run at `factor` times real time, as far as the machine can.
-
-    Raises:
-        ConfigError: It is not within `SPEEDS`.
-    """
+    """Run at `factor` times real time, within `SPEEDS`, as far as the machine can."""
 
     factor: float
 
@@ -131,11 +121,7 @@ class Speed:
 
 @dataclass(frozen=True)
 class StepOnce:
-    """Pause, if it runs, and advance to the next snapshot, `seconds` [s] later.
-
-    Raises:
-        ConfigError: `seconds` is not within `STEPS`.
-    """
+    """Pause, if it runs, and advance to the next snapshot, `seconds` [s] later, within `STEPS`."""
 
     seconds: float = 0.02
 
@@ -145,7 +131,20 @@ class StepOnce:
 
 @dataclass(frozen=True)
 class Reset:
-    """Begin anew at the free start, without a scenario."""
+    """Begin anew at the free start, or at a posture, without a scenario."""
+
+    q_m: tuple[float, ...] = ()
+    """(n_m,) [rad or m] the arm's joints; none are the free start's."""
+    base_pose: Point = (0.0, 0.0, 0.0)
+    """[m] [m] [rad] x, y and heading of the base."""
+
+    def __post_init__(self) -> None:
+        try:
+            finite = all(map(math.isfinite, (*self.q_m, *self.base_pose)))
+        except TypeError:
+            finite = False
+        if not finite:
+            raise TargetError(f"a posture is of finite numbers, was {self!r}")
 
 
 @dataclass(frozen=True)
@@ -155,17 +154,15 @@ class Restart:
 
 @dataclass(frozen=True)
 class Play:
-    """Begin anew at a scenario's start, and let it lead the hand until its end or a pull.
-
-    Raises:
-        ConfigError: It is no scenario.
-    """
+    """Begin anew at a scenario's start, and let it lead the hand until its end or a pull."""
 
     scenario: Scenario
+    until: float = 0.0
+    """[s] to which it goes on as fast as it can, and then stands still; at 0 it just begins."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.scenario, Scenario):
-            raise ConfigError(f"what is played is a Scenario, was {self.scenario!r}")
+        _check_type("what is played", self.scenario, Scenario)
+        _check_range("the time to stop at", self.until, (0.0, self.scenario.duration), "s")
 
     @classmethod
     def named(cls, name: str, options: Mapping[str, Any] | None = None) -> Play:
@@ -190,12 +187,7 @@ class Play:
 
 @dataclass(frozen=True)
 class Compare:
-    """Begin anew where the robot stands or the scenario starts, with others beside it.
-
-    Raises:
-        ConfigError: They are too many.
-        UnknownNameError: No controller has one of the names, or `same` is no way to compare.
-    """
+    """Begin anew where the robot stands or the scenario starts, with others beside it."""
 
     controllers: tuple[str, ...] = ()
     """Of the others, at most two; none ends the comparison, and the robot just goes on."""
@@ -218,6 +210,7 @@ Command = (
     | Configure
     | Choose
     | Pause
+    | Watch
     | Speed
     | StepOnce
     | Reset
@@ -226,19 +219,75 @@ Command = (
     | Compare
 )
 _COMMANDS = get_args(Command)
+_STATES = (Configure, Choose, Pause, Watch, Speed)
+_BEGINNINGS = (Reset, Restart, Play)
 
 
-def check_command(command: Command, links: Collection[str]) -> None:
-    """A loop can take a command: it is one, and a pull's link is one of the loop's.
+class Mailbox:
+    """Takes commands from any thread; one thread fetches them.
 
-    Raises:
-        ConfigError: It is no command.
-        UnknownNameError: There is no such link; lists those that there are.
+    However many are sent, what waits is bounded and so is the work of obeying it: of those that
+    replace one another only the newest is kept. A parameter keeps the place of the command that it
+    replaces, so that a beginning sent meanwhile has the newest. What happens rather than is set,
+    such as a pull, takes its place at the end.
+
+    Attributes:
+        filled: Set while something waits.
     """
-    if not isinstance(command, _COMMANDS):
-        raise ConfigError(f"{command!r} is no command")
-    if isinstance(command, Pull) and command.link is not None and command.link not in links:
-        raise UnknownNameError("link", str(command.link), links)
+
+    def __init__(self) -> None:
+        self._waiting: dict[Hashable, Command] = {}
+        self._lock = threading.Lock()
+        self.filled = threading.Event()
+
+    def put(self, command: Command, links: Collection[str]) -> None:
+        """Leave a command.
+
+        Args:
+            command: The command.
+            links: Where the arm can be held.
+
+        Raises:
+            ConfigError: It is no command.
+            UnknownNameError: A pull's link is none of `links`.
+            LoopError: Too many different ones wait.
+        """
+        if not isinstance(command, _COMMANDS):
+            raise ConfigError(f"{command!r} is no command")
+        if isinstance(command, Pull) and command.link is not None and command.link not in links:
+            raise UnknownNameError("link", str(command.link), links)
+        key = _key(command)
+        with self._lock:
+            if len(self._waiting) >= MOST and key not in self._waiting:
+                raise LoopError(f"more than {MOST} commands wait; send fewer at once")
+            if isinstance(command, Restart) and key in self._waiting:
+                return  # what begins anew already would only begin once more
+            if not isinstance(command, _STATES):
+                self._waiting.pop(key, None)
+            self._waiting[key] = command
+            self.filled.set()
+
+    def take(self) -> list[Command]:
+        """All that wait, in order; they wait no longer."""
+        if not self._waiting:  # a glance without the lock: it is done a thousand times a second
+            return []
+        with self._lock:
+            commands = list(self._waiting.values())
+            self._waiting.clear()
+            self.filled.clear()
+        return commands
+
+
+def _key(command: Command) -> Hashable:
+    """Commands of equal keys replace one another."""
+    if isinstance(command, (Pull, Release)):
+        return Pull, command.who
+    return _BEGINNINGS if isinstance(command, _BEGINNINGS) else type(command)
+
+
+def _check_type(what: str, value: Any, kind: type) -> None:
+    if not isinstance(value, kind):
+        raise ConfigError(f"{what} is a {kind.__name__}, was {value!r}")
 
 
 def _check_person(who: Any) -> None:

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 
 from app.config import Config
 from app.errors import TargetError
+from app.simulation.case import RunCase
 from app.simulation.loop.commands import Compare, Pull
 from app.simulation.people import Hold
-from app.simulation.scenarios.begin import begin
-from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
+from app.simulation.run import begin
+from app.simulation.scenarios.leading import SHORTEST, Lead, Leader, Scenario, Setting
+from app.simulation.scenarios.pulled import Pulled
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.comparison import Ghost, ScoreKeeper
 from app.simulation.trace.snapshot import Score
 
 Array = np.ndarray
 
+_SAID = 1.0  # [s] for which a case is said
 MOST_PULLS = 8
 """People who can hold the robot at once."""
 
@@ -47,6 +53,10 @@ class Ensemble:
         self.comparison = Compare()
         self._leader: Leader | None = None
         self._holds: dict[int, Hold] = {}
+        self._pulled: list[Pulled] | None = None
+        """While people may pull as they like: what they did."""
+        self._case: tuple[float, RunCase] | None = None
+        """The newest case, and [s] when it became one."""
         self._start = Setting(free.model, free.data, np.zeros(3), np.array(q_start), free.config)
         self._found: tuple[Scenario, Config, Setting] | None = None
         self.reset()
@@ -56,9 +66,35 @@ class Ensemble:
         """Name of the scenario that leads the hand now, or empty."""
         return "" if self.scenario is None or self.ends is None else self.scenario.name
 
-    def reset(self) -> None:
-        """Begin anew at the free start."""
-        self._enter(self._start, None)
+    @property
+    def changing(self) -> str:
+        """What of the parameters is on its way to what was configured, or empty."""
+        now, wanted = self.main.controller.d_b, self.main.config.border.d_b
+        return "" if abs(now - wanted) < 1e-6 else f"d_b is {now:.3f} m on its way to {wanted:g} m"
+
+    @property
+    def case(self) -> RunCase | None:
+        """What it takes to play again what has begun in the last second, or, of what people may
+        pull as they like, has ended; else None.
+        """
+        since, case = self._case or (-math.inf, None)
+        return case if self.main.t < since + _SAID else None
+
+    def reset(
+        self, q_m: Sequence[float] = (), base_pose: Sequence[float] = (0.0, 0.0, 0.0)
+    ) -> None:
+        """Begin anew at the free start, or at a posture of the arm (n_m,) and base (3,).
+
+        Raises:
+            TargetError: It is no posture of this arm; then nothing has changed.
+        """
+        begun = self._start
+        if len(q_m) not in (0, len(begun.q_m)):
+            raise TargetError(f"a posture of {len(q_m)} joints; the arm has {len(begun.q_m)}")
+        if q_m:
+            begun = begun._replace(q_m=np.array(q_m), base_pose=np.array(base_pose))
+        self._enter(begun, None)
+        self._begun = begun
 
     def restart(self) -> None:
         """Begin anew where the last beginning was.
@@ -67,7 +103,7 @@ class Ensemble:
             DbbError: The scenario cannot begin there with what has been configured since.
         """
         if self.scenario is None:
-            self.reset()
+            self._enter(self._begun, None)
         else:
             self.play(self.scenario)
 
@@ -81,12 +117,16 @@ class Ensemble:
 
     def configure(self, config: Config) -> None:
         """Use other parameters, which the scenario may adapt, from the next step on."""
+        if self._pulled is not None and config != self._config:
+            self._let_go()  # what is recorded has one configuration
         self._config = config
         for session in (self.main, *(ghost.session for ghost in self.ghosts)):
             session.configure(self._adapted(self.scenario))
 
     def choose(self, controller: str) -> None:
         """Use the controller of that name from the next step on."""
+        if self._pulled is not None and controller != self.main.controller.name:
+            self._let_go()
         self.main.controller.use(controller)
 
     def compare(self, comparison: Compare) -> None:
@@ -119,22 +159,25 @@ class Ensemble:
             TargetError: As many as can hold it do so.
         """
         if pull.target is None:
-            held = self._holds.pop(pull.who, None)
+            held = self._holds.get(pull.who)
+            self.release(pull.who)
             if held is None or held.link is None:
-                self._let_go()
+                self._taken()
             return
         if pull.who not in self._holds and len(self._holds) >= MOST_PULLS:
             raise TargetError(f"{MOST_PULLS} people hold the robot already")
         if pull.link is None:
-            self._let_go()
+            self._taken()
         x, y, z = map(float, (0.0, 0.0, 0.0) if pull.point is None else pull.point)
         self._holds[pull.who] = Hold(
             pull.who, np.array(pull.target, dtype=float), pull.link, (x, y, z)
         )
+        self._record(pull.who)
 
     def release(self, who: int) -> None:
         """Somebody lets go, if he holds the robot."""
-        self._holds.pop(who, None)
+        if self._holds.pop(who, None) is not None:
+            self._record(who)
 
     def step(self) -> Step:
         """One control step, led by the scenario until it ends; people pull."""
@@ -142,7 +185,7 @@ class Ensemble:
             self._let_go()
         lead = Lead() if self._leader is None else self._leader(self.main)
         holds = tuple(self._holds.values())
-        step = self.main.step(*lead, holds=holds)
+        step = self.main.step(*lead._replace(holds=(*lead.holds, *holds)))
         if self.ghosts:
             self._keeper.add(step)
             for ghost in self.ghosts:
@@ -150,7 +193,10 @@ class Ensemble:
         return step
 
     def scores(self) -> tuple[Score, ...]:
-        """Of the robot and its ghosts since the comparison began; none without ghosts."""
+        """Of the robot and its ghosts since the comparison began; none without ghosts.
+
+        They are complete once a scenario leads no longer: what a person does then is not its.
+        """
         if not self.ghosts:
             return ()
         return tuple(keeper.score() for keeper in (self._keeper, *(g.keeper for g in self.ghosts)))
@@ -162,8 +208,38 @@ class Ensemble:
         if self.main is not self._free:
             self.main.close()
 
+    def _taken(self) -> None:
+        """Somebody takes or leaves the end-effector, which ends what leads it."""
+        if self._pulled is None:
+            self._let_go()
+
+    def _record(self, who: int) -> None:
+        """What a person does from the next control step on."""
+        if self._pulled is not None:
+            held = self._holds.get(who)
+            step = round(self.main.t / DT)
+            if held is None:
+                self._pulled.append(Pulled(step, who, None))
+            else:
+                x, y, z = held.target.tolist()
+                self._pulled.append(Pulled(step, who, (x, y, z), held.link, held.point))
+
+    def _keep_case(self, scenario: Scenario) -> None:
+        if not RunCase.knows(scenario.name):  # of a study, whose file it has
+            return
+        main = self.main
+        of_run = {"controller": main.controller.name, "physics": main.kind, "seed": main.seed}
+        robot = self._free.model.description.name
+        self._case = main.t, RunCase.of(scenario, self._config, robot=robot, **of_run)
+
     def _let_go(self) -> None:
-        self._leader = self.ends = None
+        if self._leader is not None and self.ghosts:
+            self._keeper.freeze()
+        if self._pulled is not None and self.scenario is not None:
+            length = max(round(self.main.t / DT) * DT, SHORTEST)
+            done = {"duration": length, "q_m": self._q_begun, "pulls": self._pulled}
+            self._keep_case(self.scenario.changed(**done))
+        self._pulled = self._leader = self.ends = None
         for ghost in self.ghosts:
             ghost.let_go()
 
@@ -186,20 +262,25 @@ class Ensemble:
         for each in (session, *others):
             each.configure(setting.config)
             each.reset(setting.q_m, setting.base_pose)
+        leader, *of_others = [scenario and scenario.leader(each) for each in (session, *others)]
         if session is not self.main and self.main is not self._free:
             self.main.close()
-        self.main, self.scenario = session, scenario
+        # From here on nothing fails: a name never stands beside the end of another scenario.
+        self.main, self.scenario, self._leader = session, scenario, leader
+        self.ends = scenario and scenario.duration
         self._holds.clear()
+        self._pulled = [] if scenario is not None and scenario.open else None
+        self._q_begun, self._case = tuple(setting.q_m.tolist()), None
+        if scenario is not None and not scenario.open:
+            self._keep_case(scenario)
         same_force = self.comparison.same == "force"
         self._replace_ghosts(
             [
-                Ghost(other, scenario and scenario.leader(other), same_force=same_force)
-                for other in others
+                Ghost(other, each, same_force=same_force)
+                for other, each in zip(others, of_others, strict=True)
             ]
         )
         self._keeper = ScoreKeeper(session)
-        self._leader = scenario and scenario.leader(session)
-        self.ends = scenario and scenario.duration
 
     def _replace_ghosts(self, ghosts: list[Ghost]) -> None:
         """Let these be the ghosts; sessions that none of them has are closed."""
@@ -211,17 +292,11 @@ class Ensemble:
 
     def _other_sessions(self, setting: Setting) -> list[Session]:
         """A session for each ghost, those that are there used again where they can be."""
-        free = self._free
         usable = [g.session for g in self.ghosts if g.session.door is None and setting.door is None]
         sessions: list[Session] = []
         for name in self.comparison.controllers:
-            if usable:
-                sessions.append(usable.pop(0))
-                sessions[-1].controller.use(name)
-            else:
-                sessions.append(
-                    begin(setting, free.model, controller=name, physics=free.kind, seed=free.seed)
-                )
+            sessions.append(usable.pop(0) if usable else self._new_session(setting, name))
+            sessions[-1].controller.use(name)
         return sessions
 
     def _session_for(self, setting: Setting) -> Session:
@@ -232,5 +307,8 @@ class Ensemble:
         if setting.door is None and setting.model is self._free.model:
             self._free.controller.use(name)
             return self._free
+        return self._new_session(setting, name)
+
+    def _new_session(self, setting: Setting, controller: str) -> Session:
         free = self._free
-        return begin(setting, free.model, controller=name, physics=free.kind, seed=free.seed)
+        return begin(setting, free.model, controller=controller, physics=free.kind, seed=free.seed)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from time import sleep
+from time import monotonic
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,27 +20,28 @@ from app.simulation.loop.commands import (
     Command,
     Compare,
     Configure,
+    Mailbox,
     Pause,
     Play,
     Pull,
     Release,
+    Reset,
     Restart,
     Speed,
     StepOnce,
-    check_command,
+    Watch,
 )
 from app.simulation.loop.ensemble import Ensemble
-from app.simulation.loop.mailbox import Mailbox
 from app.simulation.loop.pacing import Pacer
 from app.simulation.people import held_links
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.history import SNAPSHOTS_KEPT, History
 from app.simulation.trace.snapshot import Refusal, Snapshot, make_snapshot
+from app.simulation.trace.trace import SNAPSHOTS_KEPT, History
 
 Array = np.ndarray
 
 _PUBLISH_EVERY = 20  # control steps between two snapshots: 50 Hz
-_IDLE = 0.01  # [s] between two looks for commands while paused
+_IDLE = 0.25  # [s] between two signs of life while no step is taken
 
 
 class LoopHandle(Protocol):
@@ -50,6 +51,11 @@ class LoopHandle(Protocol):
     """Why the loop ended, if it did."""
     links: tuple[str, ...]
     """Names of the arm's frames that can be pulled, once it has started."""
+
+    @property
+    def silence(self) -> float:
+        """[s] since its last sign of life; one that hangs gives none, one that is paused does."""
+        ...
 
     def send(self, command: Command) -> None:
         """Leave a command; it is obeyed before one of the next control steps.
@@ -71,13 +77,57 @@ class LoopHandle(Protocol):
         ...
 
 
-class SimulationLoop:
-    """Runs a session in a background thread.
+class LiveLoop:
+    """A `LoopHandle` of a loop that runs elsewhere: a mailbox for it, and what it publishes."""
 
-    Attributes:
-        error: The exception that ended the thread, or None.
-        links: Where the arm can be held, once it has started.
-    """
+    error: BaseException | None = None
+    """The exception that ended it."""
+    links: tuple[str, ...] = ()
+    """Where the arm can be held, once it has started."""
+
+    def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
+        """Nothing has been sent or published; `kept` snapshots will be remembered."""
+        self._mailbox, self._history = Mailbox(), History(kept)
+        self._ready = threading.Event()
+        self._begun = False
+        self._alive = monotonic()  # [s] last sign of life
+
+    def begin(self) -> None:
+        """Begin to make the session; `start` waits for it."""
+        self._begun = True
+
+    def start(self) -> None:
+        """Begin, if it has not begun, and wait for the first snapshot.
+
+        Raises:
+            LoopError: The session could not be made.
+        """
+        if not self._begun:
+            self.begin()
+        self._ready.wait()
+        if self.error is not None:
+            raise LoopError(f"the simulation could not start: {self.error}") from self.error
+
+    @property
+    def silence(self) -> float:
+        """See `LoopHandle.silence`."""
+        return monotonic() - self._alive
+
+    def send(self, command: Command) -> None:
+        """See `LoopHandle.send`."""
+        self._mailbox.put(command, self.links)
+
+    def latest(self) -> Snapshot:
+        """See `LoopHandle.latest`."""
+        return self._history.latest
+
+    def history(self, after: float) -> list[Snapshot]:
+        """See `LoopHandle.history`."""
+        return self._history.after(after)
+
+
+class SimulationLoop(LiveLoop):
+    """Runs a session in a background thread."""
 
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, *, kept: int = SNAPSHOTS_KEPT
@@ -89,52 +139,30 @@ class SimulationLoop:
             q_start: (n_m,) arm configuration at the start and after each reset.
             kept: How many snapshots `history` goes back.
         """
-        self.error: BaseException | None = None
-        self.links: tuple[str, ...] = ()
-        self._make_session = make_session
-        self._q_start = np.array(q_start)
-        self._mailbox = Mailbox()
-        self._history = History(kept)
-        self._ready = threading.Event()
+        super().__init__(kept)
+        self._make_session, self._q_start = make_session, np.array(q_start)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulation", daemon=True)
-        self._paused, self._speed = False, 1.0
+        self._paused, self._watched, self._speed = False, True, 1.0
+        self._until = 0.0  # [s] to which no step waits for real time
         self._refusal: Refusal | None = None
 
     def begin(self) -> None:
-        """Begin to make the session; `start` waits for it."""
+        """See `LiveLoop.begin`."""
+        super().begin()
         self._thread.start()
-
-    def start(self) -> None:
-        """Begin, if it has not begun, and wait for the first snapshot.
-
-        Raises:
-            LoopError: The session could not be made.
-        """
-        if self._thread.ident is None:
-            self.begin()
-        self._ready.wait()
-        if self.error is not None:
-            raise LoopError(f"the simulation could not start: {self.error}") from self.error
 
     def stop(self) -> None:
         """End the thread and release the plant."""
         self._stop.set()
+        self._mailbox.filled.set()
         if self._thread.is_alive():
             self._thread.join(timeout=5.0)
 
-    def send(self, command: Command) -> None:
-        """See `LoopHandle.send`."""
-        check_command(command, self.links)
-        self._mailbox.put(command)
-
-    def latest(self) -> Snapshot:
-        """See `LoopHandle.latest`."""
-        return self._history.latest
-
-    def history(self, after: float) -> list[Snapshot]:
-        """See `LoopHandle.history`."""
-        return self._history.after(after)
+    @property
+    def silence(self) -> float:
+        """See `LoopHandle.silence`; what takes long and says so is no silence."""
+        return 0.0 if self.latest().busy else super().silence
 
     def _run(self) -> None:
         owner: Session | Ensemble | None = None
@@ -142,22 +170,23 @@ class SimulationLoop:
             owner = session = self._make_session()
             owner = ensemble = Ensemble(session, self._q_start)
             self.links = held_links(session.model)
-            self._begun(ensemble)
+            self._publish_first(ensemble)
             self._ready.set()
             while not self._stop.is_set():
+                self._alive = monotonic()
                 self._obey(ensemble)
-                if self._paused:
-                    sleep(_IDLE)
-                else:
+                if self._watched and not self._paused:
                     self._advance(ensemble)
+                else:
+                    self._mailbox.filled.wait(_IDLE)
         except BaseException as error:  # handed to the user by whoever holds the loop
-            self.error = error
+            self.error: BaseException | None = error
         finally:
             self._ready.set()
             if owner is not None:
                 owner.close()
 
-    def _begun(self, ensemble: Ensemble) -> None:
+    def _publish_first(self, ensemble: Ensemble) -> None:
         """Publish the first step after a beginning."""
         self._pacer = Pacer(DT, self._speed)
         self._publish(ensemble, ensemble.step())
@@ -165,9 +194,13 @@ class SimulationLoop:
     def _advance(self, ensemble: Ensemble) -> None:
         step = ensemble.step()
         self._pacer.worked(step.duration)
-        if round(step.t / DT) % _PUBLISH_EVERY == 0:
+        there = self._until > 0.0 and step.t > self._until - 0.5 * DT
+        if there:
+            self._until, self._paused = 0.0, True
+        if there or round(step.t / DT) % _PUBLISH_EVERY == 0:
             self._publish(ensemble, step)
-        self._pacer.wait()
+        if self._until == 0.0:
+            self._pacer.wait()
 
     def _publish(self, ensemble: Ensemble, step: Step) -> None:
         snapshot = make_snapshot(ensemble.main, step, self._pacer, paused=self._paused)
@@ -181,9 +214,11 @@ class SimulationLoop:
         return {
             "scenario": ensemble.leading,
             "scenario_ends": ensemble.ends,
+            "changing": ensemble.changing,
             "same": ensemble.comparison.same if ensemble.ghosts else "",
             "speed": self._speed,
             "refusal": self._refusal,
+            "case": ensemble.case,
         }
 
     def _obey(self, ensemble: Ensemble) -> None:
@@ -209,6 +244,9 @@ class SimulationLoop:
         elif isinstance(command, Pause):
             self._paused = command.paused
             self._pacer.restart()
+        elif isinstance(command, Watch):
+            self._watched = command.watched
+            self._pacer.restart()
         elif isinstance(command, Speed):
             self._pacer.speed = self._speed = command.factor
         elif isinstance(command, StepOnce):
@@ -229,16 +267,20 @@ class SimulationLoop:
         if isinstance(command, Play):
             self._say_busy(f"preparing {command.scenario.name}")
             ensemble.play(command.scenario)
+            self._until = command.until
+            self._paused = self._paused and not command.until
         elif isinstance(command, Compare):
             self._say_busy("preparing the comparison")
             ensemble.compare(command)
             if not ensemble.ghosts:
                 return
         elif isinstance(command, Restart):
+            if ensemble.scenario is not None:
+                self._say_busy(f"preparing {ensemble.scenario.name}")
             ensemble.restart()
-        else:
-            ensemble.reset()
-        self._begun(ensemble)
+        elif isinstance(command, Reset):
+            ensemble.reset(command.q_m, command.base_pose)
+        self._publish_first(ensemble)
 
     def _say_busy(self, with_what: str) -> None:
         self._history.add(replace(self._history.latest, busy=with_what))

@@ -12,20 +12,18 @@ import threading
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection
+from time import monotonic
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from app.errors import LoopError
 from app.jobs.process import follow_parent, portable, starting_children
-from app.simulation.loop.commands import Command, check_command
-from app.simulation.loop.gc_freeze import settled
-from app.simulation.loop.loop import SimulationLoop
-from app.simulation.loop.mailbox import Mailbox
+from app.simulation.loop.loop import LiveLoop, SimulationLoop
+from app.simulation.loop.pacing import settled
 from app.simulation.session import Session
-from app.simulation.trace.history import History
-from app.simulation.trace.snapshot import Snapshot
 from app.system import SPAWN, come_first
 
 if TYPE_CHECKING:
@@ -36,6 +34,8 @@ Array = np.ndarray
 _PATIENCE = 5.0  # [s] for a thread, or for the process, to end by itself
 _SEND_EVERY = 0.002  # [s] between two posts of commands
 _POST_EVERY = 0.01  # [s] between two looks for a new snapshot; there is one every 0.02 s
+_BEAT_EVERY = 0.25  # [s] between two signs of life while there is none
+_HUNG = 0.5  # [s] without a sign of life of the loop's own thread
 _SWITCH = 2e-4  # [s] after which the loop's thread gets its turn from the one that posts
 _NICENESS = -10  # [-] wished for; browsers give their drawing -8 where they may
 
@@ -72,7 +72,8 @@ class LoopChild:
 
     Attributes:
         commands: Takes first how to make the session and the arm's start, then commands.
-        snapshots: Gives `_Started`, then snapshots, and a `_Failure` if it came to one.
+        snapshots: Gives `_Started`, then snapshots, None in between as a sign of life, and a
+            `_Failure` if it came to one.
     """
 
     def __init__(self) -> None:
@@ -108,13 +109,8 @@ class LoopChild:
         self.ended()
 
 
-class ProcessLoop:
-    """Runs a session in a child process; to others it is what `SimulationLoop` is.
-
-    Attributes:
-        error: The exception that ended the loop, or None.
-        links: Where the arm can be held, once it has started.
-    """
+class ProcessLoop(LiveLoop):
+    """Runs a session in a child process; to others it is what `SimulationLoop` is."""
 
     def __init__(
         self, make_session: Callable[[], Session], q_start: Array, child: LoopChild | None = None
@@ -127,39 +123,25 @@ class ProcessLoop:
             q_start: (n_m,) arm configuration at the start and after each reset.
             child: A process that waits; one of its own if not given.
         """
-        self.error: BaseException | None = None
-        self.links: tuple[str, ...] = ()
-        self._history = History()
-        self._ready, self._stopping = threading.Event(), threading.Event()
-        self._mailbox, self._posted = Mailbox(), threading.Event()
+        super().__init__()
+        self._stopping = threading.Event()
         self._task: tuple[Callable[[], Session], Array] | None = (make_session, np.array(q_start))
         self._child = child
         self._threads: list[threading.Thread] = []
 
     def begin(self) -> None:
-        """Begin to make the session; `start` waits for it."""
+        """See `LiveLoop.begin`."""
+        super().begin()
         self._child = self._child or LoopChild()
         for work, name in ((self._receive, "snapshots"), (self._send, "commands")):
             thread = threading.Thread(target=work, args=(self._child,), name=name, daemon=True)
             thread.start()
             self._threads.append(thread)
 
-    def start(self) -> None:
-        """Begin, if it has not begun, and wait for the first snapshot.
-
-        Raises:
-            LoopError: The session could not be made.
-        """
-        if not self._threads:
-            self.begin()
-        self._ready.wait()
-        if self.error is not None:
-            raise LoopError(f"the simulation could not start: {self.error}") from self.error
-
     def stop(self) -> None:
         """End the child."""
         self._stopping.set()
-        self._posted.set()
+        self._mailbox.filled.set()
         if self._child is None:
             return
         if not self._threads or self._child.ended() is None:
@@ -167,28 +149,13 @@ class ProcessLoop:
         for thread in self._threads:
             thread.join(_PATIENCE)
 
-    def send(self, command: Command) -> None:
-        """See `LoopHandle.send`."""
-        check_command(command, self.links)
-        self._mailbox.put(command)
-        self._posted.set()
-
-    def latest(self) -> Snapshot:
-        """See `LoopHandle.latest`."""
-        return self._history.latest
-
-    def history(self, after: float) -> list[Snapshot]:
-        """See `LoopHandle.history`."""
-        return self._history.after(after)
-
     def _send(self, child: LoopChild) -> None:
         """Hand commands on to the child; a flood waits here, where it shrinks, not in the pipe."""
         try:
             child.commands.send(self._task)
             self._task = None  # it holds the robot and its border
             while not self._stopping.is_set():
-                self._posted.wait()
-                self._posted.clear()
+                self._mailbox.filled.wait()
                 for command in self._mailbox.take():
                     child.commands.send(command)
                 self._stopping.wait(_SEND_EVERY)
@@ -212,6 +179,7 @@ class ProcessLoop:
     def _take_in(self, snapshots: Connection) -> None:
         while True:
             received = snapshots.recv()
+            self._alive = monotonic()
             if isinstance(received, _Failure):
                 received.error.__cause__ = RemoteTraceback(received.traceback)
                 self.error = received.error
@@ -219,8 +187,12 @@ class ProcessLoop:
             if isinstance(received, _Started):
                 self.links = received.links
                 continue
-            self._history.add(received)
-            self._ready.set()
+            if received is not None:
+                if self._ready.is_set() and received.config == self.latest().config:
+                    # One configuration in memory, not one with each snapshot.
+                    received = replace(received, config=self.latest().config)
+                self._history.add(received)
+                self._ready.set()
 
 
 def _run_loop(commands: Connection, snapshots: Connection) -> None:
@@ -251,12 +223,15 @@ def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> 
         EOFError: The parent has closed its end.
         OSError: The parent is gone.
     """
-    posted = None
+    posted, beat = None, monotonic()
     while loop.error is None:
         latest = loop.latest()
         if latest is not posted:
             snapshots.send(latest)
-            posted = latest
+            posted, beat = latest, monotonic()
+        elif monotonic() - beat > _BEAT_EVERY and loop.silence < _HUNG:
+            snapshots.send(None)
+            beat = monotonic()
         if commands.poll(_POST_EVERY):
             with suppress(LoopError):  # too many at once, on top of those that the parent held
                 loop.send(commands.recv())

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,9 +15,41 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from app.errors import AssetError, ConfigError
-from app.simulation.plants.contact_pairs import ContactPairs
+from app.simulation.plants.collision_shapes import ContactPairs
 from app.simulation.plants.interface import Contacts
-from app.simulation.plants.silence import silence
+from app.system import flush_c_output
+
+
+@contextmanager
+def silence(*descriptors: int) -> Iterator[None]:
+    """Drop what is printed to the process's file descriptors meanwhile, by C code too.
+
+    It acts on the whole process: keep it short. C's buffers are flushed at both ends, or what was
+    printed inside would come out after it.
+
+    Args:
+        descriptors: 1 for standard output, 2 for standard error.
+    """
+    _flush()
+    kept = {fd: os.dup(fd) for fd in descriptors}
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        for fd in descriptors:
+            os.dup2(nowhere, fd)
+        yield
+    finally:
+        _flush()
+        for fd, original in kept.items():
+            os.dup2(original, fd)
+            os.close(original)
+        os.close(nowhere)
+
+
+def _flush() -> None:
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    flush_c_output()
 
 
 class _NotHere:
@@ -38,13 +75,26 @@ Array = np.ndarray
 
 GRAVITY = 9.81  # [m/s²]
 _NO_CONTACTS = Contacts(False, False, False)
+_UNDAMPED = {"linearDamping": 0, "angularDamping": 0, "jointDamping": 0}
+
+
+class Client:
+    """pybullet's functions, each for the same client; `id` is that client's."""
+
+    def __init__(self) -> None:
+        self.id = pybullet.connect(pybullet.DIRECT)
+
+    def __getattr__(self, name: str) -> Any:
+        function = partial(getattr(pybullet, name), physicsClientId=self.id)
+        setattr(self, name, function)
+        return function
 
 
 class BulletWorld:
-    """A pybullet client of its own; all indices below are pybullet's.
+    """A robot in a client of its own; all indices below are pybullet's.
 
     Attributes:
-        client: The client; every call of pybullet needs it.
+        client: The client.
         robot: The robot's body.
         floor: The floor's body, the plane z = 0.
         links: Index of each link by its name; the root's is -1.
@@ -61,20 +111,49 @@ class BulletWorld:
         Raises:
             AssetError: pybullet cannot load the URDF.
         """
-        with silence(1):  # warnings about the URDF, on standard output
-            self.client = pybullet.connect(pybullet.DIRECT)
-            try:
-                self._load(urdf)
-            except pybullet.error as error:
-                pybullet.disconnect(physicsClientId=self.client)
-                raise AssetError(f"pybullet cannot load the robot: {error}") from None
-        pybullet.setGravity(0, 0, -GRAVITY, physicsClientId=self.client)
+        self.client, self._open = Client(), True
+        try:
+            self.robot = self.load(urdf, self_collision=True)
+        except pybullet.error as error:
+            self.close()
+            raise AssetError(f"pybullet cannot load the robot: {error}") from None
+        client = self.client
+        plane = client.createCollisionShape(pybullet.GEOM_PLANE)
+        self.floor = client.createMultiBody(0, plane)
+        self.links, self.joints = {client.getBodyInfo(self.robot)[0].decode(): -1}, {}
+        for i in range(client.getNumJoints(self.robot)):
+            info = client.getJointInfo(self.robot, i)
+            self.joints[info[1].decode()] = self.links[info[12].decode()] = i
+        client.setGravity(0, 0, -GRAVITY)
         # The solver's early exit would leave errors of 1e-5 rad/s a step in the arm.
-        pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=dt, solverResidualThreshold=0, physicsClientId=self.client
-        )
+        client.setPhysicsEngineParameter(fixedTimeStep=dt, solverResidualThreshold=0)
         self._contact_of: dict[tuple[int, int], str] = {}
+        self._reach_floor: set[int] = set()
         self._at_load: int | None = None
+
+    def load(
+        self, urdf: str, place: tuple[float, ...] = (0, 0, 0), *, self_collision: bool = False
+    ) -> int:
+        """Index of a new body without damping, from the text of its URDF.
+
+        Args:
+            urdf: The text.
+            place: (3,) [m] of its root.
+            self_collision: Whether it is a robot, whose root is fixed and whose links can touch.
+        """
+        flags = pybullet.URDF_USE_INERTIA_FROM_FILE
+        if self_collision:
+            flags |= pybullet.URDF_USE_SELF_COLLISION
+            flags |= pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
+        with tempfile.TemporaryDirectory(prefix="dbb-") as folder, silence(1):  # of its warnings
+            path = Path(folder) / "body.urdf"
+            path.write_text(urdf, encoding="utf-8")
+            body = self.client.loadURDF(
+                str(path), basePosition=place, useFixedBase=self_collision, flags=flags
+            )
+        for i in range(-1, self.client.getNumJoints(body)):
+            self.client.changeDynamics(body, i, **_UNDAMPED)
+        return body
 
     def allow_contacts(self, pairs: ContactPairs) -> None:
         """Let only these links touch; the rest of the robot passes through itself and the floor.
@@ -82,58 +161,49 @@ class BulletWorld:
         Args:
             pairs: Pairs of links that may touch, and are reported when they do.
         """
+        filter_pair = self.client.setCollisionFilterPair
         for a, b in combinations(self.links.values(), 2):
-            self._filter(self.robot, a, b, False)
+            filter_pair(self.robot, self.robot, a, b, 0)
+        self._reach_floor = {self.links[name] for name in pairs.arm_floor}
         for a in self.links.values():
-            self._filter(self.floor, a, -1, False)
+            filter_pair(self.robot, self.floor, a, -1, int(a in self._reach_floor))
         for group, names in (("arm_base", pairs.arm_base), ("arm_arm", pairs.arm_arm)):
             for pair in names:
                 a, b = (self.links[name] for name in pair)
-                self._filter(self.robot, a, b, True)
+                filter_pair(self.robot, self.robot, a, b, 1)
                 self._contact_of[a, b] = self._contact_of[b, a] = group
-        for name in pairs.arm_floor:
-            self._filter(self.floor, self.links[name], -1, True)
-        self._reach_floor = {self.links[name] for name in pairs.arm_floor}
 
     def contacts(self) -> Contacts:
         """Contacts found in the last step."""
-        found = pybullet.getContactPoints(self.robot, physicsClientId=self.client)
+        found = self.client.getContactPoints(self.robot)
         if not found:
             return _NO_CONTACTS
-        touching = [c for c in found if _touches(c)]
-        groups = {self._contact_of.get((c[3], c[4])) for c in touching if c[1] == c[2]}
-        return Contacts(
-            arm_base="arm_base" in groups,
-            arm_arm="arm_arm" in groups,
-            arm_floor=any(self._on_floor(c) for c in touching),
-        )
+        groups = [group for c in found if touches(c) and (group := self._group(c))]
+        return _NO_CONTACTS._replace(**dict.fromkeys(groups, True))
 
     def depths(self) -> dict[str, float]:
         """[m] how deep the contacts of the last step are, by the fields of `Contacts`."""
         deepest: dict[str, float] = {}
-        for c in pybullet.getContactPoints(self.robot, physicsClientId=self.client):
-            group = "arm_floor" if self._on_floor(c) else self._contact_of.get((c[3], c[4]))
-            if group:
+        for c in self.client.getContactPoints(self.robot):
+            if group := self._group(c):
                 deepest[group] = max(deepest.get(group, 0.0), -c[8])
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
         """(n,) [m] from each begin (n, 3) to the robot or the floor, towards its end; else inf."""
-        length = np.linalg.norm(ends - begins, axis=1)
-        rays = pybullet.rayTestBatch(begins.tolist(), ends.tolist(), physicsClientId=self.client)
-        return np.array(
-            [
-                each * ray[2] if ray[0] >= 0 else np.inf
-                for each, ray in zip(length, rays, strict=True)
-            ]
-        )
+        rays = self.client.rayTestBatch(begins.tolist(), ends.tolist())
+        shares = np.array([ray[2] if ray[0] >= 0 else np.inf for ray in rays])
+        return np.linalg.norm(ends - begins, axis=1) * shares
 
-    def _on_floor(self, contact: tuple[Any, ...]) -> bool:
-        """Whether it is one of the floor with a link that must not touch it."""
+    def _group(self, contact: tuple[Any, ...]) -> str | None:
+        """The field of `Contacts` that reports it, if one does."""
         _, a, b, link_a, link_b = contact[:5]
-        return (b == self.floor and link_a in self._reach_floor) or (
+        if a == b:
+            return self._contact_of.get((link_a, link_b))
+        on_floor = (b == self.floor and link_a in self._reach_floor) or (
             a == self.floor and link_b in self._reach_floor
         )
+        return "arm_floor" if on_floor else None
 
     def rewind(self) -> None:
         """Back to the state of the first call, contacts and solver included.
@@ -141,56 +211,18 @@ class BulletWorld:
         Without it, what is remembered of old contacts makes two equal runs differ in the last bits.
         """
         if self._at_load is None:
-            self._at_load = pybullet.saveState(physicsClientId=self.client)
+            self._at_load = self.client.saveState()
         else:
-            pybullet.restoreState(self._at_load, physicsClientId=self.client)
-
-    def step(self) -> None:
-        """Advance by one step."""
-        pybullet.stepSimulation(physicsClientId=self.client)
+            self.client.restoreState(self._at_load)
 
     def close(self) -> None:
         """End the client; may be called twice."""
-        if self.client >= 0:
-            pybullet.disconnect(physicsClientId=self.client)
-            self.client = -1
-
-    def _load(self, urdf: str) -> None:
-        flags = (
-            pybullet.URDF_USE_INERTIA_FROM_FILE
-            | pybullet.URDF_USE_SELF_COLLISION
-            | pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
-        )
-        client = self.client
-        with tempfile.TemporaryDirectory(prefix="dbb-") as folder:
-            path = Path(folder) / "robot.urdf"
-            path.write_text(urdf, encoding="utf-8")
-            self.robot = pybullet.loadURDF(
-                str(path), useFixedBase=True, flags=flags, physicsClientId=client
-            )
-        plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE, physicsClientId=client)
-        self.floor = pybullet.createMultiBody(0, plane, physicsClientId=client)
-        root = pybullet.getBodyInfo(self.robot, physicsClientId=client)[0].decode()
-        self.links, self.joints = {root: -1}, {}
-        for i in range(pybullet.getNumJoints(self.robot, physicsClientId=client)):
-            info = pybullet.getJointInfo(self.robot, i, physicsClientId=client)
-            self.joints[info[1].decode()] = self.links[info[12].decode()] = i
-        for i in self.links.values():
-            pybullet.changeDynamics(
-                self.robot,
-                i,
-                linearDamping=0,
-                angularDamping=0,
-                jointDamping=0,
-                physicsClientId=client,
-            )
-
-    def _filter(self, other: int, a: int, b: int, collide: bool) -> None:
-        pybullet.setCollisionFilterPair(
-            self.robot, other, a, b, int(collide), physicsClientId=self.client
-        )
+        if self._open:
+            self.client.disconnect()
+            self._open = False
 
 
-def _touches(contact: tuple) -> bool:
+def touches(contact: tuple[Any, ...]) -> bool:
+    """Whether one of pybullet's contacts is one: closed, or pressed."""
     distance, normal_force = contact[8], contact[9]  # [m], [N]
     return distance <= 0 or normal_force > 0

@@ -41,7 +41,6 @@ def make_physics(
     model: RobotModel,
     *,
     dt: float = 0.001,
-    seed: int = 0,
     door: OpenDoor | None = None,
 ) -> Physics:
     """The plant of that name, at rest in the robot's ready position.
@@ -50,7 +49,6 @@ def make_physics(
         kind: As `chosen_plant` takes it.
         model: The robot.
         dt: [s] one step.
-        seed: Of what a plant draws at random; none of these draws anything.
         door: A door that the hand holds from each reset on, or None.
 
     Raises:
@@ -59,22 +57,17 @@ def make_physics(
             that is not installed.
         AssetError: pybullet cannot load the robot.
     """
-    del seed
     kind = chosen_plant(kind)
     # Imported here: each has to work where the others' libraries are not installed.
-    if kind == "planar":
-        if not find_spec("pybullet"):
-            raise ConfigError(
-                "the plant planar needs pybullet, which is not installed and has no wheels for "
-                "every Python (docs/install.md); --physics mujoco works without it"
-            )
-        from app.simulation.plants.pybullet_planar import PybulletPlanar
+    if kind == "planar" and not find_spec("pybullet"):
+        raise ConfigError(
+            "the plant planar needs pybullet, which is not installed and has no wheels for every "
+            "Python (docs/install.md); --physics mujoco works without it"
+        )
+    if kind in ("planar", "mujoco"):
+        from app.simulation.plants.planar import planar_plant
 
-        return PybulletPlanar(model, dt=dt, door=door)
-    if kind == "mujoco":
-        from app.simulation.plants.mujoco_planar import MujocoPlanar
-
-        return MujocoPlanar(model, dt=dt, door=door)
+        return planar_plant("mujoco" if kind == "mujoco" else "pybullet", model, dt=dt, door=door)
     if kind == "mujoco-contact":
         from app.robot.bases.differential import DifferentialBase
 

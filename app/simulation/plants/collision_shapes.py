@@ -1,9 +1,12 @@
-"""The shapes with which a robot touches: its links' own, or the description's bodies for them."""
+"""What of a robot may touch: which pairs, and with which shapes.
+
+The shapes are the links' own, or the description's bodies where a mesh is not installed.
+"""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from itertools import combinations, product
 from typing import NamedTuple
 
 import coal
@@ -11,11 +14,22 @@ import numpy as np
 import pinocchio as pin
 
 from app.errors import AssetError
+from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
 from app.robot.urdf import resolved_urdf
-from app.simulation.plants.contact_pairs import ContactPairs, body_contact_pairs, link_contact_pairs
 
 Array = np.ndarray
+
+
+class ContactPairs(NamedTuple):
+    """Pairs of names, each pair in one group only; names are those of bodies or of links."""
+
+    arm_base: frozenset[tuple[str, str]]
+    """A part of l_m, and a part of the arm that can come near it."""
+    arm_arm: frozenset[tuple[str, str]]
+    """Parts of arm bodies that are not neighbours in the chain."""
+    arm_floor: frozenset[str]
+    """Parts of the arm that can reach the floor."""
 
 
 class CollisionShape(NamedTuple):
@@ -35,31 +49,48 @@ class CollisionShape(NamedTuple):
 
 
 class CollisionShapes(NamedTuple):
-    """All shapes of a robot.
-
-    Attributes:
-        shapes: The shapes.
-        pairs: Which parts may touch.
-        mobile: Parts of l_m.
-    """
+    """All shapes of a robot, which parts may touch, and the parts of l_m."""
 
     shapes: list[CollisionShape]
     pairs: ContactPairs
     mobile: tuple[str, ...]
 
 
-def collision_shapes(model: RobotModel, outer: Sequence[str] | None = None) -> CollisionShapes:
+def body_contact_pairs(description: RobotDescription) -> ContactPairs:
+    """Pairs of bodies that may touch; near l_m and the floor come those with a reachability."""
+    mobile, *arm = [body.name for body in description.bodies]
+    outer = [name for name in arm if name in description.reachability]
+    apart = combinations(enumerate(arm), 2)
+    return ContactPairs(
+        arm_base=frozenset((mobile, name) for name in outer),
+        arm_arm=frozenset(
+            (a, b)
+            for (i, a), (j, b) in apart
+            if j - i > 1 and f"{a}-{b}" not in description.unwatched
+        ),
+        arm_floor=frozenset(outer),
+    )
+
+
+def link_contact_pairs(description: RobotDescription) -> ContactPairs:
+    """The same pairs for the URDF's links that the bodies stand for."""
+    bodies = body_contact_pairs(description)
+    covers = {body.name: body.covers for body in description.bodies}
+
+    def links(pairs: frozenset[tuple[str, str]]) -> frozenset[tuple[str, str]]:
+        return frozenset(pair for a, b in pairs for pair in product(covers[a], covers[b]))
+
+    return ContactPairs(
+        arm_base=links(bodies.arm_base),
+        arm_arm=links(bodies.arm_arm),
+        arm_floor=frozenset(link for name in bodies.arm_floor for link in covers[name]),
+    )
+
+
+def collision_shapes(model: RobotModel) -> CollisionShapes:
     """The collision shapes of the links, or the convex bodies where a mesh is not installed.
 
     The bodies are fatter than the links; the log says that they are taken.
-
-    Args:
-        model: The robot.
-        outer: Names of the bodies of L_m on the arm; by default all that
-            have a reachability.
-
-    Raises:
-        UnknownNameError: `outer` names a body that the arm does not have.
     """
     description = model.description
     try:
@@ -70,11 +101,16 @@ def collision_shapes(model: RobotModel, outer: Sequence[str] | None = None) -> C
             description.name,
             error,
         )
-        return _bodies(model, outer)
+        objects = model.geometry.geometryObjects
+        return CollisionShapes(
+            [_shape(name, objects[i]) for name, ids in model.shape_ids.items() for i in ids],
+            body_contact_pairs(description),
+            (description.mobile_body.name,),
+        )
     loaded = pin.buildGeomFromUrdfString(model.pin, text, pin.GeometryType.COLLISION)
     return CollisionShapes(
         [_shape(model.pin.frames[each.parentFrame].name, each) for each in loaded.geometryObjects],
-        link_contact_pairs(description, outer),
+        link_contact_pairs(description),
         description.mobile_body.covers,
     )
 
@@ -86,15 +122,6 @@ def vertices(geometry: coal.CollisionGeometry) -> Array | None:
     if isinstance(geometry, coal.ConvexBase):
         return np.array(geometry.points())
     return None
-
-
-def _bodies(model: RobotModel, outer: Sequence[str] | None) -> CollisionShapes:
-    description, objects = model.description, model.geometry.geometryObjects
-    return CollisionShapes(
-        [_shape(name, objects[i]) for name, ids in model.shape_ids.items() for i in ids],
-        body_contact_pairs(description, outer),
-        (description.mobile_body.name,),
-    )
 
 
 def _shape(part: str, placed: pin.GeometryObject) -> CollisionShape:

@@ -1,4 +1,4 @@
-"""A refrigerator's door: its geometry, and the door as one more body of the arm (§4.2.3)."""
+"""A refrigerator and its door: their geometry, and the door as a body of the arm (§4.2.3)."""
 
 from __future__ import annotations
 
@@ -12,10 +12,9 @@ import pinocchio as pin
 from app.border.cache import BorderData
 from app.border.cloud import make_cloud
 from app.robot.description import BodyDescription
-from app.robot.link_pairs import LinkPairs, Pair
+from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
-from app.robot.shapes import Superquadric
-from app.robot.superquadric import around_box
+from app.robot.shapes import Superquadric, around_box
 
 Array = np.ndarray
 
@@ -24,6 +23,10 @@ BODY = "door"
 
 _E1 = 0.2  # [-] upright edges that bend a little, so that the closest point has one place
 _E2 = 0.2  # [-] in plan
+_MASS = 60.0  # [kg] of the refrigerator without its door
+_DEPTH = 0.60  # [m]
+_GAP = 0.005  # [m] between its body and the closed door
+_SINKING = 1e-5  # [m] of its body into the floor, where the engines let it rest
 
 
 @dataclass(frozen=True)
@@ -127,6 +130,32 @@ class OpenDoor(NamedTuple):
     angle: float
 
 
+class Cabinet:
+    """The refrigerator that carries a door: a box that stands on the floor by its weight.
+
+    Attributes:
+        size: [m] depth, width and height.
+        inertia: Of the box, in the frame of its centre.
+        T_world: Pose of that frame.
+        T_hinge: Pose of the closed door's frame in it.
+        T_centre: Pose of the board's centre in the door's frame.
+        door_inertia: Of the door, in the door's frame.
+    """
+
+    def __init__(self, door: Door) -> None:
+        """Put it behind a closed door."""
+        height = door.bottom + door.height
+        self.size = _DEPTH, door.width, height
+        self.inertia = pin.Inertia.FromBox(_MASS, *self.size)
+        back = door.thickness / 2 + _GAP + _DEPTH / 2
+        self.T_world = door.pose(0.0) * pin.SE3(
+            np.eye(3), np.array([back, door.centre[1], height / 2 - _SINKING])
+        )
+        self.T_hinge = self.T_world.inverse() * door.pose(0.0)
+        self.T_centre = pin.SE3(np.eye(3), door.centre)
+        self.door_inertia = self.T_centre.act(pin.Inertia.FromBox(door.mass, *door.size))
+
+
 def with_door(
     model: RobotModel, data: BorderData, door: Door, T_ee_door: pin.SE3
 ) -> tuple[RobotModel, BorderData]:
@@ -162,10 +191,6 @@ def with_door(
         update={"bodies": (*description.bodies, body), "reachability": reachability}
     )
     nothing = make_cloud(pair.name, np.empty((0, 3), np.int16), np.empty(0, np.uint16))
-    return RobotModel(holding), BorderData(
-        _with_mobile_pair(data.pairs, pair), {**data.clouds, pair.name: nothing}, data.origin
-    )
-
-
-def _with_mobile_pair(pairs: LinkPairs, pair: Pair) -> LinkPairs:
-    return replace(pairs, mobile=(*pairs.mobile, pair))
+    pairs = replace(data.pairs, mobile=(*data.pairs.mobile, pair))
+    clouds = {**data.clouds, pair.name: nothing}
+    return RobotModel(holding), BorderData(pairs, clouds, data.origin)

@@ -10,8 +10,7 @@ from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.plants.interface import Contacts
-from app.simulation.plants.mujoco_planar import MujocoPlanar
-from app.simulation.plants.pybullet_planar import PybulletPlanar
+from app.simulation.plants.planar import PlanarWorld, planar_plant
 
 Array = np.ndarray
 
@@ -58,7 +57,8 @@ def compare_engines(
     Raises:
         AssetError: A mesh is missing, or pybullet cannot load the robot.
     """
-    plants = PybulletPlanar(model), MujocoPlanar(model)
+    plants = planar_plant("pybullet", model), planar_plant("mujoco", model)
+    worlds = plants[0].world, plants[1].world
     state, rng = RobotState(model), np.random.default_rng(seed)
     picture = depth = 0.0
     both = 0
@@ -69,10 +69,10 @@ def compare_engines(
                 plant.reset(base, q_m)
             state.update(plants[0].measure())
             if k < pictures:
-                picture = max(picture, *(_picture(plants, base, side) for side in _SIDES))
+                picture = max(picture, *(_picture(worlds, base, side) for side in _SIDES))
             for plant in plants:
                 plant.step(state.g[model.n_b :], np.zeros(model.n_b), np.zeros(3))
-            one, other = (plant.world.depths() for plant in plants)
+            one, other = (world.depths() for world in worlds)
             for group in Contacts._fields:
                 a, b = (any_ in found for any_, found in ((group, one), (group, other)))
                 both += a and b
@@ -85,7 +85,7 @@ def compare_engines(
 
 
 def _picture(
-    plants: tuple[PybulletPlanar, MujocoPlanar], base: Array, side: tuple[float, ...]
+    worlds: tuple[PlanarWorld, PlanarWorld], base: Array, side: tuple[float, ...]
 ) -> float:
     """[-] share of the rays that meet the robot at places that differ, in a parallel projection."""
     forward = -np.array(side) / np.linalg.norm(side)
@@ -95,7 +95,7 @@ def _picture(
     grid = np.linspace(-_HALF, _HALF, _PIXELS)
     begins = np.array([*base[:2], _MIDDLE]) - _FAR * forward
     begins = begins + np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2) @ across
-    way, (bullet, other) = 2 * _FAR * forward, (plant.world for plant in plants)
+    way, (bullet, other) = 2 * _FAR * forward, worlds
     one = bullet.seen(begins, begins + way)
     beside = [begins + _EDGE * (u * across[0] + v * across[1]) for u, v in _BESIDE]
     others = np.array([other.seen(each, each + way) for each in beside])

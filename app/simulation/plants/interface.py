@@ -61,7 +61,7 @@ class HeldDoor(Protocol):
 class Physics(Protocol):
     """A plant with a velocity-controlled base and a torque-controlled arm, stepped by `dt`.
 
-    The world's floor is z = 0. Implementations: `pybullet_planar` (default), `mujoco_planar`,
+    The world's floor is z = 0. Implementations: `planar` in pybullet (default) or in MuJoCo,
     `mujoco_wheels`, `kinematic` (a stand-in for tests).
     """
 

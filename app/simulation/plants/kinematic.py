@@ -16,7 +16,7 @@ import pinocchio as pin
 from app.control.drive import Drive
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.plants.contact_pairs import body_contact_pairs
+from app.simulation.plants.collision_shapes import body_contact_pairs
 from app.simulation.plants.interface import Contacts, Push
 from app.simulation.plants.planar import world_twist
 
@@ -28,24 +28,12 @@ class Kinematic:
 
     door = None
 
-    def __init__(
-        self, model: RobotModel, *, dt: float = 0.001, outer: Sequence[str] | None = None
-    ) -> None:
-        """The robot at rest in its ready position.
-
-        Args:
-            model: The robot.
-            dt: [s] one step.
-            outer: Names of the bodies of L_m on the arm; by default all
-                that have a reachability.
-
-        Raises:
-            UnknownNameError: `outer` names a body that the arm does not have.
-        """
+    def __init__(self, model: RobotModel, *, dt: float = 0.001) -> None:
+        """The robot at rest in its ready position; `dt` [s] is one step."""
         self.dt = dt
         self._model = model
         self._state = RobotState(model)
-        self._overlaps = _Overlaps(model, outer)
+        self._overlaps = _Overlaps(model)
         self._drive = Drive(model.description.base, dt)
         self._T = model.description.base.T
         self.reset(np.zeros(3), np.array(model.description.arm.ready_position))
@@ -61,10 +49,10 @@ class Kinematic:
         """See `Physics.measure`."""
         return Measurement(
             self._base_pose.copy(),
-            self._drive.velocity.copy(),
+            np.array(self._drive.velocity),
             self._q.copy(),
             self._qd.copy(),
-            self._drive.state.copy(),
+            self._drive.state,
         )
 
     def step(
@@ -75,7 +63,7 @@ class Kinematic:
         before = self._drive.velocity
         now = self._drive.step(base_velocity)
         rolling = self._model.J_m_inv
-        qdd_b = rolling @ (now - before) / self.dt
+        qdd_b = rolling @ np.subtract(now, before) / self.dt
         self._qd += self._arm_acceleration(u_a + self._felt(hand_force, pushes), qdd_b) * self.dt
         self._q += self._qd * self.dt
         twist = world_twist((self._T @ now).tolist(), float(self._base_pose[2]), self.dt)
@@ -131,8 +119,8 @@ class Kinematic:
 class _Overlaps:
     """Which bodies overlap, in the groups of `Contacts`."""
 
-    def __init__(self, model: RobotModel, outer: Sequence[str] | None) -> None:
-        pairs = body_contact_pairs(model.description, outer)
+    def __init__(self, model: RobotModel) -> None:
+        pairs = body_contact_pairs(model.description)
         self._pin, self._data = model.pin, model.pin.createData()
         self._geometry = model.geometry.copy()
         floor = self._geometry.addGeometryObject(

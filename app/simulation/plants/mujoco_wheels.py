@@ -10,63 +10,110 @@ the spheres at the floor that the URDF has, or else four corners.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import product
 
+import coal
+import mujoco
 import numpy as np
 import pinocchio as pin
 
 from app.control.drive import Drive
-from app.robot.bases.differential import mobile_jacobian
+from app.robot.bases.differential import DifferentialBase, mobile_jacobian
 from app.robot.description import differential
 from app.robot.model import RobotModel
+from app.robot.shapes import shape_mesh
 from app.robot.state import Measurement
+from app.robot.urdf import bare_urdf
+from app.simulation.plants.collision_shapes import CollisionShape
 from app.simulation.plants.door import OpenDoor
 from app.simulation.plants.interface import Contacts, Push
-from app.simulation.plants.mujoco_door import MujocoDoor
-from app.simulation.plants.mujoco_robot import RobotSpec
-from app.simulation.plants.mujoco_stand import add_casters_and_hull, add_wheels
+from app.simulation.plants.mujoco_spec import FLOOR, GRAVITY, RobotSpec
 from app.simulation.plants.mujoco_world import MujocoWorld
-from app.simulation.plants.wheels import Wheels
 
 Array = np.ndarray
 
+_TREAD = 0.25  # [-] half width of a wheel in radii: an ellipsoid, which touches in one point
+_LOAD_RESERVE = 2.0
+"""[-] Friction of two wheels over that of the traction limit under the whole weight, of which
+casters carry a part; of more wheels, the motors' torque over its share of that limit."""
+_SPRING = 0.02, 1.0  # [s] time constant and [-] damping ratio of casters, and of tyres that skid
+_TYRE = {"solimp": [0.5, 0.5, 0.001, 0.5, 2.0], "solreffriction": [0.2, 1.0]}
+"""A tyre that gives by a millimetre and whose drag builds up within 0.1 s. MuJoCo lifts what slides
+the more, the stiffer it is and the quicker its friction: firm wheels hop, and turn in jerks."""
+_AT_FLOOR = 0.01  # [m] below which a part of the base stands on the floor, or would drag on it
+_GEOM = mujoco.mjtGeom
+_LEAST_MASS = 0.005  # [-] of a wheel that has none in the URDF, in masses of the base
 _SETTLING_TIME = 0.3  # [s] for the base to sink onto its wheels after a reset
 _FROZEN = 1e6  # [kg m²] armature of the arm's joints meanwhile
 _TURNING = 1.0  # [s] of the calibration's turn, of which the last half counts
 _TURN_RATE = 0.4  # [rad/s]
 
 
+class Wheels:
+    """The driven wheels in the frame of the root, which stands on the floor.
+
+    Attributes:
+        radius: [m] of each.
+        centres: (n, 3) [m]
+        right: (n,) whether they are on the right side.
+        inertias: Of each, in a frame at its centre; the root's contains them.
+        links: Names of the links that turn with them.
+        spans: Whether the base stands on them; else it needs casters.
+    """
+
+    def __init__(self, model: RobotModel) -> None:
+        """Read them from the URDF; without wheels there, two at the half track."""
+        base = differential(model.description)
+        self.radius = r = base.wheel_radius_m
+        full = pin.buildModelFromXML(bare_urdf(model.description))
+        data = full.createData()
+        pin.forwardKinematics(full, data, pin.neutral(full))
+        ids = [full.getJointId(n) for n in (*base.right_wheel_joints, *base.left_wheel_joints)]
+        self.links = {
+            frame.name
+            for frame in full.frames
+            if frame.parentJoint in ids and frame.type == pin.FrameType.BODY
+        }
+        places = [data.oMi[i] for i in ids] or [
+            pin.SE3(np.eye(3), np.array([0.0, y, r]))
+            for y in (-base.half_track_m, base.half_track_m)
+        ]
+        self.centres = np.array([[*place.translation[:2], r] for place in places])
+        self.right = self.centres[:, 1] < 0.0
+        own = [pin.SE3(data.oMi[i].rotation, np.zeros(3)).act(full.inertias[i]) for i in ids]
+        least = pin.Inertia.FromSphere(_LEAST_MASS * model.pin.inertias[1].mass, r)
+        self.inertias = [I if I.mass > 0.0 else least for I in own] or [least] * len(places)
+        self.spans = bool(np.ptp(self.centres[:, 0]) > r)
+
+    def root_without(self, whole: pin.Inertia) -> pin.Inertia:
+        """The root's inertia that is left of the whole without the wheels."""
+        for centre, inertia in zip(self.centres, self.inertias, strict=True):
+            whole = whole - pin.SE3(np.eye(3), centre).act(inertia)
+        return whole
+
+
 class MujocoWheels:
     """`Physics` with wheels that push on the floor."""
 
     def __init__(
-        self,
-        model: RobotModel,
-        *,
-        dt: float = 0.001,
-        outer: Sequence[str] | None = None,
-        door: OpenDoor | None = None,
+        self, model: RobotModel, *, dt: float = 0.001, door: OpenDoor | None = None
     ) -> None:
         """Load the robot at rest in its ready position.
 
         Args:
             model: The robot, on a differential base.
             dt: [s] one step.
-            outer: Names of the bodies of L_m on the arm; by default all that
-                have a reachability.
             door: A door that the hand holds from each reset on, or None.
-
-        Raises:
-            UnknownNameError: `outer` names a body that the arm does not have.
         """
         description, self.dt = model.description, dt
         self.wheels = wheels = Wheels(model)
         root = wheels.root_without(model.pin.inertias[1])
-        robot = RobotSpec(model, dt, outer, free_root=root)
-        add_wheels(robot, wheels, differential(description))
-        add_casters_and_hull(robot, wheels)
-        self.door = None if door is None else MujocoDoor(robot, door)
-        self.world = MujocoWorld(robot)
+        robot = RobotSpec(model, dt, free_root=root)
+        _add_wheels(robot, wheels, differential(description))
+        _add_casters_and_hull(robot, wheels)
+        self.world = MujocoWorld(robot, door)
+        self.door = self.world.door
         self._drive = Drive(description.base, dt)
         turning = [self.world.model.joint(name).qposadr[0] for name in robot.motors]
         self._angles = np.array(turning)
@@ -166,3 +213,63 @@ class MujocoWheels:
 def _heading(R: Array) -> float:
     """[rad] angle of the x axis of an orientation, seen from above."""
     return math.atan2(R[1, 0], R[0, 0])
+
+
+def _add_wheels(robot: RobotSpec, wheels: Wheels, base: DifferentialBase) -> None:
+    """The driven wheels, on motors; friction and motors hold the base's traction limit."""
+    weight = GRAVITY * pin.computeTotalMass(robot.model.pin)  # [N]
+    mu, torque = base.traction_limit_n / weight, base.traction_limit_n * wheels.radius
+    torque /= len(wheels.centres)
+    if wheels.spans:
+        torque *= _LOAD_RESERVE
+    else:
+        mu *= _LOAD_RESERVE
+    r = wheels.radius
+    for i, (centre, inertia) in enumerate(zip(wheels.centres, wheels.inertias, strict=True)):
+        name = f"wheel_{i}"
+        wheel = robot.add_body(robot.root, name, pin.SE3(np.eye(3), centre), inertia)
+        robot.add_motor(wheel, name, mujoco.mjtJoint.mjJNT_HINGE, (0, 1, 0), torque)
+        robot.add_geom(wheel, name, _GEOM.mjGEOM_ELLIPSOID, (r, _TREAD * r, r))
+        tyre = {"firmness": _SPRING, **_TYRE} if wheels.spans else {}
+        robot.allow(None, [FLOOR], [name], friction=mu, **tyre)
+
+
+def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
+    """Casters where they are needed; the hull of the base meets the floor when it tips."""
+    casters: list[tuple[float, Array]] = []
+    for i, shape in enumerate(robot.shapes):
+        if shape.part not in robot.mobile or shape.part in wheels.links:
+            continue
+        if _lowest(shape) > _AT_FLOOR:
+            robot.allow(None, [FLOOR], [f"{shape.part}/{i}"])
+        elif isinstance(shape.geometry, coal.Sphere):
+            casters.append((shape.geometry.radius, shape.T.translation))
+    if not wheels.spans:
+        corners = [(wheels.radius, c) for c in _corner_casters(robot.model, wheels.radius)]
+        for i, (r, centre) in enumerate(casters or corners):
+            name = f"caster_{i}"
+            place = pin.SE3(np.eye(3), np.array([*centre[:2], r]))
+            robot.add_geom(robot.root, name, _GEOM.mjGEOM_SPHERE, (r,), place)
+            robot.allow(None, [FLOOR], [name], friction=0.0, firmness=_SPRING)
+
+
+def _lowest(shape: CollisionShape) -> float:
+    """[m] height of the box around a shape of the root."""
+    geometry = shape.geometry
+    geometry.computeLocalAABB()
+    low, high = geometry.aabb_local.min_, geometry.aabb_local.max_
+    corner = shape.T.act((low + high) / 2)[2]
+    return float(corner - np.abs(shape.T.rotation[2]) @ (high - low) / 2)
+
+
+def _corner_casters(model: RobotModel, r: float) -> list[Array]:
+    """Centres (3,) [m] of four casters of radius r [m] in the corners of l_m's footprint."""
+    body = model.description.mobile_body
+    placed = [model.geometry.geometryObjects[i].placement for i in model.shape_ids[body.name]]
+    bounds = [
+        shape_mesh(shape).apply_transform(T.homogeneous).bounds[:, :2]
+        for shape, T in zip(body.shapes, placed, strict=True)
+    ]
+    low, high = np.min(bounds, axis=(0, 1)) + r, np.max(bounds, axis=(0, 1)) - r
+    corners: Iterable[tuple[float, float]] = product((low[0], high[0]), (low[1], high[1]))
+    return [np.array([x, y, r]) for x, y in corners]

@@ -1,32 +1,49 @@
-"""One compiled model of MuJoCo: motors, torques and people's forces in, states and contacts out."""
+"""One compiled model of MuJoCo: motors, torques and people's forces in, states and contacts out.
+
+The hand can hold the door of a refrigerator, which stands free.
+"""
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
+from functools import partial
+from typing import Any
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 
-from app.simulation.plants.interface import Contacts, Push
-from app.simulation.plants.mujoco_robot import RobotSpec
+from app.simulation.plants.door import Cabinet, OpenDoor
+from app.simulation.plants.interface import Contacts, Push, Wrench
+from app.simulation.plants.mujoco_spec import FLOOR, RobotSpec
 
 Array = np.ndarray
 
+# Else it writes a file into the folder where one happens to work.
+mujoco.set_mju_user_warning(partial(logging.getLogger(__name__).warning, "MuJoCo: %s"))
+
 _NO_CONTACTS = Contacts(False, False, False)
 _NO_TORQUE = np.zeros(3)
+_AWAY = 100.0  # [m] where it waits while a base settles on its wheels
+_SEAL = 0.02, 1.0  # [s] time constant and [-] damping ratio of the door's edge
+_GRASP: dict[str, Any] = {"solref": [0.002, 1.0], "solimp": [0.999, 0.9999, 0.001, 0.5, 2.0]}
+_BODY, _DOOR, _HINGE, _GRIP = "refrigerator", "door", "hinge", "grip"
 
 
 class MujocoWorld:
-    """A specification at work.
+    """A specification at work; `PlanarWorld`, if its root is on planar joints.
 
     Attributes:
         model, data: MuJoCo's.
         q, v: All positions and velocities, which MuJoCo keeps up to date.
         arm_q, arm_v: Where those of the arm are among them.
+        door: The door that the hand holds, or None.
     """
 
-    def __init__(self, robot: RobotSpec) -> None:
-        """Compile a specification, whose motors have to come before all other dry friction."""
+    def __init__(self, robot: RobotSpec, door: OpenDoor | None) -> None:
+        """Compile a specification that has all its motors, and a door."""
+        self.door = None if door is None else MujocoDoor(robot, door)
         self.model = model = robot.compile()
         self.data = mujoco.MjData(model)
         self.q, self.v = self.data.qpos, self.data.qvel
@@ -34,8 +51,13 @@ class MujocoWorld:
         first = model.joint(arm.joints[0])
         self.arm_q = slice(int(first.qposadr[0]), int(first.qposadr[0]) + source.n_m)
         self.arm_v = slice(int(first.dofadr[0]), int(first.dofadr[0]) + source.n_m)
+        self._planar_q = self.q[: self.arm_q.stop]
+        self._read = self.q[:3], self.v[:3], self.q[self.arm_q], self.v[self.arm_v]
         self._per_step = 1.0 / model.opt.timestep
+        self._motors = [int(model.joint(name).dofadr[0]) for name in robot.motors]
+        self._guess = self.data.qacc_warmstart
         self._applied = self.data.qfrc_applied
+        self._torques = self._applied[self.arm_v]
         self._body_of = {name: model.body(name).id for name in list(source.pin.names)[2:]}
         tool = source.pin.frames[source.ee_frame]
         self._hand = model.body(source.pin.names[tool.parentJoint]).id
@@ -50,6 +72,18 @@ class MujocoWorld:
         """Back to the first state, with nothing remembered of old contacts."""
         mujoco.mj_resetData(self.model, self.data)
 
+    def reset(self, q: Array) -> None:
+        """See `PlanarWorld.reset`."""
+        self.rewind()
+        self._planar_q[:] = q
+        if self.door is not None:
+            self.door.take_hold(self)
+
+    def read(self) -> tuple[Array, list[float], Array, Array]:
+        """See `PlanarWorld.read`."""
+        base_q, base_v, q_m, qd_m = self._read
+        return base_q.copy(), base_v.tolist(), q_m.copy(), qd_m.copy()
+
     def mass_matrix(self) -> Array:
         """(n_v, n_v) of the last step or forward computation."""
         columns = np.eye(self.model.nv)
@@ -57,6 +91,13 @@ class MujocoWorld:
         for row, column in zip(rows, columns, strict=True):
             mujoco.mj_mulM(self.model, self.data, row, column)
         return rows
+
+    def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """See `PlanarWorld.mass_and_bias`; there is no door."""
+        self.rewind()
+        self.q[:], self.v[:] = q, v
+        mujoco.mj_forward(self.model, self.data)
+        return self.mass_matrix(), self.data.qfrc_bias
 
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
@@ -72,11 +113,14 @@ class MujocoWorld:
         data = self.data
         mujoco.mj_step1(self.model, data)
         # Dry friction decelerates by v / dt, against the floor; a motor, against what moves.
-        aref = data.efc_aref
-        for row, speed in enumerate(speeds, data.ne):  # the motors' rows come after the grasp's
-            aref[row] += self._per_step * speed
+        # The solver begins where they follow: from the last step it would need three iterations.
+        row = 0 if self.door is None else data.ne  # their rows come after the grasp's
+        aref, guess = data.efc_aref, self._guess
+        for joint, speed in zip(self._motors, speeds, strict=True):
+            aref[row] = guess[joint] = aref.item(row) + self._per_step * speed
+            row += 1
         self._applied.fill(0.0)
-        self._applied[self.arm_v] = u_a
+        self._torques[:] = u_a
         if any(np.asarray(hand_force).tolist()):
             self._press(self._hand, self._tool, hand_force)
         for push in pushes:
@@ -111,6 +155,9 @@ class MujocoWorld:
                 found[i] = at
         return found
 
+    def close(self) -> None:
+        """Nothing is to be released."""
+
     def _press(self, body: int, point: Array, force: Array) -> None:
         """Force (3,) [N] in the world on a point (3,) [m] of a body's frame."""
         data = self.data
@@ -118,3 +165,89 @@ class MujocoWorld:
         mujoco.mj_applyFT(
             self.model, data, np.asarray(force, dtype=float), _NO_TORQUE, place, body, self._applied
         )
+
+
+class MujocoDoor:
+    """The refrigerator's part of a plant in MuJoCo. Only the base's links can touch the door.
+
+    The hinge has dry friction and no stop. The hand is welded to a body without mass that is fixed
+    to the door; between the two a sensor of force and torque stands at the end-effector.
+    """
+
+    def __init__(self, robot: RobotSpec, start: OpenDoor) -> None:
+        """Add it to a specification whose motors are complete.
+
+        Args:
+            robot: The specification.
+            start: The door, and how far it is open when the hand takes hold.
+        """
+        self.door, self._start = start
+        self._cabinet = cabinet = Cabinet(self.door)
+        source = robot.model.pin
+        tool = source.frames[robot.model.ee_frame]
+        self._hand, self._tool = source.names[tool.parentJoint], tool.placement.translation.copy()
+        box = mujoco.mjtGeom.mjGEOM_BOX
+        body = robot.add_body(robot.spec.worldbody, _BODY, cabinet.T_world, cabinet.inertia)
+        body.add_freejoint(name=_BODY)
+        robot.add_geom(body, _BODY, box, np.array(cabinet.size) / 2)
+        door = robot.add_body(body, _DOOR, cabinet.T_hinge, cabinet.door_inertia)
+        door.add_joint(
+            name=_HINGE,
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            axis=[0, 0, 1],
+            **robot.friction(self.door.friction),
+        )
+        robot.add_geom(door, _DOOR, box, np.array(self.door.size) / 2, cabinet.T_centre)
+        robot.allow(None, [FLOOR], [_BODY])
+        robot.allow("door_base", [_DOOR], robot.geoms(*robot.mobile), firmness=_SEAL)
+        robot.add_body(door, _GRIP, pin.SE3.Identity(), pin.Inertia.Zero()).add_site(name=_GRIP)
+        robot.spec.add_equality(
+            name=_GRIP,
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=self._hand,
+            name2=_GRIP,
+            **_GRASP,
+        )
+        for kind in (mujoco.mjtSensor.mjSENS_FORCE, mujoco.mjtSensor.mjSENS_TORQUE):
+            robot.spec.add_sensor(type=kind, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=_GRIP)
+
+    def put_away(self, world: MujocoWorld) -> None:
+        """Far off, and nobody holds it."""
+        world.data.eq_active[0] = 0
+        world.data.joint(_BODY).qpos[0] += _AWAY
+
+    def take_hold(self, world: MujocoWorld) -> None:
+        """The refrigerator at its place, its door at rest at the start; the hand takes hold."""
+        model, data = world.model, world.data
+        self._data = data
+        data.joint(_BODY).qpos[:] = pin.SE3ToXYZQUAT(self._cabinet.T_world)[[0, 1, 2, 6, 3, 4, 5]]
+        data.joint(_BODY).qvel[:] = 0.0
+        data.joint(_HINGE).qpos[0] = -self.door.side * self._start
+        data.joint(_HINGE).qvel[0] = 0.0
+        data.eq_active[0] = 1
+        mujoco.mj_kinematics(model, data)
+        hand, grip = (_placement(data.body(name)) for name in (self._hand, _GRIP))
+        p_grip = grip.actInv(hand.act(self._tool))
+        sensor = model.site(_GRIP).id
+        model.site_pos[sensor], model.site_sameframe[sensor] = p_grip, 0
+        between = pin.Quaternion(hand.rotation.T @ grip.rotation).coeffs()[[3, 0, 1, 2]]
+        model.eq_data[0, :10] = [*p_grip, *self._tool, *between]
+
+    def angle(self) -> float:
+        """[rad] how far the door is open."""
+        return -self.door.side * float(self._data.joint(_HINGE).qpos[0])
+
+    def place(self) -> Array:
+        """(3,) [m] the middle of the refrigerator's body."""
+        return self._data.joint(_BODY).qpos[:3].copy()
+
+    def wrench(self) -> Wrench:
+        """What the hand exerted on the door in the last step; a force-torque sensor at the hand."""
+        R = self._data.site(_GRIP).xmat.reshape(3, 3)
+        read = self._data.sensordata  # of the door on what holds it
+        return Wrench(-R @ read[:3], -R @ read[3:])
+
+
+def _placement(body: Any) -> pin.SE3:
+    return pin.SE3(body.xmat.reshape(3, 3).copy(), body.xpos.copy())

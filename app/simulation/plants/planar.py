@@ -1,13 +1,162 @@
-"""The motion of a base in the plane of the floor."""
+"""The planar plant: the base on planar joints that follow the drive's velocity, in any engine.
+
+Motors on x, y and yaw hold the base to the drive with at most the traction of the wheels; the
+wheels themselves are only animated. The base cannot tip.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Literal, Protocol
 
 import numpy as np
 
+from app.control.drive import Drive
+from app.robot.model import RobotModel
+from app.robot.state import Measurement
+from app.simulation.plants.door import OpenDoor
+from app.simulation.plants.interface import Contacts, HeldDoor, Push
+
 Array = np.ndarray
+
+
+class PlanarWorld(Protocol):
+    """A robot on planar joints in an engine; q and v are x, y, yaw in the world and the arm's."""
+
+    @property
+    def door(self) -> HeldDoor | None:
+        """The door that the hand holds."""
+        ...
+
+    def reset(self, q: Array) -> None:
+        """At rest at q (3 + n_m,) [m, rad]; the hand takes hold of the door."""
+        ...
+
+    def read(self) -> tuple[Array, list[float], Array, Array]:
+        """Of x, y and yaw where they are (3,) and how fast; of the arm q_m and q̇_m, as copies."""
+        ...
+
+    def step(
+        self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push]
+    ) -> None:
+        """As `Physics.step`, with the speeds of x, y and yaw [m/s, rad/s] in the world."""
+        ...
+
+    def contacts(self) -> Contacts:
+        """Contacts of the last step."""
+        ...
+
+    def depths(self) -> dict[str, float]:
+        """[m] how deep they are, by the fields of `Contacts`."""
+        ...
+
+    def seen(self, begins: Array, ends: Array) -> Array:
+        """(n,) [m] from each begin (n, 3) to the robot or the floor, towards its end; else inf."""
+        ...
+
+    def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Mass matrix and bias forces, as the engine computes them."""
+        ...
+
+    def close(self) -> None:
+        """Release what it holds."""
+        ...
+
+
+class Planar:
+    """`Physics` with an ideal contact of the wheels up to their traction."""
+
+    def __init__(self, model: RobotModel, world: PlanarWorld, dt: float = 0.001) -> None:
+        """The robot of that world at rest in its ready position."""
+        self.world, self.dt = world, dt
+        self._S = model.S
+        base = model.description.base
+        self._drive = Drive(base, dt)
+        self._axes = base.T.argmax(axis=0).tolist()  # each is one component of the twist
+        self.reset(np.zeros(3), np.array(model.description.arm.ready_position))
+
+    @property
+    def door(self) -> HeldDoor | None:
+        """See `Physics.door`."""
+        return self.world.door
+
+    def reset(self, base_pose: Array, q_m: Array) -> None:
+        """See `Physics.reset`."""
+        self.world.reset(np.concatenate([base_pose, q_m]))
+        self._drive.reset()
+        self._heading: float | None = None  # [rad] as measured since the last step
+
+    def measure(self) -> Measurement:
+        """See `Physics.measure`."""
+        pose, v, q_m, qd_m = self.world.read()
+        self._heading = heading = pose.item(2)
+        twist = base_twist(v, heading)
+        velocity = np.array([twist[axis] for axis in self._axes])
+        return Measurement(pose, velocity, q_m, qd_m, self._drive.state)
+
+    def step(
+        self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
+    ) -> None:
+        """See `Physics.step`."""
+        heading = self.world.read()[0].item(2) if self._heading is None else self._heading
+        twist = [0.0, 0.0, 0.0]
+        for axis, value in zip(self._axes, self._drive.step(base_velocity), strict=True):
+            twist[axis] = value
+        self.world.step(u_a, world_twist(twist, heading, self.dt), hand_force, pushes)
+        self._heading = None
+
+    def contacts(self) -> Contacts:
+        """See `Physics.contacts`."""
+        return self.world.contacts()
+
+    def mass_and_bias(self, q_m: Array, qd: Array) -> tuple[Array, Array]:
+        """M (n, n) and C q̇ + g (n,) of (26), as the engine computes them; the base faces +x.
+
+        Args:
+            q_m: (n_m,) [rad or m] the arm's joints.
+            qd: (n,) reduced velocity q̇.
+        """
+        S = self._S
+        v = S @ qd  # at heading 0 the base's own axes are the world's
+        M, h = self.world.mass_and_bias(np.concatenate([np.zeros(3), q_m]), v)
+        # The world's axes stand still while the base turns: v̇ = S q̈ + (-ω v_y, ω v_x, 0).
+        turning = np.zeros(len(v))
+        turning[0], turning[1] = -v[2] * v[1], v[2] * v[0]
+        return S.T @ M @ S, S.T @ (h + M @ turning)
+
+    def close(self) -> None:
+        """See `Physics.close`."""
+        self.world.close()
+
+
+def planar_plant(
+    engine: Literal["pybullet", "mujoco"],
+    model: RobotModel,
+    *,
+    dt: float = 0.001,
+    door: OpenDoor | None = None,
+) -> Planar:
+    """The planar plant of an engine.
+
+    Args:
+        engine: Its name.
+        model: The robot.
+        dt: [s] one step.
+        door: A door that the hand holds from each reset on, or None.
+
+    Raises:
+        AssetError: A mesh is missing, or pybullet cannot load the robot.
+    """
+    # Imported here: each has to work where the other's library is not installed.
+    if engine == "pybullet":
+        from app.simulation.plants.bullet_robot import BulletRobot
+
+        return Planar(model, BulletRobot(model, dt, door), dt)
+    from app.simulation.plants.mujoco_spec import RobotSpec
+    from app.simulation.plants.mujoco_world import MujocoWorld
+
+    return Planar(model, MujocoWorld(RobotSpec(model, dt), door), dt)
 
 
 def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float]:
@@ -17,11 +166,8 @@ def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float
 
     Args:
         twist: (3,) v_x, v_y [m/s] and ω [rad/s] in the base's frame.
-        heading: [rad] of the base at the step's begin.
+        heading: [rad] of the base at the step's start.
         dt: [s] the step.
-
-    Returns:
-        (3,) [m/s, m/s, rad/s] in the world.
     """
     x, y, w = twist
     phi = heading + 0.5 * w * dt
@@ -34,18 +180,3 @@ def base_twist(velocity: Sequence[float], heading: float) -> list[float]:
     c, s = math.cos(heading), math.sin(heading)
     x, y, w = velocity
     return [c * x + s * y, c * y - s * x, w]
-
-
-def reduced_dynamics(S: Array, M: Array, h: Array, v: Array) -> tuple[Array, Array]:
-    """M (n, n) and C q̇ + g (n,) of (26), from those of a robot on the world's x, y and yaw.
-
-    Args:
-        S: (3 + n_m, n) from q̇ to the velocity in the base's own axes.
-        M: (3 + n_m, 3 + n_m) mass matrix where the base faces +x.
-        h: (3 + n_m,) bias forces there.
-        v: (3 + n_m,) velocity there.
-    """
-    # The world's axes stand still while the base turns: v̇ = S q̈ + (-ω v_y, ω v_x, 0).
-    turning = np.zeros(len(v))
-    turning[0], turning[1] = -v[2] * v[1], v[2] * v[0]
-    return S.T @ M @ S, S.T @ (h + M @ turning)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -11,19 +11,23 @@ import numpy as np
 from typing_extensions import Self
 
 from app.errors import ConfigError
+from app.strict import check_range
 
 if TYPE_CHECKING:  # only names here, so that what is asked of a scenario is checked at once
     from app.border.cache import BorderData
     from app.config import Config
     from app.control.tasks import Reference
     from app.robot.model import RobotModel
+    from app.simulation.people import Hold
     from app.simulation.plants.door import OpenDoor
     from app.simulation.session import Session
 
 Array = np.ndarray
 
-LONGEST = 3600.0
-"""[s] duration of the longest scenario."""
+SHORTEST = 0.01
+"""[s] of a scenario."""
+_DURATIONS = SHORTEST, 3600.0  # [s]
+_FARTHEST = 10.0  # [m] from the origin; a longer way is a slip of the keys
 
 
 class DoorReading(NamedTuple):
@@ -49,11 +53,13 @@ class Lead(NamedTuple):
         reference: What the arm tracks, or None while it is guided.
         pull: (3,) [m] where a person pulls, or None.
         door: How the opening of a door goes, or None if there is none.
+        holds: Others who hold the robot, here or elsewhere.
     """
 
     reference: Reference | None = None
     pull: Array | None = None
     door: DoorReading | None = None
+    holds: tuple[Hold, ...] = ()
 
 
 Leader = Callable[["Session"], Lead]
@@ -91,13 +97,17 @@ class Scenario(ABC):
     """One line for people."""
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.duration <= LONGEST:
-            raise ConfigError(f"--duration: {self.duration:g} s is not within 0 to {LONGEST:g} s")
+        check_range("--duration", self.duration, *_DURATIONS, "s")
 
     @property
     def options(self) -> tuple[str, ...]:
         """Names of the fields that one who runs it may choose."""
         return tuple(field.name for field in fields(self) if field.name not in ("name", "about"))
+
+    @property
+    def open(self) -> bool:
+        """Whether it goes on, and is recorded, while people take the end-effector."""
+        return False
 
     @abstractmethod
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
@@ -133,3 +143,15 @@ class Scenario(ABC):
         options = ", ".join(sorted(option.replace("_", "-") for option in self.options))
         option = name.replace("_", "-")
         return ConfigError(f"--{option}: the scenario {self.name} has none; it has: {options}")
+
+
+def check_point(option: str, point: Sequence[float], size: int = 3) -> None:
+    """Refuse a point that has not so many coordinates, or one beyond 10 m.
+
+    Raises:
+        ConfigError: Names the option and what is right.
+    """
+    if len(point) != size:
+        raise ConfigError(f"{option}: {point!r} is not {size} numbers")
+    for coordinate in point:
+        check_range(option, coordinate, -_FARTHEST, _FARTHEST, "m")

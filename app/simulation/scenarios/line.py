@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -11,7 +10,7 @@ import numpy as np
 from typing_extensions import Self
 
 from app.errors import CaseError, ConfigError
-from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
+from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting, check_point
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -60,25 +59,24 @@ class LineScenario(Scenario):
         if not 0.0 < self.moving <= (1.0 if self.release_at is None else math.inf):
             raise ConfigError(f"--moving: {self.moving:g} is not within 0 to 1")
         self._check_release()
-        for name in ("start", "move"):
-            point = np.array(getattr(self, name), dtype=float)
-            if point.shape != (3,) or not np.isfinite(point).all():
-                raise ConfigError(f"--{name}: {getattr(self, name)!r} is not three finite numbers")
+        check_point("--start", self.start)
+        check_point("--move", self.move)
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """See `Scenario.setting`.
+        """See `Scenario.setting`."""
+        from app.simulation.people import checked_target
 
-        Raises:
-            UnreachableError: No start of the arm for this scenario.
-            TargetError: The hand would be led below the floor.
-        """
-        # Imported here: scipy would make every command start later.
-        from app.simulation.person import checked_target
-        from app.simulation.scenarios.start import find_start
-
-        q_m = find_start(model, data.pairs, config.border.d_b, self.start, seed=seed)
+        q_m = self._posture(model, data, config, seed)
         checked_target(np.add(self.start, self.move))
         return Setting(model, data, np.zeros(3), q_m, config)
+
+    def _posture(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Array:
+        """(n_m,) the arm with its hand at the start."""
+        # Imported here: scipy would make every command start later.
+        from app.simulation.scenarios.start import find_start
+
+        move = self.move if self.mode == "tracking" else None  # a person does not hold it upright
+        return find_start(model, data.pairs, config.border.d_b, self.start, seed=seed, move=move)
 
     def _check_release(self) -> None:
         """Whether somebody holds the hand who can let go within the run, and take hold after it."""
@@ -113,12 +111,9 @@ class LineScenario(Scenario):
     def leader(self, session: Session) -> Leader:
         """See `Scenario.leader`."""
         orientation = session.T_world_ee.rotation.copy()
-        leaders: dict[str, Callable[[float], Lead]] = {
-            "tracking": lambda t: Lead(reference=self.reference(t, orientation)),
-            "guiding": lambda t: Lead(pull=self.place(t) if self.holds(t) else None),
-        }
-        at = leaders[self.mode]
-        return lambda session: at(session.t)
+        if self.mode == "tracking":
+            return lambda session: Lead(reference=self.reference(session.t, orientation))
+        return lambda session: Lead(pull=self.place(session.t) if self.holds(session.t) else None)
 
     def place(self, t: float) -> Array:
         """(3,) [m] the leading point at time t [s]."""
@@ -168,19 +163,11 @@ class StartedLine(LineScenario):
     q_m: tuple[float, ...]
     """(n_m,) [rad or m] the arm's joints at the start."""
 
-    def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """See `Scenario.setting`.
-
-        Raises:
-            CaseError: The posture is of another arm.
-            TargetError: The hand would be led below the floor.
-        """
-        from app.simulation.person import checked_target
-
+    def _posture(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Array:
+        del data, config, seed
         if len(self.q_m) != model.n_m:
             raise CaseError(
                 f"{self.name}: a posture of {len(self.q_m)} joints; the arm of "
                 f"{model.description.name} has {model.n_m}"
             )
-        checked_target(np.add(self.start, self.move))
-        return Setting(model, data, np.zeros(3), np.array(self.q_m), config)
+        return np.array(self.q_m)

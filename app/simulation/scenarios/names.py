@@ -6,63 +6,34 @@ from typing import TYPE_CHECKING
 
 from app.errors import UnknownNameError
 from app.simulation.scenarios.leading import Scenario
-from app.simulation.scenarios.line import LineScenario
+from app.simulation.scenarios.line import LineScenario, Point
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
 from app.simulation.scenarios.way_out import WayOutScenario
 
 if TYPE_CHECKING:
     from app.robot.description import RobotDescription
 
-LINES = {
-    scenario.name: scenario
-    for scenario in (
-        LineScenario(
-            "guiding-lateral",
-            8.0,
-            "a person pulls the hand from the side towards the base",
-            "guiding",
-            (0.30, 0.72, 0.30),
-            (0.0, -0.25, 0.0),
-            0.6,
-        ),
-        LineScenario(
-            "guiding-front",
-            8.0,
-            "a person pulls the hand from the front towards the base",
-            "guiding",
-            (0.92, 0.10, 0.30),
-            (-0.30, 0.0, 0.0),
-            0.6,
-        ),
-        LineScenario(
-            "guiding-above",
-            8.0,
-            "a person pulls the hand down onto the base's top",
-            "guiding",
-            (-0.20, 0.15, 0.75),
-            (0.0, 0.0, -0.40),
-            0.6,
-        ),
-        LineScenario(
-            "guiding-fold",
-            8.0,
-            "a person pulls the hand into the arm's own column",
-            "guiding",
-            (0.75, 0.10, 0.75),
-            (-0.40, -0.10, 0.0),
-            0.6,
-        ),
-        LineScenario(
-            "tracking",
-            30.0,
-            "the hand tracks a line of 0.2 m towards the base's side, its orientation held",
-            "tracking",
-            (0.30, 0.68, 0.30),
-            (0.0, -0.2, 0.0),
-            1.0,
-        ),
-    )
-}
+
+def _guiding(name: str, what: str, start: Point, move: Point) -> LineScenario:
+    return LineScenario(name, 8.0, f"a person pulls the hand {what}", "guiding", start, move, 0.6)
+
+
+_LINES = (
+    _guiding("guiding-lateral", "from the side towards the base", (0.3, 0.72, 0.3), (0, -0.25, 0)),
+    _guiding("guiding-front", "from the front towards the base", (0.92, 0.1, 0.3), (-0.3, 0, 0)),
+    _guiding("guiding-above", "down onto the base's top", (-0.2, 0.15, 0.75), (0, 0, -0.4)),
+    _guiding("guiding-fold", "into the arm's own column", (0.75, 0.1, 0.75), (-0.4, -0.1, 0)),
+    LineScenario(
+        "tracking",
+        30.0,
+        "the hand tracks a line of 0.2 m towards the base's side, its orientation held",
+        "tracking",
+        (0.30, 0.68, 0.30),
+        (0.0, -0.2, 0.0),
+        1.0,
+    ),
+)
+LINES = {scenario.name: scenario for scenario in _LINES}
 """Scenarios in which the hand is led on a straight line."""
 
 SCENARIOS: dict[str, Scenario] = {
@@ -87,11 +58,7 @@ def scenario_by_name(name: str) -> Scenario:
 
 
 def scenario_of(description: RobotDescription, name: str) -> Scenario:
-    """The scenario of that name, on the line that suits the robot if its description has one.
-
-    Raises:
-        UnknownNameError: Lists those that exist.
-    """
+    """The scenario of that name, on the line that suits the robot if its description has one."""
     return scenario_by_name(name).changed(**own_line(description, name))
 
 

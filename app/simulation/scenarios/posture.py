@@ -11,8 +11,8 @@ import numpy as np
 import pinocchio as pin
 from scipy.optimize import least_squares
 
-from app.avoidance.distances import ClosestPoints, DistanceMonitor
-from app.robot.link_pairs import LinkPairs
+from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
+from app.robot.link_pairs import LinkPairs, geometry_data
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 
@@ -190,7 +190,7 @@ class FloorDistance:
         for name in state.model.body_names[1:]:
             for shape in state.model.shape_ids[name]:
                 self._geometry.addCollisionPair(pin.CollisionPair(floor, shape))
-        self._data = pin.GeometryData(self._geometry)
+        self._data = geometry_data(self._geometry)
 
     def least(self) -> float:
         """[m]"""

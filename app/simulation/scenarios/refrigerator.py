@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from app.errors import ConfigError
-from app.simulation.scenarios.leading import Leader, Scenario, Setting
+from app.simulation.scenarios.leading import Leader, Scenario, Setting, check_point
 from app.strict import check_range
 
 if TYPE_CHECKING:
@@ -77,8 +76,10 @@ class RefrigeratorScenario(Scenario):
             raise ConfigError(f"--hinge: {self.hinge!r} is neither left nor right")
         for name, (low, high, unit) in _RANGES.items():
             check_range(f"--{name.replace('_', '-')}", getattr(self, name), low, high, unit)
-        _check_place("--hinge-position", self.hinge_position, 2)
-        _check_place("--base", self.base, 3)
+        check_point("--hinge-position", self.hinge_position or (0.0, 0.0), 2)
+        *place, heading = self.base or (0.0, 0.0, 0.0)
+        check_point("--base", place, 2)
+        check_range("--base", heading, -360.0, 360.0, "deg")
 
     @property
     def door(self) -> Door:
@@ -106,14 +107,10 @@ class RefrigeratorScenario(Scenario):
         return np.array([at[0], at[1], door.yaw])
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """See `Scenario.setting`; the controller's robot has the door as its last body.
-
-        Raises:
-            UnreachableError: The hand cannot hold the handle from there.
-        """
+        """See `Scenario.setting`; the controller's robot has the door as its last body."""
         # Imported here: scipy would make every command start later.
         from app.simulation.plants.door import OpenDoor, with_door
-        from app.simulation.scenarios.grasp import GraspSolver
+        from app.simulation.scenarios.start import GraspSolver
 
         door, angle, base_pose = self.door, math.radians(self.door_angle), self.base_pose
         q_m, T_ee = GraspSolver(model, data.pairs, config.border.d_b).solve(
@@ -125,35 +122,18 @@ class RefrigeratorScenario(Scenario):
         )
 
     def adapted(self, config: Config) -> Config:
-        """See `Scenario.adapted`."""
-        return _firm(config)
+        """The lowest level at least as firm as it has to be where the hand pushes on something.
+
+        The controller does not know of the door's force, whose counterpart in the null space of the
+        hand's task would swing the elbow away. The base has to be as much costlier, or it would
+        move to keep the arm's posture.
+        """
+        for path, least in _FIRMNESS.items():
+            config = config.replace(path, max(float(config.value(path)), least))
+        return config
 
     def leader(self, session: Session) -> Leader:
         """See `Scenario.leader`."""
-        from app.simulation.scenarios.opening import Opener
+        from app.simulation.scenarios.door_opening import Opener
 
         return Opener(self.door, session, rate=self.opening_rate, guess=self.radial_guess)
-
-
-def _check_place(option: str, place: Sequence[float] | None, size: int) -> None:
-    """Refuse a place on the floor that is not finite, or a heading of more than a turn."""
-    if place is None:
-        return
-    values = np.array(place, dtype=float)
-    if values.shape != (size,) or not np.isfinite(values).all():
-        raise ConfigError(f"{option}: {place!r} is not {size} finite numbers")
-    for value in place[2:]:
-        check_range(option, value, -360.0, 360.0, "deg")
-
-
-def _firm(config: Config) -> Config:
-    """The lowest level at least as firm as it has to be where the hand pushes on something.
-
-    The controller does not know of the door's force, whose counterpart in the null space of the
-    hand's task would swing the elbow away. The base has to be as much costlier, or it would move to
-    keep the arm's posture.
-    """
-    for path, least in _FIRMNESS.items():
-        section, _, name = path.partition(".")
-        config = config.replace(path, max(getattr(getattr(config, section), name), least))
-    return config

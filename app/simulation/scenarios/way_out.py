@@ -12,7 +12,7 @@ from app.errors import ConfigError, UnreachableError
 from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
 
 if TYPE_CHECKING:
-    from app.avoidance.distances import ClosestPoints
+    from app.avoidance.closest_points import ClosestPoints
     from app.border.cache import BorderData
     from app.config import Config
     from app.robot.link_pairs import LinkPairs
@@ -49,11 +49,7 @@ class WayOutScenario(Scenario):
             raise ConfigError(f"--begin: {self.begin!r} is none of {', '.join(BEGINS)}")
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """See `Scenario.setting`.
-
-        Raises:
-            UnreachableError: The robot has no such start.
-        """
+        """See `Scenario.setting`."""
         starts = TroubledStarts(model, data.pairs, config.border.d_b)
         return Setting(model, data, np.zeros(3), starts.draw(self.begin, seed), config)
 

@@ -1,19 +1,24 @@
-"""Quantities as columns: names that end in their unit, and values as cells and back."""
+"""Quantities as columns: what they are named from, and values as cells and back."""
 
 from __future__ import annotations
 
 import json
 from collections import ChainMap
-from collections.abc import Callable, Sequence
-from functools import lru_cache
-from itertools import product
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, partial
+from itertools import compress, product
 from typing import Any, Literal, NamedTuple, get_type_hints
 
 import numpy as np
+from pydantic import Field, ValidationError, model_validator
+from typing_extensions import Self
 
 from app.config import Config, make_config
+from app.errors import LogError
+from app.robot.bases.kind import Axis
+from app.robot.model import RobotModel
 from app.simulation.session import Session, Step
-from app.simulation.trace.meta import TraceMeta
+from app.strict import Strict, explain, parsed
 
 Array = np.ndarray
 Kind = Literal["float", "int", "bool", "text"]
@@ -29,6 +34,110 @@ _UNITS = {
 _CASTS: dict[Kind, Callable[[Any], Any]] = {"float": float, "int": int, "bool": bool, "text": str}
 
 
+class TraceMeta(Strict):
+    """The run that a trace is about: what stays the same, and what its columns are named from."""
+
+    format: Literal[1, 2] = 2
+    """[-] of the file; another one is refused. A file of 1 has 50 rows a second."""
+    robot: str
+    """Name of the robot, as `dbb robots` lists it."""
+    joints: tuple[str, ...]
+    """The arm's joints, in the order of q_m."""
+    joint_units: tuple[Literal["rad", "m"], ...]
+    """Unit of the position of each of them."""
+    joint_speeds: tuple[float, ...] = ()
+    """(n_m,) [rad/s or m/s] the largest that each of them may have; empty if it is not known."""
+    velocities: tuple[str, ...] = ("v_mps", "w_radps")
+    """Names of the base's velocities in the columns, in the order of its axes."""
+    accelerations: tuple[str, ...] = ("a_mps2", "aw_radps2")
+    """Names of their derivatives."""
+    wheels: tuple[str, ...] = ("right", "left")
+    """Names of the angles of the base's wheels."""
+    pairs: tuple[str, ...]
+    """All link pairs, in the order of the rows' distances."""
+    mobile_pairs: tuple[str, ...]
+    """Those of L_m among them."""
+    scenario: str = ""
+    """Empty if a person led the hand."""
+    physics: str = ""
+    """Kind of plant; empty if it is not known."""
+    seed: int = Field(default=0, ge=0)
+    """[-] of everything random in the run."""
+    config: Config
+    """Parameters at the first row; a row that has others says which."""
+    stuck: dict[str, Any] | None = None
+    """Where and why a tracked hand stopped short at the end (`Stuck`), if it did."""
+
+    @model_validator(mode="after")
+    def _check_names(self) -> Self:
+        if len(self.joint_units) != len(self.joints):
+            raise ValueError("joint_units: not one for each of the joints")
+        if not set(self.mobile_pairs) <= set(self.pairs):
+            raise ValueError("mobile_pairs: not all of them are among the pairs")
+        return self
+
+    @classmethod
+    def of(
+        cls, model: RobotModel, pairs: Mapping[str, bool], config: Config, **about: Any
+    ) -> TraceMeta:
+        """The meta data of a run; all its link pairs, and whether each is of L_m."""
+        arm, base = model.description.arm, model.description.base
+        kinds = (model.pin.joints[model.pin.getJointId(name)].shortname() for name in arm.joints)
+        return cls(
+            robot=model.description.name,
+            joints=tuple(arm.joints),
+            joint_units=tuple("m" if "JointModelP" in kind else "rad" for kind in kinds),
+            joint_speeds=tuple(model.qd_max.tolist()),
+            velocities=tuple(map(_velocity_column, base.axes)),
+            accelerations=tuple(map(_acceleration_column, base.axes)),
+            wheels=tuple(wheels.name for wheels in base.wheels),
+            pairs=tuple(pairs),
+            mobile_pairs=tuple(name for name, mobile in pairs.items() if mobile),
+            config=config,
+            **about,
+        )
+
+
+class LogHeader(Strict):
+    """What the first line of a file says of the rest."""
+
+    dbb_log: TraceMeta
+    rows: int = Field(ge=1, strict=True)
+
+    @classmethod
+    def read(cls, text: str) -> LogHeader:
+        """A header from its JSON.
+
+        Raises:
+            LogError: It is no header, or one of another format.
+        """
+        try:
+            return cls.model_validate_json(text)
+        except ValidationError as error:
+            problems = [(p["type"], p["loc"]) for p in error.errors()]
+            if ("missing", ("dbb_log",)) in problems or any(not loc for _, loc in problems):
+                told = "it has no meta data of a log: dbb run --log or --out writes logs"
+                raise LogError(told) from None
+            raise LogError(f"its meta data: {explain(error, cls)}") from None
+
+
+def axis_name(axis: Axis) -> str:
+    """An axis of the base's velocity in plain letters: v, vx, vy or w."""
+    return axis.symbol.replace("_", "").replace("ω", "w")
+
+
+def _velocity_column(axis: Axis) -> str:
+    """As in vx_mps or w_radps."""
+    return f"{axis_name(axis)}_{'radps' if axis.angular else 'mps'}"
+
+
+def _acceleration_column(axis: Axis) -> str:
+    """As in ax_mps2 or aw_radps2."""
+    if axis.angular:
+        return f"a{axis_name(axis)}_radps2"
+    return f"a{axis_name(axis).removeprefix('v')}_mps2"
+
+
 def column_names(template: str, meta: TraceMeta) -> list[str]:
     """The columns of a quantity of a robot, which end in their unit.
 
@@ -39,17 +148,18 @@ def column_names(template: str, meta: TraceMeta) -> list[str]:
         meta: About the run.
     """
     joints = zip(meta.joints, meta.joint_units, strict=True)
-    every: dict[str, list[dict[str, str]]] = {
-        "pair": [{"pair": name} for name in meta.pairs],
-        "mobile": [{"mobile": name} for name in meta.mobile_pairs],
-        "joint": [{"joint": name, **_UNITS[unit]} for name, unit in joints],
-        "velocity": [{"velocity": name} for name in meta.velocities],
-        "acceleration": [{"acceleration": name} for name in meta.accelerations],
-        "pose": [{"pose": name} for name in ("x_m", "y_m", "yaw_rad")],
-        "wheel": [{"wheel": name} for name in meta.wheels],
-        "wxyz": [{"wxyz": axis} for axis in "wxyz"],
-        "xyz": [{"xyz": axis} for axis in "xyz"],
+    plain: dict[str, Sequence[str]] = {
+        "pair": meta.pairs,
+        "mobile": meta.mobile_pairs,
+        "velocity": meta.velocities,
+        "acceleration": meta.accelerations,
+        "pose": ("x_m", "y_m", "yaw_rad"),
+        "wheel": meta.wheels,
+        "wxyz": "wxyz",
+        "xyz": "xyz",
     }
+    every = {key: [{key: name} for name in names] for key, names in plain.items()}
+    every["joint"] = [{"joint": name, **_UNITS[unit]} for name, unit in joints]
     groups = [group for key, group in every.items() if f"{{{key}}}" in template]
     return [template.format(**dict(ChainMap(*each))) for each in product(*groups)]
 
@@ -81,66 +191,74 @@ class Quantity(NamedTuple):
         value: Back.
         take: Its value at a control step, from the session after it and the step; None if only who
             publishes the snapshot knows it.
-        row: Cells of the columns that have one at each control step.
         single: Whether it is one number, not several.
+        row: Cells of the columns that have one at each control step, where it is quicker to take
+            them alone.
     """
 
     columns: Callable[[TraceMeta], Sequence[Column]]
     cells: Callable[[Any, TraceMeta], Sequence[Cell]]
     value: Callable[[Sequence[Any], TraceMeta], Any]
     take: Take | None = None
-    row: Take | None = None
     single: bool = False
+    row: Take | None = None
+
+    def row_of(self, meta: TraceMeta) -> Take:
+        """What gives the cells of the columns that have one at each control step."""
+        often = [column.often for column in self.columns(meta)]
+        take, cells = self.take, self.cells
+        if self.row is not None:
+            return self.row
+        if take is None or not any(often):
+            return lambda session, step: ()
+        if all(often):
+            return lambda session, step: cells(take(session, step), meta)
+        return lambda session, step: compress(cells(take(session, step), meta), often)
 
 
-def number(name: str, kind: Kind, take: Take, *, since: int = 1) -> Quantity:
-    """A number that is kept at each control step."""
-    column = Column(name, kind, often=True, since=since)
-    return _one(column, take, lambda session, step: (take(session, step),))
+def number(
+    name: str,
+    kind: Kind,
+    take: Take | None = None,
+    *,
+    often: bool = True,
+    optional: bool = False,
+    since: int = 1,
+) -> Quantity:
+    """A number that is kept at each control step; one that is not may be a text, or None."""
+    column = Column(name, kind, optional, often, since)
 
-
-def numbers(template: str, take: Take, *, since: int = 1) -> Quantity:
-    """An array (k,) that is kept at each control step; `template` as `column_names` takes it."""
-    row = lambda session, step: take(session, step).tolist()  # noqa: E731
-    return _several(template, take, row, optional=since > 1, since=since)
-
-
-def drawn(name: str, kind: Kind, take: Take | None = None, *, optional: bool = False) -> Quantity:
-    """A number or text that is kept where a snapshot is taken; an optional one may be None."""
-    return _one(Column(name, kind, optional), take)
-
-
-def drawn_numbers(template: str, take: Take, *, optional: bool = False) -> Quantity:
-    """An array (k,) that is kept where a snapshot is taken; an optional one may be None."""
-    return _several(template, take, None, optional=optional)
-
-
-def _one(column: Column, take: Take | None, row: Take | None = None) -> Quantity:
     def value(cells: Sequence[Any], _: TraceMeta) -> Any:
-        return None if column.optional and np.isnan(cells[0]) else _CASTS[column.kind](cells[0])
+        return None if optional and np.isnan(cells[0]) else _CASTS[kind](cells[0])
 
     def cells(value: Any, _: TraceMeta) -> Sequence[Cell]:
         return (NAN if value is None else value,)
 
-    return Quantity(lambda _: (column,), cells, value, take, row, single=True)
+    return Quantity(lambda _: (column,), cells, value, take, single=True)
 
 
-def _several(
-    template: str, take: Take, row: Take | None, *, optional: bool, since: int = 1
+def numbers(
+    template: str, take: Take, *, often: bool = True, optional: bool = False, since: int = 1
 ) -> Quantity:
+    """An array (k,) that is kept at each control step; `template` as `column_names` takes it."""
+    empty = optional or since > 1
+
     def columns(meta: TraceMeta) -> Sequence[Column]:
-        often = row is not None
-        return [
-            Column(name, "float", optional, often, since) for name in column_names(template, meta)
-        ]
+        return [Column(n, "float", empty, often, since) for n in column_names(template, meta)]
 
     def cells(value: Array | None, meta: TraceMeta) -> Sequence[Cell]:
         return [NAN] * len(columns(meta)) if value is None else value.tolist()
 
     def value(cells: Sequence[float], _: TraceMeta) -> Array | None:
-        return None if optional and np.isnan(cells).all() else frozen(cells)
+        return None if empty and np.isnan(cells).all() else frozen(cells)
 
-    return Quantity(columns, cells, value, take, row)
+    return Quantity(columns, cells, value, take)
+
+
+drawn = partial(number, often=False)
+"""A number or text that is kept where a snapshot is taken."""
+drawn_numbers = partial(numbers, often=False)
+"""An array (k,) that is kept where a snapshot is taken."""
 
 
 def config_changes(take: Take) -> Quantity:
@@ -168,7 +286,7 @@ def records(name: str, kind: type[Any], take: Take | None = None) -> Quantity:
         return (json.dumps(rows) if rows else "",)
 
     def value(cells: Sequence[str], _: TraceMeta) -> tuple[Any, ...]:
-        rows = json.loads(cells[0] or "[]")
+        rows = parsed(json.loads, cells[0] or "[]")
         return tuple(kind(**{k: inner(k, v) for k, v in row.items()}) for row in rows)
 
     return Quantity(lambda _: (Column(name, "text"),), cells, value, take)
@@ -196,7 +314,7 @@ def _changes(first: Config, config: Config) -> str:
 @lru_cache(maxsize=64)
 def _changed(first: Config, text: str) -> Config:
     data = first.model_dump()
-    for path, value in json.loads(text or "{}").items():
+    for path, value in parsed(json.loads, text or "{}").items():
         section, _, name = path.partition(".")
         data[section][name] = value
     return make_config(data) if text else first

@@ -10,7 +10,7 @@ from app.simulation.session import Session, Step
 from app.simulation.trace.columns import frozen
 from app.simulation.trace.metrics import clearance, jumps, largest, path, torque_jump, total
 from app.simulation.trace.snapshot import GhostReading, Score
-from app.simulation.trace.trace import Recorder
+from app.simulation.trace.trace import Recorder, Trace
 
 SAMES = ("path", "force")
 """What robots that are compared have in common: where people pull to, or how strongly."""
@@ -30,6 +30,7 @@ class ScoreKeeper:
         self._recorder = Recorder(quantities=_NEEDED)
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
         self._rows = 0
+        self._frozen = False
         self._clearance = math.inf
 
     def add(self, step: Step) -> None:
@@ -43,6 +44,11 @@ class ScoreKeeper:
         """[m] least distance of the pairs of L_m at the last step."""
         self._look()
         return self._clearance
+
+    def freeze(self) -> None:
+        """Let the score be what it is now; the clearance goes on."""
+        self._look()
+        self._frozen = True
 
     def score(self) -> Score:
         """The score so far."""
@@ -58,6 +64,12 @@ class ScoreKeeper:
         self._rows += len(new)
         if not len(new):
             return
+        if not self._frozen:
+            self._add_up(block, new)
+        now = clearance(new.rows(slice(-1, None)), mobile=True)
+        self._clearance = math.inf if now is None else now
+
+    def _add_up(self, block: Trace, new: Trace) -> None:
         score, jump = self._score, jumps(block, "base_acceleration")
         least = clearance(new, mobile=True)
         self._score = Score(
@@ -71,8 +83,6 @@ class ScoreKeeper:
             torque_jump(block, score.torque_jump),
             score.contacts + total(new, "in_contact"),
         )
-        now = clearance(new.rows(slice(-1, None)), mobile=True)
-        self._clearance = math.inf if now is None else now
 
 
 class Ghost:
@@ -92,19 +102,17 @@ class Ghost:
         self._leader, self._same_force = leader, same_force
 
     def let_go(self) -> None:
-        """Nothing leads it any more."""
+        """Nothing leads it any more; its score is that of being led."""
+        if self._leader is not None:
+            self.keeper.freeze()
         self._leader = None
 
     def step(self, holds: tuple[Hold, ...], person: PersonForces) -> None:
-        """One control step.
-
-        Args:
-            holds: People who hold the other robot, and where to.
-            person: Their forces on it in this step.
-        """
+        """One control step, with who holds the other robot and their forces on it."""
         lead = Lead() if self._leader is None else self._leader(self.session)
         forces = person if self._same_force else None
-        self.keeper.add(self.session.step(*lead, holds=holds, forces=forces))
+        lead = lead._replace(holds=(*lead.holds, *holds))
+        self.keeper.add(self.session.step(*lead, forces=forces))
 
     def reading(self) -> GhostReading:
         """How it stands after the last step; shares no memory with it, and is read-only."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,9 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from app.errors import LogError, OutputError
+from app.errors import LogError
 from app.simulation.trace.columns import Column
+from app.system import write_whole
 
 SUFFIXES = ".csv", ".parquet"
 """The ending of a file's name says which of the two it is."""
@@ -26,11 +26,7 @@ _TYPES = {"float": pa.float64(), "int": pa.int64(), "bool": pa.bool_(), "text": 
 
 
 def check_suffix(path: Path) -> None:
-    """Refuse a name that says of neither format.
-
-    Raises:
-        LogError: Lists the formats.
-    """
+    """Refuse a name that says of neither format."""
     if path.suffix not in SUFFIXES:
         raise LogError(f"{path}: a log ends in {' or '.join(SUFFIXES)}")
 
@@ -50,15 +46,7 @@ def write_cells(path: Path, header: str, cells: Mapping[Column, Cells]) -> None:
     check_suffix(path)
     table = pa.table({c.name: _array(c, values) for c, values in cells.items()})
     content = _csv(header, table) if path.suffix == ".csv" else _parquet(header, table)
-    beside = path.with_name(path.name + ".new")
-    try:
-        try:
-            beside.write_bytes(content)
-            os.replace(beside, path)
-        finally:
-            beside.unlink(missing_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror}") from None
+    write_whole(path, content)
 
 
 def read_table(path: Path) -> tuple[str, Mapping[str, Any]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,31 +18,41 @@ NEAR = 0.01
 
 _DEAD_BAND = 0.01  # [m/s², rad/s²] within which an acceleration has no sign
 _TORQUE_BAND = 0.003  # [N m] or [N] a step, within which a torque's rate has none
-_OPENED = math.radians(80)  # [rad] when a door counts as opened
+OPENED = math.radians(80)  # [rad] when a door counts as opened
 _ESTIMATE_AT = 5.0  # [s] when the estimate of the radial direction is judged
 _BACKED_OFF = 0.01  # [m] of the base's motion from which on it counts as one
 _TOUCHED = {"contacts": "the base", "arm_contacts": "itself", "floor_contacts": "the floor"}
 
 
+class Figure(NamedTuple):
+    """A figure of a run.
+
+    Attributes:
+        about: What it is, in a sentence.
+        of: How it follows from a trace.
+    """
+
+    about: str
+    of: Callable[[Trace], Any]
+
+
 def metrics(run: Trace) -> dict[str, Any]:
     """All figures of a run; keys end in their unit.
 
-    `buffer_needed_m` is None where no d_b suffices; `clear_since_s`, since when no pair has been
-    within the distance of full activation, is None if one still is; `base_path_after_release_m`,
-    since anybody last held the robot, if nobody does at the end; `hand_force_max_n` is the
-    person's on the end-effector, or that on a door that it holds, `hand_force_clear_max_n` the same
-    until two bodies first came nearer than 10 mm; `force_bound_min_n`, the least force of a person
-    that the arm's torques could bear while somebody held it inside a buffer of L_m, is None if
-    nobody did; `stuck` says where and why a tracked hand stops
-    short of a resting target, or is None. Changes from one control step to the next are None for a
-    log that has not all of them.
+    Changes from one control step to the next are None for a log that has not all of them.
     """
-    figures = {key: figure(run) for key, figure in FIGURES.items()}
+    figures = {key: figure.of(run) for key, figure in FIGURES.items()}
     if not run.each_step:
         figures |= dict.fromkeys(k for k in figures if k.endswith(("_jump_max", "_sign_changes")))
         figures["torque_jump_max_nm"] = None
     opening = run.rows(~np.isnan(run["radial_error_rad"]))
-    return figures | ({key: figure(opening) for key, figure in DOOR.items()} if opening else {})
+    of_door = len(opening) and any(pair.endswith(BODY) for pair in run.meta.pairs)
+    return figures | ({key: figure.of(opening) for key, figure in DOOR.items()} if of_door else {})
+
+
+def touches(figures: dict[str, Any]) -> list[str]:
+    """What the arm touched in a run of these figures: the base, itself, the floor."""
+    return [what for key, what in _TOUCHED.items() if figures[key]]
 
 
 def verdict(figures: dict[str, Any]) -> str:
@@ -51,7 +61,7 @@ def verdict(figures: dict[str, Any]) -> str:
     Args:
         figures: As `metrics` gives them.
     """
-    touched = [what for key, what in _TOUCHED.items() if figures[key]]
+    touched = touches(figures)
     told = f"The arm touched {' and '.join(touched)}" if touched else "No contact"
     least = min(figures["min_distance_m"].items(), key=lambda item: item[1], default=None)
     fatter = ""
@@ -163,46 +173,111 @@ def total(run: Trace, quantity: str) -> int:
     return int(run.of(quantity).sum())
 
 
-FIGURES: dict[str, Callable[[Trace], Any]] = {
-    "min_distance_m": lambda r: dict(
-        zip(r.meta.pairs, r.distances.min(axis=0).tolist(), strict=True)
+FIGURES: dict[str, Figure] = {
+    "min_distance_m": Figure(
+        "Least distance of each link pair; below 0 two bodies overlap.",
+        lambda r: dict(zip(r.meta.pairs, r.distances.min(axis=0).tolist(), strict=True)),
     ),
-    "min_clearance_m": lambda r: clearance(r, mobile=True),
-    "contacts": lambda r: total(r, "in_contact"),
-    "arm_min_clearance_m": lambda r: clearance(r, mobile=False),
-    "arm_contacts": lambda r: total(r, "arm_in_contact"),
-    "floor_contacts": lambda r: total(r, "floor_contact"),
-    "ee_error_max_m": lambda r: largest(r.of("ee_error")),
-    "ee_error_final_m": lambda r: _last(r, "ee_error"),
-    "base_displacement_m": lambda r: float(np.hypot(*_displacement(r)[:2])),
-    "base_path_m": path,
-    "base_path_after_release_m": _path_after_release,
-    "base_speed_final_mps": lambda r: math.hypot(*r.of("base_velocity")[-1, ~r.angular]),
-    "base_yaw_rad": lambda r: float(_displacement(r)[2]),
-    "activation_max": lambda r: largest(r.of("activation")),
-    "base_acceleration_jump_max": lambda r: jumps(r, "base_acceleration"),
-    "base_acceleration_sign_changes": lambda r: _base_sign_changes(r, "base_acceleration"),
-    "avoidance_acceleration_jump_max": lambda r: jumps(r, "avoidance_acceleration"),
-    "avoidance_acceleration_sign_changes": lambda r: _base_sign_changes(
-        r, "avoidance_acceleration"
+    "min_clearance_m": Figure(
+        "Least distance of the pairs with the base.", lambda r: clearance(r, mobile=True)
     ),
-    "torque_jump_max_nm": torque_jump,
-    "torque_rate_sign_changes": lambda r: sign_changes(np.diff(r.of("u_a"), axis=0), _TORQUE_BAND),
-    "hand_force_max_n": lambda r: largest(_force(r)),
-    "hand_force_clear_max_n": _clear_force,
-    "force_bound_min_n": lambda r: _finite(-largest(-r.of("force_bound"), -math.inf)),
-    "hand_speed_max_mps": lambda r: largest(r.of("hand_speed")),
-    "joint_speed_share_max": _joint_speed_share,
-    "clear_since_s": _clear_since,
-    "approach_speed_max_mps": lambda r: r.buffer.approach_speed_max,
-    "buffer_needed_m": lambda r: _finite(r.buffer.needed_max),
-    "solver_failures": lambda r: int(_last(r, "solver_failures")),
-    "solver_given_up": lambda r: int(_last(r, "given_up")),
-    "stuck": lambda r: r.meta.stuck,
-    "step_p50_us": lambda r: _percentile(r, 50),
-    "step_p99_us": lambda r: _percentile(r, 99),
+    "contacts": Figure(
+        "Steps in which the arm touched the base.", lambda r: total(r, "in_contact")
+    ),
+    "arm_min_clearance_m": Figure(
+        "Least distance of the pairs within the arm.", lambda r: clearance(r, mobile=False)
+    ),
+    "arm_contacts": Figure(
+        "Steps in which the arm touched itself.", lambda r: total(r, "arm_in_contact")
+    ),
+    "floor_contacts": Figure(
+        "Steps in which the arm touched the floor.", lambda r: total(r, "floor_contact")
+    ),
+    "ee_error_max_m": Figure(
+        "Largest distance of the end-effector from its target.", lambda r: largest(r.of("ee_error"))
+    ),
+    "ee_error_final_m": Figure("The same at the end.", lambda r: _last(r, "ee_error")),
+    "base_displacement_m": Figure(
+        "From where the base began to where it ended.",
+        lambda r: float(np.hypot(*_displacement(r)[:2])),
+    ),
+    "base_path_m": Figure("Way of the base's centre.", path),
+    "base_path_after_release_m": Figure(
+        "The same since anybody last held the robot; null if somebody does at the end.",
+        _path_after_release,
+    ),
+    "base_speed_final_mps": Figure(
+        "Speed of the base's centre at the end.",
+        lambda r: math.hypot(*r.of("base_velocity")[-1, ~r.angular]),
+    ),
+    "base_yaw_rad": Figure("By which the base has turned.", lambda r: float(_displacement(r)[2])),
+    "activation_max": Figure("Largest β.", lambda r: largest(r.of("activation"))),
+    "base_acceleration_jump_max": Figure(
+        "Largest change from one step to the next of what the base is asked for.",
+        lambda r: jumps(r, "base_acceleration"),
+    ),
+    "base_acceleration_sign_changes": Figure(
+        "How often that changes its sign.", lambda r: _base_sign_changes(r, "base_acceleration")
+    ),
+    "avoidance_acceleration_jump_max": Figure(
+        "The same of what avoidance alone asks the base for.",
+        lambda r: jumps(r, "avoidance_acceleration"),
+    ),
+    "avoidance_acceleration_sign_changes": Figure(
+        "How often that changes its sign.",
+        lambda r: _base_sign_changes(r, "avoidance_acceleration"),
+    ),
+    "torque_jump_max_nm": Figure(
+        "Largest change of a joint's torque or force from one step to the next.", torque_jump
+    ),
+    "torque_rate_sign_changes": Figure(
+        "How often the most restless torque turns from rising to falling.",
+        lambda r: sign_changes(np.diff(r.of("u_a"), axis=0), _TORQUE_BAND),
+    ),
+    "hand_force_max_n": Figure(
+        "Largest force of the person on the end-effector, or on a door that it holds.",
+        lambda r: largest(_force(r)),
+    ),
+    "hand_force_clear_max_n": Figure(
+        "The same until two bodies first came nearer than 10 mm.", _clear_force
+    ),
+    "force_bound_min_n": Figure(
+        "Least force that the torques bore (at 50 Hz) while somebody held it in a buffer, or null.",
+        lambda r: _finite(-largest(-r.of("force_bound"), -math.inf)),
+    ),
+    "hand_speed_max_mps": Figure(
+        "Largest speed of the end-effector.", lambda r: largest(r.of("hand_speed"))
+    ),
+    "joint_speed_share_max": Figure(
+        "Largest share that a joint had of its largest speed.", _joint_speed_share
+    ),
+    "clear_since_s": Figure(
+        "Since when no pair has been within the distance of full activation; null if one still is.",
+        _clear_since,
+    ),
+    "approach_speed_max_mps": Figure(
+        "Largest speed at which a body came towards the base.",
+        lambda r: r.buffer.approach_speed_max,
+    ),
+    "buffer_needed_m": Figure(
+        "The d_b that those speeds need; null where none suffices.",
+        lambda r: _finite(r.buffer.needed_max),
+    ),
+    "solver_failures": Figure(
+        "Steps with the safe command in place of a solution.",
+        lambda r: int(_last(r, "solver_failures")),
+    ),
+    "solver_given_up": Figure(
+        "Steps in which the base's own part had no solution.", lambda r: int(_last(r, "given_up"))
+    ),
+    "stuck": Figure(
+        "Where and why a tracked end-effector stops short of a resting target, or null.",
+        lambda r: r.meta.stuck,
+    ),
+    "step_p50_us": Figure("Median time of a control step.", lambda r: _percentile(r, 50)),
+    "step_p99_us": Figure("Its 99th percentile.", lambda r: _percentile(r, 99)),
 }
-"""How each figure follows from a trace."""
+"""Of every run, by their keys."""
 
 
 def _first(run: Trace, holds: Array) -> float | None:
@@ -225,17 +300,36 @@ def _radial_error(run: Trace) -> float | None:
     return float(run["radial_error_rad"][late[0]]) if len(late) else None
 
 
-DOOR: dict[str, Callable[[Trace], Any]] = {
-    "door_angle_final_rad": lambda r: float(r["door_angle_rad"][-1]),
-    "door_opened_80deg_at_s": lambda r: _first(r, r["door_angle_rad"] >= _OPENED),
-    "door_min_distance_m": lambda r: float(_door_distance(r).min()),
-    "door_contacts": lambda r: int(r["door_contact"].sum()),
-    "first_door_contact_s": lambda r: _first(r, r["door_contact"] > 0),
-    "door_met_base_s": lambda r: _first(r, (r["door_contact"] > 0) | (_door_distance(r) <= 0.0)),
-    "radial_error_at_5s_rad": _radial_error,
-    "base_back_off_s": lambda r: _first(r, _moved(r) >= _BACKED_OFF),
+DOOR: dict[str, Figure] = {
+    "door_angle_final_rad": Figure(
+        "Angle of the door at the end.", lambda r: float(r["door_angle_rad"][-1])
+    ),
+    "door_opened_80deg_at_s": Figure(
+        "When it was first open by 80°; null if never.",
+        lambda r: _first(r, r["door_angle_rad"] >= OPENED),
+    ),
+    "door_min_distance_m": Figure(
+        "Least distance of base and door.", lambda r: float(_door_distance(r).min())
+    ),
+    "door_contacts": Figure(
+        "Steps in which the robot touched the door.", lambda r: int(r["door_contact"].sum())
+    ),
+    "first_door_contact_s": Figure(
+        "When it first did; null if never.", lambda r: _first(r, r["door_contact"] > 0)
+    ),
+    "door_met_base_s": Figure(
+        "When the door first touched the robot or its bodies overlapped; null if never.",
+        lambda r: _first(r, (r["door_contact"] > 0) | (_door_distance(r) <= 0.0)),
+    ),
+    "radial_error_at_5s_rad": Figure(
+        "Error of the estimated radial direction after 5 s.", _radial_error
+    ),
+    "base_back_off_s": Figure(
+        "When the base had first moved by 10 mm; null if never.",
+        lambda r: _first(r, _moved(r) >= _BACKED_OFF),
+    ),
 }
-"""The same of the opening of a door; a time that never came is None."""
+"""Of the opening of a door."""
 
 
 def extremes(run: Trace) -> dict[str, Any]:

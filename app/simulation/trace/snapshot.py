@@ -20,17 +20,19 @@ from app.avoidance.self_collision import PairState
 from app.config import Config
 from app.control.buffer_watch import BufferReading
 from app.control.explanation import Explanation, explain
-from app.control.force_bound import force_bound
+from app.control.limits import force_bound
 from app.robot.state import RobotState
+from app.simulation.case import RunCase
 from app.simulation.loop.pacing import Clock
 from app.simulation.people import PullReading
 from app.simulation.plants.door import Door
-from app.simulation.session import Session, Step
+from app.simulation.session import DT, Session, Step
 from app.simulation.trace.columns import (
     NAN,
     Cell,
     Column,
     Quantity,
+    TraceMeta,
     column_names,
     config_changes,
     drawn,
@@ -40,9 +42,11 @@ from app.simulation.trace.columns import (
     numbers,
     records,
 )
-from app.simulation.trace.meta import TraceMeta
 
 Array = np.ndarray
+
+EVERY = 20
+"""Control steps between two snapshots: 50 Hz, as the live loop publishes them."""
 
 _DOOR = TypeAdapter(Door)
 
@@ -171,7 +175,7 @@ def _pairs() -> Quantity:
         of_pair = zip(meta.pairs, mobile, cells[:n], cells[n : 2 * n], p_a, p_b, strict=True)
         return tuple(map(PairReading._make, of_pair))
 
-    return Quantity(columns, cells, value, take, row)
+    return Quantity(columns, cells, value, take, row=row)
 
 
 def _acting() -> Quantity:
@@ -220,13 +224,11 @@ def _buffer() -> Quantity:
         lambda buffer, _: buffer,
         lambda cells, _: BufferReading(*cells[:4], *map(bool, cells[4:])),
         lambda _, step: step.buffer,
-        lambda _, step: step.buffer,
     )
 
 
 def _door() -> Quantity:
     """The door's geometry as JSON, empty without one, and how its opening goes."""
-    nothing = ("", *(NAN,) * 7)
     names = ("door_angle_rad", *(f"door_force_{axis}_n" for axis in "xyz"))
     columns = (
         Column("door", "text"),
@@ -247,13 +249,9 @@ def _door() -> Quantity:
         angle, force, *radial = step.door
         return DoorView(door, angle, frozen(force), *radial, contact=touches)
 
-    def row(session: Session, step: Step) -> Sequence[float]:
-        view = take(session, step)
-        return nothing[1:] if view is None else (view.angle, *view.force.tolist(), *view[3:])
-
     def cells(view: DoorView | None, _: TraceMeta) -> Sequence[Cell]:
         if view is None:
-            return nothing
+            return ("", *(NAN,) * 7)
         return (_door_text(view.door), view.angle, *view.force.tolist(), *view[3:])
 
     def value(cells: Sequence[Any], _: TraceMeta) -> DoorView | None:
@@ -262,10 +260,19 @@ def _door() -> Quantity:
             return None
         return DoorView(_door_of(text), angle, frozen((x, y, z)), *radial, contact=contact == 1.0)
 
-    return Quantity(lambda _: columns, cells, value, take, row)
+    return Quantity(lambda _: columns, cells, value, take)
 
 
-def _force_bound(session: Session, step: Step) -> float:
+def _force_bound() -> Quantity:
+    """Least of the pairs in their buffers while somebody holds the robot; in a table 50 Hz do."""
+
+    def row(session: Session, step: Step) -> Sequence[float]:
+        return (NAN if round(step.t / DT) % EVERY else _least_force_bound(session, step),)
+
+    return number("force_bound_n", "float", _least_force_bound, since=2)._replace(row=row)
+
+
+def _least_force_bound(session: Session, step: Step) -> float:
     near = [pair.closest for pair in step.output.avoidance.mobile if pair.beta > 0.0]
     if not (step.pulls and near):
         return NAN
@@ -295,7 +302,7 @@ class Snapshot:
     base_acceleration: Annotated[
         Array, numbers("base_{acceleration}", lambda s, o: o.output.base_acceleration)
     ]
-    """(n_b,) [m/s² or rad/s²] that the HQP asks of the base."""
+    """(n_b,) [m/s² or rad/s²] that the QP asks of the base."""
     avoidance_acceleration: Annotated[
         Array, numbers("avoidance_{acceleration}", lambda s, o: o.output.inserted.base_acceleration)
     ]
@@ -385,7 +392,7 @@ class Snapshot:
     given_up: Annotated[
         int, number("solver_given_up", "int", lambda s, o: s.controller.given_up, since=2)
     ] = 0
-    """QPs of lower levels that were given up since the last reset."""
+    """Steps since the last reset in which the base's own part had no solution."""
     hand_speed: Annotated[
         float, number("hand_speed_mps", "float", lambda s, o: o.hand_speed, since=2)
     ] = 0.0
@@ -396,12 +403,16 @@ class Snapshot:
         float, number("duration_us", "float", lambda s, o: 1e6 * o.duration, since=2)
     ] = NAN
     """[µs] real time that the controller took in this step."""
-    force_bound: Annotated[float, number("force_bound_n", "float", _force_bound, since=2)] = NAN
+    force_bound: Annotated[float, _force_bound()] = NAN
     """[N] of a person that the arm's torques can bear, where somebody holds it inside a buffer."""
     busy: str = ""
     """What is being prepared while time stands still, or empty."""
+    changing: str = ""
+    """What takes on another value step by step, so that the robot is not thrown, or empty."""
     refusal: Refusal | None = None
     """The newest command that was found out to be impossible only when it was obeyed."""
+    case: RunCase | None = None
+    """What it takes to play again what has just begun, or of people's pulls, has just ended."""
     explanation: Explanation | None = None
     """Why the robot moved as it did in the control step of `t`; None where nobody asked."""
 

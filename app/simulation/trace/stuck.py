@@ -39,10 +39,6 @@ class Stuck(NamedTuple):
     reasons: tuple[Reason, ...]
     joints: tuple[str, ...]
 
-    def as_json(self) -> dict[str, object]:
-        """As the figures of a run have it."""
-        return self._asdict()
-
 
 def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
     """Whether the hand stops short in this step; None while its reference moves, or without one.
@@ -51,10 +47,6 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
     their position limits; a push of the border on the base that takes the hand away from its
     target; an arm at full stretch, whose smallest singular value of the hand's Jacobian is near
     zero.
-
-    Args:
-        model: The robot.
-        step: Of the end of a run.
     """
     reference = step.reference
     if reference is None or step.ee_error <= SHORT:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from array import array
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from contextlib import closing
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,15 +17,14 @@ from app.errors import DbbError, LogError, did_you_mean
 from app.robot.model import RobotModel
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.columns import NAN, Column
-from app.simulation.trace.meta import TraceMeta, header_text, read_header
-from app.simulation.trace.snapshot import QUANTITIES, Snapshot, make_snapshot
+from app.simulation.trace.columns import NAN, Column, LogHeader, Take, TraceMeta
+from app.simulation.trace.snapshot import EVERY, QUANTITIES, Snapshot, make_snapshot
 from app.simulation.trace.stuck import find_stuck
 
 Array = np.ndarray
 
-EVERY = 20
-"""Control steps between two snapshots: 50 Hz, as the live loop publishes them."""
+SNAPSHOTS_KEPT = 3000
+"""60 s at 50 Hz."""
 
 
 class Layout(NamedTuple):
@@ -67,24 +66,13 @@ class Trace:
     """
 
     def __init__(self, layout: Layout, table: Array, snapshots: Sequence[Snapshot] = ()) -> None:
-        """Put together what a `Recorder` has taken, or what was read.
-
-        Args:
-            layout: Names the table's columns.
-            table: (N, C) its rows.
-            snapshots: Each at the time of a row.
-        """
+        """Put together what a `Recorder` has taken, or what was read."""
         self.meta, self.table, self.snapshots = layout.meta, table, tuple(snapshots)
         self._layout = layout
 
     @classmethod
     def of_snapshots(cls, model: RobotModel, snapshots: Sequence[Snapshot], **about: Any) -> Self:
         """A trace with the rows of these snapshots.
-
-        Args:
-            model: The robot.
-            snapshots: In order of time, at least one.
-            about: As in `TraceMeta.of`: scenario, physics, seed.
 
         Raises:
             LogError: There is none, one is not later than the one before, or has other pairs.
@@ -123,6 +111,11 @@ class Trace:
         place = self._layout.slices[quantity]
         assert isinstance(place, slice)
         return [column.name for column in self._layout.columns[place]]
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Of the table, in order."""
+        return self._layout.columns
 
     @property
     def t(self) -> Array:
@@ -188,7 +181,7 @@ class Trace:
             for column, cell in zip(columns, _cells_of(snapshot, self.meta), strict=True):
                 if not column.often:
                     cells[column][k] = cell
-        write_cells(path, header_text(self.meta, rows), cells)
+        write_cells(path, LogHeader(dbb_log=self.meta, rows=rows).model_dump_json(), cells)
 
 
 def read_trace(path: Path) -> Trace:
@@ -199,13 +192,18 @@ def read_trace(path: Path) -> Trace:
     """
     from app.simulation.trace.log_file import column_of, read_table  # pyarrow takes long to import
 
-    header, found = read_table(path)
+    text, found = read_table(path)
     try:
-        meta, rows = read_header(header)
+        header = LogHeader.read(text)
+        meta, rows = header.dbb_log, header.rows
         known = _columns(meta)
         _check_names(found, known, meta.format)
         modes = column_of(Column("mode", "text"), found["mode"])
         drawn = [k for k, mode in enumerate(modes) if mode]
+        if len(modes) != rows:
+            raise LogError(f"it has {len(modes)} rows, and its meta data say {rows}")
+        if not drawn:
+            raise LogError("no row of it can be drawn: the column mode is empty")
         cells = {
             c: column_of(c, found[c.name], None if c.often else len(drawn))
             if c.name in found
@@ -213,7 +211,7 @@ def read_trace(path: Path) -> Trace:
             for c in known
         }
         layout = Layout.of(meta)
-        _check_rows(cells[layout.columns[0]], rows)
+        _check_times(cells[layout.columns[0]])
         table = np.column_stack([np.asarray(cells[c], dtype=float) for c in layout.columns])
         return Trace(layout, table, _snapshots(meta, cells, drawn))
     except LogError as error:
@@ -244,7 +242,7 @@ class Recorder:
         self._scenario, self._drawn, self._also = scenario, drawn, frozenset(also)
         self._about = {"scenario": scenario.name if scenario else "", **about}
         self._names = list(quantities)
-        self._rows = [row for name in self._names if (row := QUANTITIES[name].row) is not None]
+        self._rows: list[Take] = []
         self._layout: Layout | None = None
         self._cells = array("d")  # a fifth of a list's memory, and nothing for the collector
         self._last: tuple[Session, Step] | None = None
@@ -263,28 +261,26 @@ class Recorder:
             self._draw(session, step)
 
     def trace(self) -> Trace:
-        """What has been recorded so far."""
+        """What has been recorded; its table is the recorder's own memory, so nothing is added."""
         assert self._layout is not None, "no step was recorded"
         assert self._last is not None
         session, step = self._last
         stuck = find_stuck(session.model, step)
-        meta = self._layout.meta.model_copy(update={"stuck": stuck and stuck.as_json()})
-        return Trace(self._layout._replace(meta=meta), self._table(), self.snapshots)
+        meta = self._layout.meta.model_copy(update={"stuck": stuck and stuck._asdict()})
+        table = np.frombuffer(self._cells).reshape(-1, len(self._layout.columns))
+        return Trace(self._layout._replace(meta=meta), table, self.snapshots)
 
     def taken(self) -> Trace:
         """What has been recorded since the last call, and the row before it."""
         assert self._layout is not None, "no step was recorded"
-        trace = Trace(self._layout, self._table())
-        del self._cells[: -len(self._layout.columns)]
-        return trace
+        wide = len(self._layout.columns)
+        table = np.array(self._cells).reshape(-1, wide)
+        del self._cells[:-wide]
+        return Trace(self._layout, table)
 
     def __len__(self) -> int:
         """How many rows there are."""
         return len(self._cells) // len(self._layout.columns) if self._layout else 0
-
-    def _table(self) -> Array:
-        assert self._layout is not None
-        return np.array(self._cells).reshape(-1, len(self._layout.columns))
 
     def _begin(self, session: Session, step: Step) -> None:
         base = session.model.body_names[0]
@@ -292,6 +288,7 @@ class Recorder:
         pairs = {pair.name: pair.a == base for pair in closest}
         meta = TraceMeta.of(session.model, pairs, session.config, **self._about)
         self._layout = Layout.of(meta, self._names)
+        self._rows = [QUANTITIES[name].row_of(meta) for name in self._names]
 
     def _draw(self, session: Session, step: Step) -> None:
         k = round(step.t / DT)
@@ -310,31 +307,38 @@ class NoClock:
     realtime_factor = step_time_us = NAN
 
 
-def filmed(
-    steps: Generator[tuple[Session, Step], None, None],
-    scenario: Scenario,
-    times: Sequence[float],
-    on_progress: Callable[[float], None] = lambda _: None,
-) -> list[Snapshot]:
-    """Snapshots of a run up to the last of some times, those of the times themselves among them.
+class History:
+    """A bounded record in order of time; when time goes back, it begins anew."""
 
-    Args:
-        steps: The run, as `app.simulation.run.steps_of` gives it; it is ended here.
-        scenario: Which leads the hand.
-        times: [s] within the scenario's duration.
-        on_progress: Called now and then with the simulated time [s].
-    """
-    last = round(scenario.duration / DT) - 1
-    wanted = {min(round(t / DT), last) for t in times}
-    recorder = Recorder(scenario, quantities=(), drawn=True, also=wanted)
-    with closing(steps):
-        for k, (session, step) in enumerate(steps):
-            recorder.add(session, step)
-            if k % 100 == 0:
-                on_progress(step.t)
-            if k == max(wanted):
+    def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
+        """Empty; the newest snapshots stay, so many of them."""
+        self._kept: deque[Snapshot] = deque(maxlen=kept)
+        self._latest: Snapshot | None = None
+
+    @property
+    def latest(self) -> Snapshot:
+        """The newest snapshot; there must be one."""
+        assert self._latest is not None, "start the loop first"
+        return self._latest
+
+    def add(self, snapshot: Snapshot) -> None:
+        """Append a snapshot; one of the same time as the newest takes its place."""
+        newest = self._latest
+        if newest is not None and snapshot.t < newest.t:
+            self._kept.clear()
+        elif newest is not None and snapshot.t == newest.t:
+            self._kept.pop()
+        self._kept.append(snapshot)
+        self._latest = snapshot
+
+    def after(self, t: float) -> list[Snapshot]:
+        """Snapshots later than `t` [s], oldest first."""
+        found = []
+        for snapshot in reversed(tuple(self._kept)):
+            if snapshot.t <= t:
                 break
-    return recorder.snapshots
+            found.append(snapshot)
+        return found[::-1]
 
 
 def _columns(meta: TraceMeta) -> list[Column]:
@@ -366,6 +370,8 @@ def _snapshots(
 
 def _check_names(found: Iterable[str], known: Sequence[Column], since: int) -> None:
     given, wanted = set(found), [column.name for column in known]
+    if len(set(wanted)) < len(wanted):
+        raise LogError("its meta data name a pair, a joint or an axis twice")
     for name in found:
         if name not in wanted:
             raise LogError(f"unknown column {name!r}{did_you_mean(name, wanted)}")
@@ -375,9 +381,7 @@ def _check_names(found: Iterable[str], known: Sequence[Column], since: int) -> N
         raise LogError(f"column {missing[0]!r} is missing{more}")
 
 
-def _check_rows(times: Sequence[float], rows: int) -> None:
-    if len(times) != rows:
-        raise LogError(f"it has {len(times)} rows, and its meta data say {rows}")
+def _check_times(times: Sequence[float]) -> None:
     gaps = np.diff(times)
     if not (gaps > 0.0).all():
         k = int(np.argmin(gaps > 0.0))

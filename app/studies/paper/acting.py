@@ -2,32 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.patches import Polygon
 from scipy.spatial import ConvexHull
 
-from app.avoidance.acting_point import ActingPoint, ActingPointFinder
-from app.avoidance.activation import activation
-from app.avoidance.mobile_acceleration import avoidance_force
-from app.avoidance.self_collision import BORDERS
-from app.border.dbb import construct_dbb
-from app.border.offset import OffsetContours
-from app.border.score import ScoreField
+from app.avoidance.mobile_acceleration import ActingPoint
+from app.avoidance.task import activation
 from app.config import ForceConfig
 from app.robot.link_pairs import Closest
-from app.robot.meshes import shape_mesh
-from app.robot.model import RobotModel
-from app.studies.drawing import Drawing, Table
-from app.studies.paper.experiments import Run, Sources
-from app.studies.paper.guiding import LATERAL
-from app.studies.paper.motion import base_corners, closest_points
-from app.studies.paper.tracking import WHEEL_AXIS
+from app.studies.paper.drawing import (
+    Drawing,
+    Table,
+    arrow,
+    base_in_plan,
+    placed_meshes,
+    points_table,
+    square_around,
+    table_of,
+)
+from app.studies.paper.experiments import LATERAL, WHEEL_AXIS, Experiment, Sources
 from app.studies.style import (
     ACTING,
     INK,
@@ -42,98 +39,118 @@ from app.studies.style import (
 
 Array = np.ndarray
 
-NEEDS_7, NEEDS = (WHEEL_AXIS,), (LATERAL,)
 TOO_LARGE = ForceConfig(alpha_gain=0.1, alpha_max=0.4)
 """A step size that almost always stands at its upper bound, as large as the bound can be."""
 
 _NORMAL, _TANGENT = "#56B4E9", "#E69F00"
 _EVERY = 20  # rows of a log between two looks at the force
 _ZOOM = 0.30  # [m] around the acting point
+_SCORE = r"score $\mathcal{S}$ [m⁴/rad⁴]"
 
 
-class Moment(NamedTuple):
-    """One instant of a run: the hand inside the buffer, and the border at its height.
+class Force(NamedTuple):
+    """The force at one instant of a run, while the hand is in its buffer.
 
     Attributes:
         t: [s]
         q_m: (n_m,) [rad or m] the arm's joints.
-        closest: Of the first pair of L_m, in the base's frame.
-        slice: (M, 3) [m] the border's points at p_b's height.
-        score: (M,) [m⁴/rad⁴] their scores.
-        finder: Algorithm 3 on that border.
+        closest: Of base and hand, in the base's frame.
+        acting: What Algorithm 3 finds.
+        f: (3,) [N] the force.
     """
 
     t: float
     q_m: Array
     closest: Closest
-    slice: Array
-    score: Array
-    finder: ActingPointFinder
+    acting: ActingPoint
+    f: Array
+
+    @property
+    def components(self) -> tuple[Array, Array]:
+        """The force along the line from p_n to p_b and at right angles to it, both (3,) [N].
+
+        Paper: §3.1, Figure 7a.
+        """
+        line = self.closest.p_b - self.acting.p_n
+        line = line / np.linalg.norm(line)
+        along = float(self.f @ line) * line
+        return along, self.f - along
+
+    @property
+    def points(self) -> dict[str, Array]:
+        """The points of Algorithm 3, (3,) [m] each, by their names."""
+        acting = self.acting
+        return {
+            "p_b": self.closest.p_b,
+            "p_n": acting.p_n,
+            "p_t": acting.p_t,
+            "p_act": acting.p_act,
+        }
+
+    def measured(self) -> dict[str, float]:
+        """Its size, and that of its components."""
+        f, along, across = (float(np.linalg.norm(v)) for v in (self.f, *self.components))
+        return {
+            "distance_m": self.closest.d,
+            "alpha_m": self.acting.alpha,
+            "force_n": f,
+            "force_along_line_n": along,
+            "force_tangential_n": across,
+            "share_along_line": along / max(f, 1e-9),
+        }
 
 
-def moment(sources: Sources) -> Moment:
-    """The instant of the lateral guiding at which the hand is deepest in its buffer."""
-    run = sources.runs[LATERAL]
-    deepest = int(run.log[f"d_{sources.data.pairs.mobile[0].name}_m"].argmin())
-    return _moments(sources, run, [deepest])[0]
+def force_at(
+    sources: Sources, experiment: Experiment, k: int, config: ForceConfig | None = None
+) -> Force:
+    """The force in a row of an experiment's log, with its own parameters or with others."""
+    log = sources.runs[experiment].log
+    q_m = log.of("q_m")[k]
+    (closest,) = sources.closest_points([q_m])
+    acting, f = sources.force(sources.surface, closest, config)
+    return Force(float(log.t[k]), q_m, closest, acting, f)
 
 
-def turning(sources: Sources) -> Moment:
+def deepest(sources: Sources) -> int:
+    """The row of the lateral guiding in which the hand is deepest in its buffer."""
+    return int(sources.runs[LATERAL].log[f"d_{sources.pair.name}_m"].argmin())
+
+
+def turning(sources: Sources) -> Force:
     """The instant near the wheel axis at which the smaller component of the force is largest."""
-    run, d_b = sources.runs[WHEEL_AXIS], sources.config.border.d_b
-    inside = np.flatnonzero(run.log[f"d_{sources.data.pairs.mobile[0].name}_m"] < d_b)[::_EVERY]
-
-    def smaller(now: Moment) -> float:
-        acting, f = _found(sources, now, sources.config.force)
-        return min(float(np.linalg.norm(v)) for v in components(now.closest.p_b, acting.p_n, f))
-
-    return max(_moments(sources, run, inside.tolist()), key=smaller)
-
-
-def _moments(sources: Sources, run: Run, rows: Sequence[int]) -> list[Moment]:
-    pair, config = sources.data.pairs.mobile[0], sources.config.border
-    border = construct_dbb(sources.data.clouds[pair.name], config.d_b, config.eps)
-    field = ScoreField.of(sources.model, pair.b)
-    shape = BORDERS[config.kind](border, OffsetContours(sources.model, config.d_b))
-    finder = ActingPointFinder(shape, field)
-    found = []
-    for k, closest in zip(rows, closest_points(sources.model, pair, run.q_m[rows]), strict=True):
-        same_height = border.same_height(float(closest.p_b[2]))
-        found.append(
-            Moment(
-                float(run.log["t_s"][k]),
-                run.q_m[k],
-                closest,
-                same_height,
-                field.score(same_height),
-                finder,
-            )
-        )
-    return found
+    distance = sources.runs[WHEEL_AXIS].log[f"d_{sources.pair.name}_m"]
+    inside = np.flatnonzero(distance < sources.config.border.d_b)[::_EVERY]
+    return max(
+        (force_at(sources, WHEEL_AXIS, int(k)) for k in inside),
+        key=lambda force: min(np.linalg.norm(v) for v in force.components),
+    )
 
 
 def figure_7(sources: Sources) -> Drawing:
     """The force at the acting point and its two orthogonal components."""
-    now = turning(sources)
-    acting, f = _found(sources, now, sources.config.force)
-    along, across = components(now.closest.p_b, acting.p_n, f)
+    force = turning(sources)
+    along, across = force.components
+    p_b, p_act = force.closest.p_b, force.acting.p_act
+    table = _slice(sources, force)
     figure = new_figure(5.4)
     whole, near = figure.subplots(1, 2)
     for ax in (whole, near):
-        shown = _slice(ax, sources.model, now)
-        _hand(ax, sources.model, now)
+        shown = _plan(ax, sources, force, table)
     panel_title(whole, "", "the border at the hand's height")
-    _arrow(whole, acting.p_act, now.closest.p_b, ACTING)
-    _points(whole, now, acting, names=False)
+    _points(whole, force, "p_b", "p_act")
     whole.set(xlim=(-0.70, 0.80), ylim=(-0.75, 0.75))
-    figure.colorbar(shown, ax=whole, label=r"score $\mathcal{S}$ [m⁴/rad⁴]", shrink=0.8)
+    figure.colorbar(shown, ax=whole, label=_SCORE, shrink=0.8)
     panel_title(near, "a", "its two orthogonal components")
-    _zoom(near, now, acting)
-    length = float(np.linalg.norm(now.closest.p_b - acting.p_act) / max(np.linalg.norm(f), 1e-9))
-    _arrow(near, acting.p_act, acting.p_act + length * across, _TANGENT, "towards a better score")
-    _arrow(near, acting.p_act, acting.p_act + length * along, _NORMAL, "away from the hand's link")
-    _arrow(near, acting.p_act, now.closest.p_b, ACTING, "force $f_{m,1}$")
-    _points(near, now, acting)
+    square_around(near, np.array(list(force.points.values())), 0.06, _ZOOM)
+    length = float(np.linalg.norm(p_b - p_act) / max(np.linalg.norm(force.f), 1e-9))
+    for vector, colour, text in (
+        (across, _TANGENT, "towards a better score"),
+        (along, _NORMAL, "away from the hand's link"),
+        (force.f, ACTING, "force $f_{m,1}$"),
+    ):
+        arrow(near, p_act, p_act + length * vector, colour)
+        near.plot([], [], color=colour, label=text)
+    _points(near, force)
     near.legend(loc="lower left", fontsize=9)
     return Drawing(
         "Figure 7: the direction of the force",
@@ -141,29 +158,28 @@ def figure_7(sources: Sources) -> Drawing:
         "its two orthogonal components moves the base away from the hand, the other brings the "
         "part of the border with a high score closer to it.",
         figure,
-        {"": _slice_table(now), "points": _point_table(now, {"chosen": acting})},
-        {"t_s": now.t, **_shares(now, acting, f)},
+        {"": table, "points": _point_table({"chosen": force})},
+        {"t_s": force.t, **force.measured()},
         ["Taken from a hand that comes along the wheel axis, once the base has begun to turn."],
     )
 
 
 def figure_8(sources: Sources) -> Drawing:
     """How the acting point is found, and a step size that is too large."""
-    now = moment(sources)
-    cases = {"chosen": sources.config.force, "too large": TOO_LARGE}
-    found = {name: _found(sources, now, force) for name, force in cases.items()}
+    configs, k = {"chosen": sources.config.force, "too large": TOO_LARGE}, deepest(sources)
+    found = {name: force_at(sources, LATERAL, k, config) for name, config in configs.items()}
+    table = _slice(sources, found["chosen"])
     figure = new_figure(5.4)
     grid = figure.subplots(1, 2, sharex=True, sharey=True)
-    for ax, letter, (acting, _) in zip(grid, "ab", found.values(), strict=True):
-        shown = _slice(ax, sources.model, now)
-        _hand(ax, sources.model, now)
-        _arrow(ax, acting.p_n, acting.p_t, INK)
-        _arrow(ax, acting.p_act, now.closest.p_b, ACTING)
-        _points(ax, now, acting)
+    for ax, letter, force in zip(grid, "ab", found.values(), strict=True):
+        shown = _plan(ax, sources, force, table)
+        arrow(ax, force.acting.p_n, force.acting.p_t, INK)
+        _points(ax, force)
         text = "the step along the tangent" if letter == "a" else "too large a step"
-        panel_title(ax, letter, rf"{text}, $\alpha$ = {acting.alpha:.3f} m")
-    _zoom(grid[0], now, found["too large"][0], found["chosen"][0])
-    figure.colorbar(shown, ax=grid, label=r"score $\mathcal{S}$ [m⁴/rad⁴]", shrink=0.8)
+        panel_title(ax, letter, rf"{text}, $\alpha$ = {force.acting.alpha:.3f} m")
+    points = [point for force in found.values() for point in force.points.values()]
+    square_around(grid[0], np.array(points), 0.06, _ZOOM)
+    figure.colorbar(shown, ax=grid, label=_SCORE, shrink=0.8)
     return Drawing(
         "Figure 8: finding the acting point",
         "(a) From the border's point nearest to the hand a step along the tangent leads towards a "
@@ -171,8 +187,8 @@ def figure_8(sources: Sources) -> Drawing:
         "a step the force may have no component along the line between the hand and the border: "
         "the step is bounded.",
         figure,
-        {"": _slice_table(now), "points": _point_table(now, {n: a for n, (a, _) in found.items()})},
-        {name: _shares(now, acting, f) for name, (acting, f) in found.items()},
+        {"": table, "points": _point_table(found)},
+        {name: force.measured() for name, force in found.items()},
     )
 
 
@@ -180,7 +196,7 @@ def figure_10(sources: Sources) -> Drawing:
     """The activation by the distance of a pair."""
     d_b, d_full = sources.config.border.d_b, sources.config.activation.d_full
     d = np.linspace(0.0, 0.2, 201)
-    table = Table({"d_m": d, "beta": np.array([activation(x, d_b, d_full) for x in d])})
+    table = {"d_m": d, "beta": np.array([activation(x, d_b, d_full) for x in d])}
     figure = new_figure(3.6, 6.4)
     ax = figure.subplots()
     ax.plot(table["d_m"], table["beta"], color=METHOD_COLOURS["dbb"], linewidth=2.4)
@@ -207,127 +223,46 @@ def figure_10(sources: Sources) -> Drawing:
     )
 
 
-def components(p_b: Array, p_n: Array, f: Array) -> tuple[Array, Array]:
-    """A force (3,) split along the line from p_n to p_b and at right angles to it, both (3,).
-
-    Paper: §3.1, Figure 7a.
-    """
-    line = p_b - p_n
-    line = line / np.linalg.norm(line)
-    along = float(f @ line) * line
-    return along, f - along
+def _slice(sources: Sources, force: Force) -> Table:
+    """The border at the hand's height, with its score."""
+    points = sources.border.same_height(float(force.closest.p_b[2]))
+    return points_table(points, score_m4prad4=sources.field.score(points))
 
 
-def _found(sources: Sources, now: Moment, force: ForceConfig) -> tuple[ActingPoint, Array]:
-    """Acting point and force of the moment, from the controller's own functions."""
-    p_b, d = now.closest.p_b, now.closest.d
-    acting = now.finder.find_acting_point(p_b, d, force)
-    assert acting is not None  # the paper's robot has a border at every height in the buffer
-    f = avoidance_force(
-        p_b, acting.p_act, d, now.closest.normal, f_max=force.f_max, d_b=sources.config.border.d_b
-    )
-    return acting, f
-
-
-def _shares(now: Moment, acting: ActingPoint, f: Array) -> dict[str, object]:
-    along, across = components(now.closest.p_b, acting.p_n, f)
-    return {
-        "distance_m": now.closest.d,
-        "alpha_m": acting.alpha,
-        "force_n": float(np.linalg.norm(f)),
-        "force_along_line_n": float(np.linalg.norm(along)),
-        "force_tangential_n": float(np.linalg.norm(across)),
-        "share_along_line": float(np.linalg.norm(along) / max(np.linalg.norm(f), 1e-9)),
-    }
-
-
-def _slice(ax: Axes, model: RobotModel, now: Moment) -> PathCollection:
-    """The base in plan and the border around it, by score; returns what a colour bar shows."""
-    ax.add_patch(Polygon(base_corners(model)[:4, :2], facecolor="#EEF1F4", edgecolor=SOFT))
-    ax.plot([0, 0], [-0.6, 0.6], color=SOFT, linewidth=1, linestyle=(0, (1, 2)), zorder=1)
-    shown = ax.scatter(now.slice[:, 0], now.slice[:, 1], c=now.score, s=7, cmap=SCORE_MAP, zorder=2)
-    ax.set_aspect("equal")
-    ax.set(xlabel="x of the base [m]", ylabel="y of the base [m]")
+def _plan(ax: Axes, sources: Sources, force: Force, border: Table) -> PathCollection:
+    """Base, border, hand and force from above; returns what a colour bar shows."""
+    base_in_plan(ax, sources.model)
+    score = border["score_m4prad4"]
+    shown = ax.scatter(border["x_m"], border["y_m"], c=score, s=7, cmap=SCORE_MAP, zorder=2)
+    look: dict[str, Any] = {"facecolor": PAIR_COLOURS["lm-lEE"], "alpha": 0.18, "linewidth": 0}
+    for name, mesh in placed_meshes(sources.model, (0.0, 0.0, 0.0), force.q_m):
+        if name == sources.pair.b:
+            corners = mesh.vertices[:, :2]
+            ax.add_patch(Polygon(corners[ConvexHull(corners).vertices], zorder=1, **look))
+    arrow(ax, force.acting.p_act, force.closest.p_b, ACTING)
     return shown
 
 
-def _hand(ax: Axes, model: RobotModel, now: Moment) -> None:
-    """The hand's convex body in plan."""
-    name = model.description.bodies[-1].name
-    data, placed = model.pin.createData(), pin.GeometryData(model.geometry)
-    q = model.configuration((0.0, 0.0, 0.0), now.q_m)
-    pin.updateGeometryPlacements(model.pin, data, model.geometry, placed, q)
-    for i, shape in zip(model.shape_ids[name], model.description.body(name).shapes, strict=True):
-        corners = shape_mesh(shape).apply_transform(placed.oMg[i].homogeneous).vertices[:, :2]
-        outline = corners[ConvexHull(corners).vertices]
-        ax.add_patch(
-            Polygon(outline, facecolor=PAIR_COLOURS["lm-lEE"], alpha=0.18, linewidth=0, zorder=1)
-        )
+def _points(ax: Axes, force: Force, *names: str) -> None:
+    """The points of Algorithm 3 with their names, or those that are named."""
+    looks: dict[str, tuple[str, str, tuple[float, float]]] = {
+        "p_n": ("$p_n$", INK, (-18, 8)),
+        "p_t": ("$p_t$", SOFT, (8, 8)),
+        "p_act": ("$p_{act}$", ACTING, (8, -14)),
+        "p_b": ("$p_b$", PAIR_COLOURS["lm-lEE"], (6, -14)),
+    }
+    for name, (text, colour, offset) in looks.items():
+        if name in (names or looks):
+            x, y, _ = force.points[name]
+            ax.plot(x, y, **marker_style(colour, size=8))
+            place: dict[str, Any] = {"xytext": offset, "textcoords": "offset points"}
+            ax.annotate(text, (x, y), fontsize=12, zorder=7, **place).set_in_layout(False)
 
 
-def _zoom(ax: Axes, now: Moment, *acting: ActingPoint) -> None:
-    points = np.array([now.closest.p_b, *(p for a in acting for p in (a.p_n, a.p_t, a.p_act))])
-    middle = (points.max(axis=0) + points.min(axis=0)) / 2
-    half = max(_ZOOM, float(np.ptp(points[:, :2], axis=0).max())) / 2 + 0.06
-    ax.set_xlim(middle[0] - half, middle[0] + half)
-    ax.set_ylim(middle[1] - half, middle[1] + half)
-
-
-def _points(ax: Axes, now: Moment, acting: ActingPoint, names: bool = True) -> None:
-    for point, text, colour, offset in (
-        (acting.p_n, "$p_n$", INK, (-18, 8)),
-        (acting.p_t, "$p_t$", SOFT, (8, 8)),
-        (acting.p_act, "$p_{act}$", ACTING, (8, -14)),
-        (now.closest.p_b, "$p_b$", PAIR_COLOURS["lm-lEE"], (6, -14)),
-    ):
-        if names or text in ("$p_b$", "$p_{act}$"):
-            ax.plot(*point[:2], **marker_style(colour, size=8))
-            label = ax.annotate(
-                text, _plan(point), xytext=offset, textcoords="offset points", fontsize=12, zorder=7
-            )
-            label.set_in_layout(False)
-
-
-def _arrow(ax: Axes, start: Array, end: Array, colour: str, text: str | None = None) -> None:
-    arrow = ax.annotate(
-        "",
-        _plan(end),
-        _plan(start),
-        zorder=5,
-        arrowprops={
-            "arrowstyle": "-|>",
-            "color": colour,
-            "linewidth": 2.2,
-            "shrinkA": 0,
-            "shrinkB": 0,
-            "mutation_scale": 14,
-        },
-    )
-    arrow.set_in_layout(False)
-    if text is not None:
-        ax.plot([], [], color=colour, label=text)
-
-
-def _plan(point: Array) -> tuple[float, float]:
-    return float(point[0]), float(point[1])
-
-
-def _slice_table(now: Moment) -> Table:
-    x, y, z = now.slice.T
-    return Table({"x_m": x, "y_m": y, "z_m": z, "score_m4prad4": now.score})
-
-
-def _point_table(now: Moment, found: dict[str, ActingPoint]) -> Table:
+def _point_table(found: dict[str, Force]) -> Table:
     rows = [
-        (step, name, *point, acting.alpha)
-        for step, acting in found.items()
-        for name, point in (
-            ("p_b", now.closest.p_b),
-            ("p_n", acting.p_n),
-            ("p_t", acting.p_t),
-            ("p_act", acting.p_act),
-        )
+        (step, name, *point, force.acting.alpha)
+        for step, force in found.items()
+        for name, point in force.points.items()
     ]
-    columns = zip(*rows, strict=True)
-    names = ("step", "point", "x_m", "y_m", "z_m", "alpha_m")
-    return Table({name: np.array(column) for name, column in zip(names, columns, strict=True)})
+    return table_of(("step", "point", "x_m", "y_m", "z_m", "alpha_m"), rows)

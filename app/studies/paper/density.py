@@ -1,53 +1,61 @@
-"""§4.3: the trade-off between the density of the border and the jumps of the acting point."""
+"""§4.3: a border of points jumps the less the denser and costlier it is; a surface does not."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
+from scipy.interpolate import CubicSpline
 
-from app.avoidance.acting_point import ActingPointFinder
+from app.avoidance.mobile_acceleration import ActingPointFinder, PairForce, generate_mob_acc
 from app.border.cloud import Cloud
-from app.border.dbb import Border, construct_dbb
-from app.border.offset import OffsetContours
+from app.border.dbb import Border
 from app.border.points import BorderPoints
-from app.border.score import ScoreField
-from app.border.surface import BorderSurface, NearestBorder
+from app.border.surface import BorderSurface
 from app.robot.link_pairs import Closest
 from app.simulation.run import run_scenario
 from app.simulation.session import DT
-from app.studies.drawing import Drawing, Table
-from app.studies.paper.experiments import Sources
-from app.studies.paper.guiding import LATERAL, LATERAL_POINTS
-from app.studies.paper.motion import closest_points
-from app.studies.style import METHOD_COLOURS, level, new_figure, panel_title
+from app.studies.paper.drawing import (
+    Drawing,
+    Table,
+    base_in_plan,
+    points_table,
+    square_around,
+    stacked,
+    table_of,
+)
+from app.studies.paper.experiments import GUIDING, LATERAL, Sources
+from app.studies.style import (
+    METHOD_COLOURS,
+    PAIR_COLOURS,
+    level,
+    new_figure,
+    panel_title,
+)
 
 Array = np.ndarray
 
 PAPERS_COUNT = 50_000
 """[-] points of a border, by the paper's practical experience."""
-NEEDS = (LATERAL,)
-COUNTS = (5_000, 10_000, 20_000, 50_000)
+COUNTS = (5_000, 10_000, 20_000, PAPERS_COUNT)
 """Points of the thinned borders; the whole one is the last."""
+FINER = 10
+"""[-] how much finer the path is sampled for the ratio that tells a jump from a motion."""
+LONGEST = 4.0
+"""[s] of the path on which points and surface are compared."""
+_COLOURS = {"points": "#D55E00", "surface": METHOD_COLOURS["dbb"]}
+_NAMES = {"points": f"border of {PAPERS_COUNT:,} points", "surface": "border as a surface"}
+_LEAST = 1e-9  # [m] where the logarithmic axis ends; smaller steps are drawn there
+_ZOOM = 0.03  # [m] around what is drawn in plan
 
 
-class ScannedPoints(BorderPoints):
-    """The border searched as printed: every point at the hand's height is looked at."""
-
-    def __init__(self, border: Border, offset: OffsetContours) -> None:
-        super().__init__(border, offset)
-        self._border = border
-
-    def _in_plan(self, p: Array) -> tuple[float, float] | None:
-        points = self._border.same_height(float(p[2]))
-        if not len(points):
-            return None
-        offsets = points[:, :2] - p[:2]
-        x, y, _ = points[np.argmin(np.einsum("ij,ij->i", offsets, offsets))].tolist()
-        return x, y
+_SHAPES = {"points": BorderPoints, "surface": BorderSurface}
+"""How a border is searched."""
+_MEASURED = ("jump_max_m", "jump_p99_m", "find_p50_us")
 
 
 def figure_density(sources: Sources) -> Drawing:
@@ -55,43 +63,34 @@ def figure_density(sources: Sources) -> Drawing:
     table = trade_off(sources)
     figure = new_figure(3.6)
     jump, cost = figure.subplots(1, 2)
+    look = {"color": METHOD_COLOURS["points"]}
     for ax, column, label in (
         (jump, "jump_max_m", "largest jump in a control step [m]"),
         (cost, "find_p50_us", "median time of a search [µs]"),
     ):
-        as_points = table["border"] == "points"
+        values = {kind: table[column][table["border"] == kind] for kind in _SHAPES}
+        counts = table["points"][table["border"] == "points"]
         ax.plot(
-            table["points"][as_points],
-            table[column][as_points],
-            "o-",
-            color=METHOD_COLOURS["points"],
-            label="border of points, searched as printed",
+            counts, values["points"], "o-", label="border of points, searched as printed", **look
         )
-        surface, name = float(table[column][-1]), "as a continuous surface (used here)"
+        surface, name = float(values["surface"][0]), "as a continuous surface (used here)"
         if ax is jump:
             level(ax, surface, name)
         else:
             ax.axhline(surface, color="grey", linestyle=":", label=name)
-            in_tree = table["border"] == "tree"
-            ax.plot(
-                table["points"][in_tree],
-                table[column][in_tree],
-                "o--",
-                color=METHOD_COLOURS["points"],
-                label="the same points in a tree of boxes",
-            )
         ax.set_xscale("log")
         ax.set_ylim(0.0, None)
         ax.set(xlabel="points of the border [–]", ylabel=label)
-        ticks = table["points"][as_points]
-        ax.set_xticks(ticks, [f"{n / 1000:.0f}k" for n in ticks])
+        ax.set_xticks(counts, [f"{n / 1000:.0f}k" for n in counts])
         ax.minorticks_off()
     panel_title(jump, "", "jumps of the acting point")
     panel_title(cost, "", "cost of the acting point")
     jump.legend(loc="upper right")
     cost.legend(loc="upper left")
-    rows: dict[str, object] = {
-        "surface" if kind == "surface" else f"{n} {kind}": _row(table, k)
+    rows = {
+        "surface" if kind == "surface" else f"{n} {kind}": {
+            x: float(table[x][k]) for x in _MEASURED
+        }
         for k, (kind, n) in enumerate(zip(table["border"], table["points"].tolist(), strict=True))
     }
     return Drawing(
@@ -105,70 +104,56 @@ def figure_density(sources: Sources) -> Drawing:
     )
 
 
-@lru_cache(maxsize=1)
+@cache
 def trade_off(sources: Sources) -> Table:
     """For each number of points, and for the surface: the jumps of p_act, the time of a search."""
-    pair, config = sources.data.pairs.mobile[0], sources.config.border
-    border = construct_dbb(sources.data.clouds[pair.name], config.d_b, config.eps)
-    offset = OffsetContours(sources.model, config.d_b)
-    field = ScoreField.of(sources.model, pair.b)
-    path = hand_in_buffer(sources)
-    counts = [n for n in COUNTS if n < len(border)] + [len(border)]
-    borders = [thinned(border, count) for count in counts]
-    shapes: list[NearestBorder] = [ScannedPoints(thin, offset) for thin in borders]
-    shapes += [BorderPoints(thin, offset) for thin in borders]
-    shapes.append(BorderSurface(border, offset))
-    kinds = np.array(["points"] * len(counts) + ["tree"] * len(counts) + ["surface"])
-    measured = [jump_and_cost(sources, ActingPointFinder(shape, field), path) for shape in shapes]
-    jumps, typical, times = np.array(measured).T
-    return Table(
-        {
-            "border": kinds,
-            "points": np.array([*counts, *counts, len(border)]),
-            "jump_max_m": jumps,
-            "jump_p99_m": typical,
-            "find_p50_us": times,
-        }
-    )
+    path, whole = hand_in_buffer(sources), len(sources.border)
+    counts = [n for n in COUNTS if n < whole] + [whole]
+    rows = []
+    for kind, shape in _SHAPES.items():
+        for count in [whole] if kind == "surface" else counts:
+            finder = sources.finder(shape, thinned(sources.border, count))
+            rows.append((kind, count, *jump_and_cost(sources, finder, path)))
+    return table_of(("border", "points", *_MEASURED), rows)
 
 
-@lru_cache(maxsize=1)
+@cache
 def run_at_50_000(sources: Sources) -> dict[str, Any]:
     """Figures of the lateral guiding with 50,000 points a border, run alone: for its timing."""
-    config = LATERAL_POINTS.config()
-    border = config.border
-    clouds = {}
-    for name, cloud in sources.data.clouds.items():
-        whole = len(construct_dbb(cloud, border.d_b, border.eps))
-        clouds[name] = thinned_cloud(cloud, min(1.0, PAPERS_COUNT / whole))
+    experiment = GUIDING["points"]["lateral"]
+    clouds = {
+        pair.name: thinned_cloud(
+            sources.data.clouds[pair.name], min(1.0, PAPERS_COUNT / len(sources.border_of(pair)))
+        )
+        for pair in sources.data.pairs.mobile
+    }
     data = replace(sources.data, clouds=clouds)
-    scenario = LATERAL_POINTS.full()
-    return run_scenario(sources.model, data, scenario, config).figures
+    return run_scenario(sources.model, data, experiment.full(), experiment.config()).figures
 
 
 def thinned_cloud(cloud: Cloud, share: float) -> Cloud:
     """A share of a cloud's points, chosen at random, always the same."""
-    count = round(share * len(cloud))
-    chosen = np.sort(np.random.default_rng(0).choice(len(cloud), count, replace=False))
+    chosen = _chosen(len(cloud), round(share * len(cloud)))
     return Cloud(cloud.pair, cloud.points[chosen], cloud.distances[chosen])
-
-
-def hand_in_buffer(sources: Sources) -> list[Closest]:
-    """The closest points of the hand while it is in its buffer, at each control step."""
-    pair, run = sources.data.pairs.mobile[0], sources.runs[LATERAL]
-    t = run.log["t_s"]
-    fine = np.arange(t[0], t[-1], DT)
-    q_m = np.column_stack([np.interp(fine, t, q) for q in run.q_m.T])
-    path = closest_points(sources.model, pair, q_m)
-    return [closest for closest in path if closest.d < sources.config.border.d_b]
 
 
 def thinned(border: Border, count: int) -> Border:
     """A border of so many of its points, chosen at random, always the same."""
-    chosen = np.sort(np.random.default_rng(0).choice(len(border), count, replace=False))
-    return Border(
-        border.pair, border.d_b, border.eps, border.points[chosen], border.heights[chosen]
-    )
+    chosen = _chosen(len(border), count)
+    return replace(border, points=border.points[chosen], heights=border.heights[chosen])
+
+
+def _chosen(total: int, count: int) -> Array:
+    return np.sort(np.random.default_rng(0).choice(total, count, replace=False))
+
+
+def hand_in_buffer(sources: Sources) -> list[Closest]:
+    """The closest points of the hand while it is in its buffer, at each control step."""
+    run = sources.runs[LATERAL]
+    fine = np.arange(run.log.t[0], run.log.t[-1], DT)
+    q_m = np.column_stack([np.interp(fine, run.log.t, q) for q in run.q_m.T])
+    d_b = sources.config.border.d_b
+    return [closest for closest in sources.closest_points(q_m) if closest.d < d_b]
 
 
 def jump_and_cost(
@@ -182,10 +167,152 @@ def jump_and_cost(
         times.append(perf_counter() - begin)
         if acting is not None:
             points.append(acting.p_act)
-    jumps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    jumps = step_sizes(np.array(points))
     return float(jumps.max()), float(np.percentile(jumps, 99)), 1e6 * float(np.median(times))
 
 
-def _row(table: Table, k: int) -> dict[str, object]:
-    names = ("jump_max_m", "jump_p99_m", "find_p50_us")
-    return {name: float(table[name][k]) for name in names}
+class Path(NamedTuple):
+    """The acting point along the hand's path.
+
+    Attributes:
+        t: (N,) [s] times, equally spaced.
+        p_b: (N, 3) [m] closest point on the hand.
+        p_act: (N, 3) [m] acting point.
+        xdd_m: (N, 2) [m/s², rad/s²] acceleration that the force asks of the base.
+    """
+
+    t: Array
+    p_b: Array
+    p_act: Array
+    xdd_m: Array
+
+    def table(self) -> Table:
+        """Its columns, and how far the acting point went in each step."""
+        p_b, p_act = (
+            {f"{name}_{axis}": column for axis, column in points_table(points).items()}
+            for name, points in (("p_b", self.p_b), ("p_act", self.p_act))
+        )
+        linear, angular = self.xdd_m.T
+        return {
+            "t_s": self.t,
+            **p_b,
+            **p_act,
+            "p_act_step_m": np.concatenate([[np.nan], step_sizes(self.p_act)]),
+            "base_a_mps2": linear,
+            "base_aw_radps2": angular,
+        }
+
+
+def figure_continuity(sources: Sources) -> Drawing:
+    """Where the acting point goes in plan, and how far in each control step."""
+    points = thinned(sources.border, min(PAPERS_COUNT, len(sources.border)))
+    finders = {
+        "points": sources.finder(BorderPoints, points),
+        "surface": sources.surface,
+    }
+    coarse, fine = (hand_path_in_buffer(sources, dt) for dt in (DT, DT / FINER))
+    found = {kind: acting_path(sources, finder, *coarse) for kind, finder in finders.items()}
+    finer = {kind: acting_path(sources, finder, *fine) for kind, finder in finders.items()}
+    figure = new_figure(4.6)
+    plan, steps = figure.subplots(1, 2, width_ratios=(1, 1.35))
+    panel_title(plan, "", "the acting point in plan")
+    panel_title(steps, "", "its motion in each control step")
+    for kind, along in found.items():
+        style = "." if kind == "points" else "-"
+        look: dict[str, Any] = {"color": _COLOURS[kind], "label": _NAMES[kind]}
+        plan.plot(*along.p_act[:, :2].T, style, markersize=4, linewidth=2.2, **look)
+        change = np.maximum(step_sizes(along.p_act), _LEAST)
+        steps.plot(along.t[1:], change, linewidth=0.9, **look)
+    _base_and_hand(plan, sources, found["surface"])
+    plan.legend(loc="upper right", fontsize=9)
+    steps.set_yscale("log")
+    steps.set(xlabel="time [s]", ylabel="change of the acting point in 1 ms [m]")
+    steps.set_xlim(float(coarse[0][0]), float(coarse[0][-1]))
+    steps.legend(loc="lower right", fontsize=9)
+    return Drawing(
+        "§4.3: a continuous border",
+        "Among points the acting point jumps from one to the next as the hand moves, a trade-off "
+        "against the cost of more points.",
+        figure,
+        {"": stacked({kind: along.table() for kind, along in found.items()}, "border")},
+        _measured(found, finer),
+        [
+            "The same hand path each time, that of the lateral guiding while the hand is in its "
+            "buffer, a cubic spline through the logged closest points.",
+            f"A motion becomes {FINER} times smaller on a path sampled {FINER} times finer; a jump "
+            "does not.",
+        ],
+    )
+
+
+def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Closest]]:
+    """Times (N,) [s] and the hand's closest points, while the hand is in its buffer.
+
+    The longest stretch without leaving it, at most `LONGEST`; a spline through the log's rows. The
+    closest points computed at each step would have the collision library's tolerance in them, some
+    0.3 mm along an edge: more than the hand moves in a step.
+    """
+    log = sources.runs[LATERAL].log
+    outside = log[f"d_{sources.pair.name}_m"] >= sources.config.border.d_b
+    stretches = np.ma.clump_unmasked(np.ma.masked_array(log.t, outside))
+    longest = max((log.t[stretch] for stretch in stretches), key=len)
+    begin, end = longest[[0, -1]]
+    t = np.arange(begin, min(end, begin + LONGEST), dt)
+    logged = sources.closest_points(log.of("q_m"))
+    d, p_a, p_b, normal = (
+        CubicSpline(log.t, [getattr(closest, name) for closest in logged])(t)
+        for name in Closest._fields
+    )
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    return t, [Closest(*values) for values in zip(d, p_a, p_b, normal, strict=True)]
+
+
+def acting_path(sources: Sources, finder: ActingPointFinder, t: Array, path: list[Closest]) -> Path:
+    """The acting point at each of the hand's closest points, and what its force asks."""
+    base = sources.model.description.base
+    forces = [sources.force(finder, closest) for closest in path]
+    xdd_m = [generate_mob_acc([PairForce(f, acting.p_act)], base) for acting, f in forces]
+    p_b, p_act = [closest.p_b for closest in path], [acting.p_act for acting, _ in forces]
+    return Path(t, np.array(p_b), np.array(p_act), np.array(xdd_m))
+
+
+def step_sizes(values: Array) -> Array:
+    """(N - 1,) length of each step of a path (N, k)."""
+    return np.linalg.norm(np.diff(values, axis=0), axis=1)
+
+
+def _measured(found: dict[str, Path], finer: dict[str, Path]) -> dict[str, Any]:
+    """Largest steps of the acting point, how they shrink on the finer path, and accelerations."""
+    result: dict[str, Any] = {}
+    for kind, along in found.items():
+        largest, shrunk = (float(step_sizes(p.p_act).max()) for p in (along, finer[kind]))
+        linear, angular = np.abs(np.diff(along.xdd_m, axis=0)).max(axis=0).tolist()
+        result[kind] = {
+            "step_max_m": largest,
+            "step_max_finer_m": shrunk,
+            "finer_ratio": largest / shrunk,
+            "acceleration_step_max_mps2": linear,
+            "acceleration_step_max_radps2": angular,
+        }
+    points, surface = result["points"], result["surface"]
+    result["points_over_surface"] = {
+        f"{name}_ratio": points[key] / surface[key]
+        for name, key in (
+            ("linear", "acceleration_step_max_mps2"),
+            ("angular", "acceleration_step_max_radps2"),
+        )
+    }
+    return result
+
+
+def _base_and_hand(ax: Axes, sources: Sources, along: Path) -> None:
+    """The base's outline, the closest point's path, and the window around both paths."""
+    base_in_plan(ax, sources.model)
+    ax.plot(
+        *along.p_b[:, :2].T,
+        color=PAIR_COLOURS["lm-lEE"],
+        linewidth=1.6,
+        linestyle=(0, (3, 2)),
+        label="closest point of the hand",
+    )
+    square_around(ax, np.concatenate([along.p_b, along.p_act]), _ZOOM)

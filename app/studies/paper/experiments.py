@@ -1,34 +1,37 @@
-"""The runs behind the figures: each is done once, all side by side, and shared."""
+"""The paper's runs: each is done once, all side by side, and shared by figures and claims."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from app.avoidance.mobile_acceleration import ActingPoint, ActingPointFinder, avoidance_force
 from app.border.cache import BorderData, load_border_data
-from app.config import Config
+from app.border.contours import NearestBorder
+from app.border.dbb import Border, construct_dbb
+from app.border.offset import OffsetContours
+from app.border.score import ScoreField
+from app.border.surface import BorderSurface
+from app.config import Config, ForceConfig
 from app.jobs.pool import Workers
 from app.robot.assets import load_robot
+from app.robot.link_pairs import Closest, Pair, PairDistances
 from app.robot.model import RobotModel
 from app.simulation.run import RunResult, run_scenario
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import LineScenario, Point
 from app.simulation.scenarios.names import scenario_by_name
 from app.simulation.trace.trace import Trace
-from app.system import SPAWN
 
 Array = np.ndarray
 
 ROBOT = "husky_panda"
 """The paper's robot."""
 _LOG_EVERY = 10  # control steps between two rows that figures and claims are made of
-_LOOK = 0.2  # [s] between two looks at how far the workers are
 
 
 class Experiment(NamedTuple):
@@ -38,8 +41,8 @@ class Experiment(NamedTuple):
         scenario: Name of the scenario.
         controller: Name of the controller.
         start: [m] where the hand starts, if not where the scenario says.
-        move: [m] how far it is led, likewise.
         points: Whether the border is the paper's cloud of points and not the surface through it.
+        move: [m] how far it is led, if not as far as the scenario says.
     """
 
     scenario: str
@@ -70,6 +73,27 @@ class Experiment(NamedTuple):
         return np.array([scenario.start, np.add(scenario.start, scenario.move)])
 
 
+TRACKING = Experiment("tracking", "dbb")
+TRACKING_REPULSIVE = Experiment("tracking", "repulsive")
+TRACKING_NONE = Experiment("tracking", "none")
+WHEEL_AXIS = Experiment("tracking", "dbb", start=(0.0, 0.68, 0.30))
+"""The hand comes along the wheel axis, along which the base cannot move at once."""
+WHEEL_AXIS_RIGHT = Experiment("tracking", "dbb", (0.0, -0.68, 0.30), move=(0.0, 0.2, 0.0))
+LATERAL = Experiment("guiding-lateral", "dbb")
+FRONT = Experiment("guiding-front", "dbb")
+GUIDING = {
+    "dbb": {"lateral": LATERAL, "front": FRONT},
+    "points": {"lateral": LATERAL._replace(points=True), "front": FRONT._replace(points=True)},
+    "repulsive": {
+        "lateral": LATERAL._replace(controller="repulsive"),
+        "front": FRONT._replace(controller="repulsive"),
+    },
+}
+"""By the method's name and the direction from which the hand is led."""
+DOOR = Experiment("refrigerator", "dbb")
+DOOR_NONE = Experiment("refrigerator", "none")
+
+
 class Run(NamedTuple):
     """What an experiment gave.
 
@@ -84,7 +108,7 @@ class Run(NamedTuple):
     @property
     def base_poses(self) -> Array:
         """(N, 3) x, y [m] and heading [rad] of the base."""
-        return np.column_stack([self.log[k] for k in ("base_x_m", "base_y_m", "base_yaw_rad")])
+        return self.log.of("base_pose")
 
     @property
     def q_m(self) -> Array:
@@ -111,6 +135,75 @@ class Sources:
     config: Config
     runs: Runs
 
+    @property
+    def pair(self) -> Pair:
+        """L_m(1): the base and the hand."""
+        return self.data.pairs.mobile[0]
+
+    @cached_property
+    def border(self) -> Border:
+        """DBB_1, of that pair."""
+        return self.border_of(self.pair)
+
+    @cached_property
+    def field(self) -> ScoreField:
+        """The score of the hand."""
+        return ScoreField.of(self.model, self.pair.b)
+
+    @cached_property
+    def offset(self) -> OffsetContours:
+        """The contours at the buffer distance from the base."""
+        return OffsetContours(self.model, self.config.border.d_b)
+
+    def border_of(self, pair: Pair) -> Border:
+        """DBB_i of a pair of L_m."""
+        config = self.config.border
+        return construct_dbb(self.data.clouds[pair.name], config.d_b, config.eps)
+
+    @cached_property
+    def surface(self) -> ActingPointFinder:
+        """Algorithm 3 on DBB_1 as a continuous surface, as the controller has it."""
+        return self.finder(BorderSurface, self.border)
+
+    def finder(
+        self, shape: Callable[[Border, OffsetContours], NearestBorder], border: Border
+    ) -> ActingPointFinder:
+        """Algorithm 3 on a border of that pair, as points or as a surface."""
+        return ActingPointFinder(shape(border, self.offset), self.field)
+
+    def force(
+        self, finder: ActingPointFinder, closest: Closest, force: ForceConfig | None = None
+    ) -> tuple[ActingPoint, Array]:
+        """Acting point and force (3,) [N] for a closest point, by the controller's own functions.
+
+        Args:
+            finder: Algorithm 3 on a border.
+            closest: In the base's frame.
+            force: Its parameters, if not those of the runs.
+        """
+        force, p_b, d = force or self.config.force, closest.p_b, closest.d
+        acting = finder.find_acting_point(p_b, d, force)
+        assert acting is not None  # the paper's robot has a border at every height in the buffer
+        d_b = self.config.border.d_b
+        return acting, avoidance_force(
+            p_b, acting.p_act, d, closest.normal, f_max=force.f_max, d_b=d_b
+        )
+
+    def closest_points(self, q_m: Iterable[Array]) -> list[Closest]:
+        """The closest points of base and hand in the base's frame, at each posture (n_m,)."""
+        distances = PairDistances(self.model, [self.pair])
+        found = []
+        for q in q_m:
+            distances.update(self.model.configuration((0.0, 0.0, 0.0), q))
+            found.append(distances.closest(0))
+        return found
+
+    def figures(
+        self, experiments: dict[str, Experiment], keys: Iterable[str]
+    ) -> dict[str, dict[str, Any]]:
+        """Some figures of merit of each of some experiments, by their names."""
+        return {n: {k: self.runs[e].figures[k] for k in keys} for n, e in experiments.items()}
+
 
 def load_sources() -> Sources:
     """The paper's robot with the default parameters, no run done yet."""
@@ -131,19 +224,19 @@ def run_experiments(
         experiments: What to run; repeated ones are run once.
         seed: Of everything random in the runs.
         processes: How many to run side by side.
-        on_progress: Called now and then with the simulated time of all of them together [s].
+        on_progress: Called after each with the simulated time of those that are done [s].
 
     Raises:
         UnreachableError: No start of the arm for one of them.
     """
     # The longest ones first: so the processes end together.
     todo = sorted(set(experiments), key=lambda e: (-e.full().duration, e.name))
-    clock = SPAWN.Value("d", 0.0)
-    with (
-        _watched(clock, on_progress),
-        Workers(partial(_Context, seed, clock), min(processes, max(len(todo), 1))) as workers,
-    ):
-        return dict(zip(todo, workers.map(_run, todo), strict=True))
+    runs: Runs = {}
+    with Workers(load_sources, min(processes, max(len(todo), 1))) as workers:
+        for experiment, run in zip(todo, workers.map(partial(_run, seed), todo), strict=True):
+            runs[experiment] = run
+            on_progress(duration(runs))
+    return runs
 
 
 def duration(experiments: Iterable[Experiment]) -> float:
@@ -151,58 +244,19 @@ def duration(experiments: Iterable[Experiment]) -> float:
     return sum(e.full().duration for e in set(experiments))
 
 
-class _Context:
-    """What the runs of one process share."""
-
-    def __init__(self, seed: int, clock: Any) -> None:
-        self.sources = load_sources()
-        self.seed = seed
-        self.clock = clock
-
-
-def _run(context: _Context, experiment: Experiment) -> Run:
-    sources = context.sources
-    before = 0.0
-
-    def tick(t: float) -> None:
-        nonlocal before
-        with context.clock.get_lock():
-            context.clock.value += t - before
-        before = t
-
-    scenario = experiment.full()
-    result = run_scenario(
-        sources.model,
-        sources.data,
-        scenario,
-        experiment.config(),
-        controller=experiment.controller,
-        seed=context.seed,
-        on_progress=tick,
+def _run(seed: int, sources: Sources, experiment: Experiment) -> Run:
+    return run_of(
+        run_scenario(
+            sources.model,
+            sources.data,
+            experiment.full(),
+            experiment.config(),
+            controller=experiment.controller,
+            seed=seed,
+        )
     )
-    tick(scenario.duration)
-    return run_of(result)
 
 
 def run_of(result: RunResult) -> Run:
     """A run's figures and log, as other processes and the figures take them."""
     return Run(result.figures, result.trace.rows(slice(None, None, _LOG_EVERY)))
-
-
-@contextmanager
-def _watched(clock: Any, on_progress: Callable[[float], None]) -> Iterator[None]:
-    """Reports the workers' clock while they work; they cannot call back by themselves."""
-    ended = threading.Event()
-
-    def watch() -> None:
-        while not ended.wait(_LOOK):
-            on_progress(clock.value)
-
-    watcher = threading.Thread(target=watch, daemon=True)
-    watcher.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        watcher.join()
-        on_progress(clock.value)

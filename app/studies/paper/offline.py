@@ -10,15 +10,11 @@ from matplotlib.collections import PathCollection
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from scipy import ndimage
 
-from app.border.dbb import construct_dbb
-from app.border.reach.fit import fit_reachability
+from app.border.reach.fit import fit_reachability, radial_profile
 from app.border.reach.map import PEAK, ReachMap, load_reach_map
-from app.border.reach.radial import radial_profile
-from app.border.score import ScoreField
 from app.robot.model import RobotModel
-from app.studies.drawing import Drawing, Table, stacked
+from app.studies.paper.drawing import Drawing, Table, base_corners, plan_axes, points_table, stacked
 from app.studies.paper.experiments import Sources
-from app.studies.paper.motion import base_corners
 from app.studies.style import (
     METHOD_COLOURS,
     PAIR_COLOURS,
@@ -38,56 +34,55 @@ _SMOOTH = 1.0  # [-] steps of the lattice over which the counts of few poses are
 
 def figure_3(sources: Sources) -> Drawing:
     """P_i and DBB_i of both pairs of L_m."""
-    config, rng = sources.config.border, np.random.default_rng(0)
-    parts: dict[str, dict[str, Array]] = {}
+    rng = np.random.default_rng(0)
+    parts: dict[str, Table] = {}
     counts: dict[str, object] = {}
     for pair in sources.data.pairs.mobile:
-        cloud = sources.data.clouds[pair.name]
-        border = construct_dbb(cloud, config.d_b, config.eps)
-        chosen = _some(len(cloud), rng)
-        parts[f"P {pair.name}"] = _columns(cloud.points_m_at(chosen))
-        parts[f"DBB {pair.name}"] = _columns(border.points[_some(len(border), rng)])
+        cloud, border = sources.data.clouds[pair.name], sources.border_of(pair)
+        parts[f"P {pair.name}"] = points_table(cloud.points_m_at(_some(len(cloud), rng)))
+        parts[f"DBB {pair.name}"] = points_table(border.points[_some(len(border), rng)])
         counts[pair.name] = {"points_P": len(cloud), "points_DBB": len(border)}
     figure = new_figure(7.6)
     for k, (name, part) in enumerate(parts.items()):
         kind, pair_name = name.split()
-        ax = figure.add_subplot(2, 2, 1 + 2 * (k % 2) + k // 2, projection="3d")
-        _base_box(ax, sources.model)
+        place = 2, 2, 1 + 2 * (k % 2) + k // 2
+        ax = figure.add_subplot(*place, projection="3d")
+        _view(ax, sources.model, parts["P lm-lEE"], 1.05)
         _scatter(ax, part, color=PAIR_COLOURS[pair_name], alpha=0.25 if kind == "P" else 0.5)
-        symbol = r"$\mathcal{P}_i$" if kind == "P" else r"$\mathcal{DBB}_i$"
-        panel_title(ax, "a" if kind == "P" else "b", f"{symbol} of {PAIR_NAMES[pair_name]}")
-        _same_scale(ax, parts["P lm-lEE"], 1.05)
+        letter, symbol = {"P": ("a", r"$\mathcal{P}_i$"), "DBB": ("b", r"$\mathcal{DBB}_i$")}[kind]
+        panel_title(ax, f"{letter}{k // 2 + 1}", f"{symbol} of {PAIR_NAMES[pair_name]}")
     return Drawing(
         "Figure 3: sampled points and distance buffer borders",
         "(a) The sampled points of the arm's links lie around the mobile robot. (b) Those at the "
         "buffer distance of 0.15 m, within 0.01 m, are the distance buffer borders.",
         figure,
         {"": stacked(parts, "set")},
-        {"buffer_distance_m": config.d_b, "tolerance_m": config.eps, **counts},
+        {
+            "buffer_distance_m": sources.config.border.d_b,
+            "tolerance_m": sources.config.border.eps,
+            **counts,
+        },
         [f"The picture and the CSV hold at most {_SHOWN} points of each set."],
     )
 
 
 def figure_5(sources: Sources) -> Drawing:
     """Determinant, reachability and score of the points of the first border."""
-    pair, config = sources.data.pairs.mobile[0], sources.config.border
-    border = construct_dbb(sources.data.clouds[pair.name], config.d_b, config.eps)
-    field = ScoreField.of(sources.model, pair.b)
+    border, field = sources.border, sources.field
     points = border.points[_some(len(border), np.random.default_rng(0))]
     values = {
         "determinant_m4prad4": field.singularity(points),
         "reachability": field.reachability(points),
         "score_m4prad4": field.score(points),
     }
-    table = Table({**_columns(points), **values})
+    table = points_table(points, **values)
     labels = (r"$\det(J_c J_c^T)$ [m⁴/rad⁴]", r"$\mathcal{R}$ [–]", r"$\mathcal{S}$ [m⁴/rad⁴]")
     figure = new_figure(4.8)
     for k, (column, label) in enumerate(zip(values, labels, strict=True)):
         ax = figure.add_subplot(1, 3, k + 1, projection="3d")
-        _base_box(ax, sources.model)
-        shown = _scatter(ax, table.columns, c=table[column], cmap=SCORE_MAP)
+        _view(ax, sources.model, table, 0.9)
+        shown = _scatter(ax, table, c=table[column], cmap=SCORE_MAP)
         panel_title(ax, "abc"[k], ("determinant", "reachability", "score")[k])
-        _same_scale(ax, table.columns, 0.9)
         bar = figure.colorbar(shown, ax=ax, label=label, orientation="horizontal", shrink=0.75)
         bar.ax.locator_params(nbins=4)
     best = points[int(values["score_m4prad4"].argmax())]
@@ -109,39 +104,28 @@ def figure_5(sources: Sources) -> Drawing:
 
 def figure_6(sources: Sources) -> Drawing:
     """The hand's reachability: its shells, a cut at the mount's height, and the fit of (9)."""
-    body = sources.data.pairs.mobile[0].b
-    reach_map = load_reach_map(sources.model, body, progress=False)
-    fit, field = fit_reachability(reach_map), ScoreField.of(sources.model, body)
+    reach_map = load_reach_map(sources.model, sources.pair.b, progress=False)
+    fit, field = fit_reachability(reach_map), sources.field
     figure = new_figure(4.2)
     shells = figure.add_subplot(1, 3, 1, projection="3d")
     grid = _Grid(reach_map)
     shell_table = _draw_shells(shells, sources.model, reach_map, grid)
     cut, curve = figure.add_subplot(1, 3, 2), figure.add_subplot(1, 3, 3)
     cut_table = _cut(reach_map, grid)
-    shown = cut.scatter(
-        cut_table["x_m"],
-        cut_table["y_m"],
-        c=cut_table["reachability"],
-        cmap=SCORE_MAP,
-        s=36,
-        marker="s",
-        linewidth=0,
-    )
-    cut.set_aspect("equal")
-    cut.set(xlabel="x of the base [m]", ylabel="y of the base [m]")
+    look: dict[str, Any] = {"cmap": SCORE_MAP, "s": 36, "marker": "s", "linewidth": 0}
+    shown = cut.scatter(cut_table["x_m"], cut_table["y_m"], c=cut_table["reachability"], **look)
+    plan_axes(cut)
     panel_title(cut, "b", "cut at the mount's height")
     figure.colorbar(shown, ax=cut, orientation="horizontal", label="reachability [–]", shrink=0.8)
     profile = radial_profile(reach_map.rho, reach_map.reach)
     rho = profile.rho_m
-    fit_table = Table(
-        {
-            "rho_m": rho,
-            "reachability_mean": profile.mean,
-            "reachability_spread": profile.spread,
-            "fit": fit.at(rho),
-            "paper": field.C - field.A * (rho - field.B) ** 2,
-        }
-    )
+    fit_table = {
+        "rho_m": rho,
+        "reachability_mean": profile.mean,
+        "reachability_spread": profile.spread,
+        "fit": fit.at(rho),
+        "paper": field.C - field.A * (rho - field.B) ** 2,
+    }
     _draw_fit(curve, fit_table, fit.rho_min_m, fit.rho_max_m)
     return Drawing(
         "Figure 6: reachability of the hand",
@@ -179,7 +163,6 @@ class _Grid:
         values[at], inside[at] = reach_map.reach, 1.0
         weight = ndimage.gaussian_filter(inside, _SMOOTH)
         self.values = ndimage.gaussian_filter(values, _SMOOTH) / np.maximum(weight, 1e-6)
-        self.reached = values > 0
 
     def at(self, points: Array) -> Array:
         """(…) reachability at points (…, 3) [m] of the base's frame, zero outside of the map."""
@@ -200,27 +183,19 @@ def _draw_shells(ax: Any, model: RobotModel, reach_map: ReachMap, grid: _Grid) -
         # The outermost place of that level on each ray; the mount where there is none.
         last = len(along) - 1 - (values[::-1] >= level).argmax(axis=0)
         radius = np.where((values >= level).any(axis=0), along[last], np.nan)
-        x, y, z = np.moveaxis(reach_map.p_base + radius[..., None] * rays, -1, 0)
+        places = reach_map.p_base + radius[..., None] * rays
         colour = colormaps[SCORE_MAP](level / PEAK)
-        ax.plot_surface(
-            x, y, z, color=colour, alpha=alpha, linewidth=0, rstride=1, cstride=1, shade=False
-        )
+        look = {"color": colour, "alpha": alpha, "linewidth": 0, "rstride": 1, "cstride": 1}
+        ax.plot_surface(*np.moveaxis(places, -1, 0), shade=False, **look)
         ax.plot([], [], [], "s", color=colour, alpha=alpha, label=f"{level:g}")
-        parts[f"{level:g}"] = _columns(np.column_stack([x.ravel(), y.ravel(), z.ravel()]))
+        parts[f"{level:g}"] = points_table(places.reshape(-1, 3))
     table = stacked(parts, "reachability")
     panel_title(ax, "a", "outer shells, cut open")
     known = np.isfinite(table["x_m"])
-    _base_box(ax, model)
-    _same_scale(ax, {k: table[k][known] for k in ("x_m", "y_m", "z_m")}, 0.9)
+    _view(ax, model, {name: column[known] for name, column in table.items()}, 0.9)
     ax.view_init(16, -68)
-    ax.legend(
-        loc="upper center",
-        bbox_to_anchor=(0.5, 0.02),
-        ncols=3,
-        fontsize=9,
-        handletextpad=0.1,
-        title="reachability [–]",
-    )
+    place = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.02), "ncols": 3}
+    ax.legend(title="reachability [–]", fontsize=9, handletextpad=0.1, **place)
     return table
 
 
@@ -230,7 +205,7 @@ def _cut(reach_map: ReachMap, grid: _Grid) -> Table:
     points = reach_map.points[height < reach_map.spacing_m / 2]
     values = grid.at(points)
     shown = values > 0.02 * PEAK
-    return Table({**_columns(points[shown]), "reachability": values[shown]})
+    return points_table(points[shown], reachability=values[shown])
 
 
 def _draw_fit(ax: Any, table: Table, low: float, high: float) -> None:
@@ -238,13 +213,7 @@ def _draw_fit(ax: Any, table: Table, low: float, high: float) -> None:
     ax.plot(rho, mean, "o", color="#52606D", markersize=4, label="mean over shells")
     inside = (rho >= low) & (rho <= high)
     ax.plot(rho[inside], table["fit"][inside], color=METHOD_COLOURS["dbb"], label="fit of (9)")
-    ax.plot(
-        rho,
-        table["paper"],
-        color=METHOD_COLOURS["repulsive"],
-        linestyle="--",
-        label="the paper's (9)",
-    )
+    ax.plot(rho, table["paper"], "--", color=METHOD_COLOURS["repulsive"], label="the paper's (9)")
     ax.set(xlabel=r"distance from the mount $\rho$ [m]", ylabel="reachability [–]")
     ax.set_ylim(0.0, 1.25 * float(np.nanmax(mean)))
     ax.set_xlim(0.0, None)
@@ -257,34 +226,23 @@ def _some(count: int, rng: np.random.Generator) -> Array:
     return np.sort(rng.choice(count, min(count, _SHOWN), replace=False))
 
 
-def _columns(points: Array) -> dict[str, Array]:
-    return {f"{axis}_m": points[:, i] for i, axis in enumerate("xyz")}
-
-
 def _scatter(ax: Any, points: dict[str, Array], **style: Any) -> PathCollection:
     style = {"s": 2, "linewidth": 0, "depthshade": False, **style}
     return ax.scatter(points["x_m"], points["y_m"], points["z_m"], **style)
 
 
-def _base_box(ax: Any, model: RobotModel) -> None:
-    """The box around l_m."""
-    corners = base_corners(model)
-    faces = [corners[list(face)] for face in _FACES]
-    ax.add_collection3d(
-        Poly3DCollection(faces, facecolor="#CBD2D9", edgecolor="#616E7C", linewidth=0.6, alpha=0.5)
-    )
-
-
-def _same_scale(ax: Any, points: dict[str, Array], zoom: float = 1.0) -> None:
-    """Equal metres on all axes, around the points and the floor's origin."""
-    limits = []
+def _view(ax: Any, model: RobotModel, points: Table, zoom: float) -> None:
+    """The box around l_m; equal metres on all axes, around the points and the floor's origin."""
+    faces = base_corners(model)[list(_FACES)]
+    look: dict[str, Any] = {"facecolor": "#CBD2D9", "edgecolor": "#616E7C", "linewidth": 0.6}
+    ax.add_collection3d(Poly3DCollection(list(faces), **look, alpha=0.5))
+    sides = []
     for axis in "xyz":
-        low, high = float(points[f"{axis}_m"].min()), float(points[f"{axis}_m"].max())
-        limits.append((min(low, 0.0), max(high, 0.0)))
-        getattr(ax, f"set_{axis}lim")(*limits[-1])
+        low, high = min(points[f"{axis}_m"].min(), 0.0), max(points[f"{axis}_m"].max(), 0.0)
+        sides.append(high - low)
+        ax.set(**{f"{axis}lim": (low, high), f"{axis}label": f"{axis} [m]"})
         getattr(ax, f"{axis}axis").set_pane_color((1.0, 1.0, 1.0, 0.0))
-        ax.set(**{f"{axis}label": f"{axis} [m]"})
     ax.locator_params(nbins=3)
     ax.tick_params(labelsize=8, pad=0)
-    ax.set_box_aspect([high - low for low, high in limits], zoom=zoom)
+    ax.set_box_aspect(sides, zoom=zoom)
     ax.view_init(26, 35)

@@ -2,32 +2,73 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from app.studies.drawing import Drawing
+from app.errors import UnknownNameError
 from app.studies.page import Cell, Grid, Part, measured_grids, page_html
-from app.studies.paper.claims import claims_of, judge
+from app.studies.paper import acting, approach, density, offline, refrigerator
+from app.studies.paper.claims import claims_of
+from app.studies.paper.drawing import Drawing
 from app.studies.paper.experiments import (
+    DOOR,
+    DOOR_NONE,
+    FRONT,
+    LATERAL,
     ROBOT,
+    TRACKING,
+    TRACKING_REPULSIVE,
+    WHEEL_AXIS,
     Experiment,
     Sources,
     duration,
     load_sources,
     run_experiments,
 )
-from app.studies.paper.names import FIGURES
+from app.studies.rows import write_json
 from app.studies.style import styled
+from app.system import write_whole
 
+FIGURES: dict[str, tuple[Callable[[Sources], Drawing], tuple[Experiment, ...]]] = {
+    "fig3": (offline.figure_3, ()),
+    "fig5": (offline.figure_5, ()),
+    "fig6": (offline.figure_6, ()),
+    "fig7": (acting.figure_7, (WHEEL_AXIS,)),
+    "fig8": (acting.figure_8, (LATERAL,)),
+    "fig10": (acting.figure_10, ()),
+    "fig11": (approach.figure_11, (TRACKING, TRACKING_REPULSIVE)),
+    "fig12": (approach.figure_12, (TRACKING, TRACKING_REPULSIVE)),
+    "fig13": (approach.figure_13, (LATERAL, FRONT)),
+    "fig14": (approach.figure_14, (LATERAL, FRONT)),
+    "fig15": (approach.figure_15, approach.COMPARED),
+    "fig16": (refrigerator.figure_16, (DOOR,)),
+    "fig17": (refrigerator.figure_17, (DOOR, DOOR_NONE)),
+    "fig18": (refrigerator.figure_18, (DOOR, DOOR_NONE)),
+    "density": (density.figure_density, (LATERAL,)),
+    "continuity": (density.figure_continuity, (LATERAL,)),
+}
+"""What draws each figure, and the experiments that it shows, in the order of the paper."""
 _DRAWING = 5.0  # [s] of simulated time that drawing a figure costs about as much as
+
+
+def chosen(names: Iterable[str]) -> list[str]:
+    """The figures of these names, each once and in the order of the paper; all if none is named.
+
+    Raises:
+        UnknownNameError: Lists those that exist.
+    """
+    asked = set(names)
+    for name in sorted(asked - FIGURES.keys()):
+        raise UnknownNameError("figure", name, FIGURES)
+    return [name for name in FIGURES if name in asked or not asked]
 
 
 def experiments_for(names: Sequence[str]) -> list[Experiment]:
     """What has to be run for these figures and their claims, each once."""
-    needs = [e for name in names for e in FIGURES[name].needs]
+    needs = [e for name in names for e in FIGURES[name][1]]
     needs += [e for claim in claims_of(names) for e in claim.needs]
     return list(dict.fromkeys(needs))
 
@@ -61,28 +102,28 @@ def reproduce(
         DbbError: A run cannot be done.
     """
     begin = perf_counter()
-    experiments = experiments_for(names)
-    loaded = load_sources()
+    experiments, sources = experiments_for(names), load_sources()
     runs = run_experiments(experiments, seed=seed, processes=processes, on_progress=on_progress)
-    sources = Sources(loaded.model, loaded.data, loaded.config, runs)
+    sources = replace(sources, runs=runs)
     figures: dict[str, dict[str, Any]] = {}
     parts, done = [], duration(experiments)
     for name in names:
+        draw, _ = FIGURES[name]
         with styled():
-            drawing = FIGURES[name].draw(sources)
+            drawing = draw(sources)
             files = drawing.write(out, name)
         parts.append(figure_part(name, drawing, files))
         figures[name] = {
             "title": drawing.title,
             "files": [path.name for path in files],
-            "measured": dict(drawing.measured),
+            "measured": drawing.measured,
             "remarks": list(drawing.remarks),
         }
         done += _DRAWING
         on_progress(done)
-    claims = [judge(claim, sources) for claim in claims_of(names)]
+    claims = [claim.judge(sources) for claim in claims_of(names)]
     about = f"Robot {ROBOT}, seed {seed}, {len(runs)} runs."
-    (out / "index.html").write_text(paper_page(parts, claims, about), encoding="utf-8")
+    write_whole(out / "index.html", paper_page(parts, claims, about))
     result = {
         "robot": ROBOT,
         "seed": seed,
@@ -94,17 +135,16 @@ def reproduce(
         "page": "index.html",
         "elapsed_s": perf_counter() - begin,
     }
-    text = json.dumps(result, indent=2, allow_nan=False) + "\n"
-    (out / "metrics.json").write_text(text, encoding="utf-8")
+    write_json(out / "metrics.json", result)
     return result
 
 
 def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], about: str) -> str:
-    """`index.html`: all claims, then all figures.
+    """`index.html`: all figures, then all claims.
 
     Args:
         figures: As `figure_part` makes them.
-        claims: Rows of the table of claims, as `claims.judge` gives them.
+        claims: Rows of the table of claims, as `Claim.judge` gives them.
         about: One sentence about what was run.
     """
     hold = sum(bool(claim["holds"]) for claim in claims)
@@ -113,8 +153,8 @@ def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], abo
         "Reactive Self-Collision Avoidance for a Differentially Driven Mobile Manipulator, in "
         f"simulation. {tally}{about}"
     )
-    first = [_claims_part(claims)] if claims else []
-    return page_html("The paper's experiments, reproduced", lead, [*first, *figures])
+    last = [_claims_part(claims)] if claims else []
+    return page_html("The paper's experiments, reproduced", lead, [*figures, *last])
 
 
 def figure_part(name: str, drawing: Drawing, files: Sequence[Path]) -> Part:
@@ -146,7 +186,7 @@ def _claims_part(claims: Sequence[Mapping[str, Any]]) -> Part:
         for claim in claims
     ]
     head = ("", "The paper says", "Measured here", "Holds")
-    return Part("What the paper claims", tables=[Grid(head, rows)])
+    return Part("What the paper claims", "claims", tables=[Grid(head, rows)])
 
 
 def _limit(limit: Mapping[str, Any]) -> str:

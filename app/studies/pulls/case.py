@@ -1,19 +1,47 @@
-"""One case of a study: all that it takes to run it again, exactly."""
+"""One case of a study: all that it takes to run it again exactly, and its run as a row."""
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import Field, ValidationError
 
 from app.config import Config
-from app.errors import CaseError, ConfigError
+from app.errors import CaseError, ConfigError, DbbError
+from app.simulation.case import FORMAT, RunCase
 from app.simulation.scenarios.line import StartedLine
-from app.strict import Finite, Positive, Strict, Vector3, explain
-from app.studies.pulls.draw_range import PARAMETERS
+from app.strict import Finite, Positive, Strict, Vector3, explain, parsed
+from app.studies.pulls.parameters import PARAMETERS, StudyParameters
+from app.studies.rows import Row, rounded
+
+if TYPE_CHECKING:
+    from app.border.cache import BorderData
+    from app.robot.model import RobotModel
+    from app.simulation.run import RunResult
+
+TIMES = ("step_p50_us", "step_p99_us", "realtime_factor")
+"""Figures of a run that depend on the machine: no study keeps them."""
+COLUMNS = {
+    "speed": "speed_mps",
+    "duration": "duration_s",
+    "moving": "moving",
+    "release_at": "release_at_s",
+    "regrasp_at": "regrasp_at_s",
+    "base_delay": "base_delay_s",
+    "encoder_noise": "encoder_noise_rad",
+    "mass_error": "mass_error",
+    "slip": "slip",
+    "v_max": "v_max_mps",
+    "hand_f_max": "hand_f_max_n",
+    "hand_stiffness": "hand_stiffness_npm",
+    "hand_mass": "hand_mass_kg",
+}
+"""Where a row has what was drawn, by its name in `Case`."""
+_KNOWN = {"scenario", "controller", "robot", "seed", "duration_s", "physics", "stuck", *TIMES}
 
 _KEY = "case"  # under which the file of a failure keeps it, beside its figures
 _FORMER = {"strength", "noise", "delay", "base_speed"}  # fields of cases before hands had springs
@@ -88,6 +116,15 @@ class Case(Strict):
             regrasp_at=self.regrasp_at,
         )
 
+    def differences(self) -> list[str]:
+        """See `RunCase.differences`: a study's case names no version."""
+        return []
+
+    def changes(self, figures: Row) -> list[str]:
+        """See `RunCase.changes`: a study keeps them in its table."""
+        del figures
+        return []
+
     def config(self) -> Config:
         """The parameters: the defaults, but for what the case draws.
 
@@ -100,11 +137,12 @@ class Case(Strict):
         return config
 
 
-def check_no_others(options: Mapping[str, object]) -> None:
+def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
     """Refuse options that a replayed case already answers.
 
     Args:
         options: By their names; None was not given, and a parameter that no case has is fine.
+        case: What names the case.
 
     Raises:
         ConfigError: Names the first that was.
@@ -112,21 +150,23 @@ def check_no_others(options: Mapping[str, object]) -> None:
     for name, value in options.items():
         if value is not None and name not in ("border", "buffer_distance"):
             option = "SCENARIO" if name == "scenario" else f"--{name.replace('_', '-')}"
-            raise ConfigError(f"{option}: --replay-case takes it from its file; leave one of them")
+            raise ConfigError(f"{option}: {case} takes it from its file; leave one of them")
 
 
-def read_case(path: Path) -> Case:
-    """The case of a file: one of a study's `failures`, or a case alone.
+def read_case(path: Path) -> Case | RunCase:
+    """The case of a file: of the page, one of a study's `failures`, or such a case alone.
 
     Raises:
         CaseError: There is no such file, or it holds no case; says what is wrong.
     """
     try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
+        content: Any = parsed(json.loads, path.read_text(encoding="utf-8"))
     except OSError as error:
         raise CaseError(f"cannot read the case {path}: {error.strerror}") from None
     except ValueError as error:
         raise CaseError(f"{path} is no case: not JSON ({error})") from None
+    if isinstance(content, dict) and FORMAT in content:
+        return RunCase.read(content, path)
     if isinstance(content, dict) and _KEY in content:
         content = content[_KEY]
     if isinstance(content, dict) and _FORMER & content.keys():
@@ -138,3 +178,117 @@ def read_case(path: Path) -> Case:
         return Case.model_validate_json(json.dumps(content))
     except ValidationError as error:
         raise CaseError(f"{path} is no case: {explain(error, Case)}") from None
+
+
+def run_case(case: Case, model: RobotModel, data: BorderData) -> RunResult:
+    """The run of a case.
+
+    Raises:
+        DbbError: It cannot be run on this robot.
+    """
+    # Imported here: what reads a case checks it before anything is loaded.
+    from app.simulation.run import run_scenario
+
+    return run_scenario(
+        model,
+        data,
+        case.scenario(),
+        case.config(),
+        controller=case.controller,
+        physics=case.physics,
+        seed=case.seed,
+    )
+
+
+def play_case(case: Case, model: RobotModel, data: BorderData) -> Row:
+    """One row: what was drawn, and what came of it.
+
+    A run that breaks off is a row too: `error` says why, and its figures are missing.
+    """
+    try:
+        result = run_case(case, model, data)
+    except (DbbError, ValueError, ArithmeticError) as error:
+        return {**inputs_of(case), "nan": False, "error": f"{type(error).__name__}: {error}"}
+    figures = flat(result.figures)
+    nan = not (result.trace.finite and all(map(_finite, figures.values())))
+    kept = {key: rounded(value) if _finite(value) else None for key, value in figures.items()}
+    return {**inputs_of(case), **kept, "nan": nan, "error": None}
+
+
+def met_base(row: Row) -> bool:
+    """Whether arm and base met: in the plant, or their convex bodies, which are fatter."""
+    return bool(row.get("contacts")) or _at_most_zero(row.get("min_clearance_m"))
+
+
+def met_itself(row: Row) -> bool:
+    """The same of two bodies of the arm."""
+    return bool(row.get("arm_contacts")) or _at_most_zero(row.get("arm_min_clearance_m"))
+
+
+def entered_buffer(row: Row) -> bool:
+    """Whether the arm came into the buffer of the base."""
+    distance = row.get("min_clearance_m")
+    return distance is not None and distance < Config().border.d_b
+
+
+def failed(row: Row) -> bool:
+    """Whether a case is one to look at: a contact, a QP without solution, a NaN, a broken run."""
+    broken = row["nan"] or row["error"] or row.get("solver_failures")
+    return bool(broken) or met_base(row) or met_itself(row)
+
+
+def inputs_of(case: Case) -> Row:
+    """What was drawn, by columns."""
+    row: Row = {"case": case.number, "kind": case.kind, "redraws": case.redraws, "seed": case.seed}
+    row |= {f"start_{axis}_m": v for axis, v in zip("xyz", case.start, strict=True)}
+    row |= {f"move_{axis}_m": v for axis, v in zip("xyz", case.move, strict=True)}
+    row |= {column: getattr(case, name) for name, column in COLUMNS.items()}
+    return row | {f"q{i}_rad": q for i, q in enumerate(case.q_m, start=1)}
+
+
+def case_of(row: Row, parameters: StudyParameters) -> Case:
+    """The case whose row of a study's table this is; the inverse of `inputs_of`."""
+    joints = sum(f"q{i}_rad" in row for i in range(1, len(row)))
+    return Case(
+        study_seed=parameters.seed,
+        number=row["case"],
+        kind=row["kind"],
+        redraws=row["redraws"],
+        robot=parameters.robot,
+        controller=parameters.controller,
+        physics=parameters.physics,
+        start=(row["start_x_m"], row["start_y_m"], row["start_z_m"]),
+        move=(row["move_x_m"], row["move_y_m"], row["move_z_m"]),
+        seed=row["seed"],
+        q_m=tuple(row[f"q{i}_rad"] for i in range(1, joints + 1)),
+        **{name: row[column] for name, column in COLUMNS.items()},
+    )
+
+
+def flat(figures: Mapping[str, Any]) -> Row:
+    """A run's figures without those of the machine and those that the case has anyway.
+
+    Figures by pair or axis become columns of their own: `min_distance_m` of `lm-lEE` becomes
+    `min_distance_lm-lEE_m`.
+    """
+    row: Row = {}
+    for key, value in figures.items():
+        if key in _KNOWN:
+            continue
+        if isinstance(value, Mapping):
+            row |= {_joined(key, inner): v for inner, v in value.items()}
+        else:
+            row[key] = value
+    return row
+
+
+def _joined(key: str, inner: str) -> str:
+    return f"{key[:-2]}_{inner}_m" if key.endswith("_m") else f"{key}_{inner}"
+
+
+def _at_most_zero(distance: float | None) -> bool:
+    return distance is not None and distance <= 0.0
+
+
+def _finite(value: object) -> bool:
+    return not isinstance(value, float) or math.isfinite(value)

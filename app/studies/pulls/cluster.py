@@ -1,103 +1,87 @@
-"""The processes on which a study runs: some of this machine's, or any running dask scheduler's."""
+"""A study on the workers of a running dask scheduler; without one a pool of processes does it."""
 
 from __future__ import annotations
 
 import logging
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from typing import cast
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import partial
+from typing import Any, TypeVar, cast
 
-from dask import config as dask_config
-from distributed import Client, LocalCluster
+from distributed import Client, as_completed
+from distributed.scheduler import KilledWorker
 
 from app.errors import StudyError
 from app.studies.pulls.parameters import code_digest
 
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
 _PATIENCE = 10.0  # [s] for a scheduler to answer
 _WORKERS_PATIENCE = 30.0  # [s] for one of its workers to be there
-_HOST = "127.0.0.1"
-_CONNECT = "distributed.comm.timeouts.connect"
-_SETTINGS = {
-    "distributed.worker.daemon": True,
-    "distributed.admin.tick.limit": "1h",  # a case holds its worker's thread for seconds
-    "distributed.scheduler.allowed-failures": 3,
-}
 
 
-@contextmanager
-def cluster(scheduler: str | None, processes: int) -> Iterator[Client]:
-    """A client of the given scheduler, or of a cluster on this machine that ends with the `with`.
+class Cluster:
+    """Runs jobs as `app.jobs.pool.Workers` does, on a dask scheduler; use it in a `with`.
 
-    The cluster listens on this machine only, each process has one thread, and numpy's libraries
-    one each too.
-
-    Args:
-        scheduler: Address, as in `tcp://10.0.0.7:8786`, or None.
-        processes: How many on this machine; of no meaning with a scheduler.
-
-    Raises:
-        StudyError: Nobody answers there, it has no workers, or they have another code.
+    The scheduler is not ours to end. `tls://` addresses take their certificates from dask's own
+    configuration.
     """
-    with dask_config.set({**_SETTINGS, _CONNECT: f"{_PATIENCE}s"}), _quiet():
-        if scheduler is None:
-            with _local(processes) as local, Client(local) as client:
-                yield client
-            return
-        client = _connected(scheduler)
+
+    def __init__(self, scheduler: str, make_context: Callable[[], Any]) -> None:
+        """Connect.
+
+        Args:
+            scheduler: Address, as in `tls://10.0.0.7:8786`.
+            make_context: Gives what the jobs share; called for each, so it has to keep it.
+
+        Raises:
+            StudyError: Nobody answers there, it has no workers, or they have another code.
+        """
+        for name in ("distributed", "tornado"):  # their errors reach us anyway
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        self._make_context = make_context
+        self._client = _connected(scheduler)
         try:
-            _check_workers(client, scheduler)
-            yield client
-        finally:
-            client.close()
+            _check_workers(self._client, scheduler)
+        except BaseException:
+            self._client.close()
+            raise
+
+    def __enter__(self) -> Cluster:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._client.close()
+
+    def map(self, function: Callable[[Any, Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
+        """The results of all jobs, in the order in which they end.
+
+        Raises:
+            StudyError: A job takes its worker's process down again and again.
+        """
+        run = partial(_run, function, self._make_context)
+        futures = self._client.map(run, jobs, pure=False)
+        names = {future.key: job for future, job in zip(futures, jobs, strict=True)}
+        for future in as_completed(futures):
+            try:
+                result = future.result()
+            except KilledWorker:
+                name = names[future.key]
+                raise StudyError(f"case {name} ended its worker's process") from None
+            yield result
 
 
-@contextmanager
-def _local(processes: int) -> Iterator[LocalCluster]:
-    with _interrupts_ignored():
-        local = LocalCluster(
-            n_workers=processes,
-            threads_per_worker=1,
-            processes=True,
-            host=_HOST,
-            dashboard_address=f"{_HOST}:0",
-            worker_dashboard_address=f"{_HOST}:0",
-            scheduler_kwargs={"dashboard": False},
-            memory_limit=0,
-            silence_logs=logging.CRITICAL,
-        )
-    try:
-        yield local
-    finally:
-        local.close()
-
-
-@contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Ctrl-C is ignored meanwhile, and for good by the processes that dask's threads start.
-
-    Only the main thread can say so; in others nothing changes.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-def workers_of(client: Client) -> int:
-    """How many workers there are now."""
-    return len(cast(dict[str, int], client.nthreads()))
+def _run(
+    function: Callable[[Any, Job], Result], make_context: Callable[[], Any], job: Job
+) -> Result:
+    return function(make_context(), job)
 
 
 def _connected(scheduler: str) -> Client:
     try:
         return Client(scheduler, timeout=_PATIENCE)
-    except (OSError, TimeoutError, ValueError) as error:
+    except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: no certificates
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise StudyError(
             f"--scheduler: no dask scheduler answers at {scheduler} ({reason}); start one by "
@@ -106,10 +90,11 @@ def _connected(scheduler: str) -> Client:
 
 
 def _check_workers(client: Client, scheduler: str) -> None:
+    """Refuse a cluster without workers, and one whose workers run other code than this process."""
     with suppress(TimeoutError):
         client.wait_for_workers(1, timeout=_WORKERS_PATIENCE)
     try:
-        digests = cast(dict[str, str], client.run(code_digest)) if workers_of(client) else {}
+        digests = cast(dict[str, str], client.run(code_digest)) if client.nthreads() else {}
     except ImportError as error:
         raise StudyError(f"--scheduler: a worker of {scheduler} lacks {error.name}") from None
     if not digests:
@@ -121,17 +106,3 @@ def _check_workers(client: Client, scheduler: str) -> None:
         raise StudyError(
             f"--scheduler: {', '.join(strange)} of {scheduler} runs another version of the code"
         )
-
-
-@contextmanager
-def _quiet() -> Iterator[None]:
-    """Holds back what distributed logs of connections that end: its errors reach us anyway."""
-    loggers = [logging.getLogger(name) for name in ("distributed", "tornado", "bokeh")]
-    before = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    finally:
-        for logger, level in zip(loggers, before, strict=True):
-            logger.setLevel(level)

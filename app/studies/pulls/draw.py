@@ -1,22 +1,51 @@
-"""Drawing a case: the same for the same study and number, whatever else is drawn."""
+"""Drawing a case: the same for the same study and number, whatever else is drawn.
+
+The hand starts on a ray out of the base, in a direction of the whole sphere.
+"""
 
 from __future__ import annotations
 
 import math
+from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
-from app.errors import StudyError
+from app.border.cache import BorderData, load_border_data
+from app.border.mobile import MobileBody
+from app.config import Config
+from app.errors import StudyError, UnreachableError
+from app.robot.assets import load_robot
+from app.robot.model import RobotModel
+from app.robot.state import RobotState, at_rest
+from app.simulation.scenarios.start import StartSolver
 from app.studies.pulls.case import Case
-from app.studies.pulls.draw_range import LOGARITHMIC, PARAMETERS, Interval, StudyRange
-from app.studies.pulls.envelope import Envelope
-from app.studies.pulls.parameters import StudyParameters
-from app.studies.pulls.place import Start, draw_start
-from app.studies.pulls.sources import StudySources
+from app.studies.pulls.parameters import (
+    LOGARITHMIC,
+    PARAMETERS,
+    Interval,
+    StudyParameters,
+    StudyRange,
+)
+from app.studies.sweep.plan import way_out
 
 Array = np.ndarray
 
-_TRIES = 10_000  # values drawn before none is said to lie in the envelope
+SECTORS = ("front", "front corner", "side", "back", "above", "below")
+"""Parts of the sphere of directions from the base to the hand; each is as likely. "above" is
+steeper than 45°, "below" falls by more than 10°, the others are parts of what lies between."""
+
+_TRIES = 600  # places drawn before a case is given up
+_PATIENCE = 60  # of them in one sector
+_SEARCHES = 2  # for a posture, per pitch of the hand; another place is sooner found than a third
+_GAP = 0.22, 0.50  # [m] along the ray, from the base's box to the hand
+_INNER = 0.9  # [-] part of the base's plan that is aimed at
+_STEEP, _FALLING = math.sin(math.radians(45.0)), -math.sin(math.radians(10.0))
+_FRONT, _CORNER, _SIDE = math.radians(30.0), math.radians(60.0), math.radians(120.0)
+_SAMPLES = 4000  # postures by which the reach is measured
+_SIDEWAYS = 0.5  # [-] of a hand's direction beside the way outwards
+_UPWARDS = 0.26  # [-] of a hand's direction above the horizon: the start solver's 15°
+_SHELL = 0.02, 0.98  # quantiles of the hand's distances from the shoulder
 _ALONG = 0.15  # [-] share of the pulls that go along the base
 _ALONG_ANGLE = math.radians(45.0)  # of such a pull towards the base, at most
 _LOWEST = 0.05  # [m] above the floor to which a hand is pulled
@@ -27,30 +56,153 @@ _RELEASE = 0.3, 1.0  # [-] of the time of a pull, when the person lets go
 _APART = 0.1, 0.9  # [-] of the time after the pull, for which the person does not hold the hand
 
 
-def draw_case(
-    parameters: StudyParameters,
-    number: int,
-    sources: StudySources,
-    envelope: Envelope | None = None,
-) -> Case:
+class StudySources(NamedTuple):
+    """What all cases of a study share.
+
+    Attributes:
+        model: The robot.
+        data: Its pairs and clouds.
+        lower, upper: (3,) [m] corners of the mobile robot's box, in its own frame, from the floor.
+        shoulder: (3,) [m] the arm's second joint in the base's frame.
+        near, far: [m] radii of a shell around it, outside of which no start need be searched.
+    """
+
+    model: RobotModel
+    data: BorderData
+    lower: Array
+    upper: Array
+    shoulder: Array
+    near: float
+    far: float
+
+
+class Start(NamedTuple):
+    """Where a case starts, and where the base is from there.
+
+    Attributes:
+        sector: One of `SECTORS`.
+        p: (3,) [m] the hand, in the base's frame.
+        aim: (3,) [m] a point in the base.
+    """
+
+    sector: str
+    p: Array
+    aim: Array
+
+    @property
+    def outwards(self) -> Array:
+        """(3,) unit vector from the aim to the hand."""
+        way = self.p - self.aim
+        return way / np.linalg.norm(way)
+
+
+@cache
+def load_sources(robot: str) -> StudySources:
+    """Once a process.
+
+    Raises:
+        UnknownNameError: No such robot.
+        AssetError: Its URDF or a mesh is not there.
+    """
+    model = RobotModel(load_robot(robot))
+    body = MobileBody(model)
+    lower, data = np.array([*body.lower[:2], 0.0]), load_border_data(model, progress=False)
+    return StudySources(model, data, lower, body.upper, *_measure_reach(model))
+
+
+def draw_start(
+    sources: StudySources, heights: Interval, rng: np.random.Generator
+) -> tuple[Start, Array, int]:
+    """A start, the arm's joints (n_m,) there, and how many places were not reached before.
+
+    Raises:
+        StudyError: The arm reaches none at these heights.
+    """
+    solver = StartSolver(sources.model, sources.data.pairs, Config().border.d_b)
+    sector = ""
+    for redraws in range(_TRIES):
+        if redraws % _PATIENCE == 0:
+            sector = SECTORS[rng.integers(len(SECTORS))]
+        start, seed = place(sector, sources, rng), int(rng.integers(2**32))
+        away = float(np.linalg.norm(start.p - sources.shoulder))
+        if not (heights[0] <= start.p[2] <= heights[1] and sources.near <= away <= sources.far):
+            continue
+        try:
+            x, y, z = start.p.tolist()
+            return start, solver.solve((x, y, z), seed=seed, tries=_SEARCHES), redraws
+        except UnreachableError:
+            continue
+    raise StudyError(
+        f"the arm of {sources.model.description.name} reaches none of {_TRIES} starts with its "
+        f"hand {heights[0]:g} to {heights[1]:g} m above the floor; try other heights"
+    )
+
+
+def place(sector: str, sources: StudySources, rng: np.random.Generator) -> Start:
+    """A random place in that sector, reached or not."""
+    lower, upper = sources.lower, sources.upper
+    middle, half = (lower + upper)[:2] / 2, (upper - lower)[:2] / 2
+    plan = middle + _INNER * half * rng.uniform(-1, 1, 2)
+    aim = np.array([*plan, rng.uniform(_LOWEST, float(upper[2]))])
+    outwards = _direction(sector, rng)
+    way = way_out(aim, outwards, lower, upper) + rng.uniform(*_GAP)
+    return Start(sector, aim + way * outwards, aim)
+
+
+def sector_of(direction: Array) -> str:
+    """The sector of a unit vector (3,) in the base's frame."""
+    x, y, z = direction.tolist()
+    if z > _STEEP:
+        return "above"
+    if z < _FALLING:
+        return "below"
+    azimuth = abs(math.atan2(y, x))
+    edges = (("front", _FRONT), ("front corner", _CORNER), ("side", _SIDE))
+    return next((name for name, edge in edges if azimuth < edge), "back")
+
+
+def _direction(sector: str, rng: np.random.Generator) -> Array:
+    """(3,) a unit vector, uniform over a sector of the sphere."""
+    while True:
+        v = rng.standard_normal(3)
+        v /= np.linalg.norm(v)
+        if sector_of(v) == sector:
+            return v
+
+
+def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
+    """From random postures whose hand points outwards and not up, as the start solver wants it."""
+    state, rng = RobotState(model), np.random.default_rng(0)
+    joint = model.pin.getJointId(model.description.arm.joints[min(1, model.n_m - 1)])
+    ready = np.array(model.description.arm.ready_position)
+    state.update(at_rest(model, ready))
+    shoulder, mount = state.data.oMi[joint].translation.copy(), model.p_base()[:2]
+    distances = []
+    for _ in range(_SAMPLES):
+        q = rng.uniform(model.q_lower, model.q_upper)
+        state.update(at_rest(model, q))
+        p, z = state.T_world_ee.translation, state.T_world_ee.rotation[:, 2]
+        out = (p[:2] - mount) / max(float(np.hypot(*(p[:2] - mount))), 1e-6)
+        sideways = abs(z[1] * out[0] - z[0] * out[1])
+        if sideways < _SIDEWAYS and z[2] < _UPWARDS and z[:2] @ out > 0:
+            distances.append(np.linalg.norm(p - shoulder))
+    near, far = np.quantile(distances, _SHELL) if distances else (0.0, np.inf)
+    return shoulder, float(near), float(far)
+
+
+def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -> Case:
     """The case of that number.
 
     Its random numbers come from a stream of its own, so it depends on the study and its number
     alone, not on who draws it or when. A start that the arm does not reach with all of its pairs
     clear of their buffers is drawn again from the same stream.
 
-    Args:
-        parameters: Of the study.
-        number: From 0.
-        sources: The study's robot.
-        envelope: In which the case has to lie, or None.
-
     Raises:
-        StudyError: The arm reaches no start at that height, or no case lies in the envelope.
+        StudyError: The arm reaches no start at that height.
     """
     rng = np.random.default_rng(np.random.SeedSequence(parameters.seed, spawn_key=(number,)))
     ranges = parameters.ranges
-    drawn = _draw_values(ranges, envelope, rng)
+    drawn = {name: draw_value(name, ranges, rng) for name in ("speed", *PARAMETERS)}
     start, q_m, redraws = draw_start(sources, ranges.height, rng)
     move, along = _draw_move(start, rng)
     move, duration, moving = _timed(move, drawn["speed"], ranges.duration)
@@ -75,27 +227,11 @@ def draw_case(
     )
 
 
-def _draw_values(
-    ranges: StudyRange, envelope: Envelope | None, rng: np.random.Generator
-) -> dict[str, float]:
-    """Speed, person and disturbances, by their names in `Case`."""
-    intervals = {name: getattr(ranges, name) for name in ("speed", *PARAMETERS)}
-    if envelope is not None:
-        intervals = {name: envelope.within(name, each) for name, each in intervals.items()}
-    for _ in range(_TRIES):
-        drawn = {name: _draw(name, each, rng) for name, each in intervals.items()}
-        if envelope is None or envelope.holds(drawn, force=drawn["hand_f_max"]):
-            return drawn
-    raise StudyError(
-        f"none of {_TRIES} cases from these ranges lies in the stated envelope; "
-        "dbb study --help tells how to choose others"
-    )
-
-
-def _draw(name: str, interval: Interval, rng: np.random.Generator) -> float:
+def draw_value(name: str, ranges: StudyRange, rng: np.random.Generator) -> float:
+    """One that changes from case to case, by its name in `Case`."""
+    low, high = getattr(ranges, name)
     if name not in LOGARITHMIC:
-        return float(rng.uniform(*interval))
-    low, high = interval
+        return float(rng.uniform(low, high))
     return float(np.clip(math.exp(rng.uniform(math.log(low), math.log(high))), low, high))
 
 

@@ -11,9 +11,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from app.studies.pulls.case import failed, met_base, met_itself
+from app.studies.pulls.draw import StudySources
 from app.studies.pulls.envelope import FORCE, Envelope
-from app.studies.pulls.play import Row, failed, met_base, met_itself
-from app.studies.pulls.sources import Outline
+from app.studies.rows import Row
 from app.studies.style import INK, SOFT, TARGET, new_figure, png_of, styled
 
 Array = np.ndarray
@@ -25,51 +26,33 @@ _BEYOND = 1.15  # [-] of the largest speed, where the picture ends
 
 
 def draw_all(
-    rows: Sequence[Row], envelope: Envelope, outline: Outline, d_b: float
+    rows: Sequence[Row], envelope: Envelope, sources: StudySources, d_b: float
 ) -> dict[str, bytes]:
-    """All figures as PNG, by their names.
-
-    Args:
-        rows: One a case, by columns of the table; at least one.
-        envelope: Fitted to them, or stated.
-        outline: Of the mobile robot.
-        d_b: [m] buffer distance.
-    """
-    makers: dict[str, Callable[[], Figure]] = {
-        "envelope": lambda: draw_envelope(rows, envelope),
-        "clearance": lambda: draw_clearance(rows, envelope, d_b),
-        "errors": lambda: draw_errors(rows),
-        "places": lambda: draw_places(rows, outline),
-    }
+    """All figures of the cases as PNG, by their names; d_b [m] is the buffer distance."""
     with styled():
-        return {name: png_of(make()) for name, make in makers.items()}
+        figures = {
+            "envelope": draw_envelope(rows, envelope),
+            "clearance": draw_clearance(rows, envelope, d_b),
+            "errors": draw_errors(rows),
+            "places": draw_places(rows, sources),
+        }
+        return {name: png_of(figure) for name, figure in figures.items()}
 
 
 def draw_envelope(rows: Sequence[Row], envelope: Envelope) -> Figure:
-    """Exerted force against speed, one panel a band of the delay; what is inside is shaded."""
-    edges, bands = envelope.base_delay, len(envelope.base_delay) - 1
+    """Exerted force against speed; what is inside is shaded."""
     figure = new_figure(4.6)
-    panels = figure.subplots(1, bands, sharey=True, squeeze=False)[0]
+    axes = figure.subplots()
     known = [row for row in rows if row.get(FORCE) is not None]
-    top = _BEYOND * max([row[FORCE] for row in known] + [v for r in envelope.force for v in r])
-    points = None
-    for j, axes in enumerate(panels):
-        limits = [row[j] for row in envelope.force]
-        axes.stairs(limits, envelope.speed, fill=True, color=_SHADE, zorder=0)
-        axes.stairs(limits, envelope.speed, baseline=None, color=INK, linewidth=2, zorder=3)
-        last = j == bands - 1
-        here = [
-            row
-            for row in known
-            if edges[j] <= row["base_delay_s"] and (last or row["base_delay_s"] < edges[j + 1])
-        ]
-        points = _scatter(axes, here, "speed_mps", FORCE) or points
-        axes.set_title(f"delay of the base {edges[j]:.2f} to {edges[j + 1]:.2f} s")
-        axes.set_xlabel("speed of the person's hand [m/s]")
-        axes.set_xlim(envelope.speed[0] - 0.02, envelope.speed[-1] + 0.02)
-        axes.set_ylim(0.0, top)
-    panels[0].set_ylabel("force exerted until near [N]")
-    _clearance_scale(figure, points, panels)
+    low, high = envelope.speed
+    axes.fill_between((low, high), envelope.force, color=_SHADE, zorder=0)
+    axes.hlines(envelope.force, low, high, color=INK, linewidth=2, zorder=3)
+    points = _scatter(axes, known, "speed_mps", FORCE)
+    axes.set_xlabel("speed of the person's hand [m/s]")
+    axes.set_xlim(low - 0.02, high + 0.02)
+    axes.set_ylabel("force exerted until near [N]")
+    axes.set_ylim(0.0, _BEYOND * max([row[FORCE] for row in known] + [envelope.force, 1.0]))
+    _clearance_scale(figure, points, [axes])
     _legend(figure)
     return figure
 
@@ -119,14 +102,14 @@ def draw_errors(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def draw_places(rows: Sequence[Row], outline: Outline) -> Figure:
+def draw_places(rows: Sequence[Row], sources: StudySources) -> Figure:
     """Starts and pulls in plan, and seen from behind; what failed is red."""
     figure = new_figure(5.6)
     plan, behind = figure.subplots(1, 2, width_ratios=(5, 4))
-    (x, y), (length, width) = outline.lower, outline.upper - outline.lower
+    (x, y, z), (length, width, height) = sources.lower, sources.upper - sources.lower
     views = (
         (plan, "x", "y", Rectangle((x, y), length, width)),
-        (behind, "y", "z", Rectangle((y, 0.0), width, outline.top)),
+        (behind, "y", "z", Rectangle((y, z), width, height)),
     )
     points = None
     for axes, across, up, base in views:

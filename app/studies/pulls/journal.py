@@ -1,16 +1,16 @@
-"""What a study has done so far: one line a case, kept at once, so that nothing is done twice."""
+"""What a study has done: a line a case, kept at once, and the table that they become at the end."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from app.errors import StudyError
-from app.studies.pulls.play import Row
-from app.system import claim
+from app.studies.rows import Row, write_json
+from app.system import claim, write_whole
 
 _LINES, _HEAD = "cases.jsonl", "parameters.json"
 
@@ -40,7 +40,10 @@ class Journal:
         self._folder = folder
         self._file = (folder / _LINES).open("a+b")
         try:
-            self._lock()
+            if not claim(self._file):
+                raise StudyError(
+                    f"--out: another dbb study works in {folder}; wait for it, or choose another"
+                )
             self._claim(identity)
             self._read()
         except BaseException:
@@ -50,12 +53,7 @@ class Journal:
     def __enter__(self) -> Journal:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self._file.close()
 
     def add(self, row: Row) -> None:
@@ -66,12 +64,6 @@ class Journal:
         self._file.flush()
         os.fsync(self._file.fileno())
         self.rows[row["case"]] = row
-
-    def _lock(self) -> None:
-        if not claim(self._file):
-            raise StudyError(
-                f"--out: another dbb study works in {self._folder}; wait for it, or choose another"
-            )
 
     def _claim(self, identity: dict[str, Any]) -> None:
         """Write down which study this is, or see that it is the same."""
@@ -105,22 +97,6 @@ class Journal:
         self._file.truncate(whole)  # it is opened to append: writing goes on at its end
 
 
-def write_json(path: Path, content: object) -> None:
-    """Write a file whole or not at all."""
-    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
-    write_whole(path, text.encode())
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file whole or not at all: whoever reads it never sees half of it."""
-    beside = path.with_name(path.name + ".new")
-    with beside.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
-
-
 def _difference(kept: Any, wanted: dict[str, Any]) -> str:
     """Which parts differ, as in `seed 1, not 2`."""
     if not isinstance(kept, dict):
@@ -137,3 +113,23 @@ def _difference(kept: Any, wanted: dict[str, Any]) -> str:
         else:
             parts.append(f"{key.replace('_', ' ')}: {there}, not {here}")
     return "; ".join(parts)
+
+
+def write_table(path: Path, rows: Sequence[Row]) -> None:
+    """Write the rows, sorted by case, as Parquet; the same rows give the same bytes.
+
+    What a row does not have is null.
+    """
+    # Imported here: it is not needed before all cases are done.
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    ordered = sorted(rows, key=lambda row: row["case"])
+    names = dict.fromkeys(name for row in ordered for name in row)
+    columns = {name: pa.array([row.get(name) for row in ordered]) for name in names}
+    empty = {
+        name: each.cast(pa.float64()) for name, each in columns.items() if each.type == pa.null()
+    }
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table(columns | empty), sink, compression="zstd")
+    write_whole(path, sink.getvalue().to_pybytes())

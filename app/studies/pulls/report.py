@@ -1,24 +1,50 @@
-"""`report.html`: what a study found, on one page that needs nothing else."""
+"""What a study found: its figures in `study.json`, and `report.html`, which needs nothing else."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from app.studies.page import Grid, Part, page_html
-from app.studies.pulls.envelope import Envelope, exerted
-from app.studies.pulls.parameters import StudyParameters
-from app.studies.pulls.play import Row, failed
+import numpy as np
 
+from app.studies.page import Grid, Part, label, page_html
+from app.studies.pulls.case import entered_buffer, failed, met_base, met_itself
+from app.studies.pulls.envelope import Envelope, exerted, fit_envelope, tally, tally_by_halves
+from app.studies.pulls.parameters import StudyParameters
+from app.studies.rows import Row
+
+_FORCES = (0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, math.inf)  # [N] edges of a table
+_SPREAD = (
+    "hand_force_max_n",
+    "hand_force_clear_max_n",
+    "hand_speed_max_mps",
+    "joint_speed_share_max",
+    "base_path_after_release_m",
+    "min_clearance_m",
+    "arm_min_clearance_m",
+    "ee_error_final_m",
+)
+_QUANTILES = (0.0, 0.01, 0.05, 0.5, 0.95, 1.0)
+_FAILURES: dict[str, Callable[[Row], object]] = {
+    "contact": lambda row: row.get("contacts"),
+    "bodies_overlap": met_base,
+    "arm_contact": lambda row: row.get("arm_contacts"),
+    "arm_bodies_overlap": met_itself,
+    "floor_contact": lambda row: row.get("floor_contacts"),
+    "solver_failure": lambda row: row.get("solver_failures"),
+    "nan": lambda row: row["nan"],
+    "error": lambda row: row["error"],
+}
+_EVENTS = {**_FAILURES, "failed": failed, "entered_buffer": entered_buffer}
 _MOST_FAILURES = 200  # rows of the table of failures
 
 _TEXTS = {
     "envelope": (
         "Where safety ends",
-        "Each point is a case. Below the black line lies the envelope that these cases give: in "
-        "each band of speed and delay, 0.9 of the force exerted in the weakest case that failed, "
-        "or came nearer than 10 mm, with no more speed and no more delay.",
+        "Each point is a case. Below the black line lies the envelope that these cases give: 0.9 "
+        "of the force exerted in the weakest case that failed, or came nearer than 10 mm.",
     ),
     "clearance": (
         "How near the arm came to the base",
@@ -59,27 +85,95 @@ _COLUMNS = {
 }
 
 
+def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[str, Any], Envelope]:
+    """Figures of the cases, at least one, and the envelope that fits; keys end in their unit."""
+    stated, fitted = Envelope.stated(), fit_envelope(rows, parameters.ranges)
+    within = [row for row in rows if stated.holds_row(row)]
+    whole = tally(rows)
+    summary = {
+        "cases": len(rows),
+        "failed": whole["failed"],
+        "failed_rate_bound_95": whole["rate_bound_95"],
+        **_counts(rows, *_FAILURES),
+        "redraws": sum(row["redraws"] for row in rows),
+        "entered_buffer_share": sum(map(entered_buffer, rows)) / len(rows),
+        "released": sum(row["release_at_s"] is not None for row in rows),
+        "regrasped": sum(row["regrasp_at_s"] is not None for row in rows),
+        **{column: _quantiles(rows, column) for column in _SPREAD},
+        "by_force": [_of_force(rows, low, high) for low, high in pairwise(_FORCES)],
+        "by_kind": {
+            kind: _of_kind([row for row in rows if row["kind"] == kind])
+            for kind in sorted({row["kind"] for row in rows})
+        },
+        "envelope": {
+            **fitted.model_dump(mode="json"),
+            "inside": tally([row for row in rows if fitted.holds_row(row)]),
+            "inside_by_halves": tally_by_halves(rows, parameters.ranges),
+        },
+        "stated_envelope": {
+            "inside": tally(within),
+            **{f"inside_{key}": value for key, value in _counts(within, *_FAILURES).items()},
+            "outside": tally([row for row in rows if not stated.holds_row(row)]),
+        },
+        "failures": [row["case"] for row in rows if failed(row)],
+    }
+    return summary, fitted
+
+
+def _of_force(rows: Sequence[Row], low: float, high: float) -> dict[str, Any]:
+    """How cases fared by the force [N] that was exerted before two bodies were near."""
+    here = [row for row in rows if low <= exerted(row) < high]
+    counted = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
+    return {
+        "from_n": low,
+        "to_n": high if math.isfinite(high) else None,
+        "cases": len(here),
+        **_counts(here, *counted),
+        "least_clearance_m": min(_known(here, "min_clearance_m"), default=None),
+        "hand_speed_max_mps": max(_known(here, "hand_speed_max_mps"), default=None),
+    }
+
+
+def _of_kind(rows: Sequence[Row]) -> dict[str, Any]:
+    counted = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
+    return {
+        "cases": len(rows),
+        **_counts(rows, *counted),
+        "least_clearance_m": min(_known(rows, "min_clearance_m"), default=None),
+    }
+
+
+def _counts(rows: Sequence[Row], *events: str) -> dict[str, int]:
+    """In how many cases each of these happened; in one it may be several."""
+    return {event: sum(bool(_EVENTS[event](row)) for row in rows) for event in events}
+
+
+def _known(rows: Sequence[Row], column: str) -> list[float]:
+    return [row[column] for row in rows if row.get(column) is not None]
+
+
+def _quantiles(rows: Sequence[Row], column: str) -> dict[str, float] | None:
+    if not (values := _known(rows, column)):
+        return None
+    found = np.quantile(values, _QUANTILES).tolist()
+    return {f"{100 * q:g}_%": value for q, value in zip(_QUANTILES, found, strict=True)}
+
+
 def report_html(
     rows: Sequence[Row],
     parameters: StudyParameters,
     summary: Mapping[str, Any],
+    envelope: Envelope,
     pictures: Mapping[str, bytes],
 ) -> str:
-    """The page.
-
-    Args:
-        rows: One a case.
-        parameters: Of the study.
-        summary: As `summary_of` gives it.
-        pictures: PNG by the name of the figure.
-    """
+    """The page, of what `summary_of` gives and the pictures, PNG by their names."""
     title = f"{summary['cases']:,} random pulls, {parameters.controller}"
     parts = [
         Part(text=_verdict(summary)),
         *(Part(_TEXTS[name][0], name, [_TEXTS[name][1]], png) for name, png in pictures.items()),
-        _envelope(summary),
+        _envelope(envelope),
         _forces(summary),
-        _kinds(summary),
+        _counted("By where the pull comes from", "from", summary["by_kind"]),
         _failures(rows),
     ]
     return page_html(title, _lead(parameters), parts)
@@ -148,47 +242,28 @@ def _stated(stated: Mapping[str, Any]) -> str:
     )
 
 
-def _envelope(summary: Mapping[str, Any]) -> Part:
-    """F* of the fitted envelope and of the stated one, one row a band of speed."""
-    fitted = Envelope.model_validate(
-        {k: v for k, v in summary["envelope"].items() if not k.startswith("inside")}
-    )
-    tables = []
-    for title, envelope in (("these cases", fitted), ("the project states", Envelope.stated())):
-        head = [f"speed [m/s] ({title})"]
-        head += [f"delay {a:.2f} to {b:.2f} s" for a, b in pairwise(envelope.base_delay)]
-        body = [
-            [f"{a:.3g} to {b:.3g}", *map(_number, limits)]
-            for (a, b), limits in zip(pairwise(envelope.speed), envelope.force, strict=True)
-        ]
-        tables.append(Grid(head, body, numbers=True))
-    return Part("F*, the largest force inside [N]", tables=tables)
+def _envelope(fitted: Envelope) -> Part:
+    """The fitted envelope beside the stated one."""
+    both = [fitted.model_dump(), Envelope.stated().model_dump()]
+    body = [[name.replace("_", " "), *(_interval(each[name]) for each in both)] for name in both[0]]
+    grid = Grid(["inside up to [SI units]", "these cases", "the project states"], body, True)
+    return Part("The envelope", tables=[grid])
 
 
 def _forces(summary: Mapping[str, Any]) -> Part:
-    head = [
-        "force until near [N]",
-        "cases",
-        "failed",
-        "in the buffer",
-        "met base",
-        "contact",
-        "within the arm",
-        "least [m]",
-        "fastest hand [m/s]",
-    ]
-    body = []
+    found = {}
     for counts in summary["by_force"]:
-        low, high, *rest = counts.values()
+        low, high, *_ = counts.values()
         name = f"above {low:g}" if high is None else f"{low:g} to {high:g}"
-        body.append([name, *map(_number, rest)])
-    return Part("By the force that was exerted", tables=[Grid(head, body, numbers=True)])
+        found[name] = {key: v for key, v in counts.items() if key not in ("from_n", "to_n")}
+    return _counted("By the force that was exerted", "force until near [N]", found)
 
 
-def _kinds(summary: Mapping[str, Any]) -> Part:
-    head = ["from", "cases", "failed", "met base", "within the arm", "no solution", "least [m]"]
-    body = [[kind, *map(_number, counts.values())] for kind, counts in summary["by_kind"].items()]
-    return Part("By where the pull comes from", tables=[Grid(head, body, numbers=True)])
+def _counted(title: str, what: str, found: Mapping[str, Mapping[str, Any]]) -> Part:
+    """A table of counts, a line for each kind of case."""
+    head = [what, *map(label, next(iter(found.values())))]
+    body = [[name, *map(_number, counts.values())] for name, counts in found.items()]
+    return Part(title, tables=[Grid(head, body, numbers=True)])
 
 
 def _failures(rows: Sequence[Row]) -> Part:
@@ -199,8 +274,8 @@ def _failures(rows: Sequence[Row]) -> Part:
     body = [[_number(row.get(name)) for name in _COLUMNS] for row in bad[:_MOST_FAILURES]]
     more = f" The weakest {_MOST_FAILURES} of {len(bad)}." if len(bad) > _MOST_FAILURES else ""
     text = (
-        f"Weakest first.{more} `dbb run --replay-case failures/case-NNNNN.json` plays one again, "
-        "`dbb serve --replay-case` shows it."
+        f"Weakest first.{more} `dbb run --case failures/case-NNNNN.json` plays one again, "
+        "`dbb serve --case` shows it."
     )
     grid = Grid(list(_COLUMNS.values()), body, numbers=True)
     return Part("How it fails", text=[text], tables=[grid])
@@ -210,6 +285,10 @@ def _number(value: Any) -> str:
     if value is None:
         return "–"
     return f"{value:.3g}".replace("-", "−") if isinstance(value, float) else str(value)
+
+
+def _interval(value: Any) -> str:
+    return " to ".join(map(_number, value)) if isinstance(value, tuple) else _number(value)
 
 
 def _percent(rate: float) -> str:

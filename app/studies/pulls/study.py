@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from app.config import Config
 from app.errors import StudyError
-from app.studies.pulls.cluster import cluster
+from app.jobs.pool import Workers
+from app.studies.pulls.case import case_of, failed, play_case
+from app.studies.pulls.draw import StudySources, draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
-from app.studies.pulls.journal import Journal, write_json, write_whole
+from app.studies.pulls.journal import Journal, write_table
 from app.studies.pulls.parameters import StudyParameters, code_digest
-from app.studies.pulls.play import Row, case_of, failed
-from app.studies.pulls.rollouts import rollouts
-from app.studies.pulls.sources import load_sources
-from app.studies.pulls.summary import summary_of
+from app.studies.rows import Row, write_json
+from app.system import write_whole
+
+_AT_ONCE = 1000  # cases given to the workers together: each waiting one takes memory
 
 
 def study(
@@ -41,48 +44,73 @@ def study(
         What `study.json` holds.
 
     Raises:
-        StudyError: The folder holds another study, or the scheduler is not there.
+        StudyError: The folder holds another study, the scheduler is not there, or nothing of what
+            is asked for lies inside of the stated envelope.
         DbbError: The robot cannot be loaded, or no case can be drawn.
     """
+    if parameters.inside:
+        inside = Envelope.stated().narrowed(parameters.ranges)
+        parameters = parameters.model_copy(update={"ranges": inside})
     with Journal(out, identity_of(parameters)) as journal:
         todo = [number for number in range(cases) if number not in journal.rows]
         on_progress(cases - len(todo))
         if todo:
-            load_sources(parameters.robot)  # a border that must be sampled is sampled once
-            with cluster(scheduler, min(processes, len(todo))) as client:
-                for done, row in enumerate(rollouts(client, parameters, todo), start=1):
-                    journal.add(row)
-                    on_progress(cases - len(todo) + done)
+            _do(todo, parameters, scheduler, processes, journal, on_progress)
         rows = [journal.rows[number] for number in range(cases)]
         return _write(rows, parameters, out)
 
 
 def identity_of(parameters: StudyParameters) -> dict[str, Any]:
     """What a folder's study is recognised by."""
-    identity = {**parameters.model_dump(mode="json"), "code": code_digest()}
-    if parameters.inside:
-        identity["envelope"] = Envelope.stated().model_dump(mode="json")
-    return identity
+    return {**parameters.model_dump(mode="json"), "code": code_digest()}
+
+
+def _do(
+    todo: Sequence[int],
+    parameters: StudyParameters,
+    scheduler: str | None,
+    processes: int,
+    journal: Journal,
+    on_progress: Callable[[float], None],
+) -> None:
+    """Play the cases of these numbers, each kept in the journal as soon as it is back."""
+    load = partial(load_sources, parameters.robot)
+    load()  # a border that must be sampled is sampled once
+    if scheduler is None:
+        workers = Workers(load, min(processes, len(todo)))
+    else:
+        # Imported here: nothing of dask is needed, and no port is opened, unless it is asked for.
+        from app.studies.pulls.cluster import Cluster
+
+        workers = Cluster(scheduler, load)
+    kept = len(journal.rows)
+    with workers:
+        for begin in range(0, len(todo), _AT_ONCE):
+            for row in workers.map(partial(_row, parameters), todo[begin : begin + _AT_ONCE]):
+                journal.add(row)
+                kept += 1
+                on_progress(kept)
+
+
+def _row(parameters: StudyParameters, sources: StudySources, number: int) -> Row:
+    """Draw a case and play it."""
+    case = draw_case(parameters, number, sources)
+    return play_case(case, sources.model, sources.data)
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
     # Imported here: matplotlib is not needed before all cases are done.
     from app.studies.pulls.figures import draw_all
-    from app.studies.pulls.report import report_html
-    from app.studies.pulls.table import write_table
+    from app.studies.pulls.report import report_html, summary_of
 
-    summary = summary_of(rows, parameters)
-    fitted = {k: v for k, v in summary["envelope"].items() if not k.startswith("inside")}
-    outline = load_sources(parameters.robot).outline
-    envelope = Envelope.model_validate(fitted)
-    pictures = draw_all(rows, envelope, outline, Config().border.d_b)
+    summary, envelope = summary_of(rows, parameters)
+    pictures = draw_all(rows, envelope, load_sources(parameters.robot), Config().border.d_b)
     write_table(out / "results.parquet", rows)
     _write_failures(rows, parameters, out / "failures")
     for name, png in pictures.items():
         write_whole(out / f"{name}.png", png)
-    page = report_html(rows, parameters, summary, pictures)
-    write_whole(out / "report.html", page.encode())
-    result = {"parameters": identity_of(parameters), **summary}
+    page = report_html(rows, parameters, summary, envelope, pictures)
+    write_whole(out / "report.html", page)
     source = {
         "seed": parameters.seed,
         "controller": parameters.controller,
@@ -90,16 +118,13 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
         "code": code_digest(),
         "cases": len(rows),
         "failed": summary["failed"],
-        **_told("inside", summary["envelope"]["inside"]),
-        **_told("inside_by_halves", summary["envelope"]["inside_by_halves"]),
     }
-    write_whole(out / "envelope.toml", as_toml(envelope, source).encode())
+    for name in ("inside", "inside_by_halves"):
+        source |= {f"{name}_{key}": value for key, value in summary["envelope"][name].items()}
+    write_whole(out / "envelope.toml", as_toml(envelope, source))
+    result = {"parameters": identity_of(parameters), **summary}
     write_json(out / "study.json", result)
     return result
-
-
-def _told(name: str, counted: dict[str, Any]) -> dict[str, Any]:
-    return {f"{name}_{key}": value for key, value in counted.items()}
 
 
 def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) -> None:
@@ -108,13 +133,12 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise StudyError(f"--out: cannot write to {folder}: {error.strerror}") from None
-    names = set()
+    kept = set()
     for row in filter(failed, rows):
         case = case_of(row, parameters)
-        names.add(f"{case.name}.json")
+        kept.add(folder / f"{case.name}.json")
         write_json(
             folder / f"{case.name}.json", {"case": case.model_dump(mode="json"), "figures": row}
         )
-    for path in folder.glob("case-*.json"):
-        if path.name not in names:
-            path.unlink()
+    for path in set(folder.glob("case-*.json")) - kept:
+        path.unlink()

@@ -1,24 +1,344 @@
-"""The maps that sweeps have left in a folder."""
+"""The pictures of a sweep: around the base or on it, how the paths from each side ended."""
 
 from __future__ import annotations
 
-from pathlib import Path
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
 
-import numpy as np
+from matplotlib import colormaps, patheffects
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize, PowerNorm
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Patch, Polygon, Rectangle, Wedge
 
-Array = np.ndarray
+from app.border.mobile import MobileBody
+from app.robot.model import RobotModel
+from app.studies.rows import Row
+from app.studies.style import INK, METHOD_NAMES, SOFT, TARGET, new_figure
+from app.studies.sweep.sweep import CLEARANCE_LIMIT, ERROR_LIMIT
+
+Colour = tuple[float, float, float, float]
+
+_GOOD, _BAD = colormaps["Blues"], colormaps["YlOrRd"]
+_PALE, _DEEP = 0.45, 0.95  # [-] of a colour map
+_WITHIN, _BEYOND = "#2171B5", "#FC4E2A"  # of the legend
+_NEVER: dict[str, Any] = {"facecolor": "white", "edgecolor": "#B10026", "hatch": "////"}
+_UNREACHABLE: dict[str, Any] = {"facecolor": "white", "edgecolor": "#D5DAE0", "hatch": "////"}
+_INNER, _OUTER = 0.80, 1.60  # [-] radii between which the bars stand; the footprint is within
+_LEAST = 0.06  # [-] length of a bar for a value at the scale's begin
+_AXIS_RADIUS, _AXIS_STEP = 1.78, 4.5  # [-] and [deg] of the dots of paths along the wheel axis
+_AXIS_ORDER = {0.0: 0, 0.001: 1, 0.010: 2, 0.050: 3}  # of the dots, by p_b's place [m]
+_EDGE = 2.15  # [-] half width of a panel
+_PANEL = 3.35  # [in] side of a panel
+_MARKS_FROM, _MARKS_STEP = 158.0, 22.0  # [deg] where the texts of the scale stand: behind the base
+_DASHED, _DOTTED = (0, (4, 2)), (0, (1, 2))
 
 
-def newest_map(folder: Path) -> Path | None:
-    """The picture of the newest sweep from the side in a folder, or None."""
-    found = list(folder.glob("sweep_h*_v*.png")) if folder.is_dir() else []
-    return max(found, key=lambda path: (path.stat().st_mtime_ns, path.name), default=None)
+class Quantity(NamedTuple):
+    """One row of the maps.
+
+    Attributes:
+        key: Of a path's figures.
+        title: For people, with its unit.
+        scale: Of values [m or s] within its ends.
+        limit: [m or s] between good and bad, or None.
+        marks: Values with their texts, where circles are drawn.
+        more_is_better: Which side of the limit is good.
+    """
+
+    key: str
+    title: str
+    scale: Normalize
+    limit: float | None
+    marks: tuple[tuple[float, str], ...]
+    more_is_better: bool = False
+
+    def share(self, value: float) -> float:
+        """[-] where a value stands on the scale, within 0 and 1."""
+        return float(self.scale(value))
+
+    def length(self, value: float) -> float:
+        """[-] of a bar; where more is better, one that lacks it reaches to the limit in red."""
+        lacks = self.limit is not None and self.more_is_better and value < self.limit
+        return self.share(self.limit if lacks and self.limit is not None else value)
+
+    def good(self, value: float) -> bool:
+        """Whether a value is on the good side of the limit."""
+        if self.limit is None:
+            return True
+        return value >= self.limit if self.more_is_better else value <= self.limit
+
+    def colour(self, value: float) -> Colour:
+        """Blue if good, yellow to red if bad; the deeper, the farther from the limit."""
+        at, limit = self.share(value), self.share(self.limit) if self.limit else 1.0
+        good = self.good(value)
+        room = limit if good is not self.more_is_better else 1.0 - limit
+        depth = abs(at - limit) / room if room > 0.0 else 0.0
+        return (_GOOD if good else _BAD)(_PALE + (_DEEP - _PALE) * min(depth, 1.0))
 
 
-def read_map(path: Path) -> Array:
-    """(H, W, 3) the picture's pixels, 0 to 255."""
-    # Imported here: matplotlib would make the dashboard start later.
-    from matplotlib.image import imread
+def quantities(rows: list[Row]) -> tuple[Quantity, ...]:
+    """Final error, least clearance and time, with scales that hold these paths."""
+    times = [row["time_s"] for row in rows if row["time_s"] is not None]
+    longest = 5.0 * math.ceil(max(times, default=5.0) / 5.0)
+    widest = 0.05 * math.ceil(max((row["start_clearance_m"] for row in rows), default=0.2) / 0.05)
+    return (
+        Quantity(
+            "ee_error_final_m",
+            "final error of the hand",
+            LogNorm(1e-6, 0.3, clip=True),
+            ERROR_LIMIT,
+            ((1e-5, "10 µm"), (ERROR_LIMIT, "1 mm"), (0.1, "100 mm")),
+        ),
+        Quantity(
+            "min_clearance_m",
+            "least distance to the base",
+            PowerNorm(0.5, 0.0, widest, clip=True),
+            CLEARANCE_LIMIT,
+            (
+                (CLEARANCE_LIMIT, f"{CLEARANCE_LIMIT:g} m"),
+                (widest / 2, f"{widest / 2:.3g} m"),
+                (widest, f"{widest:.3g} m"),
+            ),
+            more_is_better=True,
+        ),
+        Quantity(
+            "time_s",
+            "time until within 1 mm",
+            Normalize(0.0, longest, clip=True),
+            None,
+            ((longest / 2, f"{longest / 2:g} s"), (longest, f"{longest:g} s")),
+        ),
+    )
 
-    pixels = imread(path)[..., :3]
-    return np.round(255.0 * pixels).astype(np.uint8)
+
+def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Figure:
+    """One figure: a column per controller; final error, least clearance and time below each other.
+
+    A single controller has them side by side. Shown are the paths at a height [m] and a speed [m/s]
+    of what `sweep` gave.
+    """
+    paths, axis = (
+        [r for r in result[key] if r["height_m"] == height and r["speed_mps"] == speed]
+        for key in ("paths", "wheel_axis")
+    )
+    closed = [row for row in result["unreachable"] if row.get("height_m") == height]
+    title = (
+        f"sweep, {result['mode']}: hand at {height:g} m, {1000 * speed:.3g} mm/s on its way, "
+        f"{result['length_m']:g} m towards the base"
+    )
+    figure, panels = _panels(title, result["controllers"], [*paths, *axis], _PANEL)
+    for ax, name, quantity in panels:
+        _scale(ax, quantity)
+        _base(ax, model, 0.07, (-1.7, 1.7), facecolor="#EEF1F4")
+        _directions(ax, MobileBody(model).upper[0])
+        for row in paths:
+            if row["controller"] == name:
+                _bar(ax, row, quantity, result["step_deg"])
+        for row in axis:
+            if row["controller"] == name:
+                value = row[quantity.key]
+                face = _NEVER["edgecolor"] if value is None else quantity.colour(value)
+                _dot(ax, row, face, INK)
+        for row in closed:
+            if row["kind"] == "side":
+                _wedge(ax, row["direction_deg"], result["step_deg"], zorder=1, **_UNREACHABLE)
+            else:
+                _dot(ax, row, "white", SOFT)
+    _legend(figure, axis=bool(axis) or any(row["kind"] == "wheel_axis" for row in closed))
+    return figure
+
+
+def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
+    """One figure: the base in plan, a square per place; panels as in the polar map."""
+    rows = [row for row in result["above"] if row["speed_mps"] == speed]
+    closed = [row for row in result["unreachable"] if row["kind"] == "above"]
+    sides = [_least_step([*rows, *closed], key) for key in ("place_x_m", "place_y_m")]
+    body = MobileBody(model)
+    lower, upper = body.lower, body.upper
+    title = (
+        f"sweep from above, {result['mode']}: {1000 * speed:.3g} mm/s, "
+        f"{result['length_m']:g} m down"
+    )
+
+    def square(ax: Axes, row: Row, **style: Any) -> None:
+        corner = row["place_x_m"] - sides[0] / 2, row["place_y_m"] - sides[1] / 2
+        ax.add_patch(Rectangle(corner, *sides, linewidth=0.8, zorder=2, **style))
+
+    figure, panels = _panels(title, result["controllers"], rows, 2.6)
+    for ax, name, quantity in panels:
+        ax.set_aspect("equal")
+        _base(ax, model, 0.05, (lower[1] - 0.1, upper[1] + 0.1), fill=False)
+        ax.set(xlabel="x of the base [m]", ylabel="y of the base [m]")
+        ax.set(xlim=(lower[0] - 0.15, upper[0] + 0.15), ylim=(lower[1] - 0.15, upper[1] + 0.15))
+        for row in closed:
+            square(ax, row, **_UNREACHABLE)
+        for row in rows:
+            if row["controller"] == name:
+                if (value := row[quantity.key]) is None:
+                    square(ax, row, **_NEVER)
+                else:
+                    square(ax, row, facecolor=quantity.colour(value), edgecolor="white")
+                _cross(ax, row, (row["place_x_m"], row["place_y_m"]), 6)
+    _legend(figure, axis=False)
+    return figure
+
+
+def _panels(
+    title: str, names: list[str], rows: list[Row], panel: float
+) -> tuple[Figure, list[tuple[Axes, str, Quantity]]]:
+    """A figure for these controllers, and each panel with its controller and quantity.
+
+    Args:
+        title: Of the whole.
+        names: Of the controllers.
+        rows: All paths shown, which the scales hold.
+        panel: [in] height of a panel.
+    """
+    single, shown = len(names) == 1, quantities(rows)
+    labels = [METHOD_NAMES.get(name, name) for name in names]
+    wide, high = (3, 1) if single else (len(names), 3)
+    figure = new_figure(panel * high + 1.3, max(_PANEL * wide, 7.4))
+    title = f"{labels[0]}: {title}" if single else title
+    figure.suptitle(title[0].upper() + title[1:], x=0.01, ha="left", fontsize=13)
+    grid = figure.subplots(high, wide, squeeze=False)
+    panels = []
+    for i, quantity in enumerate(shown):
+        for j, (name, label) in enumerate(zip(names, labels, strict=True)):
+            ax, text = (grid[0, i] if single else grid[i, j]), quantity.title
+            if single:
+                text = f"{text}\n{label}"
+            elif i == 0:
+                text = f"{label}\n{text}"
+            ax.set_title(text, fontsize=11)
+            panels.append((ax, name, quantity))
+    return figure, panels
+
+
+def _legend(figure: Figure, *, axis: bool) -> None:
+    """What the colours mean, below all panels."""
+    handles: list[Patch | Line2D] = [
+        Patch(facecolor=_WITHIN, label="within the limit"),
+        Patch(facecolor=_BEYOND, label="beyond the limit"),
+        Patch(**_NEVER, label="never within 1 mm"),
+        Patch(**_UNREACHABLE, label="no clear start"),
+        Line2D([], [], color=INK, marker="x", linestyle="none", label="contact"),
+    ]
+    if axis:
+        label = "along the wheel axis, $p_b$ at 0, ±1, ±10, ±50 mm"
+        dot = Line2D([], [], color=_WITHIN, marker="o", markeredgecolor=INK, linestyle="none")
+        dot.set_label(label)
+        handles.append(dot)
+    figure.legend(handles=handles, loc="outside lower center", ncols=3, fontsize=9.5)
+
+
+def _base(
+    ax: Axes, model: RobotModel, mount: float, axis: tuple[float, float], **style: Any
+) -> None:
+    """Its outline, the wheel axis from one y to another, and the arm's mount of a radius [m]."""
+    body, (x, y, _) = MobileBody(model), model.p_base()
+    (left, low, _), (width, height, _) = body.lower, body.upper - body.lower
+    line = {"edgecolor": INK, "linewidth": 1.2, "zorder": 3}
+    ax.add_patch(Rectangle((left, low), width, height, **line, **style))
+    ax.plot([0, 0], axis, color=INK, linewidth=0.9, linestyle=_DOTTED, zorder=5)
+    ax.add_patch(Circle((x, y), mount, color=SOFT, zorder=4))
+
+
+def _scale(ax: Axes, quantity: Quantity) -> None:
+    """Circles at the marks of a quantity, its limit dashed."""
+    ax.set_aspect("equal")
+    ax.set_axis_off()
+    ax.set(xlim=(-_EDGE, _EDGE), ylim=(-_EDGE, _EDGE))
+    ax.add_patch(Circle((0, 0), _OUTER, fill=False, color=SOFT, linewidth=0.5, zorder=4))
+    for k, (value, text) in enumerate(quantity.marks):
+        limit = value == quantity.limit
+        line: dict[str, Any] = {"color": SOFT, "linewidth": 0.7}
+        if limit:
+            line = {"color": TARGET, "linewidth": 1.4, "linestyle": _DASHED}
+        radius = _INNER + (_OUTER - _INNER) * quantity.share(value)
+        ax.add_patch(Circle((0, 0), radius, fill=False, zorder=4, **line))
+        halo = patheffects.withStroke(linewidth=2.5, foreground="white")
+        colour, place = TARGET if limit else "#52606D", _at(radius, _MARKS_FROM + _MARKS_STEP * k)
+        _text(ax, text, place, fontsize=7.5, color=colour, zorder=8, path_effects=[halo])
+
+
+def _directions(ax: Axes, tip: float) -> None:
+    """The base's nose at x = `tip` [m], and the directions around it."""
+    nose = [(tip, 0.09), (tip + 0.12, 0.0), (tip, -0.09)]
+    ax.add_patch(Polygon(nose, closed=True, color=INK, zorder=4))
+    for degrees, text, turn in (
+        (0, "0° front", -90),
+        (90, "90°", 0),
+        (180, "180°", 90),
+        (270, "270°", 0),
+    ):
+        place = _at(2.02 if degrees % 180 else 1.86, degrees)
+        _text(ax, text, place, fontsize=8.5, color=INK, rotation=turn)
+
+
+def _bar(ax: Axes, row: Row, quantity: Quantity, step: float) -> None:
+    value, middle = row[quantity.key], row["direction_deg"]
+    if value is None:
+        _wedge(ax, middle, 0.92 * step, linewidth=0.6, zorder=2, **_NEVER)
+    else:
+        radius = _INNER + (_OUTER - _INNER) * max(quantity.length(value), _LEAST)
+        style = {"facecolor": quantity.colour(value), "zorder": 2}
+        _wedge(ax, middle, 0.92 * step, radius, **style)
+    _cross(ax, row, _at(0.72, middle), 4.5)
+
+
+def _wedge(
+    ax: Axes,
+    middle: float,
+    width: float,
+    radius: float = _OUTER,
+    *,
+    linewidth: float = 0.0,
+    **style: Any,
+) -> None:
+    """From the inner circle outwards, around a direction [deg]."""
+    ends = middle - width / 2, middle + width / 2
+    wedge = Wedge((0, 0), radius, *ends, width=radius - _INNER, linewidth=linewidth, **style)
+    ax.add_patch(wedge)
+
+
+def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
+    """A path along the wheel axis; in the order of p_b's place, not to scale."""
+    rank = math.copysign(_AXIS_ORDER[abs(row["offset_m"])], row["offset_m"])
+    turn = -rank if row["direction_deg"] < 180.0 else rank  # positive x is to the right
+    angle = row["direction_deg"] + _AXIS_STEP * turn
+    ax.plot(
+        *_at(_AXIS_RADIUS, angle),
+        marker="o",
+        markersize=6.5,
+        markerfacecolor=face,
+        markeredgecolor=edge,
+        markeredgewidth=0.8,
+        linestyle="none",
+        zorder=6,
+    )
+    _cross(ax, row, _at(1.9, angle), 4)
+
+
+def _cross(ax: Axes, row: Row, place: tuple[float, float], size: float) -> None:
+    """Where something touched."""
+    if row.get("contacts") or row.get("arm_contacts"):
+        ax.plot(*place, marker="x", color=INK, markersize=size, zorder=7)
+
+
+def _text(ax: Axes, text: str, place: tuple[float, float], **style: Any) -> None:
+    ax.annotate(text, place, ha="center", va="center", **style)
+
+
+def _at(radius: float, degrees: float) -> tuple[float, float]:
+    angle = math.radians(degrees)
+    return radius * math.cos(angle), radius * math.sin(angle)
+
+
+def _least_step(rows: Sequence[Row], key: str) -> float:
+    """[m] between two places along an axis."""
+    values = sorted({float(row[key]) for row in rows})
+    return min((b - a for a, b in pairwise(values)), default=1.0)

@@ -1,13 +1,16 @@
-"""What a sweep is to do: which paths, how fast, with which controllers and parameters."""
+"""What a sweep is to do: which straight hand paths towards the base, how fast, and with what."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
+import numpy as np
+
 from app.config import Config
-from app.control.names import CONTROLLERS
+from app.control import CONTROLLERS
 from app.errors import ConfigError, UnknownNameError
 from app.simulation.plants.choice import chosen_plant, default_plant
 from app.simulation.scenarios.line import StartedLine
@@ -15,17 +18,20 @@ from app.strict import check_range
 
 if TYPE_CHECKING:
     from app.robot.model import RobotModel
-    from app.studies.sweep.paths import Approach
-    from app.studies.sweep.paths_start import Start
+    from app.studies.sweep.starts import Start
 
+Array = np.ndarray
 Mode = Literal["tracking", "guiding"]
+Kind = Literal["side", "wheel_axis", "above"]
+
+KINDS: tuple[Kind, ...] = ("side", "wheel_axis", "above")
+AXIS_OFFSETS = (0.0, 0.001, -0.001, 0.010, -0.010, 0.050, -0.050)
+"""[m] x of p_b on the paths along the wheel axis."""
 
 CLEAR = 0.02
 """[m] beyond the buffer at which the arm starts, if nothing else is asked."""
 MORE_THAN_BUFFER = 0.005
 """[m] what a start needs beyond the buffer at least."""
-
-
 _RANGES = {
     "heights": (0.02, 2.0, "m"),
     "speeds": (0.001, 1.0, "m/s"),
@@ -37,6 +43,89 @@ _RANGES = {
 _FARTHEST = 0.5  # [m] a start from the base
 OPTIONS = {"controllers": "controller", "heights": "height", "speeds": "speed"}
 """Options of `dbb sweep` that are called otherwise than the field that they set."""
+
+
+@dataclass(frozen=True)
+class Approach:
+    """One straight path of the hand towards the base, which stands at the origin facing +x.
+
+    Attributes:
+        kind: Along a ray to the base's centre at one height, parallel to the wheel axis, or down.
+        height: [m] of the hand's origin; for paths from above nothing.
+        direction_deg: [deg] where the hand comes from, counter-clockwise from the front.
+        offset: [m] x of the closest point p_b at the begin, on the paths along the wheel axis.
+        place: [m] x and y of the hand's origin, on the paths from above.
+    """
+
+    kind: Kind
+    height: float = 0.0
+    direction_deg: float = 0.0
+    offset: float = 0.0
+    place: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def inwards(self) -> Array:
+        """(3,) unit vector along which the hand is led."""
+        if self.kind == "above":
+            return np.array([0.0, 0.0, -1.0])
+        if self.kind == "wheel_axis":
+            return np.array([0.0, -1.0 if self.direction_deg < 180.0 else 1.0, 0.0])
+        angle = math.radians(self.direction_deg)
+        return np.array([-math.cos(angle), -math.sin(angle), 0.0])
+
+    @property
+    def name(self) -> str:
+        """As in `from 35°, height 0.3 m`."""
+        if self.kind == "above":
+            return "from above at ({:g}, {:g}) m".format(*self.place)
+        text = f"from {self.direction_deg:g}°, height {self.height:g} m"
+        if self.kind == "wheel_axis":
+            text += f", p_b at x = {1000 * self.offset:g} mm"
+        return text
+
+    def where(self) -> dict[str, object]:
+        """What tells it from others of its kind; keys end in their unit."""
+        if self.kind == "above":
+            return {"place_x_m": self.place[0], "place_y_m": self.place[1]}
+        found: dict[str, object] = {"height_m": self.height, "direction_deg": self.direction_deg}
+        return found | ({"offset_m": self.offset} if self.kind == "wheel_axis" else {})
+
+
+def ring(heights: Sequence[float], step: float) -> Iterator[Approach]:
+    """Paths from all around, every `step` [deg], at each height [m]."""
+    for height in heights:
+        for k in range(round(360.0 / step)):
+            yield Approach("side", height, k * step)
+
+
+def wheel_axis(heights: Sequence[float]) -> Iterator[Approach]:
+    """Paths along the wheel axis and beside it, from the left and from the right."""
+    for height in heights:
+        for direction in (90.0, 270.0):
+            for offset in AXIS_OFFSETS:
+                yield Approach("wheel_axis", height, direction, offset)
+
+
+def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]:
+    """Paths down onto the base, over a grid on its footprint that includes its rim.
+
+    Args:
+        lower: (2,) [m] corner of the footprint.
+        upper: (2,) [m] the opposite corner.
+        spacing: [m] at most, between two places of the grid.
+    """
+    counts = np.maximum(np.ceil((upper - lower) / spacing - 1e-9).astype(int), 1) + 1
+    xs, ys = (np.linspace(a, b, n) for a, b, n in zip(lower[:2], upper[:2], counts, strict=True))
+    for x in xs:
+        for y in ys:
+            yield Approach("above", place=(round(float(x), 6), round(float(y), 6)))
+
+
+def way_out(p: Array, direction: Array, lower: Array, upper: Array) -> float:
+    """[m] from a point within a box, (2,) or (3,), along a direction to where the ray leaves it."""
+    with np.errstate(divide="ignore", over="ignore"):
+        ways = np.where(direction > 0.0, upper - p, lower - p) / direction
+    return float(np.min(np.where(direction == 0.0, np.inf, ways)))
 
 
 @dataclass(frozen=True)
@@ -110,7 +199,6 @@ class SweepPlan:
         """All paths, each once for all speeds and controllers."""
         # Imported here, so that a plan is checked at once.
         from app.border.mobile import MobileBody
-        from app.studies.sweep.paths import from_above, ring, wheel_axis
 
         found = list(ring(self.heights, self.step))
         if self.wheel_axis:

@@ -3,33 +3,67 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from itertools import groupby
 from time import perf_counter
+from typing import Any, NamedTuple
 
-from app.border.cache import load_border_data
+import numpy as np
+
+from app.border.cache import BorderData, load_border_data
 from app.jobs.pool import Workers
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
-from app.simulation.run import run_scenario
+from app.simulation.run import RunResult, run_scenario
 from app.studies.paper.experiments import run_of
-from app.studies.sweep.paths import KINDS, Approach, Kind
-from app.studies.sweep.paths_start import Start, StartFinder
-from app.studies.sweep.plan import SweepPlan, Trial
-from app.studies.sweep.result import LISTS, Row, row_of, summary, unreachable_of
+from app.studies.rows import Row, rounded
+from app.studies.sweep.plan import KINDS, Approach, Kind, SweepPlan, Trial
+from app.studies.sweep.starts import Start, StartFinder
+
+Array = np.ndarray
 
 START_SHARE = 0.25
 """[-] of the work that the search for starts is counted as."""
+ERROR_LIMIT = 0.001
+"""[m] final error up to which a path counts as done."""
+CLEARANCE_LIMIT = 0.03
+"""[m] distance between arm and base from which a path counts as safe."""
+LISTS: dict[Kind, str] = {"side": "paths", "wheel_axis": "wheel_axis", "above": "above"}
+"""Under which key of the JSON the paths of a kind stand."""
+_KEPT = (
+    "ee_error_final_m",
+    "ee_error_max_m",
+    "min_clearance_m",
+    "arm_min_clearance_m",
+    "contacts",
+    "arm_contacts",
+    "floor_contacts",
+    "base_displacement_m",
+    "base_yaw_rad",
+    "activation_max",
+    "solver_failures",
+)
 
 
-class _Context:
-    """What the work of one process shares."""
+class Loaded(NamedTuple):
+    """A robot, its pairs and clouds, and what finds the starts of its paths."""
 
-    def __init__(self, plan: SweepPlan) -> None:
-        self.plan = plan
-        self.model = RobotModel(load_robot(plan.robot))
-        self.data = load_border_data(self.model, progress=False)
-        self.finder = StartFinder(self.model, self.data, plan.config.border.d_b)
+    model: RobotModel
+    data: BorderData
+    finder: StartFinder
+
+
+@lru_cache(maxsize=1)
+def load(robot: str, d_b: float) -> Loaded:
+    """A process keeps the robot that it looked at last.
+
+    Args:
+        robot: Its name.
+        d_b: [m] buffer distance.
+    """
+    model = RobotModel(load_robot(robot))
+    data = load_border_data(model, progress=False)
+    return Loaded(model, data, StartFinder(model, data, d_b))
 
 
 def sweep(
@@ -49,61 +83,20 @@ def sweep(
         What `sweep.json` holds; keys end in their unit.
     """
     begin = perf_counter()
-    model = RobotModel(load_robot(plan.robot))
-    load_border_data(model, progress=False)  # once, before the workers look for it in the cache
-    groups = _groups(plan.approaches(model))
+    make_context = partial(load, plan.robot, plan.config.border.d_b)
+    groups = _groups(plan.approaches(make_context().model))
     starts: list[Start] = []
     rows: dict[Kind, list[Row]] = {kind: [] for kind in KINDS}
-    with Workers(partial(_Context, plan), processes) as workers:
-        for k, found in enumerate(workers.map(_find_starts, groups), start=1):
+    with Workers(make_context, processes) as workers:
+        for k, found in enumerate(workers.map(partial(_find_starts, plan), groups), start=1):
             starts += found
             on_progress(START_SHARE * k / len(groups))
         trials = list(plan.trials(starts))
-        for k, (trial, row) in enumerate(
-            zip(trials, workers.map(_run, trials), strict=True), start=1
-        ):
+        results = workers.map(partial(_row, plan), trials)
+        for k, (trial, row) in enumerate(zip(trials, results, strict=True), start=1):
             rows[trial.start.approach.kind].append(row)
             on_progress(START_SHARE + (1.0 - START_SHARE) * k / len(trials))
     on_progress(1.0)
-    return {
-        **_settings(plan),
-        "summary": summary(plan, starts, rows),
-        **{LISTS[kind]: rows[kind] for kind in KINDS},
-        "unreachable": [unreachable_of(start) for start in starts if start.reason],
-        "elapsed_s": perf_counter() - begin,
-    }
-
-
-def _groups(approaches: list[Approach]) -> list[tuple[Approach, ...]]:
-    """Paths that begin with the same search for a posture: those along the wheel axis."""
-
-    def key(approach: Approach) -> tuple[object, ...]:
-        return approach.kind, approach.height, approach.direction_deg, approach.place
-
-    return [tuple(group) for _, group in groupby(approaches, key)]
-
-
-def _find_starts(context: _Context, group: tuple[Approach, ...]) -> list[Start]:
-    plan = context.plan
-    return [context.finder.find(each, plan.distance, seed=plan.seed) for each in group]
-
-
-def _run(context: _Context, trial: Trial) -> Row:
-    plan, scenario = context.plan, context.plan.scenario(trial)
-    result = run_scenario(
-        context.model,
-        context.data,
-        scenario,
-        plan.config,
-        controller=trial.controller,
-        physics=plan.physics,
-        seed=plan.seed,
-    )
-    target = scenario.position(scenario.duration)[0]
-    return row_of(trial, run_of(result), target)
-
-
-def _settings(plan: SweepPlan) -> Row:
     return {
         "robot": plan.robot,
         "seed": plan.seed,
@@ -118,4 +111,115 @@ def _settings(plan: SweepPlan) -> Row:
         "start_distance_m": plan.distance,
         "base_weight": plan.config.task.base_weight,
         "parameters": plan.config.model_dump(),
+        "summary": _summaries(plan, starts, rows),
+        **{LISTS[kind]: rows[kind] for kind in KINDS},
+        "unreachable": [
+            {"kind": start.approach.kind, **start.approach.where(), "reason": start.reason}
+            for start in starts
+            if start.reason
+        ],
+        "elapsed_s": perf_counter() - begin,
+    }
+
+
+def _groups(approaches: list[Approach]) -> list[tuple[Approach, ...]]:
+    """Paths that begin with the same search for a posture: those along the wheel axis."""
+
+    def key(approach: Approach) -> tuple[object, ...]:
+        return approach.kind, approach.height, approach.direction_deg, approach.place
+
+    return [tuple(group) for _, group in groupby(approaches, key)]
+
+
+def _find_starts(plan: SweepPlan, loaded: Loaded, group: tuple[Approach, ...]) -> list[Start]:
+    return [loaded.finder.find(each, plan.distance, seed=plan.seed) for each in group]
+
+
+def run_trial(plan: SweepPlan, loaded: Loaded, trial: Trial) -> RunResult:
+    """One run of a plan."""
+    return run_scenario(
+        loaded.model,
+        loaded.data,
+        plan.scenario(trial),
+        plan.config,
+        controller=trial.controller,
+        physics=plan.physics,
+        seed=plan.seed,
+    )
+
+
+def _row(plan: SweepPlan, loaded: Loaded, trial: Trial) -> Row:
+    """Figures of one path; keys end in their unit."""
+    run, start = run_of(run_trial(plan, loaded, trial)), trial.start
+    scenario = plan.scenario(trial)
+    off = np.linalg.norm(run.log.of("p_ee") - scenario.position(scenario.duration)[0], axis=1)
+    found: Row = {"controller": trial.controller, **start.approach.where()}
+    found |= {"speed_mps": trial.speed}
+    found |= dict(zip(("start_x_m", "start_y_m", "start_z_m"), start.p_ee, strict=True))
+    found |= {"start_clearance_m": start.clearance, "start_p_b_x_m": start.p_b[0]}
+    found |= {key: run.figures[key] for key in _KEPT}
+    found["time_s"] = arrival(run.log["t_s"], off)
+    found["passed"] = passes(found)
+    return {key: rounded(value) for key, value in found.items()}
+
+
+def arrival(t: Array, off: Array) -> float | None:
+    """[s] from when on the hand stays within 1 mm of its target; None if it does not.
+
+    Args:
+        t: (N,) [s] times.
+        off: (N,) [m] distances of the hand from its target.
+    """
+    arrived = np.append(0, np.flatnonzero(off > ERROR_LIMIT) + 1)[-1]
+    return float(t[arrived]) if arrived < len(t) else None
+
+
+def passes(figures: Row, error_limit: float = ERROR_LIMIT) -> bool:
+    """Whether the hand arrived within a limit [m], and nothing touched or came too near."""
+    clearance = figures["min_clearance_m"]
+    flaws = (figures[key] for key in ("contacts", "arm_contacts", "solver_failures"))
+    arrived = figures["ee_error_final_m"] <= error_limit
+    return arrived and clearance is not None and clearance >= CLEARANCE_LIMIT and not any(flaws)
+
+
+def _summaries(plan: SweepPlan, starts: list[Start], rows: dict[Kind, list[Row]]) -> Row:
+    """For each controller and each kind of path, the worst of it and how many could not begin."""
+    begun = {kind: [start for start in starts if start.approach.kind == kind] for kind in KINDS}
+    return {
+        controller: {
+            LISTS[kind]: _summary(
+                begun[kind], [row for row in rows[kind] if row["controller"] == controller]
+            )
+            for kind in KINDS
+            if begun[kind]
+        }
+        for controller in plan.controllers
+    }
+
+
+def _summary(starts: list[Start], rows: list[Row]) -> Row:
+    unreachable = sum(bool(start.reason) for start in starts)
+
+    def extreme(choose: Any, key: str) -> float | None:
+        values = [row[key] for row in rows if row[key] is not None]
+        return float(choose(values)) if values else None
+
+    return {
+        "runs": len(rows),
+        "passed": sum(row["passed"] for row in rows),
+        "ee_error_final_max_m": extreme(max, "ee_error_final_m"),
+        "ee_error_final_median_m": extreme(np.median, "ee_error_final_m"),
+        "ee_error_max_m": extreme(max, "ee_error_max_m"),
+        "min_clearance_m": extreme(min, "min_clearance_m"),
+        "arm_min_clearance_m": extreme(min, "arm_min_clearance_m"),
+        "runs_with_contact": sum(row["contacts"] > 0 for row in rows),
+        "runs_with_arm_contact": sum(row["arm_contacts"] > 0 for row in rows),
+        "contacts": sum(row["contacts"] for row in rows),
+        "arm_contacts": sum(row["arm_contacts"] for row in rows),
+        "never_arrived": sum(row["time_s"] is None for row in rows),
+        "time_max_s": extreme(max, "time_s"),
+        "base_displacement_max_m": extreme(max, "base_displacement_m"),
+        "solver_failures": sum(row["solver_failures"] for row in rows),
+        "unreachable": unreachable,
+        "unreachable_share": unreachable / len(starts),
     }

@@ -1,0 +1,180 @@
+"""FindClosestPoints: signed distances of all link pairs, with a normal that keeps its sign.
+
+Inside a buffer the closest point of a pair moves continuously, also along a link that turns
+parallel to a face.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import product
+from operator import itemgetter
+from typing import NamedTuple
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from app.border.mobile import ConvexPart
+from app.compiled import compiled
+from app.robot.link_pairs import Pair, PairDistances
+from app.robot.model import RobotModel
+from app.robot.shapes import Box, Capsule, Cylinder, Shape, Sphere
+from app.robot.state import RobotState
+
+Array = np.ndarray
+
+_ALONG = 7  # nodes of a capsule
+_SIGNS = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])  # 26 directions
+
+
+class ClosestPoints(NamedTuple):
+    """The closest points of one link pair, in the world.
+
+    Attributes:
+        pair: The link pair; `a` is nearer to the base than `b`.
+        d: [m] signed distance, negative in penetration.
+        p_a: (3,) [m] closest point on `a`.
+        p_b: (3,) [m] closest point on `b`.
+        n: (3,) unit normal from `a` to `b`: moving `b` along it increases d, in penetration too.
+        core: (3,) [m] the point of the core of `b` behind p_b: its radius farther along n.
+    """
+
+    pair: Pair
+    d: float
+    p_a: Array
+    p_b: Array
+    n: Array
+    core: Array
+
+
+class DistanceMonitor:
+    """Distances of a fixed set of link pairs at the robot's present state."""
+
+    def __init__(self, state: RobotState, pairs: Sequence[Pair]) -> None:
+        """Prepare the pairs, in the order of the results; `state` is read at each call."""
+        self._state = state
+        self._distances = PairDistances(state.model, pairs)
+        self._smooth = [SmoothPoint(state.model, pair) for pair in pairs]
+
+    def find_closest_points(
+        self, *, within: float = -math.inf, blend: float = math.nan
+    ) -> list[ClosestPoints]:
+        """The closest points of every pair; within a distance such as move continuously.
+
+        Paper: Algorithm 2, lines 4 and 9. The direction is the collision library's signed normal,
+        not p_b - p_a, which flips in penetration and would turn repulsion into attraction.
+
+        Args:
+            within: [m] such as the buffer distance; by default all are the library's own.
+            blend: [m] of `SmoothPoint`.
+        """
+        self._distances.update_from(self._state.data)
+        found = []
+        for i, (pair, smooth) in enumerate(zip(self._distances.pairs, self._smooth, strict=True)):
+            d = self._distances.distance(i)
+            if d < within:
+                p_a, p_b, core, n = smooth.find(self._state.data, blend)
+            else:
+                _, p_a, p_b, n = self._distances.closest(i)
+                core = p_b
+            found.append(ClosestPoints(pair, d, p_a, p_b, n, core))
+        return found
+
+    def distances(self) -> tuple[float, ...]:
+        """[m] the signed distance of every pair, without the points."""
+        self._distances.update_from(self._state.data)
+        return tuple(self._distances.distance(i) for i in range(len(self._distances.pairs)))
+
+
+class SmoothPoint:
+    """The mean over a link's core, each point by how little farther than the nearest it is.
+
+    The library's closest point is one of many where a capsule lies along a face, and leaps from one
+    end to the other as it turns. Weights exp((min d - d_k)/τ) over some nodes of the core make a
+    motion of that, for every d_k is continuous. Where one point is clearly nearest it is that one.
+    """
+
+    def __init__(self, model: RobotModel, pair: Pair) -> None:
+        """Prepare for the body `b` of a pair against its body `a`."""
+        self._joint_a, self._joint_b = model.body_joints[pair.a], model.body_joints[pair.b]
+        objects = model.geometry.geometryObjects
+        placed = (objects[i] for i in model.shape_ids[pair.a])
+        self._parts = [ConvexPart(each.geometry, each.placement) for each in placed]
+        shapes = zip(model.description.body(pair.b).shapes, model.shape_ids[pair.b], strict=True)
+        cores = [_core(shape, objects[i]) for shape, i in shapes]
+        self._nodes = np.vstack([nodes for nodes, _ in cores])
+        self._radii = np.concatenate([np.full(len(nodes), radius) for nodes, radius in cores])
+
+    def find(self, data: pin.Data, blend: float) -> tuple[Array, Array, Array, Array]:
+        """The closest points of the pair.
+
+        Args:
+            data: pinocchio's, with the joints' placements.
+            blend: [m] τ.
+
+        Returns:
+            (3,) [m] each, in the world: on `a`, on `b`, and of the core of `b`; and (3,) the unit
+            normal from `a` to `b`.
+        """
+        placed = data.oMi[self._joint_a]
+        relative = placed.actInv(data.oMi[self._joint_b])
+        nodes = self._nodes @ relative.rotation.T + relative.translation
+        d = self._parts[0].distances(nodes)
+        for part in self._parts[1:]:
+            d = np.minimum(d, part.distances(nodes))
+        core, radius = _mean(nodes, self._radii, d, blend)
+        d_core, n = min((part.distance_and_normal(core) for part in self._parts), key=itemgetter(0))
+        n = placed.rotation @ n
+        core = placed.act(core)
+        return core - d_core * n, core - radius * n, core, n
+
+
+@compiled("Tuple((f8[::1], f8))(f8[:,:], f8[:], f8[:], f8)")
+def _mean(nodes: Array, radii: Array, d: Array, blend: float) -> tuple[Array, float]:
+    """The weighted mean (3,) of nodes and that of their radii, by the distances d - r."""
+    least = (d - radii).min()
+    weights = np.exp((least - d + radii) / blend)
+    weights /= weights.sum()
+    core = np.zeros(3)
+    for k in range(len(d)):
+        for i in range(3):
+            core[i] += weights[k] * nodes[k, i]
+    return core, float((weights * radii).sum())
+
+
+def _core(shape: Shape, placed: pin.GeometryObject) -> tuple[Array, float]:
+    """Where a shape is nearest to something flat: one of these points, or between them.
+
+    Returns:
+        (K, 3) [m] points of its core, in the frame of the joint that carries it; and [m] the radius
+        of the shape around its core.
+    """
+    radius = 0.0
+    if isinstance(shape, Capsule):
+        nodes = np.zeros((_ALONG, 3))
+        nodes[:, 2] = np.linspace(-0.5, 0.5, _ALONG) * shape.length_m
+        radius = shape.radius_m
+    elif isinstance(shape, Sphere):
+        nodes, radius = np.zeros((1, 3)), shape.radius_m
+    else:
+        nodes = _farthest_out(_corners(shape, placed.geometry))
+    return np.array([placed.placement.act(node) for node in nodes]), radius
+
+
+def _corners(shape: Shape, geometry: coal.CollisionGeometry) -> Array:
+    """(N, 3) [m] in the shape's frame."""
+    if isinstance(shape, Box):
+        return 0.5 * np.array(shape.size_m) * _SIGNS[np.abs(_SIGNS).sum(axis=1) == 3]
+    if isinstance(shape, Cylinder):
+        turns = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
+        rim = shape.radius_m * np.column_stack([np.cos(turns), np.sin(turns)])
+        heights = np.repeat([-0.5, 0.5], len(rim)) * shape.length_m
+        return np.column_stack([np.vstack([rim, rim]), heights])
+    return np.array([geometry.point(i) for i in range(geometry.num_points)])
+
+
+def _farthest_out(corners: Array) -> Array:
+    """(K, 3) [m] those of some corners that lie farthest in some direction."""
+    return corners[np.unique((corners @ _SIGNS.T).argmax(axis=0))]

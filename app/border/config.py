@@ -1,0 +1,61 @@
+"""How what is made offline is sampled: the clouds P_i and the reachability maps."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from app.strict import Strict
+
+
+class SamplingConfig(Strict):
+    """How the joints are sampled, for the pairs of (1) and for P_i."""
+
+    seed: int = Field(default=0, ge=0)
+    """[-] of all random numbers."""
+    pair_samples: int = Field(default=100_000, ge=100)
+    """[-] joint positions for (1)."""
+    cloud_samples: int = Field(default=200_000, ge=100)
+    """[-] joint positions from which the flood of P_i starts."""
+    d_low: float = Field(default=0.03, ge=0.0, le=0.3)
+    """[m] least distance d_m of P_i."""
+    d_high: float = Field(default=0.32, ge=0.05, le=0.6)
+    """[m] largest distance d_m of P_i."""
+    voxel_plan: float = Field(default=0.008, ge=0.002, le=0.1)
+    """[m] side of a voxel in plan; P_i has one point a voxel."""
+    voxel_height: float = Field(default=0.005, ge=0.002, le=0.1)
+    """[m] height of a voxel."""
+    sectors: int = Field(default=16, ge=1, le=64)
+    """[-] parts of the plan that are flooded apart from each other."""
+    rounds: int = Field(default=4, ge=1, le=16)
+    """[-] most floods of a sector; from the second on they start at the neighbours' seams."""
+    retries: int = Field(default=6, ge=0, le=16)
+    """[-] how often a batch of poses tries again for the voxels beside it that are still open."""
+
+
+QUICK = SamplingConfig(
+    pair_samples=20_000,
+    cloud_samples=20_000,
+    voxel_plan=0.03,
+    voxel_height=0.03,
+    rounds=1,
+    retries=2,
+    sectors=8,
+)
+"""In seconds on one core: a tenth of the samples, in voxels of 3 cm."""
+
+
+class ReachConfig(Strict):
+    """Uniform poses: positions on a lattice around the arm's mount, random orientations at each."""
+
+    seed: int = Field(default=0, ge=0)
+    """[-] of the orientations, the free joints and the restarts."""
+    spacing_m: float = Field(default=0.05, ge=0.02, le=0.5)
+    """[m] between neighbours of the lattice, for an arm with an analytic solver."""
+    orientations: int = Field(default=24, ge=1, le=1000)
+    """[-] poses at each position, for an arm with an analytic solver."""
+    restart_spacing_m: float = Field(default=0.12, ge=0.02, le=0.5)
+    """[m] the same spacing for an arm that is solved by restarts, which takes far longer."""
+    restart_orientations: int = Field(default=2, ge=1, le=1000)
+    """[-] poses at each position for such an arm."""
+    restarts: int = Field(default=24, ge=1, le=1000)
+    """[-] restarts in a row that find nothing new before a pose counts as done."""

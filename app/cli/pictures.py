@@ -1,0 +1,284 @@
+"""`dbb screenshot`, `film` and `replay`: a scenario as pictures, a log as a page, no display."""
+
+from __future__ import annotations
+
+import io
+import math
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from app.cli.common import load_robot_and_border, print_json
+from app.cli.options import (
+    ConfigOption,
+    Flag,
+    Json,
+    SetupOptions,
+    check_file,
+    check_name,
+)
+from app.cli.records import Given, from_record
+from app.cli.wanted import Wanted, is_case, trace_of
+from app.control import CONTROLLERS
+from app.errors import ConfigError
+from app.jobs.progress import progress_bar
+from app.strict import check_range
+from app.system import write_whole
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+    from app.dashboard.export.offscreen import Look
+
+_MOST_PICTURES = 12
+_SIZES = 64, 8192  # [px]
+
+DarkOption = Annotated[Flag, tyro.conf.arg(help="A dark ground, the default.")]
+LightOption = Annotated[Flag, tyro.conf.arg(help="A light ground.")]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What a picture shows, and how large it is."""
+
+    layer: Literal["determinant", "reachability", "score", "none"] = "score"
+    """What the border is coloured by; none hides it."""
+    view: Literal["iso", "top", "front", "side", "hand"] = "iso"
+    """Where the scene is looked at from."""
+    width: int = 1280
+    """[px] of each picture."""
+    height: int = 720
+    """[px] of each picture."""
+    page: bool = False
+    """The whole dashboard, not the scene alone."""
+
+    def __post_init__(self) -> None:
+        check_range("--width", self.width, *_SIZES, "px")
+        check_range("--height", self.height, *_SIZES, "px")
+
+
+def is_dark(*, dark: bool, light: bool) -> bool:
+    """Whether the ground is dark: it is, unless `--light` is given."""
+    if dark and light:
+        raise ConfigError("--dark and --light: only one of them")
+    return not light
+
+
+def screenshot(
+    scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")],
+    *,
+    at: Annotated[tuple[float, ...], tyro.conf.arg(metavar="SECONDS")],
+    out: Path,
+    picture: Annotated[Given, from_record(Picture)],
+    setup: SetupOptions,
+    dark: DarkOption = False,
+    light: LightOption = False,
+    config: ConfigOption = None,
+    json: Json = False,
+) -> None:
+    """Draw a scenario at some times, in a browser that nobody sees.
+
+    Args:
+        scenario: As for `dbb run`, or the file of a case, JSON.
+        at: [s] into the scenario; several (--at 0 3 6) make a strip, side by side with their times.
+        out: The picture, PNG.
+    """
+    is_case(scenario)
+    shown = Picture(**picture)
+    check_range("--at", len(at), 1, _MOST_PICTURES, "times")
+    check_file("--out", out, (".png",))
+    wanted = Wanted.named(scenario, setup, config)
+    whole = _draw(wanted, at, shown, dark=is_dark(dark=dark, light=light))
+    drawn = io.BytesIO()
+    whole.save(drawn, "PNG", optimize=True)
+    write_whole(out, drawn.getvalue())
+    if json:
+        print_json(
+            {
+                "picture": str(out),
+                "scenario": wanted.scenario.name,
+                "controller": wanted.setup.controller,
+                "robot": wanted.setup.robot,
+                "seed": wanted.setup.seed,
+                "at_s": list(at),
+                "width_px": whole.width,
+                "height_px": whole.height,
+                "layer": shown.layer,
+                "view": shown.view,
+                "page": shown.page,
+            }
+        )
+    else:
+        print(out)
+
+
+def _draw(wanted: Wanted, at: tuple[float, ...], shown: Picture, *, dark: bool) -> Image.Image:
+    """Run the scenario and draw it at these times [s]."""
+    # Imported here: viser and scipy would make every other command start later.
+    from app.dashboard.export.browser import chromium
+    from app.dashboard.export.offscreen import Look
+    from app.dashboard.export.screenshot import strip, take_pictures
+
+    for t in at:
+        check_range("--at", t, 0.0, wanted.scenario.duration, "s")
+    look = Look(shown.width, shown.height, shown.layer, shown.view, dark, shown.page)
+    with chromium() as browser:  # first of all: without one the rest is in vain
+        model, data = load_robot_and_border(wanted.setup.robot)
+        snapshots = wanted.filmed(model, data, at)
+        pictures = take_pictures(browser, snapshots, at, model, data.clouds, look)
+    return pictures[0] if len(pictures) == 1 else strip(pictures, at, dark=dark)
+
+
+@dataclass(frozen=True)
+class Filming:
+    """How a film goes."""
+
+    rate: float = 25.0
+    """[1/s] pictures."""
+    speed: float = 1.0
+    """[-] of the film, 1 is as fast as it would be."""
+    orbit: float = 0.0
+    """[deg/s] by which the camera turns around the robot."""
+    span: tuple[float, float] | None = None
+    """[s] of the scenario; all of it if not given."""
+    codec: str = ""
+    """h264 or h265 of .mp4, vp9 or vp8 of .webm; the first of them if none is given."""
+
+    def __post_init__(self) -> None:
+        check_range("--rate", self.rate, 1.0, 60.0, "1/s")
+        check_range("--speed", self.speed, 0.05, 20.0)
+        check_range("--orbit", self.orbit, -360.0, 360.0, "deg/s")
+
+
+def film(
+    scenario: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="SCENARIO")],
+    *,
+    out: Path,
+    beside: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CONTROLLER")] = (),
+    filming: Annotated[Given, from_record(Filming)],
+    picture: Annotated[Given, from_record(Picture, leave=("page",))],
+    setup: SetupOptions,
+    dark: DarkOption = False,
+    light: LightOption = False,
+    config: ConfigOption = None,
+    json: Json = False,
+) -> None:
+    """Film a scenario without a display, picture by picture.
+
+    Args:
+        scenario: As for `dbb run`, or the file of a case, JSON.
+        out: The film: .mp4, .webm, .webp (animated) or .gif.
+        beside: Other controllers, whose robots are seen as ghosts.
+    """
+    # Imported here: viser and scipy would make every other command start later.
+    from app.dashboard.export.film import CODECS
+    from app.dashboard.export.offscreen import Look
+
+    is_case(scenario)
+    for name in beside:
+        check_name("controller of --beside", name, CONTROLLERS)
+    shown, how = Picture(**picture), Filming(**filming)
+    check_file("--out", out, tuple(CODECS))
+    codecs = CODECS[out.suffix.lower()]
+    codec = how.codec or next(iter(codecs))
+    check_name(f"--codec of {out.suffix}", codec, codecs)
+    look = Look(shown.width, shown.height, shown.layer, shown.view, is_dark(dark=dark, light=light))
+    wanted = Wanted.named(scenario, setup, config)
+    told = _film(wanted, beside, how, codec, look, out)
+    if json:
+        print_json(
+            {"film": str(out), "scenario": wanted.scenario.name, "beside": list(beside), **told}
+        )
+    else:
+        print(out)
+
+
+def _film(
+    wanted: Wanted, beside: tuple[str, ...], how: Filming, codec: str, look: Look, out: Path
+) -> dict[str, Any]:
+    """Run the scenario with each controller, draw and encode; what there is to tell of it."""
+    from app.dashboard.export.browser import chromium
+    from app.dashboard.export.film import film_pictures, with_ghosts, write_film
+
+    duration = wanted.scenario.duration
+    begin, end = how.span or (0.0, duration)
+    check_range("--span", end, 0.0, duration, "s")
+    check_range("--span: the begin", begin, 0.0, end, "s")
+    step = how.speed / how.rate
+    times = [begin + k * step for k in range(1 + int((end - begin) / step + 1e-9))]
+    with chromium() as browser:  # first of all: without one the rest is in vain
+        model, data = load_robot_and_border(wanted.setup.robot)
+        found = [wanted.filmed(model, data, times, name) for name in ("", *beside)]
+        pictures = film_pictures(
+            browser,
+            with_ghosts(found[0], found[1:]),
+            times,
+            model,
+            data.clouds,
+            look,
+            math.radians(how.orbit) / how.rate,
+        )
+        with progress_bar(out.name, len(times)) as on_progress, closing(pictures):
+            began = perf_counter()
+            count = write_film(out, pictures, how.rate, codec, on_progress)
+            took = perf_counter() - began
+    return {
+        "pictures": count,
+        "codec": codec,
+        "duration_s": count / how.rate,
+        "size_bytes": out.stat().st_size,
+        "pictures_per_second": count / took,
+    }
+
+
+def replay(
+    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")],
+    *,
+    out: Path = Path("out/replay.html"),
+    looks: Annotated[Given, from_record(Picture, only=("layer", "view"))],
+    dark: DarkOption = False,
+    light: LightOption = False,
+    json: Json = False,
+) -> None:
+    """Make one HTML file of a log that plays the run in any browser.
+
+    It needs no network.
+
+    Args:
+        log: File that `dbb run --log` or `--out` wrote, or that of a case, JSON.
+        out: The HTML file.
+    """
+    # Imported here: viser and pyarrow would make every other command start later.
+    from app.dashboard.export.offscreen import Look, replay_html
+
+    shown = Picture(**looks)
+    ground = is_dark(dark=dark, light=light)
+    check_file("--out", out, (".html",))
+    read = trace_of(log)
+    model, data = load_robot_and_border(read.meta.robot)
+    duration = read.snapshots[-1].t - read.snapshots[0].t
+    with progress_bar(out.name, duration) as on_progress:
+        page = replay_html(
+            read,
+            model,
+            data.clouds,
+            Look(layer=shown.layer, view=shown.view, dark=ground),
+            on_progress=on_progress,
+        )
+    write_whole(out, page)
+    if json:
+        print_json(
+            {
+                "page": str(out),
+                "scenario": read.meta.scenario,
+                "robot": read.meta.robot,
+                "duration_s": duration,
+                "size_bytes": out.stat().st_size,
+            }
+        )
+    else:
+        print(out)

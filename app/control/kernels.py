@@ -1,0 +1,251 @@
+"""Kernels of the control step: on matrices of ten rows LAPACK's calls cost more than the sums."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from app.compiled import compiled
+
+Array = np.ndarray
+_EPS = 1e-12  # of a bound, by which it may be missed
+
+
+@compiled()
+def _cholesky(H: Array) -> Array:
+    """L, lower triangular, with H = L Lᵀ; not a number if H is not positive definite."""
+    L = np.zeros(H.shape)
+    for j in range(len(H)):
+        for i in range(j, len(H)):
+            value = H[i, j]
+            for l in range(j):
+                value -= L[i, l] * L[j, l]
+            L[i, j] = math.sqrt(value) if i == j else value / L[j, j]
+    return L
+
+
+@compiled()
+def _forward(L: Array, b: Array) -> Array:
+    """L⁻¹ b."""
+    x = b.copy()
+    for i in range(len(x)):
+        for l in range(i):
+            x[i] -= L[i, l] * x[l]
+        x[i] /= L[i, i]
+    return x
+
+
+@compiled()
+def _backward(L: Array, b: Array) -> Array:
+    """L⁻ᵀ b."""
+    x = b.copy()
+    for i in range(len(x) - 1, -1, -1):
+        for l in range(i + 1, len(x)):
+            x[i] -= L[l, i] * x[l]
+        x[i] /= L[i, i]
+    return x
+
+
+@compiled("Tuple((f8[::1], f8[:,::1]))(f8[:,:], f8[:])")
+def minimum(H: Array, c: Array) -> tuple[Array, Array]:
+    """-H⁻¹ c (n,), and L (n, n) with H = L Lᵀ; not a number if H is not positive definite."""
+    L = _cholesky(H)
+    return _backward(L, _forward(L, -c)), L
+
+
+@compiled("b1(f8[:,:], f8[:], f8[:], f8[:], f8)")
+def holds(C: Array, l: Array, u: Array, x: Array, tolerance: float) -> bool:
+    """Whether l ≤ C x ≤ u within a tolerance; never for what is not a number."""
+    for i in range(len(l)):
+        reached = 0.0
+        for j in range(len(x)):
+            reached += C[i, j] * x[j]
+        if not l[i] - tolerance <= reached <= u[i] + tolerance:
+            return False
+    return True
+
+
+@compiled()
+def _within(K: Array, active: Array, r: Array) -> Array:
+    """The y of K y = r over some of its rows and columns."""
+    size = len(active)
+    W = np.empty((size, size))
+    for i in range(size):
+        for j in range(size):
+            W[i, j] = K[active[i], active[j]]
+    factor = _cholesky(W)
+    return _backward(factor, _forward(factor, r))
+
+
+@compiled()
+def _bring(
+    p: int, side: float, miss: float, K: Array, y: Array, kept: Array, size: int
+) -> tuple[int, bool]:
+    """Bring row p to its bound, changing y and the rows that are kept there.
+
+    Returns:
+        How many rows are kept, and whether it came there; else the hard rows contradict each other.
+    """
+    m = len(y)
+    while True:
+        active, turn = kept[:size], np.zeros(m)
+        if size > 0:
+            turn[active] = -side * _within(K, active, K[active, p])
+        turn[p] = side
+        rise = side * (K[p] * turn).sum()  # towards the bound, for each unit of y_p
+        step = miss / rise if rise > _EPS * K[p, p] else np.inf
+        blocking = -1
+        for k in range(size):
+            i = active[k]
+            if y[i] * turn[i] < 0.0 and -y[i] / turn[i] < step:
+                step, blocking = -y[i] / turn[i], k
+        if not step < np.inf:
+            return size, False
+        y += step * turn
+        if blocking < 0:
+            kept[size] = p
+            return size + 1, True
+        miss -= step * rise
+        y[active[blocking]] = 0.0
+        kept[blocking : size - 1] = kept[blocking + 1 : size].copy()
+        size -= 1
+
+
+@compiled("f8[::1](f8[:], f8[:])")
+def compliances(softness: Array, length: Array) -> Array:
+    """(m,) those of rows of length one: of rows that are alike soft, each as for the stiffest.
+
+    A slack s then costs s² times the same for all of them. If each cost what its own row weighs, a
+    light wrist would be thrown about to brake a heavy shoulder.
+
+    Args:
+        softness: (m,) [-] ε.
+        length: (m,) √(C_i H⁻¹ C_iᵀ).
+    """
+    found = np.zeros(len(softness))
+    for i in range(len(softness)):
+        least = length[i]
+        for j in range(len(softness)):
+            if softness[j] == softness[i]:
+                least = min(least, length[j])
+        found[i] = softness[i] * (least / length[i]) ** 2
+    return found
+
+
+@compiled("Tuple((f8[::1], b1))(f8[:], f8[:,:], f8[:,:], f8[:], f8[:], f8[:])")
+def nearest_within(
+    x: Array, L: Array, C: Array, l: Array, u: Array, softness: Array
+) -> tuple[Array, bool]:
+    """The least within limits, by the dual active-set method of Goldfarb and Idnani (1983).
+
+    With a_i = L⁻¹ C_iᵀ, each of length one, and z = Lᵀ (q̈ - x), the answer is z = Σ y_i a_i. Its
+    multipliers y solve l ≤ K y ≤ u with K = a aᵀ + diag(ε), y_i ≥ 0 at a lower bound, ≤ 0 at an
+    upper one and 0 between. One row after the other, the most missed first, is brought to its
+    bound, while those that are there stay, until one of their multipliers is 0 and it is let go.
+
+    Args:
+        x: (n,) the free optimum.
+        L: (n, n) of the objective.
+        C: (m, n) rows of the limits.
+        l: (m,)
+        u: (m,)
+        softness: (m,) [-] ε of `compliances`.
+
+    Returns:
+        (n,) the least, and whether there is one.
+    """
+    n, m = len(x), len(l)
+    a, below, above, length = np.empty((m, n)), np.empty(m), np.empty(m), np.empty(m)
+    for i in range(m):
+        a[i] = _forward(L, C[i])
+        length[i] = math.sqrt((a[i] ** 2).sum()) + 1e-12
+        a[i] /= length[i]
+        reached = (C[i] * x).sum()
+        below[i], above[i] = (l[i] - reached) / length[i], (u[i] - reached) / length[i]
+    # Sums in a fixed order: those of BLAS depend on where the memory lies.
+    K = np.diag(compliances(softness, length))
+    for i in range(m):
+        for j in range(m):
+            K[i, j] += (a[i] * a[j]).sum()
+    y, kept = np.zeros(m), np.empty(m, np.int64)
+    size, found = 0, False
+    for _ in range(10 * m):
+        s = (K * y).sum(axis=1)
+        miss = np.maximum(below - s, s - above)
+        miss[kept[:size]] = 0.0
+        p = int(miss.argmax())
+        if not miss[p] > _EPS * (1.0 + abs(s[p])):
+            found = math.isfinite(miss[p])
+            break
+        side = 1.0 if s[p] < below[p] else -1.0
+        size, reached_it = _bring(p, side, miss[p], K, y, kept, size)
+        if not reached_it:
+            break
+    z = (a.T * y).sum(axis=1)
+    # Beside a soft row's multiplier, as large as 1/ε, a hard one's is lost in rounding; z is not.
+    hard = kept[:size][softness[kept[:size]] == 0.0]
+    bound = np.where(y > 0.0, below, above)
+    z += (a[hard].T * _within(K, hard, bound[hard] - (a[hard] * z).sum(axis=1))).sum(axis=1)
+    return x + _backward(L, z), found
+
+
+@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8)")
+def with_rows(
+    H: Array, c: Array, J: Array, b: Array, beta: Array, least: float
+) -> tuple[Array, Array]:
+    """H + Σ w_i J_iᵀ J_i and c - Σ w_i b_i J_iᵀ with w_i = β_i / ((1 - β_i + least) J_i H⁻¹ J_iᵀ).
+
+    Args:
+        H: (n, n)
+        c: (n,)
+        J: (k, n) rows.
+        b: (k,) what they ask of J q̈.
+        beta: (k,) [-] their activations.
+        least: [-] what is left of a row's compliance in full force.
+    """
+    L, H, c = _cholesky(H), H.copy(), c.copy()
+    for i in range(len(b)):
+        a = _forward(L, J[i])
+        compliance = 1e-12
+        for j in range(len(a)):
+            compliance += a[j] ** 2
+        w = beta[i] / ((1.0 - beta[i] + least) * compliance)
+        for j in range(len(c)):
+            c[j] -= w * b[i] * J[i, j]
+            for l in range(len(c)):
+                H[j, l] += w * J[i, j] * J[i, l]
+    return H, c
+
+
+@compiled("f8[:,::1](f8[:,:], f8[:], f8[:,:], f8)")
+def carried(J_ee: Array, qd_max: Array, J_m_inv: Array, speed: float) -> Array:
+    """R (3, n_b) of `app.control.tasks.carried`."""
+    n_b, n_m = len(J_m_inv), len(qd_max)
+    follows = np.zeros((3, 3))
+    for i in range(3):
+        for j in range(3):
+            for k in range(n_m):
+                follows[i, j] += J_ee[i, n_b + k] * J_ee[j, n_b + k] * (qd_max[k] / speed) ** 2
+    left, moved = np.eye(3), np.zeros((3, n_b))
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                left[i, j] += follows[i, k] * follows[k, j]
+        for j in range(n_b):
+            for k in range(n_b):
+                moved[i, j] += J_ee[i, k] * J_m_inv[k, j]
+    return np.ascontiguousarray(np.linalg.solve(left, moved))
+
+
+@compiled("f8[::1](f8[:], f8[:], f8[:], f8, f8[:,:])")
+def with_hand(wanted: Array, held: Array, inertia: Array, mass: float, taken: Array) -> Array:
+    """The least (n_b,) of (a - a_wanted)ᵀ I (a - a_wanted) + mass ‖taken (a - a_held)‖²."""
+    n_b = len(inertia)
+    hung, right = np.diag(inertia), np.empty(n_b)
+    for i in range(n_b):
+        right[i] = inertia[i] * (wanted[i] - held[i])
+        for j in range(n_b):
+            for k in range(len(taken)):
+                hung[i, j] += mass * taken[k, i] * taken[k, j]
+    return held + np.linalg.solve(hung, right)

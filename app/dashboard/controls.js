@@ -1,0 +1,351 @@
+// The page's own script, sent by channel.py: the time line along the lower edge of any page,
+// number boxes that take a number once it is typed to its end, and Escape.
+window.dbb?.end();
+window.dbb = (() => {
+  const HEIGHT = 100; // [px] of the bar
+  const FULL = 0.3; // [m] distance that fills the strip
+  const PAST = "#e8890c";
+  const COLOURS = { scenario: "#4c9be8", parameter: "#9775fa", person: "#22b8cf", buffer: "#f0962b",
+    limit: "#e05424", contact: "#e21038" };
+  const ending = new AbortController();
+  const listen = (to, kinds, act, more = {}) => {
+    for (const kind of kinds.split(" ")) to.addEventListener(kind, act, { signal: ending.signal, ...more });
+  };
+  let box = "", count = 0, ranges = {};
+  const ask = (word, ...values) =>
+    window.__viserMutable?.sendMessage({ type: "GuiUpdateMessage", uuid: box,
+      updates: { value: JSON.stringify([`${Date.now()}.${count++}`, word, ...values]) } });
+
+  // ---- the bar
+  const make = (tag, parent, id, text = "") => {
+    const element = parent.appendChild(document.createElement(tag));
+    if (id) element.id = id;
+    element.textContent = text;
+    return element;
+  };
+  const style = make("style", document.head, "", `
+    :root { --dbb-bar: ${HEIGHT}px; }
+    #root { height: calc(100% - var(--dbb-bar)); }
+    #dbb-bar { position: fixed; left: 0; right: 0; bottom: 0; height: ${HEIGHT}px; z-index: 60;
+      background: var(--mantine-color-body); color: var(--mantine-color-text); font-size: 12px;
+      border-top: 1px solid var(--mantine-color-default-border); user-select: none; }
+    #dbb-row { display: flex; gap: 4px; height: 30px; align-items: center; padding: 0 8px;
+      overflow-x: auto; scrollbar-width: none; white-space: nowrap; }
+    #dbb-row button, #dbb-past button { font: inherit; color: inherit; background: transparent; cursor: pointer;
+      border: 1px solid var(--mantine-color-default-border); border-radius: 4px; padding: 2px 7px; }
+    #dbb-row button:hover { background: rgba(128, 138, 150, .25); }
+    #dbb-row span:first-child { min-width: 13.5em; }
+    #dbb-row span { font-variant-numeric: tabular-nums; padding: 0 6px; }
+    #dbb-strip { display: block; width: 100%; height: ${HEIGHT - 31}px; touch-action: none; cursor: crosshair; }
+    #dbb-strip:focus-visible { outline: 2px solid #2684d6; outline-offset: -2px; }
+    #dbb-hint { position: fixed; bottom: ${HEIGHT + 4}px; z-index: 61; pointer-events: none; padding: 2px 8px;
+      border-radius: 4px; background: rgba(30, 34, 40, .92); color: white; font-size: 12px; white-space: nowrap; }
+    #dbb-edge { position: fixed; inset: 0 0 ${HEIGHT}px 0; z-index: 59; pointer-events: none;
+      box-shadow: inset 0 0 0 4px ${PAST}; }
+    #dbb-past { position: fixed; top: 8px; left: 50%; transform: translateX(-50%); z-index: 60; max-width: 92vw;
+      background: ${PAST}; color: white; font-size: 13px; border-radius: 6px; padding: 5px 10px;
+      font-variant-numeric: tabular-nums; text-align: center; }
+    #dbb-past button { border-color: white; margin-left: 8px; font-weight: 600; }
+    [hidden] { display: none !important; }`);
+  const bar = make("div", document.body, "dbb-bar");
+  const edge = make("div", document.body, "dbb-edge");
+  const past = make("div", document.body, "dbb-past");
+  const hint = make("div", document.body, "dbb-hint");
+  const row = make("div", bar, "dbb-row");
+  const strip = make("canvas", bar, "dbb-strip");
+  const said = make("span", past);
+  const button = (parent, text, title, act) => {
+    const element = make("button", parent, "", text);
+    element.title = title;
+    listen(element, "click", () => (act(), element.blur()));
+    return element;
+  };
+  button(past, "Back to now", "Escape or N", () => ask("now"));
+  const where = make("b", make("span", row));
+  button(row, "−1 s", "B", () => ask("step", -1));
+  button(row, "−20 ms", "One picture back", () => ask("step", -0.02));
+  button(row, "Stop / go", "Space", () => ask("pause"));
+  button(row, "+20 ms", "One picture on; at now one is simulated", () => ask("step", 0.02));
+  button(row, "+1 s", "F", () => ask("step", 1));
+  button(row, "Now", "N", () => ask("now"));
+  button(row, "Nearest", "Where the least distance was", () => ask("nearest"));
+  button(row, "Hardest pull", "Where a person pulled hardest", () => ask("pull"));
+  button(row, "◂ Event", "The mark before", () => beside(-1));
+  button(row, "Event ▸", "The mark after", () => beside(1));
+  button(row, "Mark begin", "Of the interval that is saved, here", () => ask("begin"));
+  button(row, "Mark end", "Of the interval that is saved, here", () => ask("end"));
+  button(row, "No marks", "All of the last minute is saved", () => ask("unmark"));
+  button(row, "−", "Show more time (wheel, or two fingers)", () => zoom(2, middle()));
+  button(row, "+", "Show less time (wheel, or two fingers)", () => zoom(0.5, middle()));
+  const marked = make("span", row);
+  strip.tabIndex = 0;
+  strip.setAttribute("role", "slider");
+  strip.setAttribute("aria-label", "Time line");
+  edge.hidden = past.hidden = hint.hidden = true;
+
+  // ---- what it shows
+  let kept = 600, bin = 0.1, rows = [], events = new Map();
+  let now = 0, at = 0, begin = null, end = null, live = true, paused = false, d_b = 0.15;
+  let span = 30, right = null; // [s] shown, and its end; null goes with now
+  const until = () => right ?? Math.max(now, span);
+  const from = () => until() - span;
+  const middle = () => Math.min(Math.max(at, from()), until());
+  const width = () => strip.getBoundingClientRect().width;
+  const x = (t) => ((t - from()) / span) * width();
+  const time = (px) => from() + (px / width()) * span;
+  const zoom = (factor, about) => {
+    const share = (about - from()) / span;
+    const next = Math.min(Math.max(span * factor, 2), kept);
+    const last = about + next * (1 - share);
+    right = last >= now - 1e-9 || next >= now ? null : last;
+    span = next;
+    draw();
+  };
+  const beside = (way) => {
+    const times = [...events.values()].map((e) => e[1]).filter((t) => (t - at) * way > 0.03);
+    if (times.length) ask("go", way > 0 ? Math.min(...times) : Math.max(...times));
+  };
+  const nearest = (e) => { // the mark whose head is there
+    const px = local(e);
+    let found = null, off = e.clientY - strip.getBoundingClientRect().top < 14 ? 8 : 0;
+    for (const event of events.values()) {
+      const away = Math.abs(x(event[1]) - px);
+      if (away < off) [found, off] = [event, away];
+    }
+    return found;
+  };
+  let due = 0;
+  const draw = () => {
+    if (!due) due = requestAnimationFrame(() => ((due = 0), paint()));
+  };
+  const paint = () => {
+    const dpr = window.devicePixelRatio || 1, w = width(), h = HEIGHT - 31;
+    const [W, H] = [Math.round(w * dpr), Math.round(h * dpr)];
+    if (strip.width !== W || strip.height !== H) [strip.width, strip.height] = [W, H];
+    const ink = strip.getContext("2d");
+    ink.setTransform(dpr, 0, 0, dpr, 0, 0);
+    ink.clearRect(0, 0, w, h);
+    const text = getComputedStyle(bar).color, foot = h - 13, head = 12;
+    const y = (d) => foot - Math.min(Math.max(d, 0) / FULL, 1) * (foot - head);
+    if (begin !== null) {
+      ink.fillStyle = "rgba(38, 132, 214, .25)";
+      ink.fillRect(x(begin), 0, Math.max(x(end ?? now) - x(begin), 2), foot);
+    }
+    const shown = rows.filter(([t]) => t > from() - 1 && t < until() + 1);
+    ink.fillStyle = "rgba(142, 107, 216, .55)"; // β from above
+    for (const [t, , beta] of shown) if (beta > 0)
+      ink.fillRect(x(t), head, Math.max(x(t + bin) - x(t), 1), beta * (foot - head) * 0.5);
+    ink.lineWidth = 1.6;
+    ink.lineJoin = "round";
+    for (let i = 1; i < shown.length; i++) {
+      const [t, d] = shown[i], [s, c] = shown[i - 1];
+      ink.strokeStyle = Math.min(c, d) < 0 ? COLOURS.contact : Math.min(c, d) < d_b ? COLOURS.buffer : "#808a96";
+      ink.beginPath();
+      ink.moveTo(x(s), y(c));
+      ink.lineTo(x(t), y(d));
+      ink.stroke();
+      if (d < 0) {
+        ink.fillStyle = COLOURS.contact;
+        ink.fillRect(x(t), foot - 3, Math.max(x(t + bin) - x(t), 2), 3);
+      }
+    }
+    ink.strokeStyle = text;
+    ink.globalAlpha = 0.4;
+    ink.lineWidth = 1;
+    ink.setLineDash([4, 4]);
+    ink.beginPath();
+    ink.moveTo(0, y(d_b));
+    ink.lineTo(w, y(d_b));
+    ink.moveTo(0, foot);
+    ink.lineTo(w, foot);
+    ink.stroke();
+    ink.setLineDash([]);
+    ink.globalAlpha = 0.75;
+    ink.fillStyle = text;
+    ink.font = "10px sans-serif";
+    const step = [0.5, 1, 2, 5, 10, 30, 60, 120].find((s) => (s / span) * w > 55) ?? 120;
+    for (let t = Math.ceil(Math.max(from(), 0) / step) * step; t <= until(); t += step) {
+      ink.fillRect(x(t), foot, 1, 3);
+      const name = t >= 60 ? `${Math.floor(t / 60)}:${String(Math.round(t % 60)).padStart(2, "0")}` : `${+t.toFixed(1)} s`;
+      ink.fillText(name, x(t) + 3, h - 2);
+    }
+    ink.fillText(`d_b ${Math.round(1000 * d_b)} mm`, w - 66, y(d_b) - 3);
+    ink.globalAlpha = 1;
+    for (const [, t, kind] of events.values()) {
+      const px = x(t);
+      if (px < -5 || px > w + 5) continue;
+      ink.fillStyle = COLOURS[kind] ?? text;
+      ink.fillRect(px - 0.5, 4, 1, foot - 4);
+      ink.beginPath();
+      ink.arc(px, 5, 4, 0, 7);
+      ink.fill();
+    }
+    ink.fillStyle = live ? text : PAST;
+    ink.fillRect(x(at) - 1, 0, 2, h);
+    ink.beginPath();
+    ink.moveTo(x(at) - 6, 0);
+    ink.lineTo(x(at) + 6, 0);
+    ink.lineTo(x(at), 8);
+    ink.fill();
+  };
+  const say = () => {
+    const ago = `${(now - at).toFixed(2)} s ago`;
+    where.textContent = `t = ${at.toFixed(2)} s, ${live ? (paused ? "now, paused" : "now") : ago}`;
+    said.textContent = `This is the past: t = ${at.toFixed(2)} s, ${ago}`;
+    edge.hidden = past.hidden = live;
+    const mark = (t) => (t === null ? "…" : t.toFixed(2));
+    marked.textContent = begin === null ? "" : `marked ${mark(begin)} to ${mark(end)} s`;
+    if (live) right = null;
+    else if (at < from() || at > until()) right = Math.min(Math.max(at + span / 2, span), Math.max(now, span));
+    for (const [name, value] of Object.entries({ valuemin: 0, valuemax: now, valuenow: at, valuetext: where.textContent }))
+      strip.setAttribute(`aria-${name}`, value);
+    draw();
+  };
+
+  // ---- scrubbing: the newest place is asked for at most 20 times a second
+  let wanted = null, waits = 0, pinch = null;
+  const fingers = new Map();
+  const scrub = (e) => {
+    const mark = nearest(e);
+    const t = Math.max(mark ? mark[1] : time(local(e)), 0);
+    wanted = t >= now - bin ? ["now"] : ["go", t];
+    if (!waits) flush();
+  };
+  const flush = () => {
+    if (wanted) ask(...wanted);
+    waits = wanted ? setTimeout(flush, 50) : 0;
+    wanted = null;
+  };
+  const local = (e) => e.clientX - strip.getBoundingClientRect().left;
+  listen(strip, "pointerdown", (e) => {
+    fingers.set(e.pointerId, local(e));
+    strip.setPointerCapture(e.pointerId);
+    strip.focus({ preventScroll: true });
+    if (right === null && !live) right = until();
+    if (fingers.size === 1) scrub(e);
+    else pinch = null;
+  });
+  listen(strip, "pointermove", (e) => {
+    const mark = nearest(e), t = time(local(e));
+    const there = rows.findLast?.((r) => r[0] <= t);
+    hint.textContent = mark ? `${mark[1].toFixed(1)} s: ${mark[3]}`
+      : there ? `${t.toFixed(1)} s: least distance ${Math.round(1000 * there[1])} mm, β ${there[2].toFixed(2)}` : "";
+    hint.hidden = !hint.textContent;
+    hint.style.left = `${Math.min(Math.max(e.clientX - hint.offsetWidth / 2, 4), innerWidth - hint.offsetWidth - 4)}px`;
+    if (!fingers.has(e.pointerId)) return;
+    fingers.set(e.pointerId, local(e));
+    if (fingers.size === 1) return scrub(e);
+    const [a, b] = [...fingers.values()], apart = Math.max(Math.abs(a - b), 10);
+    if (pinch) zoom(pinch / apart, time((a + b) / 2));
+    pinch = apart;
+  });
+  listen(strip, "pointerup pointercancel", (e) => (fingers.delete(e.pointerId), (pinch = null)));
+  listen(strip, "pointerleave", () => (hint.hidden = true));
+  listen(strip, "wheel", (e) => {
+    e.preventDefault();
+    if (Math.abs(e.deltaX) > Math.abs(e.deltaY)) {
+      const last = until() + (e.deltaX / width()) * span;
+      right = last >= now ? null : Math.max(last, span);
+      draw();
+    } else zoom(Math.exp(e.deltaY / 400), time(local(e)));
+  }, { passive: false });
+  const KEYS = { ArrowLeft: [-1, -0.02], ArrowRight: [1, 0.02], PageDown: [-10, -10], PageUp: [10, 10] };
+  listen(strip, "keydown", (e) => {
+    if (e.key in KEYS) ask("step", KEYS[e.key][e.shiftKey ? 1 : 0]);
+    else if (e.key === "Home") ask("go", rows[0]?.[0] ?? 0);
+    else if (e.key === "End") ask("now");
+    else if ("+-".includes(e.key)) zoom(e.key === "+" ? 0.5 : 2, middle());
+    else return;
+    e.preventDefault();
+    e.stopPropagation();
+  });
+  listen(window, "resize", draw);
+
+  // ---- numbers: what is typed is one number at its end, not one after each key
+  const typed = new Map(); // boxes that are typed into, and what they held before
+  const set = Object.getOwnPropertyDescriptor(HTMLInputElement.prototype, "value").set;
+  let passing = false;
+  const pass = (input, text) => {
+    for (let i = 0; i < 2 && (i === 0 || input.value !== text); i++) {
+      set.call(input, text);
+      passing = true;
+      input.dispatchEvent(new Event("input", { bubbles: true }));
+      passing = false;
+    }
+  };
+  const take = (input) => {
+    if (!typed.has(input)) return;
+    const before = typed.get(input), text = input.value.trim();
+    typed.delete(input);
+    const value = text === "" ? NaN : Number(text.replace("−", "-").replace(/^([^.]*),([^.]*)$/, "$1.$2"));
+    let label = null;
+    for (let e = input.parentElement; e && !label; e = e.parentElement) label = e.querySelector("label[for]");
+    const [low, high] = ranges[label?.htmlFor] ?? [null, null];
+    const fits = Number.isFinite(value) && value >= (low ?? -Infinity) && value <= (high ?? Infinity);
+    pass(input, fits ? String(value) : before);
+    if (fits) return;
+    const range = low === null && high === null ? "" : low === null ? ` up to ${high}` : high === null ? ` from ${low}` : ` from ${low} to ${high}`;
+    const name = label?.textContent.replace("•", "").trim() || "this box";
+    ask("refused", `${name} takes a number${range}, not ${text ? `“${text.slice(0, 40)}”` : "an empty box"}; it stays at ${before}.`);
+  };
+  const number = (e) => e.target instanceof HTMLInputElement && e.target.closest(".mantine-NumberInput-root");
+  listen(window, "focusin", (e) => {
+    if (number(e) && !typed.has(e.target)) e.target.dbbBefore = e.target.value;
+  }, { capture: true });
+  listen(window, "input", (e) => {
+    if (passing || !number(e)) return;
+    if (!typed.has(e.target)) typed.set(e.target, e.target.dbbBefore ?? "");
+    e.stopImmediatePropagation();
+  }, { capture: true });
+  listen(window, "keydown", (e) => {
+    if (number(e) && ["Enter", "ArrowUp", "ArrowDown"].includes(e.key)) {
+      take(e.target);
+      e.target.dbbBefore = e.target.value;
+    } else if (number(e) && e.key === "Escape" && typed.has(e.target)) {
+      pass(e.target, typed.get(e.target));
+      typed.delete(e.target);
+      e.stopImmediatePropagation();
+    } else if (e.key === "Escape") {
+      const open = (kinds) => [...document.querySelectorAll(kinds)].some((each) => each.offsetHeight);
+      if (open(".mantine-Modal-content, .mantine-Notification-root")) ask("escape");
+      else if (!live && !open("[role=listbox]")) ask("now");
+    }
+  }, { capture: true });
+  // A change comes before the box has made a number of what is typed.
+  listen(window, "change focusout", (e) => number(e) && take(e.target), { capture: true });
+  listen(window, "pointerdown", (e) => {
+    for (const input of [...typed.keys()]) if (input !== e.target) take(input);
+  }, { capture: true });
+
+  return {
+    begin: (uuid, known) => ([box, ranges] = [uuid, known]),
+    clear: (most, width) => {
+      [kept, bin, rows] = [most, width, []];
+      events.clear();
+      right = null;
+      draw();
+    },
+    rows: (more) => {
+      rows.push(...more);
+      if (rows.length * bin > 1.1 * kept) rows.splice(0, rows.length - Math.round(kept / bin));
+      draw();
+    },
+    events: (some) => {
+      for (const e of some) events.set(e[0], e);
+      const oldest = rows[0]?.[0] ?? 0;
+      for (const [k, e] of events) if (e[1] < oldest - 1) events.delete(k);
+      draw();
+    },
+    state: (...told) => {
+      [now, at, begin, end, live, paused, d_b] = told;
+      say();
+    },
+    // For tests: where a time is on the page, what is shown, and what happened.
+    pixel: (t) => [strip.getBoundingClientRect().left + x(t), strip.getBoundingClientRect().top + 25],
+    seen: () => ({ from: from(), until: until(), now, at, rows, events: [...events.values()] }),
+    end: () => {
+      ending.abort();
+      for (const element of [style, bar, edge, past, hint]) element.remove();
+    },
+  };
+})();

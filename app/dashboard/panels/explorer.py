@@ -1,0 +1,162 @@
+"""Folder "Postures": what the law would do where the robot does not stand, while time does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import viser
+
+from app.dashboard.drag import Grip
+from app.dashboard.explorer import CLOSE, Posture
+from app.dashboard.markup import RIGHT, cell, minus, row, small, table
+from app.dashboard.notifications import Notifier
+from app.dashboard.panels import Panel
+from app.dashboard.panels.phrases import signed
+from app.dashboard.shared import SharedState
+from app.errors import TargetError
+from app.robot.bases.kind import planar
+from app.simulation.loop.commands import Pause, Reset
+from app.simulation.trace.snapshot import Snapshot
+
+Array = np.ndarray
+
+_DEGREES = float(np.degrees(1.0))
+FARTHEST = 5.0  # [m] of the base from the origin
+
+
+class ExplorerPanel(Panel):
+    """Sliders of base and arm; while they are in use, the page shows their posture.
+
+    Attributes:
+        posture: It, or None.
+    """
+
+    def __init__(
+        self, gui: viser.GuiApi, shared: SharedState, grip: Grip, notifier: Notifier
+    ) -> None:
+        """Build the folder, closed; the hand is moved by the gizmo of `grip`."""
+        super().__init__(gui, notifier)
+        self._shared, self._grip = shared, grip
+        self.posture: Posture | None = None
+        self._wanted: Array | None = None  # (3,) [m] where the hand is to be
+        self._off = 0.0  # [m] from where it was to be last
+        self._stopped = False
+        model = shared.model
+        kinds = [joint.shortname() for joint in model.pin.joints[2:]]  # after the planar joint
+        self._scale = np.array([1.0 if "JointModelP" in kind else _DEGREES for kind in kinds])
+        with gui.add_folder("Postures", expand_by_default=False):
+            self._text = gui.add_html("")
+            self._begin = self.button("Stop and explore", self._enter, viser.Icon.STRETCHING)
+            self._sliders = [
+                self._slider(f"base {axis}", -most, most, 0.01 if unit == "m" else 0.5, unit)
+                for axis, most, unit in (
+                    ("x", FARTHEST, "m"),
+                    ("y", FARTHEST, "m"),
+                    ("heading", 180.0, "°"),
+                )
+            ]
+            for i, name in enumerate(model.description.arm.joints):
+                low, high = np.array([model.q_lower[i], model.q_upper[i]]) * self._scale[i]
+                unit = "m" if self._scale[i] == 1.0 else "°"
+                step = 0.001 if unit == "m" else 0.1
+                low, high = np.ceil(low / step) * step, np.floor(high / step) * step
+                self._sliders.append(self._slider(name, float(low), float(high), step, unit))
+            self._start = self.button("Start from here", self._go, viser.Icon.PLAYER_PLAY)
+            self._leave = self.button("Leave", lambda _: self._end(), color="gray")
+        self._show(on=False)
+
+    def shown(self, newest: Snapshot, shown: Snapshot) -> Snapshot:
+        """What the page shows: a posture while it is explored; called by the drawing thread."""
+        posture = self.posture
+        if posture is None:
+            return shown
+        self._stopped = self._stopped or newest.paused
+        if self._stopped and not newest.paused:  # somebody goes on: the robot itself counts
+            self._end()
+            return shown
+        explorer = self._shared.explorer()
+        place, self._wanted = self._wanted, None
+        if place is not None:
+            posture, self._off = explorer.reach(posture, place)
+            self.posture = posture
+            self._set(posture)
+        return explorer.ask(posture, newest)
+
+    def update(self, shown: Snapshot) -> None:
+        """Renew the readings, of what `shown` gave; called by the drawing thread."""
+        axes = self._shared.model.description.base.axes
+        self._text.content = (
+            posture_html(shown, planar(axes, shown.base_acceleration), self._off)
+            if self.posture is not None
+            else small("Time stands still; joints, base and hand are moved, and the law answers.")
+        )
+
+    def _slider(self, label: str, low: float, high: float, step: float, unit: str) -> Any:
+        first = min(max(0.0, low), high)
+        handle = self._gui.add_slider(f"{label} [{unit}]", low, high, step, first)
+        self.on_update(handle, lambda _: self._read())
+        return handle
+
+    def _enter(self, event: Any) -> None:
+        del event
+        newest = self._shared.loop.latest()
+        if newest.door is not None:
+            raise TargetError("the hand holds a door here: choose another scenario first")
+        self._shared.loop.send(Pause(True))
+        self._stopped = False  # as long as that is on its way
+        self._off, posture = 0.0, Posture(np.array(newest.base_pose), np.array(newest.q_m))
+        self._set(posture)
+        self.posture, self._grip.reach = posture, self._move_hand
+        self._show(on=True)
+
+    def _go(self, event: Any) -> None:
+        del event
+        posture = self.posture
+        if posture is None:
+            return
+        x, y, phi = map(float, posture.base_pose)
+        self._shared.loop.send(Reset(tuple(map(float, posture.q_m)), (x, y, phi)))
+        self._shared.loop.send(Pause(False))
+        self._end()
+
+    def _end(self) -> None:
+        self.posture = self._wanted = self._grip.reach = None
+        self._show(on=False)
+
+    def _move_hand(self, place: Array) -> None:
+        self._wanted = np.array(place)
+
+    def _read(self) -> None:
+        """The sliders' posture, each within its range."""
+        if self.posture is None:
+            return
+        values = np.array([min(max(s.value, s.min), s.max) for s in self._sliders])
+        base = np.append(values[:2], np.radians(values[2]))
+        self.posture, self._off = Posture(base, values[3:] / self._scale), 0.0
+
+    def _set(self, posture: Posture) -> None:
+        x, y, phi = posture.base_pose
+        phi = (phi + np.pi) % (2 * np.pi) - np.pi
+        values = [x, y, np.degrees(phi), *(posture.q_m * self._scale)]
+        for slider, value in zip(self._sliders, values, strict=True):
+            slider.value = float(np.clip(round(float(value), 3), slider.min, slider.max))
+
+    def _show(self, *, on: bool) -> None:
+        self._begin.visible = not on
+        for handle in (*self._sliders, self._start, self._leave):
+            handle.visible = on
+
+
+def posture_html(shown: Snapshot, acceleration: tuple[float, float, float], off: float) -> str:
+    """What the law says of a posture: distances, β, forces, and where the base would go."""
+    forces = {each.name: float(np.linalg.norm(each.f)) for each in shown.acting}
+    rows = [row(*(cell(name, RIGHT, head=True) for name in ("", "d", "β", "f")))]
+    for pair in shown.pairs:
+        force = f"{forces[pair.name]:.0f} N" if pair.name in forces else "–"
+        texts = (minus(f"{1000 * pair.d:.0f} mm"), f"{pair.beta:.2f}", force)
+        rows.append(row(cell(pair.name), *(cell(text, RIGHT) for text in texts)))
+    forward, left, turn = acceleration
+    way = f"v̇ {signed(forward)} m/s²" + (f", {signed(left)} to the left" if left else "")
+    beyond = f"<br>The hand comes no nearer than {1000 * off:.0f} mm." if off > CLOSE else ""
+    return small(f"{table(rows)}base: {way}, ω̇ {signed(turn)} rad/s²{beyond}")

@@ -1,0 +1,311 @@
+"""Robots of the page: another one replaces the running one, a new one is built of a zip."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple, Protocol, runtime_checkable
+
+from app.border.cache import BorderData, kept_border_data
+from app.border.cloud import Cloud
+from app.config import Config
+from app.dashboard.job import Job, build_robot, look_into_package, sample_border
+from app.dashboard.scene.robot import RobotParts
+from app.errors import ConfigError, DbbError
+from app.jobs.process import Cancelled
+from app.onboarding.read.package import LARGEST_ARCHIVE, Contents
+from app.onboarding.request import Request
+from app.robot.assets import load_robot, robot_folder, robot_names, user_robots
+from app.robot.model import RobotModel
+from app.robot.urdf import bare_urdf, resolved_urdf
+from app.simulation.loop.loop import LoopHandle
+from app.simulation.plants.choice import default_plant
+
+_NEEDED = resolved_urdf if default_plant() == "planar" else bare_urdf
+"""pybullet reads every mesh; MuJoCo and the viewer take the convex bodies if one is missing."""
+
+
+class RobotEntry(NamedTuple):
+    """A described robot.
+
+    Attributes:
+        about: Base and arm in a few words.
+        problem: Why it cannot be shown, with the command that helps where there is one; or None.
+        own: Whether it is one of the user's.
+        report: Whether there is a report on how it was made.
+    """
+
+    name: str
+    title: str
+    about: str
+    problem: str | None
+    own: bool
+    report: bool
+
+    @property
+    def label(self) -> str:
+        """In a list."""
+        return self.name if self.problem is None else f"{self.name} (not available)"
+
+
+def robot_entries() -> list[RobotEntry]:
+    """All of them, by name."""
+    return [_entry(name) for name in robot_names()]
+
+
+def _entry(name: str) -> RobotEntry:
+    folder, title, about, problem = robot_folder(name), name, "", None
+    own, report = folder.parent == user_robots(), (folder / "report.html").is_file()
+    try:
+        description = load_robot(name)
+        title = description.title
+        about = f"{description.base.kind} base, arm of {len(description.arm.joints)} joints"
+        _NEEDED(description)
+    except DbbError as error:
+        problem = str(error)
+    return RobotEntry(name, title, about, problem, own, report)
+
+
+@runtime_checkable
+class OwnLoop(LoopHandle, Protocol):
+    """A simulation that can be started and stopped."""
+
+    def start(self) -> None: ...  # waits for the first snapshot
+
+    def stop(self) -> None: ...  # may be called again
+
+
+StartLoop = Callable[[RobotModel, BorderData, Config, str], OwnLoop]
+"""Begins the simulation of a robot with parameters and a controller; `start` then waits for it."""
+
+
+class RunningRobot(NamedTuple):
+    """A robot that runs and can be drawn.
+
+    Attributes:
+        clouds: P_i of every pair of L_m, by the pair's name.
+        config: The parameters that it runs with.
+        note: What the viewers should know, or an empty string.
+    """
+
+    loop: OwnLoop
+    model: RobotModel
+    clouds: Mapping[str, Cloud]
+    parts: RobotParts
+    config: Config
+    note: str
+
+
+class RobotSwitch(Job):
+    """At most one switch of the robot at a time; the same for all viewers.
+
+    Any thread may call `begin` and `cancel`; the drawing thread calls `take` and `shown`.
+    """
+
+    def __init__(self, start_loop: StartLoop | None) -> None:
+        """Nothing under way; without `start_loop` the robot cannot be switched."""
+        super().__init__()
+        self._start_loop = start_loop
+        self._entries: list[RobotEntry] | None = None
+        self._ready: RunningRobot | None = None
+        self._taken = threading.Event()
+        self._loop: OwnLoop | None = None
+
+    @property
+    def possible(self) -> bool:
+        """Whether the robot can be switched at all."""
+        return self._start_loop is not None
+
+    @property
+    def entries(self) -> list[RobotEntry]:
+        """All robots, as of the last search."""
+        entries = self._entries  # read once: another thread may look again
+        if entries is None:
+            entries = self._entries = robot_entries()
+        return entries
+
+    def look_again(self) -> None:
+        """Search again: there may be another robot now."""
+        self._entries = None
+
+    def begin(self, name: str, config: Config, controller: str, running: LoopHandle) -> None:
+        """Prepare a robot beside the running one, which ends once the other one is shown.
+
+        Raises:
+            ConfigError: There is no such robot, it lacks something, or a switch is under way.
+        """
+        entry = next((each for each in self.entries if each.name == name), None)
+        if entry is None or self._start_loop is None:
+            raise ConfigError(f"there is no robot {name!r} to choose")
+        if entry.problem is not None:
+            raise ConfigError(f"{entry.title}: {entry.problem}")
+        replaced: LoopHandle | None = running
+
+        def work() -> None:
+            nonlocal replaced
+            self._taken.clear()
+            try:
+                self._replace(replaced, self._prepare(entry, config, controller))
+            finally:
+                replaced = None  # else it would be kept until after memory was given back
+
+        self.start(entry.title, "reading its description", work)
+
+    def take(self) -> RunningRobot | None:
+        """The robot to be shown from now on, if one has become ready; once."""
+        ready, self._ready = self._ready, None
+        return ready
+
+    def shown(self) -> None:
+        """Every viewer sees the robot that was taken."""
+        self._taken.set()
+
+    def close(self) -> None:
+        """End what is under way, and the simulation that was begun here last."""
+        self._taken.set()
+        super().close()
+        if self._loop is not None:
+            self._loop.stop()
+
+    def _replace(self, replaced: LoopHandle | None, robot: RunningRobot) -> None:
+        """Have a robot shown, and end the simulation of the one before."""
+        self._loop = robot.loop
+        self._ready = robot
+        self._taken.wait()  # until nobody draws the old one any more
+        if isinstance(replaced, OwnLoop):
+            replaced.stop()
+
+    def _prepare(self, entry: RobotEntry, config: Config, controller: str) -> RunningRobot:
+        model = RobotModel(load_robot(entry.name))
+        self.report("looking for its border")
+        data = kept_border_data(model)
+        if data is None:
+            data = self.run(sample_border, entry.name)
+        self.check()
+        self.report("reading its meshes")
+        parts = RobotParts(model)
+        self.check()
+        self.report("starting its simulation")
+        loop, config, note = self._start_suited(model, data, config, controller)
+        try:
+            self.check()
+        except Cancelled:
+            loop.stop()
+            raise
+        return RunningRobot(loop, model, data.clouds, parts, config, note)
+
+    def _start_suited(
+        self, model: RobotModel, data: BorderData, config: Config, controller: str
+    ) -> tuple[OwnLoop, Config, str]:
+        """With the parameters of now; with the defaults where this robot cannot begin with them."""
+        try:
+            return self._started(model, data, config, controller), config, ""
+        except DbbError as error:
+            if config == Config():
+                raise
+            note = f"the changed parameters do not suit it, so all are at their defaults ({error})"
+        return self._started(model, data, Config(), controller), Config(), note
+
+    def _started(
+        self, model: RobotModel, data: BorderData, config: Config, controller: str
+    ) -> OwnLoop:
+        assert self._start_loop is not None
+        loop = self._start_loop(model, data, config, controller)
+        try:
+            loop.start()
+        except BaseException:
+            loop.stop()
+            raise
+        return loop
+
+
+class Package(NamedTuple):
+    """A zip that was uploaded and looked into.
+
+    Attributes:
+        archive: Where it is kept until it has become a robot or another one comes.
+        urdfs: Its URDFs, by their path in it.
+    """
+
+    archive: Path
+    urdfs: Mapping[str, Contents]
+
+
+class RobotBuild(Job):
+    """At most one zip, and one robot that is being built of it.
+
+    Attributes:
+        package: The last upload that can be used, or None.
+        built: Name of the robot that was built last, or an empty string.
+    """
+
+    def __init__(self, switch: RobotSwitch) -> None:
+        """Nothing uploaded yet; `switch` searches again when there is another robot."""
+        super().__init__()
+        self.package: Package | None = None
+        self.built = ""
+        self._switch = switch
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+
+    def receive(self, name: str, content: bytes) -> None:
+        """Take a zip, and read what it holds.
+
+        Raises:
+            ConfigError: It is too large, or something is under way.
+        """
+        if len(content) > LARGEST_ARCHIVE:
+            raise ConfigError(f"a zip may have {LARGEST_ARCHIVE / 1e6:.0f} MB")
+
+        def work() -> None:
+            self.built = ""
+            self._forget()
+            self._folder = tempfile.TemporaryDirectory(prefix="dbb-upload-")
+            archive = Path(self._folder.name) / _file_name(name)
+            archive.write_bytes(content)
+            self.package = Package(archive, self.run(look_into_package, archive))
+
+        self.start(_file_name(name), "is being read", work)
+
+    def build(self, request: Request) -> None:
+        """Build the robot in a process of its own.
+
+        Raises:
+            ConfigError: There is a robot of that name already, or something is under way.
+            RobotFileError: The name cannot be one.
+        """
+        if request.name in robot_names():
+            raise ConfigError(f"there is a robot {request.name!r} already; give another name")
+
+        def work() -> None:
+            self.built = ""
+            try:
+                self.run(build_robot, request)
+            except Cancelled:  # the process may have had no time to tidy up
+                for begun in request.out.resolve().parent.glob(f".{request.name}-*"):
+                    shutil.rmtree(begun, ignore_errors=True)
+                raise
+            self.built = request.name
+            self._switch.look_again()
+            self._forget()  # what it needs of the zip is in its own folder now
+
+        self.start(request.name, "begins", work)
+
+    def close(self) -> None:
+        """Cancel, and remove what was uploaded."""
+        super().close()
+        self._forget()
+
+    def _forget(self) -> None:
+        self.package = None
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+
+def _file_name(name: str) -> str:
+    """A name for the file that a browser calls so, which may say anything."""
+    kept = "".join(c for c in name if c.isascii() and (c.isalnum() or c in "._-"))
+    return f"{kept.lower().removesuffix('.zip').strip('.')[:60] or 'robot'}.zip"

@@ -1,0 +1,222 @@
+"""Layers: what explains the motion, each of them a function that draws a snapshot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from app.dashboard.scene.canvas import (
+    HEAD_LENGTH,
+    METRES_PER_ACCELERATION,
+    METRES_PER_NEWTON,
+    ROOT,
+    Anchor,
+    Canvas,
+)
+from app.dashboard.scene.colours import (
+    ACCELERATION,
+    ACTING,
+    NEAR,
+    PERSON,
+    YIELDS,
+    Rgb,
+    linear,
+)
+from app.dashboard.verdict import COLOURS, Verdict
+from app.dashboard.view import View
+from app.robot.bases.kind import Axis, planar
+from app.simulation.trace.metrics import OPENED
+from app.simulation.trace.snapshot import ActingReading, DoorView, PairReading, Snapshot
+
+Array = np.ndarray
+
+TOGETHER = 0.15  # [m] nearer labels of distances stand at one point
+_LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] over its point, clear of the acting points
+_ANCHORS: tuple[Anchor, ...] = ("bottom-left", "top-left", "bottom-right", "top-right")
+"""Quarters in which the labels stand in turn: those of one point do not overlap."""
+
+_LEAST_FORCE = 0.5  # [N] weaker forces get no arrow, whose head would be longer than itself
+_FORCE_LIFT = 0.08  # [m] of the arrow of a force on the base over the base's top
+_LEAST_APART = 0.05  # [m] nearer to p_act the label of p_t would lie under that of p_act
+_P_N: Rgb = (240, 240, 245)
+_P_T: Rgb = (32, 190, 200)
+
+_LEAST_ACCELERATION = 0.02  # [m/s²] and [rad/s²] smaller ones are not drawn
+_RADIANS_PER_ACCELERATION = 0.4  # [s²] arc of ω̇: 0.4 rad is 1 rad/s²
+_MOST_ARC = np.deg2rad(300.0)  # [rad] longer arcs would close
+_RADIUS = 0.22  # [m] of the arc
+_MOTION_LIFT = 0.06  # [m] of the arrows of the base's acceleration over its top
+_ARC_POINTS = 24
+
+_BOARD: Rgb = (225, 228, 232)
+_CASE: Rgb = (190, 196, 204)
+_HANDLE: Rgb = (70, 76, 84)
+_DEPTH = 0.55  # [m] of the case behind the door
+_WALL = 0.01  # [m] between door and case
+_BAR = 0.30  # [m] length of the handle
+_DOOR_LIFT = 0.05  # [m] of the angle over the door
+_NAME_HEIGHT = 0.02  # [m] of the names of robots that are compared
+_DOOR_ARC = 0.30  # [m] radius of the angle
+
+
+def draw_distances(
+    canvas: Canvas, snapshot: Snapshot, verdict: Verdict, view: View, spoken: Mapping[str, str]
+) -> None:
+    """Lines between closest points, thick inside of the buffer, with their distances on demand.
+
+    Words for the pairs are `spoken`, by their names.
+    """
+    d_b, pairs = snapshot.config.border.d_b, snapshot.pairs
+    colours = linear(np.array([COLOURS[state] for state in verdict.pairs]))
+    for kind, inside, pixels in (("outside", False, 1.5), ("inside", True, 4.0)):
+        ends = segments(pairs, d_b, inside=inside)
+        canvas.segments(
+            f"/distances/{kind}", ends, np.repeat(colours[:, None, :], 2, axis=1), pixels
+        )
+    nearest = min(pairs, key=lambda pair: pair.d)
+    standing: list[tuple[Array, Anchor]] = []
+    for i, pair in enumerate(pairs):
+        if view.labels == "all" or (view.labels == "active" and pair.d < d_b):
+            # Between the base and the arm stand the acting points with their own labels.
+            place = pair.p_a + _LABEL_LIFT if pair.mobile else (pair.p_a + pair.p_b) / 2
+            anchor = _ANCHORS[i % len(_ANCHORS)]
+            place = beside(place, anchor, standing)
+            standing.append((place, anchor))
+            depth = "" if pair.d >= 0.0 else " inside: contact"
+            text = f"{spoken[pair.name]}  {1000 * abs(pair.d):.0f} mm{depth}"
+            canvas.label(f"/distances/label_{pair.name}", place, text, anchor)
+        if view.names and pair.d < d_b:
+            node = f"/distances/{pair.name}"
+            canvas.point(f"{node}/p_a", pair.p_a, NEAR, 0.009)
+            canvas.point(f"{node}/p_b", pair.p_b, NEAR, 0.009)
+            if pair is nearest:  # those of all pairs would lie over one another
+                canvas.label(f"{node}/p_a_label", pair.p_a, "p_a", "bottom-right")
+                canvas.label(f"{node}/p_b_label", pair.p_b, "p_b", "top-left")
+
+
+def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array:
+    """(N, 2, 3) [m] one segment a pair; of a pair on the other side of d_b [m] it is a point."""
+    ends = np.array([(pair.p_a, pair.p_b) for pair in pairs], dtype=float).reshape(-1, 2, 3)
+    unwanted = np.array([(pair.d < d_b) != inside for pair in pairs], dtype=bool)
+    ends[unwanted, 1] = ends[unwanted, 0]
+    return ends
+
+
+def beside(place: Array, side: str, standing: Sequence[tuple[Array, str]]) -> Array:
+    """Where a label stands: with others near it at one point, in a quarter of its own.
+
+    Args:
+        place: (3,) [m] where it belongs.
+        side: Its anchor.
+        standing: Place (3,) [m] and anchor of each label that stands already.
+    """
+    for there, _ in standing:
+        taken = {s for p, s in standing if p is there}
+        if np.linalg.norm(there - place) < TOGETHER and side not in taken:
+            return there
+    return place
+
+
+def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: float) -> None:
+    """p_n, p_t, p_act and the force of avoidance of each active pair of L_m.
+
+    Each label stands on its own side, the distance's to the upper right: they stay apart where
+    points meet. The base's top is at a height [m].
+    """
+    for reading in snapshot.acting:
+        node = f"/acting/{reading.name}"
+        canvas.point(f"{node}/p_n", reading.p_n, _P_N, 0.011)
+        canvas.point(f"{node}/p_t", reading.p_t, _P_T, 0.011)
+        canvas.point(f"{node}/p_act", reading.p_act, ACTING, 0.011)
+        if view.names:
+            canvas.label(f"{node}/p_n_label", reading.p_n, "p_n", "bottom-right")
+            if np.linalg.norm(reading.p_t - reading.p_act) > _LEAST_APART:
+                canvas.label(f"{node}/p_t_label", reading.p_t, "p_t", "top-right")
+        place = _draw_force(canvas, node, reading, top)
+        force = f"{np.linalg.norm(reading.f):.0f} N"
+        canvas.label(f"{node}/p_act_label", place, f"p_act  {force}" if view.names else force)
+
+
+def _draw_force(canvas: Canvas, node: str, reading: ActingReading, top: float) -> Array:
+    """The arrow of the force on the base at p_act, if it is strong enough; gives its label's place.
+
+    The arrow ends there, for the base would hide one that began there; and below the base's top it
+    is drawn straight above p_act, for the arm would hide it.
+    """
+    p_act = reading.p_act
+    if np.linalg.norm(reading.f) < _LEAST_FORCE:
+        return p_act
+    end = np.array([p_act[0], p_act[1], max(float(p_act[2]), top + _FORCE_LIFT)])
+    start = end - METRES_PER_NEWTON * reading.f
+    canvas.arrow(f"{node}/force", start, end, ACTING)
+    canvas.lines(f"{node}/stem", [np.array([p_act, end])], ACTING, 2.0)
+    return start
+
+
+def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: float) -> None:
+    """The person's force, and over the base's top [m] the accelerations that it is asked for."""
+    force = snapshot.hand_force
+    if snapshot.hand_target is not None and np.linalg.norm(force) >= _LEAST_FORCE:
+        tip = snapshot.p_ee + METRES_PER_NEWTON * force
+        canvas.arrow("/person", snapshot.p_ee, tip, PERSON)
+    draw_acceleration(canvas, ROOT, snapshot.base_acceleration, axes, top)
+
+
+def draw_acceleration(
+    canvas: Canvas, node: str, acceleration: Array, axes: Sequence[Axis], top: float
+) -> None:
+    """An acceleration of the base (n_b,), over its top [m], below a node that moves with it."""
+    forward, left, w = planar(axes, acceleration)
+    over = np.array([0.0, 0.0, top + _MOTION_LIFT])
+    if np.hypot(forward, left) > _LEAST_ACCELERATION:
+        along = METRES_PER_ACCELERATION * np.array([forward, left, 0.0])
+        canvas.arrow(f"{node}/v", over, over + along, ACCELERATION)
+    if abs(w) > _LEAST_ACCELERATION:
+        points = over + arc(w)
+        canvas.lines(f"{node}/w_arc", [points], ACCELERATION, 4.0)
+        ahead = points[-1] - points[-2]  # the arrow is no longer than its head
+        tip = points[-1] + HEAD_LENGTH / max(float(np.linalg.norm(ahead)), 1e-9) * ahead
+        canvas.arrow(f"{node}/w_head", points[-1], tip, ACCELERATION)
+
+
+def arc(w: float) -> Array:
+    """(K, 3) [m] the arc of an acceleration ω̇ [rad/s²] around the base's axis, begun ahead."""
+    angle = float(np.clip(_RADIANS_PER_ACCELERATION * w, -_MOST_ARC, _MOST_ARC))
+    along = np.linspace(0.0, angle, _ARC_POINTS)
+    return _RADIUS * np.column_stack([np.cos(along), np.sin(along), np.zeros(len(along))])
+
+
+def draw_names(canvas: Canvas, snapshot: Snapshot) -> None:
+    """Below each of several robots its controller's name, in a quarter of its own."""
+    ghosts = [(ghost.controller, ghost.base_pose) for ghost in snapshot.ghosts]
+    robots = [(f"{snapshot.controller} (led)", snapshot.base_pose), *ghosts] if ghosts else []
+    for i, (name, (x, y, _)) in enumerate(robots):
+        canvas.label(f"/names/{i}", np.array([x, y, _NAME_HEIGHT]), name, _ANCHORS[i])
+
+
+def draw_door(canvas: Canvas, view: DoorView) -> None:
+    """Refrigerator: case, door and handle."""
+    door, leaf = view.door, view.door.pose(view.angle)
+    canvas.box("/door/board", leaf * _at(door.centre), door.size, _BOARD, None)
+    handle = door.pose(0.0).actInv(door.handle(0.0))
+    canvas.box("/door/handle", leaf * _at(handle.translation), (0.02, 0.02, _BAR), _HANDLE, None)
+    depth = door.thickness / 2 + _WALL + _DEPTH / 2
+    case = door.pose(0.0) * _at(door.centre + np.array([depth, 0.0, 0.0]))
+    canvas.box("/door/case", case, (_DEPTH, door.width, door.height), _CASE, 0.5)
+    # Over the door: its hinge, how far it is open, and the angle to which it is opened.
+    top = np.array([0.0, 0.0, door.bottom + door.height + _DOOR_LIFT])
+    hinge, closed = door.pose(0.0).translation, door.pose(0.0)
+    canvas.lines("/door/hinge", [np.array([hinge, hinge + top])], ACTING, 4.0)
+    radius = np.array([0.0, -door.side * _DOOR_ARC, 0.0])
+    for name, angle, colour in (("goal", OPENED, _HANDLE), ("open", view.angle, YIELDS)):
+        arc_points = [hinge + top, closed.act(top + radius)]
+        arc_points += [door.pose(a).act(top + radius) for a in np.linspace(0, angle, _ARC_POINTS)]
+        canvas.lines(f"/door/{name}", [np.array([*arc_points, hinge + top])], colour, 3.0)
+    text = f"{np.degrees(view.angle):.0f}° of {np.degrees(OPENED):.0f}°"
+    canvas.label("/door/angle", door.pose(view.angle / 2).act(top + 1.3 * radius), text)
+
+
+def _at(place: Array) -> pin.SE3:
+    return pin.SE3(np.eye(3), np.asarray(place, float))

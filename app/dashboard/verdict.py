@@ -1,0 +1,87 @@
+"""The verdict on an instant: of it are the colours of sentence, rows, bars, lines and labels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, NamedTuple
+
+from app.control.explanation import NearPair
+from app.dashboard.scene.colours import CLEAR, CONTACT, NEAR, RESISTS, YIELDS, Rgb
+from app.simulation.trace.snapshot import PairReading, Snapshot
+
+State = Literal["clear", "near", "giving way", "resisting", "contact"]
+
+COLOURS: dict[State, Rgb] = {
+    "clear": CLEAR,
+    "near": NEAR,
+    "giving way": YIELDS,
+    "resisting": RESISTS,
+    "contact": CONTACT,
+}
+"""By state, from the calmest to the worst; "near" is inside a buffer while nothing acts on it."""
+_NO_BASE_HELPS = 0.9  # [-] n_z² from which on hardly any motion of the base helps: 18° off vertical
+
+
+class Verdict(NamedTuple):
+    """How the robot stands.
+
+    Attributes:
+        state: The worst of what there is.
+        pairs: The state of each link pair, in the order of the snapshot.
+        touching: What touches, or how deep which pair is inside the other; empty without contact.
+    """
+
+    state: State
+    pairs: tuple[State, ...]
+    touching: str
+
+    @property
+    def colour(self) -> Rgb:
+        """Of the state."""
+        return COLOURS[self.state]
+
+
+def judge(snapshot: Snapshot, spoken: Mapping[str, str] | None = None) -> Verdict:
+    """The verdict on a snapshot, the only one that the page has; `spoken` has words for pairs."""
+    why = snapshot.explanation
+    known = {} if why is None else {f"{pair.a}-{pair.b}": pair for pair in why.near}
+    pairs: tuple[State, ...] = tuple(
+        _state(pair, known.get(pair.name), snapshot.controller) for pair in snapshot.pairs
+    )
+    touching = _touching(snapshot, spoken or {})
+    states: list[State] = ["clear", *pairs]
+    if why is not None and not why.solved:
+        states.append("resisting")  # the arm holds itself up and the base brakes
+    return Verdict("contact" if touching else max(states, key=list(COLOURS).index), pairs, touching)
+
+
+def base_cannot_help(pair: NearPair) -> bool:
+    """Whether a pair meets so much from above that the arm alone can keep its distance."""
+    return pair.above >= _NO_BASE_HELPS
+
+
+def _state(pair: PairReading, near: NearPair | None, controller: str) -> State:
+    """Of one pair; `near` is what the explanation has of it."""
+    if pair.d < 0.0:
+        return "contact"
+    if near is not None and near.held:
+        return "resisting"
+    if pair.beta == 0.0:
+        return "clear"
+    if controller in ("none", "barrier") or (near is not None and base_cannot_help(near)):
+        return "near"
+    return "giving way" if pair.mobile and controller == "dbb" else "resisting"
+
+
+def _touching(snapshot: Snapshot, spoken: Mapping[str, str]) -> str:
+    touches = {
+        "arm on base": snapshot.in_contact,
+        "within arm": snapshot.arm_in_contact,
+        "arm on floor": snapshot.floor_contact,
+        "door on base": snapshot.door is not None and snapshot.door.contact,
+    }
+    texts = [text for text, touch in touches.items() if touch]
+    deepest = min(snapshot.pairs, key=lambda pair: pair.d)
+    if deepest.d < 0.0:
+        texts.append(f"{spoken.get(deepest.name, deepest.name)} {-1000 * deepest.d:.0f} mm inside")
+    return ", ".join(texts)

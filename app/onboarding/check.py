@@ -1,0 +1,378 @@
+"""`dbb check-robot`: what a description promises, held against the robot itself, row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from importlib.util import find_spec
+from typing import Literal, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from app.border.cache import BorderData, load_border_data
+from app.border.config import SamplingConfig
+from app.border.dbb import construct_dbb
+from app.border.mobile import MobileBody
+from app.config import Config
+from app.errors import DbbError, UnreachableError
+from app.onboarding.fit.collision_sampling import ALWAYS, units_of_links
+from app.onboarding.fit.grouping import UNSEEN_POSES, unseen_collisions
+from app.onboarding.fit.postures import judge_ready
+from app.onboarding.holding import carried_hand, holding_warning
+from app.onboarding.numbers import gravity_load, largest_of_poses
+from app.onboarding.read.links import LinkGeometry, read_geometry
+from app.onboarding.read.source import read_robot
+from app.onboarding.read.tree import make_tree
+from app.robot.assets import urdf_path
+from app.robot.description import RobotDescription
+from app.robot.link_pairs import PairDistances, sample_joints
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
+from app.simulation.trace.columns import axis_name
+
+Array = np.ndarray
+Outcome = Literal["passed", "warned", "failed", "nothing to show"]
+
+_STATES = 20  # [-] random ones in which the dynamics are compared
+_AGREE = 1e-6  # [-] of the largest entry
+_FASTEST, _STRONGEST = 20.0, 2000.0  # [rad/s or m/s], [N m or N] of a joint
+_MARGIN = 0.02  # [-] share of a joint's range between the ready pose and a limit
+_OUT_OF_BASE = 0.01  # [m] by which a base's mesh may stick out of its body; a buffer has 0.1 m
+_MISSED = 0.01  # [-] share of collisions that the pairs of their bodies may not see
+_LAYER = 0.05  # [m]
+_NEAR_POSES = 1000
+_MANY = 500  # [-] points nearer than the border by which a layer counts as reached
+_FEW = 10  # [-] points of the border in a layer that is not empty
+_CLEARANCE = 0.03  # [m] least distance of a pair with the base that passes
+_NEARLY = 0.05  # [m] to the base without avoidance, from which on the base has to move
+_GIVES_WAY = 0.05  # [m] by which it moves then
+
+
+class Row(NamedTuple):
+    """One check.
+
+    Attributes:
+        name: What was checked.
+        outcome: passed, warned or failed, or that nothing was there to show it.
+        text: One sentence.
+        numbers: What was measured; keys end in their unit.
+    """
+
+    name: str
+    outcome: Outcome
+    text: str
+    numbers: dict[str, float]
+
+
+def check_robot(
+    description: RobotDescription,
+    *,
+    runs: bool = True,
+    tell: Callable[[str], None] = lambda _: None,
+    processes: int | None = None,
+    sampling: SamplingConfig | None = None,
+) -> Iterator[Row]:
+    """All checks of a description that could be read, one by one.
+
+    A check that cannot be done fails with the reason; those that need it are left out.
+
+    Args:
+        description: The robot.
+        runs: Whether to guide the hand too, which takes longest.
+        tell: Called with what is being done.
+        processes: How many to sample the border with; all cores if not given.
+        sampling: Of the border; by default as every command samples it.
+    """
+    tell("compiling")
+    try:
+        model = RobotModel(description)
+    except DbbError as error:
+        yield Row("pinocchio", "failed", str(error), {})
+        return
+    text = f"loads: {model.n_m} joints, {len(model.body_names)} bodies"
+    yield Row("pinocchio", "passed", text, {})
+    for name, check in {
+        "pybullet": bullet_row,
+        "mujoco": mujoco_row,
+        "engines": engines_row,
+        "limits": limits_row,
+        "base's body": base_row,
+        "arm's bodies": arm_row,
+        "hand held": holding_row,
+    }.items():
+        tell(name)
+        yield _done(name, lambda check=check: check(model))
+    tell("sampling pairs and border")
+    try:
+        data = load_border_data(model, sampling=sampling, processes=processes)
+    except DbbError as error:
+        yield Row("border", "failed", str(error), {})
+        return
+    checks = {"pairs": pairs_row, "ready pose": ready_row, "border": border_row}
+    guided = ("guiding-lateral", "guiding-front") if runs else ()
+    rows: list[Row] = []
+    for name, check in (checks | {name: partial(run_row, name=name) for name in guided}).items():
+        tell(name)
+        rows.append(_done(name, lambda check=check: check(model, data)))
+        yield rows[-1]
+    if runs and data.pairs.mobile and not _shown(rows[len(checks) :]):
+        yield Row("guiding", "failed", "no guiding run could be done in which the base counts", {})
+
+
+def _shown(rows: list[Row]) -> bool:
+    return any(row.outcome in ("passed", "failed") for row in rows)
+
+
+def _done(name: str, check: Callable[[], Row]) -> Row:
+    try:
+        return check()
+    except DbbError as error:
+        return Row(name, "failed", str(error), {})
+
+
+def bullet_row(model: RobotModel) -> Row:
+    """M and C q̇ + g in random states, from pinocchio and from pybullet."""
+    if not find_spec("pybullet"):
+        return Row("pybullet", "warned", "not installed here: pip install pybullet", {})
+    return _dynamics_row("pybullet", model)
+
+
+def mujoco_row(model: RobotModel) -> Row:
+    """The same from pinocchio and from MuJoCo."""
+    return _dynamics_row("mujoco", model)
+
+
+def _dynamics_row(name: Literal["pybullet", "mujoco"], model: RobotModel) -> Row:
+    from app.simulation.plants.planar import planar_plant
+
+    engine = planar_plant(name, model)
+    rng, state, n_b = np.random.default_rng(0), RobotState(model), model.n_b
+    worst = {"M_difference": 0.0, "nle_difference": 0.0}
+    try:
+        for q_m in sample_joints(model, _STATES, rng):
+            qd = np.concatenate([rng.uniform(-1, 1, n_b), rng.uniform(-0.5, 0.5, model.n_m)])
+            base_velocity = model.J_m @ qd[:n_b]
+            state.update(Measurement(np.zeros(3), base_velocity, q_m, qd[n_b:]))
+            ours = (state.M, state.h)
+            for key, theirs, own in zip(worst, engine.mass_and_bias(q_m, qd), ours, strict=True):
+                worst[key] = max(worst[key], float(np.abs(theirs - own).max() / np.abs(own).max()))
+    finally:
+        engine.close()
+    most = max(worst.values())
+    good = most < _AGREE
+    text = f"M and C q̇ + g differ from pinocchio's by {most:.1e} of the largest entry"
+    text += "" if good else "; give every link an <inertial>, 0 for frames"
+    return Row(name, "passed" if good else "failed", text, worst)
+
+
+def engines_row(model: RobotModel) -> Row:
+    """What both engines see of the robot in random poses, and what they say touches."""
+    if not find_spec("pybullet"):
+        return Row("engines", "warned", "pybullet is not installed: nothing to compare with", {})
+    from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
+
+    found = compare_engines(model)
+    good = found.picture < SAME_PICTURE and found.depth < SAME_DEPTH
+    return Row(
+        "engines",
+        "passed" if good else "failed",
+        f"pictures differ in {found.picture:.1%} of their rays; of what touches in {found.poses} "
+        f"poses, one engine alone has nothing deeper than {1e3 * found.depth:.1f} mm",
+        {"picture_difference": found.picture, "contact_difference_m": found.depth},
+    )
+
+
+def limits_row(model: RobotModel) -> Row:
+    """Limits that a motor can have, gravity that it can hold, inertia that the step can take."""
+    names, data = model.description.arm.joints, model.pin.createData()
+    load = gravity_load(model)
+    least = -largest_of_poses(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
+    wrong = [
+        f"{name} has {speed:g} rad/s (or m/s) and {effort:g} N m (or N)"
+        for name, speed, effort in zip(names, model.qd_max, model.tau_max, strict=True)
+        if speed > _FASTEST or effort > _STRONGEST
+    ]
+    wrong += [f"{name} moves no inertia" for name, m in zip(names, least, strict=True) if m <= 1e-9]
+    weak = [
+        f"{name} holds {effort:g} of {most:.3g} N m (or N)"
+        for name, effort, most in zip(names, model.tau_max, load, strict=True)
+        if effort < most
+    ]
+    share = float((load / model.tau_max).max())
+    if wrong:
+        return Row("limits", "failed", "; ".join(wrong), {"gravity_share": share})
+    text = f"gravity takes at most {share:.0%} of a joint's torque"
+    if weak:
+        text = f"gravity is more than a joint holds in some poses: {'; '.join(weak)}"
+    return Row("limits", "warned" if weak else "passed", text, {"gravity_share": share})
+
+
+def base_row(model: RobotModel) -> Row:
+    """Every point of the meshes of l_m's links above the floor lies inside of l_m."""
+    unit = units_of_links(model, _geometry(model))[model.body_names[0]]
+    points = np.vstack([np.zeros((0, 3)), *(part.corners for part in unit[0].parts)])
+    points = points[points[:, 2] > 0.0]
+    if not len(points):
+        return Row("base's body", "failed", "the base's links have no shapes", {})
+    out = float(MobileBody(model).distance(points).max())
+    text = f"the base's meshes stick out of it by {max(out, 0.0):.4f} m at most"
+    good = out <= _OUT_OF_BASE
+    return Row("base's body", "passed" if good else "failed", text, {"sticks_out_m": out})
+
+
+def arm_row(model: RobotModel) -> Row:
+    """Where the hulls of links of two bodies of a pair collide, the bodies do too."""
+    found = unseen_collisions(model, _geometry(model), Config().border.d_b)
+    numbers = {
+        "collisions": float(found.watched),
+        "missed": float(found.missed),
+        "missed_distance_m": found.deepest,
+        "unwatched": float(found.unwatched),
+        "unseen_share": found.share,
+    }
+    text = (
+        f"of {found.watched} collisions of links in {UNSEEN_POSES:,} random poses the pairs of "
+        f"their bodies see all but {found.missed}"
+    )
+    if found.missed:
+        text += f", {found.deepest:.3f} m outside at most"
+    if found.unwatched:
+        text += f"; {found.unwatched} more are of bodies that are no pair, mostly {found.worst}"
+    if found.blind:
+        text += f"; {', '.join(found.blind)} does not hold the links with which it meets"
+        return Row("arm's bodies", "failed", text, numbers)
+    if not found.watched:
+        return Row("arm's bodies", "nothing to show", text, numbers)
+    good = "passed" if not found.missed and found.share <= _MISSED else "warned"
+    outcome = good if found.missed <= _MISSED * found.watched else "failed"
+    return Row("arm's bodies", outcome, text, numbers)
+
+
+def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:
+    return read_geometry(make_tree(read_robot(urdf_path(model.description))))
+
+
+def holding_row(model: RobotModel) -> Row:
+    """Warns where the base takes the hand along: it gives way less there."""
+    carried = carried_hand(model)
+    numbers = {
+        f"{what}_lost_{axis_name(each.axis)}_share": getattr(each, what)
+        for each in carried
+        for what in ("place", "pose")
+    }
+    worst = max(each.place for each in carried)
+    text = f"the arm holds its hand's place in {1 - worst:.0%} of poses, however the base moves"
+    warning = holding_warning(carried)
+    return Row("hand held", "warned" if warning else "passed", warning or text, numbers)
+
+
+def pairs_row(model: RobotModel, data: BorderData) -> Row:
+    """There are pairs, each body of L_m has a reachability, and none is near for good."""
+    pairs, d_b = data.pairs, Config().border.d_b
+    if not pairs.mobile:
+        return Row("pairs", "warned", "no part of the arm can meet the base", {})
+    missing = [p.b for p in pairs.mobile if p.b not in model.description.reachability]
+    reader = PairDistances(model, pairs.all)
+    distances = []
+    for q_m in sample_joints(model, _NEAR_POSES, np.random.default_rng(1)):
+        reader.update(model.configuration((0.0, 0.0, 0.0), q_m))
+        distances.append([reader.distance(i) for i in range(len(pairs.all))])
+    seen = np.array(distances)
+    free = (seen > 0.0).all(axis=1)
+    near = (seen[free] < d_b).mean(axis=0) if free.any() else np.ones(len(pairs.all))
+    names = [pair.name for pair in pairs.all]
+    numbers = {f"near_{name}": float(share) for name, share in zip(names, near, strict=True)}
+    if missing:
+        text = f"no reachability of {', '.join(missing)}, which can meet the base"
+        return Row("pairs", "failed", text, numbers)
+    always = [name for name, share in zip(names, near, strict=True) if share > ALWAYS]
+    if always:
+        text = f"{', '.join(always)}: inside the buffer in more than {ALWAYS:.0%} of free poses"
+        return Row("pairs", "warned", text, numbers)
+    text = f"{', '.join(names)}; inside the buffer in {near.max():.0%} of free poses at most"
+    return Row("pairs", "passed", text, numbers)
+
+
+def ready_row(model: RobotModel, data: BorderData) -> Row:
+    """The ready pose: away from the limits and outside of every buffer."""
+    if not data.pairs.all:
+        return Row("ready pose", "passed", "no bodies can meet", {})
+    q_m = np.array(model.description.arm.ready_position)
+    span = model.q_upper - model.q_lower
+    left = float((np.minimum(q_m - model.q_lower, model.q_upper - q_m) / span).min())
+    ready = judge_ready(model, data.pairs, q_m, d_b=Config().border.d_b)
+    numbers = {"beyond_buffer_m": ready.clearance, "least_joint_margin": left}
+    text = f"{ready.nearest} is {ready.clearance:+.3f} m from its buffer, joints {left:.0%} of "
+    text += "their range from a limit at least"
+    good = ready.clearance >= 0 and left >= _MARGIN
+    return Row("ready pose", "passed" if good else "warned", text, numbers)
+
+
+def border_row(model: RobotModel, data: BorderData) -> Row:
+    """Each pair of L_m has a border, without a gap between the heights that it has.
+
+    At the lowest and highest heights that the arm reaches it may not get as far out as the border:
+    there the exact offset of l_m stands in, which is told.
+    """
+    if not data.clouds:
+        return Row("border", "warned", "no part of the arm can meet the base: there is none", {})
+    border, top = Config().border, float(MobileBody(model).upper[2])
+    empty, ends, numbers = [], [], {}
+    for name, cloud in data.clouds.items():
+        made = construct_dbb(cloud, border.d_b, border.eps)
+        numbers[f"points_{name}"] = float(len(made))
+        if not len(made):
+            return Row("border", "failed", f"no points of {name} at all", numbers)
+        inside = cloud.points_m[cloud.d_m < border.d_b - border.eps][:, 2]
+        lowest, highest = float(made.heights[0]), float(made.heights[-1])
+        for z in np.arange(_LAYER / 2, top, _LAYER).round(3).tolist():
+            reached = np.count_nonzero(np.abs(inside - z) < _LAYER / 2) >= _MANY
+            if reached and len(made.same_height(z, _LAYER / 2)) < _FEW:
+                between = lowest < z - _LAYER and z + _LAYER < highest
+                (empty if between else ends).append(f"{name} at z = {z:.2f} m")
+    if empty:
+        return Row("border", "warned", f"no points of {'; '.join(empty)}", numbers)
+    text = "at every height that the arm reaches beside the base: "
+    text += ", ".join(f"{n.removeprefix('points_')} {c:,.0f} points" for n, c in numbers.items())
+    if ends:
+        text += f"; at the end of its reach the exact offset stands in: {', '.join(ends)}"
+    return Row("border", "passed", text, numbers)
+
+
+def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
+    """A guiding run with the default parameters, beside the same one without avoidance.
+
+    Where the arm cannot start there is nothing to judge, which is warned of; where the hand does
+    not come into the inner half of the buffer even without avoidance, the run shows nothing.
+    """
+    from app.simulation.run import run_scenario
+    from app.simulation.scenarios.names import scenario_of
+
+    scenario, config = scenario_of(model.description, name), Config()
+    run = partial(run_scenario, model, data, scenario, config)
+    try:
+        figures, bare = run().figures, run(controller="none", physics="kinematic").figures
+    except UnreachableError as error:
+        return Row(name, "warned", f"not done: {error}", {})
+    touched = sum(int(figures[k]) for k in ("contacts", "arm_contacts", "floor_contacts"))
+    failures, moved = int(figures["solver_failures"]), float(figures["base_displacement_m"])
+    near, without = figures["min_clearance_m"], bare["min_clearance_m"]
+    numbers = {
+        "contacts": float(touched),
+        "solver_failures": float(failures),
+        "base_displacement_m": moved,
+    }
+    text = f"{touched} steps in contact, {failures} without a solution"
+    if near is not None:
+        numbers |= {"min_clearance_m": float(near), "min_clearance_without_m": float(without)}
+        text = (
+            f"least distance to the base {near:.3f} m ({without:.3f} m without avoidance), base "
+            f"moved by {moved:.3f} m, {text}"
+        )
+    still = without is not None and without < _NEARLY and moved < _GIVES_WAY
+    if touched or failures or still or (near is not None and near < _CLEARANCE):
+        text += "; the base does not give way" if still else ""
+        return Row(name, "failed", text, numbers)
+    shown = without is not None and without < config.border.d_b / 2
+    return Row(name, "passed" if shown else "nothing to show", text, numbers)

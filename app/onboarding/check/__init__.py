@@ -1,1 +1,0 @@
-"""`dbb check-robot`, row by row."""

@@ -1,0 +1,339 @@
+"""A description's numbers, each with its source: limits, damping, base and reachability.
+
+What the URDF does not state is measured, counted, or assumed and said so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from app.border.reach.chain import reach_bodies
+from app.border.reach.fit import ReachFit, fit_reachability
+from app.border.reach.map import PEAK, ReachMap, sample_reach_map
+from app.errors import DescriptionError, RobotFileError
+from app.onboarding.read.tree import Arm, Joint
+from app.onboarding.read.wheels import Steering, Wheels
+from app.robot.link_pairs import LinkPairs, sample_joints
+from app.robot.model import RobotModel
+from app.robot.state import RobotState, at_rest
+
+Array = np.ndarray
+
+Sourced = Mapping[str, tuple[Any, str]]
+"""Values by the field of the description, each with its source."""
+
+_TURN = np.pi  # [rad] either way, of a joint without limits
+_SPEED = {"revolute": 1.5, "prismatic": 0.3}  # [rad/s], [m/s] where none is stated
+_LARGEST = 100.0  # [rad] or [m] of a limit that means none
+_GRAVITY_SHARE = 2.5  # [-] of the largest gravity load, the assumed effort
+_LEAST_EFFORT = {"revolute": 5.0, "prismatic": 50.0}  # [N m], [N]
+_DAMPING = {"strong": 2.0, "weak": 1.0, "prismatic": 20.0}  # [N m s/rad], of slides [N s/m]
+_STRONG = 30.0  # [N m] effort of a strong joint
+_STABLE = 0.3e-3  # [s] damping over inertia may be a third of the inverse of a step of 1 ms
+_SAMPLES = 400  # [-] random poses in which loads are looked at
+
+
+def with_source(
+    before: Mapping[str, Any], numbers: Sourced, after: Mapping[str, Any] = MappingProxyType({})
+) -> dict[str, Any]:
+    """A table of a description: numbers among other fields, and where the numbers come from."""
+    values = {name: value for name, (value, _) in numbers.items()}
+    sources = {name: why for name, (_, why) in numbers.items()}
+    return {**before, **values, **after, "source": sources}
+
+
+class Limits(NamedTuple):
+    """Of all joints, in order [rad or m, rad/s or m/s, N m or N]; `source` says from where."""
+
+    lower: tuple[float, ...]
+    upper: tuple[float, ...]
+    velocity: tuple[float, ...]
+    effort: tuple[float, ...]
+    source: dict[str, str]
+
+    @property
+    def numbers(self) -> Sourced:
+        """As a description has them."""
+        return {
+            name: (values, why)
+            for (name, why), values in zip(self.source.items(), self[:4], strict=True)
+        }
+
+
+def read_limits(arm: Arm) -> Limits:
+    """What the URDF states; 0 stands for an effort that it does not.
+
+    Raises:
+        RobotFileError: The limits of a joint leave no room.
+    """
+    ranges = [_range(joint) for joint in arm.joints]
+    speeds = [_within(joint.velocity, _LARGEST) for joint in arm.joints]
+    endless = [j.name for j, limits in zip(arm.joints, ranges, strict=True) if limits is None]
+    speedless = [j.name for j, v in zip(arm.joints, speeds, strict=True) if not v]
+    position = _origin(endless, "half a turn either way")
+    return Limits(
+        tuple(-_TURN if limits is None else limits[0] for limits in ranges),
+        tuple(_TURN if limits is None else limits[1] for limits in ranges),
+        tuple(v or _SPEED[_kind(j)] for j, v in zip(arm.joints, speeds, strict=True)),
+        tuple(_within(joint.effort, 1e5) for joint in arm.joints),
+        {
+            "position_lower": position,
+            "position_upper": position,
+            "max_velocity": _origin(speedless, "1.5 rad/s or 0.3 m/s"),
+            "max_effort": "from the URDF",
+        },
+    )
+
+
+def completed(limits: Limits, arm: Arm, model: RobotModel) -> Limits:
+    """The limits with an assumed effort, a share more than gravity needs, where there is none.
+
+    Of the model, the inertias are used and not the efforts.
+    """
+    missing = [j.name for j, e in zip(arm.joints, limits.effort, strict=True) if not e]
+    if not missing:
+        return limits
+    effort = [
+        round(e or float(max(_GRAVITY_SHARE * g, _LEAST_EFFORT[_kind(j)])), 2)
+        for j, e, g in zip(arm.joints, limits.effort, gravity_load(model), strict=True)
+    ]
+    text = _origin(missing, "2.5 times the largest gravity load in random poses")
+    return limits._replace(effort=tuple(effort), source=limits.source | {"max_effort": text})
+
+
+def damping(limits: Limits, arm: Arm, model: RobotModel) -> tuple[float, ...]:
+    """[N m s/rad or N s/m] D of guiding by hand: as the paper's robot has, if the step allows it.
+
+    A third of the joint's least inertia over a step is the most that pybullet damps stably.
+    """
+
+    def lightness(q: Array) -> Array:
+        M = pin.crba(model.pin, model.pin.createData(), q)
+        M = np.triu(M) + np.triu(M, 1).T
+        return np.diag(np.linalg.inv(M))[3:]  # of what the joint alone has to move
+
+    least = 1.0 / largest_of_poses(model, lightness)
+    wanted = [
+        _DAMPING["prismatic" if _kind(j) == "prismatic" else "strong" if e >= _STRONG else "weak"]
+        for j, e in zip(arm.joints, limits.effort, strict=True)
+    ]
+    return tuple(
+        float(f"{min(d, m / _STABLE * 0.1):.2g}") for d, m in zip(wanted, least, strict=True)
+    )
+
+
+def gravity_load(model: RobotModel) -> Array:
+    """(n_m,) [N m or N] the largest torques of gravity in random poses."""
+    data = model.pin.createData()
+    return largest_of_poses(
+        model, lambda q: np.abs(pin.computeGeneralizedGravity(model.pin, data, q)[3:])
+    )
+
+
+def largest_of_poses(model: RobotModel, values: Callable[[Array], Array]) -> Array:
+    """(n_m,) largest values, of pinocchio's configuration, over random poses."""
+    poses = sample_joints(model, _SAMPLES, np.random.default_rng(0))
+    return np.max([values(model.configuration((0.0, 0.0, 0.0), pose)) for pose in poses], axis=0)
+
+
+def _range(joint: Joint) -> tuple[float, float] | None:
+    """The limits of a joint, or None where it turns without any."""
+    low, high = joint.lower, joint.upper
+    if low is None or high is None or max(abs(low), abs(high)) > _LARGEST:
+        if joint.kind == "prismatic":
+            raise RobotFileError(f"joint {joint.name!r} slides without limits; give it a <limit>")
+        return None
+    if not low < high:
+        raise RobotFileError(
+            f"joint {joint.name!r}: its lower limit {low:g} is not below its upper {high:g}"
+        )
+    return low, high
+
+
+def _within(value: float | None, most: float) -> float:
+    """A limit that means one, or 0."""
+    return value if value and 0 < value < most else 0.0
+
+
+def _kind(joint: Joint) -> str:
+    return "prismatic" if joint.kind == "prismatic" else "revolute"
+
+
+def _origin(assumed: list[str], what: str) -> str:
+    if not assumed:
+        return "from the URDF"
+    return f"from the URDF; assumed for {', '.join(assumed)}: {what}"
+
+
+_BASE_SPEED = 1.0, 2.0  # [m/s], [rad/s] as the paper's robot
+_ACCELERATION = 3.0, 6.0  # [m/s²], [rad/s²] as the paper's robot
+_FRICTION = 0.5  # [-]
+_YAW_FACTOR = 2.0  # [-] of the yaw inertia, as the paper's robot
+_TIME_CONSTANT = 0.05  # [s]
+_GRAVITY = 9.81  # [m/s²]
+_AS_PAPERS = "assumed: as the paper's robot"
+
+
+def wheel_fields(kind: str, wheels: Wheels, steering: Steering | None) -> dict[str, Any]:
+    """The fields of the description's base that name joints."""
+    if kind == "differential":
+        return {"left_wheel_joints": wheels.left, "right_wheel_joints": wheels.right}
+    if steering is None:
+        return {}
+    rolling = (*wheels.left, *wheels.right, *steering.rolling)
+    return {"wheel_joints": rolling, "steering_joints": steering.joints}
+
+
+def base_numbers(
+    model: RobotModel,
+    wheels: Wheels,
+    q_m: Array,
+    half_track: float | None,
+    steering: Steering | None = None,
+) -> Sourced:
+    """Numbers of the description's base.
+
+    Args:
+        model: The robot with its inertias.
+        wheels: Its drive.
+        q_m: (n_m,) the ready pose.
+        half_track: [m] as given, or None for the measured one.
+        steering: Of a car-like base.
+    """
+    kind = model.description.base.kind
+    M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))
+    mass, yaw = float(M[0, 0]), float(M[2, 2])
+    fastest = wheels.joint_velocity * wheels.r if wheels.joint_velocity else np.inf
+    v = min(_BASE_SPEED[0], fastest)
+    found = _geometry(kind, wheels, half_track, steering) | {
+        "mass_kg": (round(mass, 2), "measured: sum of the URDF's masses"),
+        "inertia_kgm2": (
+            round(yaw, 3),
+            "measured: the yaw inertia of the whole robot in its ready pose, about the rear axle",
+        )
+        if steering
+        else (
+            round(_YAW_FACTOR * yaw, 3),
+            f"measured: {_YAW_FACTOR:g} times the yaw inertia of the whole robot in its ready "
+            "pose, as for the paper's robot",
+        ),
+        "max_linear_velocity_mps": (
+            round(v, 3),
+            "from the URDF: the wheels' velocity limit" if v == fastest else _AS_PAPERS,
+        ),
+        "max_linear_acceleration_mps2": (_ACCELERATION[0], _AS_PAPERS),
+        "traction_limit_n": (
+            round(_FRICTION * _GRAVITY * mass, 1),
+            f"assumed: friction coefficient {_FRICTION:g} on the whole weight",
+        ),
+        "drive_time_constant_s": (_TIME_CONSTANT, "assumed: half of a 10 Hz command period"),
+    }
+    if kind != "car-like":  # there the steering limits the turning
+        b = found["half_track_m"][0] if "half_track_m" in found else 0.0
+        w = min(_BASE_SPEED[1], v / b if b else np.inf)
+        one_wheel = "assumed: one wheel at rest at the largest speed of the other"
+        found |= {
+            "max_angular_velocity_radps": (
+                round(w, 3),
+                _AS_PAPERS if w == _BASE_SPEED[1] else one_wheel,
+            ),
+            "max_angular_acceleration_radps2": (_ACCELERATION[1], _AS_PAPERS),
+        }
+    return found
+
+
+def _geometry(
+    kind: str, wheels: Wheels, half_track: float | None, steering: Steering | None
+) -> dict[str, tuple[Any, str]]:
+    """Radius, track and steering, as far as the kind has them."""
+    how = wheels.how if wheels.how.startswith("given") else f"measured: {wheels.how}"
+    radius = {"wheel_radius_m": (round(wheels.r, 5), how)}
+    if kind == "holonomic":
+        return {}
+    if steering is not None:
+        names = ("wheelbase_m", "steering_limit_rad", "steering_rate_radps")
+        values = [round(each, 5) for each in steering[:3]]
+        return dict(zip(names, zip(values, steering.sources, strict=True), strict=True)) | radius
+    track = "measured: half of the distance between the wheels' joints"
+    if len(wheels.left) > 1:
+        track += "; on a base that skids the effective one is wider"
+    if half_track:
+        track = "given: --half-track"
+    return radius | {"half_track_m": (round(half_track or wheels.b, 5), track)}
+
+
+SHARE = 0.5
+"""[-] of the peak above which (9) is fitted: its upper part is a parabola, its tails are none."""
+COUNTED_POSES = 20_000
+"""[-] joint positions by which a reachability is counted."""
+_REACH_SAMPLES = 2000
+_WIDTH = 3.0  # [-] standard deviations of ρ at which an assumed reachability has fallen to zero
+_LEAST_WIDTH = 0.1  # [m]
+
+
+class Reach(NamedTuple):
+    """A, B, C of (9) for one body.
+
+    Attributes:
+        A, B, C: [1/m²], [m], [-].
+        source: In words.
+        counted: The map, or None where the coefficients are assumed.
+        fit: How well (9) fits it, or None.
+    """
+
+    A: float
+    B: float
+    C: float
+    source: str
+    counted: ReachMap | None
+    fit: ReachFit | None
+
+    def content(self) -> dict[str, Any]:
+        """As a description has it."""
+        values = {"A_per_m2": round(self.A, 1), "B_m": round(self.B, 4), "C": round(self.C, 1)}
+        return with_source({}, {name: (value, self.source) for name, value in values.items()})
+
+
+def find_reach(model: RobotModel, pairs: LinkPairs) -> dict[str, Reach]:
+    """The coefficients of all bodies that can come near the base, by name.
+
+    A body that fewer than three joints move, or whose map (9) does not fit, gets a parabola about
+    the distances that it has in random poses: assumed, and said so.
+    """
+    can = reach_bodies(model)
+    found = {}
+    for pair in pairs.mobile:
+        if pair.b not in can:
+            found[pair.b] = _assumed(model, pair.b, "fewer than three joints move it")
+            continue
+        try:
+            counted = sample_reach_map(model, pair.b, samples=COUNTED_POSES)
+            fit = fit_reachability(counted, SHARE)
+        except DescriptionError as error:
+            found[pair.b] = _assumed(model, pair.b, str(error))
+            continue
+        text = (
+            f"counted: by |det J| at {counted.samples:,} random joint positions; fitted above "
+            f"{SHARE:g} of the peak, R² {fit.r_squared:.2f}"
+        )
+        found[pair.b] = Reach(fit.A_per_m2, fit.B_m, fit.C, text, counted, fit)
+    return found
+
+
+def _assumed(model: RobotModel, body: str, why: str) -> Reach:
+    """A parabola about the middle of the distances that the body's shape has from the mount."""
+    state, mount = RobotState(model), model.p_base()
+    shape = model.geometry.geometryObjects[model.shape_ids[body][0]]
+    rho = []
+    for q in sample_joints(model, _REACH_SAMPLES, np.random.default_rng(0)):
+        state.update_kinematics(at_rest(model, q))
+        at = state.data.oMi[shape.parentJoint] * shape.placement
+        rho.append(float(np.linalg.norm(at.translation - mount)))
+    B, width = float(np.mean(rho)), max(_WIDTH * float(np.std(rho)), _LEAST_WIDTH)
+    source = f"assumed: a parabola about the body's distances in random poses; {why}"
+    return Reach(PEAK / width**2, B, PEAK, source, None, None)

@@ -1,0 +1,265 @@
+"""How a link looks and what it weighs: hulls of its shapes and its inertia, in its frame."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree.ElementTree import Element
+
+import numpy as np
+import pinocchio as pin
+import trimesh
+
+from app.errors import RobotFileError
+from app.onboarding.read.source import mesh_path
+from app.onboarding.read.tree import Arm, Tree, numbers, origin
+
+Array = np.ndarray
+
+_LARGEST = 20.0  # [m] size of a shape; a link in millimetres has hundreds
+_SPACING = 0.03  # [m] between points on a hull's surface
+_MOST_POINTS = 1500  # [-] on the surface of one hull
+ARM_DENSITY = 1200.0
+"""[kg/m³] of an arm's link, in the volume of its hull; a Panda's links have 1,000 to 1,500."""
+BASE_DENSITY = 450.0
+"""[kg/m³] of a base's link, in the volume of its hull; a Husky has 400, an Omron LD-60 480."""
+_ROUNDING = 1e-5  # [-] by which two moments of inertia have to be more than the third
+_TINY = 1e-9  # [kg] or [kg m²] of nothing
+
+
+class LinkShape(NamedTuple):
+    """One shape of a link.
+
+    Attributes:
+        hull: Its convex hull, in the link's frame [m].
+        surface: (N, 3) [m] points spread over the hull, its corners included.
+        kind: box, cylinder, sphere or mesh.
+        radius: [m] of a cylinder or sphere, else None.
+    """
+
+    hull: trimesh.Trimesh
+    surface: Array
+    kind: str
+    radius: float | None
+
+
+class LinkGeometry(NamedTuple):
+    """The collision shapes of a link, or the visual ones, `seen_only`, where it has none."""
+
+    shapes: tuple[LinkShape, ...]
+    seen_only: bool
+
+    @property
+    def corners(self) -> Array:
+        """(N, 3) [m] corners of all hulls, in the link's frame."""
+        return np.vstack([np.zeros((0, 3)), *(np.asarray(s.hull.vertices) for s in self.shapes)])
+
+    @property
+    def surface(self) -> Array:
+        """(N, 3) [m] points on the surface of all hulls, in the link's frame."""
+        return np.vstack([np.zeros((0, 3)), *(s.surface for s in self.shapes)])
+
+    @property
+    def volume(self) -> float:
+        """[m³] of all hulls."""
+        return sum(abs(float(s.hull.volume)) for s in self.shapes)
+
+
+def read_geometry(tree: Tree) -> dict[str, LinkGeometry]:
+    """The geometry of every link, by its name; a link may have none.
+
+    Raises:
+        RobotFileError: A mesh is missing or cannot be read, or a size is no metre's.
+    """
+    return {name: link_geometry(link) for name, link in tree.links.items()}
+
+
+def link_geometry(link: Element, tags: tuple[str, ...] = ("collision", "visual")) -> LinkGeometry:
+    """The geometry of one link, of the first of the tags that it has.
+
+    Raises:
+        RobotFileError: As `read_geometry`.
+    """
+    for tag in tags:
+        found = [_shape(element, f"link {link.get('name')!r}") for element in link.findall(tag)]
+        if found:
+            return LinkGeometry(tuple(found), tag == "visual")
+    return LinkGeometry((), False)
+
+
+def _shape(element: Element, where: str) -> LinkShape:
+    T = origin(element, where).homogeneous
+    holder = element.find("geometry")
+    if holder is None or not len(holder):
+        raise RobotFileError(f"{where}: a {element.tag} has no geometry")
+    shape = holder[0]
+    mesh, radius = _mesh_of(shape, where)
+    try:
+        hull = mesh.convex_hull.copy()
+    except Exception as error:  # qhull's own errors, for what is flat
+        raise RobotFileError(f"{where}: a shape of it is flat: {str(error)[:80]}") from None
+    hull.apply_transform(T)
+    size = float(hull.extents.max())
+    if size > _LARGEST:
+        raise RobotFileError(
+            f"{where}: its {shape.tag} is {size:.4g} m long: lengths of a URDF are in metres, this "
+            'looks like millimetres; give the mesh scale="0.001 0.001 0.001"'
+        )
+    return LinkShape(hull, _surface(hull), shape.tag, radius)
+
+
+def _mesh_of(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]:
+    """A shape's triangles, and the radius of a round one."""
+
+    def sizes(key: str, count: int = 1) -> Array:
+        found = numbers(shape, key, (0.0,) * count, where)
+        if not (found > 0).all():
+            raise RobotFileError(f"{where}: the {key} of its {shape.tag} is not above zero")
+        return found
+
+    if shape.tag == "box":
+        return trimesh.creation.box(extents=sizes("size", 3)), None
+    if shape.tag == "mesh":
+        mesh = _load(mesh_path(str(shape.get("filename"))), where).copy()
+        mesh.apply_scale(numbers(shape, "scale", (1.0, 1.0, 1.0), where))
+        return mesh, None
+    if shape.tag not in ("sphere", "cylinder", "capsule"):
+        raise RobotFileError(f"{where}: a <{shape.tag}> is no shape of a URDF")
+    radius = float(sizes("radius")[0])
+    if shape.tag == "sphere":
+        return trimesh.creation.icosphere(subdivisions=3, radius=radius), radius
+    make = getattr(trimesh.creation, shape.tag)
+    mesh = make(height=float(sizes("length")[0]), radius=radius)
+    mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    return mesh, radius
+
+
+@lru_cache(maxsize=64)
+def _load(path: Path, where: str) -> trimesh.Trimesh:
+    try:
+        with path.open("rb") as file:  # a file, not a path: then no texture beside it is read
+            mesh = trimesh.load(
+                file, file_type=path.suffix[1:].lower(), force="mesh", skip_materials=True
+            )
+    except Exception as error:  # the readers of the many formats have no common base of errors
+        raise RobotFileError(f"{where}: mesh {path}: it cannot be read: {error}") from None
+    if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.vertices):
+        raise RobotFileError(f"{where}: mesh {path}: it has no triangles")
+    return mesh
+
+
+def _surface(hull: trimesh.Trimesh) -> Array:
+    """Corners, then points spread evenly over the faces; always the same ones."""
+    count = int(np.clip(hull.area / _SPACING**2, 50, _MOST_POINTS))
+    spread = trimesh.sample.sample_surface(hull, count, seed=0)[0]
+    corners = np.asarray(hull.vertices)
+    if len(corners) > _MOST_POINTS:
+        corners = corners[:: -(-len(corners) // _MOST_POINTS)]
+    return np.vstack([corners, np.asarray(spread)])
+
+
+class LinkInertia(NamedTuple):
+    """What a link weighs, and why that is not the URDF's, or an empty string."""
+
+    inertia: pin.Inertia
+    assumed: str
+
+
+def read_inertias(
+    tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], *, assume: bool
+) -> dict[str, LinkInertia]:
+    """The inertia of every link below the base, by its name.
+
+    With `assume`, an arm without any mass gets that of its volume.
+
+    Raises:
+        RobotFileError: No link of the arm has a mass, or one is no possible one.
+    """
+    stated = {link: _stated(tree.links[link]) for link in tree.below(arm.base)}
+    moving = [link for segment in arm.segments[1:] for link in segment]
+    if not assume and not any((found := stated[link]) and found.mass > _TINY for link in moving):
+        raise RobotFileError(
+            "no link of the arm has an <inertial>: torques cannot be computed; add them, or give "
+            f"--assume-inertia to take {ARM_DENSITY:g} kg/m³ in the hulls of its links"
+        )
+
+    def chosen(link: str, inertia: pin.Inertia | None) -> LinkInertia:
+        density = BASE_DENSITY if link in arm.base_links else ARM_DENSITY
+        return _chosen(inertia, geometry[link], density)
+
+    found = {link: chosen(link, inertia) for link, inertia in stated.items()}
+    for links in arm.segments[1:]:  # a joint has to move something
+        if sum(found[link].inertia.mass for link in links) <= _TINY:
+            found |= {link: chosen(link, None) for link in links}
+    return found
+
+
+_FLAT = 1e-10  # [m³] of a hull that has no inertia
+
+
+def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) -> LinkInertia:
+    if geometry.volume <= _FLAT:
+        return LinkInertia(stated or pin.Inertia.Zero(), "")
+    if stated is None:
+        why = f"{density:g} kg/m³ in its hull"
+        return LinkInertia(_of_volume(geometry, density), why)
+    if stated.mass <= _TINY or np.abs(stated.inertia).max() > _TINY:
+        return LinkInertia(stated, "")
+    shape = _of_volume(geometry, 1.0)
+    spread = shape.inertia * (stated.mass / shape.mass)
+    return LinkInertia(
+        pin.Inertia(stated.mass, stated.lever, spread), "its mass spread over its hull"
+    )
+
+
+def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
+    """Of hulls filled evenly; where they overlap, of the hull around all of them if it is less."""
+    hulls = [shape.hull for shape in geometry.shapes if abs(shape.hull.volume) > _FLAT]
+    around = trimesh.convex.convex_hull(geometry.corners)
+    if around.volume < sum(hull.volume for hull in hulls):
+        hulls = [around]
+    total = pin.Inertia.Zero()
+    for hull in hulls:
+        solid = hull.copy()
+        solid.density = density
+        centre = np.asarray(solid.center_mass, dtype=float)
+        tensor = np.asarray(solid.moment_inertia, dtype=float)
+        total += pin.Inertia(float(solid.mass), centre, tensor)
+    return total
+
+
+def _stated(link: Element) -> pin.Inertia | None:
+    """The URDF's, if it states one that can be."""
+    element, where = link.find("inertial"), f"link {link.get('name')!r}"
+    if element is None:
+        return None
+    mass = float(numbers(element.find("mass"), "value", (0.0,), where)[0])
+    keys = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    I = element.find("inertia")
+    xx, xy, xz, yy, yz, zz = (float(numbers(I, key, (0.0,), where)[0]) for key in keys)
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    moments = np.linalg.eigvalsh(tensor)
+    if mass < 0 or moments.min() < -1e-6 * max(1.0, np.abs(tensor).max()):
+        raise RobotFileError(
+            f"{where}: a mass of {mass:g} kg with moments of inertia of "
+            f"{', '.join(f'{value:.3g}' for value in moments)} kg m² cannot be: "
+            "none may be below zero"
+        )
+    T = origin(element, where)
+    return T.act(pin.Inertia(mass, np.zeros(3), _possible(tensor)))
+
+
+def _possible(tensor: Array) -> Array:
+    """The same moments where two of a body's are more than the third; else the least change to it.
+
+    No mass has others, and pybullet takes those that miss it by rounding for zero.
+    """
+    moments, axes = np.linalg.eigh(tensor)
+    moments = np.maximum(moments, 0.0)
+    short = moments[2] * (1 + _ROUNDING) - moments[0] - moments[1]
+    if short <= 0:
+        return tensor
+    moments[:2] += short / 2
+    return axes @ np.diag(moments) @ axes.T

@@ -1,0 +1,260 @@
+"""The report of a new robot: one page with pictures, tables and warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pinocchio as pin
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from scipy.spatial import ConvexHull
+
+from app.border.cache import BorderData
+from app.border.dbb import construct_dbb
+from app.border.offset import OffsetContours
+from app.border.reach.fit import radial_profile
+from app.onboarding.fit.collision_sampling import moved
+from app.robot.model import RobotModel
+from app.robot.shapes import shape_mesh
+from app.studies.page import Grid, Part, page_html
+from app.studies.style import INK, SOFT, new_figure, png_of, styled
+
+if TYPE_CHECKING:
+    from app.onboarding.new_robot import NewRobot
+
+Array = np.ndarray
+
+
+def report_html(robot: NewRobot, data: BorderData) -> str:
+    """The page, for a robot and its border; it needs nothing else."""
+    pictures = (("Border", border_png(robot, data)), ("Reachability", reach_png(robot)))
+    parts = [
+        Part("Warnings", points=robot.warnings or ["none"]),
+        Part(
+            "Bodies over meshes, in the ready pose",
+            png=bodies_png(robot),
+            tables=[_bodies(robot)],
+        ),
+        Part("Pairs", tables=[_pairs(robot, data)], points=_verdict(robot)),
+        *(Part(title, png=png) for title, png in pictures if png is not None),
+        Part("Coefficients of (9)", tables=[_reach(robot)]),
+        Part("Base and arm", tables=[_numbers(robot)]),
+    ]
+    arm = f" and its arm from {robot.request.arm_urdf}" if robot.request.arm_urdf else ""
+    lead = f"Made by dbb new-robot from {robot.request.told}{arm}."
+    return page_html(f"New robot: {robot.content['title']}", lead, parts)
+
+
+def _bodies(robot: NewRobot) -> Grid:
+    rows = [
+        (
+            body.name,
+            body.frame,
+            ", ".join(body.links),
+            fit.shape.type,
+            f"{1e3 * fit.volume:.2f}",
+            f"{fit.over_cover:.2f}",
+            f"{fit.protrusion:.3f}",
+        )
+        for body in robot.bodies
+        for fit in body.fits
+    ]
+    return Grid(
+        ("body", "frame", "links", "shape", "volume [l]", "over hull's", "protrusion [m]"), rows
+    )
+
+
+def _pairs(robot: NewRobot, data: BorderData) -> Grid:
+    pairs, near = data.pairs, robot.verdict.near
+    rows = [
+        (
+            pair.name,
+            group,
+            f"{pairs.rates[pair.name]:.3%}",
+            f"{pairs.least_distance_m[pair.name]:+.3f}",
+            f"{near.get(pair.name, 0.0):.0%}",
+        )
+        for group, each in (
+            ("L_m", pairs.mobile),
+            ("L_m^c", pairs.manipulator),
+            ("never", pairs.never),
+        )
+        for pair in each
+    ]
+    return Grid(
+        ("pair", "set", "in collision", "least distance [m]", f"within {robot.request.d_b:g} m"),
+        rows,
+    )
+
+
+def _verdict(robot: NewRobot) -> list[str]:
+    verdict, ready, share = robot.verdict, robot.ready, robot.unseen.share
+    return [
+        f"collisions of links that no pair sees: {share:.1%} of those in random poses",
+        f"random poses without a collision in which bodies meet: {verdict.false:.1%}",
+        f"ready pose: {ready.nearest} is nearest, {ready.clearance:+.3f} m from its buffer",
+    ]
+
+
+def _reach(robot: NewRobot) -> Grid:
+    rows = [
+        (
+            name,
+            f"{r.A:.1f}",
+            f"{r.B:.3f}",
+            f"{r.C:.1f}",
+            "" if r.fit is None else f"{r.fit.r_squared:.3f}",
+            r.source,
+        )
+        for name, r in robot.reach.items()
+    ]
+    return Grid(("body", "A [1/m²]", "B [m]", "C", "R²", "source"), rows)
+
+
+def _numbers(robot: NewRobot) -> Grid:
+    rows = []
+    for part in ("base", "arm"):
+        record = robot.content[part]
+        for key, source in record["source"].items():
+            rows.append((part, key, _text(record[key]), source))
+    for name, place in robot.places.items():
+        rows.append(
+            (name, "start_m, move_m", f"{_text(place.start)}; {_text(place.move)}", place.source)
+        )
+    return Grid(("", "number", "value", "source"), rows)
+
+
+def _text(value: object) -> str:
+    if isinstance(value, (tuple, list)):
+        return ", ".join(_text(each) for each in value)
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
+
+
+BODY_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")
+_VIEWS = (("side", 0, 2), ("front", 1, 2), ("above", 0, 1))
+
+
+def bodies_png(robot: NewRobot) -> bytes:
+    """The ready pose from three sides: hulls of the links in grey, bodies over them."""
+    model = robot.model
+    placed = _placements(model, robot.ready.q_m)
+    units = robot.meetings.units
+    with styled():
+        figure = new_figure(4.6)
+        spans = np.ptp(
+            np.vstack([moved(p.corners, placed[u.joint]) for u in units for p in u.parts]), axis=0
+        )
+        panels = figure.subplots(1, 3, width_ratios=[spans[x] for _, x, _ in _VIEWS])
+        for axes, (title, x, y) in zip(panels, _VIEWS, strict=True):
+            for unit in units:
+                for part in unit.parts:
+                    _fill(axes, moved(part.corners, placed[unit.joint]), x, y, SOFT, 0.55)
+            for k, name in enumerate(model.body_names):
+                for corners in body_corners(model, placed, name):
+                    colour = BODY_COLOURS[k % len(BODY_COLOURS)]
+                    _fill(axes, corners, x, y, colour, 0.25, name if x == 0 and y == 2 else None)
+            axes.set_aspect("equal")
+            axes.autoscale()
+            axes.set_title(title)
+            axes.set_xlabel(f"{'xyz'[x]} [m]")
+            axes.set_ylabel(f"{'xyz'[y]} [m]")
+        _legend(figure, model.body_names)
+        return png_of(figure)
+
+
+def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
+    """The border of each pair of L_m at half the base's height and above its top; None if none."""
+    model, d_b, eps = robot.model, robot.request.d_b, 0.01
+    clouds = [cloud for cloud in data.clouds.values() if len(cloud)]
+    if not clouds:
+        return None
+    offset = OffsetContours(model, d_b)
+    placed = _placements(model, robot.ready.q_m)
+    base = body_corners(model, placed, model.body_names[0])
+    top = max(float(corners[:, 2].max()) for corners in base)
+    heights = (0.5 * top, top + 0.5 * d_b)
+    with styled():
+        figure = new_figure(5.2)
+        for axes, z in zip(figure.subplots(1, 2), heights, strict=True):
+            for corners in base:
+                _fill(axes, corners, 0, 1, SOFT, 0.5)
+            for k, piece in enumerate(offset.contours(z)):
+                label = "exact offset" if k == 0 else None
+                axes.plot(*piece.T, color=INK, linewidth=1.0, label=label)
+            for k, cloud in enumerate(clouds):
+                points = construct_dbb(cloud, d_b, eps).same_height(z)
+                axes.plot(
+                    points[:, 0],
+                    points[:, 1],
+                    ".",
+                    markersize=3,
+                    label=cloud.pair,
+                    color=BODY_COLOURS[(k + 2) % len(BODY_COLOURS)],
+                )
+            axes.set_aspect("equal")
+            axes.set_title(f"z = {z:.2f} m, d_b = {d_b:g} m")
+            axes.set_xlabel("x [m]")
+            axes.set_ylabel("y [m]")
+            axes.legend(loc="center")
+        return png_of(figure)
+
+
+def reach_png(robot: NewRobot) -> bytes | None:
+    """Means of the reachability over shells, and (9); None if nothing was counted."""
+    counted = {name: r for name, r in robot.reach.items() if r.counted is not None}
+    if not counted:
+        return None
+    with styled():
+        figure = new_figure(3.6)
+        panels = np.atleast_1d(figure.subplots(1, len(counted)))
+        for axes, (name, reach) in zip(panels, counted.items(), strict=True):
+            assert reach.counted is not None
+            assert reach.fit is not None
+            profile = radial_profile(reach.counted.rho, reach.counted.reach)
+            axes.plot(profile.rho_m, profile.mean, "o", color=INK, label="counted")
+            rho = np.linspace(reach.fit.rho_min_m, reach.fit.rho_max_m, 100)
+            axes.plot(rho, reach.fit.at(rho), color=BODY_COLOURS[0], label="(9)")
+            axes.set_title(f"{name}: R² {reach.fit.r_squared:.2f}")
+            axes.set_xlabel("distance from the mount [m]")
+            axes.set_ylabel("reachability [-]")
+            axes.legend()
+        return png_of(figure)
+
+
+def body_corners(model: RobotModel, placed: Sequence[pin.SE3], name: str) -> list[Array]:
+    """Corners (N, 3) [m] of each shape of a body, the base at the origin."""
+    corners = []
+    for shape, k in zip(model.description.body(name).shapes, model.shape_ids[name], strict=True):
+        item = model.geometry.geometryObjects[k]
+        T = placed[item.parentJoint] * item.placement
+        corners.append(moved(np.asarray(shape_mesh(shape).vertices), T))
+    return corners
+
+
+def _placements(model: RobotModel, q_m: Array) -> list[pin.SE3]:
+    data = model.pin.createData()
+    pin.forwardKinematics(model.pin, data, model.configuration((0.0, 0.0, 0.0), q_m))
+    return [T.copy() for T in data.oMi]
+
+
+def _fill(
+    axes: Axes, points: Array, x: int, y: int, colour: str, alpha: float, label: str | None = None
+) -> None:
+    """The outline of a convex body seen along an axis."""
+    flat = points[:, [x, y]]
+    ring = flat[ConvexHull(flat).vertices]
+    style: dict[str, Any] = {"facecolor": colour, "edgecolor": colour, "alpha": alpha}
+    axes.add_collection(PolyCollection([ring], label=label, linewidth=1.0, **style))
+
+
+def _legend(figure: Figure, names: Sequence[str]) -> None:
+    patches = [
+        Patch(color=BODY_COLOURS[k % len(BODY_COLOURS)], alpha=0.5, label=name)
+        for k, name in enumerate(names)
+    ]
+    handles = [*patches, Patch(color=SOFT, label="hulls of the links")]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))

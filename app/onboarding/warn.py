@@ -1,0 +1,171 @@
+"""What a user should know of a new robot before trusting it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from app.onboarding.fit.collision_sampling import ALWAYS
+from app.onboarding.holding import carried_hand, holding_warning
+
+if TYPE_CHECKING:
+    from app.onboarding.new_robot import NewRobot
+
+_MISSED = 0.02  # [-] share of collisions that no pair sees
+_OVER = 2.0  # [-] volume of a body over that of what it holds
+_FITTED = 0.6  # [-] R² of (9) over the counted reachability; of the paper's arm above 0.9
+
+
+def warnings_of(robot: NewRobot) -> list[str]:
+    """One sentence each, the gravest first."""
+    held = holding_warning(carried_hand(robot.model, seed=robot.request.seed))
+    return [
+        *_poses(robot),
+        *filter(None, [held]),
+        *_bodies(robot),
+        *_reaches(robot),
+        *_joints(robot),
+        *_inertias(robot),
+        *_held(robot),
+        *_base(robot),
+    ]
+
+
+def _poses(robot: NewRobot) -> list[str]:
+    d_b, ready, near = robot.request.d_b, robot.ready, robot.verdict.near
+    told = []
+    if ready.clearance < 0:
+        told.append(
+            f"the pair {ready.nearest} is {-ready.clearance:.3f} m inside its buffer in the ready "
+            "pose; give another by --ready, or use a smaller d_b"
+        )
+    for name in robot.verdict.always:
+        told.append(
+            f"the pair {name} is inside its buffer of {d_b:g} m in {near[name]:.0%} of random "
+            f"poses (more than {ALWAYS:.0%}): its task hardly ever switches off; d_b may be "
+            "larger than what the arm can leave"
+        )
+    missing = {"guiding-lateral", "guiding-front"} - robot.places.keys()
+    for name in sorted(missing):
+        told.append(f"{name}: the arm cannot start clear of its buffers there; no line is written")
+    return told
+
+
+def _bodies(robot: NewRobot) -> list[str]:
+    told = []
+    verdict, meetings = robot.verdict, robot.meetings
+    if robot.unseen.share > _MISSED:
+        told.append(
+            f"no pair sees {robot.unseen.share:.1%} of the collisions of links in random poses; "
+            f"mostly {robot.unseen.worst}: bodies that are neighbours or near as built are no "
+            "pair, so limit the joints between them"
+        )
+    hits = (meetings.distances <= 0).mean(axis=0)
+    for pair, rate in zip(meetings.pairs, hits, strict=True):
+        if pair in meetings.close and rate > 0:
+            a, b = (meetings.units[unit].links[0] for unit in pair)
+            if rate >= 0.5:
+                told.append(f"{a} and {b} touch in {rate:.0%} of the poses: taken as nested")
+                continue
+            told.append(
+                f"{a} and {b} are within {robot.request.d_b:g} m in most poses and touch in "
+                f"{rate:.1%}: no buffer can watch them; limit the joints between them"
+            )
+    for name in verdict.spurious:
+        told.append(f"the pair {name} meets as bodies, but the links in them never do")
+    for body in robot.bodies:
+        worst = max(fit.over_cover for fit in body.fits)
+        if worst > _OVER:
+            told.append(f"{body.name} has {worst:.1f} times the volume of what it holds")
+    return told
+
+
+def _reaches(robot: NewRobot) -> list[str]:
+    told = [
+        f"the reachability of {name} is counted, but (9) fits it badly, with an R² of "
+        f"{reach.fit.r_squared:.2f}: the scores of the border follow it only roughly"
+        for name, reach in robot.reach.items()
+        if reach.fit is not None and reach.fit.r_squared < _FITTED
+    ]
+    bare = [
+        link
+        for body in robot.bodies
+        for link in body.links
+        if not robot.parsed.geometry[link].shapes and robot.parsed.inertias[link].inertia.mass > 0
+    ]
+    if bare:
+        told.append(f"no shape, so no body stands for them: {', '.join(bare)}")
+    return told
+
+
+def _joints(robot: NewRobot) -> list[str]:
+    sources = robot.parsed.limits.source
+    return [
+        f"{field.replace('_', ' ')} of {text.partition('assumed for ')[2]} (assumed)"
+        for field, text in sources.items()
+        if "assumed for" in text and field != "position_upper"
+    ]
+
+
+def _inertias(robot: NewRobot) -> list[str]:
+    inertias = robot.parsed.inertias
+    assumed: dict[str, list[str]] = {}
+    for link, each in inertias.items():
+        if each.assumed:
+            assumed.setdefault(each.assumed, []).append(link)
+    told = [f"inertia assumed of {', '.join(links)}: {why}" for why, links in assumed.items()]
+    arm = robot.parsed.arm
+    for joint, links in zip(arm.joints, arm.segments[1:], strict=True):
+        if sum(inertias[link].inertia.mass for link in links) <= 0:
+            told.append(f"nothing that {joint.name} alone moves has a mass: its inertia is zero")
+    return told
+
+
+def _held(robot: NewRobot) -> list[str]:
+    """Suspensions that count as rigid, and what moves beside the arm: another arm, a head."""
+    tree, arm = robot.parsed.tree, robot.parsed.arm
+    rigid = [
+        j for j in tree.joints.values() if j.kind == "prismatic" and j.child in arm.rigid_links
+    ]
+    told = []
+    if rigid:
+        travel = max((j.upper or 0.0) - (j.lower or 0.0) for j in rigid)
+        names = ", ".join(j.name for j in rigid)
+        told.append(f"wheels' suspensions of up to {travel:g} m of travel count as rigid: {names}")
+    own = {joint.name for joint in arm.joints}
+    carried = [link for links in arm.segments for link in links]
+    beside = [j.name for link in carried for j in tree.children(link) if j.moves]
+    if held := [name for name in beside if name not in own]:
+        names = ", ".join(held)
+        told.append(f"not of the arm to --tip, so held still at zero or the nearest limit: {names}")
+    return told
+
+
+def _base(robot: NewRobot) -> list[str]:
+    told, wheels = [], robot.parsed.wheels
+    skids = robot.request.kind == "differential" and len(wheels.left) > 1
+    if skids and robot.request.half_track is None:
+        told.append(
+            f"{2 * len(wheels.left)} driven wheels skid when the base turns: its effective half "
+            f"track is wider than the {wheels.b:.3f} m between the wheels; give it by --half-track"
+        )
+    if robot.request.kind == "holonomic":
+        told.append("the base's speed, acceleration and traction are assumed")
+    elif wheels.joint_velocity is None:
+        told.append("the wheels have no velocity limit: the base's speed is assumed")
+    joints = [robot.parsed.tree.joints[name] for name in (*wheels.left, *wheels.right)]
+    if any(not joint.effort for joint in joints):
+        told.append("the wheels have no torque limit: the base's traction is assumed")
+    seen = [link for link, g in robot.parsed.geometry.items() if g.seen_only and g.shapes]
+    if seen:
+        told.append(f"no collision shape, so what is seen is used: {', '.join(seen)}")
+    mesh_paths = robot.urdf.count('filename="/')
+    if mesh_paths:
+        told.append(
+            f"{mesh_paths} meshes are in no installed package and stand by their absolute path: "
+            "this description works on this machine only"
+        )
+    if not np.isfinite(robot.ready.clearance):
+        told.append("no pair of bodies can meet: there is nothing to avoid")
+    return told

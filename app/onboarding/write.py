@@ -1,0 +1,258 @@
+"""A new robot's folder: its description, its URDF rooted on the floor, and its sources."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from copy import deepcopy
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+import pinocchio as pin
+import tomlkit
+from tomlkit.items import Item
+
+from app.errors import OutputError
+from app.onboarding.read.links import LinkGeometry, LinkInertia
+from app.onboarding.read.package import FOLDER
+from app.onboarding.read.parse import Parsed
+from app.onboarding.read.source import mesh_path
+from app.onboarding.read.tree import MOVING, Joint
+from app.robot.description import load_description
+from app.system import write_whole
+
+if TYPE_CHECKING:
+    from app.onboarding.new_robot import NewRobot
+
+ROOT = "floor_point"
+"""Link of the point on the floor below the middle between the wheels: the base's frame."""
+_ENDLESS = "1e6"  # [rad] limit of a joint that turns without end
+
+
+@contextmanager
+def whole_folder(out: Path) -> Iterator[Path]:
+    """A temporary folder that becomes `out` at the end of a `with` that raised nothing.
+
+    Raises:
+        OutputError: `out` is there already, or cannot be written.
+    """
+    out = out.resolve()
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise OutputError(f"--out: {out} is there already; remove it or give another")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        made = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    except OSError as error:
+        raise OutputError(f"--out: cannot write to {out.parent}: {error.strerror}") from None
+    try:
+        yield made
+        made.chmod(0o755)
+        if out.exists():
+            out.rmdir()
+        made.rename(out)
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+
+
+def write_robot(robot: NewRobot, folder: Path) -> None:
+    """The description, its URDF and where its assets come from, into a folder."""
+    write_whole(folder / "robot.urdf", robot.urdf)
+    title = f"{robot.content['title']}, from {robot.request.told}"
+    text = description_text(robot.content, title)
+    write_whole(folder / "robot.toml", text)
+    load_description(folder / "robot.toml")
+    write_whole(folder / "SOURCES.md", _sources_text(robot))
+
+
+def _sources_text(robot: NewRobot) -> str:
+    """`SOURCES.md`: which files the robot is made of."""
+    request, lines = robot.request, []
+    copied = "No mesh is copied: `robot.urdf` names the files of the installed packages."
+    for what, path in (("robot", request.told), ("arm", request.arm_urdf)):
+        if path is not None:
+            lines.append(f"- URDF of the {what}: `{path}`")
+    urdf = ElementTree.fromstring(robot.urdf)
+    meshes = sorted({str(mesh.get("filename")) for mesh in urdf.iter("mesh")})
+    installed = [mesh for mesh in meshes if mesh.startswith("package://")]
+    if installed:
+        packages = sorted({mesh.split("/")[2] for mesh in installed})
+        lines.append(f"- Meshes of the installed packages: {', '.join(f'`{p}`' for p in packages)}")
+    lines += [f"- Mesh by its path on this machine: `{mesh}`" for mesh in meshes if mesh[0] == "/"]
+    if any(mesh[0] != "/" and mesh not in installed for mesh in meshes):
+        lines.append(f"- Meshes of that package, in the folder `{FOLDER}` beside this file")
+        copied = "Meshes of installed packages are not copied."
+    licence = request.licence or (
+        "Not stated by `--licence`: look it up in the packages before passing this folder on."
+    )
+    warnings = "\n".join(f"- {warning}" for warning in robot.warnings) or "- none"
+    return (
+        f"# Where {robot.content['title']} comes from\n\n" + "\n".join(lines) + f"\n\n{copied}\n\n"
+        f"Licence: {licence}\n\n## Warnings of `dbb new-robot`\n\n{warnings}\n"
+    )
+
+
+_HEADER = (
+    "Made by `dbb new-robot`. Lengths in metres, angles in radians, masses in kilograms.",
+    "Each number is measured, from the URDF, given, chosen, counted or assumed; check what is "
+    "assumed.",
+)
+
+
+def description_text(content: Mapping[str, Any], title: str) -> str:
+    """The text of `robot.toml`: a title, and each number's kind of source, as comments."""
+    document = tomlkit.document()
+    for line in (title, *_HEADER):
+        document.add(tomlkit.comment(line))
+    document.add(tomlkit.nl())
+    for key, value in sorted(content.items(), key=lambda each: isinstance(each[1], Mapping | list)):
+        item = tomlkit.item(value)
+        if isinstance(value, Mapping):
+            _comment(item, value)
+        document.add(key, item)
+    return tomlkit.dumps(document)
+
+
+def _comment(item: Any, content: Mapping[str, Any]) -> None:
+    """What a number's source says before its colon, beside it; a mixed one in full."""
+    for key, value in content.items():
+        if isinstance(value, Mapping):
+            _comment(item[key], value)
+    for key, source in content.get("source", {}).items():
+        number: Item = item[key]
+        whole = ";" in source and len(source) < 80
+        number.comment(source if whole else source.partition(":")[0])
+
+
+def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = None) -> str:
+    """The text of the new URDF.
+
+    The base and all below it, on a root on the floor, x forward. Meshes keep their files. A link
+    that is only seen can be touched too. Endless joints become revolute with wide limits, joints
+    that follow others stand still: pinocchio and pybullet then read the same robot.
+
+    Args:
+        parsed: What the old one says.
+        name: Of the robot.
+        header: A comment at the top.
+        home: Folder of the new URDF, for meshes that lie below it.
+    """
+    tree, base = parsed.tree, parsed.arm.base
+    robot = Element("robot", name=name, version="1.2")
+    robot.append(ElementTree.Comment(f" {header.replace('--', '- -')} "))
+    for material in tree.robot.findall("material"):
+        if material.find("color") is not None:
+            robot.append(_colour_only(material))
+    _add_inertial(SubElement(robot, "link", name=ROOT), pin.Inertia.Zero())
+    joint = SubElement(robot, "joint", name=f"{ROOT}_joint", type="fixed")
+    SubElement(joint, "parent", link=ROOT)
+    SubElement(joint, "child", link=base)
+    T = parsed.wheels.T_base_floor.inverse()
+    rpy = _words(pin.rpy.matrixToRpy(T.rotation))
+    SubElement(joint, "origin", xyz=_words(T.translation), rpy=rpy)
+    joints = {joint.get("name"): joint for joint in tree.robot.findall("joint")}
+    driven = {joint.name for joint in parsed.arm.joints}
+    for link in tree.below(base):
+        if link != base:
+            above = tree.joint_of[link]
+            robot.append(_joint(joints[above.name]))
+            if above.kind in MOVING and above.name not in driven:
+                _hold_within_limits(robot[-1], above)
+        robot.append(_link(tree.links[link], parsed.geometry[link], parsed.inertias[link], home))
+    ElementTree.indent(robot)
+    return '<?xml version="1.0"?>\n' + ElementTree.tostring(robot, encoding="unicode") + "\n"
+
+
+def mesh_name(address: str, home: Path | None) -> str:
+    """How the new URDF names a mesh: below its own folder, which will move, by the path in it.
+
+    That comes first, also where Python takes a folder above for a package. The address is that of
+    `mesh_address`.
+    """
+    if home is not None:
+        path, home = mesh_path(address).resolve(), home.resolve()
+        if path.is_relative_to(home):
+            return path.relative_to(home).as_posix()
+    return address
+
+
+def _link(old: Element, geometry: LinkGeometry, inertia: LinkInertia, home: Path | None) -> Element:
+    link = Element("link", name=str(old.get("name")))
+    if inertia.assumed:
+        link.append(ElementTree.Comment(f" inertia assumed: {inertia.assumed} "))
+    _add_inertial(link, inertia.inertia)
+    for tag in ("visual", "collision"):
+        source = "visual" if tag == "collision" and geometry.seen_only else tag
+        for each in old.findall(source):
+            part = SubElement(link, tag)
+            part.extend(_copies(each, "origin", "geometry"))
+            for mesh in part.iter("mesh"):
+                mesh.set("filename", mesh_name(str(mesh.get("filename")), home))
+            if tag == "visual" and (material := each.find("material")) is not None:
+                part.append(_colour_only(material))
+    return link
+
+
+def _copies(element: Element, *tags: str) -> list[Element]:
+    return [deepcopy(found) for tag in tags if (found := element.find(tag)) is not None]
+
+
+def _colour_only(material: Element) -> Element:
+    """A material without its texture, which nobody draws."""
+    kept = Element("material", name=material.get("name") or "unnamed")
+    kept.extend(_copies(material, "color"))
+    return kept
+
+
+def _joint(old: Element) -> Element:
+    joint = Element("joint", name=str(old.get("name")), type=str(old.get("type")))
+    joint.extend(_copies(old, "parent", "child", "origin", "axis"))
+    if joint.get("type") == "fixed":
+        return joint
+    limit = old.find("limit")
+    kept = dict(limit.attrib) if limit is not None else {}
+    if joint.get("type") == "continuous":
+        joint.set("type", "revolute")
+        kept |= {"lower": f"-{_ENDLESS}", "upper": _ENDLESS}
+    SubElement(joint, "limit", {"effort": "0", "velocity": "0", "lower": "0", "upper": "0"} | kept)
+    return joint
+
+
+def _hold_within_limits(element: Element, joint: Joint) -> None:
+    """Have a joint that stands still do so at its limit nearest to zero, where that is none of it.
+
+    Such a joint stands at zero in every library: a finger would be inside of the hand.
+    """
+    low, high = joint.lower or 0.0, joint.upper or 0.0
+    at = low if low > 0.0 else min(high, 0.0)
+    if low >= high or at == 0.0:
+        return
+    turns = joint.kind != "prismatic"
+    motion = pin.SE3(
+        pin.exp3(at * joint.axis) if turns else np.eye(3), np.zeros(3) if turns else at * joint.axis
+    )
+    T = joint.T_parent_child * motion
+    found = element.find("origin")
+    origin = SubElement(element, "origin") if found is None else found
+    origin.set("xyz", _words(T.translation))
+    origin.set("rpy", _words(pin.rpy.matrixToRpy(T.rotation)))
+    limit = element.find("limit")
+    assert limit is not None
+    limit.attrib |= {"lower": f"{low - at:.9g}", "upper": f"{high - at:.9g}"}
+
+
+def _add_inertial(link: Element, inertia: pin.Inertia) -> None:
+    element = SubElement(link, "inertial")
+    SubElement(element, "origin", xyz=_words(inertia.lever), rpy="0 0 0")
+    SubElement(element, "mass", value=f"{inertia.mass:.9g}")
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    values = inertia.inertia[np.triu_indices(3)]
+    SubElement(element, "inertia", {n: f"{v:.9g}" for n, v in zip(names, values, strict=True)})
+
+
+def _words(numbers: np.ndarray) -> str:
+    return " ".join(f"{value + 0.0:.9g}" for value in np.where(np.abs(numbers) < 1e-12, 0, numbers))

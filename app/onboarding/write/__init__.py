@@ -1,1 +1,0 @@
-"""Writing the description, its URDF and its report."""

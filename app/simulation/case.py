@@ -1,0 +1,134 @@
+"""A case: all that it takes to run something again exactly, as a file, and what differs since."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import version
+from typing import Any, Literal
+
+from pydantic import Field, ValidationError
+
+from app.config import Config, sections
+from app.control import CONTROLLERS
+from app.errors import CaseError, DbbError, UnknownNameError
+from app.simulation.scenarios.leading import Scenario
+from app.simulation.scenarios.names import SCENARIOS
+from app.simulation.scenarios.pulled import CHALLENGE
+from app.strict import MOST_SEEDS, Finite, Strict, explain
+
+_PLAYED: dict[str, Scenario] = {**SCENARIOS, CHALLENGE.name: CHALLENGE}
+_FIELDS = {path for section in sections() for path in (t.path for t in section.tunables)}
+FORMAT = "dbb_case"
+"""The key that only such a file has."""
+
+
+class RunCase(Strict):
+    """What `dbb run`, `screenshot`, `film`, `report`, `replay`, `serve` and the page play again."""
+
+    dbb_case: Literal[1] = 1
+    """Number of the file's layout."""
+    version: str = Field(default_factory=lambda: version("dbb-mobile-manipulator"))
+    """Of the program that wrote it."""
+    robot: str
+    played: str
+    """Name of the scenario."""
+    options: dict[str, Any]
+    """Of the scenario, all of them."""
+    controller: str
+    physics: str
+    seed: int = Field(default=0, ge=0, le=MOST_SEEDS)
+    parameters: dict[str, float | str]
+    """All of them, by their paths."""
+    figures: dict[str, Finite] = Field(default_factory=dict)
+    """What came of it, by the names of `dbb run`'s figures."""
+
+    @classmethod
+    def of(cls, scenario: Scenario, config: Config, **run: Any) -> RunCase:
+        """The case of a scenario with these parameters; `run` are the other fields."""
+        options = {name: getattr(scenario, name) for name in scenario.options}
+        parameters = {path: config.value(path) for path in sorted(_FIELDS)}
+        return cls(played=scenario.name, options=options, parameters=parameters, **run)
+
+    @staticmethod
+    def knows(name: str) -> bool:
+        """Whether a scenario of that name can be in a case."""
+        return name in _PLAYED
+
+    @property
+    def name(self) -> str:
+        """Of the scenario."""
+        return self.played
+
+    def scenario(self) -> Scenario:
+        """What is played.
+
+        Raises:
+            DbbError: There is no such scenario, or its options are none that it can have.
+        """
+        if self.played not in _PLAYED:
+            raise UnknownNameError("scenario", self.played, _PLAYED)
+        options = {name: _tuples(value) for name, value in self.options.items()}
+        try:
+            return _PLAYED[self.played].changed(**options)
+        except DbbError:
+            raise
+        except (TypeError, ValueError) as error:  # a text for a number, a point of two numbers
+            raise CaseError(f"options of {self.played}: {error}") from None
+
+    def config(self) -> Config:
+        """The parameters, as far as there are such ones by now.
+
+        Raises:
+            ConfigError: One is out of its range.
+        """
+        config = Config()
+        for path in sorted(self.parameters.keys() & _FIELDS):
+            config = config.replace(path, self.parameters[path])
+        return config
+
+    def differences(self) -> list[str]:
+        """What is not as it was when the case was written, a line each."""
+        now, found = version("dbb-mobile-manipulator"), []
+        if self.version != now:
+            found.append(f"the case was written by dbb {self.version}, this is {now}")
+        for path in sorted(self.parameters.keys() - _FIELDS):
+            found.append(f"there is no parameter {path} any more; it was {self.parameters[path]}")
+        for path in sorted(_FIELDS - self.parameters.keys()):
+            found.append(f"the case has no {path} yet; it is {Config().value(path)}")
+        return found
+
+    def changes(self, figures: dict[str, Any]) -> list[str]:
+        """Which of its figures did not come out as they are in the case, a line each."""
+        return [
+            f"{name} was {value!r}, is now {figures.get(name)!r}"
+            for name, value in self.figures.items()
+            if figures.get(name) != value
+        ]
+
+    def text(self) -> str:
+        """The file."""
+        return json.dumps(self.model_dump(mode="json"), indent=1) + "\n"
+
+    @classmethod
+    def read(cls, content: Any, where: object) -> RunCase:
+        """The case of a JSON object that has the key `FORMAT`, from a file.
+
+        Raises:
+            DbbError: It is none; says what is wrong. Names and options are checked too.
+        """
+        try:
+            case = cls.model_validate_json(json.dumps(content))
+            if case.controller not in CONTROLLERS:
+                raise UnknownNameError("controller", case.controller, CONTROLLERS)
+            case.scenario()
+            case.config()
+        except ValidationError as error:
+            raise CaseError(f"{where} is no case: {explain(error, cls)}") from None
+        except DbbError as error:
+            raise CaseError(f"{where} is no case of today: {error}") from None
+        return case
+
+
+def _tuples(value: Any) -> Any:
+    """Lists of a file as the records have them."""
+    return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value

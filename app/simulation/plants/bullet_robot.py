@@ -1,0 +1,259 @@
+"""A robot in pybullet on planar joints with velocity motors and a torque-controlled arm.
+
+Its hand can hold the door of a refrigerator, which stands free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+
+from app.robot.description import RobotDescription
+from app.robot.model import RobotModel
+from app.robot.urdf import PLANAR_JOINTS, planar_urdf
+from app.simulation.plants.bullet_world import BulletWorld, pybullet, touches
+from app.simulation.plants.collision_shapes import link_contact_pairs
+from app.simulation.plants.door import Cabinet, Door, OpenDoor
+from app.simulation.plants.interface import Contacts, Push, Wrench
+
+Array = np.ndarray
+
+_AWAY = (100.0, 0.0)  # [m] where it is loaded, so that no robot that settles at the origin hits it
+_SEAL_STIFFNESS = 2e4  # [N/m] of the door's edge
+_SEAL_DAMPING = 500.0  # [N s/m]
+_GRASP_FORCE = 1000.0  # [N] that the grasp can hold
+_DOOR = 0  # pybullet's index of the door's link, and of its hinge
+
+
+class BulletRobot(BulletWorld):
+    """`PlanarWorld` by pybullet.
+
+    Attributes:
+        moving: pybullet's indices of the joints x, y, yaw and those of the arm.
+        door: The door that the hand holds, or None.
+    """
+
+    def __init__(self, model: RobotModel, dt: float, door: OpenDoor | None) -> None:
+        """Load it.
+
+        Raises:
+            AssetError: A mesh is missing, or pybullet cannot load the robot.
+        """
+        description = model.description
+        super().__init__(_plant_urdf(description), dt)
+        self.allow_contacts(link_contact_pairs(description))
+        arm, base = description.arm, description.base
+        self.moving = [self.joints[name] for name in (*PLANAR_JOINTS, *arm.joints)]
+        self._planar, self._arm = self.moving[:3], self.moving[3:]
+        self._limits = [base.traction_limit_n, base.traction_limit_n, base.yaw_limit_nm]
+        self._hand, self._tool = self.links[arm.end_effector_link], arm.end_effector_xyz_m
+        # pybullet puts a holding motor on every joint: torque control needs it off, once.
+        self.client.setJointMotorControlArray(
+            self.robot, self._arm, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._arm)
+        )
+        self.door = None if door is None else BulletDoor(self, model, door)
+
+    def reset(self, q: Array) -> None:
+        """See `PlanarWorld.reset`."""
+        if self.door is not None:
+            self.door.release()
+        self.rewind()
+        for joint, position in zip(self.moving, q.tolist(), strict=True):
+            self.client.resetJointState(self.robot, joint, position, 0.0)
+        if self.door is not None:
+            self.door.reset()
+
+    def read(self) -> tuple[Array, list[float], Array, Array]:
+        """See `PlanarWorld.read`."""
+        states = self.client.getJointStates(self.robot, self.moving)
+        q, v = [state[0] for state in states], [state[1] for state in states]
+        return np.array(q[:3]), v[:3], np.array(q[3:]), np.array(v[3:])
+
+    def step(
+        self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
+    ) -> None:
+        """See `PlanarWorld.step`."""
+        self.client.setJointMotorControlArray(
+            self.robot,
+            self._planar,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocities=speeds,
+            forces=self._limits,
+        )
+        self.client.setJointMotorControlArray(
+            self.robot, self._arm, pybullet.TORQUE_CONTROL, forces=u_a.tolist()
+        )
+        self._press(self._hand, self._tool, hand_force)
+        for push in pushes:
+            self._press(self.joints[push.joint], push.p.tolist(), push.force)
+        self.client.stepSimulation()
+
+    def contacts(self) -> Contacts:
+        """See `Physics.contacts`."""
+        contacts = super().contacts()
+        if self.door is None:
+            return contacts
+        return contacts._replace(door_base=self.door.touches_base())
+
+    def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """See `PlanarWorld.mass_and_bias`."""
+        order = np.argsort(np.argsort(self.moving))  # pybullet's is that of the indices
+        ordered = np.empty((2, len(q)))
+        ordered[:, order] = q, v
+        q_own, v_own = ordered.tolist()
+        M = np.array(self.client.calculateMassMatrix(self.robot, q_own))
+        none = [0.0] * len(q)
+        h = np.array(self.client.calculateInverseDynamics(self.robot, q_own, v_own, none))
+        return M[np.ix_(order, order)], h[order]
+
+    def _press(self, link: int, point: Sequence[float], force: Array) -> None:
+        """Force (3,) [N] in the world on a point [m] of a link's frame, which is its joint's."""
+        fx, fy, fz = np.asarray(force).tolist()
+        if fx == fy == fz == 0.0:
+            return
+        # Without fresh kinematics both the point and the lever would be those of a step ago.
+        state = self.client.getLinkState(self.robot, link, computeForwardKinematics=1)
+        place, _ = pybullet.multiplyTransforms(state[4], state[5], point, (0, 0, 0, 1))
+        self.client.applyExternalForce(self.robot, link, (fx, fy, fz), place, pybullet.WORLD_FRAME)
+
+
+class BulletDoor:
+    """The refrigerator's part of a pybullet plant. Only the base's links can touch the door.
+
+    The hinge has dry friction and no stop. The body stands on the floor by its weight.
+    """
+
+    def __init__(self, world: BulletWorld, model: RobotModel, start: OpenDoor) -> None:
+        """Put the refrigerator there.
+
+        Args:
+            world: The robot's world.
+            model: The robot.
+            start: The door, and how far it is open when the plant is reset.
+        """
+        self.door, self._start = start
+        self._client, self._robot = client, robot = world.client, world.robot
+        arm = model.description.arm
+        self._hand = world.links[arm.end_effector_link]
+        turn = pin.rpy.rpyToMatrix(*arm.end_effector_rpy_rad)
+        self._T_link_ee = pin.SE3(turn, np.array(arm.end_effector_xyz_m))
+        self._grasp: int | None = None
+        self._cabinet = cabinet = Cabinet(self.door)
+        height = cabinet.T_world.translation[2]
+        self.body = world.load(_refrigerator_urdf(self.door, cabinet), (*_AWAY, height))
+        client.changeDynamics(
+            self.body, _DOOR, contactStiffness=_SEAL_STIFFNESS, contactDamping=_SEAL_DAMPING
+        )
+        client.setJointMotorControl2(
+            self.body,
+            _DOOR,
+            pybullet.VELOCITY_CONTROL,
+            targetVelocity=0.0,
+            force=self.door.friction,
+        )
+        touching = {world.links[name] for name in model.description.mobile_body.covers}
+        for link in world.links.values():
+            for part in (-1, _DOOR):
+                may = part == _DOOR and link in touching
+                client.setCollisionFilterPair(robot, self.body, link, part, int(may))
+
+    def release(self) -> None:
+        """Let go of the door, if the hand holds it."""
+        if self._grasp is not None:
+            self._client.removeConstraint(self._grasp)
+            self._grasp = None
+
+    def reset(self) -> None:
+        """The refrigerator at its place, its door at rest at the start; the hand takes hold."""
+        client = self._client
+        pose = pin.SE3ToXYZQUAT(self._cabinet.T_world)
+        client.resetBasePositionAndOrientation(self.body, pose[:3], pose[3:])
+        client.resetBaseVelocity(self.body, (0, 0, 0), (0, 0, 0))
+        client.resetJointState(self.body, _DOOR, -self.door.side * self._start, 0.0)
+        self._take_hold()
+
+    def angle(self) -> float:
+        """[rad] how far the door is open."""
+        return -self.door.side * self._client.getJointState(self.body, _DOOR)[0]
+
+    def wrench(self) -> Wrench:
+        """What the hand exerted on the door in the last step; a force-torque sensor at the hand."""
+        assert self._grasp is not None, "the hand does not hold the door"
+        rows = self._client.getConstraintState(self._grasp)
+        if not rows:  # before the first step
+            return Wrench(np.zeros(3), np.zeros(3))
+        R = self._hand_pose().rotation
+        return Wrench(-np.array(rows[:3]), -R @ np.array(rows[3:]))
+
+    def place(self) -> Array:
+        """(3,) [m] the middle of the refrigerator's body."""
+        return np.array(self._client.getBasePositionAndOrientation(self.body)[0])
+
+    def touches_base(self) -> bool:
+        """Whether the door touched the mobile robot in the last step."""
+        contacts = self._client.getContactPoints(self._robot, self.body, linkIndexB=_DOOR)
+        return any(map(touches, contacts))
+
+    def _take_hold(self) -> None:
+        """Fix the hand to the door as the two are now; the frames stand at the end-effector."""
+        self.release()
+        T_ee = self._hand_pose()
+        links = (self._robot, self._hand), (self.body, _DOOR)
+        frames = [pin.SE3ToXYZQUAT(self._com_pose(*link).inverse() * T_ee) for link in links]
+        self._grasp = self._client.createConstraint(
+            *links[0],
+            *links[1],
+            pybullet.JOINT_FIXED,
+            [0, 0, 0],
+            *(frame[:3].tolist() for frame in frames),
+            *(frame[3:].tolist() for frame in frames),
+        )
+        self._client.changeConstraint(self._grasp, maxForce=_GRASP_FORCE)
+
+    def _com_pose(self, body: int, link: int) -> pin.SE3:
+        """Pose of a link's centre of mass, in which pybullet states the frames of a constraint."""
+        state = self._client.getLinkState(body, link, computeForwardKinematics=1)
+        return pin.XYZQUATToSE3([*state[0], *state[1]])
+
+    def _hand_pose(self) -> pin.SE3:
+        link = self._client.getLinkState(self._robot, self._hand, computeForwardKinematics=1)
+        return pin.XYZQUATToSE3([*link[4], *link[5]]) * self._T_link_ee
+
+
+def _plant_urdf(description: RobotDescription) -> str:
+    """The robot on two prismatic joints and a revolute one; wheels fixed, nothing to draw."""
+    tree = ElementTree.fromstring(planar_urdf(description))
+    for link in tree.iterfind("link"):
+        for visual in link.findall("visual"):  # pybullet would load its mesh
+            link.remove(visual)
+    for joint in tree.iterfind("joint"):
+        if joint.get("name") not in (*PLANAR_JOINTS, *description.arm.joints):
+            joint.set("type", "fixed")
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+def _refrigerator_urdf(door: Door, cabinet: Cabinet) -> str:
+    """A box with a board on a hinge; the root's frame is the centre of the box."""
+    return f"""<robot name="refrigerator">
+<link name="body">{_box(cabinet.size, cabinet.inertia)}</link>
+<link name="door">{_box(door.size, cabinet.door_inertia)}</link>
+<joint name="hinge" type="continuous">
+<parent link="body"/><child link="door"/>
+<origin xyz="{_words(cabinet.T_hinge.translation)}"/><axis xyz="0 0 1"/>
+</joint></robot>"""
+
+
+def _box(size: Sequence[float], inertia: pin.Inertia) -> str:
+    moments = zip("xyz", inertia.inertia.diagonal().tolist(), strict=True)
+    I = " ".join(f'i{2 * axis}="{i!r}"' for axis, i in moments)
+    origin = f'<origin xyz="{_words(inertia.lever)}"/>'
+    return f"""<inertial>{origin}<mass value="{inertia.mass!r}"/>
+<inertia {I} ixy="0" ixz="0" iyz="0"/></inertial>
+<collision>{origin}<geometry><box size="{_words(size)}"/></geometry></collision>"""
+
+
+def _words(numbers: Sequence[float] | Array) -> str:
+    return " ".join(repr(float(number)) for number in numbers)

@@ -1,0 +1,133 @@
+"""People pull the robot as they like, or as they once did."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from app.errors import CaseError, DbbError
+from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
+from app.simulation.scenarios.names import LINES
+
+if TYPE_CHECKING:
+    from app.border.cache import BorderData
+    from app.config import Config
+    from app.robot.model import RobotModel
+    from app.simulation.session import Session
+
+Array = np.ndarray
+Point = tuple[float, float, float]
+
+BEGIN = "guiding-front"
+"""At whose line's start the hand stands at the free start."""
+
+
+class Pulled(NamedTuple):
+    """Somebody pulls the robot elsewhere from a control step on, or lets go.
+
+    Attributes:
+        step: Number of the control step.
+        who: Number of the person.
+        target: [m] where to, in the world; None lets go.
+        link: One of `held_links`; None is the end-effector.
+        point: [m] the point that is held, in the link's frame.
+    """
+
+    step: int
+    who: int
+    target: Point | None
+    link: str | None = None
+    point: Point = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class PulledScenario(Scenario):
+    """The robot is pulled by people: freely while nothing is recorded, else as it is recorded.
+
+    The base starts at the origin facing +x.
+    """
+
+    q_m: tuple[float, ...] = ()
+    """(n_m,) [rad or m] the arm's joints at the start; none are the free start's."""
+    pulls: tuple[Pulled, ...] = ()
+    """What was done, in order; none are up to whoever is there."""
+
+    @property
+    def open(self) -> bool:
+        """See `Scenario.open`."""
+        return not self.pulls
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        try:
+            object.__setattr__(self, "pulls", tuple(map(_checked, self.pulls)))
+            finite = all(map(math.isfinite, self.q_m))
+        except (TypeError, ValueError, DbbError) as error:
+            raise CaseError(f"{self.name}: a pull that nobody can do: {error}") from None
+        if not finite:
+            raise CaseError(f"{self.name}: the arm's joints are {self.q_m!r}")
+
+    def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
+        """See `Scenario.setting`."""
+        from app.simulation.people import held_links
+
+        unknown = {pull.link for pull in self.pulls} - {None, *held_links(model)}
+        if unknown or (self.q_m and len(self.q_m) != model.n_m):
+            raise CaseError(f"{self.name}: of another robot than {model.description.name}")
+        q_m = np.array(self.q_m) if self.q_m else free_start(model, data, config, None, seed)
+        return Setting(model, data, np.zeros(3), q_m, config)
+
+    def leader(self, session: Session) -> Leader:
+        """See `Scenario.leader`."""
+        from app.simulation.people import Hold
+        from app.simulation.session import DT
+
+        holds: dict[int, Hold] = {}
+        waiting = list(reversed(self.pulls))
+
+        def lead(session: Session) -> Lead:
+            while waiting and waiting[-1].step <= round(session.t / DT):
+                _, who, target, link, point = waiting.pop()
+                if target is None:
+                    holds.pop(who, None)
+                else:
+                    holds[who] = Hold(who, np.array(target), link, point)
+            return Lead(holds=tuple(holds.values()))
+
+        return lead
+
+
+def free_start(
+    model: RobotModel, data: BorderData, config: Config, start: Sequence[float] | None, seed: int
+) -> Array:
+    """(n_m,) the arm with the hand where it was asked for [m], before the base, or ready."""
+    # Imported here: scipy would make every command start later.
+    from app.simulation.scenarios.start import find_start
+
+    own = model.description.lines
+    place = own.get(BEGIN)
+    if start is None and own and place is None:  # a robot whose hand does not come there
+        return np.array(model.description.arm.ready_position)
+    x, y, z = start or (place.start_m if place else LINES[BEGIN].start)
+    return find_start(model, data.pairs, config.border.d_b, (x, y, z), seed=seed)
+
+
+def _checked(given: Sequence[object]) -> Pulled:
+    """A pull as a file may have it."""
+    from app.simulation.people import checked_hold, checked_target
+
+    pull = Pulled(*given)  # type: ignore[arg-type]
+    checked_hold(pull.point)
+    if pull.target is not None:
+        checked_target(pull.target)
+    if not all(isinstance(number, int) and number >= 0 for number in pull[:2]):
+        raise CaseError(f"control step {pull.step!r} of person {pull.who!r}")
+    return pull
+
+
+CHALLENGE = PulledScenario("make-it-collide", 30.0, "pull the robot into itself, if you can")
+"""Everybody's to try."""

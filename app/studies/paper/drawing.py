@@ -1,0 +1,299 @@
+"""A figure of the paper, its files, and the two kinds of panels: curves over time, snapshots."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pyarrow as pa
+import pyarrow.csv
+import trimesh
+from matplotlib import patheffects
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
+
+from app.border.mobile import MobileBody
+from app.robot.model import RobotModel
+from app.robot.shapes import shape_mesh
+from app.simulation.snapshots import Camera, Photographer, Picture, Solid
+from app.studies.paper.experiments import Run
+from app.studies.style import (
+    HAND,
+    METHOD_COLOURS,
+    METHOD_NAMES,
+    PATH,
+    SOFT,
+    TARGET,
+    WIDTH,
+    marker_style,
+    new_figure,
+    png_of,
+)
+from app.system import write_whole
+
+Array = np.ndarray
+Table = dict[str, Array]
+"""Columns of equal length, as a figure plots them; names of quantities end in their unit."""
+
+COLUMNS = 4
+_PIXELS = 460, 420
+_TALL = 1.35  # [m] what stands higher than the arm may be cut off: the robot would be small
+_CASING = [patheffects.withStroke(linewidth=3.6, foreground="white")]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """One figure of the paper, made anew.
+
+    Attributes:
+        title: Its number in the paper and what it shows.
+        paper: What the paper says about it, in our words.
+        figure: The picture.
+        tables: What is plotted; the first without a suffix, the others by theirs.
+        measured: Figures of it; keys end in their unit.
+        remarks: What has to be said about the measured figures, one sentence each.
+    """
+
+    title: str
+    paper: str
+    figure: Figure
+    tables: dict[str, Table]
+    measured: dict[str, Any] = field(default_factory=dict)
+    remarks: Sequence[str] = ()
+
+    def write(self, folder: Path, name: str) -> list[Path]:
+        """Write PNG and CSVs into a folder; returns their paths, the PNG first."""
+        picture = folder / f"{name}.png"
+        self.figure.suptitle(self.title, x=0.01, ha="left", fontsize=13)
+        write_whole(picture, png_of(self.figure))
+        paths = [picture]
+        for suffix, table in self.tables.items():
+            paths.append(folder / (f"{name}_{suffix}.csv" if suffix else f"{name}.csv"))
+            write_table(paths[-1], table)
+        return paths
+
+
+def write_table(path: Path, table: Table) -> None:
+    """Write it as CSV; numbers keep all their digits, NaN is an empty cell."""
+    columns = {name: pa.array(column, from_pandas=True) for name, column in table.items()}
+    options = pa.csv.WriteOptions(quoting_style="needed")
+    sink = io.BytesIO()
+    pa.csv.write_csv(pa.table(columns), sink, options)
+    write_whole(path, sink.getvalue())
+
+
+def stacked(parts: dict[str, Table], kind: str) -> Table:
+    """One long table from several with the same columns, told apart by a column of their names.
+
+    Args:
+        parts: By their names.
+        kind: Name of the column that holds the parts' names.
+    """
+    names = np.concatenate([np.full(len(next(iter(p.values()))), n) for n, p in parts.items()])
+    columns = next(iter(parts.values()))
+    return {kind: names} | {c: np.concatenate([p[c] for p in parts.values()]) for c in columns}
+
+
+def points_table(points: Array, **columns: Array) -> Table:
+    """Points (N, 3) [m] and what belongs to each of them."""
+    return {f"{axis}_m": points[:, i] for i, axis in enumerate("xyz")} | columns
+
+
+def table_of(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
+    """A table of rows of cells."""
+    return dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True))
+
+
+def method_lines(ax: Axes, parts: dict[str, Table], column: str, **line: Any) -> None:
+    """A column over time for each method."""
+    for name, part in parts.items():
+        look = {"color": METHOD_COLOURS[name], "label": METHOD_NAMES[name], **line}
+        ax.plot(part["t_s"], part[column], **look)
+
+
+def base_corners(model: RobotModel) -> Array:
+    """(8, 3) [m] corners of a box around l_m in the base's frame; the first four on the floor."""
+    body = MobileBody(model)
+    low, high = body.lower, body.upper
+    plan = [(low[0], low[1]), (high[0], low[1]), (high[0], high[1]), (low[0], high[1])]
+    return np.array([(x, y, z) for z, (x, y) in product((0.0, high[2]), plan)])
+
+
+def plan_axes(ax: Axes) -> None:
+    """Axes of a plan in the base's frame."""
+    ax.set_aspect("equal")
+    ax.set(xlabel="x of the base [m]", ylabel="y of the base [m]")
+
+
+def base_in_plan(ax: Axes, model: RobotModel) -> None:
+    """The base from above, in its own frame, with its wheel axis."""
+    ax.add_patch(Polygon(base_corners(model)[:4, :2], facecolor="#EEF1F4", edgecolor=SOFT))
+    ax.axvline(0.0, color=SOFT, linewidth=1.0, linestyle=(0, (1, 2)), zorder=1)
+    plan_axes(ax)
+
+
+def square_around(ax: Axes, points: Array, margin: float, least: float = 0.0) -> None:
+    """Show points (N, 3) [m] in plan in a square of at least a size [m], and a margin [m]."""
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    half = max(least, float((high - low).max())) / 2 + margin
+    x, y = (low + high) / 2
+    ax.set(xlim=(x - half, x + half), ylim=(y - half, y + half))
+
+
+def placed_meshes(
+    model: RobotModel, base_pose: Sequence[float] | Array, q_m: Array
+) -> list[tuple[str, trimesh.Trimesh]]:
+    """The convex bodies at a posture, in the world, each with its name."""
+    data, placed = model.pin.createData(), pin.GeometryData(model.geometry)
+    q = model.configuration(base_pose, q_m)
+    pin.updateGeometryPlacements(model.pin, data, model.geometry, placed, q)
+    return [
+        (body.name, shape_mesh(shape).apply_transform(placed.oMg[i].homogeneous))
+        for body in model.description.bodies
+        for i, shape in zip(model.shape_ids[body.name], body.shapes, strict=True)
+    ]
+
+
+def framed(
+    camera: Camera,
+    meshes: Iterable[trimesh.Trimesh],
+    points: Iterable[Array] = (),
+    tallest: float = np.inf,
+) -> Camera:
+    """The camera moved so that bodies and points (N, 3) [m] up to a height [m] fill its picture."""
+    seen = np.concatenate([*(mesh.vertices for mesh in meshes), *points])
+    seen[:, 2] = np.minimum(seen[:, 2], tallest)
+    return camera._replace(target=seen.mean(axis=0)).framing(seen, 0.05)
+
+
+@dataclass(frozen=True)
+class Strip:
+    """One row of snapshots, and over them where base and hand have been.
+
+    Attributes:
+        name: In the CSV and among the measured figures.
+        text: What it shows.
+        run: The run.
+        times: [s] of the snapshots.
+        view: [rad] yaw and pitch of the direction from which they are taken.
+        aim: (2, 3) [m] where the hand is led from and to, in the world, or None.
+        solids: What stands beside the robot, for a row of the log.
+        marks: (N, 3) [m] a line on the floor, such as a door's arc, or None.
+    """
+
+    name: str
+    text: str
+    run: Run
+    times: Sequence[float]
+    view: tuple[float, float]
+    aim: Array | None = None
+    solids: Callable[[int], Sequence[Solid]] = lambda _: ()
+    marks: Array | None = None
+
+    def paths(self, *columns: str, every: int = 10) -> Table:
+        """Where base and hand were, and further columns, each `every` rows of the log."""
+        log, hand = self.run.log, points_table(self.run.log.of("p_ee"))
+        names = ("t_s", "base_x_m", "base_y_m", "base_yaw_rad")
+        table = {name: log[name] for name in names}
+        table |= {f"hand_{name}": column for name, column in hand.items()}
+        table |= {name: log[name] for name in columns}
+        return {name: column[::every] for name, column in table.items()}
+
+
+def snapshot_figure(
+    model: RobotModel, strips: Sequence[Strip], *, aim: str = "", marks: str = ""
+) -> Figure:
+    """The figure of some rows of snapshots.
+
+    Args:
+        model: The robot.
+        strips: The rows: panels (a), (b) and so on.
+        aim: What the arrows are, if there are any.
+        marks: What the lines on the floor are, likewise.
+    """
+    height = len(strips) * (WIDTH / COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
+    figure = new_figure(height)
+    rows = figure.subfigures(len(strips), 1, squeeze=False)[:, 0]
+    cameras = {s.view: _camera(model, [x for x in strips if x.view == s.view]) for s in strips}
+    with closing(Photographer(model)) as photographer:
+        for letter, part, strip in zip("abcdef", rows, strips, strict=False):
+            part.suptitle(f"({letter}) {strip.text}", x=0.01, ha="left", weight="bold")
+            for ax, t in zip(part.subplots(1, COLUMNS), strip.times, strict=True):
+                _panel(ax, model, strip, cameras[strip.view], photographer, t)
+    keys = [
+        Line2D([], [], color=SOFT, linestyle="--", label="where the base began"),
+        Line2D([], [], color=PATH, label="path of the base's centre"),
+        Line2D([], [], color=HAND, label="path of the hand"),
+    ]
+    if aim:
+        keys.append(Line2D([], [], label=aim, **marker_style(TARGET)))
+    if marks:
+        keys.append(Line2D([], [], color=TARGET, linestyle=":", label=marks))
+    place = {"loc": "outside lower center", "ncols": len(keys), "handlelength": 2.2}
+    figure.legend(handles=keys, fontsize=10, **place)
+    return figure
+
+
+def _camera(model: RobotModel, strips: Sequence[Strip]) -> Camera:
+    """One camera for rows that are seen from the same side, that sees all that happens in them."""
+    meshes: list[trimesh.Trimesh] = []
+    for strip in strips:
+        for k in map(strip.run.log.row_at, strip.times):
+            bodies = placed_meshes(model, strip.run.base_poses[k], strip.run.q_m[k])
+            meshes += [mesh for _, mesh in bodies] + [solid.mesh for solid in strip.solids(k)]
+    aims = [strip.aim for strip in strips if strip.aim is not None]
+    return framed(Camera(np.zeros(3), 6.0, *strips[0].view, *_PIXELS), meshes, aims, _TALL)
+
+
+def _panel(
+    ax: Axes, model: RobotModel, strip: Strip, camera: Camera, photographer: Photographer, t: float
+) -> None:
+    k, run = strip.run.log.row_at(t), strip.run
+    picture = photographer.take(run.base_poses[k], run.q_m[k], camera, strip.solids(k))
+    ax.imshow(picture.rgb, interpolation="antialiased")
+    ax.set_axis_off()
+    ax.set_title(f"t = {t:g} s", fontsize=11, weight="normal", loc="center", pad=3)
+    corners, (x, y, yaw) = base_corners(model), run.base_poses[0]
+    begin = corners[[0, 1, 2, 3, 0]] @ pin.utils.rotate("z", yaw).T + [x, y, 0.0]
+    _on_floor(ax, picture, begin, color="#616E7C", linewidth=1.2, linestyle="--")
+    if strip.marks is not None:
+        _on_floor(ax, picture, strip.marks, color=TARGET, linewidth=1.6, linestyle=":")
+    past = strip.run.log.t <= t + 1e-6
+    centre = np.column_stack([run.base_poses[past, :2], np.full(past.sum(), corners[:, 2].max())])
+    for points, colour in ((centre, PATH), (run.log.of("p_ee")[past], HAND)):
+        line = {"color": colour, "linewidth": 2.2, "path_effects": _CASING, "zorder": 4}
+        ax.plot(*picture.pixels(points).T, **line)
+    ax.plot(*picture.pixels(centre[-1:]).T, **marker_style(PATH, size=5))
+    if strip.aim is not None:
+        start, end = picture.pixels(strip.aim)
+        arrow(ax, start, end, TARGET, linewidth=1.6, shrinkB=3, mutation_scale=11)
+        ax.plot(*end, **marker_style(TARGET, size=7))
+    ax.set_xlim(-0.5, _PIXELS[0] - 0.5)
+    ax.set_ylim(_PIXELS[1] - 0.5, -0.5)
+
+
+def arrow(ax: Axes, start: Array, end: Array, colour: str, **look: float) -> None:
+    """An arrow between two points of a plan, (2,) or more, which the layout does not see."""
+    look = {"linewidth": 2.2, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 14, **look}
+    head: dict[str, Any] = {"arrowstyle": "-|>", "color": colour, **look}
+    head_at, tail_at = (end[0], end[1]), (start[0], start[1])
+    ax.annotate("", head_at, tail_at, zorder=5, arrowprops=head).set_in_layout(False)
+
+
+def _on_floor(ax: Axes, picture: Picture, corners: Array, **line: Any) -> None:
+    """A line on the floor, hidden by what stands before it."""
+    share = np.linspace(0.0, len(corners) - 1.0, 40 * len(corners))
+    at = np.arange(len(corners))
+    points = np.column_stack([np.interp(share, at, column) for column in corners.T])
+    pixels = picture.pixels(points)
+    pixels[~picture.unhidden(points)] = np.nan
+    ax.plot(*pixels.T, zorder=3, **line)

@@ -1,0 +1,259 @@
+"""The report of one run, on a page that needs nothing else."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from app.config import Config, parameter
+from app.errors import ConfigError
+from app.simulation.trace.metrics import extremes, metrics, verdict
+from app.simulation.trace.trace import Trace
+from app.studies.page import Grid, Part, measured_grids, page_html
+from app.studies.style import (
+    ACTING,
+    HAND,
+    INK,
+    PAIR_COLOURS,
+    PATH,
+    SOFT,
+    TARGET,
+    level,
+    marker_style,
+    new_figure,
+    png_of,
+    styled,
+)
+
+Array = np.ndarray
+
+_BETWEEN = ". The figures are those of the rows: what happens between two of them is not seen"
+_OTHERS = ("#0072B2", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#7A7F87")
+"""Colours of what has none of its own, such as joints and further pairs."""
+_JOINTS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#1F2933")
+
+
+def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
+    """The page of a run: key numbers, figures, and which parameters were not the defaults.
+
+    Args:
+        run: As `read_trace` gives it, or made from snapshots.
+        on_progress: Called with the share of the figures that are drawn.
+    """
+    controllers = ", then ".join(dict.fromkeys(s.controller for s in run.snapshots))
+    title = f"{run.meta.scenario or 'A person leads the hand'}, {controllers}"
+    numbers = key_numbers(run)
+    parts = [Part(text=[verdict(numbers)])]
+    parts.append(Part("Key numbers", "numbers", tables=measured_grids(_shown(numbers))))
+    with styled():
+        for k, (name, (text, draw)) in enumerate(_FIGURES.items()):
+            on_progress(k / len(_FIGURES))
+            parts.append(Part(text, name, png=png_of(draw(run))))
+    parts.append(_changes(run))
+    return page_html(title, _about(run), parts)
+
+
+def _about(run: Trace) -> str:
+    meta, first, last = run.meta, run.snapshots[0], run.snapshots[-1]
+    plant = f"plant {meta.physics}, " if meta.physics else ""
+    return (
+        f"Robot {meta.robot}, {plant}seed {meta.seed}; {first.t:.2f} s to {last.t:.2f} s, "
+        f"{len(run)} rows{', one a control step' if run.each_step else _BETWEEN}."
+    )
+
+
+def key_numbers(run: Trace) -> dict[str, Any]:
+    """The figures of a run, as `dbb run --json` has them, and its extremes; keys as there."""
+    return {**extremes(run), **metrics(run)}
+
+
+def _shown(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """Key numbers; those of each pair and each joint stand one below the other."""
+    shown: dict[str, Any] = {}
+    for key, value in numbers.items():
+        if isinstance(value, dict):
+            stem, _, unit = key.rpartition("_")
+            shown |= {f"{stem} {name}_{unit}": number for name, number in value.items()}
+        else:
+            shown[key] = value
+    return shown
+
+
+def _changes(run: Trace) -> Part:
+    """A table of the parameters that were not the defaults."""
+    changes = config_changes([s.config for s in run.snapshots])
+    rows = [(path, _unit(path), _value(default), _value(had)) for path, default, had in changes]
+    if not rows:
+        return Part("Parameters", "parameters", text=["All were the defaults."])
+    head = ("changed", "unit", "default", "here")
+    return Part("Parameters", "parameters", tables=[Grid(head, rows, numbers=True)])
+
+
+def _unit(path: str) -> str:
+    try:
+        unit = parameter(path).unit
+    except ConfigError:  # a choice has no unit
+        return ""
+    return "" if unit == "-" else unit
+
+
+def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
+    """Parameters that differ from the defaults in any of the configurations.
+
+    Returns:
+        Path as in `border.d_b`, default, and the values it had, in order, joined if there are more.
+    """
+    changes = []
+    for section, defaults in Config().model_dump().items():
+        for name, default in defaults.items():
+            had = list(dict.fromkeys(getattr(getattr(c, section), name) for c in configs))
+            if had != [default]:
+                changes.append((f"{section}.{name}", default, had[0] if len(had) == 1 else had))
+    return changes
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, list):
+        return ", then ".join(map(_value, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def distances_figure(run: Trace) -> Figure:
+    """Distances of all pairs over their activations."""
+    figure = new_figure(6.0)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
+    others = iter(_OTHERS * (1 + len(run.meta.pairs)))
+    for k, pair in enumerate(run.meta.pairs):
+        mobile = pair in run.meta.mobile_pairs
+        colour = PAIR_COLOURS.get(pair) or next(others)
+        style = {"color": colour, "linestyle": "-" if mobile else (0, (5, 2))}
+        above.plot(run.t, run.distances[:, k], label=pair, **style)
+        below.plot(run.t, run.betas[:, k], **style)
+    d_b = [s.config.border.d_b for s in run.snapshots]
+    if len(set(d_b)) == 1:
+        level(above, d_b[0], "buffer distance $d_b$")
+    else:  # it was changed while the run went on
+        times = [s.t for s in run.snapshots]
+        above.step(times, d_b, where="post", color=SOFT, linestyle=(0, (4, 3)), label="$d_b$")
+    above.axhline(0.0, color=TARGET, linewidth=1.0)
+    above.set_ylabel("distance [m]")
+    below.set_ylabel(r"activation $\beta$ [–]")
+    below.set_ylim(-0.03, 1.05)
+    _legend_right(above)
+    _over_time((above, below), run)
+    return figure
+
+
+def base_figure(run: Trace) -> Figure:
+    """What is asked of the base, and what it does."""
+    figure = new_figure(6.4)
+    linear = run.of("base_acceleration").shape[1] - 1  # the last axis turns
+    grid = figure.subplots(2, linear + 1, sharex=True)
+    names = {1: ["v"], 2: ["v_x", "v_y"]}.get(linear, [f"v_{i}" for i in range(linear)])
+    rates = [(rf"\dot {name}", "m/s²") for name in names] + [(r"\dot\omega", "rad/s²")]
+    speeds = [(name, "m/s") for name in names] + [(r"\omega", "rad/s")]
+    asked, inserted = run.of("base_acceleration"), run.of("avoidance_acceleration")
+    commanded, measured = run.of("base_velocity_command"), run.of("base_velocity")
+    for k, ((rate, rate_unit), (speed, speed_unit)) in enumerate(zip(rates, speeds, strict=True)):
+        above, below = grid[:, k]
+        above.plot(run.t, asked[:, k], color=PATH, label="asked by the QP")
+        above.plot(run.t, inserted[:, k], color=ACTING, label=r"avoidance, $\beta\,\ddot x$")
+        above.set_ylabel(f"${rate}$ [{rate_unit}]")
+        below.step(run.t, commanded[:, k], where="post", color=SOFT, label="commanded")
+        below.plot(run.t, measured[:, k], color=PATH, label="measured")
+        below.set_ylabel(f"${speed}$ [{speed_unit}]")
+    for row in grid:
+        row[0].legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=2, borderaxespad=0.1)
+    _over_time(grid.ravel(), run, bottom=grid[1])
+    return figure
+
+
+def hand_figure(run: Trace) -> Figure:
+    """How far the hand is off, and with what force it is pulled."""
+    figure = new_figure(4.6)
+    error, force = figure.subplots(2, 1, sharex=True)
+    error.plot(run.t, 1000.0 * run.of("ee_error"), color=HAND)
+    error.set_ylabel("hand off its target [mm]")
+    force.plot(run.t, np.linalg.norm(run.of("hand_force"), axis=1), color=ACTING)
+    force.set_ylabel("force on the hand [N]")
+    for ax in (error, force):
+        ax.set_ylim(bottom=0.0)
+    _over_time((error, force), run)
+    return figure
+
+
+def torques_figure(run: Trace) -> Figure:
+    """Torques of the arm's joints."""
+    figure = new_figure(3.6)
+    ax = figure.subplots()
+    for k, joint in enumerate(run.meta.joints):
+        ax.plot(run.t, run.of("u_a")[:, k], color=_JOINTS[k % len(_JOINTS)], label=joint)
+    ax.set_ylabel("torque [N m]" if "m" not in run.meta.joint_units else "torque [N m], force [N]")
+    _legend_right(ax)
+    _over_time((ax,), run)
+    return figure
+
+
+def plan_figure(run: Trace) -> Figure:
+    """Where the base and the hand went, from above; a square where they began."""
+    figure = new_figure(5.0)
+    ax = figure.subplots()
+    for points, colour, text in (
+        (run.of("base_pose"), PATH, "base"),
+        (run.of("p_ee"), HAND, "hand"),
+    ):
+        ax.plot(points[:, 0], points[:, 1], color=colour, label=text)
+        ax.plot(*points[0, :2], **marker_style(colour, "s", 7.0))
+        ax.plot(*points[-1, :2], **marker_style(colour))
+    for k, filled in ((0, False), (-1, True)):
+        x, y, phi = run.of("base_pose")[k].tolist()
+        ax.annotate(
+            "",
+            (x + 0.2 * math.cos(phi), y + 0.2 * math.sin(phi)),
+            (x, y),
+            arrowprops={"arrowstyle": "-|>", "color": PATH if filled else SOFT, "linewidth": 1.6},
+        )
+    targets = np.array([s.hand_target for s in run.snapshots if s.hand_target is not None])
+    if len(targets):
+        ax.plot(targets[:, 0], targets[:, 1], ":", color=TARGET, linewidth=1.4, label="pulled to")
+    ax.set_aspect("equal", adjustable="datalim")
+    ax.set_xlabel("x [m]")
+    ax.set_ylabel("y [m]")
+    _legend_right(ax)
+    return figure
+
+
+def _legend_right(ax: Axes) -> None:
+    ax.legend(loc="upper left", bbox_to_anchor=(1.005, 1.02), borderaxespad=0.0)
+
+
+def _over_time(axes: Sequence[Axes], run: Trace, bottom: Sequence[Axes] | None = None) -> None:
+    """Time from the log's begin to its end; contact is shaded."""
+    touched = spans(run.of("in_contact") + run.of("arm_in_contact") > 0.0, run.t)
+    for ax in axes:
+        if run.t[-1] > run.t[0]:
+            ax.set_xlim(run.t[0], run.t[-1])
+        for begin, end in touched:
+            ax.axvspan(begin, end, color=TARGET, alpha=0.12, linewidth=0.0)
+    for ax in axes[-1:] if bottom is None else bottom:
+        ax.set_xlabel("time [s]" + (", in contact where shaded" if touched else ""), color=INK)
+
+
+def spans(flags: Array, t: Array) -> list[tuple[float, float]]:
+    """Begin and end [s] of the stretches in which a flag (N,) holds, at times t (N,)."""
+    stretches = np.ma.clump_unmasked(np.ma.masked_array(t, ~flags))
+    return [(float(t[s.start]), float(t[min(s.stop, len(t) - 1)])) for s in stretches]
+
+
+_FIGURES: dict[str, tuple[str, Callable[[Trace], Figure]]] = {
+    "distances": ("Distances and activations", distances_figure),
+    "base": ("Accelerations and velocities of the base", base_figure),
+    "hand": ("The hand", hand_figure),
+    "torques": ("Torques of the arm", torques_figure),
+    "plan": ("From above", plan_figure),
+}

@@ -1,0 +1,187 @@
+"""Where the hand's paths begin: a clear posture of the arm, just outside of its buffer."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import islice, product, tee
+from typing import NamedTuple
+
+import numpy as np
+
+from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
+from app.border.cache import BorderData
+from app.border.mobile import MobileBody
+from app.errors import UnreachableError
+from app.robot.model import RobotModel
+from app.robot.state import RobotState, at_rest
+from app.simulation.scenarios.start import OUT_OF_REACH, StartSolver
+from app.studies.sweep.plan import Approach, way_out
+
+Array = np.ndarray
+Point = tuple[float, float, float]
+_Posture = tuple[Array, Array]  # (3,) [m] the hand's origin, (n_m,) the arm's joints
+
+_GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)  # [m] hand's origin to the base's outline, best first
+_SEARCHES = tuple(
+    (float(np.radians(turn)), k)
+    for turn, k in ((0, 0), (0, 1), (40, 0), (-40, 0), (80, 0), (-80, 0))
+)
+"""How far [rad] the hand is turned from straight outwards, and a seed to add; best first."""
+_TRIES = 4  # starting points of a search per pitch of the hand
+_MOST_POSTURES = 6  # tried for one path
+_SLIDE = 0.02  # [m] from one posture to the next on the way to the asked distance
+_FARTHEST_SLIDE = 0.25  # [m]
+_DISTANCE_TOLERANCE = 1e-4  # [m] of the distance at the start
+_OFFSET_TOLERANCE = 1e-7  # [m] of p_b's place along the base, about that of the distances
+_OFFSET_TRIES = 40
+_NEARLY = 1e-4  # [m]
+
+
+class Start(NamedTuple):
+    """Where a path begins, or why it cannot.
+
+    Attributes:
+        approach: The path.
+        q_m: (n_m,) the arm's joints [rad or m], empty where there is no clear start.
+        p_ee: (3,) [m] the hand's origin.
+        p_b: (3,) [m] closest point to the base on the arm.
+        clearance: [m] its distance to the base.
+        reason: Why there is no clear start, or an empty string.
+    """
+
+    approach: Approach
+    q_m: tuple[float, ...] = ()
+    p_ee: Point = (0.0, 0.0, 0.0)
+    p_b: Point = (0.0, 0.0, 0.0)
+    clearance: float = 0.0
+    reason: str = ""
+
+
+class StartFinder:
+    """Finds the starts of paths; the base stands at the origin facing +x."""
+
+    def __init__(self, model: RobotModel, data: BorderData, d_b: float) -> None:
+        """Prepare for a robot and a buffer distance [m]."""
+        self._solver = StartSolver(model, data.pairs, d_b)
+        self._state = RobotState(model)
+        self._monitor = DistanceMonitor(self._state, data.pairs.mobile)
+        self._body = MobileBody(model)
+        self._searched: tuple[Approach, int] | None = None
+        self._found: Iterator[_Posture] = iter(())
+        self._flaws: Counter[str] = Counter()
+
+    def find(self, approach: Approach, distance: float, *, seed: int = 0) -> Start:
+        """The start of a path with the arm at a distance from the base.
+
+        Args:
+            approach: The path.
+            distance: [m] between arm and base at the start, as near to it as the arm can be.
+            seed: Of the search for postures.
+        """
+        refused: Counter[str] = Counter()
+        for posture in islice(self._postures(approach, seed), _MOST_POSTURES):
+            try:
+                p_ee, q_m = self._slide_to_distance(approach, *posture, distance)
+                if approach.kind == "wheel_axis":
+                    q_m = self._slide_to_offset(p_ee, q_m, approach.offset)
+            except UnreachableError as error:
+                refused[str(error)] += 1
+                continue
+            closest = self._closest(q_m)
+            p_ee, p_b = _point(self._state.T_world_ee.translation), _point(closest.p_b)
+            return Start(approach, tuple(q_m.tolist()), p_ee, p_b, float(closest.d))
+        return Start(approach, reason=_summary(refused or self._flaws))
+
+    def _postures(self, approach: Approach, seed: int) -> Iterator[_Posture]:
+        """Postures for a path; those along the wheel axis begin with the same ones."""
+        asked = replace(approach, offset=0.0), seed
+        if asked != self._searched:
+            self._searched, self._flaws = asked, Counter()
+            self._found = self._search(approach, seed, self._flaws)
+        self._found, postures = tee(self._found)  # those found before are not searched again
+        return postures
+
+    def _search(self, approach: Approach, seed: int, flaws: Counter[str]) -> Iterator[_Posture]:
+        """Clear postures with the hand before the base; counts what stands in the way."""
+        places = [self._place(approach, gap) for gap in _GAPS]
+        reached = [p for p in places if self._solver.reaches(_point(p), seed=seed)]
+        if len(reached) < len(places):
+            flaws[OUT_OF_REACH] = len(places) - len(reached)
+        for (turn, k), p_ee in product(_SEARCHES, reached):
+            try:
+                q_m = self._solver.solve(_point(p_ee), seed=seed + k, turn=turn, tries=_TRIES)
+            except UnreachableError as error:
+                flaws.update(error.flaws)
+                continue
+            yield p_ee, q_m
+
+    def _place(self, approach: Approach, gap: float) -> Array:
+        """(3,) [m] of the hand, so far from the base's outline, or above its top."""
+        lower, upper = self._body.lower, self._body.upper
+        if approach.kind == "above":
+            return np.array([*approach.place, upper[2] + gap])
+        centre, outwards = (lower + upper)[:2] / 2, -approach.inwards[:2]
+        reach = way_out(centre, outwards, lower[:2], upper[:2]) + gap
+        x, y = centre + reach * outwards
+        return np.array([x, y, approach.height])
+
+    def _slide_to_distance(
+        self, approach: Approach, p_ee: Array, q_m: Array, distance: float
+    ) -> tuple[Array, Array]:
+        """Along the path's line until the arm is at that distance, or as near to it as it gets."""
+        gap = self._closest(q_m).d - distance
+        step, gone = np.sign(gap) * _SLIDE, 0.0
+        while abs(gap) > _DISTANCE_TOLERANCE and abs(step) > _DISTANCE_TOLERANCE / 8:
+            if gone > _FARTHEST_SLIDE:
+                break
+            try:
+                moved = p_ee + step * approach.inwards
+                q_new = self._solver.slide(_point(moved), q_m)
+                new_gap = self._closest(q_new).d - distance
+            except UnreachableError:
+                step /= 2
+                continue
+            if new_gap * gap < 0:  # too far: halve the step
+                step /= 2
+                continue
+            p_ee, q_m, gap, gone = moved, q_new, new_gap, gone + abs(step)
+        return p_ee, q_m
+
+    def _slide_to_offset(self, p_ee: Array, q_m: Array, x: float) -> Array:
+        """(n_m,) the posture moved along the base until the x of p_b is that.
+
+        Raises:
+            UnreachableError: The arm cannot do so.
+        """
+        nearest = np.inf
+        for _ in range(_OFFSET_TRIES):
+            closest = self._closest(q_m)
+            off = float(closest.p_b[0]) - x
+            if abs(off) < _OFFSET_TOLERANCE:
+                return q_m
+            nearest = min(nearest, abs(off))
+            if abs(off) > _NEARLY:
+                p_ee = p_ee - [off, 0.0, 0.0]
+                q_m = self._solver.slide(_point(p_ee), q_m)
+            else:  # finer than the posture's own search: the shortest step of the joints
+                joint = self._state.model.body_joints[closest.pair.b]
+                along = self._state.point_jacobian(joint, closest.p_b)[0, self._state.model.n_b :]
+                q_m = q_m - along * off / (along @ along)
+        raise UnreachableError(f"p_b comes no nearer to the asked place than {nearest:.1e} m")
+
+    def _closest(self, q_m: Array) -> ClosestPoints:
+        """The nearest pair of L_m; leaves the state at that posture."""
+        self._state.update(at_rest(self._state.model, q_m))
+        return min(self._monitor.find_closest_points(), key=lambda closest: closest.d)
+
+
+def _point(p: Array) -> Point:
+    return float(p[0]), float(p[1]), float(p[2])
+
+
+def _summary(flaws: Counter[str]) -> str:
+    """What stood in the way, the most frequent first."""
+    ordered = sorted(flaws.items(), key=lambda item: (-item[1], item[0]))
+    return "; ".join(f"{flaw} ({count} tries)" for flaw, count in ordered[:3])

@@ -1,0 +1,272 @@
+"""Faults at random instants: `python -m benchmarks.faults --tries 30 [--seed 1] [--json]`.
+
+A command is started in a folder of its own, one of its processes is killed, terminated or stopped
+for a second, and what is left five seconds after its end is counted: processes, open ports and
+half-written results. A study is then gone on with, and has to give the same bytes as one that
+nothing befell.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from contextlib import suppress
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import psutil
+import tyro
+
+from app.cli.common import print_json
+from app.jobs.progress import progress_bar
+from app.robot.assets import ASSETS
+
+_MARK = "DBB_FAULTS"  # in the environment of all that a try starts
+_PATIENCE = 5.0  # [s] after which nothing may be left
+_STOPPED = 1.0  # [s] that a process is stopped
+_FAULTS = {
+    "kill": signal.SIGKILL,
+    "terminate": signal.SIGTERM,
+    "interrupt": signal.SIGINT,
+    "stop": signal.SIGSTOP,
+}
+_STUDY = ("study", "--cases", "4", "--physics", "kinematic", "--processes", "2", "--out", "out")
+_SWEEP = ("sweep", "--step", "90", "--hold", "0.5", "--physics", "kinematic", "--processes", "2")
+_ROBOT = (
+    "new-robot",
+    *(str(ASSETS / "bases" / "racecar.urdf"), "--base", "base_link", "--kind", "car-like"),
+    *("--steering-limit", "0.5", "--arm-urdf", str(ASSETS / "bases" / "panda.urdf")),
+    *("--mount-xyz", "0.40", "0", "0.35", "--tip", "panda_hand", "--out", "mine"),
+)
+_COMMANDS: dict[str, tuple[tuple[str, ...], float]] = {
+    "serve": (("serve", "--physics", "kinematic", "--port", "{port}"), 15.0),
+    "sweep": ((*_SWEEP, "--out", "out"), 20.0),
+    "study": (_STUDY, 20.0),
+    "reproduce": (("reproduce", "fig3", "--processes", "2", "--out", "out"), 20.0),
+    "new-robot": (_ROBOT, 20.0),
+}
+"""Each command, and [s] within which the fault comes."""
+
+
+class Left(NamedTuple):
+    """What is left after a try.
+
+    Attributes:
+        orphans: Processes, by their command lines.
+        port: Whether somebody still listens.
+        half: Names of files that are not whole.
+        new: Names of files and folders that were begun, which a kill alone may leave.
+    """
+
+    orphans: list[str]
+    port: bool
+    half: list[str]
+    new: list[str]
+
+
+def main(
+    tries: int = 20,
+    seed: int = 0,
+    only: tuple[str, ...] = (),
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+) -> None:
+    """Let faults befall commands; status 1 if anything was left or lost.
+
+    Args:
+        tries: How many.
+        seed: Of command, fault, process and instant.
+        only: Commands: serve, sweep, study, reproduce, new-robot; all if not given.
+        json: Print one JSON object.
+    """
+    rng = np.random.default_rng(seed)
+    # Who is started in the background ignores Ctrl-C, and would pass that on.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    names = only or tuple(_COMMANDS)
+    tally: dict[str, Counter[str]] = {name: Counter() for name in names}
+    findings = []
+    with tempfile.TemporaryDirectory(prefix="dbb-faults-") as folder:
+        whole = _studied(Path(folder) / "whole") if "study" in names else {}
+        with progress_bar("faults", tries) as on_progress:
+            for k in range(tries):
+                name = names[k % len(names)]
+                row = _try(name, Path(folder) / str(k), rng, whole)
+                tally[name].update(
+                    {key: len(value) for key, value in row.items() if key in _COUNTED}
+                )
+                tally[name]["tries"] += 1
+                if any(row[key] for key in _COUNTED):
+                    findings.append(row)
+                on_progress(k + 1)
+    result = {"seed": seed, "tally": {k: dict(v) for k, v in tally.items()}, "findings": findings}
+    if json:
+        print_json(result)
+    else:
+        for name, counts in result["tally"].items():
+            print(f"{name:10} " + ", ".join(f"{key} {n}" for key, n in counts.items()))
+        for row in findings:
+            print(row)
+    if findings:
+        sys.exit(1)
+
+
+_COUNTED = ("orphans", "ports", "half", "lost")
+
+
+def _try(
+    name: str, folder: Path, rng: np.random.Generator, whole: dict[str, bytes]
+) -> dict[str, Any]:
+    """One command and one fault; what is found is by the names in `_COUNTED`."""
+    folder.mkdir()
+    port = _free_port()
+    words, span = _COMMANDS[name]
+    words = tuple(word.format(port=port) for word in words)
+    delay = float(rng.uniform(0.3, span))
+    fault, in_child = list(_FAULTS)[int(rng.integers(len(_FAULTS)))], rng.random() < 0.4
+    command = _started(words, folder)
+    time.sleep(delay)
+    struck = _strike(command, fault, in_child, rng)
+    if in_child or fault == "stop":  # it may go on, or end by itself; then it is told to end
+        with suppress(subprocess.TimeoutExpired):
+            command.wait(2.0)
+        command.terminate()
+    left = _left_after(command, folder, port)
+    lost: list[str] = []
+    if name == "study":
+        lost = [each for each, content in _studied(folder).items() if whole[each] != content]
+    return {
+        "command": name,
+        "fault": fault,
+        "struck": struck,
+        "after_s": delay,
+        "orphans": left.orphans,
+        "ports": [port] if left.port else [],
+        "half": left.half,
+        "lost": lost,
+        "begun": left.new,
+    }
+
+
+def _started(words: tuple[str, ...], folder: Path) -> subprocess.Popen[bytes]:
+    environment = {**os.environ, _MARK: str(folder), "DBB_ROBOTS": str(folder / "robots")}
+    root = str(Path(__file__).resolve().parent.parent)
+    environment["PYTHONPATH"] = os.pathsep.join([root, environment.get("PYTHONPATH", "")])
+    with (folder / "said").open("ab") as said:
+        return subprocess.Popen(
+            [sys.executable, "-m", "app", *words],
+            cwd=folder,
+            env=environment,
+            stdout=said,
+            stderr=said,
+            start_new_session=True,
+        )
+
+
+def _strike(
+    command: subprocess.Popen[bytes], fault: str, in_child: bool, rng: np.random.Generator
+) -> str:
+    """Send the signal to the command itself or to one of its processes; which it was."""
+    with suppress(psutil.NoSuchProcess):
+        struck = psutil.Process(command.pid)
+        children = struck.children(recursive=True)
+        if in_child and children:
+            struck = children[int(rng.integers(len(children)))]
+        told = "the command" if struck.pid == command.pid else _told(struck)
+        struck.send_signal(_FAULTS[fault])
+        if fault == "stop":
+            time.sleep(_STOPPED)
+            struck.resume()
+        return told
+    return "nobody"
+
+
+def _left_after(command: subprocess.Popen[bytes], folder: Path, port: int) -> Left:
+    """Wait until all has ended, `_PATIENCE` at most, and look what is there."""
+    end = time.monotonic() + _PATIENCE
+    while (alive := _alive(folder)) and time.monotonic() < end:
+        time.sleep(0.1)
+    orphans = [_told(each) for each in alive]
+    listening = _answers(port)
+    for each in alive:
+        with suppress(psutil.NoSuchProcess):
+            each.kill()
+    command.wait()
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name != "said"]
+    begun = {path for path in files if path.name.startswith(".new-")}
+    begun |= set(folder.glob(".mine-*"))
+    own = [path for path in files if not any(path.is_relative_to(each) for each in begun)]
+    if (folder / "mine").exists() and not (folder / "mine" / "report.html").exists():
+        own.append(folder / "mine")
+    return Left(
+        orphans,
+        listening,
+        [path.name for path in own if not _is_whole(path)],
+        [path.name for path in begun],
+    )
+
+
+def _alive(folder: Path) -> list[psutil.Process]:
+    """What a try has started and still runs, wherever it hangs in the tree of processes."""
+    found = []
+    for process in psutil.process_iter():
+        with suppress(psutil.Error):
+            mine = process.environ().get(_MARK) == str(folder)
+            if mine and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(process)
+    return found
+
+
+def _told(process: psutil.Process) -> str:
+    with suppress(psutil.Error):
+        return " ".join(process.cmdline())[-120:]
+    return "one that has ended"
+
+
+_ENDS = {
+    ".json": b"}",
+    ".html": b"</html>",
+    ".png": b"IEND\xaeB`\x82",
+    ".parquet": b"PAR1",
+    ".csv": b"\n",
+    ".toml": b"\n",
+}
+"""The last bytes of a whole file, by its ending; a journal's last line may be cut off."""
+
+
+def _is_whole(path: Path) -> bool:
+    if path.is_dir():
+        return False
+    content = path.read_bytes()
+    end = _ENDS.get(path.suffix, b"")
+    return content.endswith(end) or content.rstrip().endswith(end)
+
+
+def _studied(folder: Path) -> dict[str, bytes]:
+    """The results of the study in a folder, done or gone on with until its end."""
+    folder.mkdir(exist_ok=True)
+    command = _started(_STUDY, folder)
+    if command.wait() != 0:
+        return {"results.parquet": (folder / "said").read_bytes()}
+    return {"results.parquet": (folder / "out" / "results.parquet").read_bytes()}
+
+
+def _free_port() -> int:
+    with socket.socket() as found:
+        found.bind(("127.0.0.1", 0))
+        return found.getsockname()[1]
+
+
+def _answers(port: int) -> bool:
+    with socket.socket() as tried:
+        tried.settimeout(1.0)
+        return tried.connect_ex(("127.0.0.1", port)) == 0
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,58 @@
+"""Sends and hands over what strangers may: `python -m benchmarks.fuzz --seconds 60 [--seed 1]`."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from app.cli.common import print_json
+from app.jobs.progress import progress_bar
+
+
+def main(
+    seconds: float = 60.0,
+    seed: int = 0,
+    what: Literal["both", "messages", "files"] = "both",
+    keep: Path = Path("out/fuzz"),
+    json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+) -> None:
+    """Fuzz messages and files, half of the time each; status 1 if anything was found.
+
+    Args:
+        seconds: [s] for all of it, beside the starts.
+        seed: Of the mutations.
+        what: Messages, files or both.
+        keep: Folder for the files of findings.
+        json: Print one JSON object.
+    """
+    # Imported here: the processes that read files import this module too.
+    from benchmarks.fuzz.files import fuzz_files
+    from benchmarks.fuzz.messages import fuzz_messages
+
+    share = seconds / 2 if what == "both" else seconds
+    result: dict[str, Any] = {"seed": seed, "seconds": seconds}
+    for name, fuzz in (("messages", fuzz_messages), ("files", fuzz_files)):
+        if what in ("both", name):
+            with progress_bar(name, share) as on_progress:
+                result[name] = fuzz(share, seed, keep, lambda t: on_progress(min(t, share)))
+    if json:
+        print_json(result)
+    else:
+        for name in ("messages", "files"):
+            for key, value in result.get(name, {}).items():
+                print(f"{key:14} {value}")
+    if _found(result):
+        sys.exit(1)
+
+
+def _found(result: dict[str, Any]) -> bool:
+    """Whether there is a finding anywhere in it."""
+    inner = (each for each in result.values() if isinstance(each, dict))
+    return bool(result.get("findings")) or any(map(_found, inner))
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

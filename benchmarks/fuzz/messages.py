@@ -1,0 +1,239 @@
+"""Messages of every kind that a page may send, mutated, to a dashboard that is really served.
+
+Each message is first given to the gate's own check in this place: what it calls garbage ends its
+sender's connection, so that of those only some go over a socket, from a client that comes anew.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import os
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import msgspec
+import numpy as np
+import psutil
+import websockets
+from viser import _messages
+
+from app.cli.common import load_robot_and_border
+from app.config import Config
+from app.dashboard import gate
+from app.dashboard.server import DashboardServer, serve_dashboard
+from app.onboarding.read.package import LARGEST_ARCHIVE
+from app.simulation.loop.commands import Pause
+from app.simulation.loop.process_loop import ProcessLoop
+from app.simulation.session import Session
+from benchmarks.fuzz.mutate import HOSTILE, mutated
+from tests.raw_client import RawClient
+
+_BURST = 200  # [-] messages between two looks
+_WARM = 0.25  # [-] share of the time after which memory is measured first
+_GARBAGE_EVERY = 10.0  # [s] between two clients that are sent away; a page takes long to make
+_LARGEST_GROWTH = 1.1  # [-] of memory
+_PATIENCE = 60.0  # [s] for a page to come or time to pass, on a machine with other work
+_PACKED = tuple(value for value in HOSTILE if value != 10**400)
+"""Values that a message can hold."""
+
+
+def fuzz_messages(
+    seconds: float, seed: int, keep: Path, on_progress: Callable[[float], None]
+) -> dict[str, Any]:
+    """Send mutated messages for some seconds; what was sent, and what broke.
+
+    Args:
+        seconds: [s] of sending.
+        seed: Of the mutations.
+        keep: Not needed here: a message follows from the seed.
+        on_progress: Called with the time that has gone [s].
+    """
+    model, data = load_robot_and_border("husky_panda")
+    q_start = np.array(model.description.arm.ready_position)
+    loop = ProcessLoop(partial(Session, model, data, Config(), physics="kinematic"), q_start)
+    with _elsewhere():
+        loop.begin()
+        try:
+            loop.start()
+            server = serve_dashboard(loop, model, data.clouds, port=0, sweeps=Path("sweeps"))
+            try:
+                return _Fuzz(server, loop, seed).run(seconds, on_progress)
+            finally:
+                server.stop()
+        finally:
+            loop.stop()
+
+
+@contextlib.contextmanager
+def _elsewhere() -> Iterator[None]:
+    """In a folder and with robots of its own: buttons that are pressed write files."""
+    before = os.getcwd()
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["DBB_ROBOTS"] = f"{folder}/robots"
+        os.chdir(folder)
+        try:
+            yield
+        finally:
+            os.chdir(before)
+
+
+class _Fuzz:
+    """One client that fuzzes, one that only looks on, and the server."""
+
+    def __init__(self, server: DashboardServer, loop: ProcessLoop, seed: int) -> None:
+        self._server, self._loop = server, loop
+        self._rng = np.random.default_rng(seed)
+        self._tally: Counter[str] = Counter()
+        self._findings: dict[str, str] = {}
+        self._kinds: Counter[str] = Counter()
+        self._page: Any = None
+
+    def run(self, seconds: float, on_progress: Callable[[float], None]) -> dict[str, Any]:
+        """Send until the time is over."""
+        first = last = None
+        with RawClient(self._server.address) as witness:
+            self._client()
+            begin = garbage = time.monotonic()
+            while (gone := time.monotonic() - begin) < seconds and not self._findings:
+                if first is None and gone > _WARM * seconds:
+                    first = self._memory()
+                seen = witness.received
+                now = time.monotonic() - garbage > _GARBAGE_EVERY
+                garbage = time.monotonic() if now else garbage
+                self._burst(garbage=now)
+                self._look(lambda seen=seen: witness.received > seen)
+                on_progress(gone)
+            last = self._memory()
+            self._sender.close()
+        growth = last / first if first else 1.0
+        if growth > _LARGEST_GROWTH:
+            self._findings[f"memory grew by {growth - 1:.0%}"] = ""
+        return {
+            "messages": sum(self._kinds.values()),
+            **self._tally,
+            "kinds": dict(self._kinds),
+            "memory_mib": last,
+            "memory_growth": growth,
+            "findings": self._findings,
+        }
+
+    def _client(self) -> None:
+        """A sender, and the page that was made for it."""
+        known = set(self._server.pages)
+        self._sender = RawClient(self._server.address)
+        self._wait(lambda: set(self._server.pages) - known, "no page for who comes")
+        self._page = self._server.pages.get(max(self._server.pages, default=0), self._page)
+        self._uploads = gate.Uploads(LARGEST_ARCHIVE)
+
+    def _burst(self, *, garbage: bool) -> None:
+        for _ in range(_BURST):
+            kind = gate._TAKEN[int(self._rng.integers(len(gate._TAKEN)))]
+            if self._rng.random() < 0.4:
+                kind = _messages.GuiUpdateMessage
+            self._kinds[kind.__name__] += 1
+            data = msgspec.msgpack.encode(self._message(kind))
+            verdict = self._verdict(data)
+            self._tally[verdict] += 1
+            try:
+                if verdict != "garbage":
+                    self._sender.send_raw(data)
+                elif garbage:
+                    garbage = False
+                    self._sender.send_raw(data)
+                    self._sender.close()
+                    self._client()
+            except websockets.ConnectionClosed as error:
+                self._findings.setdefault(f"a client was sent away: {error}", repr(data[:300]))
+                self._client()
+
+    def _verdict(self, data: bytes) -> str:
+        """What the gate says of it; `websockets` ends what is longer than any message."""
+        if len(data) > gate._LARGEST_PICTURE:
+            return "garbage"
+        try:
+            gate.checked(data, self._uploads, self._widgets().get)
+        except gate.GarbageError:
+            return "garbage"
+        except gate.RefusedError:
+            return "refused"
+        except Exception as error:  # whatever it is, it is a finding
+            self._findings.setdefault(f"{type(error).__name__}: {error}"[:200], repr(data[:300]))
+            return "garbage"
+        return "taken"
+
+    def _widgets(self) -> dict[str, Any]:
+        return self._page._client.gui._gui_input_handle_from_uuid
+
+    def _message(self, kind: type) -> Any:
+        """A message of a kind, mutated more often than not."""
+        fields = [f for f in dataclasses.fields(kind) if f.init]
+        hints = get_type_hints(kind)
+        message = {f.name: self._right(f.name, hints[f.name]) for f in fields}
+        if kind is _messages.GuiUpdateMessage:
+            handles = list(self._widgets().values())
+            handle = handles[int(self._rng.integers(len(handles)))]
+            value = mutated(_plain(handle.value), self._rng, _PACKED)
+            message = {"uuid": handle._impl.uuid, "updates": {"value": value}}
+        if self._rng.random() < 0.5:
+            message = mutated(message, self._rng, _PACKED)
+        return {"type": kind.__name__, **message} if isinstance(message, dict) else message
+
+    def _right(self, name: str, hint: Any) -> Any:
+        """A value of a type that viser has for a field."""
+        options = get_args(hint)
+        if name in ("uuid", "container_uuid", "source_component_uuid"):
+            names = list(self._widgets())
+            return names[int(self._rng.integers(len(names)))]
+        if name in ("name", "node_name"):
+            nodes = list(self._page._client.scene._handle_from_node_name)
+            nodes = nodes or ["/robot"]
+            return nodes[int(self._rng.integers(len(nodes)))]
+        if options and not isinstance(options[0], type) and not get_args(options[0]):
+            return options[int(self._rng.integers(len(options)))]  # of a Literal, or None
+        if getattr(hint, "__origin__", None) is tuple:
+            return [self._right("", each) for each in options if each is not Ellipsis]
+        if options and getattr(hint, "__origin__", None) is not dict:
+            return self._right(name, options[int(self._rng.integers(len(options)))])
+        plain = {bool: True, int: 3, float: float(self._rng.normal()), str: "a", bytes: b"a" * 9}
+        return plain.get(hint, None if hint is type(None) else {})
+
+    def _look(self, seen: Callable[[], bool]) -> None:
+        """Whether all goes on, and the parameters are in their ranges."""
+        self._loop.send(Pause(False))
+        t = self._loop.latest().t
+        self._wait(lambda: self._loop.latest().t != t, "time stands still")
+        self._wait(seen, "another viewer gets nothing more")
+        config = self._loop.latest().config
+        if type(config).model_validate(config.model_dump()) != config:
+            self._findings.setdefault("a parameter is out of its range", str(config))
+        if self._server.error is not None:
+            self._findings.setdefault(f"drawing ended: {self._server.error!r}", "")
+
+    def _memory(self) -> float:
+        """[MiB] of this process and the simulation's, once no work is under way."""
+        shared = self._server.shared
+        jobs = [shared.robot_switch, shared.robot_build, shared.sweep_job]
+        for job in [*jobs, *(page.save_job for page in self._server.pages.values())]:
+            job.close()
+        here = psutil.Process()
+        everyone = [here, *here.children(recursive=True)]
+        return sum(each.memory_info().rss for each in everyone) / 2**20
+
+    def _wait(self, true: Callable[[], Any], otherwise: str) -> None:
+        end = time.monotonic() + _PATIENCE
+        while not true():
+            if time.monotonic() > end:
+                self._findings.setdefault(otherwise, "")
+                return
+            time.sleep(0.01)
+
+
+def _plain(value: Any) -> Any:
+    """A widget's value as a page sends it."""
+    return list(value) if isinstance(value, tuple) else value

@@ -1,0 +1,245 @@
+"""How well a page without a GPU draws: `python -m benchmarks.page`.
+
+A headless browser that draws in software shows what `dbb serve` serves; the page may know that it
+is one. Measured are pictures, the delay of a drag and what is sent, and how long the tab "Plots"
+holds the page up. On a loaded machine compare runs that alternate.
+"""
+
+from __future__ import annotations
+
+import json as json_module
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from statistics import median
+from typing import Any
+
+import numpy as np
+import psutil
+import tyro
+from websockets.asyncio.server import ServerConnection
+
+from app.cli.common import load_robot_and_border
+from app.config import Config
+from app.dashboard.drag import GIZMO, SCALE
+from app.dashboard.export import browser as browsers
+from app.dashboard.server import serve_dashboard
+from app.simulation.loop.commands import Pause, Play, Pull
+from app.simulation.loop.process_loop import ProcessLoop
+from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.scenarios.start import find_start
+from app.simulation.session import Session
+from tests.browser import DashboardTab, chromium
+
+AXIS = 2  # the gizmo's arrow upwards, which no panel covers
+STEP = 0.10  # [m] of a jump of the mouse
+REST = 1.5  # [s] after it
+JUMPS = 8
+SIZE, LARGE = (1280, 720), (1600, 900)  # [px]
+SETTLED = 6.0  # [s] after which a page has all it needs
+_HELPERS = """
+(() => {
+  const watch = { hand: [], gizmo: [], stall: 0 };
+  let before = performance.now(), moved = null;
+  const { viewer, node, canvas } = window.dbbPage;
+  const frame = () => window.__viserTestpoints?.rendererInfo?.render?.frame ?? 0;
+  const height = (name) => {
+    const object = node(name);
+    object.updateWorldMatrix(true, false);
+    return object.matrixWorld.elements[13];
+  };
+  const drawn = () => {
+    const gl = canvas().getContext("webgl2");
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+    return performance.now();
+  };
+  window.addEventListener("pointermove", (event) => {
+    if (!watch.jumps) return;
+    const last = [watch.gizmoNode, watch.handNode].map(height);
+    moved = { at: event.timeStamp, frame: frame(), last, gizmo: false };
+  }, true);
+  const look = () => {
+    const now = performance.now();
+    watch.stall = Math.max(watch.stall, now - before);
+    before = now;
+    if (moved && frame() > moved.frame) {
+      if (!moved.gizmo && Math.abs(height(watch.gizmoNode) - moved.last[0]) > 0.03) {
+        moved.gizmo = true;
+        watch.gizmo.push(drawn() - moved.at);
+      }
+      if (moved.gizmo && Math.abs(height(watch.handNode) - moved.last[1]) > 0.003) {
+        watch.hand.push(drawn() - moved.at);
+        moved = null;
+      }
+    }
+    requestAnimationFrame(look);
+  };
+  requestAnimationFrame(look);
+  window.dbbWatch = watch;
+})();
+"""
+
+
+@dataclass(frozen=True)
+class Page:
+    """Measure a page that is drawn in software."""
+
+    seconds: float = 10.0
+    """[s] of each part."""
+    swiftshader: bool = False
+    """Draw as Chromium does by itself, two to three times slower than Mesa, the default here."""
+    json: bool = False
+    """Print one JSON object on standard output and nothing else there."""
+
+
+def main(args: Page) -> None:
+    """Measure and print."""
+    if args.swiftshader:
+        browsers._MESA = browsers._SWIFTSHADER
+    model, data = load_robot_and_border("husky_panda")
+    config, scenario = Config(), scenario_by_name("guiding-front")
+    q_start = find_start(model, data.pairs, config.border.d_b, scenario.start)
+    loop = ProcessLoop(partial(Session, model, data, config), q_start)
+    loop.start()
+    try:
+        server = serve_dashboard(loop, model, data.clouds, port=0)
+        try:
+            with chromium() as browser:
+                result = _Measurement(browser, server.address, loop, args.seconds).all()
+        finally:
+            server.stop()
+    finally:
+        loop.stop()
+    if args.json:
+        print(json_module.dumps(result, indent=2))
+        return
+    for key, value in result.items():
+        print(f"{key:28} {value:.4g}" if isinstance(value, float) else f"{key:28} {value}")
+
+
+class _Measurement:
+    """One page after the other, and what is counted of them."""
+
+    def __init__(self, browser: Any, address: str, loop: ProcessLoop, seconds: float) -> None:
+        self._browser, self._address = browser, address
+        self._loop, self._seconds = loop, seconds
+        self._sent = self._heard = 0
+        self._count()
+
+    def all(self) -> dict[str, Any]:
+        """All figures."""
+        result: dict[str, Any] = {"cores": os.cpu_count(), "load_before": os.getloadavg()[0]}
+        tab = self._open(SIZE)
+        time.sleep(SETTLED)
+        result |= {"first_megabytes": self._sent / 1e6}
+        result |= {f"idle_{k}": v for k, v in self._over(tab, lambda: None).items()}
+        result["picture_ms"] = self._picture(tab)
+        self._loop.send(Play.named("guiding-front"))
+        time.sleep(1.0)
+        result |= {f"playing_{k}": v for k, v in self._over(tab, lambda: None).items()}
+        result |= self._drag(tab)
+        tab.close()
+        tab = self._open(LARGE)
+        tab.open_tab("Plots")
+        time.sleep(SETTLED)
+        self._loop.send(Play.named("guiding-front"))
+        result |= {f"plots_{k}": v for k, v in self._over(tab, lambda: None).items()}
+        tab.close()
+        return result | {"page_errors": tab.errors}
+
+    def _open(self, size: tuple[int, int]) -> DashboardTab:
+        tab = DashboardTab(self._browser, self._address, size, dpr=None, draws=True, honest=True)
+        tab.page.evaluate(_HELPERS)
+        return tab
+
+    def _over(self, tab: DashboardTab, act: Callable[[], None]) -> dict[str, float]:
+        """Pictures, bytes and the longest stall while something is done again and again."""
+        tab.page.evaluate("() => (dbbWatch.stall = 0)")
+        begin, sent, heard, frame = time.monotonic(), self._sent, self._heard, _frame(tab)
+        work = _work()
+        while time.monotonic() < begin + self._seconds:
+            act()
+            tab.page.wait_for_timeout(50)  # [ms]
+        frames, span = _frame(tab) - frame, time.monotonic() - begin
+        return {
+            "pictures_per_s": frames / span,
+            "core_ms_per_picture": 1e3 * (_work() - work) / max(frames, 1),
+            "kB_per_s": (self._sent - sent) / span / 1e3,
+            "heard_per_s": (self._heard - heard) / span,
+            "longest_stall_ms": tab.page.evaluate("() => dbbWatch.stall"),
+        }
+
+    def _picture(self, tab: DashboardTab) -> float:
+        """[ms] of one picture to its end, while time stands still."""
+        self._loop.send(Pause(True))
+        time.sleep(1.0)
+        script = """async () => {
+          const begin = performance.now();
+          await dbbPage.render(1);
+          return performance.now() - begin;
+        }"""
+        times = [tab.page.evaluate(script) for _ in range(7)]
+        self._loop.send(Pause(False))
+        return float(median(times))
+
+    def _drag(self, tab: DashboardTab) -> dict[str, float]:
+        """Jumps of the mouse, each until the hand follows, then a drag that never rests."""
+        tab.page.evaluate(
+            "([g, h]) => Object.assign(dbbWatch, { gizmoNode: g, handNode: h, jumps: true })",
+            [GIZMO, "/robot/panda_joint7"],
+        )
+        arrow = tab.arrow(GIZMO, AXIS, SCALE)
+        start = tab.position(GIZMO)
+        up = np.array([0.0, 0.0, 1.0])
+
+        def to(height: float) -> None:
+            tab.page.mouse.move(*tab.pixel("", tuple((start + arrow + height * up).tolist())))
+
+        to(0.0)
+        tab.render(1)
+        tab.page.mouse.down()
+        for i in range(JUMPS):
+            to(STEP if i % 2 == 0 else 0.0)
+            tab.page.wait_for_timeout(1000 * REST)
+        found = tab.page.evaluate("() => ({ gizmo: dbbWatch.gizmo, hand: dbbWatch.hand })")
+        tab.page.evaluate("() => (dbbWatch.jumps = false)")
+        begin = time.monotonic()
+        dragged = self._over(tab, lambda: to(STEP * np.sin(3.0 * (time.monotonic() - begin))))
+        tab.page.mouse.up()
+        return {
+            "gizmo_follows_ms": float(median(found["gizmo"] or [np.nan])),
+            "hand_follows_ms": float(median(found["hand"] or [np.nan])),
+            "jumps_followed": len(found["hand"]),
+            **{f"dragging_{key}": value for key, value in dragged.items()},
+        }
+
+    def _count(self) -> None:
+        """Have each byte that is sent, and each pull that is heard, counted."""
+        send, pull = ServerConnection.send, self._loop.send
+
+        async def sending(connection: ServerConnection, message: Any, *more: Any) -> None:
+            self._sent += len(message)
+            await send(connection, message, *more)
+
+        def hearing(command: Any) -> None:
+            self._heard += isinstance(command, Pull)
+            pull(command)
+
+        ServerConnection.send = sending  # type: ignore[method-assign]
+        self._loop.send = hearing  # type: ignore[method-assign]
+
+
+def _work() -> float:
+    """[s] that the browser's processes have worked, on all cores."""
+    browsers = [p for p in psutil.Process().children(recursive=True) if "chrom" in p.name()]
+    return sum(sum(process.cpu_times()[:2]) for process in browsers)
+
+
+def _frame(tab: DashboardTab) -> int:
+    return tab.page.evaluate("() => window.__viserTestpoints.rendererInfo.render.frame")
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Page))

@@ -1,0 +1,130 @@
+"""The border as a body, and postures that are explored: what a click and a slider tell."""
+
+import numpy as np
+import pytest
+
+from app.config import Config
+from app.dashboard.drag import GIZMO, SCALE
+from app.dashboard.explorer import Explorer, Posture
+from app.dashboard.scene.borders import Borders
+from app.dashboard.scene.shell import first_hit, probe_at, shell_faces
+from app.simulation.loop.commands import Pause, Reset
+from app.simulation.loop.ensemble import Ensemble
+from app.simulation.session import Session
+from tests.browser import DashboardTab, wait_for
+from tests.dashboards import served_dashboard
+from tests.fakes import ScriptedLoop
+
+
+@pytest.fixture(scope="module")
+def shell(robot, border_data):
+    """A scene's borders, a snapshot, and the body of the hand's border up to the base's top."""
+    import trimesh
+
+    borders = Borders(robot, border_data.clouds)
+    snapshot = ScriptedLoop(robot).latest()
+    surface = borders.surface("lm-lEE", snapshot.config.border)
+    corners, faces = shell_faces(surface, 0.1, borders.top)
+    return borders, snapshot, trimesh.Trimesh(corners, faces, process=False)
+
+
+def test_the_body_is_the_border_its_front_outwards(shell, robot):
+    from app.border.mobile import MobileBody
+
+    _, snapshot, mesh = shell
+    d_b = snapshot.config.border.d_b
+    distances = MobileBody(robot).distance(np.asarray(mesh.vertices))
+    np.testing.assert_allclose(distances, d_b, atol=1e-4)
+    outside = np.asarray(mesh.triangles_center) + 0.01 * np.asarray(mesh.face_normals)
+    assert (MobileBody(robot).distance(outside) > d_b).all()
+
+
+def test_a_ray_meets_the_nearest_front(shell):
+    _, _, mesh = shell
+    found = first_hit(mesh, np.array([3.0, 0.1, 0.2]), np.array([-1.0, 0.0, 0.0]))
+    assert found is not None
+    p, n = found
+    np.testing.assert_allclose(p[1:], (0.1, 0.2))
+    assert p[0] > 0.5
+    assert n[0] > 0.9
+    assert first_hit(mesh, np.array([3.0, 0.1, 2.0]), np.array([-1.0, 0.0, 0.0])) is None
+
+
+def test_the_base_would_go_away_from_a_place_before_it(shell):
+    borders, snapshot, mesh = shell
+    found = first_hit(mesh, np.array([3.0, 0.0, 0.25]), np.array([-1.0, 0.0, 0.0]))
+    assert found is not None
+    probe = probe_at(borders, "lm-lEE", snapshot, *found)
+    assert probe.acceleration[0] < -0.1
+    field = borders.fields["lm-lEE"]
+    assert abs(probe.score) == pytest.approx(probe.det * probe.reach)
+    assert probe.score == field.score(probe.p)
+
+
+def test_an_explored_posture_is_what_a_run_from_there_begins_with(robot, border_data):
+    q_m = np.array((0.3, 0.9, 0.0, -1.9, 0.1, 2.3, 0.8))
+    ensemble = Ensemble(Session(robot, border_data, Config(), physics="kinematic"), 0.9 * q_m)
+    snapshot = ScriptedLoop(robot).latest()
+    found = Explorer(robot, border_data.clouds, snapshot).ask(
+        Posture(np.array((0.5, -0.2, 0.7)), q_m), snapshot
+    )
+    ensemble.reset(tuple(q_m), (0.5, -0.2, 0.7))
+    step = ensemble.step()
+    np.testing.assert_array_equal(found.base_acceleration, step.output.base_acceleration)
+    np.testing.assert_allclose([pair.d for pair in found.pairs], step.distances, atol=1e-12)
+    ensemble.restart()
+    np.testing.assert_array_equal(ensemble.step().truth.q_m, step.truth.q_m)
+    ensemble.reset()
+    np.testing.assert_array_equal(ensemble.step().truth.q_m, 0.9 * q_m)
+    ensemble.close()
+
+
+def test_the_hand_is_brought_to_a_place_or_as_near_as_it_can(robot, border_data):
+    loop = ScriptedLoop(robot)
+    snapshot = loop.latest()
+    explorer = Explorer(robot, border_data.clouds, snapshot)
+    begin = Posture(np.zeros(3), np.array(snapshot.q_m))
+    place = np.add(snapshot.p_ee, (0.05, 0.05, -0.1))
+    posture, off = explorer.reach(begin, place)
+    assert off < 1e-3
+    np.testing.assert_allclose(explorer.ask(posture, snapshot).p_ee, place, atol=1e-3)
+    _, off = explorer.reach(begin, np.array((5.0, 0.0, 0.5)))
+    assert off > 1.0
+
+
+@pytest.mark.browser
+def test_a_visitor_explores_postures_and_clicks_the_border(browser):
+    with served_dashboard() as served:
+        tab = DashboardTab(browser, served.server.address)
+        tab.page.get_by_text("Postures", exact=True).click()
+        tab.click("Stop and explore")
+        tab.row("panda_joint4 [°]").wait_for()
+        page = served.page()
+        before = served.loop.latest().q_m.copy()
+        tab.set_slider("panda_joint4 [°]", -150.0)
+        wait_for(lambda: page.explorer_panel.posture.q_m[3] == pytest.approx(np.radians(-150.0)))
+        np.testing.assert_array_equal(served.loop.latest().q_m, before)
+        tab.rest()
+        asked = page.explorer_panel.posture
+        tab.drag_gizmo(GIZMO, 0, -0.1, SCALE)  # the arm is behind the upright arrow
+        wait_for(lambda: not np.array_equal(page.explorer_panel.posture.q_m, asked.q_m))
+        assert served.loop.pulls() in ([], [None]), "nobody has pulled"
+
+        tab.open_tab("View")
+        tab.check("As a body")
+        tab.wait("() => dbbPage.has('/robot/shell_lm-lEE')")
+        assert not tab.is_shown("/robot/border_lm-lEE")
+        place = np.array([[0.645, 0.0, 0.25]])
+        [at] = tab.pixels("/robot", place)
+        tab.page.mouse.move(*at)
+        tab.render(2)
+        tab.page.mouse.click(*at)
+        wait_for(lambda: tab.is_shown("/robot/probe/text"), what="the place's numbers")
+        assert "det" in tab.text("/robot/probe/text")
+
+        tab.open_tab("Run")
+        tab.click("Start from here")
+        wait_for(lambda: Pause(False) in served.loop.commands, what="the start")
+        [reset] = [c for c in served.loop.commands if isinstance(c, Reset) and c.q_m]
+        assert reset.q_m[3] != pytest.approx(before[3])
+        assert tab.errors == []

@@ -1,0 +1,159 @@
+"""Films without a display: encoded whole or not at all, and the same whatever the machine does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from imageio_ffmpeg import count_frames_and_secs, read_frames
+from PIL import Image
+
+from app.border.cache import BorderData
+from app.cli.main import main
+from app.config import Config
+from app.dashboard.export.film import CODECS, captioned, film_pictures, with_ghosts, write_film
+from app.dashboard.export.offscreen import Look
+from app.errors import OutputError
+from app.robot.model import RobotModel
+from app.simulation.run import filmed, steps_of
+from app.simulation.scenarios.names import scenario_of
+from app.simulation.trace.snapshot import Snapshot
+
+SIZE = 64, 48
+RATE = 10.0
+
+
+def grey(count: int) -> Iterator[Image.Image]:
+    """Pictures from dark to light."""
+    for k in range(count):
+        yield Image.new("RGB", SIZE, (40 * k,) * 3)
+
+
+def frames(path: Path) -> list[np.ndarray]:
+    """(H, W, 3) each, as other programs than the one that wrote them read them."""
+    if path.suffix in (".gif", ".webp"):
+        with Image.open(path) as film:
+            found = []
+            for k in range(getattr(film, "n_frames", 1)):
+                film.seek(k)
+                found.append(np.array(film.convert("RGB")))
+        return found
+    reader = read_frames(str(path))
+    width, height = next(reader)["size"]
+    return [np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in reader]
+
+
+@pytest.mark.parametrize(
+    ("suffix", "codec"), [(suffix, codec) for suffix, each in CODECS.items() for codec in each]
+)
+def test_each_codec_keeps_every_picture_in_order(suffix: str, codec: str, tmp_path: Path) -> None:
+    path = tmp_path / f"film{suffix}"
+    assert write_film(path, grey(5), RATE, codec) == 5
+    found = frames(path)
+    assert [f.shape for f in found] == [(SIZE[1], SIZE[0], 3)] * 5
+    assert [f.mean() for f in found] == pytest.approx([0, 40, 80, 120, 160], abs=6)
+    if suffix in (".mp4", ".webm"):
+        count, seconds = count_frames_and_secs(str(path))
+        assert (count, seconds) == (5, pytest.approx(0.5, abs=0.05))
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_ffmpeg_cannot_write_is_one_line_and_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = tmp_path / "ffmpeg"
+    full.write_text(
+        '#!/bin/sh\nfor last; do :; done\necho half > "$last"\n'
+        "echo 'av_interleaved_write_frame(): No space left on device' >&2\nexit 1\n"
+    )
+    full.chmod(0o755)
+    monkeypatch.setattr("imageio_ffmpeg.get_ffmpeg_exe", lambda: str(full))
+    path = tmp_path / "film.mp4"
+    path.write_bytes(b"old")
+    with pytest.raises(OutputError, match=r"film\.mp4: .*No space left on device$"):
+        write_film(path, grey(200), RATE, "h264")
+    assert path.read_bytes() == b"old"
+    assert sorted(tmp_path.iterdir()) == [full, path]
+
+
+def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
+    def pictures() -> Iterator[Image.Image]:
+        yield from grey(3)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_film(tmp_path / "film.webm", pictures(), RATE, "vp9")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "error"),
+    [
+        ("--out x.avi", "--out: x.avi should end in .mp4 or .webm or .webp or .gif"),
+        ("--out x.mp4 --codec vp9", "unknown --codec of .mp4 'vp9'"),
+        ("--out x.mp4 --beside nobody", "unknown controller of --beside 'nobody'"),
+        ("--out x.mp4 --rate 0", "--rate: 0 1/s is not within 1 to 60 1/s"),
+        ("--out x.mp4 --span 3 2", "--span: the begin: 3 s is not within 0 to 2 s"),
+        ("--out x.mp4 --span 0 99", "--span: 99 s is not within 0 to 8 s"),
+    ],
+)
+def test_wrong_words_are_one_line(
+    words: str,
+    error: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit):
+        main(["film", "guiding-front", *words.split()])
+    [line] = capsys.readouterr().err.strip().splitlines()
+    assert error in line
+    assert not list(tmp_path.glob("*.*"))
+
+
+@pytest.fixture(scope="module")
+def run(robot: RobotModel, border_data: BorderData) -> list[Snapshot]:
+    """The first 0.1 s of a scenario, with a ghost."""
+    scenario = scenario_of(robot.description, "guiding-front")
+    both = [
+        filmed(
+            steps_of(robot, border_data, scenario, Config(), controller=name),
+            scenario,
+            [0.0, 0.1],
+        )
+        for name in ("dbb", "none")
+    ]
+    return with_ghosts(both[0], both[1:])
+
+
+def test_the_caption_says_time_distance_and_ghost(run: list[Snapshot]) -> None:
+    plain = Image.new("RGB", (640, 360), (20, 20, 20))
+    one = np.array(captioned(plain.copy(), run[0], dark=True))
+    other = np.array(captioned(plain.copy(), run[-1], dark=True))
+    alone = np.array(captioned(plain.copy(), replace(run[0], ghosts=()), dark=True))
+    assert (alone != 20).any()
+    assert (one != other).any()
+    assert (one != alone).any(axis=-1).sum() > 100  # the ghost's line
+
+
+@pytest.mark.browser
+def test_a_film_is_the_same_each_time_and_turns(
+    browser: object, run: list[Snapshot], robot: RobotModel, border_data: BorderData
+) -> None:
+    look = Look(320, 180)
+
+    def film(orbit: float) -> list[np.ndarray]:
+        times = [0.0, 0.1]
+        args = (browser, run, times, robot, border_data.clouds, look, orbit)
+        return [np.array(picture) for picture in film_pictures(*args)]  # type: ignore[arg-type]
+
+    one, two = film(0.0)
+    assert one.shape == (180, 320, 3)
+    assert one.std() > 10  # the robot is there
+    again, turned = film(0.5)
+    assert (again == one).all()
+    assert (np.abs(turned.astype(int) - two) > 24).mean() > 0.1

@@ -1,0 +1,146 @@
+"""A broken or huge file, or a full disk, ends in one line; nothing half-written is left."""
+
+from __future__ import annotations
+
+import json
+import resource
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from app.border.kept import DamagedFileError, read
+from app.cli.main import main
+from app.config_file import decode_config
+from app.errors import (
+    CaseError,
+    ConfigError,
+    DescriptionError,
+    LogError,
+    OutputError,
+    RobotFileError,
+)
+from app.onboarding.read.source import refuse_entities
+from app.robot.assets import ASSETS
+from app.robot.description import load_description
+from app.simulation.trace.trace import read_trace
+from app.studies.pulls.case import read_case
+from app.system import write_whole
+from tests.logs import random_snapshots, trace_of
+
+HOSTILE = {
+    "deep": "[" * 100_000 + "]" * 100_000,
+    "long": "9" * 5000,
+    "hexadecimal": "0x" + "9" * 9000,
+}
+"""Values that readers of TOML or JSON stumble over with errors of other kinds than their own."""
+
+
+@pytest.mark.parametrize("value", HOSTILE.values(), ids=HOSTILE)
+def test_a_description_a_case_and_a_configuration_of_hostile_values_are_one_line(value, tmp_path):
+    path = tmp_path / "any"
+    good = (ASSETS / "husky_panda" / "robot.toml").read_text(encoding="utf-8")
+    assert "mass_kg = 60.0" in good
+    path.write_text(good.replace("mass_kg = 60.0", f"mass_kg = {value}"), encoding="utf-8")
+    with pytest.raises(DescriptionError, match=str(path)):
+        load_description(path)
+    path.write_text(f'{{"case": {{"seed": {value}}}}}', encoding="utf-8")
+    with pytest.raises(CaseError, match=str(path)):
+        read_case(path)
+    with pytest.raises(ConfigError):
+        decode_config(f"[border]\nd_b = {value}"[:60_000].encode())
+
+
+def test_a_plain_array_is_no_file_of_a_border(tmp_path):
+    path = tmp_path / "border.npz"
+    with path.open("wb") as file:
+        np.save(file, np.zeros(3))
+    with pytest.raises(DamagedFileError):
+        read(path, lambda arrays: arrays)
+
+
+def test_of_a_broken_robot_the_list_says_what_is_wrong_and_the_others_are_there(
+    monkeypatch, tmp_path, capsys
+):
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "robot.toml").write_text("name = ", encoding="utf-8")
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    main(["robots"])
+    told = capsys.readouterr().out
+    assert "\nhusky_panda " in told
+    assert "\nbroken               cannot be used: " in told
+
+
+def test_a_file_that_is_replaced_is_the_old_one_until_it_is_the_new_one(tmp_path):
+    path = tmp_path / "page.html"
+    write_whole(path, "old")
+    with full_disk(), pytest.raises(OutputError, match=r"page\.html: File too large"):
+        write_whole(path, b"new" * 1000)
+    assert path.read_text() == "old"
+    write_whole(path, "new")
+    assert [each.name for each in tmp_path.iterdir()] == ["page.html"]
+    assert path.read_text() == "new"
+
+
+def test_a_full_disk_is_one_line_and_leaves_no_page(tmp_path, capsys, monkeypatch):
+    log, page = tmp_path / "log.csv", tmp_path / "page.html"
+    trace_of(random_snapshots(2, 12)).write(log)
+    monkeypatch.setattr("app.studies.run_report.run_report", lambda _: "a long page" * 1000)
+    with full_disk(), pytest.raises(SystemExit) as end:
+        main(["report", str(log), "--out", str(page)])
+    assert end.value.code == 2
+    assert capsys.readouterr().err == f"dbb: error: cannot write {page}: File too large\n"
+    assert [each.name for each in tmp_path.iterdir()] == ["log.csv"]
+
+
+@pytest.mark.parametrize("cut", [1, 2])
+def test_a_log_without_rows_is_refused(cut, tmp_path, capsys):
+    log = tmp_path / "log.csv"
+    trace_of(random_snapshots(2, 3)).write(log)
+    lines = log.read_text(encoding="utf-8").splitlines(keepends=True)
+    log.write_text("".join(lines[:cut]).replace('"rows":3', '"rows":1'), encoding="utf-8")
+    with pytest.raises(SystemExit) as end:
+        main(["report", str(log), "--out", str(tmp_path / "page.html")])
+    assert end.value.code == 2
+    assert capsys.readouterr().err.startswith(f"dbb: error: {log}: ")
+
+
+def test_a_log_of_which_a_pair_has_the_name_of_another_or_a_line_break_is_one_line(tmp_path):
+    path = tmp_path / "log.csv"
+    trace_of(random_snapshots(2, 3)).write(path)
+    right = path.read_text(encoding="utf-8")
+    axes = json.dumps(read_trace(path).meta.velocities, separators=(",", ":"))
+    twice = right.replace(axes, f"{axes[:-1]},{axes[1:]}", 1)
+    broken = right.replace('"t_s"', '"t\ns"', 1)
+    for text in (twice, broken):
+        assert text != right
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(LogError) as refused:
+            read_trace(path)
+        assert len(str(refused.value).splitlines()) == 1
+
+
+XML: dict[str, Callable[[int], str]] = {
+    "elements": lambda n: "<robot>" + "<a/>" * n + "</robot>",
+    "depth": lambda n: "<a>" * n + "</a>" * n,
+}
+
+
+@pytest.mark.parametrize(("kind", "most"), [("elements", 99_999), ("depth", 100)])
+def test_xml_of_more_elements_than_a_robot_has_becomes_no_tree(kind, most):
+    refuse_entities(XML[kind](most), Path("robot.urdf"))
+    with pytest.raises(RobotFileError, match="more than"):
+        refuse_entities(XML[kind](most + 1), Path("robot.urdf"))
+
+
+@contextmanager
+def full_disk() -> Iterator[None]:
+    """No file grows beyond 1,000 bytes meanwhile, as on a disk with no more room."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)

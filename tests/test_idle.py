@@ -1,0 +1,94 @@
+"""With nobody there dashboard and simulation cost nothing, and go on when somebody comes."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+import psutil
+import pytest
+
+from app.config import Config
+from app.dashboard.page import PATIENCE
+from app.dashboard.server import DashboardServer, serve_dashboard
+from app.simulation.loop.commands import Pause
+from app.simulation.loop.process_loop import ProcessLoop
+from app.simulation.session import Session
+from tests.browser import wait_for
+from tests.dashboards import clouds, parts
+from tests.raw_client import RawClient
+
+pytestmark = pytest.mark.slow
+
+MEASURED = 2.0  # [s]
+
+
+@pytest.fixture
+def dashboard(robot, border_data) -> Iterator[DashboardServer]:
+    make_session = partial(Session, robot, border_data, Config(), physics="kinematic")
+    loop = ProcessLoop(make_session, np.array(robot.description.arm.ready_position))
+    loop.start()
+    try:
+        server = serve_dashboard(loop, robot, clouds(), port=0, parts=parts())
+        yield server
+        server.stop()
+        assert server.error is None
+    finally:
+        loop.stop()
+
+
+def stand_still(dashboard: DashboardServer) -> bool:
+    """Whether simulated time stands for a while."""
+    t = dashboard.shared.loop.latest().t
+    time.sleep(0.3)
+    return dashboard.shared.loop.latest().t == t
+
+
+def working_time() -> float:
+    """[s] that this process and its children have worked so far."""
+    own = psutil.Process()
+    return sum(sum(each.cpu_times()[:2]) for each in (own, *own.children()))
+
+
+def test_nobody_costs_nothing_and_somebody_finds_it_where_it_was_left(dashboard):
+    loop = dashboard.shared.loop
+    wait_for(lambda: stand_still(dashboard), what="rest")
+    left, before, begin = loop.latest(), working_time(), time.monotonic()
+    time.sleep(MEASURED)
+    share = (working_time() - before) / (time.monotonic() - begin)
+    print(f"{100 * share:.1f} % of a core")
+    assert share < 0.1
+    assert loop.latest() is left
+    assert loop.silence < 1.0, "who rests still lives"
+    with RawClient(dashboard.address):
+        wait_for(lambda: loop.latest().t > left.t + 0.1, what="simulated time")
+        (next_one, *_) = loop.history(left.t)
+        assert next_one.t == pytest.approx(left.t + 0.02, abs=0.021)
+    wait_for(lambda: stand_still(dashboard), what="rest once he has gone")
+
+
+@pytest.mark.parametrize("paused", [False, True])
+def test_a_process_that_stops_is_told_on_the_page_until_it_goes_on(dashboard, paused):
+    loop = dashboard.shared.loop
+    child = loop._child._process.pid
+    with RawClient(dashboard.address):
+        wait_for(lambda: dashboard.pages, what="a page")
+        [page] = dashboard.pages.values()
+        loop.send(Pause(paused))
+        wait_for(lambda: loop.latest().paused is paused, what="the pause")
+        time.sleep(2 * PATIENCE)
+        assert not page._hung.visible, "who is paused lives"
+        os.kill(child, signal.SIGSTOP)
+        try:
+            begin = time.monotonic()
+            wait_for(lambda: page._hung.visible, what="the banner")
+            assert time.monotonic() - begin < 2.0
+        finally:
+            os.kill(child, signal.SIGCONT)
+        wait_for(lambda: not page._hung.visible, what="its end")
+        assert dashboard.error is None
+        assert loop.error is None

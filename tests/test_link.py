@@ -1,0 +1,134 @@
+"""Links: what a page shows comes back from its address, and a wrong one changes nothing."""
+
+import json
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from app.config import Config
+from app.dashboard.link import Link, camera_text, changed_parameters
+from app.errors import DbbError
+from app.simulation.case import RunCase
+from app.simulation.loop.commands import Choose, Configure, Play
+from app.simulation.scenarios.names import SCENARIOS
+from tests.browser import DashboardTab, wait_for
+from tests.dashboards import served_dashboard
+
+LINK = "scenario=guiding-front&controller=barrier&border.d_b=0.2&look=top&at=4.5"
+
+
+def test_a_link_is_read_as_it_is_written():
+    link = Link.read(LINK + "&border.kind=points&robot=husky_panda")
+    assert Link.read(link.query()) == link
+    assert link.configured(Config()).border.d_b == 0.2
+    assert link.configured(Config()).border.kind == "points"
+    assert (link.scenario, link.controller, link.at) == ("guiding-front", "barrier", 4.5)
+
+
+def test_a_scenario_has_the_links_parameters_alone_and_without_one_the_others_stay():
+    tuned = Config().replace("force.f_max", 100.0)
+    assert Link.read("scenario=tracking").configured(tuned) == Config()
+    assert Link.read("border.d_b=0.1").configured(tuned) == tuned.replace("border.d_b", 0.1)
+
+
+def test_changed_parameters_make_the_configuration_again():
+    config = Config().replace("border.d_b", 0.2).replace("border.kind", "points")
+    assert Link(parameters=changed_parameters(config)).configured(Config()) == config
+
+
+def test_a_camera_comes_back_to_the_centimetre():
+    eye, target = np.array([1.234, -5.0, 2.0]), np.array([0.0, 0.5, 0.25])
+    found = Link.read(f"look={camera_text(eye, target)}").camera()
+    assert found is not None
+    np.testing.assert_allclose(found, (eye, target), atol=0.0051)
+
+
+@pytest.mark.parametrize(
+    ("query", "named"),
+    [
+        ("scenario=guiding-fornt", "did you mean 'guiding-front'"),
+        ("controller=db", "did you mean 'dbb'"),
+        ("robot=huskypanda", "did you mean 'husky_panda'"),
+        ("border.db=0.2", "did you mean 'border.d_b'"),
+        ("border.d_b=9", "0.06 to 0.3 m"),
+        ("border.d_b=abc", "'abc' is no number"),
+        ("border.d_b=nan", "no number"),
+        ("border.kind=line", "surface or points"),
+        ("look=above", "look"),
+        ("look=1,2,3,4,5,x", "no number"),
+        ("look=1,2,3,1,2,0", "not above or below"),
+        ("look=1,2,3,4,5,1e9", "100 m"),
+        ("scenario=guiding-front&at=99", "0 to 8 s"),
+        ("at=3", "name it"),
+        ("scenario=guiding-front&at=soon", "no number"),
+    ],
+)
+def test_a_wrong_link_is_told_in_one_line(query, named):
+    with pytest.raises(DbbError) as told:
+        Link.read(query)
+    assert named in str(told.value)
+
+
+@pytest.mark.browser
+def test_a_page_follows_its_link_copies_it_and_refuses_a_wrong_one(browser):
+    with served_dashboard() as served:
+        tab = DashboardTab(browser, served.server.address, query=f"&{LINK}")
+        wait_for(lambda: any(isinstance(c, Play) for c in served.loop.commands), what="the link")
+        [played] = [c for c in served.loop.commands if isinstance(c, Play)]
+        assert played == Play(SCENARIOS["guiding-front"], 4.5)
+        assert Choose("barrier") in served.loop.commands
+        assert served.loop.latest().config.border.d_b == 0.2
+        tab.rest()
+        wait_for(lambda: tab.camera()[2] > 3.0, what="the view from above")
+
+        tab.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+        tab.open_tab("Save")
+        tab.click("Copy link")
+        tab.wait("() => location.search.includes('d_b')")
+        tab.page.get_by_label("link", exact=True).wait_for()
+        wait_for(lambda: "scenario" in tab.page.evaluate("() => navigator.clipboard.readText()"))
+        copied = tab.page.evaluate("() => navigator.clipboard.readText()")
+        assert copied == tab.page.url
+        assert copied.startswith(served.server.address)
+        link = Link.read(urlsplit(copied).query)
+        assert link[:2] == ("guiding-front", "barrier")
+        assert (link.parameters, link.look) == ((("border.d_b", 0.2),), "top")
+
+        count = len(served.loop.commands)
+        tab.page.goto(
+            f"{served.server.address}/?fixedDpr=0.5&scenario=guiding-fornt&border.d_b=0.1"
+        )
+        tab.page.get_by_text("did you mean 'guiding-front'").wait_for()
+        assert [type(c).__name__ for c in served.loop.commands[count:]] == []
+        tab.page.goto(f"{served.server.address}/?fixedDpr=0.5")
+        tab.wait_for_scene()
+        assert served.loop.latest().config.border.d_b == 0.2, "a link is obeyed once"
+        assert not any(isinstance(c, (Play, Configure)) for c in served.loop.commands[count:])
+
+        case = RunCase.of(
+            SCENARIOS["tracking"],
+            Config().replace("border.d_b", 0.12),
+            robot="husky_panda",
+            controller="dbb",
+            physics="kinematic",
+        )
+        content = json.loads(case.text()) | {"version": "0.1"}
+        upload(tab, json.dumps(content))
+        wait_for(lambda: Play(SCENARIOS["tracking"]) in served.loop.commands[count:], what="a case")
+        assert served.loop.latest().config.border.d_b == 0.12
+        tab.page.get_by_text("written by dbb 0.1").wait_for()
+        count = len(served.loop.commands)
+        upload(tab, json.dumps(content | {"robot": "frankie"}))
+        tab.page.get_by_text("of the robot frankie").wait_for()
+        assert len(served.loop.commands) == count
+        assert tab.errors == []
+
+
+def upload(tab, text):
+    tab.open_tab("Save")
+    button = tab.page.get_by_role("button", name="Play a case", exact=True)
+    with tab.page.expect_file_chooser() as chooser:
+        button.click()
+    file = {"name": "my.json", "mimeType": "application/json", "buffer": text.encode()}
+    chooser.value.set_files(file)

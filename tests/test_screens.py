@@ -1,0 +1,139 @@
+"""Any screen: a page without a GPU draws lightly, and a narrow one is used by fingers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from app.dashboard import demonstration
+from app.dashboard.demonstration import SHOWN
+from app.dashboard.drag import GIZMO, SCALE
+from app.dashboard.scene.borders import LIGHT_POINTS
+from app.dashboard.scene.robot import LIGHT_FACES, Visual
+from app.simulation.loop.commands import Compare, Play, Pull, Release, Reset
+from tests.browser import DashboardTab, wait_for
+from tests.dashboards import parts, served_dashboard
+
+pytestmark = pytest.mark.browser
+
+PHONE = (390, 844)  # [px]
+TABLET = (820, 1180)
+
+
+@pytest.fixture(scope="module")
+def served():
+    with served_dashboard() as served:
+        served.pull_at_base(1.2)
+        yield served
+
+
+def drawn(tab: DashboardTab) -> dict[str, int]:
+    """Triangles, draw calls and points of the last picture."""
+    with tab.drawing():
+        tab.render(2)
+    return tab.page.evaluate("() => ({ ...window.__viserTestpoints.rendererInfo.render })")
+
+
+def test_a_browser_without_a_gpu_gets_a_light_drawing_until_it_asks_for_the_other(browser, served):
+    tab = DashboardTab(browser, served.server.address, honest=True)
+    assert served.page().view.light
+    wait_for(lambda: drawn(tab)["points"], what="the border")
+    light = drawn(tab)
+    assert light["points"] <= LIGHT_POINTS
+    tab.open_tab("View")
+    tab.check("Light drawing", on=False)
+    wait_for(lambda: drawn(tab)["triangles"] > 8 * light["triangles"], what="the fine drawing")
+    assert drawn(tab)["calls"] > 1.5 * light["calls"]
+    tab.check("Light drawing", on=True)
+    wait_for(lambda: drawn(tab)["triangles"] < 1.5 * light["triangles"], what="the light one")
+    assert tab.errors == []
+    tab.close()
+
+
+def test_light_meshes_have_few_faces_and_fill_the_same_room():
+    def room(visuals: list[Visual], joint: int) -> np.ndarray:
+        """Corners (2, 3) [m] of what a joint moves, in its frame."""
+        moved = [
+            v.mesh.copy().apply_transform(v.placement.homogeneous).bounds
+            for v in visuals
+            if v.joint == joint
+        ]
+        return np.array([np.min(moved, axis=0)[0], np.max(moved, axis=0)[1]])
+
+    fine, light = parts().visuals, parts().light_visuals
+    for joint in {visual.joint for visual in fine}:
+        np.testing.assert_allclose(room(light, joint), room(fine, joint), atol=0.02)
+    assert sum(len(v.mesh.faces) for v in light) < 1.2 * LIGHT_FACES * len(light)
+
+
+def test_a_plot_is_sent_only_while_somebody_sees_it(browser, served):
+    tab = DashboardTab(browser, served.server.address)
+    plots = served.page()._plots
+    assert not plots._sight.value
+    tab.open_tab("Plots")
+    wait_for(lambda: len(tab.plot("distance [m]")[0]) > 5, what="a curve")
+    tab.open_tab("Why")
+    wait_for(lambda: not plots._sight.value, what="nobody sees it")
+    tab.close()
+
+
+def test_on_a_phone_the_sentence_stands_above_and_panels_are_a_drawer(browser, served):
+    tab = DashboardTab(browser, served.server.address, PHONE, touch=True)
+    strip = tab.page.locator("[data-strip]")
+    strip.wait_for(state="visible")
+    tab.page.locator("[data-drawer=closed]").wait_for()
+    above, drawer = strip.bounding_box(), tab.page.locator("[data-drawer]").bounding_box()
+    assert above["y"] == 0.0
+    assert above["width"] == PHONE[0]
+    bar = tab.page.locator("#dbb-bar").bounding_box()
+    assert drawer["y"] + drawer["height"] <= bar["y"] + 1.0
+    assert drawer["y"] > 0.75 * PHONE[1]
+    tab.page.touchscreen.tap(150, drawer["y"] + 10)
+    tab.page.locator("[data-drawer=open]").wait_for()
+    tab.page.get_by_text("Why · Plots · Compare · Key", exact=True).tap()
+    tab.page.get_by_role("tab", name="Plots").tap()
+    wait_for(lambda: tab.plot("distance [m]") is not None, what="the plots")
+    assert strip.is_visible()
+    assert tab.errors == []
+    tab.close()
+
+
+@pytest.mark.parametrize("size", [PHONE, TABLET])
+def test_a_finger_pulls_the_hand_and_a_link(browser, served, size):
+    tab = DashboardTab(browser, served.server.address, size, touch=True)
+    tab.page.locator("[data-drawer=closed]").wait_for()
+    arrow = tab.arrow(GIZMO, 0, SCALE)
+    a, b = tab.pixels(GIZMO, np.array([arrow, arrow + np.array([0.1, 0.0, 0.0])]))
+    del served.loop.commands[:]
+    tab.touch(a, b)
+    wait_for(lambda: any(isinstance(c, Release) for c in served.loop.commands), what="let go")
+    pulls = [c for c in served.loop.commands if isinstance(c, Pull)]
+    assert pulls[-1].link is None
+    assert pulls[-1].target[0] - pulls[0].target[0] > 0.05
+    del served.loop.commands[:]
+    link = tab.pixels("/robot/panda_joint4", np.zeros((1, 3)))[0]
+    tab.touch(link, link + np.array([0.0, -40.0]))
+    wait_for(lambda: any(isinstance(c, Release) for c in served.loop.commands), what="let go")
+    pulls = [c for c in served.loop.commands if isinstance(c, Pull)]
+    assert pulls[-1].link is not None
+    assert pulls[-1].target[2] > pulls[0].target[2]
+    tab.close()
+
+
+def test_a_page_that_nobody_touches_plays_until_somebody_does(browser, served, monkeypatch):
+    monkeypatch.setattr(demonstration, "PATIENCE", 1.0)
+    served.begin_anew()
+    tab = DashboardTab(browser, served.server.address, fresh=True)
+    commands = served.loop.commands
+    wait_for(lambda: any(isinstance(c, Play) for c in commands), what="the demonstration")
+    played = next(c for c in commands if isinstance(c, Play))
+    assert played.scenario.name == SHOWN
+    assert Compare(("none",)) in commands
+    del commands[:]
+    tab.page.mouse.click(640, 40)
+    wait_for(lambda: any(isinstance(c, Reset) for c in commands), what="its end")
+    assert Compare() in commands
+    del commands[:]
+    tab.page.wait_for_timeout(2500)
+    assert not any(isinstance(c, Play) for c in commands)
+    tab.close()

@@ -1,0 +1,95 @@
+"""Who sleeps holds nothing, who gets nothing is connected anew, and a loop that hangs is told."""
+
+from __future__ import annotations
+
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from app.dashboard import viser_compat
+from app.dashboard.drag import Hold
+from app.dashboard.page import Page, hung_html
+from app.simulation.loop.commands import Release
+from tests.browser import wait_for
+from tests.dashboards import served_dashboard
+from tests.raw_client import RawClient
+
+pytestmark = pytest.mark.slow
+
+HELD = 3.0  # [s] that a viewer holds still
+
+
+@pytest.fixture
+def served():
+    with served_dashboard() as served:
+        yield served
+
+
+@contextmanager
+def visitor(served):
+    with RawClient(served.server.address) as raw:
+        page = served.page()
+        page.grip.take(Hold())
+        page.grip.pull(np.array([0.6, 0.0, 0.7]), None)
+        yield raw, page
+
+
+def hold_on(page: Page) -> None:
+    time.sleep(HELD)
+    assert page.grip.holds_anything
+
+
+def test_a_pull_ends_when_its_viewer_sleeps_and_not_when_he_holds_still(served):
+    with visitor(served) as (raw, page):
+        hold_on(page)
+        with raw.asleep():
+            begin = time.monotonic()
+            wait_for(lambda: not page.grip.holds_anything, what="letting go")
+            assert time.monotonic() - begin < 3.0
+        assert isinstance(served.loop.commands[-1], Release)
+        assert served.server.watchdog.closed == 0
+        assert not page.closed
+
+
+def test_a_viewer_who_pulls_holds_although_his_browser_is_too_busy_to_answer(served):
+    with visitor(served) as (raw, page), raw.asleep():
+        for x in np.linspace(0.6, 0.5, 30):
+            page.grip.pull(np.array([x, 0.0, 0.7]), None)
+            time.sleep(0.1)
+            assert page.grip.holds_anything
+
+
+@pytest.mark.parametrize("why", ["reads nothing", "is sent nothing"])
+def test_a_connection_that_delivers_nothing_is_closed_and_counted(served, why, monkeypatch, caplog):
+    monkeypatch.setattr(viser_compat, "STUCK", 6)
+    with RawClient(served.server.address) as raw, RawClient(served.server.address) as other:
+        wait_for(lambda: len(served.server.pages) == 2, what="two pages")
+        number = min(served.server.pages)
+        if why == "reads nothing":
+            with raw.asleep():
+                wait_for(lambda: number not in served.server.pages, what="the end of the page")
+        else:  # as when the wake-up of its queue was lost
+            inner = served.server.viser._websock_server
+            queue = inner._client_state_from_id[number].message_buffer
+            queue.message_event.set = lambda: None
+            queue.message_event.clear()
+            wait_for(lambda: number not in served.server.pages, what="the end of the page")
+        raw._thread.join(timeout=5.0)
+        assert not raw._thread.is_alive(), "still connected"
+        assert served.server.watchdog.closed == 1
+        assert f"nothing reached viewer {number}" in caplog.text
+        assert other._thread.is_alive()
+
+
+def test_a_silent_simulation_is_told_on_the_page_until_it_speaks_again(served):
+    with RawClient(served.server.address):
+        told = served.page()._hung
+        assert not told.visible
+        served.loop.silence = 1.2
+        wait_for(lambda: told.visible, what="the banner")
+        assert "The simulation hangs" in told.content
+        served.loop.silence = 0.0
+        wait_for(lambda: not told.visible, what="its end")
+    assert hung_html(0.9) == ""
