@@ -112,8 +112,8 @@ class DashboardTab:
         self.errors: list[str] = []
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.on("console", self._listen)
-        self.page.goto(address if dpr is None else f"{address}/?fixedDpr={dpr:g}")
-        self.page.goto(f"{address}/?fixedDpr={dpr:g}{query}")
+        drawn = "" if dpr is None else f"fixedDpr={dpr:g}"
+        self.page.goto(f"{address}/?{drawn}{query}")
         self.wait_for_scene()
 
     def wait_for_scene(self) -> None:

@@ -106,3 +106,17 @@ def browser():
     """A headless browser, one for the tests of a file."""
     with chromium() as browser:
         yield browser
+
+
+@pytest.fixture(autouse=True)
+def _tabs_end_with_their_test(request: pytest.FixtureRequest):
+    """What a test opened is closed after it, also if it failed: its server outlives it."""
+    if "browser" not in request.fixturenames:
+        yield
+        return
+    browser = request.getfixturevalue("browser")
+    before = list(browser.contexts)
+    yield
+    for context in browser.contexts:
+        if context not in before:
+            context.close()

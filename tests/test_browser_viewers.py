@@ -83,5 +83,4 @@ def test_the_page_goes_on_with_a_server_that_comes_back_and_tells_how_the_simula
         tab.page.reload()
         tab.page.get_by_text("The simulation has ended").wait_for(timeout=60_000)
     refused = [text for text in tab.errors if "ERR_CONNECTION_REFUSED" not in text]
-    tab.close()
     assert refused == [], "but that nobody was there meanwhile"

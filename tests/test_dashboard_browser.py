@@ -231,5 +231,4 @@ def test_the_tour_opens_at_the_first_visit_only_and_waits_until_a_step_is_done(b
     tab.wait_for_scene()
     tab.page.wait_for_timeout(1500)
     assert not tab.page.get_by_text(f"1 of {len(STEPS)}").is_visible()
-    tab.close()
     assert tab.errors == []

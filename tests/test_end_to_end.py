@@ -117,7 +117,6 @@ def test_the_base_gets_out_of_the_way_of_a_hand_that_is_dragged_at_it(browser, s
     assert reading(tab, "solver failures") == "0"
     assert tab.errors == []
     status, printed = served.interrupt()
-    tab.close()
     assert (status, printed) == (0, "")
 
 
@@ -146,6 +145,5 @@ def test_the_page_says_why_when_the_process_of_the_simulation_has_died(browser, 
     simulation_of(served).kill()
     tab.page.get_by_text("ended with status").wait_for(timeout=1000 * PATIENCE)
     status, printed = served.interrupt()
-    tab.close()
     assert status == 2
     assert "ended with status -9" in printed.splitlines()[-1]

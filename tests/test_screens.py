@@ -47,7 +47,6 @@ def test_a_browser_without_a_gpu_gets_a_light_drawing_until_it_asks_for_the_othe
     tab.check("Light drawing", on=True)
     wait_for(lambda: drawn(tab)["triangles"] < 1.5 * light["triangles"], what="the light one")
     assert tab.errors == []
-    tab.close()
 
 
 def test_light_meshes_have_few_faces_and_fill_the_same_room():
@@ -74,7 +73,6 @@ def test_a_plot_is_sent_only_while_somebody_sees_it(browser, served):
     wait_for(lambda: len(tab.plot("distance [m]")[0]) > 5, what="a curve")
     tab.open_tab("Why")
     wait_for(lambda: not plots._sight.value, what="nobody sees it")
-    tab.close()
 
 
 def test_on_a_phone_the_sentence_stands_above_and_panels_are_a_drawer(browser, served):
@@ -95,7 +93,6 @@ def test_on_a_phone_the_sentence_stands_above_and_panels_are_a_drawer(browser, s
     wait_for(lambda: tab.plot("distance [m]") is not None, what="the plots")
     assert strip.is_visible()
     assert tab.errors == []
-    tab.close()
 
 
 @pytest.mark.parametrize("size", [PHONE, TABLET])
@@ -117,7 +114,6 @@ def test_a_finger_pulls_the_hand_and_a_link(browser, served, size):
     pulls = [c for c in served.loop.commands if isinstance(c, Pull)]
     assert pulls[-1].link is not None
     assert pulls[-1].target[2] > pulls[0].target[2]
-    tab.close()
 
 
 def test_a_page_that_nobody_touches_plays_until_somebody_does(browser, served, monkeypatch):
@@ -136,4 +132,3 @@ def test_a_page_that_nobody_touches_plays_until_somebody_does(browser, served, m
     del commands[:]
     tab.page.wait_for_timeout(2500)
     assert not any(isinstance(c, Play) for c in commands)
-    tab.close()

@@ -250,9 +250,14 @@ class Page:
         self.grip.release_if_still(PATIENCE, self._client)
 
     def close(self) -> None:
-        """Let go of what the viewer held who is gone; nothing is drawn any more."""
+        """Let go of what the viewer held; nothing is drawn any more."""
         self.closed = True
         self.grip.release()
+
+    def end(self) -> None:
+        """Close it, and end what is saved for the viewer, who is gone."""
+        self.close()
+        self.save_job.cancel()
 
     def _build_left(self) -> None:
         gui = self._client.gui

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import queue
 import socket
 import threading
 import time
@@ -59,13 +58,11 @@ class DashboardServer:
         self._notifier = Notifier(viser_server)
         self._demonstration = Demonstration()
         self._failure: tuple[str, BaseException] | None = None
-        self._arrived: queue.SimpleQueue[viser.ClientHandle] = queue.SimpleQueue()
-        self._gone: queue.SimpleQueue[int] = queue.SimpleQueue()
+        self._here: frozenset[int] = frozenset()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._draw_until_stopped, name="dashboard")
         self._thread.daemon = True
         self._thread.start()
-        viser_server.on_client_connect(self._welcome)
         viser_server.on_client_disconnect(self._part)
         self.watchdog = Watchdog(viser_server, self._silent)
 
@@ -91,20 +88,21 @@ class DashboardServer:
         if self._thread is not threading.current_thread():
             self._thread.join(timeout=5.0)
         for page in list(self.pages.values()):
-            page.save_job.cancel()
+            page.end()
         self.shared.close()
         close_server(self.viser)
-
-    async def _welcome(self, client: viser.ClientHandle) -> None:
-        self._arrived.put(client)
 
     async def _part(self, client: viser.ClientHandle) -> None:
         """A viewer is gone: what he held is released at once."""
         page = self.pages.get(client.client_id)
         if page is not None:
-            page.close()
-            page.save_job.cancel()
-        self._gone.put(client.client_id)
+            page.end()
+
+    def _newcomers(self) -> list[viser.ClientHandle]:
+        """The viewers who have come since this was asked last."""
+        clients, before = self.viser.get_clients(), self._here
+        self._here = frozenset(clients)
+        return [client for number, client in clients.items() if number not in before]
 
     def _silent(self, number: int) -> None:
         page = self.pages.get(number)
@@ -132,7 +130,7 @@ class DashboardServer:
 
     def _draw_picture(self) -> None:
         """One of each page; a name of this frame would keep the robot before from collection."""
-        self.shared.watch(bool(self.pages) or not self._arrived.empty())
+        self.shared.watch(bool(self.viser.get_clients()))
         self._open_and_close_pages()
         self._switch_robot()
         self.shared.update()
@@ -157,8 +155,7 @@ class DashboardServer:
                     page.fail(_PAGE_ENDED, error)
 
     def _open_and_close_pages(self) -> None:
-        while not self._arrived.empty():
-            client = self._arrived.get()
+        for client in self._newcomers():
             try:
                 page = self.pages[client.client_id] = Page(
                     client, self.shared, self._notifier, page_picture
@@ -170,8 +167,8 @@ class DashboardServer:
             if self._failure is not None:
                 page.fail(*self._failure)
             page.open_link(link_of(client))
-        while not self._gone.empty():
-            self.pages.pop(self._gone.get(), None)
+        for number in self.pages.keys() - self.viser.get_clients().keys():
+            self.pages.pop(number).end()
 
     def _switch_robot(self) -> None:
         """If another robot has become ready, give every viewer a page of it."""
@@ -201,8 +198,9 @@ class DashboardServer:
     def _show_to_late_viewers(self) -> None:
         """When nothing is drawn any more, still show it to new viewers."""
         while not self._stopping.wait(0.2):
-            while not self._arrived.empty() and self._failure is not None:
-                show_failure(self._arrived.get().gui, *self._failure)
+            for client in self._newcomers():
+                if self._failure is not None:
+                    show_failure(client.gui, *self._failure)
 
 
 def serve_dashboard(
