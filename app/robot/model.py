@@ -31,6 +31,7 @@ class RobotModel:
         body_joints: Pinocchio's joint that carries each body, by its name.
         n: Degrees of freedom of the reduced velocity, n_b + n_m.
         n_b: Degrees of freedom of the base.
+        n_d: How many numbers the base's drive has beside its velocity.
         n_m: Degrees of freedom of the arm.
         J_m: (n_b, n_b) the base's Jacobian, (19) of a differential one.
         J_m_inv: (n_b, n_b) its inverse.
@@ -54,7 +55,7 @@ class RobotModel:
         self.pin = _planar_model(description)
         self.n_m = len(description.arm.joints)
         base = description.base
-        self.n_b = base.n_b
+        self.n_b, self.n_d = base.n_b, len(base.drive_at_rest())
         self.n = self.n_b + self.n_m
         self.J_m = base.J_m
         self.J_m_inv = np.linalg.inv(self.J_m)
