@@ -11,9 +11,9 @@ import pytest
 from app.border.cache import BorderData, load_border_data
 from app.config import Config
 from app.errors import ConfigError
-from app.simulation.plants.choice import make_physics
+from app.simulation.plants import make_physics
 from app.simulation.run import run_scenario
-from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios import LINES
 from tests.bases import robot_on
 
 pytestmark = pytest.mark.slow

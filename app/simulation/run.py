@@ -11,7 +11,7 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
 from app.simulation.loop.pacing import settled
-from app.simulation.plants.choice import chosen_plant
+from app.simulation.plants import chosen_plant
 from app.simulation.scenarios.leading import Scenario, Setting
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.metrics import metrics
