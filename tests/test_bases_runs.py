@@ -14,9 +14,9 @@ from app.config import Config
 from app.control.control_loop import ControlLoop
 from app.errors import ConfigError, MeasurementError
 from app.robot.state import at_rest
-from app.simulation.plants.choice import make_physics
+from app.simulation.plants import make_physics
 from app.simulation.run import run_scenario
-from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios import LINES
 from tests.bases import robot_on
 
 pytestmark = pytest.mark.slow

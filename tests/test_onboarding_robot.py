@@ -46,7 +46,7 @@ from app.robot.model import RobotModel
 from app.robot.packages import package_roots, resolve_package_uri
 from app.robot.urdf import resolved_urdf
 from app.simulation.plants.collision_shapes import body_contact_pairs
-from app.simulation.scenarios.names import scenario_by_name, scenario_of
+from app.simulation.scenarios import scenario_by_name, scenario_of
 from tests.onboarding import (
     ARM_JOINTS,
     arm,

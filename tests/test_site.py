@@ -8,7 +8,7 @@ import pytest
 
 from app.dashboard.export.browser import new_context
 from app.errors import DbbError
-from app.simulation.scenarios.names import scenario_of
+from app.simulation.scenarios import scenario_of
 from tests.robots import husky_panda
 from tools import site
 

@@ -35,8 +35,8 @@ from app.dashboard.panels.phrases import spoken
 from app.errors import DbbError
 from app.robot.model import RobotModel
 from app.simulation.run import filmed, run_scenario, steps_of
+from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
-from app.simulation.scenarios.names import SCENARIOS, scenario_of
 from app.simulation.trace.metrics import touches, verdict
 from app.system import write_whole
 

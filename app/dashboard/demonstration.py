@@ -11,7 +11,7 @@ from app.errors import DbbError
 from app.robot.description import RobotDescription
 from app.simulation.loop.commands import Compare, Play, Reset
 from app.simulation.loop.loop import LoopHandle
-from app.simulation.scenarios.names import own_line
+from app.simulation.scenarios import own_line
 
 SHOWN = "guiding-lateral"
 """The scenario that shows what the base does: it is pulled at along its wheels' axis."""

@@ -14,7 +14,7 @@ from app.dashboard.scene.camera import PRESETS
 from app.errors import ConfigError, UnknownNameError
 from app.parameters import Parameter
 from app.robot.assets import robot_names
-from app.simulation.scenarios.names import SCENARIOS
+from app.simulation.scenarios import SCENARIOS
 from app.strict import check_range
 
 Array = np.ndarray

@@ -34,7 +34,7 @@ from app.dashboard.view import View
 from app.dashboard.viser_compat import add_light_mark, add_untouched, address_of, has_no_gpu
 from app.errors import TargetError
 from app.simulation.loop.commands import Choose, Command, Compare, Pause, Play
-from app.simulation.scenarios.names import SCENARIOS, own_line
+from app.simulation.scenarios import SCENARIOS, own_line
 from app.simulation.trace.snapshot import Snapshot
 
 Array = np.ndarray

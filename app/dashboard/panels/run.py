@@ -32,8 +32,8 @@ from app.dashboard.scene.colours import GHOSTS, SERIES, css
 from app.dashboard.verdict import COLOURS, State, Verdict
 from app.robot.description import RobotDescription
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Pause, Play, Reset, Restart, Speed
+from app.simulation.scenarios import SCENARIOS, own_line
 from app.simulation.scenarios.leading import Scenario
-from app.simulation.scenarios.names import SCENARIOS, own_line
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
 
 FREE = "free: drag the hand"
