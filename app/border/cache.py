@@ -9,8 +9,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from app.border.cloud import Cloud, make_cloud
 from app.border.config import SamplingConfig
+from app.border.dbb import Cloud, make_cloud
 from app.border.kept import (
     Arrays,
     DamagedFileError,
@@ -74,7 +74,7 @@ def load_border_data(
     if (found := kept_border_data(model, sampling)) is not None:
         return found
     # Imported here: a control step of a robot whose border is kept needs no sampling.
-    from app.border.sampling.pairs import sample_clouds
+    from app.border.sampling import sample_clouds
 
     pairs = find_link_pairs(model, samples=sampling.pair_samples, seed=sampling.seed)
     clouds = sample_clouds(

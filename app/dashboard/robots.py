@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from app.border.cache import BorderData, kept_border_data
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.config import Config
 from app.dashboard.job import Job, build_robot, look_into_package, sample_border
 from app.dashboard.scene.robot import RobotParts

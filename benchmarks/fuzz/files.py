@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from app.border.cache import Content, pack, unpack
-from app.border.cloud import make_cloud
+from app.border.dbb import make_cloud
 from app.border.kept import DamagedFileError, read, write
 from app.cli.common import as_json
 from app.config import Config
