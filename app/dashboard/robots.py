@@ -18,9 +18,15 @@ from app.errors import ConfigError, DbbError
 from app.jobs.process import Cancelled
 from app.onboarding.read.package import LARGEST_ARCHIVE, Contents
 from app.onboarding.request import Request
-from app.robot.assets import load_robot, robot_folder, robot_names, user_robots
+from app.robot.assets import (
+    bare_urdf,
+    load_robot,
+    resolved_urdf,
+    robot_folder,
+    robot_names,
+    user_robots,
+)
 from app.robot.model import RobotModel
-from app.robot.urdf import bare_urdf, resolved_urdf
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.plants.choice import default_plant
 

@@ -273,12 +273,8 @@ def pairs_row(model: RobotModel, data: BorderData) -> Row:
     if not pairs.mobile:
         return Row("pairs", "warned", "no part of the arm can meet the base", {})
     missing = [p.b for p in pairs.mobile if p.b not in model.description.reachability]
-    reader = PairDistances(model, pairs.all)
-    distances = []
-    for q_m in sample_joints(model, _NEAR_POSES, np.random.default_rng(1)):
-        reader.update(model.configuration((0.0, 0.0, 0.0), q_m))
-        distances.append([reader.distance(i) for i in range(len(pairs.all))])
-    seen = np.array(distances)
+    poses = sample_joints(model, _NEAR_POSES, np.random.default_rng(1))
+    seen = PairDistances(model, pairs.all).sampled(poses)
     free = (seen > 0.0).all(axis=1)
     near = (seen[free] < d_b).mean(axis=0) if free.any() else np.ones(len(pairs.all))
     names = [pair.name for pair in pairs.all]

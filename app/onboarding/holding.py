@@ -122,7 +122,7 @@ def _near_poses(model: RobotModel, rng: np.random.Generator) -> Array:
     clear, near = [], []
     for q_m in sample_joints(model, _SAMPLES, rng):
         distances.update(model.configuration((0.0, 0.0, 0.0), q_m))
-        d = [distances.distance(i) for i in range(len(distances.pairs))]
+        d = distances.distances()
         if min(d, default=1.0) <= 0.0:
             continue
         clear.append(q_m)

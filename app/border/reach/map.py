@@ -346,14 +346,13 @@ class _SelfClearance:
         known = names[: names.index(chain.body) + 1]
         pairs = [pair for pair in candidate_pairs(model) if pair.b in known]
         self._distances = PairDistances(model, pairs)
-        self._count = len(pairs)
         self._arm = [4 + joint for joint in chain.joints]
         self._q = model.configuration((0.0, 0.0, 0.0), np.array(model.q_lower))
 
     def is_free(self, q: Array) -> bool:
         self._q[self._arm] = q[: len(self._arm)]
         self._distances.update(self._q)
-        return all(self._distances.distance(i) > 0.0 for i in range(self._count))
+        return min(self._distances.distances(), default=1.0) > 0.0
 
 
 def _random_rotation(rng: np.random.Generator) -> Array:
