@@ -33,8 +33,7 @@ from app.onboarding.fit import grouping
 from app.onboarding.fit.bodies import FittedBody
 from app.onboarding.fit.collision_sampling import Meetings, Poses, make_units, sample_meetings
 from app.onboarding.fit.grouping import find_grouping
-from app.onboarding.new_robot import NewRobot, compiled, description, finish
-from app.onboarding.read.parse import parse
+from app.onboarding.new_robot import NewRobot, compiled, description, finish, parse
 from app.onboarding.read.source import mesh_address
 from app.onboarding.request import Request
 from app.onboarding.write import mesh_name

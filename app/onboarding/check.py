@@ -19,11 +19,11 @@ from app.errors import DbbError, UnreachableError
 from app.onboarding.fit.collision_sampling import ALWAYS, units_of_links
 from app.onboarding.fit.grouping import UNSEEN_POSES, unseen_collisions
 from app.onboarding.fit.postures import judge_ready
-from app.onboarding.holding import carried_hand, holding_warning
 from app.onboarding.numbers import gravity_load, largest_of_poses
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
+from app.onboarding.warn import carried_hand, holding_warning
 from app.robot.assets import urdf_path
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import PairDistances, sample_joints
