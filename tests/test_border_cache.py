@@ -12,10 +12,18 @@ import numpy as np
 import pytest
 
 from app.border import cache, sampling
-from app.border.cache import Content, border_key, load_border_data, pack, unpack
+from app.border.cache import (
+    Content,
+    DamagedFileError,
+    border_key,
+    load_border_data,
+    pack,
+    read,
+    unpack,
+    write,
+)
 from app.border.config import SamplingConfig
 from app.border.dbb import make_cloud
-from app.border.kept import DamagedFileError, read, write
 from app.robot import assets
 from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel

@@ -6,7 +6,7 @@
     contours.py   the point of either's contours nearest to another: p_n of Algorithm 3
     offset.py     the exact offset of l_m, which the border samples; mobile.py its distances
     sampling.py   P_i sampled sector by sector, on all cores; flood.py the flood of one sector
-    cache.py      pairs and clouds of a robot, from a file or sampled; kept.py the files
+    cache.py      files of what is made offline; pairs and clouds of a robot, from one or sampled
     reach/        reachability maps, to which (9) is fitted
 
 (12) and (13) are in `app.avoidance.acting_point`, (14) is in `app.avoidance.mobile_acceleration`.

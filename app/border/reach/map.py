@@ -14,8 +14,8 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field
 
+from app.border.cache import Arrays, Header, digest, find_kept, header_of, keep, robot_content
 from app.border.config import ReachConfig
-from app.border.kept import Arrays, Header, digest, find_kept, header_of, keep, robot_content
 from app.border.reach.chain import AnalyticSolver, Chain, free_joints, make_solver, reach_bodies
 from app.border.reach.fit import radial_profile
 from app.errors import DescriptionError, UnknownNameError
