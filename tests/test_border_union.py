@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from app.border.cache import load_border_data
-from app.border.cloud import make_cloud
-from app.border.dbb import Border
+from app.border.dbb import Border, make_cloud
 from app.border.mobile import MobileBody
 from app.border.offset import RAYS, OffsetContours
 from app.border.surface import BorderSurface

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.border.reach import solver as reach_solver
-from app.border.reach.chain import Chain
-from app.border.reach.solver import make_solver
+from app.border.reach import chain as reach_solver
+from app.border.reach.chain import Chain, make_solver
 from app.dashboard.scene.robot import RobotParts
 from app.errors import AssetError
 from app.robot.assets import load_robot

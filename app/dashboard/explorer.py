@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from app.border.cache import BorderData
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel
 from app.simulation.loop.pacing import Pacer

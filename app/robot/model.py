@@ -16,8 +16,8 @@ import numpy as np
 import pinocchio as pin
 
 from app.errors import DescriptionError
+from app.robot.assets import bare_urdf
 from app.robot.description import RobotDescription
-from app.robot.urdf import bare_urdf
 
 Array = np.ndarray
 Options = ParamSpec("Options")

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import viser
 
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.dashboard.export.browser import new_context
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
 from app.dashboard.scene.colours import set_theme

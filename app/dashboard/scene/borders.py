@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import viser
 
-from app.border.cloud import Cloud
-from app.border.dbb import construct_dbb
+from app.border.dbb import Cloud, construct_dbb
 from app.border.mobile import MobileBody
 from app.border.offset import OffsetContours
 from app.border.score import ScoreField

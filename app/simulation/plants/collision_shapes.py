@@ -14,9 +14,9 @@ import numpy as np
 import pinocchio as pin
 
 from app.errors import AssetError
+from app.robot.assets import resolved_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel, kept_per_model
-from app.robot.urdf import resolved_urdf
 
 Array = np.ndarray
 
