@@ -588,6 +588,20 @@ def test_what_a_picture_leaves_out_is_hidden_and_seen_again_when_it_is_drawn(sce
     assert picture() == {"/a": False, "/b": False}
 
 
+# The tour
+
+
+def test_the_tour_goes_back_in_time_for_who_asks_it_to(dashboard, loop):
+    with RawClient(dashboard.address):
+        page = page_of(dashboard)
+        loop.pull_at_base(4.0)
+        act = page._acts()[3]
+        assert not act.done()
+        act.show()
+        assert act.done()
+        assert page.timeline.shown().t == pytest.approx(1.0, abs=0.05)
+
+
 # Plots and readings
 
 

@@ -333,7 +333,7 @@ class Page:
             Act("", play, lambda: bool(loop.latest().pulls)),
             Act("", play, went),
             Act("Why", play, lambda: judge(loop.latest()).state != "clear"),
-            Act("", lambda: self.timeline.look_back(3.0), lambda: not self.timeline.live),
+            Act("", lambda: self.timeline.step(-3.0), lambda: not self.timeline.live),
             Act("Compare", compare, lambda: bool(loop.latest().ghosts)),
         ]
 
