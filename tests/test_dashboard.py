@@ -608,7 +608,7 @@ def test_the_tour_goes_back_in_time_for_who_asks_it_to(dashboard, loop):
 def test_plots_are_fed_from_the_loop(dashboard, loop):
     with RawClient(dashboard.address) as client:
         page = page_of(dashboard)
-        client.set_widget(page._plots._sight, True)
+        client.set_widget(page.channel._box, '["1", "seen", "plots"]')
         plot = page._plots._plots["distance [m]"]
         wait_for(lambda: len(plot.data[0]) > 5)
         latest = loop.latest()
@@ -623,7 +623,7 @@ def test_plots_are_fed_from_the_loop(dashboard, loop):
 def test_plots_that_are_not_shown_are_not_sent(dashboard):
     with RawClient(dashboard.address) as client:
         page = page_of(dashboard)
-        client.set_widget(page._plots._sight, True)
+        client.set_widget(page.channel._box, '["1", "seen", "plots"]')
         plots = page._plots._plots
         hidden = [title for title in plots if title not in page.view.plots]
         assert hidden

@@ -64,11 +64,12 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 """Of every answer, with the policy."""
-_SCRIPT, _STYLE = (
-    Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("page.js", "page.css")
+_SCRIPT, _CONTROLS, _STYLE = (
+    Path(__file__).with_name(name).read_text(encoding="utf-8")
+    for name in ("page.js", "controls.js", "page.css")
 )
+_HEAD = f'<head><meta charset="utf-8"><script>{_SCRIPT}{_CONTROLS}</script><style>{_STYLE}</style>'
 """What stands in the page before viser's own client."""
-_HEAD = f"<head><script>{_SCRIPT}</script><style>{_STYLE}</style>"
 _lock = threading.Lock()
 
 _TAKEN = (

@@ -13,10 +13,9 @@ from pathlib import Path
 import viser
 
 from app.border.cloud import Cloud
-from app.dashboard.demonstration import Demonstration
 from app.dashboard.export.screenshot import page_picture
 from app.dashboard.notifications import Notifier
-from app.dashboard.page import Page, show_failure
+from app.dashboard.page import Demonstration, Page, show_failure
 from app.dashboard.panels.save import SWEEPS
 from app.dashboard.robots import RobotSwitch, RunningRobot, StartLoop
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
@@ -166,7 +165,7 @@ class DashboardServer:
                 continue
             if self._failure is not None:
                 page.fail(*self._failure)
-            page.open_link(link_of(client))
+            page.share_panel.open(link_of(client))
         for number in self.pages.keys() - self.viser.get_clients().keys():
             self.pages.pop(number).end()
 
