@@ -317,6 +317,7 @@ window.dbbControls = (box, ranges) => {
     for (const input of [...typed.keys()]) if (input !== e.target) take(input);
   }, { capture: true });
 
+  ask("link", window.dbbAsked());
   return {
     ...window.dbbPanels,
     tellSeen: (names) => {

@@ -47,6 +47,10 @@
     if (!touched) names.push("untouched");
     window.dbb?.tellSeen(names.join(" "));
   };
+
+  // What the page's address asks for is told once; the client may connect again and again.
+  let asked = location.search.slice(1);
+  window.dbbAsked = () => [asked, (asked = "")][0];
   const touch = () => {
     if (touched) return;
     touched = true;

@@ -84,15 +84,6 @@ def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
     return file
 
 
-def link_of(client: viser.ClientHandle) -> str:
-    """The query of the address at which a viewer has opened the page; once, and then empty."""
-    connection = _connection(client)
-    if connection is None:
-        return ""
-    query, connection.link = getattr(connection, "link", ""), ""
-    return query
-
-
 def address_of(client: viser.ClientHandle) -> str:
     """The page's address, as the viewer's browser has it, without a query."""
     connection = _connection(client)

@@ -168,6 +168,7 @@ class SharePanel(Panel):
         super().__init__(viewer)
         self._viewer, self._shared = viewer, viewer.shared
         self.waiting = Link()
+        viewer.channel.on("link", lambda query: self.open(str(query)))
         with self._gui.add_folder("Link and case"):
             self.button("Copy link", lambda _: self._copy(), viser.Icon.LINK)
             self._address = self._gui.add_html("", visible=False)
