@@ -27,7 +27,7 @@ from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
 from app.dashboard.panels.run import machine_html, pairs_html, status_html
 from app.dashboard.panels.why import why_html
-from app.dashboard.scene.borders import MAX_POINTS, BorderCloud, Borders, subsample
+from app.dashboard.scene.borders import MAX_POINTS, Borders, DrawnBorders, subsample
 from app.dashboard.scene.canvas import METRES_PER_NEWTON, Canvas
 from app.dashboard.scene.colours import css, viridis
 from app.dashboard.scene.layers import TOGETHER, beside, draw_motion, segments
@@ -456,7 +456,7 @@ def view_of(**quantities):
 
 
 def test_the_border_is_drawn_anew_only_when_it_has_changed(scene, borders):
-    cloud = BorderCloud(scene, borders)
+    cloud = DrawnBorders(scene, borders, husky_panda())
     view, config = view_of(**{"lm-lEE": "score"}), BorderConfig()
     assert cloud.update(view, config)
     assert not cloud.update(view, config)
@@ -492,13 +492,13 @@ def test_what_one_viewer_has_asked_for_the_next_finds(borders):
 
 
 def test_a_hidden_border_has_no_legend(scene, borders):
-    cloud = BorderCloud(scene, borders)
+    cloud = DrawnBorders(scene, borders, husky_panda())
     view = view_of(**{"lm-lEE": "score"})
     cloud.update(view, BorderConfig())
     view.borders["lm-lEE"] = "hidden"
     assert cloud.update(view, BorderConfig())
     assert cloud.legends == []
-    assert not cloud._clouds["lm-lEE"].visible
+    assert cloud._nodes == {}
 
 
 @pytest.mark.parametrize("z", [0.1, 0.3, 0.45])

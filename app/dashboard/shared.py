@@ -179,7 +179,7 @@ class SharedState(SceneData):
         self.record = Record(curve for plan in self.plans for curve in plan.curves)
         self.course = Course()
         self.strip = Strip(model.body_names)
-        self._kept += [self.record, self.course, self.strip]
+        self.keepers += [self.record, self.course, self.strip]
         self.sweep_job = Job()
         self.challenge = Challenge()
         self._watched = True

@@ -105,16 +105,17 @@ class Plots(Panel):
     def update(self, moment: Moment) -> None:
         """Show the stretch of time around the snapshot that is shown, if anybody sees it."""
         shown, view, timeline = moment.shown, self._viewer.view, self._viewer.timeline
+        newest = self._viewer.shared.last
         record, seen = self._viewer.shared.record, SIGHT in self._viewer.channel.seen
         for title, plot in self._plots.items():
             plot.visible = title in view.plots
         asked = (record, timeline.live, frozenset(view.plots))
-        drawn = (*asked, record.last, shown.t)
+        drawn = (*asked, newest, shown.t)
         soon = timeline.live and asked == self._drawn[:3] and time.monotonic() < self._due
         if not seen or soon or drawn == self._drawn:
             return
         self._drawn = drawn
-        until = record.last if timeline.live else min(record.last, shown.t + AHEAD)
+        until = newest if timeline.live else min(newest, shown.t + AHEAD)
         table = record.columns(until, LENGTH)
         table = table[:, np.diff(np.floor(table[0] / SPACING), prepend=-1.0) > 0.0]
         now = [table[self._columns[title], -RESTING:] for title in view.plots]
