@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from app.config import Config
-from app.dashboard.link import Link, camera_text, changed_parameters
+from app.dashboard.panels.share import Link, camera_text, changed_parameters
 from app.errors import DbbError
 from app.simulation.case import RunCase
 from app.simulation.loop.commands import Choose, Configure, Play
