@@ -8,8 +8,8 @@ from typing import Any
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.run import run_scenario
-from app.studies.paper.experiments import Experiment, Run, Sources, run_of
+from app.simulation.run import RunResult, run_scenario
+from app.studies.paper.experiments import Experiment, Sources, thinned
 
 
 def short_run(
@@ -18,10 +18,10 @@ def short_run(
     experiment: Experiment,
     duration: float,
     physics: str = "kinematic",
-) -> Run:
+) -> RunResult:
     """An experiment, cut short."""
     scenario = experiment.full().changed(duration=duration)
-    return run_of(
+    return thinned(
         run_scenario(
             robot,
             data,
@@ -33,16 +33,16 @@ def short_run(
     )
 
 
-def sources_of(robot: RobotModel, data: BorderData, runs: dict[Experiment, Run]) -> Sources:
+def sources_of(robot: RobotModel, data: BorderData, runs: dict[Experiment, RunResult]) -> Sources:
     """Sources with these runs."""
     return Sources(robot, data, Config(), runs)
 
 
-def with_figures(run: Run, **figures: Any) -> Run:
+def with_figures(run: RunResult, **figures: Any) -> RunResult:
     """The run with some of its figures replaced."""
     return run._replace(figures={**run.figures, **figures})
 
 
-def every(experiments: Iterable[Experiment], run: Run) -> dict[Experiment, Run]:
+def every(experiments: Iterable[Experiment], run: RunResult) -> dict[Experiment, RunResult]:
     """The same run for each of the experiments."""
     return dict.fromkeys(experiments, run)

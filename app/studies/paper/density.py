@@ -23,6 +23,7 @@ from app.studies.paper.drawing import (
     Drawing,
     Table,
     base_in_plan,
+    paper_figure,
     points_table,
     square_around,
     stacked,
@@ -58,8 +59,11 @@ _SHAPES = {"points": BorderPoints, "surface": BorderSurface}
 _MEASURED = ("jump_max_m", "jump_p99_m", "find_p50_us")
 
 
+@paper_figure("density", "§4.3: density of the border", LATERAL)
 def figure_density(sources: Sources) -> Drawing:
-    """Largest jump of the acting point and time per search, over the number of points."""
+    """The denser the border, the costlier the search and the smaller the jumps of the acting point;
+    about 50,000 points suit a control rate of 1 kHz.
+    """
     table = trade_off(sources)
     figure = new_figure(3.6)
     jump, cost = figure.subplots(1, 2)
@@ -94,9 +98,6 @@ def figure_density(sources: Sources) -> Drawing:
         for k, (kind, n) in enumerate(zip(table["border"], table["points"].tolist(), strict=True))
     }
     return Drawing(
-        "§4.3: density of the border",
-        "The denser the border, the costlier the search and the smaller the jumps of the acting "
-        "point; about 50,000 points suit a control rate of 1 kHz.",
         figure,
         {"": table},
         rows,
@@ -150,8 +151,8 @@ def _chosen(total: int, count: int) -> Array:
 def hand_in_buffer(sources: Sources) -> list[Closest]:
     """The closest points of the hand while it is in its buffer, at each control step."""
     run = sources.runs[LATERAL]
-    fine = np.arange(run.log.t[0], run.log.t[-1], DT)
-    q_m = np.column_stack([np.interp(fine, run.log.t, q) for q in run.q_m.T])
+    fine = np.arange(run.trace.t[0], run.trace.t[-1], DT)
+    q_m = np.column_stack([np.interp(fine, run.trace.t, q) for q in run.trace.of("q_m").T])
     d_b = sources.config.border.d_b
     return [closest for closest in sources.closest_points(q_m) if closest.d < d_b]
 
@@ -203,8 +204,11 @@ class Path(NamedTuple):
         }
 
 
+@paper_figure("continuity", "§4.3: a continuous border", LATERAL)
 def figure_continuity(sources: Sources) -> Drawing:
-    """Where the acting point goes in plan, and how far in each control step."""
+    """Among points the acting point jumps from one to the next as the hand moves, a trade-off
+    against the cost of more points.
+    """
     points = thinned(sources.border, min(PAPERS_COUNT, len(sources.border)))
     finders = {
         "points": sources.finder(BorderPoints, points),
@@ -230,9 +234,6 @@ def figure_continuity(sources: Sources) -> Drawing:
     steps.set_xlim(float(coarse[0][0]), float(coarse[0][-1]))
     steps.legend(loc="lower right", fontsize=9)
     return Drawing(
-        "§4.3: a continuous border",
-        "Among points the acting point jumps from one to the next as the hand moves, a trade-off "
-        "against the cost of more points.",
         figure,
         {"": stacked({kind: along.table() for kind, along in found.items()}, "border")},
         _measured(found, finer),
@@ -252,7 +253,7 @@ def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Closes
     closest points computed at each step would have the collision library's tolerance in them, some
     0.3 mm along an edge: more than the hand moves in a step.
     """
-    log = sources.runs[LATERAL].log
+    log = sources.runs[LATERAL].trace
     outside = log[f"d_{sources.pair.name}_m"] >= sources.config.border.d_b
     stretches = np.ma.clump_unmasked(np.ma.masked_array(log.t, outside))
     longest = max((log.t[stretch] for stretch in stretches), key=len)

@@ -25,7 +25,6 @@ from app.simulation.run import RunResult, run_scenario
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import LineScenario, Point
 from app.simulation.scenarios.names import scenario_by_name
-from app.simulation.trace.trace import Trace
 
 Array = np.ndarray
 
@@ -90,33 +89,13 @@ GUIDING = {
     },
 }
 """By the method's name and the direction from which the hand is led."""
+COMPARED = tuple(each for by_direction in GUIDING.values() for each in by_direction.values())
+"""Figure 15's experiments."""
 DOOR = Experiment("refrigerator", "dbb")
 DOOR_NONE = Experiment("refrigerator", "none")
 
 
-class Run(NamedTuple):
-    """What an experiment gave.
-
-    Attributes:
-        figures: As `dbb run --json` prints them.
-        log: Its trace, a row a hundredth of a second.
-    """
-
-    figures: dict[str, Any]
-    log: Trace
-
-    @property
-    def base_poses(self) -> Array:
-        """(N, 3) x, y [m] and heading [rad] of the base."""
-        return self.log.of("base_pose")
-
-    @property
-    def q_m(self) -> Array:
-        """(N, n_m) [rad or m] the arm's joints."""
-        return self.log.of("q_m")
-
-
-Runs = dict[Experiment, Run]
+Runs = dict[Experiment, RunResult]
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,19 +223,23 @@ def duration(experiments: Iterable[Experiment]) -> float:
     return sum(e.full().duration for e in set(experiments))
 
 
-def _run(seed: int, sources: Sources, experiment: Experiment) -> Run:
-    return run_of(
-        run_scenario(
-            sources.model,
-            sources.data,
-            experiment.full(),
-            experiment.config(),
-            controller=experiment.controller,
-            seed=seed,
-        )
+def _run(seed: int, sources: Sources, experiment: Experiment) -> RunResult:
+    result = run_scenario(
+        sources.model,
+        sources.data,
+        experiment.full(),
+        experiment.config(),
+        controller=experiment.controller,
+        seed=seed,
     )
+    return thinned(result)
 
 
-def run_of(result: RunResult) -> Run:
-    """A run's figures and log, as other processes and the figures take them."""
-    return Run(result.figures, result.trace.rows(slice(None, None, _LOG_EVERY)))
+def thinned(result: RunResult) -> RunResult:
+    """A run with a row a hundredth of a second, as other processes and the figures take it."""
+    return result._replace(trace=result.trace.rows(slice(None, None, _LOG_EVERY)))
+
+
+def words_of(function: Callable[..., Any]) -> str:
+    """A function's docstring in one line: what the paper says of what it draws or judges."""
+    return " ".join((function.__doc__ or "").split())

@@ -15,7 +15,7 @@ from app.jobs.pool import Workers
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 from app.simulation.run import RunResult, run_scenario
-from app.studies.paper.experiments import run_of
+from app.studies.paper.experiments import thinned
 from app.studies.rows import Row, rounded
 from app.studies.sweep.plan import KINDS, Approach, Kind, SweepPlan, Trial
 from app.studies.sweep.starts import Start, StartFinder
@@ -150,15 +150,15 @@ def run_trial(plan: SweepPlan, loaded: Loaded, trial: Trial) -> RunResult:
 
 def _row(plan: SweepPlan, loaded: Loaded, trial: Trial) -> Row:
     """Figures of one path; keys end in their unit."""
-    run, start = run_of(run_trial(plan, loaded, trial)), trial.start
+    run, start = thinned(run_trial(plan, loaded, trial)), trial.start
     scenario = plan.scenario(trial)
-    off = np.linalg.norm(run.log.of("p_ee") - scenario.position(scenario.duration)[0], axis=1)
+    off = np.linalg.norm(run.trace.of("p_ee") - scenario.position(scenario.duration)[0], axis=1)
     found: Row = {"controller": trial.controller, **start.approach.where()}
     found |= {"speed_mps": trial.speed}
     found |= dict(zip(("start_x_m", "start_y_m", "start_z_m"), start.p_ee, strict=True))
     found |= {"start_clearance_m": start.clearance, "start_p_b_x_m": start.p_b[0]}
     found |= {key: run.figures[key] for key in _KEPT}
-    found["time_s"] = arrival(run.log["t_s"], off)
+    found["time_s"] = arrival(run.trace["t_s"], off)
     found["passed"] = passes(found)
     return {key: rounded(value) for key, value in found.items()}
 
