@@ -16,9 +16,9 @@ from matplotlib.patches import Rectangle, Wedge
 
 from app.robot.model import RobotModel
 from app.studies.style import styled
-from app.studies.sweep.files import newest_map, read_map, write_sweep
 from app.studies.sweep.maps import above_map, polar_map, quantities
 from app.studies.sweep.plan import AXIS_OFFSETS
+from app.studies.sweep.sweep import newest_map, read_map, write_sweep
 
 ROW: dict[str, Any] = {
     "speed_mps": 0.025,

@@ -76,8 +76,8 @@ def sweep(
 
     load_robot(made.robot)
     make_folder(out)
-    from app.studies.sweep.files import write_sweep
     from app.studies.sweep.sweep import sweep as make
+    from app.studies.sweep.sweep import write_sweep
 
     with progress_bar("sweep", 1.0) as on_progress:
         result = make(made, processes=side_by_side, on_progress=on_progress)

@@ -18,7 +18,7 @@ from app.border.mobile import MobileBody
 from app.robot.model import RobotModel
 from app.studies.rows import Row
 from app.studies.style import INK, METHOD_NAMES, SOFT, TARGET, new_figure
-from app.studies.sweep.sweep import CLEARANCE_LIMIT, ERROR_LIMIT
+from app.studies.sweep.plan import CLEARANCE_LIMIT, ERROR_LIMIT
 
 Colour = tuple[float, float, float, float]
 

@@ -11,16 +11,16 @@ from app.errors import DbbError
 from app.jobs.pool import Workers
 from app.robot.model import RobotModel
 from app.studies.rows import Row, rounded
-from app.studies.sweep.plan import Approach, Mode, SweepPlan, Trial
-from app.studies.sweep.starts import Start
-from app.studies.sweep.sweep import (
+from app.studies.sweep.plan import (
     CLEARANCE_LIMIT,
     ERROR_LIMIT,
-    Loaded,
-    load,
-    passes,
-    run_trial,
+    Approach,
+    Mode,
+    SweepPlan,
+    Trial,
 )
+from app.studies.sweep.starts import Start
+from app.studies.sweep.sweep import Loaded, load, passes, run_trial
 
 CONTROLLERS = ("none", "dbb")
 """Without avoidance and with it."""

@@ -1,10 +1,16 @@
-"""The sweep: hand paths towards the base from everywhere, each with each controller and speed."""
+"""The sweep: hand paths towards the base from everywhere, each with each controller and speed.
+
+Its files are `sweep.json`, `sweep.csv`, and a map for each height and speed.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Callable
 from functools import lru_cache, partial
 from itertools import groupby
+from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -16,18 +22,23 @@ from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 from app.simulation.run import RunResult, run_scenario
 from app.studies.paper.experiments import thinned
-from app.studies.rows import Row, rounded
-from app.studies.sweep.plan import KINDS, Approach, Kind, SweepPlan, Trial
+from app.studies.rows import Row, rounded, write_json
+from app.studies.sweep.plan import (
+    CLEARANCE_LIMIT,
+    ERROR_LIMIT,
+    KINDS,
+    Approach,
+    Kind,
+    SweepPlan,
+    Trial,
+)
 from app.studies.sweep.starts import Start, StartFinder
+from app.system import write_whole
 
 Array = np.ndarray
 
 START_SHARE = 0.25
 """[-] of the work that the search for starts is counted as."""
-ERROR_LIMIT = 0.001
-"""[m] final error up to which a path counts as done."""
-CLEARANCE_LIMIT = 0.03
-"""[m] distance between arm and base from which a path counts as safe."""
 LISTS: dict[Kind, str] = {"side": "paths", "wheel_axis": "wheel_axis", "above": "above"}
 """Under which key of the JSON the paths of a kind stand."""
 _KEPT = (
@@ -43,6 +54,19 @@ _KEPT = (
     "activation_max",
     "solver_failures",
 )
+
+_FIRST = (
+    "kind",
+    "controller",
+    "height_m",
+    "speed_mps",
+    "direction_deg",
+    "offset_m",
+    "place_x_m",
+    "place_y_m",
+    "passed",
+)
+"""Columns of `sweep.csv` that come first."""
 
 
 class Loaded(NamedTuple):
@@ -223,3 +247,47 @@ def _summary(starts: list[Start], rows: list[Row]) -> Row:
         "unreachable": unreachable,
         "unreachable_share": unreachable / len(starts),
     }
+
+
+def write_sweep(result: Row, out: Path) -> list[str]:
+    """Write what a sweep gave into an existing folder; returns the names of the files."""
+    # Imported here: matplotlib would make the dashboard start later.
+    from app.studies.style import png_of, styled
+    from app.studies.sweep.maps import above_map, polar_map
+
+    model = RobotModel(load_robot(result["robot"]))
+    names = ["sweep.json", "sweep.csv"]
+    with styled():
+        for speed in result["speeds_mps"]:
+            for height in result["heights_m"]:
+                names.append(f"sweep_h{height:g}_v{speed:g}.png")
+                write_whole(out / names[-1], png_of(polar_map(result, height, speed, model)))
+            if result["above"] or any(row["kind"] == "above" for row in result["unreachable"]):
+                names.append(f"sweep_above_v{speed:g}.png")
+                write_whole(out / names[-1], png_of(above_map(result, speed, model)))
+    rows = [{"kind": kind, **row} for kind, key in LISTS.items() for row in result[key]]
+    write_whole(out / "sweep.csv", _csv(rows + result["unreachable"]))
+    write_json(out / "sweep.json", {**result, "files": names})
+    return names
+
+
+def newest_map(folder: Path) -> Path | None:
+    """The picture of the newest sweep from the side in a folder, or None."""
+    found = list(folder.glob("sweep_h*_v*.png")) if folder.is_dir() else []
+    return max(found, key=lambda path: (path.stat().st_mtime_ns, path.name), default=None)
+
+
+def read_map(path: Path) -> Array:
+    """(H, W, 3) the picture's pixels, 0 to 255."""
+    from matplotlib.image import imread
+
+    return np.round(255.0 * imread(path)[..., :3]).astype(np.uint8)
+
+
+def _csv(rows: list[Row]) -> str:
+    """One row a path, those that could not begin included."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, dict.fromkeys([*_FIRST, *(name for row in rows for name in row)]))
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
