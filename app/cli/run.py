@@ -63,7 +63,7 @@ class _Files(NamedTuple):
     json: bool
 
 
-def choose(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
+def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
     """The scenario of a command line, the command that runs it, and the other words."""
     if any(word.partition("=")[0] == "--case" for word in words):
         _check_replay(words)
