@@ -8,8 +8,9 @@ from typing import Any
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.run import RunResult, run_scenario
-from app.studies.paper.experiments import Experiment, Sources, thinned
+from app.simulation.run import RunResult
+from app.studies.paper.experiments import Experiment, Sources
+from app.studies.runs import thinned
 
 
 def short_run(
@@ -21,16 +22,7 @@ def short_run(
 ) -> RunResult:
     """An experiment, cut short."""
     scenario = experiment.full().changed(duration=duration)
-    return thinned(
-        run_scenario(
-            robot,
-            data,
-            scenario,
-            experiment.config(),
-            controller=experiment.controller,
-            physics=physics,
-        )
-    )
+    return thinned(experiment.planned(scenario=scenario, physics=physics).done(robot, data))
 
 
 def sources_of(robot: RobotModel, data: BorderData, runs: dict[Experiment, RunResult]) -> Sources:

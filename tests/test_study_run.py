@@ -22,7 +22,7 @@ from app.studies.pulls import study as module
 from app.studies.pulls.case import TIMES
 from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.pulls.study import study
-from app.studies.rows import rounded
+from app.studies.runs import rounded
 
 pytestmark = pytest.mark.slow
 

@@ -17,7 +17,6 @@ from app.border.dbb import Border
 from app.border.points import BorderPoints
 from app.border.surface import BorderSurface
 from app.robot.link_pairs import Closest
-from app.simulation.run import run_scenario
 from app.simulation.session import DT
 from app.studies.paper.drawing import (
     Drawing,
@@ -129,7 +128,7 @@ def run_at_50_000(sources: Sources) -> dict[str, Any]:
         for pair in sources.data.pairs.mobile
     }
     data = replace(sources.data, clouds=clouds)
-    return run_scenario(sources.model, data, experiment.full(), experiment.config()).figures
+    return experiment.planned().done(sources.model, data).figures
 
 
 def thinned_cloud(cloud: Cloud, share: float) -> Cloud:

@@ -21,16 +21,16 @@ from app.jobs.pool import Workers
 from app.robot.assets import load_robot
 from app.robot.link_pairs import Closest, Pair, PairDistances
 from app.robot.model import RobotModel
-from app.simulation.run import RunResult, run_scenario
+from app.simulation.run import RunResult
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import LineScenario, Point
 from app.simulation.scenarios.names import scenario_by_name
+from app.studies.runs import Planned, thinned
 
 Array = np.ndarray
 
 ROBOT = "husky_panda"
 """The paper's robot."""
-_LOG_EVERY = 10  # control steps between two rows that figures and claims are made of
 
 
 class Experiment(NamedTuple):
@@ -64,6 +64,10 @@ class Experiment(NamedTuple):
     def config(self) -> Config:
         """The parameters: the defaults, but for the kind of border."""
         return Config().replace("border.kind", "points") if self.points else Config()
+
+    def planned(self, **changes: Any) -> Planned:
+        """The run, with some of its parts changed."""
+        return Planned(ROBOT, self.full(), self.config(), self.controller)._replace(**changes)
 
     def aim(self) -> Array:
         """(2, 3) [m] where the hand is led from and to, in the world."""
@@ -224,20 +228,7 @@ def duration(experiments: Iterable[Experiment]) -> float:
 
 
 def _run(seed: int, sources: Sources, experiment: Experiment) -> RunResult:
-    result = run_scenario(
-        sources.model,
-        sources.data,
-        experiment.full(),
-        experiment.config(),
-        controller=experiment.controller,
-        seed=seed,
-    )
-    return thinned(result)
-
-
-def thinned(result: RunResult) -> RunResult:
-    """A run with a row a hundredth of a second, as other processes and the figures take it."""
-    return result._replace(trace=result.trace.rows(slice(None, None, _LOG_EVERY)))
+    return thinned(experiment.planned(seed=seed).done(sources.model, sources.data))
 
 
 def words_of(function: Callable[..., Any]) -> str:

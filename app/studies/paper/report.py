@@ -20,7 +20,7 @@ from app.studies.paper.experiments import (
     load_sources,
     run_experiments,
 )
-from app.studies.rows import write_json
+from app.studies.runs import write_json
 from app.studies.style import styled
 from app.system import write_whole
 

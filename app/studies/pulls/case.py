@@ -16,12 +16,11 @@ from app.simulation.case import FORMAT, RunCase
 from app.simulation.scenarios.line import StartedLine
 from app.strict import Finite, Positive, Strict, Vector3, explain, parsed
 from app.studies.pulls.parameters import PARAMETERS, StudyParameters
-from app.studies.rows import Row, rounded
+from app.studies.runs import Planned, Row, rounded
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.robot.model import RobotModel
-    from app.simulation.run import RunResult
 
 TIMES = ("step_p50_us", "step_p99_us", "realtime_factor")
 """Figures of a run that depend on the machine: no study keeps them."""
@@ -116,6 +115,11 @@ class Case(Strict):
             regrasp_at=self.regrasp_at,
         )
 
+    def planned(self) -> Planned:
+        """The run; doing it raises a `CaseError` on a robot of another arm."""
+        run = self.scenario(), self.config(), self.controller, self.physics, self.seed
+        return Planned(self.robot, *run)
+
     def differences(self) -> list[str]:
         """See `RunCase.differences`: a study's case names no version."""
         return []
@@ -180,33 +184,13 @@ def read_case(path: Path) -> Case | RunCase:
         raise CaseError(f"{path} is no case: {explain(error, Case)}") from None
 
 
-def run_case(case: Case, model: RobotModel, data: BorderData) -> RunResult:
-    """The run of a case.
-
-    Raises:
-        DbbError: It cannot be run on this robot.
-    """
-    # Imported here: what reads a case checks it before anything is loaded.
-    from app.simulation.run import run_scenario
-
-    return run_scenario(
-        model,
-        data,
-        case.scenario(),
-        case.config(),
-        controller=case.controller,
-        physics=case.physics,
-        seed=case.seed,
-    )
-
-
 def play_case(case: Case, model: RobotModel, data: BorderData) -> Row:
     """One row: what was drawn, and what came of it.
 
     A run that breaks off is a row too: `error` says why, and its figures are missing.
     """
     try:
-        result = run_case(case, model, data)
+        result = case.planned().done(model, data)
     except (DbbError, ValueError, ArithmeticError) as error:
         return {**inputs_of(case), "nan": False, "error": f"{type(error).__name__}: {error}"}
     figures = flat(result.figures)

@@ -17,7 +17,7 @@ from app.simulation.trace.metrics import NEAR
 from app.strict import NonNegative, Strict, explain
 from app.studies.pulls.case import COLUMNS, failed
 from app.studies.pulls.parameters import Interval, StudyRange
-from app.studies.rows import Row
+from app.studies.runs import Row
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -13,7 +13,7 @@ from app.studies.page import Grid, Part, label, page_html
 from app.studies.pulls.case import entered_buffer, failed, met_base, met_itself
 from app.studies.pulls.envelope import Envelope, exerted, fit_envelope, tally, tally_by_halves
 from app.studies.pulls.parameters import StudyParameters
-from app.studies.rows import Row
+from app.studies.runs import Row
 
 _FORCES = (0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, math.inf)  # [N] edges of a table
 _SPREAD = (

@@ -22,7 +22,7 @@ from app.studies.pulls.case import case_of, failed, play_case
 from app.studies.pulls.draw import StudySources, draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
-from app.studies.rows import Row, write_json
+from app.studies.runs import Row, write_json
 from app.system import claim, write_whole
 
 if TYPE_CHECKING:

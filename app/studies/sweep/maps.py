@@ -16,7 +16,7 @@ from matplotlib.patches import Circle, Patch, Polygon, Rectangle, Wedge
 
 from app.border.mobile import MobileBody
 from app.robot.model import RobotModel
-from app.studies.rows import Row
+from app.studies.runs import Row
 from app.studies.style import INK, METHOD_NAMES, SOFT, TARGET, new_figure
 from app.studies.sweep.plan import CLEARANCE_LIMIT, ERROR_LIMIT
 

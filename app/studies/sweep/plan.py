@@ -15,6 +15,7 @@ from app.errors import ConfigError, UnknownNameError
 from app.simulation.plants.choice import chosen_plant, default_plant
 from app.simulation.scenarios.line import StartedLine
 from app.strict import check_range
+from app.studies.runs import Planned
 
 if TYPE_CHECKING:
     from app.robot.model import RobotModel
@@ -218,21 +219,21 @@ class SweepPlan:
             for speed in self.speeds:
                 yield from (Trial(start, controller, speed) for start in starts if not start.reason)
 
-    def scenario(self, trial: Trial) -> StartedLine:
+    def planned(self, trial: Trial) -> Planned:
         """The run of one trial."""
-        moving = self.length / trial.speed
-        duration = moving + self.hold
-        move = self.length * trial.start.approach.inwards
-        return StartedLine(
-            trial.start.approach.name,
-            duration,
+        start, moving = trial.start, self.length / trial.speed
+        x, y, z = (self.length * start.approach.inwards).tolist()
+        line = StartedLine(
+            start.approach.name,
+            moving + self.hold,
             "the hand is led towards the base",
             self.mode,
-            trial.start.p_ee,
-            (float(move[0]), float(move[1]), float(move[2])),
-            moving / duration,
-            trial.start.q_m,
+            start.p_ee,
+            (x, y, z),
+            moving / (moving + self.hold),
+            start.q_m,
         )
+        return Planned(self.robot, line, self.config, trial.controller, self.physics, self.seed)
 
 
 class Trial(NamedTuple):

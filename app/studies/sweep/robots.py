@@ -10,7 +10,7 @@ from app.config import Config
 from app.errors import DbbError
 from app.jobs.pool import Workers
 from app.robot.model import RobotModel
-from app.studies.rows import Row, rounded
+from app.studies.runs import Row, rounded
 from app.studies.sweep.plan import (
     CLEARANCE_LIMIT,
     ERROR_LIMIT,
@@ -20,7 +20,7 @@ from app.studies.sweep.plan import (
     Trial,
 )
 from app.studies.sweep.starts import Start
-from app.studies.sweep.sweep import Loaded, load, passes, run_trial
+from app.studies.sweep.sweep import Loaded, load, passes
 
 CONTROLLERS = ("none", "dbb")
 """Without avoidance and with it."""
@@ -139,7 +139,8 @@ def _start(loaded: Loaded, plan: SweepPlan, case: Case) -> Start:
 
 
 def _row(loaded: Loaded, plan: SweepPlan, case: Case, start: Start, controller: str) -> Row:
-    figures: Row = run_trial(plan, loaded, Trial(start, controller, case.speed)).figures
+    planned = plan.planned(Trial(start, controller, case.speed))
+    figures: Row = planned.done(loaded.model, loaded.data).figures
     row: Row = {
         "controller": controller,
         **start.approach.where(),

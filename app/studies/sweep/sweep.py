@@ -20,9 +20,7 @@ from app.border.cache import BorderData, load_border_data
 from app.jobs.pool import Workers
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
-from app.simulation.run import RunResult, run_scenario
-from app.studies.paper.experiments import thinned
-from app.studies.rows import Row, rounded, write_json
+from app.studies.runs import Row, rounded, thinned, write_json
 from app.studies.sweep.plan import (
     CLEARANCE_LIMIT,
     ERROR_LIMIT,
@@ -159,23 +157,10 @@ def _find_starts(plan: SweepPlan, loaded: Loaded, group: tuple[Approach, ...]) -
     return [loaded.finder.find(each, plan.distance, seed=plan.seed) for each in group]
 
 
-def run_trial(plan: SweepPlan, loaded: Loaded, trial: Trial) -> RunResult:
-    """One run of a plan."""
-    return run_scenario(
-        loaded.model,
-        loaded.data,
-        plan.scenario(trial),
-        plan.config,
-        controller=trial.controller,
-        physics=plan.physics,
-        seed=plan.seed,
-    )
-
-
 def _row(plan: SweepPlan, loaded: Loaded, trial: Trial) -> Row:
     """Figures of one path; keys end in their unit."""
-    run, start = thinned(run_trial(plan, loaded, trial)), trial.start
-    scenario = plan.scenario(trial)
+    planned, start = plan.planned(trial), trial.start
+    run, scenario = thinned(planned.done(loaded.model, loaded.data)), planned.scenario
     off = np.linalg.norm(run.trace.of("p_ee") - scenario.position(scenario.duration)[0], axis=1)
     found: Row = {"controller": trial.controller, **start.approach.where()}
     found |= {"speed_mps": trial.speed}
