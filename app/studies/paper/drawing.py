@@ -119,12 +119,7 @@ def write_table(path: Path, table: Table) -> None:
 
 
 def stacked(parts: dict[str, Table], kind: str) -> Table:
-    """One long table from several with the same columns, told apart by a column of their names.
-
-    Args:
-        parts: By their names.
-        kind: Name of the column that holds the parts' names.
-    """
+    """One long table from several with the same columns; a column `kind` holds their names."""
     names = np.concatenate([np.full(len(next(iter(p.values()))), n) for n, p in parts.items()])
     columns = next(iter(parts.values()))
     return {kind: names} | {c: np.concatenate([p[c] for p in parts.values()]) for c in columns}
@@ -239,14 +234,7 @@ class Strip:
 def snapshot_figure(
     model: RobotModel, strips: Sequence[Strip], *, aim: str = "", marks: str = ""
 ) -> Figure:
-    """The figure of some rows of snapshots.
-
-    Args:
-        model: The robot.
-        strips: The rows: panels (a), (b) and so on.
-        aim: What the arrows are, if there are any.
-        marks: What the lines on the floor are, likewise.
-    """
+    """Rows of snapshots, (a), (b) and so on; what arrows and lines on the floor are, if any."""
     height = len(strips) * (WIDTH / COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
     figure = new_figure(height)
     rows = figure.subfigures(len(strips), 1, squeeze=False)[:, 0]

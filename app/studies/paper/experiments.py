@@ -159,10 +159,8 @@ class Sources:
     ) -> tuple[ActingPoint, Array]:
         """Acting point and force (3,) [N] for a closest point, by the controller's own functions.
 
-        Args:
-            finder: Algorithm 3 on a border.
-            closest: In the base's frame.
-            force: Its parameters, if not those of the runs.
+        The closest point is in the base's frame; the force's parameters are those of the runs
+        unless others are given.
         """
         force, p_b, d = force or self.config.force, closest.p_b, closest.d
         acting = finder.find_acting_point(p_b, d, force)
@@ -201,13 +199,9 @@ def run_experiments(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Runs:
-    """Do each experiment once.
+    """Do each experiment once, some processes side by side.
 
-    Args:
-        experiments: What to run; repeated ones are run once.
-        seed: Of everything random in the runs.
-        processes: How many to run side by side.
-        on_progress: Called after each with the simulated time of those that are done [s].
+    `on_progress` is called after each with the simulated time of those that are done [s].
 
     Raises:
         UnreachableError: No start of the arm for one of them.

@@ -119,13 +119,7 @@ def reproduce(
 
 
 def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], about: str) -> str:
-    """`index.html`: all figures, then all claims.
-
-    Args:
-        figures: As `figure_part` makes them.
-        claims: Rows of the table of claims, as `Claim.judge` gives them.
-        about: One sentence about what was run.
-    """
+    """`index.html`: all figures, then all claims as `Claim.judge` gives them; a sentence on top."""
     hold = sum(bool(claim["holds"]) for claim in claims)
     tally = f"{hold} of {len(claims)} claims hold here. " if claims else ""
     lead = (
@@ -137,13 +131,7 @@ def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], abo
 
 
 def figure_part(name: str, drawing: Drawing, files: Sequence[Path]) -> Part:
-    """One figure: the picture, and what the paper says beside what was measured.
-
-    Args:
-        name: As the command calls it.
-        drawing: The figure.
-        files: What was written of it, the picture first.
-    """
+    """One figure, the first of its files, and what the paper says beside what was measured."""
     measured = Part(
         "Measured here",
         tables=measured_grids(drawing.measured),

@@ -114,10 +114,8 @@ def wheel_axis(heights: Sequence[float]) -> Iterator[Approach]:
 def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]:
     """Paths down onto the base, over a grid on its footprint that includes its rim.
 
-    Args:
-        lower: (2,) [m] corner of the footprint.
-        upper: (2,) [m] the opposite corner.
-        spacing: [m] at most, between two places of the grid.
+    `lower` and `upper` (2,) [m] are its corners; two places of the grid are at most `spacing` [m]
+    apart.
     """
     counts = np.maximum(np.ceil((upper - lower) / spacing - 1e-9).astype(int), 1) + 1
     xs, ys = (np.linspace(a, b, n) for a, b, n in zip(lower[:2], upper[:2], counts, strict=True))

@@ -84,12 +84,7 @@ def robot_table(
     The start of each path is searched: the first height and direction from which the arm can begin
     clear of its buffers. A robot that cannot, or cannot be loaded, has a row that says why.
 
-    Args:
-        robots: Their names.
-        cases: What to do with each.
-        seed: Of everything random.
-        processes: How many to work side by side.
-        on_progress: Called now and then with the share of the work that is done, 0 to 1.
+    `on_progress` is called now and then with the share of the work that is done, 0 to 1.
 
     Returns:
         `rows`, and the limits by which they passed; keys end in their unit. A robot that cannot be

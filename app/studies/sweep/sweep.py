@@ -77,12 +77,7 @@ class Loaded(NamedTuple):
 
 @lru_cache(maxsize=1)
 def load(robot: str, d_b: float) -> Loaded:
-    """A process keeps the robot that it looked at last.
-
-    Args:
-        robot: Its name.
-        d_b: [m] buffer distance.
-    """
+    """A process keeps the robot that it looked at last; `d_b` [m] is the buffer distance."""
     model = RobotModel(load_robot(robot))
     data = load_border_data(model, progress=False)
     return Loaded(model, data, StartFinder(model, data, d_b))
@@ -94,12 +89,8 @@ def sweep(
     """Lead the hand along all paths of a plan.
 
     Starts are searched once for all controllers and speeds. The result does not depend on the
-    number of processes, but for its times.
-
-    Args:
-        plan: What to do.
-        processes: How many to work side by side.
-        on_progress: Called now and then with the share of the work that is done, 0 to 1.
+    number of processes, but for its times. `on_progress` is called now and then with the share of
+    the work that is done, 0 to 1.
 
     Returns:
         What `sweep.json` holds; keys end in their unit.
@@ -175,9 +166,7 @@ def _row(plan: SweepPlan, loaded: Loaded, trial: Trial) -> Row:
 def arrival(t: Array, off: Array) -> float | None:
     """[s] from when on the hand stays within 1 mm of its target; None if it does not.
 
-    Args:
-        t: (N,) [s] times.
-        off: (N,) [m] distances of the hand from its target.
+    It is `off` (N,) [m] its target at the times t (N,) [s].
     """
     arrived = np.append(0, np.flatnonzero(off > ERROR_LIMIT) + 1)[-1]
     return float(t[arrived]) if arrived < len(t) else None
