@@ -14,8 +14,8 @@ from app.config import Config
 from app.errors import CaseError, ConfigError, DbbError
 from app.simulation.case import FORMAT, RunCase
 from app.simulation.scenarios.line import StartedLine
-from app.strict import Finite, Positive, Strict, Vector3, explain, parsed
-from app.studies.pulls.parameters import PARAMETERS, StudyParameters
+from app.strict import Finite, Positive, Vector3, explain, parsed
+from app.studies.pulls.parameters import PARAMETERS, StudyParameters, one_of_each
 from app.studies.runs import Planned, Row, rounded
 
 if TYPE_CHECKING:
@@ -46,8 +46,11 @@ _KEY = "case"  # under which the file of a failure keeps it, beside its figures
 _FORMER = {"strength", "noise", "delay", "base_speed"}  # fields of cases before hands had springs
 
 
-class Case(Strict):
-    """A person pulls the hand from a start towards the base, on a robot that is not as modelled."""
+class Case(one_of_each(Finite)):
+    """A person pulls the hand from a start towards the base, on a robot that is not as modelled.
+
+    It has a value of each of `PARAMETERS` too, in the unit of its interval in `StudyRange`.
+    """
 
     study_seed: int = Field(ge=0)
     """[-] of the study that drew it."""
@@ -76,22 +79,6 @@ class Case(Strict):
     """[s] when the person lets go, or None."""
     regrasp_at: Finite | None
     """[s] when the person takes hold again, or None."""
-    base_delay: Finite
-    """[s] between a velocity command and the base's drive."""
-    encoder_noise: Finite
-    """[rad] standard deviation of the noise of each joint's measured position."""
-    mass_error: Finite
-    """[-] by how much the controller takes the arm's masses for too large."""
-    slip: Finite
-    """[-] share of the base's motion that is lost at the ground."""
-    v_max: Finite
-    """[m/s] the largest speed that the admittance law may command."""
-    hand_f_max: Finite
-    """[N] largest force of the person's spring and damper."""
-    hand_stiffness: Finite
-    """[N/m] of that spring."""
-    hand_mass: Finite
-    """[kg] of the person's hand and forearm."""
     seed: int = Field(ge=0)
     """[-] of everything random in the run."""
 
