@@ -24,7 +24,7 @@ from app.cli.options import (
     parameter_options,
 )
 from app.cli.records import Given, from_record
-from app.cli.wanted import of_case, planned, read, result_of
+from app.cli.wanted import check_no_others, of_case, planned, read, result_of
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.names import SCENARIOS, scenario_of
 from app.studies.runs import Planned
@@ -165,8 +165,6 @@ def run_case(
 
 def _check_replay(words: list[str]) -> None:
     """Refuse what a replayed case answers itself."""
-    from app.studies.pulls.case import check_no_others
-
     own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *PARAMETERS}
     given = ("scenario" if word in SCENARIOS else _field(word) for word in words)
     check_no_others(dict.fromkeys(sorted(own & set(given)), True))

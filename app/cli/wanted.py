@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,6 +11,7 @@ from app.cli.common import load_robot_and_border, say
 from app.cli.options import Setup, check_name, configured
 from app.cli.records import Given
 from app.config import Config
+from app.errors import ConfigError
 from app.jobs.progress import progress_bar
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.names import SCENARIOS, scenario_of
@@ -40,8 +41,6 @@ def wanted(word: str, setup: Given, config: Path | None) -> Planned:
     if not is_case(word):
         chosen, tuned = Setup(**setup), configured(config)
         return planned(chosen, scenario_of(load_robot(chosen.robot), word), tuned)
-    from app.studies.pulls.case import check_no_others
-
     own = {name: setup.get(name) for name in ("robot", "seed")}
     check_no_others({**own, "config": config}, word)
     return of_case(read(Path(word)), setup)
@@ -100,6 +99,18 @@ def read(path: Path) -> Case | RunCase:
     for difference in case.differences():
         say(difference)
     return case
+
+
+def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
+    """Refuse options that a replayed case already answers; None was not given.
+
+    Raises:
+        ConfigError: Names the first that was.
+    """
+    for name, value in options.items():
+        if value is not None and name not in ("border", "buffer_distance"):
+            option = "SCENARIO" if name == "scenario" else f"--{name.replace('_', '-')}"
+            raise ConfigError(f"{option}: {case} takes it from its file; leave one of them")
 
 
 def trace_of(path: Path) -> Trace:

@@ -125,9 +125,9 @@ def stacked(parts: dict[str, Table], kind: str) -> Table:
     return {kind: names} | {c: np.concatenate([p[c] for p in parts.values()]) for c in columns}
 
 
-def points_table(points: Array, **columns: Array) -> Table:
-    """Points (N, 3) [m] and what belongs to each of them."""
-    return {f"{axis}_m": points[:, i] for i, axis in enumerate("xyz")} | columns
+def points_table(points: Array, prefix: str = "", **columns: Array) -> Table:
+    """Points (N, 3) [m] and what belongs to each of them; their columns may have a prefix."""
+    return {f"{prefix}{axis}_m": points[:, i] for i, axis in enumerate("xyz")} | columns
 
 
 def table_of(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
@@ -223,11 +223,9 @@ class Strip:
 
     def paths(self, *columns: str, every: int = 10) -> Table:
         """Where base and hand were, and further columns, each `every` rows of the log."""
-        log, hand = self.run.trace, points_table(self.run.trace.of("p_ee"))
-        names = ("t_s", "base_x_m", "base_y_m", "base_yaw_rad")
-        table = {name: log[name] for name in names}
-        table |= {f"hand_{name}": column for name, column in hand.items()}
-        table |= {name: log[name] for name in columns}
+        log = self.run.trace
+        table = {name: log[name] for name in ("t_s", "base_x_m", "base_y_m", "base_yaw_rad")}
+        table |= points_table(log.of("p_ee"), "hand_") | {name: log[name] for name in columns}
         return {name: column[::every] for name, column in table.items()}
 
 

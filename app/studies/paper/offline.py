@@ -87,7 +87,7 @@ def figure_5(sources: Sources) -> Drawing:
         "reachability": field.reachability(points),
         "score_m4prad4": field.score(points),
     }
-    table = points_table(points, **values)
+    table = points_table(points) | values
     labels = (r"$\det(J_c J_c^T)$ [m⁴/rad⁴]", r"$\mathcal{R}$ [–]", r"$\mathcal{S}$ [m⁴/rad⁴]")
     figure = new_figure(4.8)
     for k, (column, label) in enumerate(zip(values, labels, strict=True)):

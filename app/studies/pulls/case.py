@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field, ValidationError
 
 from app.config import Config
-from app.errors import CaseError, ConfigError, DbbError
+from app.errors import CaseError, DbbError
 from app.simulation.case import FORMAT, RunCase
 from app.simulation.scenarios.line import StartedLine
 from app.strict import Finite, Positive, Vector3, explain, parsed
@@ -126,22 +126,6 @@ class Case(one_of_each(Finite)):
         for name, path in PARAMETERS.items():
             config = config.replace(path, getattr(self, name))
         return config
-
-
-def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
-    """Refuse options that a replayed case already answers.
-
-    Args:
-        options: By their names; None was not given, and a parameter that no case has is fine.
-        case: What names the case.
-
-    Raises:
-        ConfigError: Names the first that was.
-    """
-    for name, value in options.items():
-        if value is not None and name not in ("border", "buffer_distance"):
-            option = "SCENARIO" if name == "scenario" else f"--{name.replace('_', '-')}"
-            raise ConfigError(f"{option}: {case} takes it from its file; leave one of them")
 
 
 def read_case(path: Path) -> Case | RunCase:

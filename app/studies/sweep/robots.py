@@ -19,8 +19,8 @@ from app.studies.sweep.plan import (
     SweepPlan,
     Trial,
 )
-from app.studies.sweep.starts import Start
-from app.studies.sweep.sweep import Loaded, load, passes
+from app.studies.sweep.starts import Start, StartFinder
+from app.studies.sweep.sweep import load, passes
 
 CONTROLLERS = ("none", "dbb")
 """Without avoidance and with it."""
@@ -112,30 +112,30 @@ def _rows(_: object, job: tuple[SweepPlan, Case]) -> list[Row]:
     plan, case = job
     told: Row = {"robot": plan.robot, "title": plan.robot, "case": case.name}
     try:
-        loaded = load(plan.robot, plan.config.border.d_b)
-        told["title"] = loaded.model.description.title
-        start = _start(loaded, plan, case)
+        finder = load(plan.robot, plan.config.border.d_b)
+        told["title"] = finder.model.description.title
+        start = _start(finder, plan, case)
         if start.reason:
             return [told | {"reason": f"no start clear of the buffers: {start.reason}"}]
-        return [told | _row(loaded, plan, case, start, name) for name in CONTROLLERS]
+        return [told | _row(finder, plan, case, start, name) for name in CONTROLLERS]
     except DbbError as error:
         return [told | {"reason": str(error)}]
 
 
-def _start(loaded: Loaded, plan: SweepPlan, case: Case) -> Start:
+def _start(finder: StartFinder, plan: SweepPlan, case: Case) -> Start:
     """The first path that can begin, or the last one tried with why it cannot."""
     start: Start | None = None
-    for approach in case.approaches(loaded.model):
-        start = loaded.finder.find(approach, plan.distance, seed=plan.seed)
+    for approach in case.approaches(finder.model):
+        start = finder.find(approach, plan.distance, seed=plan.seed)
         if not start.reason:
             break
     assert start is not None, "a case has directions"
     return start
 
 
-def _row(loaded: Loaded, plan: SweepPlan, case: Case, start: Start, controller: str) -> Row:
+def _row(finder: StartFinder, plan: SweepPlan, case: Case, start: Start, controller: str) -> Row:
     planned = plan.planned(Trial(start, controller, case.speed))
-    figures: Row = planned.done(loaded.model, loaded.data).figures
+    figures: Row = planned.done(finder.model, finder.data).figures
     row: Row = {
         "controller": controller,
         **start.approach.where(),

@@ -12,11 +12,11 @@ from functools import lru_cache, partial
 from itertools import groupby
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from app.border.cache import BorderData, load_border_data
+from app.border.cache import load_border_data
 from app.jobs.pool import Workers
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
@@ -67,20 +67,12 @@ _FIRST = (
 """Columns of `sweep.csv` that come first."""
 
 
-class Loaded(NamedTuple):
-    """A robot, its pairs and clouds, and what finds the starts of its paths."""
-
-    model: RobotModel
-    data: BorderData
-    finder: StartFinder
-
-
 @lru_cache(maxsize=1)
-def load(robot: str, d_b: float) -> Loaded:
-    """A process keeps the robot that it looked at last; `d_b` [m] is the buffer distance."""
+def load(robot: str, d_b: float) -> StartFinder:
+    """A robot with what finds its starts; a process keeps the last. `d_b` [m]: buffer distance."""
     model = RobotModel(load_robot(robot))
     data = load_border_data(model, progress=False)
-    return Loaded(model, data, StartFinder(model, data, d_b))
+    return StartFinder(model, data, d_b)
 
 
 def sweep(
@@ -144,14 +136,14 @@ def _groups(approaches: list[Approach]) -> list[tuple[Approach, ...]]:
     return [tuple(group) for _, group in groupby(approaches, key)]
 
 
-def _find_starts(plan: SweepPlan, loaded: Loaded, group: tuple[Approach, ...]) -> list[Start]:
-    return [loaded.finder.find(each, plan.distance, seed=plan.seed) for each in group]
+def _find_starts(plan: SweepPlan, finder: StartFinder, group: tuple[Approach, ...]) -> list[Start]:
+    return [finder.find(each, plan.distance, seed=plan.seed) for each in group]
 
 
-def _row(plan: SweepPlan, loaded: Loaded, trial: Trial) -> Row:
+def _row(plan: SweepPlan, finder: StartFinder, trial: Trial) -> Row:
     """Figures of one path; keys end in their unit."""
     planned, start = plan.planned(trial), trial.start
-    run, scenario = thinned(planned.done(loaded.model, loaded.data)), planned.scenario
+    run, scenario = thinned(planned.done(finder.model, finder.data)), planned.scenario
     off = np.linalg.norm(run.trace.of("p_ee") - scenario.position(scenario.duration)[0], axis=1)
     found: Row = {"controller": trial.controller, **start.approach.where()}
     found |= {"speed_mps": trial.speed}
