@@ -257,8 +257,7 @@ def build_robot(report: Report, request: Request) -> None:
 
 def sweep_to_files(report: Report, plan: SweepPlan, folder: Path) -> None:
     """A sweep, and its files in a folder."""
-    from app.studies.sweep.files import write_sweep
-    from app.studies.sweep.sweep import sweep
+    from app.studies.sweep.sweep import sweep, write_sweep
 
     result = sweep(plan, processes=1, on_progress=lambda share: report("sweep under way", share))
     write_sweep(result, folder)

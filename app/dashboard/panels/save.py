@@ -31,8 +31,8 @@ from app.dashboard.view import Viewpoint
 from app.errors import BrowserError, LogError, OutputError
 from app.jobs.process import Cancelled
 from app.simulation.trace.trace import Trace
-from app.studies.sweep.files import newest_map, read_map
 from app.studies.sweep.plan import SweepPlan
+from app.studies.sweep.sweep import newest_map, read_map
 
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
 """[px] least, most and first size of a picture."""
