@@ -16,7 +16,7 @@ from tests.dashboards import served_dashboard
 
 pytestmark = pytest.mark.browser
 
-BEGIN, END = 1.0, 2.0  # [s] of the marked interval
+BEGIN, END = 1.0, 1.5  # [s] of the marked interval
 PATIENCE = 300_000  # [ms] for what is made at low priority beside a simulation
 
 

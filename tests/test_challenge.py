@@ -78,7 +78,7 @@ def test_a_visitor_tries_and_gets_the_proof(
     browser, robot, border_data, monkeypatch, tmp_path: Path
 ):
     monkeypatch.setattr(job_module, "CONTROLLERS", ("dbb", "none"))
-    monkeypatch.setattr(panel_module, "CHALLENGE", CHALLENGE.changed(duration=12.0))
+    monkeypatch.setattr(panel_module, "CHALLENGE", CHALLENGE.changed(duration=7.0))
     # Not in a process of low priority, which on a busy machine gets its turn late.
     monkeypatch.setattr(Challenge, "run", lambda self, work, *args: work(self.report, *args))
     loop = SimulationLoop(partial(Session, robot, border_data, Config()), np.array(Q_START))
