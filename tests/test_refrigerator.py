@@ -79,7 +79,7 @@ def hold(state: RobotState, q_m: Array) -> Array:
 
 def run(plant, seconds: float, torques: Callable[[RobotState], Array]) -> Contacts:
     """Go on for a while; gives the contacts seen."""
-    state, seen = RobotState(MODEL), Contacts(False, False, False)
+    state, seen = RobotState(MODEL), Contacts()
     for _ in range(round(seconds / DT)):
         state.update(plant.measure())
         plant.step(torques(state), STANDING, NOBODY)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from app.errors import AssetError, ConfigError
-from app.simulation.plants.collision_shapes import ContactPairs
+from app.simulation.plants.collision_shapes import FLOOR, ContactPairs
 from app.simulation.plants.interface import Contacts
 from app.system import flush_c_output
 
@@ -74,7 +74,6 @@ else:
 Array = np.ndarray
 
 GRAVITY = 9.81  # [m/s²]
-_NO_CONTACTS = Contacts(False, False, False)
 _UNDAMPED = {"linearDamping": 0, "angularDamping": 0, "jointDamping": 0}
 
 
@@ -127,8 +126,7 @@ class BulletWorld:
         client.setGravity(0, 0, -GRAVITY)
         # The solver's early exit would leave errors of 1e-5 rad/s a step in the arm.
         client.setPhysicsEngineParameter(fixedTimeStep=dt, solverResidualThreshold=0)
-        self._contact_of: dict[tuple[int, int], str] = {}
-        self._reach_floor: set[int] = set()
+        self._contact_of: dict[tuple[int, ...], str] = {}  # by bodies and links, either way round
         self._at_load: int | None = None
 
     def load(
@@ -161,31 +159,27 @@ class BulletWorld:
         Args:
             pairs: Pairs of links that may touch, and are reported when they do.
         """
-        filter_pair = self.client.setCollisionFilterPair
-        for a, b in combinations(self.links.values(), 2):
-            filter_pair(self.robot, self.robot, a, b, 0)
-        self._reach_floor = {self.links[name] for name in pairs.arm_floor}
-        for a in self.links.values():
-            filter_pair(self.robot, self.floor, a, -1, int(a in self._reach_floor))
-        for group, names in (("arm_base", pairs.arm_base), ("arm_arm", pairs.arm_arm)):
-            for pair in names:
-                a, b = (self.links[name] for name in pair)
-                filter_pair(self.robot, self.robot, a, b, 1)
-                self._contact_of[a, b] = self._contact_of[b, a] = group
+        places = {name: (self.robot, i) for name, i in self.links.items()}
+        places[FLOOR] = self.floor, -1
+        for a, b in combinations(places, 2):
+            (body_a, link_a), (body_b, link_b) = places[a], places[b]
+            group = pairs.get((a, b)) or pairs.get((b, a))
+            self.client.setCollisionFilterPair(body_a, body_b, link_a, link_b, int(bool(group)))
+            if group:
+                self._contact_of[body_a, body_b, link_a, link_b] = group
+                self._contact_of[body_b, body_a, link_b, link_a] = group
 
     def contacts(self) -> Contacts:
         """Contacts found in the last step."""
         found = self.client.getContactPoints(self.robot)
-        if not found:
-            return _NO_CONTACTS
-        groups = [group for c in found if touches(c) and (group := self._group(c))]
-        return _NO_CONTACTS._replace(**dict.fromkeys(groups, True))
+        groups = (self._contact_of.get(c[1:5]) for c in found if touches(c))
+        return Contacts.of(filter(None, groups))
 
     def depths(self) -> dict[str, float]:
         """[m] how deep the contacts of the last step are, by the fields of `Contacts`."""
         deepest: dict[str, float] = {}
         for c in self.client.getContactPoints(self.robot):
-            if group := self._group(c):
+            if group := self._contact_of.get(c[1:5]):
                 deepest[group] = max(deepest.get(group, 0.0), -c[8])
         return deepest
 
@@ -194,16 +188,6 @@ class BulletWorld:
         rays = self.client.rayTestBatch(begins.tolist(), ends.tolist())
         shares = np.array([ray[2] if ray[0] >= 0 else np.inf for ray in rays])
         return np.linalg.norm(ends - begins, axis=1) * shares
-
-    def _group(self, contact: tuple[Any, ...]) -> str | None:
-        """The field of `Contacts` that reports it, if one does."""
-        _, a, b, link_a, link_b = contact[:5]
-        if a == b:
-            return self._contact_of.get((link_a, link_b))
-        on_floor = (b == self.floor and link_a in self._reach_floor) or (
-            a == self.floor and link_b in self._reach_floor
-        )
-        return "arm_floor" if on_floor else None
 
     def rewind(self) -> None:
         """Back to the state of the first call, contacts and solver included.

@@ -6,7 +6,7 @@ The shapes are the links' own, or the description's bodies where a mesh is not i
 from __future__ import annotations
 
 import logging
-from itertools import combinations, product
+from itertools import product
 from typing import NamedTuple
 
 import coal
@@ -21,15 +21,15 @@ from app.robot.model import RobotModel, kept_per_model
 Array = np.ndarray
 
 
-class ContactPairs(NamedTuple):
-    """Pairs of names, each pair in one group only; names are those of bodies or of links."""
+FLOOR = "/floor"
+"""The floor among the parts, by a name that no link and no body has."""
 
-    arm_base: frozenset[tuple[str, str]]
-    """A part of l_m, and a part of the arm that can come near it."""
-    arm_arm: frozenset[tuple[str, str]]
-    """Parts of arm bodies that are not neighbours in the chain."""
-    arm_floor: frozenset[str]
-    """Parts of the arm that can reach the floor."""
+ContactPairs = dict[tuple[str, str], str]
+"""The field of `Contacts` that reports two parts, by their names: those of bodies or of links.
+
+With `arm_base` a part of l_m comes first, and one of the arm that can come near it; with
+`arm_floor` the floor.
+"""
 
 
 class CollisionShape(NamedTuple):
@@ -57,34 +57,26 @@ class CollisionShapes(NamedTuple):
 
 
 def body_contact_pairs(description: RobotDescription) -> ContactPairs:
-    """Pairs of bodies that may touch; near l_m and the floor come those with a reachability."""
+    """Pairs of bodies that may touch; near l_m and the floor come those with a reachability.
+
+    Of the arm it is bodies that are not neighbours in the chain.
+    """
     mobile, *arm = [body.name for body in description.bodies]
     outer = [name for name in arm if name in description.reachability]
-    apart = combinations(enumerate(arm), 2)
-    return ContactPairs(
-        arm_base=frozenset((mobile, name) for name in outer),
-        arm_arm=frozenset(
-            (a, b)
-            for (i, a), (j, b) in apart
-            if j - i > 1 and f"{a}-{b}" not in description.unwatched
-        ),
-        arm_floor=frozenset(outer),
-    )
+    apart = [(a, b) for i, a in enumerate(arm) for b in arm[i + 2 :]]
+    watched = [(a, b) for a, b in apart if f"{a}-{b}" not in description.unwatched]
+    return {
+        **{(mobile, name): "arm_base" for name in outer},
+        **dict.fromkeys(watched, "arm_arm"),
+        **{(FLOOR, name): "arm_floor" for name in outer},
+    }
 
 
 def link_contact_pairs(description: RobotDescription) -> ContactPairs:
     """The same pairs for the URDF's links that the bodies stand for."""
-    bodies = body_contact_pairs(description)
-    covers = {body.name: body.covers for body in description.bodies}
-
-    def links(pairs: frozenset[tuple[str, str]]) -> frozenset[tuple[str, str]]:
-        return frozenset(pair for a, b in pairs for pair in product(covers[a], covers[b]))
-
-    return ContactPairs(
-        arm_base=links(bodies.arm_base),
-        arm_arm=links(bodies.arm_arm),
-        arm_floor=frozenset(link for name in bodies.arm_floor for link in covers[name]),
-    )
+    covers = {body.name: body.covers for body in description.bodies} | {FLOOR: (FLOOR,)}
+    bodies = body_contact_pairs(description).items()
+    return {pair: group for (a, b), group in bodies for pair in product(covers[a], covers[b])}
 
 
 @kept_per_model(1)

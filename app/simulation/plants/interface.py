@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -15,14 +15,19 @@ Array = np.ndarray
 class Contacts(NamedTuple):
     """What touches what in the last step."""
 
-    arm_base: bool
+    arm_base: bool = False
     """Arm and base."""
-    arm_arm: bool
+    arm_arm: bool = False
     """Two parts of the arm that are not neighbours."""
-    arm_floor: bool
+    arm_floor: bool = False
     """Arm and floor."""
     door_base: bool = False
     """A door that the hand holds, and the base."""
+
+    @classmethod
+    def of(cls, groups: Iterable[str]) -> Contacts:
+        """Those of some fields, by their names."""
+        return cls(**dict.fromkeys(groups, True))
 
 
 class Wrench(NamedTuple):

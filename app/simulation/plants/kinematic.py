@@ -8,6 +8,7 @@ only. For tests, and an independent check of the engines.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 
 import coal
 import numpy as np
@@ -16,7 +17,7 @@ import pinocchio as pin
 from app.control.drive import Drive
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.plants.collision_shapes import body_contact_pairs
+from app.simulation.plants.collision_shapes import FLOOR, body_contact_pairs
 from app.simulation.plants.interface import Contacts, Push
 from app.simulation.plants.planar import world_twist
 
@@ -73,7 +74,7 @@ class Kinematic:
     def contacts(self) -> Contacts:
         """See `Physics.contacts`; overlaps of the bodies, which are fatter than the links."""
         if not self._stepped:
-            return Contacts(False, False, False)
+            return Contacts()
         return self._overlaps.at(self._model.configuration(self._base_pose, self._q))
 
     def close(self) -> None:
@@ -120,18 +121,15 @@ class _Overlaps:
     """Which bodies overlap, in the groups of `Contacts`."""
 
     def __init__(self, model: RobotModel) -> None:
-        pairs = body_contact_pairs(model.description)
         self._pin, self._data = model.pin, model.pin.createData()
         self._geometry = model.geometry.copy()
         floor = self._geometry.addGeometryObject(
             pin.GeometryObject("floor", 0, pin.SE3.Identity(), coal.Halfspace(0.0, 0.0, 1.0, 0.0))
         )
-        ids = {**model.shape_ids, "floor": [floor]}
-        to_floor = frozenset((name, "floor") for name in pairs.arm_floor)
-        groups = {"arm_base": pairs.arm_base, "arm_arm": pairs.arm_arm, "arm_floor": to_floor}
+        ids = {**model.shape_ids, FLOOR: [floor]}
         self._group_of: list[str] = []
-        for group, names in groups.items():
-            for shapes in ((i, j) for a, b in sorted(names) for i in ids[a] for j in ids[b]):
+        for (a, b), group in body_contact_pairs(model.description).items():
+            for shapes in product(ids[a], ids[b]):
                 self._geometry.addCollisionPair(pin.CollisionPair(*shapes))
                 self._group_of.append(group)
         self._results = pin.GeometryData(self._geometry)
@@ -140,5 +138,4 @@ class _Overlaps:
         """Overlaps at pinocchio's configuration `q`."""
         pin.computeDistances(self._pin, self._data, self._geometry, self._results, q)
         distances = [result.min_distance for result in self._results.distanceResults]
-        found = {g for g, d in zip(self._group_of, distances, strict=True) if d <= 0}
-        return Contacts(**{name: name in found for name in Contacts._fields})
+        return Contacts.of(g for g, d in zip(self._group_of, distances, strict=True) if d <= 0)

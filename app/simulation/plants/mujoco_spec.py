@@ -17,13 +17,12 @@ import pinocchio as pin
 
 from app.robot.assets import PLANAR_JOINTS
 from app.robot.model import RobotModel
-from app.simulation.plants.collision_shapes import CollisionShape, collision_shapes, vertices
+from app.simulation.plants.collision_shapes import FLOOR, CollisionShape, collision_shapes, vertices
+from app.simulation.plants.interface import Contacts
 
 Array = np.ndarray
 
 GRAVITY = 9.81  # [m/s²]
-FLOOR = "floor"
-"""Name of the floor's geom, the plane z = 0."""
 FIRM = (0.004, 1.0)
 """[s] time constant and [-] damping ratio of contacts and of joint limits."""
 IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]
@@ -76,18 +75,16 @@ class RobotSpec:
         self.shapes, pairs, self.mobile = collision_shapes(model)
         bodies = self._add_joints(free_root)
         self.root = bodies[1]
-        self._geoms: dict[str, list[str]] = {}
+        self._geoms = {FLOOR: [FLOOR]}
         for i, shape in enumerate(self.shapes):
             name = f"{shape.part}/{i}"
             self._geoms.setdefault(shape.part, []).append(name)
             self._add_shape(bodies[shape.joint], name, shape)
-        for group, named in (("arm_base", pairs.arm_base), ("arm_arm", pairs.arm_arm)):
-            for a, b in sorted(named):
-                self.allow(group, self.geoms(a), self.geoms(b))
-        self.allow("arm_floor", [FLOOR], self.geoms(*sorted(pairs.arm_floor)))
+        for (a, b), group in sorted(pairs.items(), key=_in_order):
+            self.allow(group, self.geoms(a), self.geoms(b))
 
     def geoms(self, *parts: str) -> list[str]:
-        """Names of the geoms of links; of bodies where these stand for links."""
+        """Names of the geoms of links, or of the floor; of bodies where these stand for links."""
         return [geom for part in parts for geom in self._geoms.get(part, ())]
 
     def add_body(self, parent: Any, name: str, T: pin.SE3, inertia: pin.Inertia) -> Any:
@@ -240,6 +237,12 @@ class RobotSpec:
             convex = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
             self.spec.add_mesh(name=name, uservert=points.ravel(), inertia=convex)
             self.add_geom(body, name, _GEOM.mjGEOM_MESH, T=shape.T, mesh=name)
+
+
+def _in_order(named: tuple[tuple[str, str], str]) -> tuple[int, tuple[str, str]]:
+    """By group and names, on which the solver's last digits depend."""
+    pair, group = named
+    return Contacts._fields.index(group), pair
 
 
 def _empty_spec(dt: float) -> mujoco.MjSpec:

@@ -25,10 +25,10 @@ from app.robot.description import differential
 from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
 from app.robot.state import Measurement
-from app.simulation.plants.collision_shapes import CollisionShape
+from app.simulation.plants.collision_shapes import FLOOR, CollisionShape
 from app.simulation.plants.door import OpenDoor
 from app.simulation.plants.interface import Contacts, Push
-from app.simulation.plants.mujoco_spec import FLOOR, GRAVITY, RobotSpec
+from app.simulation.plants.mujoco_spec import GRAVITY, RobotSpec
 from app.simulation.plants.mujoco_world import MujocoWorld
 
 Array = np.ndarray

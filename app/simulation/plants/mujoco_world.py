@@ -14,16 +14,16 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
+from app.simulation.plants.collision_shapes import FLOOR
 from app.simulation.plants.door import Cabinet, OpenDoor
 from app.simulation.plants.interface import Contacts, Push, Wrench
-from app.simulation.plants.mujoco_spec import FLOOR, RobotSpec
+from app.simulation.plants.mujoco_spec import RobotSpec
 
 Array = np.ndarray
 
 # Else it writes a file into the folder where one happens to work.
 mujoco.set_mju_user_warning(partial(logging.getLogger(__name__).warning, "MuJoCo: %s"))
 
-_NO_CONTACTS = Contacts(False, False, False)
 _NO_TORQUE = np.zeros(3)
 _AWAY = 100.0  # [m] where it waits while a base settles on its wheels
 _SEAL = 0.02, 1.0  # [s] time constant and [-] damping ratio of the door's edge
@@ -130,10 +130,9 @@ class MujocoWorld:
     def contacts(self) -> Contacts:
         """Contacts found in the last step."""
         if not self.data.ncon:
-            return _NO_CONTACTS
+            return Contacts()
         touching = self.data.contact.geom.tolist()
-        found = {self._group[a, b] for a, b in touching} - {None}
-        return _NO_CONTACTS._replace(**dict.fromkeys(found, True)) if found else _NO_CONTACTS
+        return Contacts.of(filter(None, {self._group[a, b] for a, b in touching}))
 
     def depths(self) -> dict[str, float]:
         """[m] how deep the contacts of the last step are, by the fields of `Contacts`."""
