@@ -11,10 +11,9 @@ from app.control.controller import Controller
 from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.disturbance import Disturbances, VelocityTracking
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
-from app.simulation.session import DT, Session, Step
+from app.simulation.session import DT, Disturbances, Session, Step, VelocityTracking
 
 LATERAL = LINES["guiding-lateral"]
 PULL = np.add(LATERAL.start, LATERAL.move)  # [m] into the buffer

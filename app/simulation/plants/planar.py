@@ -137,13 +137,7 @@ def planar_plant(
     dt: float = 0.001,
     door: OpenDoor | None = None,
 ) -> Planar:
-    """The planar plant of an engine.
-
-    Args:
-        engine: Its name.
-        model: The robot.
-        dt: [s] one step.
-        door: A door that the hand holds from each reset on, or None.
+    """The planar plant of an engine; the other arguments are those of `make_physics`.
 
     Raises:
         AssetError: A mesh is missing, or pybullet cannot load the robot.
