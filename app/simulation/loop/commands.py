@@ -11,7 +11,7 @@ import math
 import threading
 from collections.abc import Collection, Hashable, Mapping
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import Any
 
 from app.config import Config
 from app.control.controller import CONTROLLERS
@@ -32,8 +32,20 @@ MOST = 64
 kinds."""
 
 
+class Command:
+    """What the live loop is asked for."""
+
+
+class Adjustment(Command):
+    """Something is set; of several only the newest counts, at the place of the first."""
+
+
+class Beginning(Command):
+    """The robot is put somewhere; of several only the newest counts, whatever their kinds."""
+
+
 @dataclass(frozen=True)
-class Pull:
+class Pull(Command):
     """A person takes the robot and pulls it to `target`; None lets go.
 
     Taking or letting go of the end-effector ends a scenario that leads it; a pull elsewhere
@@ -60,7 +72,7 @@ class Pull:
 
 
 @dataclass(frozen=True)
-class Release:
+class Release(Command):
     """A person lets go, if he holds the robot; a scenario goes on."""
 
     who: int
@@ -70,7 +82,7 @@ class Release:
 
 
 @dataclass(frozen=True)
-class Configure:
+class Configure(Adjustment):
     """Use this configuration from now on."""
 
     config: Config
@@ -80,7 +92,7 @@ class Configure:
 
 
 @dataclass(frozen=True)
-class Choose:
+class Choose(Adjustment):
     """Use the controller of that name from now on."""
 
     controller: str
@@ -90,7 +102,7 @@ class Choose:
 
 
 @dataclass(frozen=True)
-class Pause:
+class Pause(Adjustment):
     """Stop (True) or go on (False)."""
 
     paused: bool
@@ -100,7 +112,7 @@ class Pause:
 
 
 @dataclass(frozen=True)
-class Watch:
+class Watch(Adjustment):
     """Somebody is there (True), or nobody: then no step is taken, and all stays as it is."""
 
     watched: bool
@@ -110,7 +122,7 @@ class Watch:
 
 
 @dataclass(frozen=True)
-class Speed:
+class Speed(Adjustment):
     """Run at `factor` times real time, within `SPEEDS`, as far as the machine can."""
 
     factor: float
@@ -120,7 +132,7 @@ class Speed:
 
 
 @dataclass(frozen=True)
-class StepOnce:
+class StepOnce(Command):
     """Pause, if it runs, and advance to the next snapshot, `seconds` [s] later, within `STEPS`."""
 
     seconds: float = 0.02
@@ -130,7 +142,7 @@ class StepOnce:
 
 
 @dataclass(frozen=True)
-class Reset:
+class Reset(Beginning):
     """Begin anew at the free start, or at a posture, without a scenario."""
 
     q_m: tuple[float, ...] = ()
@@ -148,12 +160,12 @@ class Reset:
 
 
 @dataclass(frozen=True)
-class Restart:
+class Restart(Beginning):
     """Begin anew where the last beginning was: at the scenario's start, or at the free one."""
 
 
 @dataclass(frozen=True)
-class Play:
+class Play(Beginning):
     """Begin anew at a scenario's start, and let it lead the hand until its end or a pull."""
 
     scenario: Scenario
@@ -186,7 +198,7 @@ class Play:
 
 
 @dataclass(frozen=True)
-class Compare:
+class Compare(Command):
     """Begin anew where the robot stands or the scenario starts, with others beside it."""
 
     controllers: tuple[str, ...] = ()
@@ -202,25 +214,6 @@ class Compare:
             _check_controller(name)
         if self.same not in SAMES:
             raise UnknownNameError("comparison", str(self.same), SAMES)
-
-
-Command = (
-    Pull
-    | Release
-    | Configure
-    | Choose
-    | Pause
-    | Watch
-    | Speed
-    | StepOnce
-    | Reset
-    | Restart
-    | Play
-    | Compare
-)
-_COMMANDS = get_args(Command)
-_STATES = (Configure, Choose, Pause, Watch, Speed)
-_BEGINNINGS = (Reset, Restart, Play)
 
 
 class Mailbox:
@@ -252,7 +245,7 @@ class Mailbox:
             UnknownNameError: A pull's link is none of `links`.
             LoopError: Too many different ones wait.
         """
-        if not isinstance(command, _COMMANDS):
+        if not isinstance(command, Command):
             raise ConfigError(f"{command!r} is no command")
         if isinstance(command, Pull) and command.link is not None and command.link not in links:
             raise UnknownNameError("link", str(command.link), links)
@@ -262,7 +255,7 @@ class Mailbox:
                 raise LoopError(f"more than {MOST} commands wait; send fewer at once")
             if isinstance(command, Restart) and key in self._waiting:
                 return  # what begins anew already would only begin once more
-            if not isinstance(command, _STATES):
+            if not isinstance(command, Adjustment):
                 self._waiting.pop(key, None)
             self._waiting[key] = command
             self.filled.set()
@@ -282,7 +275,7 @@ def _key(command: Command) -> Hashable:
     """Commands of equal keys replace one another."""
     if isinstance(command, (Pull, Release)):
         return Pull, command.who
-    return _BEGINNINGS if isinstance(command, _BEGINNINGS) else type(command)
+    return Beginning if isinstance(command, Beginning) else type(command)
 
 
 def _check_type(what: str, value: Any, kind: type) -> None:

@@ -203,15 +203,15 @@ class SimulationLoop(LiveLoop):
             self._pacer.wait()
 
     def _publish(self, ensemble: Ensemble, step: Step) -> None:
-        snapshot = make_snapshot(ensemble.main, step, self._pacer, paused=self._paused)
-        ghosts = tuple(ghost.reading() for ghost in ensemble.ghosts)
-        self._history.add(
-            replace(snapshot, ghosts=ghosts, scores=ensemble.scores(), **self._course(ensemble))
-        )
+        course = self._course(ensemble)
+        course["ghosts"] = tuple(ghost.reading() for ghost in ensemble.ghosts)
+        course["scores"] = ensemble.scores()
+        self._history.add(make_snapshot(ensemble.main, step, self._pacer, **course))
 
     def _course(self, ensemble: Ensemble) -> dict[str, Any]:
         """What a snapshot says beyond the session."""
         return {
+            "paused": self._paused,
             "scenario": ensemble.leading,
             "scenario_ends": ensemble.ends,
             "changing": ensemble.changing,
@@ -294,7 +294,6 @@ class SimulationLoop(LiveLoop):
                 latest,
                 config=main.config,
                 controller=main.controller.name,
-                paused=self._paused,
                 busy="",
                 ghosts=latest.ghosts if compared else (),
                 scores=latest.scores if compared else (),
