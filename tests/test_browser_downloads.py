@@ -10,7 +10,7 @@ from PIL import Image
 
 from app.dashboard.export.browser import new_context
 from app.dashboard.job import FILM_RATE
-from app.simulation.trace.trace import read_trace
+from app.simulation.trace.log_file import read_trace
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 

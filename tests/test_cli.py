@@ -24,8 +24,8 @@ from app.cli.main import COMMANDS, main
 from app.robot import assets
 from app.robot.state import Measurement, RobotState
 from app.simulation.scenarios import SCENARIOS
+from app.simulation.trace.log_file import read_trace
 from app.simulation.trace.metrics import verdict
-from app.simulation.trace.trace import read_trace
 
 pytestmark = pytest.mark.slow
 

@@ -25,7 +25,7 @@ from app.errors import (
 from app.onboarding.read.source import refuse_entities
 from app.robot.assets import ASSETS
 from app.robot.description import load_description
-from app.simulation.trace.trace import read_trace
+from app.simulation.trace.log_file import read_trace, write_trace
 from app.studies.pulls.case import read_case
 from app.system import write_whole
 from tests.logs import random_snapshots, trace_of
@@ -86,7 +86,7 @@ def test_a_file_that_is_replaced_is_the_old_one_until_it_is_the_new_one(tmp_path
 
 def test_a_full_disk_is_one_line_and_leaves_no_page(tmp_path, capsys, monkeypatch):
     log, page = tmp_path / "log.csv", tmp_path / "page.html"
-    trace_of(random_snapshots(2, 12)).write(log)
+    write_trace(log, trace_of(random_snapshots(2, 12)))
     monkeypatch.setattr("app.studies.run_report.run_report", lambda _: "a long page" * 1000)
     with full_disk(), pytest.raises(SystemExit) as end:
         main(["report", str(log), "--out", str(page)])
@@ -98,7 +98,7 @@ def test_a_full_disk_is_one_line_and_leaves_no_page(tmp_path, capsys, monkeypatc
 @pytest.mark.parametrize("cut", [1, 2])
 def test_a_log_without_rows_is_refused(cut, tmp_path, capsys):
     log = tmp_path / "log.csv"
-    trace_of(random_snapshots(2, 3)).write(log)
+    write_trace(log, trace_of(random_snapshots(2, 3)))
     lines = log.read_text(encoding="utf-8").splitlines(keepends=True)
     log.write_text("".join(lines[:cut]).replace('"rows":3', '"rows":1'), encoding="utf-8")
     with pytest.raises(SystemExit) as end:
@@ -109,7 +109,7 @@ def test_a_log_without_rows_is_refused(cut, tmp_path, capsys):
 
 def test_a_log_of_which_a_pair_has_the_name_of_another_or_a_line_break_is_one_line(tmp_path):
     path = tmp_path / "log.csv"
-    trace_of(random_snapshots(2, 3)).write(path)
+    write_trace(path, trace_of(random_snapshots(2, 3)))
     right = path.read_text(encoding="utf-8")
     axes = json.dumps(read_trace(path).meta.velocities, separators=(",", ":"))
     twice = right.replace(axes, f"{axes[:-1]},{axes[1:]}", 1)

@@ -18,9 +18,9 @@ from app.errors import LogError, OutputError
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
 from app.simulation.scenarios import scenario_by_name
+from app.simulation.trace.log_file import read_trace, write_trace
 from app.simulation.trace.metrics import metrics
 from app.simulation.trace.snapshot import QUANTITIES, Snapshot
-from app.simulation.trace.trace import read_trace
 from tests.logs import difference, random_snapshots, trace_of
 
 FORMATS = ("csv", "parquet")
@@ -35,7 +35,7 @@ NOT_LOGGED = ("busy", "refusal", "explanation", "case", "changing")
 def test_a_log_that_is_read_is_the_one_that_was_written(tmp_path, ending, seed, count):
     snapshots = random_snapshots(seed, count)
     path = tmp_path / f"log.{ending}"
-    trace_of(snapshots).write(path)
+    write_trace(path, trace_of(snapshots))
     log = read_trace(path)
     assert log.meta == trace_of(snapshots).meta
     assert difference(log.snapshots, tuple(snapshots)) == ""
@@ -47,7 +47,7 @@ def test_the_same_snapshots_give_the_same_bytes(tmp_path, ending):
     snapshots = random_snapshots(1, 20)
     files = [tmp_path / f"{name}.{ending}" for name in "ab"]
     for file in files:
-        trace_of(snapshots).write(file)
+        write_trace(file, trace_of(snapshots))
     assert files[0].read_bytes() == files[1].read_bytes()
 
 
@@ -78,7 +78,7 @@ def test_a_run_is_logged_each_step_drawn_fifty_times_a_second_and_comes_back(
     taken, tmp_path, ending
 ):
     path = tmp_path / f"run.{ending}"
-    taken.write(path)
+    write_trace(path, taken)
     log = read_trace(path)
     np.testing.assert_array_equal(log.table, taken.table)
     np.testing.assert_allclose(log.t, np.arange(1000) * 0.001, atol=1e-9)
@@ -102,7 +102,7 @@ def test_a_file_written_before_there_was_a_row_for_each_step_is_read(tmp_path):
     """Format 1: rows at 50 Hz, without the quantities that came later."""
     snapshots = [replace(s, qd_m=None, activation=0.0) for s in random_snapshots(7, 3)]
     path, trace = tmp_path / "log.parquet", trace_of(snapshots)
-    trace.write(path)
+    write_trace(path, trace)
     table = pq.read_table(path)
     header = json.loads(table.schema.metadata[b"dbb_log"])
     header["dbb_log"]["format"] = 1
@@ -135,9 +135,9 @@ def test_snapshots_out_of_order_of_other_pairs_or_none_at_all_are_refused():
 def test_an_ending_or_a_folder_that_is_no_good_is_named(tmp_path):
     snapshots = random_snapshots(5, 1)
     with pytest.raises(LogError, match=r"log\.xlsx: a log ends in \.csv or \.parquet"):
-        trace_of(snapshots).write(tmp_path / "log.xlsx")
+        write_trace(tmp_path / "log.xlsx", trace_of(snapshots))
     with pytest.raises(OutputError, match="cannot write"):
-        trace_of(snapshots).write(tmp_path / "none" / "log.csv")
+        write_trace(tmp_path / "none" / "log.csv", trace_of(snapshots))
     with pytest.raises(LogError, match="no such file"):
         read_trace(tmp_path / "log.csv")
 
@@ -147,7 +147,7 @@ def csv_lines(tmp_path):
     """A good CSV by its lines, and what writes and reads another."""
     snapshots = random_snapshots(6, 4)
     path = tmp_path / "log.csv"
-    trace_of(snapshots).write(path)
+    write_trace(path, trace_of(snapshots))
 
     def read(lines: list[str]):
         path.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -214,7 +214,7 @@ def test_meta_data_are_checked_field_by_field(csv_lines):
 def test_parameters_of_a_row_out_of_their_range_are_refused(tmp_path):
     first, *others = random_snapshots(8, 12)
     path = tmp_path / "log.csv"
-    trace_of([replace(first, config=Config()), *others]).write(path)
+    write_trace(path, trace_of([replace(first, config=Config()), *others]))
     text = path.read_text(encoding="utf-8")
     assert '""border.d_b"": 0.2' in text
     path.write_text(text.replace('""border.d_b"": 0.2', '""border.d_b"": 7.2'), encoding="utf-8")
@@ -225,7 +225,7 @@ def test_parameters_of_a_row_out_of_their_range_are_refused(tmp_path):
 def test_a_parquet_file_with_any_byte_of_its_data_changed_is_not_believed(tmp_path):
     snapshots = random_snapshots(9, 30)
     path = tmp_path / "log.parquet"
-    trace_of(snapshots).write(path)
+    write_trace(path, trace_of(snapshots))
     whole = path.read_bytes()
     for at in np.linspace(4, len(whole) - 9, 60).astype(int):
         path.write_bytes(whole[:at] + bytes([whole[at] ^ 0xFF]) + whole[at + 1 :])

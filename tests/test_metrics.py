@@ -20,6 +20,7 @@ from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import Session, Step
 from app.simulation.trace.columns import TraceMeta
+from app.simulation.trace.log_file import write_trace
 from app.simulation.trace.metrics import NEAR, metrics, sign_changes
 from app.simulation.trace.snapshot import QUANTITIES
 from app.simulation.trace.trace import Recorder, Trace
@@ -52,7 +53,7 @@ def taken(robot: RobotModel, border_data: BorderData) -> tuple[Trace, list[Step]
 def raw(taken, tmp_path_factory) -> Columns:
     """The columns of its CSV, as the csv module reads them; those with a number in every row."""
     path = tmp_path_factory.mktemp("trace") / "run.csv"
-    taken[0].write(path)
+    write_trace(path, taken[0])
     with path.open(encoding="utf-8", newline="") as file:
         next(file)  # about the run
         rows = list(csv.DictReader(file))
@@ -66,7 +67,7 @@ def raw(taken, tmp_path_factory) -> Columns:
 @pytest.mark.slow
 def test_csv_and_parquet_hold_the_same_numbers_and_those_of_the_steps(taken, raw, tmp_path):
     trace, steps = taken
-    trace.write(tmp_path / "run.parquet")
+    write_trace(tmp_path / "run.parquet", trace)
     table = pq.read_table(tmp_path / "run.parquet")
     for name, values in raw.items():
         np.testing.assert_array_equal(table[name].to_numpy(), values, err_msg=name)

@@ -11,7 +11,8 @@ import pytest
 
 from app.cli.main import main
 from app.dashboard.export.browser import new_context
-from app.simulation.trace.trace import Trace, read_trace
+from app.simulation.trace.log_file import read_trace, write_trace
+from app.simulation.trace.trace import Trace
 from tests.robots import husky_panda
 
 pytestmark = pytest.mark.slow
@@ -79,7 +80,7 @@ def test_ten_seconds_stay_below_ten_megabytes(tmp_path, replay, capsys):
     log = read_trace(replay.with_suffix(".parquet"))
     rows = [replace(s, t=s.t + 1.5 * k) for k in range(7) for s in log.snapshots]
     again = Trace.of_snapshots(husky_panda(), rows, scenario=log.meta.scenario)
-    again.write(tmp_path / "long.csv")
+    write_trace(tmp_path / "long.csv", again)
     page = tmp_path / "long.html"
     capsys.readouterr()
     main(["replay", str(tmp_path / "long.csv"), "--out", str(page), "--light", "--json"])

@@ -11,6 +11,7 @@ import pytest
 
 from app.cli.main import main
 from app.config import Config
+from app.simulation.trace.log_file import write_trace
 from app.simulation.trace.trace import Trace
 from app.studies.run_report import config_changes, key_numbers, run_report, spans
 from tests.logs import random_snapshots, trace_of
@@ -93,7 +94,7 @@ def test_the_page_stands_alone_and_tells_numbers_changes_and_figures(tmp_path):
 
 def test_dbb_report_writes_the_page_and_prints_the_numbers(tmp_path, capsys):
     log = moving_log()
-    log.write(tmp_path / "log.csv")
+    write_trace(tmp_path / "log.csv", log)
     page = tmp_path / "new" / "report.html"
     main(["report", str(tmp_path / "log.csv"), "--out", str(page), "--json"])
     numbers = json.loads(capsys.readouterr().out)

@@ -14,7 +14,7 @@ from app.config import Config
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
 from app.simulation.session import Session, Step
-from app.simulation.trace.stuck import SHORT, find_stuck
+from app.simulation.trace.trace import SHORT, find_stuck
 
 ABOVE = np.array([0.0, 0.0, 2.5])  # [m] higher than the arm is long
 STILL = 0.02  # [m/s], [rad/s]

@@ -207,10 +207,12 @@ def _write(
     result: "RunResult", out: Path | None, log: Path | None, model: "RobotModel"
 ) -> list[Path]:
     """Write what was asked for; returns what was written."""
+    from app.simulation.trace.log_file import write_trace
+
     written = []
     if out is not None:
         written += [out / "log.csv", out / "metrics.json"]
-        result.trace.write(written[0])
+        write_trace(written[0], result.trace)
         write_whole(written[1], as_json(result.figures))
     if log is not None:
         written.append(log)
@@ -219,5 +221,5 @@ def _write(
 
             write_mcap(log, result.trace, model)
         else:
-            result.trace.write(log)
+            write_trace(log, result.trace)
     return written

@@ -119,7 +119,7 @@ def trace_of(path: Path) -> Trace:
     Raises:
         DbbError: It is neither.
     """
-    from app.simulation.trace.trace import read_trace
+    from app.simulation.trace.log_file import read_trace
 
     if path.suffix.lower() != _CASE:
         return read_trace(path)

@@ -265,7 +265,7 @@ def sweep_to_files(report: Report, plan: SweepPlan, folder: Path) -> None:
 
 def write_report(report: Report, log: Path, page: Path) -> None:
     """The report of a log as a page."""
-    from app.simulation.trace.trace import read_trace
+    from app.simulation.trace.log_file import read_trace
     from app.studies.run_report import run_report
 
     report("reading the log", 0.0)
@@ -275,7 +275,7 @@ def write_report(report: Report, log: Path, page: Path) -> None:
 
 def write_replay(report: Report, log: Path, page: Path) -> None:
     """The replay of a log as a page."""
-    from app.simulation.trace.trace import read_trace
+    from app.simulation.trace.log_file import read_trace
 
     read = read_trace(log)
     _write_replay(report, read, *_loaded(read.meta.robot, progress=False), page)
@@ -294,7 +294,7 @@ def write_film_of(report: Report, log: Path, film: Path, look: Look) -> None:
 
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.film import CODECS, film_pictures, write_film
-    from app.simulation.trace.trace import read_trace
+    from app.simulation.trace.log_file import read_trace
 
     report("starting a browser", 0.0)
     with chromium() as browser:  # first of all: without one the rest is in vain

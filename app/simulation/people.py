@@ -77,13 +77,7 @@ class People:
     """One `PersonHand` for each who holds; forces on the same point add up."""
 
     def __init__(self, model: RobotModel, config: HandConfig, dt: float) -> None:
-        """Nobody holds the robot.
-
-        Args:
-            model: The robot.
-            config: Strength of each of them; may be replaced at any time through `config`.
-            dt: [s] between two calls of `pull`.
-        """
+        """Nobody holds the robot; `config` is the strength of each, `dt` [s] between two `pull`."""
         self.config = config
         self._model, self._dt = model, dt
         self._hands: dict[tuple[object, ...], PersonHand] = {}
@@ -93,11 +87,8 @@ class People:
     ) -> tuple[tuple[PullReading, ...], PersonForces]:
         """What each does in one period, and all together; who is not among them lets go.
 
-        Whoever takes another point lets go of the one before, and takes hold without a jerk.
-
-        Args:
-            state: The robot as it is.
-            holds: All that hold, at most one for each `who`.
+        Whoever takes another point lets go of the one before, and takes hold without a jerk. Each
+        `who` has at most one hold.
 
         Raises:
             TargetError: A target lies below the floor, or is not three finite numbers.

@@ -39,12 +39,7 @@ class RunOptions(TypedDict, total=False):
 
 
 def begin(setting: Setting, robot: RobotModel, **options: Unpack[RunOptions]) -> Session:
-    """A new session at the beginning of a setting.
-
-    Args:
-        setting: Where it begins.
-        robot: The robot as it is, without the door that the setting's may hold.
-        options: Controller, plant and seed.
+    """A new session at the beginning of a setting; `robot` is without the door that it may hold.
 
     Raises:
         ConfigError: The plant has no doors, and the setting has one.
@@ -67,13 +62,6 @@ def steps_of(
     """The control steps of a scenario, one by one, with the session after each.
 
     The session is closed when the last step has been taken, or the iterator is.
-
-    Args:
-        model: The robot.
-        data: Its pairs and clouds.
-        scenario: What happens.
-        config: Parameters.
-        options: Controller, plant and seed.
 
     Raises:
         UnreachableError: No start of the arm for this scenario.

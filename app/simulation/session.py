@@ -266,13 +266,7 @@ class Disturbances:
     """
 
     def __init__(self, config: DisturbanceConfig, dt: float, seed: int) -> None:
-        """Begin like after `reset`.
-
-        Args:
-            config: What is disturbed by how much.
-            dt: [s] control step.
-            seed: Of the noise.
-        """
+        """Begin like after `reset`; `dt` [s] is the control step, `seed` that of the noise."""
         self.config = config
         self._dt = dt
         self._seed = seed
@@ -305,9 +299,7 @@ class Disturbances:
     def arriving(self, command: Array) -> Array:
         """(n_b,) [m/s or rad/s] the command that takes effect, less what slips.
 
-        Args:
-            command: (n_b,) the command in force at this control step. Before the first there was
-                rest.
+        `command` is in force at this control step; before the first there was rest.
         """
         self._commands.append(command)
         steps = round(self.config.base_delay / self._dt)

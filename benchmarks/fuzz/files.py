@@ -33,7 +33,7 @@ from app.robot.assets import ASSETS
 from app.robot.description import load_description
 from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel
-from app.simulation.trace.trace import read_trace
+from app.simulation.trace.log_file import read_trace, write_trace
 from app.studies.pulls.case import Case, read_case
 from app.studies.run_report import key_numbers
 from app.system import SPAWN
@@ -158,7 +158,7 @@ def _border(path: Path) -> None:
 
 
 def _log(path: Path) -> None:
-    trace_of(random_snapshots(2, 12)).write(path)
+    write_trace(path, trace_of(random_snapshots(2, 12)))
 
 
 def _figures(path: Path) -> None:

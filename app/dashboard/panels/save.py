@@ -171,10 +171,12 @@ class SavePanel(FilePanel):
         return self._of_log(f"film{self._film_as.value}", write_film_of, look)
 
     def _write(self, path: Path) -> Path:
+        from app.simulation.trace.log_file import write_trace  # pyarrow takes long to import
+
         snapshots = self._viewer.timeline.interval()
         scenario = snapshots[0].scenario
         model = self._viewer.shared.model
-        Trace.of_snapshots(model, snapshots, scenario=scenario).write(path)
+        write_trace(path, Trace.of_snapshots(model, snapshots, scenario=scenario))
         return path
 
 

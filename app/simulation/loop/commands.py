@@ -178,11 +178,7 @@ class Play(Beginning):
 
     @classmethod
     def named(cls, name: str, options: Mapping[str, Any] | None = None) -> Play:
-        """Play a scenario by its name.
-
-        Args:
-            name: Of the scenario.
-            options: Fields that differ from its own, as `Scenario.changed` takes them.
+        """Play a scenario by its name, with options as `Scenario.changed` takes them.
 
         Raises:
             UnknownNameError: No scenario has that name.
@@ -234,11 +230,7 @@ class Mailbox:
         self.filled = threading.Event()
 
     def put(self, command: Command, links: Collection[str]) -> None:
-        """Leave a command.
-
-        Args:
-            command: The command.
-            links: Where the arm can be held.
+        """Leave a command; the arm can be held at `links`.
 
         Raises:
             ConfigError: It is no command.

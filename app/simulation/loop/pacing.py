@@ -25,12 +25,7 @@ class Pacer:
     """
 
     def __init__(self, period: float, speed: float = 1.0) -> None:
-        """Begin now.
-
-        Args:
-            period: [s] of simulated time in a step.
-            speed: [-] wanted simulated time over real time.
-        """
+        """Begin now; a step is a `period` [s], at `speed` [-] simulated over real time."""
         self._period, self._speed = period, speed
         self.overruns = 0
         self._marks: deque[tuple[float, int]] = deque()

@@ -127,13 +127,7 @@ class BulletDoor:
     """
 
     def __init__(self, world: BulletWorld, model: RobotModel, start: OpenDoor) -> None:
-        """Put the refrigerator there.
-
-        Args:
-            world: The robot's world.
-            model: The robot.
-            start: The door, and how far it is open when the plant is reset.
-        """
+        """Put the refrigerator there; each reset opens its door as far as at the start."""
         self.door, self._start = start
         self._client, self._robot = client, robot = world.client, world.robot
         arm = model.description.arm

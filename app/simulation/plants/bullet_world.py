@@ -101,11 +101,7 @@ class BulletWorld:
     """
 
     def __init__(self, urdf: str, dt: float) -> None:
-        """Load a robot.
-
-        Args:
-            urdf: Text of the URDF, meshes by absolute path.
-            dt: [s] one step.
+        """Load a robot from its URDF, meshes by absolute path; `dt` [s] is one step.
 
         Raises:
             AssetError: pybullet cannot load the URDF.
@@ -134,10 +130,8 @@ class BulletWorld:
     ) -> int:
         """Index of a new body without damping, from the text of its URDF.
 
-        Args:
-            urdf: The text.
-            place: (3,) [m] of its root.
-            self_collision: Whether it is a robot, whose root is fixed and whose links can touch.
+        Its root stands at `place` (3,) [m]. With `self_collision` it is a robot, whose root is
+        fixed and whose links can touch.
         """
         flags = pybullet.URDF_USE_INERTIA_FROM_FILE
         if self_collision:
@@ -154,11 +148,7 @@ class BulletWorld:
         return body
 
     def allow_contacts(self, pairs: ContactPairs) -> None:
-        """Let only these links touch; the rest of the robot passes through itself and the floor.
-
-        Args:
-            pairs: Pairs of links that may touch, and are reported when they do.
-        """
+        """Let only these links touch, and report when they do; others pass through each other."""
         places = {name: (self.robot, i) for name, i in self.links.items()}
         places[FLOOR] = self.floor, -1
         for a, b in combinations(places, 2):

@@ -105,11 +105,7 @@ class Door:
         return to_hinge / np.linalg.norm(to_hinge)
 
     def superquadric(self, T: pin.SE3) -> Superquadric:
-        """The hyper-ellipsoid through the corners of the board.
-
-        Args:
-            T: The pose of the door's frame in the frame in which it is wanted.
-        """
+        """The hyper-ellipsoid through the corners of the board, the door's frame standing at T."""
         at = T * pin.SE3(np.eye(3), self.centre)
         x, y, z = at.translation.tolist()
         roll, pitch, yaw = pin.rpy.matrixToRpy(at.rotation).tolist()

@@ -46,13 +46,9 @@ class Difference(NamedTuple):
 def compare_engines(
     model: RobotModel, *, poses: int = 30, pictures: int = 3, seed: int = 0
 ) -> Difference:
-    """Put both planar plants into random poses, take pictures by rays, and look at what touches.
+    """Put both planar plants into random poses, and look at what touches.
 
-    Args:
-        model: The robot.
-        poses: How many.
-        pictures: In how many of them pictures are taken, from three sides.
-        seed: Of the poses.
+    In the first of them, as many as `pictures`, pictures are taken by rays, from three sides.
 
     Raises:
         AssetError: A mesh is missing, or pybullet cannot load the robot.

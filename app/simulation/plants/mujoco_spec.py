@@ -129,17 +129,10 @@ class RobotSpec:
     def add_motor(
         self, body: Any, name: str, kind: mujoco.mjtJoint, axis: Sequence[float], most: float
     ) -> None:
-        """A joint whose motor holds it to a velocity, with at most some force or torque.
+        """A joint whose motor holds it to a velocity, with at most some force or torque [N or N m].
 
         That is dry friction against something that moves, which MuJoCo's solver takes together
         with contacts and limits.
-
-        Args:
-            body: What it moves.
-            name: Its name.
-            kind: Its type.
-            axis: (3,) its axis.
-            most: [N or N m] of the motor.
         """
         body.add_joint(name=name, type=kind, axis=list(axis), **self.friction(most))
         self.motors.append(name)

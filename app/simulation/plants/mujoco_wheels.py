@@ -99,13 +99,7 @@ class MujocoWheels:
     def __init__(
         self, model: RobotModel, *, dt: float = 0.001, door: OpenDoor | None = None
     ) -> None:
-        """Load the robot at rest in its ready position.
-
-        Args:
-            model: The robot, on a differential base.
-            dt: [s] one step.
-            door: A door that the hand holds from each reset on, or None.
-        """
+        """Load the robot, whose base is differential, in its ready position; see `make_physics`."""
         description, self.dt = model.description, dt
         self.wheels = wheels = Wheels(model)
         root = wheels.root_without(model.pin.inertias[1])

@@ -102,14 +102,7 @@ class MujocoWorld:
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """Advance by one step.
-
-        Args:
-            u_a: (n_m,) [N m or N] torques of the arm.
-            speeds: [m/s or rad/s] to which the motors hold their joints.
-            hand_force: (3,) [N] on the end-effector's origin, in the world.
-            pushes: On other points of the arm.
-        """
+        """As `Physics.step`, with the speeds [m/s or rad/s] to which motors hold their joints."""
         data = self.data
         mujoco.mj_step1(self.model, data)
         # Dry friction decelerates by v / dt, against the floor; a motor, against what moves.
@@ -174,12 +167,7 @@ class MujocoDoor:
     """
 
     def __init__(self, robot: RobotSpec, start: OpenDoor) -> None:
-        """Add it to a specification whose motors are complete.
-
-        Args:
-            robot: The specification.
-            start: The door, and how far it is open when the hand takes hold.
-        """
+        """Add it to a specification whose motors are complete; the hand takes hold at the start."""
         self.door, self._start = start
         self._cabinet = cabinet = Cabinet(self.door)
         source = robot.model.pin

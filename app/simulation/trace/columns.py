@@ -10,15 +10,14 @@ from itertools import compress, product
 from typing import Any, Literal, NamedTuple, get_type_hints
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from app.config import Config, make_config
-from app.errors import LogError
 from app.robot.bases.kind import Axis
 from app.robot.model import RobotModel
 from app.simulation.session import Session, Step
-from app.strict import Strict, explain, parsed
+from app.strict import Strict, parsed
 
 Array = np.ndarray
 Kind = Literal["float", "int", "bool", "text"]
@@ -96,29 +95,6 @@ class TraceMeta(Strict):
             config=config,
             **about,
         )
-
-
-class LogHeader(Strict):
-    """What the first line of a file says of the rest."""
-
-    dbb_log: TraceMeta
-    rows: int = Field(ge=1, strict=True)
-
-    @classmethod
-    def read(cls, text: str) -> LogHeader:
-        """A header from its JSON.
-
-        Raises:
-            LogError: It is no header, or one of another format.
-        """
-        try:
-            return cls.model_validate_json(text)
-        except ValidationError as error:
-            problems = [(p["type"], p["loc"]) for p in error.errors()]
-            if ("missing", ("dbb_log",)) in problems or any(not loc for _, loc in problems):
-                told = "it has no meta data of a log: dbb run --log or --out writes logs"
-                raise LogError(told) from None
-            raise LogError(f"its meta data: {explain(error, cls)}") from None
 
 
 def axis_name(axis: Axis) -> str:

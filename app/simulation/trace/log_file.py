@@ -1,4 +1,4 @@
-"""The two files that a log can be: CSV with a leading comment, and Parquet with schema metadata."""
+"""The file of a trace: CSV with a leading comment, or Parquet with schema metadata."""
 
 from __future__ import annotations
 
@@ -11,70 +11,135 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
+from pydantic import Field, ValidationError
 
-from app.errors import LogError
-from app.simulation.trace.columns import Column
+from app.errors import DbbError, LogError, did_you_mean
+from app.simulation.trace.columns import NAN, Column, TraceMeta
+from app.simulation.trace.snapshot import QUANTITIES, Snapshot
+from app.simulation.trace.trace import Layout, Trace, cells_of, columns_of
+from app.strict import Strict, explain
 from app.system import write_whole
 
 SUFFIXES = ".csv", ".parquet"
 """The ending of a file's name says which of the two it is."""
 
-Cells = Sequence[Any] | np.ndarray
 _KEY = b"dbb_log"
 _COMMENT = "# "
 _TYPES = {"float": pa.float64(), "int": pa.int64(), "bool": pa.bool_(), "text": pa.string()}
 
 
-def check_suffix(path: Path) -> None:
-    """Refuse a name that says of neither format."""
-    if path.suffix not in SUFFIXES:
-        raise LogError(f"{path}: a log ends in {' or '.join(SUFFIXES)}")
+class LogHeader(Strict):
+    """What the first line of a file says of the rest."""
+
+    dbb_log: TraceMeta
+    rows: int = Field(ge=1, strict=True)
+
+    @classmethod
+    def read(cls, text: str) -> LogHeader:
+        """A header from its JSON.
+
+        Raises:
+            LogError: It is no header, or one of another format.
+        """
+        try:
+            return cls.model_validate_json(text)
+        except ValidationError as error:
+            problems = [(p["type"], p["loc"]) for p in error.errors()]
+            if ("missing", ("dbb_log",)) in problems or any(not loc for _, loc in problems):
+                told = "it has no meta data of a log: dbb run --log or --out writes logs"
+                raise LogError(told) from None
+            raise LogError(f"its meta data: {explain(error, cls)}") from None
 
 
-def write_cells(path: Path, header: str, cells: Mapping[Column, Cells]) -> None:
-    """Write a file whole or not at all.
-
-    Args:
-        path: Its ending chooses the format.
-        header: One line about the whole.
-        cells: Columns of equal length; not-a-number in an optional one becomes an empty cell.
+def write_trace(path: Path, trace: Trace) -> None:
+    """Write a trace as CSV or Parquet, by the ending of the file's name, whole or not at all.
 
     Raises:
-        LogError: Its ending is none of the formats.
+        LogError: Its ending is neither.
         OutputError: It cannot be written there.
     """
-    check_suffix(path)
-    table = pa.table({c.name: _array(c, values) for c, values in cells.items()})
-    content = _csv(header, table) if path.suffix == ".csv" else _parquet(header, table)
-    write_whole(path, content)
+    _check_suffix(path)
+    rows, columns = len(trace), columns_of(trace.meta)
+    cells: dict[Column, Any] = {column: [None] * rows for column in columns}
+    cells |= zip(trace.columns, trace.table.T, strict=True)
+    places = np.searchsorted(trace.t, [s.t for s in trace.snapshots])
+    for k, snapshot in zip(places.tolist(), trace.snapshots, strict=True):
+        for column, cell in zip(columns, cells_of(snapshot, trace.meta), strict=True):
+            if not column.often:
+                cells[column][k] = cell
+    header = LogHeader(dbb_log=trace.meta, rows=rows).model_dump_json()
+    table = pa.table({column.name: _array(column, values) for column, values in cells.items()})
+    write_whole(path, _csv(header, table) if path.suffix == ".csv" else _parquet(header, table))
 
 
-def read_table(path: Path) -> tuple[str, Mapping[str, Any]]:
-    """The header, and the columns by their names, of a kind as the file has them.
+def read_trace(path: Path) -> Trace:
+    """Read the file of a trace; nothing in it is believed unseen.
 
     Raises:
-        LogError: There is no such file, or it cannot be read as what its ending says.
+        LogError: There is none, it is damaged, or its columns are not those of a trace.
     """
-    check_suffix(path)
+    _check_suffix(path)
     try:
-        header, table = _read_csv(path) if path.suffix == ".csv" else _read_parquet(path)
+        text, table = _read_csv(path) if path.suffix == ".csv" else _read_parquet(path)
     except FileNotFoundError:
         raise LogError(f"{path}: no such file") from None
     except (pa.ArrowException, OSError, ValueError) as error:
         reason = str(error).strip().splitlines()[0][:200] if str(error).strip() else "unreadable"
         raise LogError(f"{path}: not a log, or damaged: {reason}") from None
-    if twice := sorted({n for n in table.column_names if table.column_names.count(n) > 1}):
-        raise LogError(f"{path}: column {twice[0]!r} is there twice")
-    return header, {name: table.column(name) for name in table.column_names}
+    try:
+        return _trace(text, table)
+    except LogError as error:
+        raise LogError(f"{path}: {error}") from None
 
 
-def column_of(column: Column, values: Any, filled: int | None = None) -> list[Any]:
-    """The cells of a column that `read_table` gave, checked.
+def _trace(text: str, found: pa.Table) -> Trace:
+    """The trace of a file's header and table.
 
-    Args:
-        column: What it must be.
-        values: As in the file.
-        filled: How many cells have something in them; all if not given.
+    Raises:
+        LogError: They do not belong together, or are no trace's.
+    """
+    header = LogHeader.read(text)
+    meta, rows = header.dbb_log, header.rows
+    known = columns_of(meta)
+    _check_names(found.column_names, known, meta.format)
+    modes = _cells(Column("mode", "text"), found["mode"])
+    drawn = [k for k, mode in enumerate(modes) if mode]
+    if len(modes) != rows:
+        raise LogError(f"it has {len(modes)} rows, and its meta data say {rows}")
+    if not drawn:
+        raise LogError("no row of it can be drawn: the column mode is empty")
+    given = set(found.column_names)
+    cells = {
+        c: _cells(c, found[c.name], None if c.often else len(drawn))
+        if c.name in given
+        else [NAN if c.kind == "float" else 0] * rows
+        for c in known
+    }
+    layout = Layout.of(meta)
+    _check_times(cells[layout.columns[0]])
+    table = np.column_stack([np.asarray(cells[c], dtype=float) for c in layout.columns])
+    return Trace(layout, table, _snapshots(meta, cells, drawn))
+
+
+def _snapshots(
+    meta: TraceMeta, cells: Mapping[Column, Sequence[Any]], drawn: Sequence[int]
+) -> list[Snapshot]:
+    """The snapshots in these rows of a file."""
+    fields: dict[str, list[Any]] = {}
+    for name, quantity in QUANTITIES.items():
+        columns = quantity.columns(meta)
+        rows = zip(*([cells[column][k] for k in drawn] for column in columns), strict=True)
+        try:
+            fields[name] = [quantity.value(row, meta) for row in rows]
+        except (DbbError, ValueError, TypeError, KeyError, AttributeError) as error:
+            names = ", ".join(column.name for column in columns[:3])
+            raise LogError(f"columns {names}: {error}") from None
+    by_row = zip(*fields.values(), strict=True)
+    return [Snapshot(**dict(zip(fields, row, strict=True))) for row in by_row]
+
+
+def _cells(column: Column, values: Any, filled: int | None = None) -> list[Any]:
+    """The cells of a column of a file, checked; `filled` of them have something in them, or all.
 
     Raises:
         LogError: They are of another kind, or one is empty that may not be.
@@ -86,11 +151,39 @@ def column_of(column: Column, values: Any, filled: int | None = None) -> list[An
         cells = values.cast(_TYPES[column.kind]).to_pylist()
     except pa.ArrowException as error:
         raise LogError(f"column {column.name}: {str(error).splitlines()[0]}") from None
-    nothing = "" if column.kind == "text" else float("nan")
+    nothing = "" if column.kind == "text" else NAN
     return [nothing if cell is None else cell for cell in cells]
 
 
-def _array(column: Column, values: Cells) -> pa.Array:
+def _check_suffix(path: Path) -> None:
+    """Refuse a name that says of neither format."""
+    if path.suffix not in SUFFIXES:
+        raise LogError(f"{path}: a log ends in {' or '.join(SUFFIXES)}")
+
+
+def _check_names(found: Sequence[str], known: Sequence[Column], since: int) -> None:
+    if twice := sorted({name for name in found if found.count(name) > 1}):
+        raise LogError(f"column {twice[0]!r} is there twice")
+    wanted = [column.name for column in known]
+    if len(set(wanted)) < len(wanted):
+        raise LogError("its meta data name a pair, a joint or an axis twice")
+    for name in found:
+        if name not in wanted:
+            raise LogError(f"unknown column {name!r}{did_you_mean(name, wanted)}")
+    missing = [c.name for c in known if c.name not in found and c.since <= since]
+    if missing:
+        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
+        raise LogError(f"column {missing[0]!r} is missing{more}")
+
+
+def _check_times(times: Sequence[float]) -> None:
+    gaps = np.diff(times)
+    if not (gaps > 0.0).all():
+        k = int(np.argmin(gaps > 0.0))
+        raise LogError(f"its times are not in order: {times[k + 1]:g} s follows {times[k]:g} s")
+
+
+def _array(column: Column, values: Sequence[Any] | np.ndarray) -> pa.Array:
     """Its cells as the file has them; empty where they are None or, if optional, not-a-number."""
     kind = _TYPES[column.kind]
     if not isinstance(values, np.ndarray):

@@ -50,12 +50,7 @@ _PRIMITIVES = ("arrows", "cubes", "spheres", "cylinders", "lines", "triangles", 
 
 
 def write_mcap(path: Path, trace: Trace, model: RobotModel) -> None:
-    """Write a trace whole or not at all.
-
-    Args:
-        path: The file.
-        trace: With snapshots.
-        model: The robot of the trace.
+    """Write a trace with snapshots whole or not at all.
 
     Raises:
         OutputError: It cannot be written there.

@@ -56,11 +56,7 @@ def touches(figures: dict[str, Any]) -> list[str]:
 
 
 def verdict(figures: dict[str, Any]) -> str:
-    """How a run went, in a sentence or two: contact, the least distance, how far the hand is off.
-
-    Args:
-        figures: As `metrics` gives them.
-    """
+    """How a run of these figures went: contact, the least distance, how far the hand is off."""
     touched = touches(figures)
     told = f"The arm touched {' and '.join(touched)}" if touched else "No contact"
     least = min(figures["min_distance_m"].items(), key=lambda item: item[1], default=None)

@@ -1,30 +1,37 @@
-"""The trace of a run: every quantity over time, in memory, in a file, and as snapshots."""
+"""The trace of a run: every quantity over time, and as snapshots."""
 
 from __future__ import annotations
 
 import math
 from array import array
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from typing_extensions import Self
 
 from app.control.buffer_watch import BufferReading
-from app.errors import DbbError, LogError, did_you_mean
+from app.errors import LogError
 from app.robot.model import RobotModel
+from app.robot.state import RobotState
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.columns import NAN, Column, LogHeader, Take, TraceMeta
+from app.simulation.trace.columns import Column, Take, TraceMeta
 from app.simulation.trace.snapshot import EVERY, QUANTITIES, Snapshot, make_snapshot
-from app.simulation.trace.stuck import find_stuck
 
 Array = np.ndarray
+Reason = Literal["still moving", "joint limits", "border against hand", "full stretch", "unknown"]
 
 SNAPSHOTS_KEPT = 3000
 """60 s at 50 Hz."""
+SHORT = 1e-3
+"""[m] from its target at which a hand counts as stuck."""
+_RESTING = 1e-6  # [m/s, m/s²] below which a reference rests
+_MOVING = 1e-3  # [m/s] towards the target at which the hand is still on its way
+_AT_LIMIT = 0.005  # [-] of a joint's range
+_STRETCHED = 0.05  # [-] smallest singular value of the arm's Jacobian
+_PUSHED = 0.01  # [m/s²] of the hand away from its target, by the border's push on the base
 
 
 class Layout(NamedTuple):
@@ -82,7 +89,7 @@ class Trace:
         first = snapshots[0]
         pairs = {pair.name: pair.mobile for pair in first.pairs}
         layout = Layout.of(TraceMeta.of(model, pairs, first.config, **about))
-        columns = _columns(layout.meta)
+        columns = columns_of(layout.meta)
         rows, last = [], -math.inf
         for s in snapshots:
             if not s.t > last:
@@ -90,7 +97,7 @@ class Trace:
             if tuple(pair.name for pair in s.pairs) != layout.meta.pairs:
                 raise LogError(f"at {s.t:g} s the link pairs are not those of the log")
             last = s.t
-            cells = zip(columns, _cells_of(s, layout.meta), strict=True)
+            cells = zip(columns, cells_of(s, layout.meta), strict=True)
             rows.append([float(cell) for column, cell in cells if column.often])
         return cls(layout, np.array(rows), snapshots)
 
@@ -163,59 +170,6 @@ class Trace:
     def rows(self, which: slice | Array) -> Trace:
         """Some rows of the table, without snapshots."""
         return Trace(self._layout, self.table[which])
-
-    def write(self, path: Path) -> None:
-        """Write it as CSV or Parquet, by the ending of its name, whole or not at all.
-
-        Raises:
-            LogError: Its ending is neither.
-            OutputError: It cannot be written there.
-        """
-        from app.simulation.trace.log_file import write_cells  # pyarrow takes long to import
-
-        rows, columns = len(self.table), _columns(self.meta)
-        cells: dict[Column, Any] = {column: [None] * rows for column in columns}
-        cells |= zip(self._layout.columns, self.table.T, strict=True)
-        places = np.searchsorted(self.t, [s.t for s in self.snapshots])
-        for k, snapshot in zip(places.tolist(), self.snapshots, strict=True):
-            for column, cell in zip(columns, _cells_of(snapshot, self.meta), strict=True):
-                if not column.often:
-                    cells[column][k] = cell
-        write_cells(path, LogHeader(dbb_log=self.meta, rows=rows).model_dump_json(), cells)
-
-
-def read_trace(path: Path) -> Trace:
-    """Read the file of a trace; nothing in it is believed unseen.
-
-    Raises:
-        LogError: There is none, it is damaged, or its columns are not those of a trace.
-    """
-    from app.simulation.trace.log_file import column_of, read_table  # pyarrow takes long to import
-
-    text, found = read_table(path)
-    try:
-        header = LogHeader.read(text)
-        meta, rows = header.dbb_log, header.rows
-        known = _columns(meta)
-        _check_names(found, known, meta.format)
-        modes = column_of(Column("mode", "text"), found["mode"])
-        drawn = [k for k, mode in enumerate(modes) if mode]
-        if len(modes) != rows:
-            raise LogError(f"it has {len(modes)} rows, and its meta data say {rows}")
-        if not drawn:
-            raise LogError("no row of it can be drawn: the column mode is empty")
-        cells = {
-            c: column_of(c, found[c.name], None if c.often else len(drawn))
-            if c.name in found
-            else [NAN if c.kind == "float" else 0] * rows
-            for c in known
-        }
-        layout = Layout.of(meta)
-        _check_times(cells[layout.columns[0]])
-        table = np.column_stack([np.asarray(cells[c], dtype=float) for c in layout.columns])
-        return Trace(layout, table, _snapshots(meta, cells, drawn))
-    except LogError as error:
-        raise LogError(f"{path}: {error}") from None
 
 
 class Recorder:
@@ -338,48 +292,77 @@ class History:
         return found[::-1]
 
 
-def _columns(meta: TraceMeta) -> list[Column]:
+def columns_of(meta: TraceMeta) -> list[Column]:
     """All columns of a file, in order."""
     return [column for quantity in QUANTITIES.values() for column in quantity.columns(meta)]
 
 
-def _cells_of(snapshot: Snapshot, meta: TraceMeta) -> list[Any]:
+def cells_of(snapshot: Snapshot, meta: TraceMeta) -> list[Any]:
     """All cells of a snapshot, in the columns' order."""
     return [x for name, q in QUANTITIES.items() for x in q.cells(getattr(snapshot, name), meta)]
 
 
-def _snapshots(
-    meta: TraceMeta, cells: Mapping[Column, Sequence[Any]], drawn: Sequence[int]
-) -> list[Snapshot]:
-    """The snapshots in these rows of a file."""
-    fields: dict[str, list[Any]] = {}
-    for name, quantity in QUANTITIES.items():
-        columns = quantity.columns(meta)
-        rows = zip(*([cells[column][k] for k in drawn] for column in columns), strict=True)
-        try:
-            fields[name] = [quantity.value(row, meta) for row in rows]
-        except (DbbError, ValueError, TypeError, KeyError, AttributeError) as error:
-            names = ", ".join(column.name for column in columns[:3])
-            raise LogError(f"columns {names}: {error}") from None
-    by_row = zip(*fields.values(), strict=True)
-    return [Snapshot(**dict(zip(fields, row, strict=True))) for row in by_row]
+class Stuck(NamedTuple):
+    """Where a hand stands that does not reach its target, and why.
+
+    Attributes:
+        ee_error_m: [m] from the hand to its target.
+        hand_m: (3,) [m] where it is, in the world.
+        target_m: (3,) [m] where it should be.
+        reasons: All that hold; "unknown" if none does.
+        joints: Names of those at their position limits.
+    """
+
+    ee_error_m: float
+    hand_m: tuple[float, ...]
+    target_m: tuple[float, ...]
+    reasons: tuple[Reason, ...]
+    joints: tuple[str, ...]
 
 
-def _check_names(found: Iterable[str], known: Sequence[Column], since: int) -> None:
-    given, wanted = set(found), [column.name for column in known]
-    if len(set(wanted)) < len(wanted):
-        raise LogError("its meta data name a pair, a joint or an axis twice")
-    for name in found:
-        if name not in wanted:
-            raise LogError(f"unknown column {name!r}{did_you_mean(name, wanted)}")
-    missing = [c.name for c in known if c.name not in given and c.since <= since]
-    if missing:
-        more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-        raise LogError(f"column {missing[0]!r} is missing{more}")
+def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
+    """Whether the hand stops short in this step; None while its reference moves, or without one.
+
+    The reasons are those of the true robot and of what the controller put on the base: joints at
+    their position limits; a push of the border on the base that takes the hand away from its
+    target; an arm at full stretch, whose smallest singular value of the hand's Jacobian is near
+    zero.
+    """
+    reference = step.reference
+    if reference is None or step.ee_error <= SHORT:
+        return None
+    if max(np.abs(reference.velocity).max(), np.abs(reference.acceleration).max()) > _RESTING:
+        return None
+    state = RobotState(model)
+    state.update(step.truth)
+    hand, target = state.T_world_ee.translation, reference.pose.translation
+    towards = (target - hand) / np.linalg.norm(target - hand)
+    joints = _at_limits(model, step.truth.q_m)
+    found: dict[Reason, bool] = {
+        "still moving": bool(state.v_ee[:3] @ towards > _MOVING),
+        "joint limits": bool(joints),
+        "border against hand": _pushed_away(state, step) @ towards < -_PUSHED,
+        "full stretch": _least_motion(state) < _STRETCHED,
+    }
+    reasons: tuple[Reason, ...] = tuple(reason for reason, holds in found.items() if holds)
+    return Stuck(
+        step.ee_error, tuple(hand.tolist()), tuple(target.tolist()), reasons or ("unknown",), joints
+    )
 
 
-def _check_times(times: Sequence[float]) -> None:
-    gaps = np.diff(times)
-    if not (gaps > 0.0).all():
-        k = int(np.argmin(gaps > 0.0))
-        raise LogError(f"its times are not in order: {times[k + 1]:g} s follows {times[k]:g} s")
+def _at_limits(model: RobotModel, q_m: Array) -> tuple[str, ...]:
+    margin = _AT_LIMIT * (model.q_upper - model.q_lower)
+    at = (q_m < model.q_lower + margin) | (q_m > model.q_upper - margin)
+    names = model.description.arm.joints
+    return tuple(name for name, is_at in zip(names, at.tolist(), strict=True) if is_at)
+
+
+def _pushed_away(state: RobotState, step: Step) -> Array:
+    """(3,) [m/s²] of the hand, by what avoidance adds to the base's acceleration."""
+    model = state.model
+    return state.J_ee[:3, : model.n_b] @ (model.J_m_inv @ step.output.inserted.base_acceleration)
+
+
+def _least_motion(state: RobotState) -> float:
+    J = state.J_ee[:, state.model.n_b :]
+    return float(np.linalg.svd(J, compute_uv=False)[-1])
