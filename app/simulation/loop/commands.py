@@ -19,7 +19,6 @@ from app.errors import ConfigError, DbbError, LoopError, TargetError, UnknownNam
 from app.simulation.people import checked_hold, checked_target
 from app.simulation.scenarios import scenario_by_name
 from app.simulation.scenarios.leading import Scenario
-from app.simulation.trace.comparison import MOST_GHOSTS, SAMES
 
 Point = tuple[float, float, float]
 
@@ -27,6 +26,10 @@ SPEEDS = 0.1, 4.0
 """[-] slowest and fastest, in times of real time."""
 STEPS = 0.001, 1.0
 """[s] shortest and longest single step."""
+SAMES = ("path", "force")
+"""What robots that are compared have in common: where people pull to, or how strongly."""
+MOST_GHOSTS = 2
+"""Robots that run beside the one that is led."""
 MOST = 64
 """Commands that may wait at once; as those of a kind replace one another, far more than there are
 kinds."""

@@ -1,4 +1,4 @@
-"""Ensemble: the session that a scenario or a person leads, and compared sessions beside it."""
+"""Ensemble: the robot that a scenario or a person leads, and compared robots beside it."""
 
 from __future__ import annotations
 
@@ -11,30 +11,32 @@ from app.config import Config
 from app.errors import TargetError
 from app.simulation.case import RunCase
 from app.simulation.loop.commands import Compare, Pull
-from app.simulation.people import Hold
+from app.simulation.people import Hold, PersonForces
 from app.simulation.run import begin
 from app.simulation.scenarios.leading import SHORTEST, Lead, Leader, Scenario, Setting
 from app.simulation.scenarios.pulled import Pulled
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.comparison import Ghost, ScoreKeeper
-from app.simulation.trace.snapshot import Score
+from app.simulation.trace.columns import frozen
+from app.simulation.trace.metrics import clearance, jumps, largest, path, torque_jump, total
+from app.simulation.trace.snapshot import GhostReading, Score
+from app.simulation.trace.trace import Recorder, Trace
 
 Array = np.ndarray
 
 _SAID = 1.0  # [s] for which a case is said
 MOST_PULLS = 8
 """People who can hold the robot at once."""
+_NEEDED = ("t", "pairs", "ee_error", "in_contact", "u_a", "base_pose", "base_acceleration")
+_TOGETHER = 100  # control steps that are looked at together, which is far quicker
 
 
 class Ensemble:
     """All that the loop steps; commands begin it anew at a scenario's start or at the free one.
 
     Attributes:
-        main: The session of the robot that is led. The free one serves all scenarios but those
-            whose hand holds something: these have one of their own.
         scenario: The one at whose start the last beginning was, or None.
         ends: [s] when it ends, while it leads, else None.
-        ghosts: Robots that run the same input with other controllers.
+        ghosts: Runners of the same input with other controllers.
         comparison: What was asked to be compared last.
     """
 
@@ -45,13 +47,13 @@ class Ensemble:
             free: The session, whose parameters, plant and seed hold in all scenarios.
             q_start: (n_m,) [rad or m] arm configuration at the free start.
         """
-        self.main = self._free = free
+        self._free = free
+        self._led = Runner(free, None)
         self.scenario: Scenario | None = None
         self.ends: float | None = None
         self._config = free.config
-        self.ghosts: list[Ghost] = []
+        self.ghosts: list[Runner] = []
         self.comparison = Compare()
-        self._leader: Leader | None = None
         self._holds: dict[int, Hold] = {}
         self._pulled: list[Pulled] | None = None
         """While people may pull as they like: what they did."""
@@ -60,6 +62,15 @@ class Ensemble:
         self._start = Setting(free.model, free.data, np.zeros(3), np.array(q_start), free.config)
         self._found: tuple[Scenario, Config, Setting] | None = None
         self.reset()
+
+    @property
+    def main(self) -> Session:
+        """The session of the robot that is led.
+
+        The free one serves all scenarios but those whose hand holds something: these have one of
+        their own.
+        """
+        return self._led.session
 
     @property
     def leading(self) -> str:
@@ -120,8 +131,8 @@ class Ensemble:
         if self._pulled is not None and config != self._config:
             self._let_go()  # what is recorded has one configuration
         self._config = config
-        for session in (self.main, *(ghost.session for ghost in self.ghosts)):
-            session.configure(self._adapted(self.scenario))
+        for runner in (self._led, *self.ghosts):
+            runner.session.configure(self._adapted(self.scenario))
 
     def choose(self, controller: str) -> None:
         """Use the controller of that name from the next step on."""
@@ -183,13 +194,11 @@ class Ensemble:
         """One control step, led by the scenario until it ends; people pull."""
         if self.ends is not None and self.main.t > self.ends - 0.5 * DT:
             self._let_go()
-        lead = Lead() if self._leader is None else self._leader(self.main)
         holds = tuple(self._holds.values())
-        step = self.main.step(*lead._replace(holds=(*lead.holds, *holds)))
-        if self.ghosts:
-            self._keeper.add(step)
-            for ghost in self.ghosts:
-                ghost.step(holds, step.person)
+        step = self._led.step(holds)
+        same_force = self.comparison.same == "force"
+        for ghost in self.ghosts:
+            ghost.step(holds, step.person if same_force else None)
         return step
 
     def scores(self) -> tuple[Score, ...]:
@@ -199,7 +208,7 @@ class Ensemble:
         """
         if not self.ghosts:
             return ()
-        return tuple(keeper.score() for keeper in (self._keeper, *(g.keeper for g in self.ghosts)))
+        return tuple(runner.keeper.score() for runner in (self._led, *self.ghosts))
 
     def close(self) -> None:
         """Release all plants."""
@@ -233,15 +242,13 @@ class Ensemble:
         self._case = main.t, RunCase.of(scenario, self._config, robot=robot, **of_run)
 
     def _let_go(self) -> None:
-        if self._leader is not None and self.ghosts:
-            self._keeper.freeze()
         if self._pulled is not None and self.scenario is not None:
             length = max(round(self.main.t / DT) * DT, SHORTEST)
             done = {"duration": length, "q_m": self._q_begun, "pulls": self._pulled}
             self._keep_case(self.scenario.changed(**done))
-        self._pulled = self._leader = self.ends = None
-        for ghost in self.ghosts:
-            ghost.let_go()
+        self._pulled = self.ends = None
+        for runner in (self._led, *self.ghosts):
+            runner.let_go()
 
     def _adapted(self, scenario: Scenario | None) -> Config:
         return self._config if scenario is None else scenario.adapted(self._config)
@@ -262,33 +269,30 @@ class Ensemble:
         for each in (session, *others):
             each.configure(setting.config)
             each.reset(setting.q_m, setting.base_pose)
-        leader, *of_others = [scenario and scenario.leader(each) for each in (session, *others)]
+        led, *ghosts = [
+            Runner(each, scenario and scenario.leader(each)) for each in (session, *others)
+        ]
         if session is not self.main and self.main is not self._free:
             self.main.close()
         # From here on nothing fails: a name never stands beside the end of another scenario.
-        self.main, self.scenario, self._leader = session, scenario, leader
+        self._led, self.scenario = led, scenario
         self.ends = scenario and scenario.duration
         self._holds.clear()
         self._pulled = [] if scenario is not None and scenario.open else None
         self._q_begun, self._case = tuple(setting.q_m.tolist()), None
         if scenario is not None and not scenario.open:
             self._keep_case(scenario)
-        same_force = self.comparison.same == "force"
-        self._replace_ghosts(
-            [
-                Ghost(other, each, same_force=same_force)
-                for other, each in zip(others, of_others, strict=True)
-            ]
-        )
-        self._keeper = ScoreKeeper(session)
+        self._replace_ghosts(ghosts)
 
-    def _replace_ghosts(self, ghosts: list[Ghost]) -> None:
+    def _replace_ghosts(self, ghosts: list[Runner]) -> None:
         """Let these be the ghosts; sessions that none of them has are closed."""
         kept = {id(ghost.session) for ghost in ghosts}
         for ghost in self.ghosts:
             if id(ghost.session) not in kept:
                 ghost.session.close()
         self.ghosts = ghosts
+        for runner in (self._led, *ghosts):
+            runner.scored = bool(ghosts)
 
     def _other_sessions(self, setting: Setting) -> list[Session]:
         """A session for each ghost, those that are there used again where they can be."""
@@ -312,3 +316,108 @@ class Ensemble:
     def _new_session(self, setting: Setting, controller: str) -> Session:
         free = self._free
         return begin(setting, free.model, controller=controller, physics=free.kind, seed=free.seed)
+
+
+class Runner:
+    """A robot with what leads it and its score, in a plant of its own.
+
+    Attributes:
+        session: Its own.
+        keeper: Of its score.
+        scored: Whether it is compared, and its steps count.
+    """
+
+    def __init__(self, session: Session, leader: Leader | None) -> None:
+        """Stand at the beginning of a session, led by a reader of its own sensors or by nothing."""
+        self.session, self.keeper = session, ScoreKeeper(session)
+        self._leader, self.scored = leader, False
+
+    def let_go(self) -> None:
+        """Nothing leads it any more; its score is that of being led."""
+        if self._leader is not None and self.scored:
+            self.keeper.freeze()
+        self._leader = None
+
+    def step(self, holds: tuple[Hold, ...], forces: PersonForces | None = None) -> Step:
+        """One control step, with who holds the robot, or with their forces on another one."""
+        lead = Lead() if self._leader is None else self._leader(self.session)
+        step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
+        if self.scored:
+            self.keeper.add(step)
+        return step
+
+    def reading(self) -> GhostReading:
+        """How it stands after the last step; shares no memory with it, and is read-only."""
+        session, measured = self.session, self.session.state.measurement
+        return GhostReading(
+            session.controller.name,
+            frozen(measured.base_pose),
+            frozen(measured.q_m),
+            frozen(session.wheel_angles),
+            frozen(session.state.T_world_ee.translation),
+            self.keeper.clearance,
+        )
+
+
+class ScoreKeeper:
+    """Takes each control step of one robot; keeps its score, in bounded memory."""
+
+    def __init__(self, session: Session) -> None:
+        """Begin to count."""
+        self._session = session
+        self._recorder = Recorder(quantities=_NEEDED)
+        self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+        self._rows = 0
+        self._frozen = False
+        self._clearance = math.inf
+
+    def add(self, step: Step) -> None:
+        """Take one control step."""
+        self._recorder.add(self._session, step)
+        if len(self._recorder) > _TOGETHER:
+            self._look()
+
+    @property
+    def clearance(self) -> float:
+        """[m] least distance of the pairs of L_m at the last step."""
+        self._look()
+        return self._clearance
+
+    def freeze(self) -> None:
+        """Let the score be what it is now; the clearance goes on."""
+        self._look()
+        self._frozen = True
+
+    def score(self) -> Score:
+        """The score so far."""
+        self._look()
+        return self._score._replace(controller=self._session.controller.name)
+
+    def _look(self) -> None:
+        """Add up the rows since the last look; changes are from its last row on."""
+        if not len(self._recorder):
+            return
+        block = self._recorder.taken()
+        new = block.rows(slice(1 if self._rows else 0, None))
+        self._rows += len(new)
+        if not len(new):
+            return
+        if not self._frozen:
+            self._add_up(block, new)
+        now = clearance(new.rows(slice(-1, None)), mobile=True)
+        self._clearance = math.inf if now is None else now
+
+    def _add_up(self, block: Trace, new: Trace) -> None:
+        score, jump = self._score, jumps(block, "base_acceleration")
+        least = clearance(new, mobile=True)
+        self._score = Score(
+            score.controller,
+            score.clearance if least is None else min(score.clearance, least),
+            float(new.of("ee_error")[-1]),
+            largest(new.of("ee_error"), score.error_max),
+            score.base_path + path(block),
+            max(score.acceleration_jump, jump["linear_mps2"]),
+            max(score.angular_jump, jump["angular_radps2"]),
+            torque_jump(block, score.torque_jump),
+            score.contacts + total(new, "in_contact"),
+        )
