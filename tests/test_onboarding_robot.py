@@ -232,7 +232,7 @@ def test_a_pair_that_random_poses_hardly_bring_together_is_searched_for(made: Ne
     never = [
         k
         for k, pair in enumerate(few.pairs)
-        if pair not in few.close and not (few.distances[:, k] <= 0.0).any()
+        if pair not in few.close and not (few.random.distances[:, k] <= 0.0).any()
     ]
     met = [k for k in never if (few.rare.distances[:, k] <= 0.0).any()]
     assert met
@@ -373,7 +373,8 @@ def masted(model: RobotModel, meeting: list[tuple[int, int]]) -> Meetings:
     apart, q_m = np.ones((3, len(pairs))), np.zeros((3, model.n_m))
     touching = np.where([pair in meeting for pair in pairs], -0.01, 1.0)[None]
     rare = Poses(q_m[:1], touching, np.ones(1, dtype=bool))
-    return Meetings((), q_m, pairs, apart, frozenset(), np.ones(3, dtype=bool), rare)
+    random = Poses(q_m, apart, np.ones(3, dtype=bool))
+    return Meetings((), pairs, frozenset(), random, rare)
 
 
 def grouped(units: list[list[int]]) -> grouping.Grouping:
