@@ -37,12 +37,11 @@ from app.onboarding.new_robot import NewRobot, compiled, description, finish, pa
 from app.onboarding.read.source import mesh_address
 from app.onboarding.request import Request
 from app.onboarding.write import mesh_name
-from app.robot import assets, packages
-from app.robot.assets import ASSETS, load_robot, resolved_urdf, robot_names
-from app.robot.description import RobotDescription, load_description
+from app.robot import assets
+from app.robot.assets import ASSETS, package_roots, resolve_package_uri, resolved_urdf, robot_names
+from app.robot.description import RobotDescription, load_description, load_robot
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
-from app.robot.packages import package_roots, resolve_package_uri
 from app.simulation.plants.collision_shapes import body_contact_pairs
 from app.simulation.scenarios.names import scenario_by_name, scenario_of
 from tests.onboarding import (
@@ -423,7 +422,7 @@ def test_packages_of_a_wheels_share_are_found(
     mesh = tmp_path / "some-robot" / "meshes" / "a.stl"
     mesh.parent.mkdir(parents=True)
     mesh.write_text("solid")
-    monkeypatch.setattr(packages, "share_folders", lambda: [tmp_path])
+    monkeypatch.setattr(assets, "share_folders", lambda: [tmp_path])
     assert resolve_package_uri("package://some-robot/meshes/a.stl") == mesh
     for wrong in ("package://some-robot/../x", "package://../some-robot/meshes/a.stl"):
         with pytest.raises(assets.AssetError):

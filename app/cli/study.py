@@ -73,7 +73,7 @@ def study(
     parameters = StudyParameters(**chosen, inside=inside, ranges=StudyRange(**ranges))
     side_by_side = check_processes(processes)
     # Imported here: it takes longer than to find a mistake in what was asked.
-    from app.robot.assets import load_robot
+    from app.robot.description import load_robot
 
     load_robot(parameters.robot)
     make_folder(out)

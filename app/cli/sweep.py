@@ -72,7 +72,7 @@ def sweep(
     check_seed(made.seed)
     side_by_side = check_processes(processes)
     # Imported here: matplotlib and scipy would make every other command start later.
-    from app.robot.assets import load_robot
+    from app.robot.description import load_robot
 
     load_robot(made.robot)
     make_folder(out)

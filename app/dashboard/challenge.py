@@ -122,7 +122,7 @@ def write_case_replay(report: Report, text: str, page: Path) -> None:
 def _loaded(case: RunCase) -> tuple[RobotModel, BorderData]:
     """Its robot, and the robot's border."""
     from app.border.cache import load_border_data
-    from app.robot.assets import load_robot
+    from app.robot.description import load_robot
     from app.robot.model import RobotModel
 
     model = RobotModel(load_robot(case.robot))

@@ -139,7 +139,7 @@ class Job:
 def sample_border(report: Report, robot: str) -> BorderData:
     """Pairs and clouds of a robot, sampled if they are not cached."""
     from app.border.cache import load_border_data
-    from app.robot.assets import load_robot
+    from app.robot.description import load_robot
     from app.robot.model import RobotModel
 
     text = "sampling its border, once"
@@ -201,7 +201,7 @@ def write_replay(report: Report, log: Path, page: Path) -> None:
     """The replay of a log as a page."""
     from app.border.cache import load_border_data
     from app.dashboard.export.offscreen import Look, replay_html
-    from app.robot.assets import load_robot
+    from app.robot.description import load_robot
     from app.robot.model import RobotModel
     from app.simulation.trace.trace import read_trace
 
@@ -224,7 +224,7 @@ def write_film_of(report: Report, log: Path, film: Path, look: Look) -> None:
     from app.border.cache import load_border_data
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.film import CODECS, film_pictures, write_film
-    from app.robot.assets import load_robot
+    from app.robot.description import load_robot
     from app.robot.model import RobotModel
     from app.simulation.trace.trace import read_trace
 

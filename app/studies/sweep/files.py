@@ -29,7 +29,7 @@ _FIRST = (
 def write_sweep(result: Row, out: Path) -> list[str]:
     """Write what a sweep gave into an existing folder; returns the names of the files."""
     # Imported here: matplotlib would make the dashboard start later.
-    from app.robot.assets import load_robot
+    from app.robot.description import load_robot
     from app.robot.model import RobotModel
     from app.studies.style import png_of, styled
     from app.studies.sweep.maps import above_map, polar_map
