@@ -8,8 +8,9 @@ from typing import Any
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.run import run_scenario
-from app.studies.paper.experiments import Experiment, Run, Sources, run_of
+from app.simulation.run import RunResult
+from app.studies.paper.experiments import Experiment, Sources
+from app.studies.runs import thinned
 
 
 def short_run(
@@ -18,31 +19,22 @@ def short_run(
     experiment: Experiment,
     duration: float,
     physics: str = "kinematic",
-) -> Run:
+) -> RunResult:
     """An experiment, cut short."""
     scenario = experiment.full().changed(duration=duration)
-    return run_of(
-        run_scenario(
-            robot,
-            data,
-            scenario,
-            experiment.config(),
-            controller=experiment.controller,
-            physics=physics,
-        )
-    )
+    return thinned(experiment.planned(scenario=scenario, physics=physics).done(robot, data))
 
 
-def sources_of(robot: RobotModel, data: BorderData, runs: dict[Experiment, Run]) -> Sources:
+def sources_of(robot: RobotModel, data: BorderData, runs: dict[Experiment, RunResult]) -> Sources:
     """Sources with these runs."""
     return Sources(robot, data, Config(), runs)
 
 
-def with_figures(run: Run, **figures: Any) -> Run:
+def with_figures(run: RunResult, **figures: Any) -> RunResult:
     """The run with some of its figures replaced."""
     return run._replace(figures={**run.figures, **figures})
 
 
-def every(experiments: Iterable[Experiment], run: Run) -> dict[Experiment, Run]:
+def every(experiments: Iterable[Experiment], run: RunResult) -> dict[Experiment, RunResult]:
     """The same run for each of the experiments."""
     return dict.fromkeys(experiments, run)

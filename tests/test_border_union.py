@@ -14,7 +14,7 @@ from app.config import Config
 from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, Cylinder, Hull
 from app.simulation.run import run_scenario
-from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.scenarios import scenario_by_name
 from tests.robots import husky_panda, with_mobile_shapes
 
 D_B = 0.15  # [m]

@@ -14,8 +14,8 @@ from app.robot.assets import resolved_urdf, robot_names
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.plants import choice as plants
-from app.simulation.plants.choice import PLANTS, chosen_plant, default_plant, make_physics
+from app.simulation import plants
+from app.simulation.plants import PLANTS, chosen_plant, default_plant, make_physics
 from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
 from app.simulation.plants.planar import planar_plant
 from tests.robots import husky_panda

@@ -43,7 +43,7 @@ from app.robot.description import RobotDescription, load_description, load_robot
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
 from app.simulation.plants.collision_shapes import body_contact_pairs
-from app.simulation.scenarios.names import scenario_by_name, scenario_of
+from app.simulation.scenarios import scenario_by_name, scenario_of
 from tests.onboarding import (
     ARM_JOINTS,
     arm,

@@ -9,6 +9,7 @@ import pytest
 
 from app.border.cache import BorderData
 from app.robot.model import RobotModel
+from app.simulation.run import RunResult
 from app.studies.paper import claims
 from app.studies.paper.claims import CLAIMS, DIRECTIONS, Claim, claims_of
 from app.studies.paper.experiments import (
@@ -21,7 +22,6 @@ from app.studies.paper.experiments import (
     TRACKING_NONE,
     TRACKING_REPULSIVE,
     Experiment,
-    Run,
 )
 from app.studies.paper.report import FIGURES
 from tests.reproduction import sources_of, with_figures
@@ -55,7 +55,9 @@ class Log(dict[str, np.ndarray]):
         return np.column_stack([self[k] for k in ("base_x_m", "base_y_m", "base_yaw_rad")])
 
 
-def run(back: float = 0.3, turn: float = -0.2, beta_step: float = 0.001, **figures: Any) -> Run:
+def run(
+    back: float = 0.3, turn: float = -0.2, beta_step: float = 0.001, **figures: Any
+) -> RunResult:
     """A run whose base goes straight back and turns, with these figures."""
     n = 200
     share = np.linspace(0.0, 1.0, n)
@@ -68,10 +70,10 @@ def run(back: float = 0.3, turn: float = -0.2, beta_step: float = 0.001, **figur
         "beta_lm-lEE": beta,
         "beta_lm-l3": 0.0 * beta,
     }
-    return Run({**GOOD, **figures}, Log(log))
+    return RunResult({**GOOD, **figures}, Log(log))
 
 
-def good_runs() -> dict[Experiment, Run]:
+def good_runs() -> dict[Experiment, RunResult]:
     """Runs by which the paper would be right in everything."""
     runs = {e: run() for claim in CLAIMS for e in claim.needs}
     runs[TRACKING_REPULSIVE] = run(ee_error_final_m=0.1)
@@ -207,13 +209,13 @@ def test_the_way_forward_is_along_the_first_heading():
         "base_y_m": np.array([0.0, 0.4]),
         "base_yaw_rad": np.array([np.pi / 2, 0.0]),
     }
-    assert claims.forward_motion(Run({}, Log(log))) == pytest.approx(0.4)
+    assert claims.forward_motion(RunResult({}, Log(log))) == pytest.approx(0.4)
 
 
 def test_a_jump_of_an_activation_is_seen_wherever_it_is():
     smooth = run(beta_step=0.002)
     assert claims.beta_step(smooth) == pytest.approx(0.002)
-    smooth.log["beta_lm-l3"][70:] = 0.3
+    smooth.trace["beta_lm-l3"][70:] = 0.3
     assert claims.beta_step(smooth) == pytest.approx(0.3)
 
 

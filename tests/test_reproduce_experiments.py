@@ -11,8 +11,8 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
+from app.simulation import scenarios
 from app.simulation.run import run_scenario
-from app.simulation.scenarios import names as scenarios
 from app.studies.paper import experiments, report
 from app.studies.paper.experiments import LATERAL, Experiment, run_experiments
 from app.studies.paper.report import FIGURES, chosen
@@ -35,9 +35,9 @@ def test_a_run_is_the_run_of_dbb_run(robot: RobotModel, border_data: BorderData)
         k: v for k, v in result.figures.items() if k not in TIMES
     }
     for key in ("t_s", "base_x_m", "q_panda_joint4_rad", "d_lm-lEE_m", "beta_lm-l3"):
-        assert run.log[key].tolist() == result.trace[key][::10].tolist()
-    assert run.q_m.shape == (5, 7)
-    assert run.base_poses.shape == (5, 3)
+        assert run.trace[key].tolist() == result.trace[key][::10].tolist()
+    assert run.trace.of("q_m").shape == (5, 7)
+    assert run.trace.of("base_pose").shape == (5, 3)
 
 
 @pytest.mark.slow
@@ -57,10 +57,10 @@ def test_nothing_to_run_is_no_run():
 
 
 def test_a_run_comes_through_a_pickle_as_it_was():
-    run = experiments.Run({"a": 1.0}, {"t_s": np.arange(3.0)})
+    run = experiments.RunResult({"a": 1.0}, {"t_s": np.arange(3.0)})
     again = pickle.loads(pickle.dumps(run))
     assert again.figures == run.figures
-    np.testing.assert_array_equal(again.log["t_s"], run.log["t_s"])
+    np.testing.assert_array_equal(again.trace["t_s"], run.trace["t_s"])
 
 
 def test_the_kind_of_border_and_the_start_are_the_experiments():

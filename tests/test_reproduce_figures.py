@@ -14,9 +14,11 @@ from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
-from app.studies.paper import acting, approach, density, offline, refrigerator
+from app.simulation.run import RunResult
+from app.studies.paper import acting, density, offline, runs
 from app.studies.paper.drawing import Drawing
 from app.studies.paper.experiments import (
+    COMPARED,
     DOOR,
     DOOR_NONE,
     LATERAL,
@@ -24,7 +26,6 @@ from app.studies.paper.experiments import (
     TRACKING_NONE,
     TRACKING_REPULSIVE,
     WHEEL_AXIS,
-    Run,
     Sources,
 )
 from app.studies.paper.report import FIGURES
@@ -37,14 +38,14 @@ def sources(robot: RobotModel, border_data: BorderData) -> Sources:
     """A second of guiding into the buffer, for every experiment on a line."""
     run = short_run(robot, border_data, LATERAL, 2.0)
     tracking = [TRACKING, TRACKING_REPULSIVE, TRACKING_NONE, WHEEL_AXIS]
-    return sources_of(robot, border_data, every([*tracking, *approach.COMPARED], run))
+    return sources_of(robot, border_data, every([*tracking, *COMPARED], run))
 
 
 @pytest.fixture(scope="module")
 def drawn(sources: Sources) -> dict[str, Drawing]:
     names = ("fig3", "fig5", "fig6", "fig7", "fig8", "fig10", "fig12", "fig14", "fig15")
     with styled():
-        return {name: FIGURES[name][0](sources) for name in names}
+        return {name: FIGURES[name](sources) for name in names}
 
 
 def lines(drawing: Drawing) -> list[tuple[Axes, np.ndarray, np.ndarray]]:
@@ -172,7 +173,7 @@ def test_too_large_a_step_loses_the_component_along_the_line(drawn):
 
 def test_the_moment_is_where_the_hand_is_nearest(drawn, sources: Sources):
     force = acting.force_at(sources, LATERAL, acting.deepest(sources))
-    d = sources.runs[LATERAL].log["d_lm-lEE_m"]
+    d = sources.runs[LATERAL].trace["d_lm-lEE_m"]
     assert force.closest.d == pytest.approx(d.min(), abs=1e-9)
     height = drawn["fig8"].tables[""]["z_m"]
     assert np.abs(height - force.closest.p_b[2]).max() <= 0.005 + 1e-9
@@ -194,26 +195,28 @@ def test_the_activation_is_the_controllers(drawn):
 def test_the_repulsive_line_is_what_is_asked_of_the_base(sources: Sources):
     run = sources.runs[LATERAL]
     np.testing.assert_array_equal(
-        approach._asked(run, "repulsive")["linear_mps2"], run.log["base_a_mps2"]
+        runs._asked(run, "repulsive")["linear_mps2"], run.trace["base_a_mps2"]
     )
     np.testing.assert_array_equal(
-        approach._asked(run, "dbb")["linear_mps2"], run.log["avoidance_a_mps2"]
+        runs._asked(run, "dbb")["linear_mps2"], run.trace["avoidance_a_mps2"]
     )
 
 
 def test_the_hands_path_is_the_robots_kinematics(sources: Sources):
     run = sources.runs[LATERAL]
-    path, state = run.log.of("p_ee"), RobotState(sources.model)
+    path, state = run.trace.of("p_ee"), RobotState(sources.model)
     for k in (0, 77, 199):
-        m = state.measurement._replace(base_pose=run.base_poses[k], q_m=run.q_m[k])
+        m = state.measurement._replace(
+            base_pose=run.trace.of("base_pose")[k], q_m=run.trace.of("q_m")[k]
+        )
         state.update(m)
         np.testing.assert_allclose(path[k], state.T_world_ee.translation, atol=1e-12)
 
 
 def test_closest_points_do_not_depend_on_where_the_base_is(sources: Sources):
     run = sources.runs[LATERAL]
-    found = sources.closest_points(run.q_m[::50])
-    np.testing.assert_allclose([c.d for c in found], run.log["d_lm-lEE_m"][::50], atol=1e-9)
+    found = sources.closest_points(run.trace.of("q_m")[::50])
+    np.testing.assert_allclose([c.d for c in found], run.trace["d_lm-lEE_m"][::50], atol=1e-9)
 
 
 def test_a_thinned_border_is_a_part_of_it_still_sorted(sources: Sources):
@@ -241,16 +244,16 @@ def test_a_picture_shows_at_most_so_many_points_and_each_once():
 @pytest.mark.slow
 def test_snapshots_are_drawn_with_the_paths_of_the_csv(sources: Sources, monkeypatch):
     """Both rows of Figure 13; the target stands where the scenario ends."""
-    monkeypatch.setattr(approach, "_SHARES", (0.0, 0.05, 0.1, 0.2))
+    monkeypatch.setattr(runs, "_SHARES", (0.0, 0.05, 0.1, 0.2))
     with styled():
-        drawing = approach.figure_13(sources)
+        drawing = runs.figure_13(sources)
     pictures = [ax for ax in drawing.figure.axes if ax.images]
     assert len(pictures) == 8
     images = [np.asarray(ax.images[0].get_array()) for ax in pictures]
     assert all(image.std() > 15 for image in images)
     table = drawing.tables[""]
     half = len(table["t_s"]) // 2
-    hand = sources.runs[LATERAL].log.of("p_ee")[::10]
+    hand = sources.runs[LATERAL].trace.of("p_ee")[::10]
     np.testing.assert_array_equal(table["hand_y_m"][:half], hand[:, 1])
 
 
@@ -260,10 +263,7 @@ def test_the_refrigerators_figures_show_door_and_robot(robot: RobotModel, border
     run = short_run(robot, border_data, DOOR, 0.2, physics="planar")
     sources = sources_of(robot, border_data, every([DOOR, DOOR_NONE], run))
     with styled():
-        drawings = [
-            draw(sources)
-            for draw in (refrigerator.figure_16, refrigerator.figure_17, refrigerator.figure_18)
-        ]
+        drawings = [draw(sources) for draw in (runs.figure_16, runs.figure_17, runs.figure_18)]
     _, shapes = (np.asarray(ax.images[0].get_array()) for ax in drawings[0].figure.axes)
     r, g, b = np.moveaxis(shapes.astype(int), -1, 0)
     assert np.mean((r - g > 60) & (b - g > 30)) > 0.01
@@ -274,11 +274,11 @@ def test_the_refrigerators_figures_show_door_and_robot(robot: RobotModel, border
 
 
 def test_the_drawn_door_turns_about_its_hinge_by_its_angle():
-    door = refrigerator._door()
+    door = runs._door()
     hinge = np.array([*door.hinge_position, 0.0])
     for angle in (0.0, 0.7, 1.4):
-        run = Run({}, {"door_angle_rad": np.array([angle])})
-        body, board, _ = refrigerator.refrigerator(run, 0)
+        run = RunResult({}, {"door_angle_rad": np.array([angle])})
+        body, board, _ = runs.refrigerator(run, 0)
         to_middle = (board.mesh.centroid - hinge) * [1.0, 1.0, 0.0]
         assert np.linalg.norm(to_middle) == pytest.approx(door.width / 2)
         along = door.pose(angle).rotation @ [0.0, -door.side, 0.0]

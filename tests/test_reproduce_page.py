@@ -25,7 +25,7 @@ def section(tmp_path: Path):
 
     def make(name: str = "fig1", **changes) -> Part:
         drawing = Drawing(
-            "Figure 1: a & b", "says <this>", Figure(), {}, {"d_min_m": 0.125}, ["so"]
+            Figure(), {}, {"d_min_m": 0.125}, ["so"], "Figure 1: a & b", "says <this>"
         )
         picture = tmp_path / f"{name}.png"
         picture.write_bytes(PNG)

@@ -20,7 +20,6 @@ from app.studies.pulls.case import (
     inputs_of,
     play_case,
     read_case,
-    run_case,
 )
 from app.studies.pulls.draw import (
     SECTORS,
@@ -33,7 +32,7 @@ from app.studies.pulls.draw import (
 from app.studies.pulls.envelope import Envelope
 from app.studies.pulls.parameters import PARAMETERS as DRAWN
 from app.studies.pulls.parameters import StudyParameters, StudyRange
-from app.studies.rows import rounded
+from app.studies.runs import rounded
 
 RANGES = StudyRange(duration=0.2, released=0.6, regrasped=0.6)
 PARAMETERS = StudyParameters(seed=5, physics="kinematic", ranges=RANGES)
@@ -174,7 +173,7 @@ def test_a_case_from_a_file_gives_the_same_figures(sources, cases, tmp_path):
     file = tmp_path / "case.json"
     file.write_text(json.dumps({"case": cases[3].model_dump(mode="json"), "figures": row}))
     play_case(cases[4], sources.model, sources.data)
-    figures = run_case(read_case(file), sources.model, sources.data).figures
+    figures = read_case(file).planned().done(sources.model, sources.data).figures
     again = flat({key: value for key, value in figures.items() if key not in TIMES})
     again = {key: rounded(value) for key, value in again.items()}
     assert {key: row[key] for key in again} == again
@@ -209,7 +208,7 @@ def test_a_misspelt_field_of_a_case_is_refused_by_name(cases, tmp_path: Path):
 def test_a_case_of_another_arm_or_with_an_impossible_value_is_refused(sources, cases):
     short = cases[0].model_copy(update={"q_m": cases[0].q_m[:-1]})
     with pytest.raises(CaseError, match=r"6 joints.*has 7"):
-        run_case(short, sources.model, sources.data)
+        short.planned().done(sources.model, sources.data)
     with pytest.raises(ConfigError, match="base_delay"):
         cases[0].model_copy(update={"base_delay": 9.0}).config()
 

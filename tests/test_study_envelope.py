@@ -23,7 +23,7 @@ from app.studies.pulls.envelope import (
     tally_by_halves,
 )
 from app.studies.pulls.parameters import StudyRange
-from app.studies.rows import Row
+from app.studies.runs import Row
 
 if sys.version_info >= (3, 11):
     import tomllib

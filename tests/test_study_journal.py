@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from app.errors import StudyError
-from app.studies.pulls.journal import Journal
+from app.studies.pulls.study import Journal
 
 IDENTITY = {"seed": 1, "ranges": {"speed": [0.1, 0.5]}, "code": "abc"}
 

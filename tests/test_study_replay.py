@@ -18,7 +18,7 @@ from app.dashboard.server import serve_dashboard
 from app.simulation.loop.commands import Play, Pull, Reset
 from app.simulation.loop.loop import SimulationLoop
 from app.simulation.session import Session
-from app.studies.pulls.case import Case, play_case, run_case
+from app.studies.pulls.case import Case, play_case
 from app.studies.pulls.draw import draw_case, load_sources
 from app.studies.pulls.parameters import StudyParameters, StudyRange
 from tests.browser import wait_for
@@ -138,7 +138,7 @@ def begun(loop: SimulationLoop) -> None:
 
 def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, case, loop):
     """Each snapshot is a row of the run's log, to the last digit, noise included."""
-    trace = run_case(case, sources.model, sources.data).trace
+    trace = case.planned().done(sources.model, sources.data).trace
     log = {round(t, 3): k for k, t in enumerate(trace.t)}
     loop.send(Play(case.scenario()))
     begun(loop)
@@ -172,7 +172,8 @@ def test_the_button_plays_the_case_of_the_page(case):
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     sent = []
     sink = SimpleNamespace(send=sent.append)
-    RunPanel(server.gui, sink, Notifier(server), husky_panda().description, {}, case.scenario())
+    shared = SimpleNamespace(loop=sink, case=case.scenario())
+    RunPanel(SimpleNamespace(client=server, notifier=Notifier(server), shared=shared))
     *_, button = server.gui._gui_input_handle_from_uuid.values()
     assert button.label == "Play the case"
     button.value = True

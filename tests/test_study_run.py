@@ -18,11 +18,11 @@ import pytest
 from distributed import LocalCluster
 
 from app.cli.main import main
-from app.studies.pulls import cluster
+from app.studies.pulls import study as module
 from app.studies.pulls.case import TIMES
 from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.pulls.study import study
-from app.studies.rows import rounded
+from app.studies.runs import rounded
 
 pytestmark = pytest.mark.slow
 
@@ -228,7 +228,7 @@ def test_another_studys_folder_is_refused_and_left_alone(undisturbed, capfd):
 
 
 def test_a_scheduler_that_nobody_answers_for_is_one_line(tmp_path, capfd, monkeypatch):
-    monkeypatch.setattr(cluster, "_PATIENCE", 1.0)
+    monkeypatch.setattr(module, "_PATIENCE", 1.0)
     args = ("study", "--cases", "2", *OPTIONS, "--out", str(tmp_path), "--scheduler")
     for address in ("tcp://127.0.0.1:9", "tls://127.0.0.1:9", "no address"):
         refused(here(capfd, *args, address), "--scheduler", address, "dask scheduler")

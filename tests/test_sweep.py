@@ -12,7 +12,6 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.run import run_scenario
 from app.studies.sweep.plan import Approach, SweepPlan, Trial
 from app.studies.sweep.robots import GUIDED_LIMIT
 from app.studies.sweep.starts import Start, StartFinder
@@ -111,10 +110,7 @@ def test_on_the_wheel_axis_a_barrier_moves_a_cheap_base_only(
     start = StartFinder(robot, border_data, config.border.d_b).find(
         Approach("wheel_axis", 0.3, 90.0), plan.distance
     )
-    scenario = plan.scenario(Trial(start, "barrier", 0.16))
-    found = run_scenario(
-        robot, border_data, scenario, config, controller="barrier", physics="kinematic"
-    )
+    found = plan.planned(Trial(start, "barrier", 0.16)).done(robot, border_data)
     displacement = found.figures["base_displacement_m"]
     assert isinstance(displacement, float)
     assert (displacement > 0.008) == moves
@@ -131,7 +127,7 @@ def test_each_start_is_run_by_each_controller_at_each_speed_once() -> None:
 def test_guided_hands_are_pulled_and_tracking_ones_are_not() -> None:
     start = Start(Approach("side", 0.3, 90.0), (0.0,) * 7, (0.0, 0.6, 0.3))
     for mode in ("tracking", "guiding"):
-        scenario = replace(QUICK, mode=mode).scenario(Trial(start, "dbb", 0.2))
+        scenario = replace(QUICK, mode=mode).planned(Trial(start, "dbb", 0.2)).scenario
         assert scenario.mode == mode
         np.testing.assert_allclose(scenario.move, (0.0, -0.04, 0.0), atol=1e-12)
         assert scenario.duration * scenario.moving == pytest.approx(0.2)

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from matplotlib.patches import Rectangle, Wedge
+from matplotlib.patches import Rectangle
 
 from app.robot.model import RobotModel
 from app.studies.style import styled
-from app.studies.sweep.files import newest_map, read_map, write_sweep
 from app.studies.sweep.maps import above_map, polar_map, quantities
 from app.studies.sweep.plan import AXIS_OFFSETS
+from app.studies.sweep.sweep import newest_map, read_map, write_sweep
 
 ROW: dict[str, Any] = {
     "speed_mps": 0.025,
@@ -74,8 +74,13 @@ def result(controllers: tuple[str, ...] = ("dbb", "barrier")) -> dict[str, Any]:
     }
 
 
-def wedges(ax: Any) -> list[Wedge]:
-    return [patch for patch in ax.patches if isinstance(patch, Wedge)]
+def bars(ax: Any) -> list[Rectangle]:
+    return [bar for container in ax.containers for bar in container]
+
+
+def middle(bar: Rectangle) -> float:
+    """[deg] of the direction around which a bar stands."""
+    return float(np.degrees(bar.get_x() + bar.get_width() / 2))
 
 
 @given(st.floats(0.0, 0.5))
@@ -103,21 +108,20 @@ def test_each_direction_has_its_bar_and_each_closed_one_its_hatch(robot: RobotMo
         figure = polar_map(shown, 0.3, 0.025, robot)
     assert len(figure.axes) == 6
     for k, ax in enumerate(figure.axes):
-        bars = wedges(ax)
-        middles = sorted((w.theta1 + w.theta2) / 2 for w in bars)
+        middles = sorted(map(middle, bars(ax)))
         np.testing.assert_allclose(middles, np.arange(0.0, 360.0, 30.0), atol=1e-9)
-        hatched = {round((w.theta1 + w.theta2) / 2) for w in bars if w.get_hatch()}
+        hatched = {round(middle(bar)) for bar in bars(ax) if bar.get_hatch()}
         assert hatched == ({90, 180, 270} if k == 5 else {180})
 
 
 def test_the_lobes_in_which_a_controller_fails_are_red_and_long(robot: RobotModel) -> None:
     with styled():
         figure = polar_map(result(), 0.3, 0.025, robot)
-    dbb, barrier = (wedges(ax) for ax in figure.axes[:2])
-    longest = max(w.r for w in dbb if not w.get_hatch())
-    failing = [w for w in barrier if w.r > longest and not w.get_hatch()]
-    assert {round((w.theta1 + w.theta2) / 2) for w in failing} == {90, 270}
-    assert all(w.get_facecolor()[0] > w.get_facecolor()[2] for w in failing)
+    dbb, barrier = (bars(ax) for ax in figure.axes[:2])
+    longest = max(bar.get_height() for bar in dbb if not bar.get_hatch())
+    failing = [bar for bar in barrier if bar.get_height() > longest and not bar.get_hatch()]
+    assert {round(middle(bar)) for bar in failing} == {90, 270}
+    assert all(bar.get_facecolor()[0] > bar.get_facecolor()[2] for bar in failing)
 
 
 def test_the_base_is_drawn_to_scale_with_its_wheel_axis(robot: RobotModel) -> None:
@@ -125,7 +129,7 @@ def test_the_base_is_drawn_to_scale_with_its_wheel_axis(robot: RobotModel) -> No
         figure = polar_map(result(("dbb",)), 0.3, 0.025, robot)
     assert len(figure.axes) == 3
     for ax in figure.axes:
-        (base,) = (p for p in ax.patches if type(p) is Rectangle)
+        (base,) = (p for p in ax.patches if p.get_label() == "base")
         assert (base.get_width(), base.get_height()) == pytest.approx((0.99, 0.69))
         assert any(np.array_equal(line.get_xdata(), [0, 0]) for line in ax.get_lines())
 

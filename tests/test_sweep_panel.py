@@ -62,7 +62,7 @@ def panel(dashboard: DashboardServer) -> Iterator[SweepPanel]:
 def test_without_a_map_there_is_a_line_and_a_new_map_appears_by_itself(
     panel: SweepPanel, tmp_path: Path
 ) -> None:
-    from app.studies.sweep.files import write_sweep
+    from app.studies.sweep.sweep import write_sweep
 
     assert "No map" in panel._text.content
     assert panel._image is None

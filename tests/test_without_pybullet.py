@@ -109,7 +109,7 @@ def test_the_default_plant_is_pybullets_where_it_is_installed(missing: bool, def
     if not missing:
         pytest.importorskip("pybullet")
     code = (WITHOUT if missing else "") + (
-        "\nfrom app.simulation.plants.choice import default_plant\nprint(default_plant())"
+        "\nfrom app.simulation.plants import default_plant\nprint(default_plant())"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True, check=True

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from app.border.cache import BorderData
     from app.robot.model import RobotModel
+    from app.studies.page import Part
 
 _NOTHING = 1e-6  # [any unit] less is what the computer's rounding leaves
 
@@ -67,8 +67,20 @@ def rounded_text(value: object) -> str:
     return "–" if value is None else str(value)
 
 
-def print_table(table: Table) -> None:
+def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
     """A table on standard output, as wide whatever the terminal is."""
     from rich.console import Console
+    from rich.table import Table
 
+    table = Table(*head, title=title or None)
+    for row in rows:
+        table.add_row(*row)
     Console(width=140, force_terminal=False, file=sys.stdout).print(table)
+
+
+def print_part(part: Part) -> None:
+    """What a part of a report's page says, on standard output."""
+    for text in part.text:
+        print(text)
+    for grid in part.tables:
+        print_table(grid.head, [list(map(str, row)) for row in grid.rows], part.title)

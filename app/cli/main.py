@@ -19,7 +19,7 @@ COMMANDS = {
         "run": "run",
         "screenshot": "pictures",
         "film": "pictures",
-        "report": "report",
+        "report": "pictures",
         "replay": "pictures",
     },
     "The method": {
@@ -29,7 +29,7 @@ COMMANDS = {
         "config": "method",
         "bench": "method",
     },
-    "Many runs": {"reproduce": "reproduce", "sweep": "sweep", "study": "study"},
+    "Many runs": {"reproduce": "many", "sweep": "many", "study": "many"},
     "Robots": {"robots": "robots", "new-robot": "robots", "check-robot": "robots"},
 }
 """The commands, by what they are about, and the module in which each stands as a function."""
@@ -83,13 +83,13 @@ def _run_command(name: str, *words: str) -> None:
 
     from app.cli.options import check_once, in_present_words
 
-    module = import_module(f"app.cli.{_MODULES[name]}")
+    module, known = import_module(f"app.cli.{_MODULES[name]}"), name.replace("-", "_")
     rest = in_present_words(words)
-    if hasattr(module, "choose"):
-        about, function, rest = module.choose(rest)
+    if choose := getattr(module, f"choose_{known}", None):
+        about, function, rest = choose(rest)
         name = f"{name} {about}".strip()
     else:
-        function = getattr(module, name.replace("-", "_"))
+        function = getattr(module, known)
     check_once(rest)
     tyro.cli(function, prog=f"dbb {name}", args=rest, config=(tyro.conf.DisallowNone,))
 

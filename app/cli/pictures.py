@@ -1,4 +1,4 @@
-"""`dbb screenshot`, `film` and `replay`: a scenario as pictures, a log as a page, no display."""
+"""`dbb screenshot`, `film`, `replay` and `report`: a scenario as pictures, a log as a page."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ from app.cli.options import (
     check_name,
 )
 from app.cli.records import Given, from_record
-from app.cli.wanted import Wanted, is_case, trace_of
+from app.cli.wanted import filmed, is_case, trace_of, wanted
 from app.control import CONTROLLERS
 from app.errors import ConfigError
 from app.jobs.progress import progress_bar
 from app.strict import check_range
+from app.studies.runs import Planned
 from app.system import write_whole
 
 if TYPE_CHECKING:
@@ -91,8 +92,8 @@ def screenshot(
     shown = Picture(**picture)
     check_range("--at", len(at), 1, _MOST_PICTURES, "times")
     check_file("--out", out, (".png",))
-    wanted = Wanted.named(scenario, setup, config)
-    whole = _draw(wanted, at, shown, dark=is_dark(dark=dark, light=light))
+    asked = wanted(scenario, setup, config)
+    whole = _draw(asked, at, shown, dark=is_dark(dark=dark, light=light))
     drawn = io.BytesIO()
     whole.save(drawn, "PNG", optimize=True)
     write_whole(out, drawn.getvalue())
@@ -100,10 +101,10 @@ def screenshot(
         print_json(
             {
                 "picture": str(out),
-                "scenario": wanted.scenario.name,
-                "controller": wanted.setup.controller,
-                "robot": wanted.setup.robot,
-                "seed": wanted.setup.seed,
+                "scenario": asked.scenario.name,
+                "controller": asked.controller,
+                "robot": asked.robot,
+                "seed": asked.seed,
                 "at_s": list(at),
                 "width_px": whole.width,
                 "height_px": whole.height,
@@ -116,7 +117,7 @@ def screenshot(
         print(out)
 
 
-def _draw(wanted: Wanted, at: tuple[float, ...], shown: Picture, *, dark: bool) -> Image.Image:
+def _draw(asked: Planned, at: tuple[float, ...], shown: Picture, *, dark: bool) -> Image.Image:
     """Run the scenario and draw it at these times [s]."""
     # Imported here: viser and scipy would make every other command start later.
     from app.dashboard.export.browser import chromium
@@ -124,11 +125,11 @@ def _draw(wanted: Wanted, at: tuple[float, ...], shown: Picture, *, dark: bool) 
     from app.dashboard.export.screenshot import strip, take_pictures
 
     for t in at:
-        check_range("--at", t, 0.0, wanted.scenario.duration, "s")
+        check_range("--at", t, 0.0, asked.scenario.duration, "s")
     look = Look(shown.width, shown.height, shown.layer, shown.view, dark, shown.page)
     with chromium() as browser:  # first of all: without one the rest is in vain
-        model, data = load_robot_and_border(wanted.setup.robot)
-        snapshots = wanted.filmed(model, data, at)
+        model, data = load_robot_and_border(asked.robot)
+        snapshots = filmed(asked, model, data, at)
         pictures = take_pictures(browser, snapshots, at, model, data.clouds, look)
     return pictures[0] if len(pictures) == 1 else strip(pictures, at, dark=dark)
 
@@ -187,32 +188,33 @@ def film(
     codec = how.codec or next(iter(codecs))
     check_name(f"--codec of {out.suffix}", codec, codecs)
     look = Look(shown.width, shown.height, shown.layer, shown.view, is_dark(dark=dark, light=light))
-    wanted = Wanted.named(scenario, setup, config)
-    told = _film(wanted, beside, how, codec, look, out)
+    asked = wanted(scenario, setup, config)
+    told = _film(asked, beside, how, codec, look, out)
     if json:
         print_json(
-            {"film": str(out), "scenario": wanted.scenario.name, "beside": list(beside), **told}
+            {"film": str(out), "scenario": asked.scenario.name, "beside": list(beside), **told}
         )
     else:
         print(out)
 
 
 def _film(
-    wanted: Wanted, beside: tuple[str, ...], how: Filming, codec: str, look: Look, out: Path
+    asked: Planned, beside: tuple[str, ...], how: Filming, codec: str, look: Look, out: Path
 ) -> dict[str, Any]:
     """Run the scenario with each controller, draw and encode; what there is to tell of it."""
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.film import film_pictures, with_ghosts, write_film
 
-    duration = wanted.scenario.duration
+    duration = asked.scenario.duration
     begin, end = how.span or (0.0, duration)
     check_range("--span", end, 0.0, duration, "s")
     check_range("--span: the begin", begin, 0.0, end, "s")
     step = how.speed / how.rate
     times = [begin + k * step for k in range(1 + int((end - begin) / step + 1e-9))]
     with chromium() as browser:  # first of all: without one the rest is in vain
-        model, data = load_robot_and_border(wanted.setup.robot)
-        found = [wanted.filmed(model, data, times, name) for name in ("", *beside)]
+        model, data = load_robot_and_border(asked.robot)
+        runs = [asked, *(asked._replace(controller=name) for name in beside)]
+        found = [filmed(run, model, data, times) for run in runs]
         pictures = film_pictures(
             browser,
             with_ghosts(found[0], found[1:]),
@@ -280,5 +282,30 @@ def replay(
                 "size_bytes": out.stat().st_size,
             }
         )
+    else:
+        print(out)
+
+
+def report(
+    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")],
+    *,
+    out: Path = Path("out/report.html"),
+    json: Json = False,
+) -> None:
+    """Make one HTML file of a log: figures and key numbers.
+
+    Args:
+        log: File that `dbb run --log` or `--out` wrote, or that of a case, JSON.
+        out: The HTML file.
+    """
+    # Imported here: matplotlib and pyarrow would make every other command start later.
+    from app.studies.run_report import key_numbers, run_report
+
+    check_file("--out", out, (".html",))
+    run = trace_of(log)
+    write_whole(out, run_report(run))
+    if json:
+        about = {"scenario": run.meta.scenario, "robot": run.meta.robot, "seed": run.meta.seed}
+        print_json({**about, "page": str(out), **key_numbers(run)})
     else:
         print(out)

@@ -89,12 +89,8 @@ def check_robot(
         told = [row._asdict() for row in rows]
         print_json({"robot": name, "passed": not failed, "checks": told})
     else:
-        from rich.table import Table
-
-        table = Table("", "check", "result", title=description.title)
-        for row in rows:
-            table.add_row(_MARKS[row.outcome], row.name, f"{row.outcome}: {row.text}")
-        print_table(table)
+        told = [(_MARKS[row.outcome], row.name, f"{row.outcome}: {row.text}") for row in rows]
+        print_table(("", "check", "result"), told, description.title)
     if failed:
         sys.exit(1)
 

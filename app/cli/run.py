@@ -24,9 +24,10 @@ from app.cli.options import (
     parameter_options,
 )
 from app.cli.records import Given, from_record
-from app.cli.wanted import Wanted, read
+from app.cli.wanted import check_no_others, of_case, planned, read, result_of
+from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
-from app.simulation.scenarios.names import SCENARIOS, scenario_of
+from app.studies.runs import Planned
 from app.system import write_whole
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ class _Files(NamedTuple):
     json: bool
 
 
-def choose(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
+def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
     """The scenario of a command line, the command that runs it, and the other words."""
     if any(word.partition("=")[0] == "--case" for word in words):
         _check_replay(words)
@@ -131,7 +132,7 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
         from app.robot.description import load_robot
 
         own = scenario_of(load_robot(chosen.robot), scenario.name).changed(**scenario_options)
-        figures = _run(Wanted(own, chosen, tuned), _Files(out, log, json))
+        figures = _run(planned(chosen, own, tuned), _Files(out, log, json))
         _end(figures, fail_on_contact=fail_on_contact)
 
     command.__doc__ = f"Run {scenario.name}: {scenario.about}."
@@ -153,9 +154,9 @@ def run_case(
         case: File of a case: the page's, or one of `failures` of a study.
     """
     played = read(case)
-    wanted = Wanted.of(played, setup)
-    wanted = wanted._replace(config=changed(wanted.config, parameters))
-    figures = _run(wanted, _Files(out, log, json))
+    again = of_case(played, setup)
+    again = again._replace(config=changed(again.config, parameters))
+    figures = _run(again, _Files(out, log, json))
     if not setup and not parameters:
         for change in played.changes(figures):
             say(f"not as it was: {change}")
@@ -164,14 +165,12 @@ def run_case(
 
 def _check_replay(words: list[str]) -> None:
     """Refuse what a replayed case answers itself."""
-    from app.studies.pulls.case import check_no_others
-
     own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *PARAMETERS}
     given = ("scenario" if word in SCENARIOS else _field(word) for word in words)
     check_no_others(dict.fromkeys(sorted(own & set(given)), True))
 
 
-def _run(wanted: Wanted, files: _Files) -> dict[str, Any]:
+def _run(asked: Planned, files: _Files) -> dict[str, Any]:
     """Run it, write what is asked for, and say how it went; its figures."""
     make_folder(files.out)
     check_file("--log", files.log, (".csv", ".parquet", ".mcap"))
@@ -179,11 +178,11 @@ def _run(wanted: Wanted, files: _Files) -> dict[str, Any]:
     from app.control.buffer_watch import buffer_warning
     from app.simulation.trace.metrics import verdict
 
-    model, data = load_robot_and_border(wanted.setup.robot)
+    model, data = load_robot_and_border(asked.robot)
     drawn = files.out is not None or files.log is not None
-    result = wanted.result(model, data, drawn=drawn)
+    result = result_of(asked, model, data, drawn=drawn)
     written = _write(result, files.out, files.log, model)
-    if warning := buffer_warning(result.trace.buffer, wanted.config):
+    if warning := buffer_warning(result.trace.buffer, asked.config):
         print(f"warning: {warning}", file=sys.stderr)
     if files.json:
         print_json(result.figures)

@@ -20,7 +20,7 @@ from app.cli.options import (
     configured,
 )
 from app.cli.records import Given, from_record
-from app.cli.wanted import read
+from app.cli.wanted import check_no_others, read
 from app.config import Config
 from app.simulation.scenarios.leading import check_point
 from app.simulation.scenarios.line import Point
@@ -72,8 +72,6 @@ def serve(
     asked = Serving(**serving)
     case = None
     if asked.case is not None:
-        from app.studies.pulls.case import check_no_others
-
         case = read(asked.case)
         check_no_others({"start": asked.start, "config": config, **parameters})
         of_case = {"controller": case.controller, "physics": case.physics}

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from app.cli.common import load_robot_and_border, say
 from app.cli.options import Setup, check_name, configured
 from app.cli.records import Given
 from app.config import Config
+from app.errors import ConfigError
 from app.jobs.progress import progress_bar
+from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
-from app.simulation.scenarios.names import SCENARIOS, scenario_of
+from app.studies.runs import Planned
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -26,76 +29,50 @@ if TYPE_CHECKING:
 _CASE = ".json"
 
 
-class Wanted(NamedTuple):
-    """What is run, with what, and with which parameters."""
+def wanted(word: str, setup: Given, config: Path | None) -> Planned:
+    """The run of a scenario by its name, or of a case by its file.
 
-    scenario: Scenario
-    setup: Setup
-    config: Config
+    Raises:
+        DbbError: There is no such scenario or case, or the case has already what is given.
+    """
+    # Imported here: it takes longer than to find a mistake in what was asked.
+    from app.robot.description import load_robot
 
-    @classmethod
-    def named(cls, word: str, setup: Given, config: Path | None) -> Wanted:
-        """The run of a scenario by its name, or of a case by its file.
+    if not is_case(word):
+        chosen, tuned = Setup(**setup), configured(config)
+        return planned(chosen, scenario_of(load_robot(chosen.robot), word), tuned)
+    own = {name: setup.get(name) for name in ("robot", "seed")}
+    check_no_others({**own, "config": config}, word)
+    return of_case(read(Path(word)), setup)
 
-        Raises:
-            DbbError: There is no such scenario or case, or the case has already what is given.
-        """
-        # Imported here: it takes longer than to find a mistake in what was asked.
-        from app.robot.description import load_robot
 
-        if not is_case(word):
-            chosen, tuned = Setup(**setup), configured(config)
-            return cls(scenario_of(load_robot(chosen.robot), word), chosen, tuned)
-        from app.studies.pulls.case import check_no_others
+def planned(setup: Setup, scenario: Scenario, config: Config) -> Planned:
+    """The run of a scenario by what `Setup` says."""
+    return Planned(scenario=scenario, config=config, **asdict(setup))
 
-        own = {name: setup.get(name) for name in ("robot", "seed")}
-        check_no_others({**own, "config": config}, word)
-        return cls.of(read(Path(word)), setup)
 
-    @classmethod
-    def of(cls, case: Case | RunCase, setup: Given) -> Wanted:
-        """The run of a case, with another controller or plant if they are given."""
-        own = {name: getattr(case, name) for name in ("robot", "controller", "physics", "seed")}
-        return cls(case.scenario(), Setup(**(own | setup)), case.config())
+def of_case(case: Case | RunCase, setup: Given) -> Planned:
+    """The run of a case, with another controller or plant if they are given."""
+    own = {name: getattr(case, name) for name in ("robot", "controller", "physics", "seed")}
+    return planned(Setup(**(own | setup)), case.scenario(), case.config())
 
-    def result(self, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
-        """All of it, under a bar of progress; see `run_scenario`."""
-        # Imported here: it takes longer than to find a mistake in what was asked.
-        from app.simulation.run import run_scenario
 
-        scenario, setup, config = self
-        with progress_bar(f"{scenario.name}, {setup.controller}", scenario.duration) as progress:
-            return run_scenario(
-                model,
-                data,
-                scenario,
-                config,
-                controller=setup.controller,
-                physics=setup.physics,
-                seed=setup.seed,
-                on_progress=progress,
-                drawn=drawn,
-            )
+def result_of(run: Planned, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
+    """All of a run, under a bar of progress; see `run_scenario`."""
+    duration = run.scenario.duration
+    with progress_bar(f"{run.scenario.name}, {run.controller}", duration) as on_progress:
+        return run.done(model, data, on_progress=on_progress, drawn=drawn)
 
-    def filmed(
-        self, model: RobotModel, data: BorderData, times: Sequence[float], controller: str = ""
-    ) -> list[Snapshot]:
-        """Snapshots up to the last of some times [s], of another controller if it is named."""
-        from app.simulation.run import filmed, steps_of
 
-        scenario, setup, config = self
-        controller = controller or setup.controller
-        with progress_bar(f"{scenario.name}, {controller}", max(times)) as on_progress:
-            steps = steps_of(
-                model,
-                data,
-                scenario,
-                config,
-                controller=controller,
-                physics=setup.physics,
-                seed=setup.seed,
-            )
-            return filmed(steps, scenario, times, on_progress)
+def filmed(
+    run: Planned, model: RobotModel, data: BorderData, times: Sequence[float]
+) -> list[Snapshot]:
+    """Snapshots of a run up to the last of some times [s]."""
+    from app.simulation import run as simulation
+
+    with progress_bar(f"{run.scenario.name}, {run.controller}", max(times)) as on_progress:
+        steps = simulation.steps_of(model, data, run.scenario, run.config, **run.driven)
+        return simulation.filmed(steps, run.scenario, times, on_progress)
 
 
 def is_case(word: str) -> bool:
@@ -124,6 +101,18 @@ def read(path: Path) -> Case | RunCase:
     return case
 
 
+def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
+    """Refuse options that a replayed case already answers; None was not given.
+
+    Raises:
+        ConfigError: Names the first that was.
+    """
+    for name, value in options.items():
+        if value is not None and name not in ("border", "buffer_distance"):
+            option = "SCENARIO" if name == "scenario" else f"--{name.replace('_', '-')}"
+            raise ConfigError(f"{option}: {case} takes it from its file; leave one of them")
+
+
 def trace_of(path: Path) -> Trace:
     """The run of a log, or of a case, which is run for it.
 
@@ -134,5 +123,5 @@ def trace_of(path: Path) -> Trace:
 
     if path.suffix.lower() != _CASE:
         return read_trace(path)
-    wanted = Wanted.of(read(path), {})
-    return wanted.result(*load_robot_and_border(wanted.setup.robot), drawn=True).trace
+    run = of_case(read(path), {})
+    return result_of(run, *load_robot_and_border(run.robot), drawn=True).trace

@@ -22,7 +22,7 @@ from app.robot.assets import bare_urdf, resolved_urdf, robot_folder, robot_names
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
-from app.simulation.plants.choice import default_plant
+from app.simulation.plants import default_plant
 
 _NEEDED = resolved_urdf if default_plant() == "planar" else bare_urdf
 """pybullet reads every mesh; MuJoCo and the viewer take the convex bodies if one is missing."""

@@ -343,7 +343,7 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     not come into the inner half of the buffer even without avoidance, the run shows nothing.
     """
     from app.simulation.run import run_scenario
-    from app.simulation.scenarios.names import scenario_of
+    from app.simulation.scenarios import scenario_of
 
     scenario, config = scenario_of(model.description, name), Config()
     run = partial(run_scenario, model, data, scenario, config)

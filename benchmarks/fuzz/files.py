@@ -142,7 +142,7 @@ def _mutate_zip(path: Path, right: bytes, rng: np.random.Generator) -> None:
         _write_zip(path, mutated_bytes(_URDF.encode(), rng))
     elif choice < 0.7:
         name = mutated_bytes(b"robot/r.urdf", rng).decode("utf-8", "replace")[:60_000]
-        _write_zip(path, name=name + ".urdf")
+        _write_zip(path, name=name.replace("\0", "") + ".urdf")  # zipfile ends a name there
     else:
         _mutate_bytes(path, right, rng)
 

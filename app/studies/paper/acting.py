@@ -19,6 +19,7 @@ from app.studies.paper.drawing import (
     Table,
     arrow,
     base_in_plan,
+    paper_figure,
     placed_meshes,
     points_table,
     square_around,
@@ -104,7 +105,7 @@ def force_at(
     sources: Sources, experiment: Experiment, k: int, config: ForceConfig | None = None
 ) -> Force:
     """The force in a row of an experiment's log, with its own parameters or with others."""
-    log = sources.runs[experiment].log
+    log = sources.runs[experiment].trace
     q_m = log.of("q_m")[k]
     (closest,) = sources.closest_points([q_m])
     acting, f = sources.force(sources.surface, closest, config)
@@ -113,12 +114,12 @@ def force_at(
 
 def deepest(sources: Sources) -> int:
     """The row of the lateral guiding in which the hand is deepest in its buffer."""
-    return int(sources.runs[LATERAL].log[f"d_{sources.pair.name}_m"].argmin())
+    return int(sources.runs[LATERAL].trace[f"d_{sources.pair.name}_m"].argmin())
 
 
 def turning(sources: Sources) -> Force:
     """The instant near the wheel axis at which the smaller component of the force is largest."""
-    distance = sources.runs[WHEEL_AXIS].log[f"d_{sources.pair.name}_m"]
+    distance = sources.runs[WHEEL_AXIS].trace[f"d_{sources.pair.name}_m"]
     inside = np.flatnonzero(distance < sources.config.border.d_b)[::_EVERY]
     return max(
         (force_at(sources, WHEEL_AXIS, int(k)) for k in inside),
@@ -126,8 +127,12 @@ def turning(sources: Sources) -> Force:
     )
 
 
+@paper_figure("fig7", "Figure 7: the direction of the force", WHEEL_AXIS)
 def figure_7(sources: Sources) -> Drawing:
-    """The force at the acting point and its two orthogonal components."""
+    """The force starts at the acting point and points to the closest point of the hand. One of its
+    two orthogonal components moves the base away from the hand, the other brings the part of the
+    border with a high score closer to it.
+    """
     force = turning(sources)
     along, across = force.components
     p_b, p_act = force.closest.p_b, force.acting.p_act
@@ -153,10 +158,6 @@ def figure_7(sources: Sources) -> Drawing:
     _points(near, force)
     near.legend(loc="lower left", fontsize=9)
     return Drawing(
-        "Figure 7: the direction of the force",
-        "The force starts at the acting point and points to the closest point of the hand. One of "
-        "its two orthogonal components moves the base away from the hand, the other brings the "
-        "part of the border with a high score closer to it.",
         figure,
         {"": table, "points": _point_table({"chosen": force})},
         {"t_s": force.t, **force.measured()},
@@ -164,8 +165,13 @@ def figure_7(sources: Sources) -> Drawing:
     )
 
 
+@paper_figure("fig8", "Figure 8: finding the acting point", LATERAL)
 def figure_8(sources: Sources) -> Drawing:
-    """How the acting point is found, and a step size that is too large."""
+    """(a) From the border's point nearest to the hand a step along the tangent leads towards a
+    better score; the acting point is the border's point nearest to that. (b) With too large a step
+    the force may have no component along the line between the hand and the border: the step is
+    bounded.
+    """
     configs, k = {"chosen": sources.config.force, "too large": TOO_LARGE}, deepest(sources)
     found = {name: force_at(sources, LATERAL, k, config) for name, config in configs.items()}
     table = _slice(sources, found["chosen"])
@@ -181,19 +187,15 @@ def figure_8(sources: Sources) -> Drawing:
     square_around(grid[0], np.array(points), 0.06, _ZOOM)
     figure.colorbar(shown, ax=grid, label=_SCORE, shrink=0.8)
     return Drawing(
-        "Figure 8: finding the acting point",
-        "(a) From the border's point nearest to the hand a step along the tangent leads towards a "
-        "better score; the acting point is the border's point nearest to that. (b) With too large "
-        "a step the force may have no component along the line between the hand and the border: "
-        "the step is bounded.",
         figure,
         {"": table, "points": _point_table(found)},
         {name: force.measured() for name, force in found.items()},
     )
 
 
+@paper_figure("fig10", "Figure 10: activation by distance")
 def figure_10(sources: Sources) -> Drawing:
-    """The activation by the distance of a pair."""
+    """0 from the buffer distance of 0.15 m outwards, 1 at 0.05 m and nearer, a cubic between."""
     d_b, d_full = sources.config.border.d_b, sources.config.activation.d_full
     d = np.linspace(0.0, 0.2, 201)
     table = {"d_m": d, "beta": np.array([activation(x, d_b, d_full) for x in d])}
@@ -215,8 +217,6 @@ def figure_10(sources: Sources) -> Drawing:
     ax.set(xlim=(0.0, 0.2), ylim=(-0.02, 1.05), xlabel="distance of the pair [m]")
     ax.set_ylabel(r"activation $\beta$ [–]")
     return Drawing(
-        "Figure 10: activation by distance",
-        "0 from the buffer distance of 0.15 m outwards, 1 at 0.05 m and nearer, a cubic between.",
         figure,
         {"": table},
         {"full_at_m": d_full, "zero_from_m": d_b, "largest_slope_per_m": 1.5 / (d_b - d_full)},

@@ -7,9 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from app.simulation.run import RunResult
 from app.studies.paper import density
-from app.studies.paper.approach import COMPARED
 from app.studies.paper.experiments import (
+    COMPARED,
     DOOR,
     DOOR_NONE,
     FRONT,
@@ -21,8 +22,8 @@ from app.studies.paper.experiments import (
     WHEEL_AXIS,
     WHEEL_AXIS_RIGHT,
     Experiment,
-    Run,
     Sources,
+    words_of,
 )
 
 
@@ -173,40 +174,39 @@ def claim(
     """Makes a claim of the function that judges it and whose docstring says it; as in `Claim`."""
 
     def add(measure: Callable[[Sources], Findings]) -> Claim:
-        paper = " ".join((measure.__doc__ or "").split())
-        CLAIMS.append(Claim(section, figure, paper, needs, measure))
+        CLAIMS.append(Claim(section, figure, words_of(measure), needs, measure))
         return CLAIMS[-1]
 
     return add
 
 
-def forward_motion(run: Run) -> float:
+def forward_motion(run: RunResult) -> float:
     """[m] how far the base moved along its first heading."""
-    first, last = run.base_poses[[0, -1]]
+    first, last = run.trace.of("base_pose")[[0, -1]]
     return float((last - first)[:2] @ [np.cos(first[2]), np.sin(first[2])])
 
 
-def beta_step(run: Run) -> float:
+def beta_step(run: RunResult) -> float:
     """[-] largest change of an activation of a pair of L_m between two rows of the log."""
-    betas = [run.log[f"beta_{pair}"] for pair in ("lm-lEE", "lm-l3")]
+    betas = [run.trace[f"beta_{pair}"] for pair in ("lm-lEE", "lm-l3")]
     return max(float(np.abs(np.diff(beta)).max()) for beta in betas)
 
 
-def _clear(run: Run, least: Threshold = CLEAR, of: str = "") -> Finding:
+def _clear(run: RunResult, least: Threshold = CLEAR, of: str = "") -> Finding:
     figure = run.figures["min_clearance_m"]
     return held("least distance", f"{of}min_clearance_m", figure, least=least)
 
 
-def _error(run: Run, of: str = "", **bound: Threshold) -> Finding:
+def _error(run: RunResult, of: str = "", **bound: Threshold) -> Finding:
     figure = run.figures["ee_error_final_m"]
     return held("final error", f"{of}ee_error_final_m", figure, **bound)
 
 
-def _back(run: Run, text: str = "base moves back") -> Finding:
+def _back(run: RunResult, text: str = "base moves back") -> Finding:
     return held(text, "backward_m", -forward_motion(run), least=MOVED)
 
 
-def _moved(run: Run, text: str = "base moves", of: str = "") -> Finding:
+def _moved(run: RunResult, text: str = "base moves", of: str = "") -> Finding:
     return held(text, f"{of}base_moves_m", run.figures["base_displacement_m"], least=MOVED)
 
 
@@ -326,7 +326,7 @@ def door_opened(s: Sources) -> Findings:
 def base_backs_off(s: Sources) -> Findings:
     """The base moves back and turns clockwise, beginning at 20 s."""
     run = s.runs[DOOR]
-    begins, yaw = run.figures["base_back_off_s"], run.base_poses[:, 2]
+    begins, yaw = run.figures["base_back_off_s"], run.trace.of("base_pose")[:, 2]
     text, key = "base backs off from", "base_back_off_s"
     yield held(text, key, begins, least=BACKS_FROM, most=BACKS_TO)
     yield _back(run, "moves back")

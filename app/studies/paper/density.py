@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import cache
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,12 +15,12 @@ from app.avoidance.mobile_acceleration import ActingPointFinder, PairForce, gene
 from app.border.dbb import Border, Cloud
 from app.border.surface import BorderPoints, BorderSurface
 from app.robot.link_pairs import Closest
-from app.simulation.run import run_scenario
 from app.simulation.session import DT
 from app.studies.paper.drawing import (
     Drawing,
     Table,
     base_in_plan,
+    paper_figure,
     points_table,
     square_around,
     stacked,
@@ -56,8 +56,11 @@ _SHAPES = {"points": BorderPoints, "surface": BorderSurface}
 _MEASURED = ("jump_max_m", "jump_p99_m", "find_p50_us")
 
 
+@paper_figure("density", "§4.3: density of the border", LATERAL)
 def figure_density(sources: Sources) -> Drawing:
-    """Largest jump of the acting point and time per search, over the number of points."""
+    """The denser the border, the costlier the search and the smaller the jumps of the acting point;
+    about 50,000 points suit a control rate of 1 kHz.
+    """
     table = trade_off(sources)
     figure = new_figure(3.6)
     jump, cost = figure.subplots(1, 2)
@@ -92,9 +95,6 @@ def figure_density(sources: Sources) -> Drawing:
         for k, (kind, n) in enumerate(zip(table["border"], table["points"].tolist(), strict=True))
     }
     return Drawing(
-        "§4.3: density of the border",
-        "The denser the border, the costlier the search and the smaller the jumps of the acting "
-        "point; about 50,000 points suit a control rate of 1 kHz.",
         figure,
         {"": table},
         rows,
@@ -126,7 +126,7 @@ def run_at_50_000(sources: Sources) -> dict[str, Any]:
         for pair in sources.data.pairs.mobile
     }
     data = replace(sources.data, clouds=clouds)
-    return run_scenario(sources.model, data, experiment.full(), experiment.config()).figures
+    return experiment.planned().done(sources.model, data).figures
 
 
 def thinned_cloud(cloud: Cloud, share: float) -> Cloud:
@@ -148,8 +148,8 @@ def _chosen(total: int, count: int) -> Array:
 def hand_in_buffer(sources: Sources) -> list[Closest]:
     """The closest points of the hand while it is in its buffer, at each control step."""
     run = sources.runs[LATERAL]
-    fine = np.arange(run.log.t[0], run.log.t[-1], DT)
-    q_m = np.column_stack([np.interp(fine, run.log.t, q) for q in run.q_m.T])
+    fine = np.arange(run.trace.t[0], run.trace.t[-1], DT)
+    q_m = np.column_stack([np.interp(fine, run.trace.t, q) for q in run.trace.of("q_m").T])
     d_b = sources.config.border.d_b
     return [closest for closest in sources.closest_points(q_m) if closest.d < d_b]
 
@@ -169,40 +169,11 @@ def jump_and_cost(
     return float(jumps.max()), float(np.percentile(jumps, 99)), 1e6 * float(np.median(times))
 
 
-class Path(NamedTuple):
-    """The acting point along the hand's path.
-
-    Attributes:
-        t: (N,) [s] times, equally spaced.
-        p_b: (N, 3) [m] closest point on the hand.
-        p_act: (N, 3) [m] acting point.
-        xdd_m: (N, 2) [m/s², rad/s²] acceleration that the force asks of the base.
-    """
-
-    t: Array
-    p_b: Array
-    p_act: Array
-    xdd_m: Array
-
-    def table(self) -> Table:
-        """Its columns, and how far the acting point went in each step."""
-        p_b, p_act = (
-            {f"{name}_{axis}": column for axis, column in points_table(points).items()}
-            for name, points in (("p_b", self.p_b), ("p_act", self.p_act))
-        )
-        linear, angular = self.xdd_m.T
-        return {
-            "t_s": self.t,
-            **p_b,
-            **p_act,
-            "p_act_step_m": np.concatenate([[np.nan], step_sizes(self.p_act)]),
-            "base_a_mps2": linear,
-            "base_aw_radps2": angular,
-        }
-
-
+@paper_figure("continuity", "§4.3: a continuous border", LATERAL)
 def figure_continuity(sources: Sources) -> Drawing:
-    """Where the acting point goes in plan, and how far in each control step."""
+    """Among points the acting point jumps from one to the next as the hand moves, a trade-off
+    against the cost of more points.
+    """
     points = thinned(sources.border, min(PAPERS_COUNT, len(sources.border)))
     finders = {
         "points": sources.finder(BorderPoints, points),
@@ -218,9 +189,10 @@ def figure_continuity(sources: Sources) -> Drawing:
     for kind, along in found.items():
         style = "." if kind == "points" else "-"
         look: dict[str, Any] = {"color": _COLOURS[kind], "label": _NAMES[kind]}
-        plan.plot(*along.p_act[:, :2].T, style, markersize=4, linewidth=2.2, **look)
-        change = np.maximum(step_sizes(along.p_act), _LEAST)
-        steps.plot(along.t[1:], change, linewidth=0.9, **look)
+        place = along["p_act_x_m"], along["p_act_y_m"]
+        plan.plot(*place, style, markersize=4, linewidth=2.2, **look)
+        change = np.maximum(along["p_act_step_m"][1:], _LEAST)
+        steps.plot(along["t_s"][1:], change, linewidth=0.9, **look)
     _base_and_hand(plan, sources, found["surface"])
     plan.legend(loc="upper right", fontsize=9)
     steps.set_yscale("log")
@@ -228,11 +200,8 @@ def figure_continuity(sources: Sources) -> Drawing:
     steps.set_xlim(float(coarse[0][0]), float(coarse[0][-1]))
     steps.legend(loc="lower right", fontsize=9)
     return Drawing(
-        "§4.3: a continuous border",
-        "Among points the acting point jumps from one to the next as the hand moves, a trade-off "
-        "against the cost of more points.",
         figure,
-        {"": stacked({kind: along.table() for kind, along in found.items()}, "border")},
+        {"": stacked(found, "border")},
         _measured(found, finer),
         [
             "The same hand path each time, that of the lateral guiding while the hand is in its "
@@ -250,7 +219,7 @@ def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Closes
     closest points computed at each step would have the collision library's tolerance in them, some
     0.3 mm along an edge: more than the hand moves in a step.
     """
-    log = sources.runs[LATERAL].log
+    log = sources.runs[LATERAL].trace
     outside = log[f"d_{sources.pair.name}_m"] >= sources.config.border.d_b
     stretches = np.ma.clump_unmasked(np.ma.masked_array(log.t, outside))
     longest = max((log.t[stretch] for stretch in stretches), key=len)
@@ -265,13 +234,27 @@ def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Closes
     return t, [Closest(*values) for values in zip(d, p_a, p_b, normal, strict=True)]
 
 
-def acting_path(sources: Sources, finder: ActingPointFinder, t: Array, path: list[Closest]) -> Path:
-    """The acting point at each of the hand's closest points, and what its force asks."""
+def acting_path(
+    sources: Sources, finder: ActingPointFinder, t: Array, path: list[Closest]
+) -> Table:
+    """The acting point along the hand's path, and the acceleration that its force asks of the base.
+
+    Each has its time t (N,) [s], the closest point p_b on the hand, the acting point, and how far
+    that went in the step before.
+    """
     base = sources.model.description.base
     forces = [sources.force(finder, closest) for closest in path]
     xdd_m = [generate_mob_acc([PairForce(f, acting.p_act)], base) for acting, f in forces]
-    p_b, p_act = [closest.p_b for closest in path], [acting.p_act for acting, _ in forces]
-    return Path(t, np.array(p_b), np.array(p_act), np.array(xdd_m))
+    p_act = np.array([acting.p_act for acting, _ in forces])
+    linear, angular = np.array(xdd_m).T
+    return {
+        "t_s": t,
+        **points_table(np.array([closest.p_b for closest in path]), "p_b_"),
+        **points_table(p_act, "p_act_"),
+        "p_act_step_m": np.concatenate([[np.nan], step_sizes(p_act)]),
+        "base_a_mps2": linear,
+        "base_aw_radps2": angular,
+    }
 
 
 def step_sizes(values: Array) -> Array:
@@ -279,12 +262,14 @@ def step_sizes(values: Array) -> Array:
     return np.linalg.norm(np.diff(values, axis=0), axis=1)
 
 
-def _measured(found: dict[str, Path], finer: dict[str, Path]) -> dict[str, Any]:
+def _measured(found: dict[str, Table], finer: dict[str, Table]) -> dict[str, Any]:
     """Largest steps of the acting point, how they shrink on the finer path, and accelerations."""
     result: dict[str, Any] = {}
     for kind, along in found.items():
-        largest, shrunk = (float(step_sizes(p.p_act).max()) for p in (along, finer[kind]))
-        linear, angular = np.abs(np.diff(along.xdd_m, axis=0)).max(axis=0).tolist()
+        largest, shrunk = (float(np.nanmax(p["p_act_step_m"])) for p in (along, finer[kind]))
+        linear, angular = (
+            float(np.abs(np.diff(along[axis])).max()) for axis in ("base_a_mps2", "base_aw_radps2")
+        )
         result[kind] = {
             "step_max_m": largest,
             "step_max_finer_m": shrunk,
@@ -303,14 +288,16 @@ def _measured(found: dict[str, Path], finer: dict[str, Path]) -> dict[str, Any]:
     return result
 
 
-def _base_and_hand(ax: Axes, sources: Sources, along: Path) -> None:
+def _base_and_hand(ax: Axes, sources: Sources, along: Table) -> None:
     """The base's outline, the closest point's path, and the window around both paths."""
     base_in_plan(ax, sources.model)
     ax.plot(
-        *along.p_b[:, :2].T,
+        along["p_b_x_m"],
+        along["p_b_y_m"],
         color=PAIR_COLOURS["lm-lEE"],
         linewidth=1.6,
         linestyle=(0, (3, 2)),
         label="closest point of the hand",
     )
-    square_around(ax, np.concatenate([along.p_b, along.p_act]), _ZOOM)
+    x, y = (np.concatenate([along[f"{p}_{axis}_m"] for p in ("p_b", "p_act")]) for axis in "xy")
+    square_around(ax, np.column_stack([x, y]), _ZOOM)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -24,8 +24,9 @@ from matplotlib.patches import Polygon
 from app.border.mobile import MobileBody
 from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
+from app.simulation.run import RunResult
 from app.simulation.snapshots import Camera, Photographer, Picture, Solid
-from app.studies.paper.experiments import Run
+from app.studies.paper.experiments import Experiment, Sources, words_of
 from app.studies.style import (
     HAND,
     METHOD_COLOURS,
@@ -55,20 +56,20 @@ class Drawing:
     """One figure of the paper, made anew.
 
     Attributes:
-        title: Its number in the paper and what it shows.
-        paper: What the paper says about it, in our words.
         figure: The picture.
         tables: What is plotted; the first without a suffix, the others by theirs.
         measured: Figures of it; keys end in their unit.
         remarks: What has to be said about the measured figures, one sentence each.
+        title: Its number in the paper and what it shows.
+        paper: What the paper says about it, in our words.
     """
 
-    title: str
-    paper: str
     figure: Figure
     tables: dict[str, Table]
     measured: dict[str, Any] = field(default_factory=dict)
     remarks: Sequence[str] = ()
+    title: str = ""
+    paper: str = ""
 
     def write(self, folder: Path, name: str) -> list[Path]:
         """Write PNG and CSVs into a folder; returns their paths, the PNG first."""
@@ -82,6 +83,32 @@ class Drawing:
         return paths
 
 
+class PaperFigure(NamedTuple):
+    """A figure of the paper: a function that draws it, whose docstring is what the paper says.
+
+    Attributes:
+        name: As `dbb reproduce` calls it.
+        title: Its number in the paper and what it shows.
+        needs: The experiments that it shows.
+        draw: Draws it.
+    """
+
+    name: str
+    title: str
+    needs: tuple[Experiment, ...]
+    draw: Callable[[Sources], Drawing]
+
+    def __call__(self, sources: Sources) -> Drawing:
+        return replace(self.draw(sources), title=self.title, paper=words_of(self.draw))
+
+
+def paper_figure(
+    name: str, title: str, *needs: Experiment
+) -> Callable[[Callable[[Sources], Drawing]], PaperFigure]:
+    """Makes a figure of the function that draws it; as in `PaperFigure`."""
+    return lambda draw: PaperFigure(name, title, needs, draw)
+
+
 def write_table(path: Path, table: Table) -> None:
     """Write it as CSV; numbers keep all their digits, NaN is an empty cell."""
     columns = {name: pa.array(column, from_pandas=True) for name, column in table.items()}
@@ -92,20 +119,15 @@ def write_table(path: Path, table: Table) -> None:
 
 
 def stacked(parts: dict[str, Table], kind: str) -> Table:
-    """One long table from several with the same columns, told apart by a column of their names.
-
-    Args:
-        parts: By their names.
-        kind: Name of the column that holds the parts' names.
-    """
+    """One long table from several with the same columns; a column `kind` holds their names."""
     names = np.concatenate([np.full(len(next(iter(p.values()))), n) for n, p in parts.items()])
     columns = next(iter(parts.values()))
     return {kind: names} | {c: np.concatenate([p[c] for p in parts.values()]) for c in columns}
 
 
-def points_table(points: Array, **columns: Array) -> Table:
-    """Points (N, 3) [m] and what belongs to each of them."""
-    return {f"{axis}_m": points[:, i] for i, axis in enumerate("xyz")} | columns
+def points_table(points: Array, prefix: str = "", **columns: Array) -> Table:
+    """Points (N, 3) [m] and what belongs to each of them; their columns may have a prefix."""
+    return {f"{prefix}{axis}_m": points[:, i] for i, axis in enumerate("xyz")} | columns
 
 
 def table_of(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
@@ -192,7 +214,7 @@ class Strip:
 
     name: str
     text: str
-    run: Run
+    run: RunResult
     times: Sequence[float]
     view: tuple[float, float]
     aim: Array | None = None
@@ -201,25 +223,16 @@ class Strip:
 
     def paths(self, *columns: str, every: int = 10) -> Table:
         """Where base and hand were, and further columns, each `every` rows of the log."""
-        log, hand = self.run.log, points_table(self.run.log.of("p_ee"))
-        names = ("t_s", "base_x_m", "base_y_m", "base_yaw_rad")
-        table = {name: log[name] for name in names}
-        table |= {f"hand_{name}": column for name, column in hand.items()}
-        table |= {name: log[name] for name in columns}
+        log = self.run.trace
+        table = {name: log[name] for name in ("t_s", "base_x_m", "base_y_m", "base_yaw_rad")}
+        table |= points_table(log.of("p_ee"), "hand_") | {name: log[name] for name in columns}
         return {name: column[::every] for name, column in table.items()}
 
 
 def snapshot_figure(
     model: RobotModel, strips: Sequence[Strip], *, aim: str = "", marks: str = ""
 ) -> Figure:
-    """The figure of some rows of snapshots.
-
-    Args:
-        model: The robot.
-        strips: The rows: panels (a), (b) and so on.
-        aim: What the arrows are, if there are any.
-        marks: What the lines on the floor are, likewise.
-    """
+    """Rows of snapshots, (a), (b) and so on; what arrows and lines on the floor are, if any."""
     height = len(strips) * (WIDTH / COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
     figure = new_figure(height)
     rows = figure.subfigures(len(strips), 1, squeeze=False)[:, 0]
@@ -247,8 +260,9 @@ def _camera(model: RobotModel, strips: Sequence[Strip]) -> Camera:
     """One camera for rows that are seen from the same side, that sees all that happens in them."""
     meshes: list[trimesh.Trimesh] = []
     for strip in strips:
-        for k in map(strip.run.log.row_at, strip.times):
-            bodies = placed_meshes(model, strip.run.base_poses[k], strip.run.q_m[k])
+        log = strip.run.trace
+        for k in map(log.row_at, strip.times):
+            bodies = placed_meshes(model, log.of("base_pose")[k], log.of("q_m")[k])
             meshes += [mesh for _, mesh in bodies] + [solid.mesh for solid in strip.solids(k)]
     aims = [strip.aim for strip in strips if strip.aim is not None]
     return framed(Camera(np.zeros(3), 6.0, *strips[0].view, *_PIXELS), meshes, aims, _TALL)
@@ -257,19 +271,19 @@ def _camera(model: RobotModel, strips: Sequence[Strip]) -> Camera:
 def _panel(
     ax: Axes, model: RobotModel, strip: Strip, camera: Camera, photographer: Photographer, t: float
 ) -> None:
-    k, run = strip.run.log.row_at(t), strip.run
-    picture = photographer.take(run.base_poses[k], run.q_m[k], camera, strip.solids(k))
+    log, poses = strip.run.trace, strip.run.trace.of("base_pose")
+    k, past = log.row_at(t), log.t <= t + 1e-6
+    picture = photographer.take(poses[k], log.of("q_m")[k], camera, strip.solids(k))
     ax.imshow(picture.rgb, interpolation="antialiased")
     ax.set_axis_off()
     ax.set_title(f"t = {t:g} s", fontsize=11, weight="normal", loc="center", pad=3)
-    corners, (x, y, yaw) = base_corners(model), run.base_poses[0]
+    corners, (x, y, yaw) = base_corners(model), poses[0]
     begin = corners[[0, 1, 2, 3, 0]] @ pin.utils.rotate("z", yaw).T + [x, y, 0.0]
     _on_floor(ax, picture, begin, color="#616E7C", linewidth=1.2, linestyle="--")
     if strip.marks is not None:
         _on_floor(ax, picture, strip.marks, color=TARGET, linewidth=1.6, linestyle=":")
-    past = strip.run.log.t <= t + 1e-6
-    centre = np.column_stack([run.base_poses[past, :2], np.full(past.sum(), corners[:, 2].max())])
-    for points, colour in ((centre, PATH), (run.log.of("p_ee")[past], HAND)):
+    centre = np.column_stack([poses[past, :2], np.full(past.sum(), corners[:, 2].max())])
+    for points, colour in ((centre, PATH), (log.of("p_ee")[past], HAND)):
         line = {"color": colour, "linewidth": 2.2, "path_effects": _CASING, "zorder": 4}
         ax.plot(*picture.pixels(points).T, **line)
     ax.plot(*picture.pixels(centre[-1:]).T, **marker_style(PATH, size=5))

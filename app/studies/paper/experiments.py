@@ -21,17 +21,16 @@ from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.robot.link_pairs import Closest, Pair, PairDistances
 from app.robot.model import RobotModel
-from app.simulation.run import RunResult, run_scenario
+from app.simulation.run import RunResult
+from app.simulation.scenarios import scenario_by_name
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import LineScenario, Point
-from app.simulation.scenarios.names import scenario_by_name
-from app.simulation.trace.trace import Trace
+from app.studies.runs import Planned, thinned
 
 Array = np.ndarray
 
 ROBOT = "husky_panda"
 """The paper's robot."""
-_LOG_EVERY = 10  # control steps between two rows that figures and claims are made of
 
 
 class Experiment(NamedTuple):
@@ -66,6 +65,10 @@ class Experiment(NamedTuple):
         """The parameters: the defaults, but for the kind of border."""
         return Config().replace("border.kind", "points") if self.points else Config()
 
+    def planned(self, **changes: Any) -> Planned:
+        """The run, with some of its parts changed."""
+        return Planned(ROBOT, self.full(), self.config(), self.controller)._replace(**changes)
+
     def aim(self) -> Array:
         """(2, 3) [m] where the hand is led from and to, in the world."""
         scenario = self.full()
@@ -90,33 +93,13 @@ GUIDING = {
     },
 }
 """By the method's name and the direction from which the hand is led."""
+COMPARED = tuple(each for by_direction in GUIDING.values() for each in by_direction.values())
+"""Figure 15's experiments."""
 DOOR = Experiment("refrigerator", "dbb")
 DOOR_NONE = Experiment("refrigerator", "none")
 
 
-class Run(NamedTuple):
-    """What an experiment gave.
-
-    Attributes:
-        figures: As `dbb run --json` prints them.
-        log: Its trace, a row a hundredth of a second.
-    """
-
-    figures: dict[str, Any]
-    log: Trace
-
-    @property
-    def base_poses(self) -> Array:
-        """(N, 3) x, y [m] and heading [rad] of the base."""
-        return self.log.of("base_pose")
-
-    @property
-    def q_m(self) -> Array:
-        """(N, n_m) [rad or m] the arm's joints."""
-        return self.log.of("q_m")
-
-
-Runs = dict[Experiment, Run]
+Runs = dict[Experiment, RunResult]
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,10 +159,8 @@ class Sources:
     ) -> tuple[ActingPoint, Array]:
         """Acting point and force (3,) [N] for a closest point, by the controller's own functions.
 
-        Args:
-            finder: Algorithm 3 on a border.
-            closest: In the base's frame.
-            force: Its parameters, if not those of the runs.
+        The closest point is in the base's frame; the force's parameters are those of the runs
+        unless others are given.
         """
         force, p_b, d = force or self.config.force, closest.p_b, closest.d
         acting = finder.find_acting_point(p_b, d, force)
@@ -218,13 +199,9 @@ def run_experiments(
     processes: int = 1,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> Runs:
-    """Do each experiment once.
+    """Do each experiment once, some processes side by side.
 
-    Args:
-        experiments: What to run; repeated ones are run once.
-        seed: Of everything random in the runs.
-        processes: How many to run side by side.
-        on_progress: Called after each with the simulated time of those that are done [s].
+    `on_progress` is called after each with the simulated time of those that are done [s].
 
     Raises:
         UnreachableError: No start of the arm for one of them.
@@ -244,19 +221,10 @@ def duration(experiments: Iterable[Experiment]) -> float:
     return sum(e.full().duration for e in set(experiments))
 
 
-def _run(seed: int, sources: Sources, experiment: Experiment) -> Run:
-    return run_of(
-        run_scenario(
-            sources.model,
-            sources.data,
-            experiment.full(),
-            experiment.config(),
-            controller=experiment.controller,
-            seed=seed,
-        )
-    )
+def _run(seed: int, sources: Sources, experiment: Experiment) -> RunResult:
+    return thinned(experiment.planned(seed=seed).done(sources.model, sources.data))
 
 
-def run_of(result: RunResult) -> Run:
-    """A run's figures and log, as other processes and the figures take them."""
-    return Run(result.figures, result.trace.rows(slice(None, None, _LOG_EVERY)))
+def words_of(function: Callable[..., Any]) -> str:
+    """A function's docstring in one line: what the paper says of what it draws or judges."""
+    return " ".join((function.__doc__ or "").split())

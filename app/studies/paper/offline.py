@@ -13,7 +13,15 @@ from scipy import ndimage
 from app.border.reach.map import PEAK, ReachMap, load_reach_map
 from app.border.score import fit_reachability, radial_profile
 from app.robot.model import RobotModel
-from app.studies.paper.drawing import Drawing, Table, base_corners, plan_axes, points_table, stacked
+from app.studies.paper.drawing import (
+    Drawing,
+    Table,
+    base_corners,
+    paper_figure,
+    plan_axes,
+    points_table,
+    stacked,
+)
 from app.studies.paper.experiments import Sources
 from app.studies.style import (
     METHOD_COLOURS,
@@ -32,8 +40,11 @@ _LEVELS = 25.0, 50.0, 75.0  # [-] of the reachability whose shells are drawn
 _SMOOTH = 1.0  # [-] steps of the lattice over which the counts of few poses are averaged
 
 
+@paper_figure("fig3", "Figure 3: sampled points and distance buffer borders")
 def figure_3(sources: Sources) -> Drawing:
-    """P_i and DBB_i of both pairs of L_m."""
+    """(a) The sampled points of the arm's links lie around the mobile robot. (b) Those at the
+    buffer distance of 0.15 m, within 0.01 m, are the distance buffer borders.
+    """
     rng = np.random.default_rng(0)
     parts: dict[str, Table] = {}
     counts: dict[str, object] = {}
@@ -52,9 +63,6 @@ def figure_3(sources: Sources) -> Drawing:
         letter, symbol = {"P": ("a", r"$\mathcal{P}_i$"), "DBB": ("b", r"$\mathcal{DBB}_i$")}[kind]
         panel_title(ax, f"{letter}{k // 2 + 1}", f"{symbol} of {PAIR_NAMES[pair_name]}")
     return Drawing(
-        "Figure 3: sampled points and distance buffer borders",
-        "(a) The sampled points of the arm's links lie around the mobile robot. (b) Those at the "
-        "buffer distance of 0.15 m, within 0.01 m, are the distance buffer borders.",
         figure,
         {"": stacked(parts, "set")},
         {
@@ -66,8 +74,12 @@ def figure_3(sources: Sources) -> Drawing:
     )
 
 
+@paper_figure("fig5", "Figure 5: score of the border of the hand")
 def figure_5(sources: Sources) -> Drawing:
-    """Determinant, reachability and score of the points of the first border."""
+    """(a) The determinant is symmetric about the X-axis and vanishes on the wheel axis. (b) The
+    reachability depends on the distance from the arm's mount alone. (c) Their product, signed by x,
+    has one global maximum, in front.
+    """
     border, field = sources.border, sources.field
     points = border.points[_some(len(border), np.random.default_rng(0))]
     values = {
@@ -75,7 +87,7 @@ def figure_5(sources: Sources) -> Drawing:
         "reachability": field.reachability(points),
         "score_m4prad4": field.score(points),
     }
-    table = points_table(points, **values)
+    table = points_table(points) | values
     labels = (r"$\det(J_c J_c^T)$ [m⁴/rad⁴]", r"$\mathcal{R}$ [–]", r"$\mathcal{S}$ [m⁴/rad⁴]")
     figure = new_figure(4.8)
     for k, (column, label) in enumerate(zip(values, labels, strict=True)):
@@ -87,10 +99,6 @@ def figure_5(sources: Sources) -> Drawing:
         bar.ax.locator_params(nbins=4)
     best = points[int(values["score_m4prad4"].argmax())]
     return Drawing(
-        "Figure 5: score of the border of the hand",
-        "(a) The determinant is symmetric about the X-axis and vanishes on the wheel axis. "
-        "(b) The reachability depends on the distance from the arm's mount alone. (c) Their "
-        "product, signed by x, has one global maximum, in front.",
         figure,
         {"": table},
         {
@@ -102,8 +110,11 @@ def figure_5(sources: Sources) -> Drawing:
     )
 
 
+@paper_figure("fig6", "Figure 6: reachability of the hand")
 def figure_6(sources: Sources) -> Drawing:
-    """The hand's reachability: its shells, a cut at the mount's height, and the fit of (9)."""
+    """The density of inverse kinematics solutions rises and then falls with the distance from the
+    arm's mount. It is described by a parabola with A = 525.9 /m², B = 0.575 m, C = 100.
+    """
     reach_map = load_reach_map(sources.model, sources.pair.b, progress=False)
     fit, field = fit_reachability(reach_map), sources.field
     figure = new_figure(4.2)
@@ -128,9 +139,6 @@ def figure_6(sources: Sources) -> Drawing:
     }
     _draw_fit(curve, fit_table, fit.rho_min_m, fit.rho_max_m)
     return Drawing(
-        "Figure 6: reachability of the hand",
-        "The density of inverse kinematics solutions rises and then falls with the distance from "
-        "the arm's mount. It is described by a parabola with A = 525.9 /m², B = 0.575 m, C = 100.",
         figure,
         {"": fit_table, "cut": cut_table, "shells": shell_table},
         {

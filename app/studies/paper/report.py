@@ -10,47 +10,27 @@ from typing import Any
 
 from app.errors import UnknownNameError
 from app.studies.page import Cell, Grid, Part, measured_grids, page_html
-from app.studies.paper import acting, approach, density, offline, refrigerator
+from app.studies.paper import acting, density, offline, runs
 from app.studies.paper.claims import claims_of
-from app.studies.paper.drawing import Drawing
+from app.studies.paper.drawing import Drawing, PaperFigure
 from app.studies.paper.experiments import (
-    DOOR,
-    DOOR_NONE,
-    FRONT,
-    LATERAL,
     ROBOT,
-    TRACKING,
-    TRACKING_REPULSIVE,
-    WHEEL_AXIS,
     Experiment,
-    Sources,
     duration,
     load_sources,
     run_experiments,
 )
-from app.studies.rows import write_json
+from app.studies.runs import write_json
 from app.studies.style import styled
 from app.system import write_whole
 
-FIGURES: dict[str, tuple[Callable[[Sources], Drawing], tuple[Experiment, ...]]] = {
-    "fig3": (offline.figure_3, ()),
-    "fig5": (offline.figure_5, ()),
-    "fig6": (offline.figure_6, ()),
-    "fig7": (acting.figure_7, (WHEEL_AXIS,)),
-    "fig8": (acting.figure_8, (LATERAL,)),
-    "fig10": (acting.figure_10, ()),
-    "fig11": (approach.figure_11, (TRACKING, TRACKING_REPULSIVE)),
-    "fig12": (approach.figure_12, (TRACKING, TRACKING_REPULSIVE)),
-    "fig13": (approach.figure_13, (LATERAL, FRONT)),
-    "fig14": (approach.figure_14, (LATERAL, FRONT)),
-    "fig15": (approach.figure_15, approach.COMPARED),
-    "fig16": (refrigerator.figure_16, (DOOR,)),
-    "fig17": (refrigerator.figure_17, (DOOR, DOOR_NONE)),
-    "fig18": (refrigerator.figure_18, (DOOR, DOOR_NONE)),
-    "density": (density.figure_density, (LATERAL,)),
-    "continuity": (density.figure_continuity, (LATERAL,)),
+FIGURES = {
+    each.name: each
+    for module in (offline, acting, runs, density)
+    for each in vars(module).values()
+    if isinstance(each, PaperFigure)
 }
-"""What draws each figure, and the experiments that it shows, in the order of the paper."""
+"""In the order of the paper, by their names."""
 _DRAWING = 5.0  # [s] of simulated time that drawing a figure costs about as much as
 
 
@@ -68,7 +48,7 @@ def chosen(names: Iterable[str]) -> list[str]:
 
 def experiments_for(names: Sequence[str]) -> list[Experiment]:
     """What has to be run for these figures and their claims, each once."""
-    needs = [e for name in names for e in FIGURES[name][1]]
+    needs = [e for name in names for e in FIGURES[name].needs]
     needs += [e for claim in claims_of(names) for e in claim.needs]
     return list(dict.fromkeys(needs))
 
@@ -103,14 +83,13 @@ def reproduce(
     """
     begin = perf_counter()
     experiments, sources = experiments_for(names), load_sources()
-    runs = run_experiments(experiments, seed=seed, processes=processes, on_progress=on_progress)
-    sources = replace(sources, runs=runs)
+    done = run_experiments(experiments, seed=seed, processes=processes, on_progress=on_progress)
+    sources = replace(sources, runs=done)
     figures: dict[str, dict[str, Any]] = {}
-    parts, done = [], duration(experiments)
+    parts, worked = [], duration(experiments)
     for name in names:
-        draw, _ = FIGURES[name]
         with styled():
-            drawing = draw(sources)
+            drawing = FIGURES[name](sources)
             files = drawing.write(out, name)
         parts.append(figure_part(name, drawing, files))
         figures[name] = {
@@ -119,10 +98,10 @@ def reproduce(
             "measured": drawing.measured,
             "remarks": list(drawing.remarks),
         }
-        done += _DRAWING
-        on_progress(done)
+        worked += _DRAWING
+        on_progress(worked)
     claims = [claim.judge(sources) for claim in claims_of(names)]
-    about = f"Robot {ROBOT}, seed {seed}, {len(runs)} runs."
+    about = f"Robot {ROBOT}, seed {seed}, {len(done)} runs."
     write_whole(out / "index.html", paper_page(parts, claims, about))
     result = {
         "robot": ROBOT,
@@ -131,7 +110,7 @@ def reproduce(
         "claims": claims,
         "claims_that_hold": sum(bool(claim["holds"]) for claim in claims),
         "claims_that_do_not": sum(not claim["holds"] for claim in claims),
-        "runs": {e.name: runs[e].figures for e in experiments},
+        "runs": {e.name: done[e].figures for e in experiments},
         "page": "index.html",
         "elapsed_s": perf_counter() - begin,
     }
@@ -140,13 +119,7 @@ def reproduce(
 
 
 def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], about: str) -> str:
-    """`index.html`: all figures, then all claims.
-
-    Args:
-        figures: As `figure_part` makes them.
-        claims: Rows of the table of claims, as `Claim.judge` gives them.
-        about: One sentence about what was run.
-    """
+    """`index.html`: all figures, then all claims as `Claim.judge` gives them; a sentence on top."""
     hold = sum(bool(claim["holds"]) for claim in claims)
     tally = f"{hold} of {len(claims)} claims hold here. " if claims else ""
     lead = (
@@ -158,13 +131,7 @@ def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], abo
 
 
 def figure_part(name: str, drawing: Drawing, files: Sequence[Path]) -> Part:
-    """One figure: the picture, and what the paper says beside what was measured.
-
-    Args:
-        name: As the command calls it.
-        drawing: The figure.
-        files: What was written of it, the picture first.
-    """
+    """One figure, the first of its files, and what the paper says beside what was measured."""
     measured = Part(
         "Measured here",
         tables=measured_grids(drawing.measured),

@@ -11,17 +11,16 @@ from typing import TYPE_CHECKING, Any
 from pydantic import Field, ValidationError
 
 from app.config import Config
-from app.errors import CaseError, ConfigError, DbbError
+from app.errors import CaseError, DbbError
 from app.simulation.case import FORMAT, RunCase
 from app.simulation.scenarios.line import StartedLine
-from app.strict import Finite, Positive, Strict, Vector3, explain, parsed
-from app.studies.pulls.parameters import PARAMETERS, StudyParameters
-from app.studies.rows import Row, rounded
+from app.strict import Finite, Positive, Vector3, explain, parsed
+from app.studies.pulls.parameters import PARAMETERS, StudyParameters, one_of_each
+from app.studies.runs import Planned, Row, rounded
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.robot.model import RobotModel
-    from app.simulation.run import RunResult
 
 TIMES = ("step_p50_us", "step_p99_us", "realtime_factor")
 """Figures of a run that depend on the machine: no study keeps them."""
@@ -47,8 +46,11 @@ _KEY = "case"  # under which the file of a failure keeps it, beside its figures
 _FORMER = {"strength", "noise", "delay", "base_speed"}  # fields of cases before hands had springs
 
 
-class Case(Strict):
-    """A person pulls the hand from a start towards the base, on a robot that is not as modelled."""
+class Case(one_of_each(Finite)):
+    """A person pulls the hand from a start towards the base, on a robot that is not as modelled.
+
+    It has a value of each of `PARAMETERS` too, in the unit of its interval in `StudyRange`.
+    """
 
     study_seed: int = Field(ge=0)
     """[-] of the study that drew it."""
@@ -77,22 +79,6 @@ class Case(Strict):
     """[s] when the person lets go, or None."""
     regrasp_at: Finite | None
     """[s] when the person takes hold again, or None."""
-    base_delay: Finite
-    """[s] between a velocity command and the base's drive."""
-    encoder_noise: Finite
-    """[rad] standard deviation of the noise of each joint's measured position."""
-    mass_error: Finite
-    """[-] by how much the controller takes the arm's masses for too large."""
-    slip: Finite
-    """[-] share of the base's motion that is lost at the ground."""
-    v_max: Finite
-    """[m/s] the largest speed that the admittance law may command."""
-    hand_f_max: Finite
-    """[N] largest force of the person's spring and damper."""
-    hand_stiffness: Finite
-    """[N/m] of that spring."""
-    hand_mass: Finite
-    """[kg] of the person's hand and forearm."""
     seed: int = Field(ge=0)
     """[-] of everything random in the run."""
 
@@ -116,6 +102,11 @@ class Case(Strict):
             regrasp_at=self.regrasp_at,
         )
 
+    def planned(self) -> Planned:
+        """The run; doing it raises a `CaseError` on a robot of another arm."""
+        run = self.scenario(), self.config(), self.controller, self.physics, self.seed
+        return Planned(self.robot, *run)
+
     def differences(self) -> list[str]:
         """See `RunCase.differences`: a study's case names no version."""
         return []
@@ -135,22 +126,6 @@ class Case(Strict):
         for name, path in PARAMETERS.items():
             config = config.replace(path, getattr(self, name))
         return config
-
-
-def check_no_others(options: Mapping[str, object], case: str = "--case") -> None:
-    """Refuse options that a replayed case already answers.
-
-    Args:
-        options: By their names; None was not given, and a parameter that no case has is fine.
-        case: What names the case.
-
-    Raises:
-        ConfigError: Names the first that was.
-    """
-    for name, value in options.items():
-        if value is not None and name not in ("border", "buffer_distance"):
-            option = "SCENARIO" if name == "scenario" else f"--{name.replace('_', '-')}"
-            raise ConfigError(f"{option}: {case} takes it from its file; leave one of them")
 
 
 def read_case(path: Path) -> Case | RunCase:
@@ -180,33 +155,13 @@ def read_case(path: Path) -> Case | RunCase:
         raise CaseError(f"{path} is no case: {explain(error, Case)}") from None
 
 
-def run_case(case: Case, model: RobotModel, data: BorderData) -> RunResult:
-    """The run of a case.
-
-    Raises:
-        DbbError: It cannot be run on this robot.
-    """
-    # Imported here: what reads a case checks it before anything is loaded.
-    from app.simulation.run import run_scenario
-
-    return run_scenario(
-        model,
-        data,
-        case.scenario(),
-        case.config(),
-        controller=case.controller,
-        physics=case.physics,
-        seed=case.seed,
-    )
-
-
 def play_case(case: Case, model: RobotModel, data: BorderData) -> Row:
     """One row: what was drawn, and what came of it.
 
     A run that breaks off is a row too: `error` says why, and its figures are missing.
     """
     try:
-        result = run_case(case, model, data)
+        result = case.planned().done(model, data)
     except (DbbError, ValueError, ArithmeticError) as error:
         return {**inputs_of(case), "nan": False, "error": f"{type(error).__name__}: {error}"}
     figures = flat(result.figures)

@@ -14,10 +14,10 @@ from typing_extensions import Self
 
 from app.errors import StudyError
 from app.simulation.trace.metrics import NEAR
-from app.strict import NonNegative, Strict, explain
+from app.strict import NonNegative, explain
 from app.studies.pulls.case import COLUMNS, failed
-from app.studies.pulls.parameters import Interval, StudyRange
-from app.studies.rows import Row
+from app.studies.pulls.parameters import Interval, StudyRange, one_of_each
+from app.studies.runs import Row
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -35,31 +35,17 @@ FORCE = "hand_force_clear_max_n"
 _CONFIDENCE = 0.95  # [-] of the bound of a rate
 
 
-class Envelope(Strict):
+class Envelope(one_of_each(Interval, leave="hand_f_max")):
     """Forces that a person exerts up to F* are inside, if all else is within its interval.
 
-    A force is the largest that acted on the hand before two bodies were near, whatever the
-    person's spring would have allowed.
+    The intervals are of what a `StudyRange` has by the same names. A force is the largest that
+    acted on the hand before two bodies were near, whatever the person's spring would have allowed.
     """
 
     force: NonNegative
     """[N] F*; at 0 nothing is inside."""
     speed: Interval
     """[m/s] largest speed of the person's hand."""
-    base_delay: Interval
-    """[s] of the base's command."""
-    v_max: Interval
-    """[m/s] largest commanded speed of the base."""
-    encoder_noise: Interval
-    """[rad] of the joints' measured positions."""
-    mass_error: Interval
-    """[-] of the arm."""
-    slip: Interval
-    """[-] of the base."""
-    hand_stiffness: Interval
-    """[N/m] of the person's spring."""
-    hand_mass: Interval
-    """[kg] of the person's hand and forearm."""
 
     @classmethod
     def stated(cls) -> Self:

@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from app.studies.pulls.case import failed, met_base, met_itself
 from app.studies.pulls.draw import StudySources
 from app.studies.pulls.envelope import FORCE, Envelope
-from app.studies.rows import Row
+from app.studies.runs import Row
 from app.studies.style import INK, SOFT, TARGET, new_figure, png_of, styled
 
 Array = np.ndarray

@@ -5,13 +5,14 @@ from __future__ import annotations
 import hashlib
 from functools import cache
 from pathlib import Path
+from typing import Any
 
-from pydantic import Field, model_validator
+from pydantic import Field, create_model, model_validator
 from typing_extensions import Self
 
 from app.config import parameter
 from app.errors import ConfigError
-from app.simulation.plants.choice import default_plant
+from app.simulation.plants import default_plant
 from app.strict import Strict, check_range
 
 Interval = tuple[float, float]
@@ -41,6 +42,12 @@ _OWN = {
 }
 _ROOMS = ("robot", "border", "avoidance", "control", "simulation")
 _MODULES = ("case", "draw", "parameters")
+
+
+def one_of_each(kind: Any, leave: str = "") -> type[Strict]:
+    """A record with a field of that kind for each of `PARAMETERS`, but for one that is left out."""
+    fields: dict[str, Any] = {name: (kind, ...) for name in PARAMETERS if name != leave}
+    return create_model("OneOfEach", __base__=Strict, **fields)
 
 
 class StudyRange(Strict):

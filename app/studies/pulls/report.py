@@ -13,7 +13,7 @@ from app.studies.page import Grid, Part, label, page_html
 from app.studies.pulls.case import entered_buffer, failed, met_base, met_itself
 from app.studies.pulls.envelope import Envelope, exerted, fit_envelope, tally, tally_by_halves
 from app.studies.pulls.parameters import StudyParameters
-from app.studies.rows import Row
+from app.studies.runs import Row
 
 _FORCES = (0.0, 20.0, 30.0, 40.0, 50.0, 60.0, 80.0, 100.0, math.inf)  # [N] edges of a table
 _SPREAD = (
@@ -168,15 +168,21 @@ def report_html(
 ) -> str:
     """The page, of what `summary_of` gives and the pictures, PNG by their names."""
     title = f"{summary['cases']:,} random pulls, {parameters.controller}"
+    said, forces = outcome(summary)
     parts = [
-        Part(text=_verdict(summary)),
+        said,
         *(Part(_TEXTS[name][0], name, [_TEXTS[name][1]], png) for name, png in pictures.items()),
         _envelope(envelope),
-        _forces(summary),
+        forces,
         _counted("By where the pull comes from", "from", summary["by_kind"]),
         _failures(rows),
     ]
     return page_html(title, _lead(parameters), parts)
+
+
+def outcome(summary: Mapping[str, Any]) -> tuple[Part, Part]:
+    """How the cases went, in words and by the force that was exerted."""
+    return Part(text=_verdict(summary)), _forces(summary)
 
 
 def _lead(parameters: StudyParameters) -> str:
@@ -200,6 +206,7 @@ def _verdict(summary: Mapping[str, Any]) -> list[str]:
     s, least = summary, summary["min_clearance_m"]
     halves = s["envelope"]["inside_by_halves"]
     lines = [
+        f"{s['failed']} of {s['cases']} cases failed. "
         f"{s['contact']} of {s['cases']} runs had a contact between arm and base in the plant; in "
         f"{s['bodies_overlap']} the convex bodies met, which are fatter than the links and count "
         f"as failures here. Within the arm: {s['arm_contact']} and {s['arm_bodies_overlap']}. "

@@ -1,11 +1,19 @@
-"""The whole study: cases that are not yet done, then table, failures, summary and report."""
+"""The whole study: cases that are not yet done, then table, failures, summary and report.
+
+What is done stands in a journal, a line a case, kept at once; processes of this machine do the
+work, or the workers of a running dask scheduler.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import json
+import logging
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from app.config import Config
 from app.errors import StudyError
@@ -13,12 +21,20 @@ from app.jobs.pool import Workers
 from app.studies.pulls.case import case_of, failed, play_case
 from app.studies.pulls.draw import StudySources, draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
-from app.studies.pulls.journal import Journal, write_table
 from app.studies.pulls.parameters import StudyParameters, code_digest
-from app.studies.rows import Row, write_json
-from app.system import write_whole
+from app.studies.runs import Row, write_json
+from app.system import claim, write_whole
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
 
 _AT_ONCE = 1000  # cases given to the workers together: each waiting one takes memory
+_LINES, _HEAD = "cases.jsonl", "parameters.json"
+_PATIENCE = 10.0  # [s] for a scheduler to answer
+_WORKERS_PATIENCE = 30.0  # [s] for one of its workers to be there
 
 
 def study(
@@ -76,13 +92,7 @@ def _do(
     """Play the cases of these numbers, each kept in the journal as soon as it is back."""
     load = partial(load_sources, parameters.robot)
     load()  # a border that must be sampled is sampled once
-    if scheduler is None:
-        workers = Workers(load, min(processes, len(todo)))
-    else:
-        # Imported here: nothing of dask is needed, and no port is opened, unless it is asked for.
-        from app.studies.pulls.cluster import Cluster
-
-        workers = Cluster(scheduler, load)
+    workers = Cluster(scheduler, load) if scheduler else Workers(load, min(processes, len(todo)))
     kept = len(journal.rows)
     with workers:
         for begin in range(0, len(todo), _AT_ONCE):
@@ -142,3 +152,216 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
         )
     for path in set(folder.glob("case-*.json")) - kept:
         path.unlink()
+
+
+def write_table(path: Path, rows: Sequence[Row]) -> None:
+    """Write the rows, sorted by case, as Parquet; the same rows give the same bytes.
+
+    What a row does not have is null.
+    """
+    # Imported here: it is not needed before all cases are done.
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    ordered = sorted(rows, key=lambda row: row["case"])
+    names = dict.fromkeys(name for row in ordered for name in row)
+    columns = {name: pa.array([row.get(name) for row in ordered]) for name in names}
+    empty = {
+        name: each.cast(pa.float64()) for name, each in columns.items() if each.type == pa.null()
+    }
+    sink = pa.BufferOutputStream()
+    pq.write_table(pa.table(columns | empty), sink, compression="zstd")
+    write_whole(path, sink.getvalue().to_pybytes())
+
+
+class Journal:
+    """Rows of a study in a folder, by the number of their case.
+
+    Each row is one line of JSON, on the disk before `add` returns. A line that was cut off when
+    the process was killed is dropped, and its case is done again.
+
+    Attributes:
+        rows: By the number of the case.
+    """
+
+    def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
+        """Open the journal of a folder, or begin one; use it in a `with`.
+
+        Args:
+            folder: An existing folder.
+            identity: What the study's cases follow from, as JSON has it.
+
+        Raises:
+            StudyError: The folder holds another study, or somebody works on this one, or a row
+                cannot be read.
+        """
+        self.rows: dict[int, Row] = {}
+        self._folder = folder
+        self._file = (folder / _LINES).open("a+b")
+        try:
+            if not claim(self._file):
+                raise StudyError(
+                    f"--out: another dbb study works in {folder}; wait for it, or choose another"
+                )
+            self._claim(identity)
+            self._read()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def add(self, row: Row) -> None:
+        """Keep the row of a case; a second one of the same case is ignored."""
+        if row["case"] in self.rows:
+            return
+        self._file.write(json.dumps(row, allow_nan=False).encode() + b"\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self.rows[row["case"]] = row
+
+    def _claim(self, identity: dict[str, Any]) -> None:
+        """Write down which study this is, or see that it is the same."""
+        path = self._folder / _HEAD
+        if not path.exists():
+            write_json(path, identity)
+            return
+        try:
+            kept = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError:
+            raise StudyError(f"--out: {path} is damaged; choose another folder") from None
+        if kept != identity:
+            raise StudyError(
+                f"--out: {self._folder} holds another study ({_difference(kept, identity)}); "
+                "go on with that one's options, or choose another folder"
+            )
+
+    def _read(self) -> None:
+        self._file.seek(0)
+        content = self._file.read()
+        whole = content.rfind(b"\n") + 1
+        for number, line in enumerate(content[:whole].splitlines(), start=1):
+            try:
+                row = json.loads(line)
+                self.rows.setdefault(row["case"], row)
+            except (ValueError, KeyError, TypeError):
+                raise StudyError(
+                    f"line {number} of {self._folder / _LINES} is damaged; remove it, and its case "
+                    "is done again"
+                ) from None
+        self._file.truncate(whole)  # it is opened to append: writing goes on at its end
+
+
+def _difference(kept: Any, wanted: dict[str, Any]) -> str:
+    """Which parts differ, as in `seed 1, not 2`."""
+    if not isinstance(kept, dict):
+        return "its parameters cannot be read"
+    if kept.get("code") != wanted.get("code"):  # then all else may differ as well
+        return f"code of another version: {kept.get('code')}, not {wanted.get('code')}"
+    parts = []
+    for key in sorted({*kept, *wanted}):
+        there, here = kept.get(key), wanted.get(key)
+        if there == here:
+            continue
+        if isinstance(there, dict) and isinstance(here, dict):
+            parts.append(_difference(there, here))
+        else:
+            parts.append(f"{key.replace('_', ' ')}: {there}, not {here}")
+    return "; ".join(parts)
+
+
+class Cluster:
+    """Runs jobs as `app.jobs.pool.Workers` does, on a dask scheduler; use it in a `with`.
+
+    The scheduler is not ours to end. `tls://` addresses take their certificates from dask's own
+    configuration.
+    """
+
+    def __init__(self, scheduler: str, make_context: Callable[[], Any]) -> None:
+        """Connect.
+
+        Args:
+            scheduler: Address, as in `tls://10.0.0.7:8786`.
+            make_context: Gives what the jobs share; called for each, so it has to keep it.
+
+        Raises:
+            StudyError: Nobody answers there, it has no workers, or they have another code.
+        """
+        for name in ("distributed", "tornado"):  # their errors reach us anyway
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        self._make_context = make_context
+        self._client = _connected(scheduler)
+        try:
+            _check_workers(self._client, scheduler)
+        except BaseException:
+            self._client.close()
+            raise
+
+    def __enter__(self) -> Cluster:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._client.close()
+
+    def map(self, function: Callable[[Any, Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
+        """The results of all jobs, in the order in which they end.
+
+        Raises:
+            StudyError: A job takes its worker's process down again and again.
+        """
+        from distributed import as_completed
+        from distributed.scheduler import KilledWorker
+
+        run = partial(_run, function, self._make_context)
+        futures = self._client.map(run, jobs, pure=False)
+        names = {future.key: job for future, job in zip(futures, jobs, strict=True)}
+        for future in as_completed(futures):
+            try:
+                result = future.result()
+            except KilledWorker:
+                name = names[future.key]
+                raise StudyError(f"case {name} ended its worker's process") from None
+            yield result
+
+
+def _run(
+    function: Callable[[Any, Job], Result], make_context: Callable[[], Any], job: Job
+) -> Result:
+    return function(make_context(), job)
+
+
+def _connected(scheduler: str) -> Client:
+    # Imported here: nothing of dask is needed, and no port is opened, unless it is asked for.
+    from distributed import Client
+
+    try:
+        return Client(scheduler, timeout=_PATIENCE)
+    except (OSError, TimeoutError, TypeError, ValueError) as error:  # TypeError: no certificates
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise StudyError(
+            f"--scheduler: no dask scheduler answers at {scheduler} ({reason}); start one by "
+            "`dask scheduler`, and workers by `dask worker ADDRESS` with this project installed"
+        ) from None
+
+
+def _check_workers(client: Client, scheduler: str) -> None:
+    """Refuse a cluster without workers, and one whose workers run other code than this process."""
+    with suppress(TimeoutError):
+        client.wait_for_workers(1, timeout=_WORKERS_PATIENCE)
+    try:
+        digests = cast(dict[str, str], client.run(code_digest)) if client.nthreads() else {}
+    except ImportError as error:
+        raise StudyError(f"--scheduler: a worker of {scheduler} lacks {error.name}") from None
+    if not digests:
+        raise StudyError(
+            f"--scheduler: {scheduler} has no workers; start some by `dask worker {scheduler}`"
+        )
+    strange = [worker for worker, digest in digests.items() if digest != code_digest()]
+    if strange:
+        raise StudyError(
+            f"--scheduler: {', '.join(strange)} of {scheduler} runs another version of the code"
+        )

@@ -12,13 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize, PowerNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, Polygon, Rectangle, Wedge
+from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 
 from app.border.mobile import MobileBody
 from app.robot.model import RobotModel
-from app.studies.rows import Row
+from app.studies.runs import Row
 from app.studies.style import INK, METHOD_NAMES, SOFT, TARGET, new_figure
-from app.studies.sweep.sweep import CLEARANCE_LIMIT, ERROR_LIMIT
+from app.studies.sweep.plan import CLEARANCE_LIMIT, ERROR_LIMIT
 
 Colour = tuple[float, float, float, float]
 
@@ -31,9 +31,9 @@ _INNER, _OUTER = 0.80, 1.60  # [-] radii between which the bars stand; the footp
 _LEAST = 0.06  # [-] length of a bar for a value at the scale's begin
 _AXIS_RADIUS, _AXIS_STEP = 1.78, 4.5  # [-] and [deg] of the dots of paths along the wheel axis
 _AXIS_ORDER = {0.0: 0, 0.001: 1, 0.010: 2, 0.050: 3}  # of the dots, by p_b's place [m]
-_EDGE = 2.15  # [-] half width of a panel
+_EDGE = 1.98  # [-] radius of a panel
 _PANEL = 3.35  # [in] side of a panel
-_MARKS_FROM, _MARKS_STEP = 158.0, 22.0  # [deg] where the texts of the scale stand: behind the base
+_MARKS_AT = 132.0  # [deg] where the texts of the scale stand: behind the base
 _DASHED, _DOTTED = (0, (4, 2)), (0, (1, 2))
 
 
@@ -60,10 +60,11 @@ class Quantity(NamedTuple):
         """[-] where a value stands on the scale, within 0 and 1."""
         return float(self.scale(value))
 
-    def length(self, value: float) -> float:
+    def radius(self, value: float) -> float:
         """[-] of a bar; where more is better, one that lacks it reaches to the limit in red."""
         lacks = self.limit is not None and self.more_is_better and value < self.limit
-        return self.share(self.limit if lacks and self.limit is not None else value)
+        share = self.share(self.limit if lacks and self.limit is not None else value)
+        return _INNER + (_OUTER - _INNER) * max(share, _LEAST)
 
     def good(self, value: float) -> bool:
         """Whether a value is on the good side of the limit."""
@@ -130,14 +131,22 @@ def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Fi
         f"sweep, {result['mode']}: hand at {height:g} m, {1000 * speed:.3g} mm/s on its way, "
         f"{result['length_m']:g} m towards the base"
     )
-    figure, panels = _panels(title, result["controllers"], [*paths, *axis], _PANEL)
+    names, shown = result["controllers"], [*paths, *axis]
+    figure, panels = _panels(title, names, shown, _PANEL, projection="polar")
     for ax, name, quantity in panels:
-        _scale(ax, quantity)
-        _base(ax, model, 0.07, (-1.7, 1.7), facecolor="#EEF1F4")
-        _directions(ax, MobileBody(model).upper[0])
+        in_plan = ax.transProjectionAffine + ax.transAxes  # metres in plan on the polar axes
+        _base(ax, model, 0.07, (-1.7, 1.7), facecolor="#EEF1F4", transform=in_plan)
+        tip = MobileBody(model).upper[0]
+        nose = [(tip, 0.09), (tip + 0.12, 0.0), (tip, -0.09)]
+        ax.add_patch(Polygon(nose, closed=True, color=INK, zorder=4, transform=in_plan))
         for row in paths:
             if row["controller"] == name:
-                _bar(ax, row, quantity, result["step_deg"])
+                value, step = row[quantity.key], 0.92 * result["step_deg"]
+                if value is None:
+                    _bar(ax, row, step, _OUTER, linewidth=0.6, **_NEVER)
+                else:
+                    _bar(ax, row, step, quantity.radius(value), facecolor=quantity.colour(value))
+                _cross(ax, row, (math.radians(row["direction_deg"]), 0.72), 4.5)
         for row in axis:
             if row["controller"] == name:
                 value = row[quantity.key]
@@ -145,9 +154,10 @@ def polar_map(result: Row, height: float, speed: float, model: RobotModel) -> Fi
                 _dot(ax, row, face, INK)
         for row in closed:
             if row["kind"] == "side":
-                _wedge(ax, row["direction_deg"], result["step_deg"], zorder=1, **_UNREACHABLE)
+                _bar(ax, row, result["step_deg"], _OUTER, zorder=1, linewidth=0, **_UNREACHABLE)
             else:
                 _dot(ax, row, "white", SOFT)
+        _scale(ax, quantity)
     _legend(figure, axis=bool(axis) or any(row["kind"] == "wheel_axis" for row in closed))
     return figure
 
@@ -188,15 +198,11 @@ def above_map(result: Row, speed: float, model: RobotModel) -> Figure:
 
 
 def _panels(
-    title: str, names: list[str], rows: list[Row], panel: float
+    title: str, names: list[str], rows: list[Row], panel: float, projection: str = "rectilinear"
 ) -> tuple[Figure, list[tuple[Axes, str, Quantity]]]:
     """A figure for these controllers, and each panel with its controller and quantity.
 
-    Args:
-        title: Of the whole.
-        names: Of the controllers.
-        rows: All paths shown, which the scales hold.
-        panel: [in] height of a panel.
+    The scales hold all rows that are shown; `panel` [in] is the height of a panel.
     """
     single, shown = len(names) == 1, quantities(rows)
     labels = [METHOD_NAMES.get(name, name) for name in names]
@@ -204,7 +210,7 @@ def _panels(
     figure = new_figure(panel * high + 1.3, max(_PANEL * wide, 7.4))
     title = f"{labels[0]}: {title}" if single else title
     figure.suptitle(title[0].upper() + title[1:], x=0.01, ha="left", fontsize=13)
-    grid = figure.subplots(high, wide, squeeze=False)
+    grid = figure.subplots(high, wide, squeeze=False, subplot_kw={"projection": projection})
     panels = []
     for i, quantity in enumerate(shown):
         for j, (name, label) in enumerate(zip(names, labels, strict=True)):
@@ -241,77 +247,48 @@ def _base(
     """Its outline, the wheel axis from one y to another, and the arm's mount of a radius [m]."""
     body, (x, y, _) = MobileBody(model), model.p_base()
     (left, low, _), (width, height, _) = body.lower, body.upper - body.lower
-    line = {"edgecolor": INK, "linewidth": 1.2, "zorder": 3}
-    ax.add_patch(Rectangle((left, low), width, height, **line, **style))
-    ax.plot([0, 0], axis, color=INK, linewidth=0.9, linestyle=_DOTTED, zorder=5)
-    ax.add_patch(Circle((x, y), mount, color=SOFT, zorder=4))
+    place = {"transform": style.pop("transform", ax.transData)}
+    line = {"edgecolor": INK, "linewidth": 1.2, "zorder": 3, "label": "base"}
+    ax.add_patch(Rectangle((left, low), width, height, **line, **style, **place))
+    ax.plot([0, 0], axis, color=INK, linewidth=0.9, linestyle=_DOTTED, zorder=5, **place)
+    ax.add_patch(Circle((x, y), mount, color=SOFT, zorder=4, **place))
 
 
-def _scale(ax: Axes, quantity: Quantity) -> None:
-    """Circles at the marks of a quantity, its limit dashed."""
-    ax.set_aspect("equal")
-    ax.set_axis_off()
-    ax.set(xlim=(-_EDGE, _EDGE), ylim=(-_EDGE, _EDGE))
-    ax.add_patch(Circle((0, 0), _OUTER, fill=False, color=SOFT, linewidth=0.5, zorder=4))
-    for k, (value, text) in enumerate(quantity.marks):
-        limit = value == quantity.limit
-        line: dict[str, Any] = {"color": SOFT, "linewidth": 0.7}
-        if limit:
-            line = {"color": TARGET, "linewidth": 1.4, "linestyle": _DASHED}
-        radius = _INNER + (_OUTER - _INNER) * quantity.share(value)
-        ax.add_patch(Circle((0, 0), radius, fill=False, zorder=4, **line))
-        halo = patheffects.withStroke(linewidth=2.5, foreground="white")
-        colour, place = TARGET if limit else "#52606D", _at(radius, _MARKS_FROM + _MARKS_STEP * k)
-        _text(ax, text, place, fontsize=7.5, color=colour, zorder=8, path_effects=[halo])
+def _scale(ax: Any, quantity: Quantity) -> None:
+    """Circles at the marks of a quantity, its limit dashed, and the directions around the base."""
+    marks = {_INNER + (_OUTER - _INNER) * quantity.share(v): text for v, text in quantity.marks}
+    marks.setdefault(_OUTER, "")
+    ax.set_rgrids(list(marks), list(marks.values()), angle=_MARKS_AT, fontsize=7.5, color="#52606D")
+    ax.set_thetagrids((0, 90, 180, 270), ("0° front", "90°", "180°", "270°"), fontsize=8.5)
+    ax.grid(visible=False, axis="x")
+    ax.grid(color=SOFT, linewidth=0.7, axis="y")
+    ax.set_axisbelow(False)
+    ax.tick_params(pad=-6)
+    ax.spines["polar"].set_visible(False)
+    ax.set_rlim(0.0, _EDGE)
+    halo = patheffects.withStroke(linewidth=2.5, foreground="white")
+    lines, labels = ax.yaxis.get_gridlines(), ax.get_yticklabels()
+    for (value, _), line, label in zip(quantity.marks, lines, labels, strict=False):
+        label.set(path_effects=[halo], zorder=8)
+        if value == quantity.limit:
+            line.set(color=TARGET, linewidth=1.4, linestyle=_DASHED)
+            label.set_color(TARGET)
 
 
-def _directions(ax: Axes, tip: float) -> None:
-    """The base's nose at x = `tip` [m], and the directions around it."""
-    nose = [(tip, 0.09), (tip + 0.12, 0.0), (tip, -0.09)]
-    ax.add_patch(Polygon(nose, closed=True, color=INK, zorder=4))
-    for degrees, text, turn in (
-        (0, "0° front", -90),
-        (90, "90°", 0),
-        (180, "180°", 90),
-        (270, "270°", 0),
-    ):
-        place = _at(2.02 if degrees % 180 else 1.86, degrees)
-        _text(ax, text, place, fontsize=8.5, color=INK, rotation=turn)
-
-
-def _bar(ax: Axes, row: Row, quantity: Quantity, step: float) -> None:
-    value, middle = row[quantity.key], row["direction_deg"]
-    if value is None:
-        _wedge(ax, middle, 0.92 * step, linewidth=0.6, zorder=2, **_NEVER)
-    else:
-        radius = _INNER + (_OUTER - _INNER) * max(quantity.length(value), _LEAST)
-        style = {"facecolor": quantity.colour(value), "zorder": 2}
-        _wedge(ax, middle, 0.92 * step, radius, **style)
-    _cross(ax, row, _at(0.72, middle), 4.5)
-
-
-def _wedge(
-    ax: Axes,
-    middle: float,
-    width: float,
-    radius: float = _OUTER,
-    *,
-    linewidth: float = 0.0,
-    **style: Any,
-) -> None:
-    """From the inner circle outwards, around a direction [deg]."""
-    ends = middle - width / 2, middle + width / 2
-    wedge = Wedge((0, 0), radius, *ends, width=radius - _INNER, linewidth=linewidth, **style)
-    ax.add_patch(wedge)
+def _bar(ax: Axes, row: Row, width: float, radius: float, **style: Any) -> None:
+    """From the inner circle outwards, around a path's direction, of a width [deg]."""
+    middle, style = math.radians(row["direction_deg"]), {"zorder": 2, **style}
+    ax.bar(middle, radius - _INNER, math.radians(width), _INNER, **style)
 
 
 def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
     """A path along the wheel axis; in the order of p_b's place, not to scale."""
     rank = math.copysign(_AXIS_ORDER[abs(row["offset_m"])], row["offset_m"])
     turn = -rank if row["direction_deg"] < 180.0 else rank  # positive x is to the right
-    angle = row["direction_deg"] + _AXIS_STEP * turn
+    angle = math.radians(row["direction_deg"] + _AXIS_STEP * turn)
     ax.plot(
-        *_at(_AXIS_RADIUS, angle),
+        angle,
+        _AXIS_RADIUS,
         marker="o",
         markersize=6.5,
         markerfacecolor=face,
@@ -320,22 +297,13 @@ def _dot(ax: Axes, row: Row, face: object, edge: str) -> None:
         linestyle="none",
         zorder=6,
     )
-    _cross(ax, row, _at(1.9, angle), 4)
+    _cross(ax, row, (angle, 1.9), 4)
 
 
 def _cross(ax: Axes, row: Row, place: tuple[float, float], size: float) -> None:
-    """Where something touched."""
+    """Where something touched, at a place in the axes' own coordinates."""
     if row.get("contacts") or row.get("arm_contacts"):
         ax.plot(*place, marker="x", color=INK, markersize=size, zorder=7)
-
-
-def _text(ax: Axes, text: str, place: tuple[float, float], **style: Any) -> None:
-    ax.annotate(text, place, ha="center", va="center", **style)
-
-
-def _at(radius: float, degrees: float) -> tuple[float, float]:
-    angle = math.radians(degrees)
-    return radius * math.cos(angle), radius * math.sin(angle)
 
 
 def _least_step(rows: Sequence[Row], key: str) -> float:

@@ -12,9 +12,10 @@ import numpy as np
 from app.config import Config
 from app.control import CONTROLLERS
 from app.errors import ConfigError, UnknownNameError
-from app.simulation.plants.choice import chosen_plant, default_plant
+from app.simulation.plants import chosen_plant, default_plant
 from app.simulation.scenarios.line import StartedLine
 from app.strict import check_range
+from app.studies.runs import Planned
 
 if TYPE_CHECKING:
     from app.robot.model import RobotModel
@@ -28,6 +29,10 @@ KINDS: tuple[Kind, ...] = ("side", "wheel_axis", "above")
 AXIS_OFFSETS = (0.0, 0.001, -0.001, 0.010, -0.010, 0.050, -0.050)
 """[m] x of p_b on the paths along the wheel axis."""
 
+ERROR_LIMIT = 0.001
+"""[m] final error up to which a path counts as done."""
+CLEARANCE_LIMIT = 0.03
+"""[m] distance between arm and base from which a path counts as safe."""
 CLEAR = 0.02
 """[m] beyond the buffer at which the arm starts, if nothing else is asked."""
 MORE_THAN_BUFFER = 0.005
@@ -109,10 +114,8 @@ def wheel_axis(heights: Sequence[float]) -> Iterator[Approach]:
 def from_above(lower: Array, upper: Array, spacing: float) -> Iterator[Approach]:
     """Paths down onto the base, over a grid on its footprint that includes its rim.
 
-    Args:
-        lower: (2,) [m] corner of the footprint.
-        upper: (2,) [m] the opposite corner.
-        spacing: [m] at most, between two places of the grid.
+    `lower` and `upper` (2,) [m] are its corners; two places of the grid are at most `spacing` [m]
+    apart.
     """
     counts = np.maximum(np.ceil((upper - lower) / spacing - 1e-9).astype(int), 1) + 1
     xs, ys = (np.linspace(a, b, n) for a, b, n in zip(lower[:2], upper[:2], counts, strict=True))
@@ -214,21 +217,21 @@ class SweepPlan:
             for speed in self.speeds:
                 yield from (Trial(start, controller, speed) for start in starts if not start.reason)
 
-    def scenario(self, trial: Trial) -> StartedLine:
+    def planned(self, trial: Trial) -> Planned:
         """The run of one trial."""
-        moving = self.length / trial.speed
-        duration = moving + self.hold
-        move = self.length * trial.start.approach.inwards
-        return StartedLine(
-            trial.start.approach.name,
-            duration,
+        start, moving = trial.start, self.length / trial.speed
+        x, y, z = (self.length * start.approach.inwards).tolist()
+        line = StartedLine(
+            start.approach.name,
+            moving + self.hold,
             "the hand is led towards the base",
             self.mode,
-            trial.start.p_ee,
-            (float(move[0]), float(move[1]), float(move[2])),
-            moving / duration,
-            trial.start.q_m,
+            start.p_ee,
+            (x, y, z),
+            moving / (moving + self.hold),
+            start.q_m,
         )
+        return Planned(self.robot, line, self.config, trial.controller, self.physics, self.seed)
 
 
 class Trial(NamedTuple):

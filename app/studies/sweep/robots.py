@@ -10,17 +10,17 @@ from app.config import Config
 from app.errors import DbbError
 from app.jobs.pool import Workers
 from app.robot.model import RobotModel
-from app.studies.rows import Row, rounded
-from app.studies.sweep.plan import Approach, Mode, SweepPlan, Trial
-from app.studies.sweep.starts import Start
-from app.studies.sweep.sweep import (
+from app.studies.runs import Row, rounded
+from app.studies.sweep.plan import (
     CLEARANCE_LIMIT,
     ERROR_LIMIT,
-    Loaded,
-    load,
-    passes,
-    run_trial,
+    Approach,
+    Mode,
+    SweepPlan,
+    Trial,
 )
+from app.studies.sweep.starts import Start, StartFinder
+from app.studies.sweep.sweep import load, passes
 
 CONTROLLERS = ("none", "dbb")
 """Without avoidance and with it."""
@@ -84,12 +84,7 @@ def robot_table(
     The start of each path is searched: the first height and direction from which the arm can begin
     clear of its buffers. A robot that cannot, or cannot be loaded, has a row that says why.
 
-    Args:
-        robots: Their names.
-        cases: What to do with each.
-        seed: Of everything random.
-        processes: How many to work side by side.
-        on_progress: Called now and then with the share of the work that is done, 0 to 1.
+    `on_progress` is called now and then with the share of the work that is done, 0 to 1.
 
     Returns:
         `rows`, and the limits by which they passed; keys end in their unit. A robot that cannot be
@@ -117,29 +112,30 @@ def _rows(_: object, job: tuple[SweepPlan, Case]) -> list[Row]:
     plan, case = job
     told: Row = {"robot": plan.robot, "title": plan.robot, "case": case.name}
     try:
-        loaded = load(plan.robot, plan.config.border.d_b)
-        told["title"] = loaded.model.description.title
-        start = _start(loaded, plan, case)
+        finder = load(plan.robot, plan.config.border.d_b)
+        told["title"] = finder.model.description.title
+        start = _start(finder, plan, case)
         if start.reason:
             return [told | {"reason": f"no start clear of the buffers: {start.reason}"}]
-        return [told | _row(loaded, plan, case, start, name) for name in CONTROLLERS]
+        return [told | _row(finder, plan, case, start, name) for name in CONTROLLERS]
     except DbbError as error:
         return [told | {"reason": str(error)}]
 
 
-def _start(loaded: Loaded, plan: SweepPlan, case: Case) -> Start:
+def _start(finder: StartFinder, plan: SweepPlan, case: Case) -> Start:
     """The first path that can begin, or the last one tried with why it cannot."""
     start: Start | None = None
-    for approach in case.approaches(loaded.model):
-        start = loaded.finder.find(approach, plan.distance, seed=plan.seed)
+    for approach in case.approaches(finder.model):
+        start = finder.find(approach, plan.distance, seed=plan.seed)
         if not start.reason:
             break
     assert start is not None, "a case has directions"
     return start
 
 
-def _row(loaded: Loaded, plan: SweepPlan, case: Case, start: Start, controller: str) -> Row:
-    figures: Row = run_trial(plan, loaded, Trial(start, controller, case.speed)).figures
+def _row(finder: StartFinder, plan: SweepPlan, case: Case, start: Start, controller: str) -> Row:
+    planned = plan.planned(Trial(start, controller, case.speed))
+    figures: Row = planned.done(finder.model, finder.data).figures
     row: Row = {
         "controller": controller,
         **start.approach.where(),

@@ -60,10 +60,11 @@ class Start(NamedTuple):
 
 
 class StartFinder:
-    """Finds the starts of paths; the base stands at the origin facing +x."""
+    """Finds the starts of paths of a robot; the base stands at the origin facing +x."""
 
     def __init__(self, model: RobotModel, data: BorderData, d_b: float) -> None:
         """Prepare for a robot and a buffer distance [m]."""
+        self.model, self.data = model, data
         self._solver = StartSolver(model, data.pairs, d_b)
         self._state = RobotState(model)
         self._monitor = DistanceMonitor(self._state, data.pairs.mobile)

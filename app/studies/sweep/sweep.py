@@ -1,33 +1,42 @@
-"""The sweep: hand paths towards the base from everywhere, each with each controller and speed."""
+"""The sweep: hand paths towards the base from everywhere, each with each controller and speed.
+
+Its files are `sweep.json`, `sweep.csv`, and a map for each height and speed.
+"""
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Callable
 from functools import lru_cache, partial
 from itertools import groupby
+from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from app.border.cache import BorderData, load_border_data
+from app.border.cache import load_border_data
 from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
-from app.simulation.run import RunResult, run_scenario
-from app.studies.paper.experiments import run_of
-from app.studies.rows import Row, rounded
-from app.studies.sweep.plan import KINDS, Approach, Kind, SweepPlan, Trial
+from app.studies.runs import Row, rounded, thinned, write_json
+from app.studies.sweep.plan import (
+    CLEARANCE_LIMIT,
+    ERROR_LIMIT,
+    KINDS,
+    Approach,
+    Kind,
+    SweepPlan,
+    Trial,
+)
 from app.studies.sweep.starts import Start, StartFinder
+from app.system import write_whole
 
 Array = np.ndarray
 
 START_SHARE = 0.25
 """[-] of the work that the search for starts is counted as."""
-ERROR_LIMIT = 0.001
-"""[m] final error up to which a path counts as done."""
-CLEARANCE_LIMIT = 0.03
-"""[m] distance between arm and base from which a path counts as safe."""
 LISTS: dict[Kind, str] = {"side": "paths", "wheel_axis": "wheel_axis", "above": "above"}
 """Under which key of the JSON the paths of a kind stand."""
 _KEPT = (
@@ -44,26 +53,26 @@ _KEPT = (
     "solver_failures",
 )
 
-
-class Loaded(NamedTuple):
-    """A robot, its pairs and clouds, and what finds the starts of its paths."""
-
-    model: RobotModel
-    data: BorderData
-    finder: StartFinder
+_FIRST = (
+    "kind",
+    "controller",
+    "height_m",
+    "speed_mps",
+    "direction_deg",
+    "offset_m",
+    "place_x_m",
+    "place_y_m",
+    "passed",
+)
+"""Columns of `sweep.csv` that come first."""
 
 
 @lru_cache(maxsize=1)
-def load(robot: str, d_b: float) -> Loaded:
-    """A process keeps the robot that it looked at last.
-
-    Args:
-        robot: Its name.
-        d_b: [m] buffer distance.
-    """
+def load(robot: str, d_b: float) -> StartFinder:
+    """A robot with what finds its starts; a process keeps the last. `d_b` [m]: buffer distance."""
     model = RobotModel(load_robot(robot))
     data = load_border_data(model, progress=False)
-    return Loaded(model, data, StartFinder(model, data, d_b))
+    return StartFinder(model, data, d_b)
 
 
 def sweep(
@@ -72,12 +81,8 @@ def sweep(
     """Lead the hand along all paths of a plan.
 
     Starts are searched once for all controllers and speeds. The result does not depend on the
-    number of processes, but for its times.
-
-    Args:
-        plan: What to do.
-        processes: How many to work side by side.
-        on_progress: Called now and then with the share of the work that is done, 0 to 1.
+    number of processes, but for its times. `on_progress` is called now and then with the share of
+    the work that is done, 0 to 1.
 
     Returns:
         What `sweep.json` holds; keys end in their unit.
@@ -131,34 +136,21 @@ def _groups(approaches: list[Approach]) -> list[tuple[Approach, ...]]:
     return [tuple(group) for _, group in groupby(approaches, key)]
 
 
-def _find_starts(plan: SweepPlan, loaded: Loaded, group: tuple[Approach, ...]) -> list[Start]:
-    return [loaded.finder.find(each, plan.distance, seed=plan.seed) for each in group]
+def _find_starts(plan: SweepPlan, finder: StartFinder, group: tuple[Approach, ...]) -> list[Start]:
+    return [finder.find(each, plan.distance, seed=plan.seed) for each in group]
 
 
-def run_trial(plan: SweepPlan, loaded: Loaded, trial: Trial) -> RunResult:
-    """One run of a plan."""
-    return run_scenario(
-        loaded.model,
-        loaded.data,
-        plan.scenario(trial),
-        plan.config,
-        controller=trial.controller,
-        physics=plan.physics,
-        seed=plan.seed,
-    )
-
-
-def _row(plan: SweepPlan, loaded: Loaded, trial: Trial) -> Row:
+def _row(plan: SweepPlan, finder: StartFinder, trial: Trial) -> Row:
     """Figures of one path; keys end in their unit."""
-    run, start = run_of(run_trial(plan, loaded, trial)), trial.start
-    scenario = plan.scenario(trial)
-    off = np.linalg.norm(run.log.of("p_ee") - scenario.position(scenario.duration)[0], axis=1)
+    planned, start = plan.planned(trial), trial.start
+    run, scenario = thinned(planned.done(finder.model, finder.data)), planned.scenario
+    off = np.linalg.norm(run.trace.of("p_ee") - scenario.position(scenario.duration)[0], axis=1)
     found: Row = {"controller": trial.controller, **start.approach.where()}
     found |= {"speed_mps": trial.speed}
     found |= dict(zip(("start_x_m", "start_y_m", "start_z_m"), start.p_ee, strict=True))
     found |= {"start_clearance_m": start.clearance, "start_p_b_x_m": start.p_b[0]}
     found |= {key: run.figures[key] for key in _KEPT}
-    found["time_s"] = arrival(run.log["t_s"], off)
+    found["time_s"] = arrival(run.trace["t_s"], off)
     found["passed"] = passes(found)
     return {key: rounded(value) for key, value in found.items()}
 
@@ -166,9 +158,7 @@ def _row(plan: SweepPlan, loaded: Loaded, trial: Trial) -> Row:
 def arrival(t: Array, off: Array) -> float | None:
     """[s] from when on the hand stays within 1 mm of its target; None if it does not.
 
-    Args:
-        t: (N,) [s] times.
-        off: (N,) [m] distances of the hand from its target.
+    It is `off` (N,) [m] its target at the times t (N,) [s].
     """
     arrived = np.append(0, np.flatnonzero(off > ERROR_LIMIT) + 1)[-1]
     return float(t[arrived]) if arrived < len(t) else None
@@ -223,3 +213,47 @@ def _summary(starts: list[Start], rows: list[Row]) -> Row:
         "unreachable": unreachable,
         "unreachable_share": unreachable / len(starts),
     }
+
+
+def write_sweep(result: Row, out: Path) -> list[str]:
+    """Write what a sweep gave into an existing folder; returns the names of the files."""
+    # Imported here: matplotlib would make the dashboard start later.
+    from app.studies.style import png_of, styled
+    from app.studies.sweep.maps import above_map, polar_map
+
+    model = RobotModel(load_robot(result["robot"]))
+    names = ["sweep.json", "sweep.csv"]
+    with styled():
+        for speed in result["speeds_mps"]:
+            for height in result["heights_m"]:
+                names.append(f"sweep_h{height:g}_v{speed:g}.png")
+                write_whole(out / names[-1], png_of(polar_map(result, height, speed, model)))
+            if result["above"] or any(row["kind"] == "above" for row in result["unreachable"]):
+                names.append(f"sweep_above_v{speed:g}.png")
+                write_whole(out / names[-1], png_of(above_map(result, speed, model)))
+    rows = [{"kind": kind, **row} for kind, key in LISTS.items() for row in result[key]]
+    write_whole(out / "sweep.csv", _csv(rows + result["unreachable"]))
+    write_json(out / "sweep.json", {**result, "files": names})
+    return names
+
+
+def newest_map(folder: Path) -> Path | None:
+    """The picture of the newest sweep from the side in a folder, or None."""
+    found = list(folder.glob("sweep_h*_v*.png")) if folder.is_dir() else []
+    return max(found, key=lambda path: (path.stat().st_mtime_ns, path.name), default=None)
+
+
+def read_map(path: Path) -> Array:
+    """(H, W, 3) the picture's pixels, 0 to 255."""
+    from matplotlib.image import imread
+
+    return np.round(255.0 * imread(path)[..., :3]).astype(np.uint8)
+
+
+def _csv(rows: list[Row]) -> str:
+    """One row a path, those that could not begin included."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, dict.fromkeys([*_FIRST, *(name for row in rows for name in row)]))
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

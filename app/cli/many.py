@@ -1,20 +1,26 @@
-"""`dbb sweep`: hand paths towards the base, from everywhere or by every robot."""
+"""`dbb reproduce`, `sweep` and `study`: many runs, of the paper, from everywhere, or at random."""
 
 from __future__ import annotations
 
 import json as json_reader
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
-from app.cli.common import print_json, print_table
+from app.cli.common import print_json, print_part, print_table
 from app.cli.options import (
     NO_DEFAULT,
     ConfigOption,
+    Flag,
     Json,
     Processes,
+    Setup,
+    SetupOptions,
     changed,
     check_name,
     check_processes,
@@ -27,12 +33,60 @@ from app.cli.records import Given, from_record
 from app.config import Config, make_config
 from app.errors import ConfigError
 from app.jobs.progress import progress_bar
+from app.strict import check_range
+from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.sweep.plan import OPTIONS, SweepPlan
 
-_PARAMETERS = {"buffer_distance": "border.d_b", "base_weight": "task.base_weight"}
+_OF_SWEEP = {"buffer_distance": "border.d_b", "base_weight": "task.base_weight"}
+_MOST_CASES = 10_000_000
 
 
-def choose(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
+def reproduce(
+    figures: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FIGURE")] = (),
+    *,
+    out: Path = Path("out/reproduction"),
+    seed: int = 0,
+    processes: Processes = None,
+    json: Json = False,
+) -> None:
+    """Run the paper's experiments, draw its figures, judge its claims.
+
+    Args:
+        figures: fig3, fig5 to fig8, fig10 to fig18, or density and continuity for §4.3; all if none
+            is named.
+        out: Folder for a PNG and CSVs a figure, `metrics.json` and `index.html`.
+        seed: Seed of everything random in the runs.
+    """
+    # Imported here: matplotlib and scipy would make every other command start later.
+    from app.studies.paper import report
+
+    names = report.chosen(figures)
+    check_seed(seed)
+    side_by_side = check_processes(processes)
+    make_folder(out)
+    text = f"{len(names)} figures" if len(names) > 1 else names[0]
+    with progress_bar(text, report.work(names)) as on_progress:
+        result = report.reproduce(
+            names, out, seed=seed, processes=side_by_side, on_progress=on_progress
+        )
+    if json:
+        print_json(result)
+    else:
+        _print_reproduction(result, out)
+
+
+def _print_reproduction(result: dict[str, Any], out: Path) -> None:
+    for name, figure in result["figures"].items():
+        print(f"{name:8} {figure['title']}")
+    for claim in result["claims"]:
+        print(
+            f"{'holds   ' if claim['holds'] else 'DOES NOT'} §{claim['section']} {claim['paper']}"
+        )
+        print(f"         {claim['measured']}")
+    print(f"{out / result['page']}")
+
+
+def choose_sweep(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
     """A sweep, or `sweep robots`: every robot through the same few paths."""
     if words[:1] == ["robots"]:
         return "robots", compare_robots, words[1:]
@@ -41,7 +95,7 @@ def choose(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
 
 def sweep(
     plan: Annotated[Given, from_record(SweepPlan, leave=("config",), names=OPTIONS)],
-    parameter: Annotated[Given, parameter_options(_PARAMETERS)],
+    parameter: Annotated[Given, parameter_options(_OF_SWEEP)],
     config: ConfigOption = None,
     parameters: Annotated[Path | None, NO_DEFAULT] = None,
     processes: Processes = None,
@@ -68,7 +122,7 @@ def sweep(
         ]
     for name in OPTIONS.keys() & plan.keys():
         plan[name] = tuple(dict.fromkeys(plan[name]))
-    made = SweepPlan(**plan, config=changed(tuned, parameter, _PARAMETERS))
+    made = SweepPlan(**plan, config=changed(tuned, parameter, _OF_SWEEP))
     check_seed(made.seed)
     side_by_side = check_processes(processes)
     # Imported here: matplotlib and scipy would make every other command start later.
@@ -76,8 +130,8 @@ def sweep(
 
     load_robot(made.robot)
     make_folder(out)
-    from app.studies.sweep.files import write_sweep
     from app.studies.sweep.sweep import sweep as make
+    from app.studies.sweep.sweep import write_sweep
 
     with progress_bar("sweep", 1.0) as on_progress:
         result = make(made, processes=side_by_side, on_progress=on_progress)
@@ -85,7 +139,7 @@ def sweep(
     if json:
         print_json(result)
     else:
-        _print(result, out)
+        _print_sweep(result, out)
 
 
 def compare_robots(
@@ -147,7 +201,7 @@ def _read_parameters(path: Path) -> Config:
     return make_config(given)
 
 
-def _print(result: dict[str, Any], out: Path) -> None:
+def _print_sweep(result: dict[str, Any], out: Path) -> None:
     for controller, kinds in result["summary"].items():
         for kind, s in kinds.items():
             print(f"{controller}, {kind.replace('_', ' ')}:")
@@ -168,25 +222,100 @@ def _print(result: dict[str, Any], out: Path) -> None:
 
 
 def _print_robots(rows: list[dict[str, Any]]) -> None:
-    from rich.table import Table
-
-    table = Table(
-        "robot", "case", "from", "controller", "clearance", "hand off", "base drove", "contacts", ""
-    )
+    head = "robot", "case", "from", "controller", "clearance", "hand off", "base drove", "contacts"
+    shown = []
     for row in rows:
         if "reason" in row:
-            table.add_row(row["title"], row["case"], "", "", row["reason"])
+            shown.append([row["title"], row["case"], "", "", row["reason"]])
             continue
         clearance = row["clearance_m"]
-        table.add_row(
-            row["title"],
-            row["case"],
-            f"{row['direction_deg']:g}°, {row['height_m']:.2f} m",
-            row["controller"],
-            "–" if clearance is None else f"{clearance:.3f} m",
-            f"{1000 * row['hand_error_m']:.3g} mm",
-            f"{row['base_path_m']:.2f} m",
-            str(row["contacts"]),
-            "✓" if row["passed"] else "✗",
+        shown.append(
+            [
+                row["title"],
+                row["case"],
+                f"{row['direction_deg']:g}°, {row['height_m']:.2f} m",
+                row["controller"],
+                "–" if clearance is None else f"{clearance:.3f} m",
+                f"{1000 * row['hand_error_m']:.3g} mm",
+                f"{row['base_path_m']:.2f} m",
+                str(row["contacts"]),
+                "✓" if row["passed"] else "✗",
+            ]
         )
-    print_table(table)
+    print_table((*head, ""), shown)
+
+
+def study(
+    cases: int = 2000,
+    *,
+    ranges: Annotated[Given, from_record(StudyRange)],
+    setup: SetupOptions,
+    inside: Annotated[
+        Flag, tyro.conf.arg(help="Draw only cases inside of the stated envelope.")
+    ] = False,
+    scheduler: Annotated[str | None, NO_DEFAULT] = None,
+    processes: Processes = None,
+    out: Path = Path("out/study"),
+    json: Json = False,
+) -> None:
+    """Pull the hand at the base by the thousand, at random.
+
+    From all around, with noise, delay, slip and a wrong model. Weak and strong, soft and stiff,
+    light and heavy hands pull; some let go on the way, and some of those take hold again. Each case
+    is kept as soon as it is done: a study that was ended goes on where it was when it is called
+    again with the same options, and more cases than before are added to it.
+
+    Args:
+        cases: How many.
+        scheduler: Address of a running dask scheduler, whose workers have this project installed;
+            by default processes on this machine.
+        out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
+    """
+    check_range("--cases", cases, 1, _MOST_CASES)
+    chosen = asdict(Setup(**setup))
+    parameters = StudyParameters(**chosen, inside=inside, ranges=StudyRange(**ranges))
+    side_by_side = check_processes(processes)
+    # Imported here: it takes longer than to find a mistake in what was asked.
+    from app.robot.description import load_robot
+
+    load_robot(parameters.robot)
+    make_folder(out)
+    from app.studies.pulls.report import outcome
+    from app.studies.pulls.study import study as run_study
+
+    with _kept(cases, out) as on_progress:
+        result = run_study(
+            parameters,
+            cases,
+            out,
+            scheduler=scheduler,
+            processes=side_by_side,
+            on_progress=on_progress,
+        )
+    if json:
+        print_json(result)
+        return
+    for part in outcome(result):
+        print_part(part)
+    print(out / "report.html")
+
+
+@contextmanager
+def _kept(cases: int, out: Path) -> Iterator[Callable[[float], None]]:
+    """A progress bar that says, when it is interrupted, what is kept and how it goes on."""
+    kept = 0.0
+
+    def count(done: float) -> None:
+        nonlocal kept
+        kept = done
+        update(done)
+
+    try:
+        with progress_bar(f"{cases} cases", cases) as update:
+            yield count
+    except KeyboardInterrupt:
+        print(
+            f"{kept:g} of {cases} cases are kept in {out}; the same command goes on with the rest",
+            file=sys.stderr,
+        )
+        raise

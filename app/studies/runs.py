@@ -1,0 +1,75 @@
+"""What all that runs shares: a run to be done, its row of rounded figures, and their JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from app.config import Config
+from app.simulation.scenarios.leading import Scenario
+from app.system import write_whole
+
+if TYPE_CHECKING:
+    from app.border.cache import BorderData
+    from app.robot.model import RobotModel
+    from app.simulation.run import RunResult
+
+Row = dict[str, Any]
+"""Numbers, texts, truths and None, by columns that end in their unit; no NaN."""
+
+DIGITS = 9
+"""[-] after the point, of metres, radians, newtons and seconds."""
+_LOG_EVERY = 10  # control steps between two rows of a trace that is thinned
+
+
+class Planned(NamedTuple):
+    """A run to be done: all that its figures follow from.
+
+    Attributes:
+        robot: Its name.
+        scenario: What happens.
+        config: Parameters.
+        controller: Name of the controller.
+        physics: Kind of plant; the default one if None.
+        seed: Of everything random.
+    """
+
+    robot: str
+    scenario: Scenario
+    config: Config
+    controller: str
+    physics: str | None = None
+    seed: int = 0
+
+    def done(self, model: RobotModel, data: BorderData, **how: Any) -> RunResult:
+        """Do it; what else it takes and what it raises stands at `run_scenario`."""
+        # Imported here: what is asked for is checked before anything is loaded.
+        from app.simulation.run import run_scenario
+
+        return run_scenario(model, data, self.scenario, self.config, **self.driven, **how)
+
+    @property
+    def driven(self) -> dict[str, Any]:
+        """Controller, plant and seed, as `run_scenario` and `steps_of` take them."""
+        return {"controller": self.controller, "physics": self.physics, "seed": self.seed}
+
+
+def thinned(result: RunResult) -> RunResult:
+    """A run with a row a hundredth of a second, as other processes and the figures take it."""
+    return result._replace(trace=result.trace.rows(slice(None, None, _LOG_EVERY)))
+
+
+def rounded(value: object) -> object:
+    """A number rounded to `DIGITS`, anything else as it is.
+
+    The QP solver's answers differ in their last digit with where its memory lies, and a result is
+    to be the same on any number of processes.
+    """
+    return round(value, DIGITS) if isinstance(value, float) else value
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write a file whole or not at all."""
+    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
+    write_whole(path, text)
