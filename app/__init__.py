@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from app.control.tasks import Reference as Reference
     from app.errors import DbbError as DbbError
     from app.errors import MeasurementError as MeasurementError
-    from app.robot.assets import load_robot as load_robot
     from app.robot.assets import robot_names as robot_names
     from app.robot.description import RobotDescription as RobotDescription
     from app.robot.description import load_description as load_description
+    from app.robot.description import load_robot as load_robot
     from app.robot.model import RobotModel as RobotModel
     from app.robot.state import Measurement as Measurement
     from app.robot.state import RobotState as RobotState
@@ -60,7 +60,7 @@ _MODULES = {
     "RobotState": "app.robot.state",
     "load_border_data": "app.border.cache",
     "load_description": "app.robot.description",
-    "load_robot": "app.robot.assets",
+    "load_robot": "app.robot.description",
     "read_config": "app.config_file",
     "robot_names": "app.robot.assets",
 }

@@ -8,7 +8,7 @@ Run it: python examples/obstacle_body.py
 from app.border.cache import load_border_data
 from app.border.config import SamplingConfig
 from app.config import Config
-from app.robot.assets import load_robot
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.robot.shapes import Box
 from app.simulation.run import run_scenario

@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from app.robot.assets import load_robot
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.robot.shapes import Shape
 from app.robot.state import Measurement, RobotState

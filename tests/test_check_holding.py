@@ -7,9 +7,9 @@ import pytest
 
 from app.onboarding.check import holding_row
 from app.onboarding.warn import carried_hand, holding_warning, lost_hand
-from app.robot.assets import load_robot
+from app.robot.assets import package_roots
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
-from app.robot.packages import package_roots
 from tests.robots import husky_panda
 
 

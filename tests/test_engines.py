@@ -10,7 +10,8 @@ import pytest
 
 import app.robot.assets
 from app.errors import AssetError, ConfigError
-from app.robot.assets import load_robot, resolved_urdf, robot_names
+from app.robot.assets import resolved_urdf, robot_names
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation import plants

@@ -9,9 +9,9 @@ import pytest
 
 from app.config import HoldingConfig
 from app.control.tasks import base_with_hand, carried
-from app.robot.assets import load_robot
+from app.robot.assets import package_roots
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
-from app.robot.packages import package_roots
 from app.robot.state import RobotState, at_rest
 from tests.robots import husky_panda, random_state
 

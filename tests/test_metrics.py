@@ -13,7 +13,7 @@ import pytest
 
 from app.border.cache import BorderData
 from app.config import Config
-from app.robot.assets import load_robot
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.plants.interface import Contacts
 from app.simulation.scenarios import LINES

@@ -37,12 +37,11 @@ from app.onboarding.new_robot import NewRobot, compiled, description, finish, pa
 from app.onboarding.read.source import mesh_address
 from app.onboarding.request import Request
 from app.onboarding.write import mesh_name
-from app.robot import assets, packages
-from app.robot.assets import ASSETS, load_robot, resolved_urdf, robot_names
-from app.robot.description import RobotDescription, load_description
+from app.robot import assets
+from app.robot.assets import ASSETS, package_roots, resolve_package_uri, resolved_urdf, robot_names
+from app.robot.description import RobotDescription, load_description, load_robot
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
-from app.robot.packages import package_roots, resolve_package_uri
 from app.simulation.plants.collision_shapes import body_contact_pairs
 from app.simulation.scenarios import scenario_by_name, scenario_of
 from tests.onboarding import (
@@ -232,7 +231,7 @@ def test_a_pair_that_random_poses_hardly_bring_together_is_searched_for(made: Ne
     never = [
         k
         for k, pair in enumerate(few.pairs)
-        if pair not in few.close and not (few.distances[:, k] <= 0.0).any()
+        if pair not in few.close and not (few.random.distances[:, k] <= 0.0).any()
     ]
     met = [k for k in never if (few.rare.distances[:, k] <= 0.0).any()]
     assert met
@@ -373,7 +372,8 @@ def masted(model: RobotModel, meeting: list[tuple[int, int]]) -> Meetings:
     apart, q_m = np.ones((3, len(pairs))), np.zeros((3, model.n_m))
     touching = np.where([pair in meeting for pair in pairs], -0.01, 1.0)[None]
     rare = Poses(q_m[:1], touching, np.ones(1, dtype=bool))
-    return Meetings((), q_m, pairs, apart, frozenset(), np.ones(3, dtype=bool), rare)
+    random = Poses(q_m, apart, np.ones(3, dtype=bool))
+    return Meetings((), pairs, frozenset(), random, rare)
 
 
 def grouped(units: list[list[int]]) -> grouping.Grouping:
@@ -425,7 +425,7 @@ def test_packages_of_a_wheels_share_are_found(
     mesh = tmp_path / "some-robot" / "meshes" / "a.stl"
     mesh.parent.mkdir(parents=True)
     mesh.write_text("solid")
-    monkeypatch.setattr(packages, "share_folders", lambda: [tmp_path])
+    monkeypatch.setattr(assets, "share_folders", lambda: [tmp_path])
     assert resolve_package_uri("package://some-robot/meshes/a.stl") == mesh
     for wrong in ("package://some-robot/../x", "package://../some-robot/meshes/a.stl"):
         with pytest.raises(assets.AssetError):

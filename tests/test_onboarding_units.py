@@ -64,9 +64,7 @@ def test_a_spot_that_was_met_is_no_body(met: int) -> None:
     empty = np.zeros((0, 3))
     reached = {(2, 0): np.arange(len(corners)) < met}
     poses = Poses(empty, empty, np.zeros(0, dtype=bool))
-    meetings = Meetings(
-        units, poses.q_m, (), poses.distances, frozenset(), poses.possible, poses, reached
-    )
+    meetings = Meetings(units, (), frozenset(), poses, poses, reached)
     body = ArmFitter(chain([TURN(), TURN()]), meetings).bodies([[1], [2]])[1]
     assert body.links == ("link2",)
     assert body.fits[0].volume == pytest.approx(0.2**3, rel=0.02)

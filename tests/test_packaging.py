@@ -100,7 +100,7 @@ from pathlib import Path
 import app
 from app.border.cache import load_border_data
 from app.border.config import SamplingConfig
-from app.robot.assets import load_robot
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 tiny = SamplingConfig(pair_samples=2000, cloud_samples=1000, voxel_plan=0.1, voxel_height=0.1,
                       sectors=2, retries=0)

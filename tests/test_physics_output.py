@@ -18,7 +18,7 @@ from tests.robots import husky_panda
 PROJECT = Path(__file__).resolve().parent.parent
 
 RUN = """
-from app.robot.assets import load_robot
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.plants import make_physics
 import numpy as np

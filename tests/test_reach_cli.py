@@ -16,8 +16,8 @@ import numpy as np
 import psutil
 import pytest
 
-from app.border.reach.fit import fit_reachability
 from app.border.reach.map import load_reach_map
+from app.border.score import fit_reachability
 from app.cli.main import main
 from app.robot.model import RobotModel
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.border.reach.fit import fit_parabola, radial_profile
+from app.border.score import fit_parabola, radial_profile
 
 KNOWN = (525.9, 0.575, 100.0)  # [1/m², m, -] paper, §2.3.2
 EDGES = (0.151, 0.999)  # [m] where (9) with them is 5 or more

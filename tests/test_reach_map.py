@@ -12,7 +12,6 @@ import pytest
 
 from app.border.config import ReachConfig
 from app.border.reach.chain import AnalyticSolver, Chain, RestartSolver, make_solver, reach_bodies
-from app.border.reach.fit import fit_reachability, radial_profile
 from app.border.reach.map import (
     ReachMap,
     lattice,
@@ -20,9 +19,10 @@ from app.border.reach.map import (
     reach_key,
     sample_reach_map,
 )
+from app.border.score import fit_reachability, radial_profile
 from app.errors import ConfigError, UnknownNameError
 from app.robot import assets
-from app.robot.assets import load_robot
+from app.robot.description import load_robot
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState

@@ -11,10 +11,9 @@ import pytest
 
 from app.errors import AssetError, DescriptionError, UnknownNameError
 from app.robot import assets
-from app.robot.assets import load_robot, resolved_urdf, robot_names
-from app.robot.description import load_description, tomllib
+from app.robot.assets import resolve_package_uri, resolved_urdf, robot_names
+from app.robot.description import load_description, load_robot, tomllib
 from app.robot.model import RobotModel
-from app.robot.packages import resolve_package_uri
 
 ORIGINAL = tomllib.loads((assets.ASSETS / "husky_panda/robot.toml").read_text(encoding="utf-8"))
 

@@ -6,7 +6,7 @@ import pytest
 
 from app.border.mobile import MobileBody
 from app.cli.main import main
-from app.robot import packages
+from app.robot import assets
 from app.studies.sweep import robots as table
 from app.studies.sweep.robots import CASES, Case
 from tests.robots import husky_panda
@@ -38,7 +38,7 @@ def test_a_row_for_each_controller_with_avoidance_farther_away():
 
 
 def test_a_robot_that_cannot_be_loaded_has_a_row_that_says_why(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(packages, "share_folders", list)
+    monkeypatch.setattr(assets, "share_folders", list)
     (row,) = table.robot_table(["tiago"], cases=[SHORT])["rows"]
     assert row["robot"] == "tiago"
     assert "pip install" in row["reason"]

@@ -8,10 +8,10 @@ import pytest
 
 from app.errors import AssetError
 from app.onboarding.check import base_row, bullet_row, limits_row, mujoco_row
-from app.robot import assets, packages
-from app.robot.assets import load_robot, resolved_urdf, robot_names
+from app.robot import assets
+from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf, robot_names
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
-from app.robot.packages import package_roots, resolve_package_uri
 
 PACKAGES = {
     "husky_panda": "pybullet_data",
@@ -49,7 +49,7 @@ def test_with_its_package_it_has_the_same_dynamics_in_both_libraries(name: str) 
 
 def test_a_missing_package_says_how_it_is_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    monkeypatch.setattr(packages, "share_folders", list)
+    monkeypatch.setattr(assets, "share_folders", list)
     for name, how in (
         ("husky_ur5", r"pip install '\.\[robots\]'|pybullet_data"),
         ("stretch_se3", r"pip install '\.\[robots\]'"),

@@ -247,7 +247,7 @@ from functools import partial
 import numpy as np
 from app.border.cache import load_border_data
 from app.config import Config
-from app.robot.assets import load_robot
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.loop.process_loop import ProcessLoop
 from app.simulation.session import Session

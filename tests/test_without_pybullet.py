@@ -14,9 +14,9 @@ from app.border.reach import chain as reach_solver
 from app.border.reach.chain import Chain, make_solver
 from app.dashboard.scene.robot import RobotParts
 from app.errors import AssetError
-from app.robot.assets import load_robot
+from app.robot.assets import resolve_package_uri
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
-from app.robot.packages import resolve_package_uri
 
 PROJECT = Path(__file__).resolve().parent.parent
 WITHOUT = """

@@ -17,7 +17,8 @@ from app.onboarding.read.links import read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
 from app.onboarding.report import BODY_COLOURS, _fill, _placements, body_corners
-from app.robot.assets import load_robot, urdf_path
+from app.robot.assets import urdf_path
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.studies.style import SOFT, new_figure, png_of, styled
 

@@ -1,7 +1,7 @@
 """The distance buffer border: points around the mobile robot, their score, their file.
 
     dbb.py        P_i of Algorithm 1, and the border selected from it, (3)
-    score.py      (9) to (11): the score of its points
+    score.py      (9) to (11): the score of its points, and the coefficients of (9)
     surface.py    the border as a continuous surface, and as the paper has it
     contours.py   the point of either's contours nearest to another: p_n of Algorithm 3
     offset.py     the exact offset of l_m, which the border samples; mobile.py its distances

@@ -27,11 +27,10 @@ from app.border.config import SamplingConfig
 from app.border.dbb import Cloud, make_cloud
 from app.errors import OutputError
 from app.robot import assets
-from app.robot.assets import urdf_path
+from app.robot.assets import resolve_package_uri, urdf_path
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import LinkPairs, Pair, find_link_pairs
 from app.robot.model import RobotModel
-from app.robot.packages import resolve_package_uri
 from app.robot.shapes import ConvexMesh
 from app.strict import Finite, NonNegative, Strict
 from app.system import write_whole

@@ -73,18 +73,6 @@ class PairReader:
         return J[:, :3] + np.cross(J[:, 3:], lever, axis=1)
 
 
-class Found(NamedTuple):
-    """Poses in a row with what they reached.
-
-    Attributes:
-        q_m: (N, n_m) float32 [rad or m].
-        points: (N, 3) int16 as in `Cloud`.
-    """
-
-    q_m: Array
-    points: Array
-
-
 class Flood:
     """Fills the open voxels of one pair, one point a voxel.
 
@@ -109,7 +97,7 @@ class Flood:
         self._q = np.empty((0, model.n_m))
         self._seen = Witnesses(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
 
-    def run(self, open_voxels: Array, sources: Array, retries: int) -> Found:
+    def run(self, open_voxels: Array, sources: Array, retries: int) -> tuple[Array, Array]:
         """Flood the open voxels.
 
         Args:
@@ -119,12 +107,13 @@ class Flood:
                 each time the first pose of the batch beside a voxel tries.
 
         Returns:
-            The poses accepted and their points; the sources among them that fell into open voxels.
+            (N, n_m) float32 [rad or m] the poses accepted, the sources that fell into open voxels
+            among them, and (N, 3) int16 their points as in `Cloud`.
         """
         self.open = open_voxels
         seen = self._reader.witnesses(sources)
         fresh = self._accept(seen)
-        accepted = [Found(sources[fresh].astype(np.float32), quantise_points(seen.p_b[fresh]))]
+        accepted = [(sources[fresh].astype(np.float32), quantise_points(seen.p_b[fresh]))]
         waiting = [[(sources, seen)]] + [[] for _ in range(retries)]
         while (round_ := next((k for k, queue in enumerate(waiting) if queue), None)) is not None:
             q, seen = _take(waiting[round_])
@@ -132,14 +121,13 @@ class Flood:
             fresh = self._accept(reached)
             if len(fresh):
                 accepted.append(
-                    Found(tried[fresh].astype(np.float32), quantise_points(reached.p_b[fresh]))
+                    (tried[fresh].astype(np.float32), quantise_points(reached.p_b[fresh]))
                 )
                 waiting[0].append((tried[fresh], _pick(reached, fresh)))
             if round_ < retries:
                 waiting[round_ + 1].append((q, seen))
-        return Found(
-            np.concatenate([a.q_m for a in accepted]), np.concatenate([a.points for a in accepted])
-        )
+        q_m, points = (np.concatenate(each) for each in zip(*accepted, strict=True))
+        return q_m, points
 
     def _accept(self, seen: Witnesses) -> Array:
         """Indices of the witnesses that fall into open voxels, one each; closes those."""

@@ -217,6 +217,6 @@ def flood_sector(context: Context, job: SectorJob) -> Kept:
         np.random.default_rng(job.seed),
     )
     q_m = np.clip(job.sources.astype(float), model.q_lower, model.q_upper)
-    found = flood.run(wanted, q_m, config.retries)
-    distances = context.body.distance(found.points * POINT_UNIT)
-    return Kept(found.q_m, found.points, quantise_distances(distances))
+    found, points = flood.run(wanted, q_m, config.retries)
+    distances = context.body.distance(points * POINT_UNIT)
+    return Kept(found, points, quantise_distances(distances))

@@ -18,7 +18,7 @@ _NOTHING = 1e-6  # [any unit] less is what the computer's rounding leaves
 def load_model(robot: str) -> RobotModel:
     """The compiled model of a robot by its name."""
     # Imported here: it takes longer than to find a mistake in what was asked.
-    from app.robot.assets import load_robot
+    from app.robot.description import load_robot
     from app.robot.model import RobotModel
 
     return RobotModel(load_robot(robot))

@@ -126,7 +126,7 @@ def sweep(
     check_seed(made.seed)
     side_by_side = check_processes(processes)
     # Imported here: matplotlib and scipy would make every other command start later.
-    from app.robot.assets import load_robot
+    from app.robot.description import load_robot
 
     load_robot(made.robot)
     make_folder(out)
@@ -276,7 +276,7 @@ def study(
     parameters = StudyParameters(**chosen, inside=inside, ranges=StudyRange(**ranges))
     side_by_side = check_processes(processes)
     # Imported here: it takes longer than to find a mistake in what was asked.
-    from app.robot.assets import load_robot
+    from app.robot.description import load_robot
 
     load_robot(parameters.robot)
     make_folder(out)

@@ -10,8 +10,8 @@ from app.cli.common import load_model, print_json
 from app.cli.options import NO_DEFAULT, Json, check_name, check_seed, make_folder
 
 if TYPE_CHECKING:
-    from app.border.reach.fit import ReachFit
     from app.border.reach.map import ReachMap
+    from app.border.score import ReachFit
     from app.robot.model import RobotModel
 
 _PAPER = {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}  # §2.3.2, of the end-effector
@@ -44,8 +44,8 @@ def reach(
     # Imported here: scipy and the solver would make every other command start later.
     from app.border.config import ReachConfig
     from app.border.reach.chain import reach_bodies
-    from app.border.reach.fit import fit_reachability
     from app.border.reach.map import load_reach_map
+    from app.border.score import fit_reachability
 
     check_seed(seed)
     model = load_model(robot)
@@ -93,7 +93,7 @@ def _figures(model: RobotModel, reach_map: ReachMap, fit: ReachFit) -> dict[str,
 def _write(out: Path, reach_map: ReachMap, fit: ReachFit) -> None:
     import numpy as np
 
-    from app.border.reach.fit import radial_profile
+    from app.border.score import radial_profile
 
     profile = radial_profile(reach_map.rho, reach_map.reach)
     fitted = fit.at(profile.rho_m)

@@ -30,7 +30,8 @@ _MARKS = {"passed": "✓", "warned": "!", "failed": "✗", "nothing to show": "-
 def robots(json: Json = False) -> None:
     """List the described robots, and what is wrong with a broken one."""
     # Imported here: it needs the readers of descriptions.
-    from app.robot.assets import load_robot, robot_names
+    from app.robot.assets import robot_names
+    from app.robot.description import load_robot
 
     found, broken = [], {}
     for name in robot_names():
@@ -76,7 +77,7 @@ def check_robot(
         name: Name of the robot; `dbb robots` lists them.
         runs: Guide the hand towards the base too, which takes longest.
     """
-    from app.robot.assets import load_robot
+    from app.robot.description import load_robot
 
     description = load_robot(name)
     # Imported here: it needs scipy, trimesh and the engines.

@@ -129,7 +129,7 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
         chosen = Setup(**setup)
         tuned = configured(config, parameters)
         # Imported here: it takes longer than to find a mistake in what was asked.
-        from app.robot.assets import load_robot
+        from app.robot.description import load_robot
 
         own = scenario_of(load_robot(chosen.robot), scenario.name).changed(**scenario_options)
         figures = _run(planned(chosen, own, tuned), _Files(out, log, json))

@@ -36,7 +36,7 @@ def wanted(word: str, setup: Given, config: Path | None) -> Planned:
         DbbError: There is no such scenario or case, or the case has already what is given.
     """
     # Imported here: it takes longer than to find a mistake in what was asked.
-    from app.robot.assets import load_robot
+    from app.robot.description import load_robot
 
     if not is_case(word):
         chosen, tuned = Setup(**setup), configured(config)

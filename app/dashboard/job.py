@@ -214,7 +214,7 @@ class Challenge(Job):
 def _loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
     """A robot by its name, and its border; how that is sampled where it is not cached."""
     from app.border.cache import load_border_data
-    from app.robot.assets import load_robot
+    from app.robot.description import load_robot
     from app.robot.model import RobotModel
 
     model = RobotModel(load_robot(robot))

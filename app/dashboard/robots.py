@@ -18,14 +18,8 @@ from app.errors import ConfigError, DbbError
 from app.jobs.process import Cancelled
 from app.onboarding.read.package import LARGEST_ARCHIVE, Contents
 from app.onboarding.request import Request
-from app.robot.assets import (
-    bare_urdf,
-    load_robot,
-    resolved_urdf,
-    robot_folder,
-    robot_names,
-    user_robots,
-)
+from app.robot.assets import bare_urdf, resolved_urdf, robot_folder, robot_names, user_robots
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.plants import default_plant

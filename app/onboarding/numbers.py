@@ -13,8 +13,8 @@ import numpy as np
 import pinocchio as pin
 
 from app.border.reach.chain import reach_bodies
-from app.border.reach.fit import ReachFit, fit_reachability
 from app.border.reach.map import PEAK, ReachMap, sample_reach_map
+from app.border.score import ReachFit, fit_reachability
 from app.errors import DescriptionError, RobotFileError
 from app.onboarding.read.tree import Arm, Joint
 from app.onboarding.read.wheels import Steering, Wheels

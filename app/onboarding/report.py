@@ -16,7 +16,7 @@ from scipy.spatial import ConvexHull
 from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
 from app.border.offset import OffsetContours
-from app.border.reach.fit import radial_profile
+from app.border.score import radial_profile
 from app.onboarding.fit.collision_sampling import moved
 from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
@@ -157,11 +157,9 @@ def bodies_png(robot: NewRobot) -> bytes:
                 for corners in body_corners(model, placed, name):
                     colour = BODY_COLOURS[k % len(BODY_COLOURS)]
                     _fill(axes, corners, x, y, colour, 0.25, name if x == 0 and y == 2 else None)
-            axes.set_aspect("equal")
             axes.autoscale()
-            axes.set_title(title)
-            axes.set_xlabel(f"{'xyz'[x]} [m]")
-            axes.set_ylabel(f"{'xyz'[y]} [m]")
+            across, up = (f"{'xyz'[k]} [m]" for k in (x, y))
+            axes.set(aspect="equal", title=title, xlabel=across, ylabel=up)
         _legend(figure, model.body_names)
         return png_of(figure)
 
@@ -195,10 +193,8 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
                     label=cloud.pair,
                     color=BODY_COLOURS[(k + 2) % len(BODY_COLOURS)],
                 )
-            axes.set_aspect("equal")
-            axes.set_title(f"z = {z:.2f} m, d_b = {d_b:g} m")
-            axes.set_xlabel("x [m]")
-            axes.set_ylabel("y [m]")
+            title = f"z = {z:.2f} m, d_b = {d_b:g} m"
+            axes.set(aspect="equal", title=title, xlabel="x [m]", ylabel="y [m]")
             axes.legend(loc="center")
         return png_of(figure)
 
@@ -218,9 +214,8 @@ def reach_png(robot: NewRobot) -> bytes | None:
             axes.plot(profile.rho_m, profile.mean, "o", color=INK, label="counted")
             rho = np.linspace(reach.fit.rho_min_m, reach.fit.rho_max_m, 100)
             axes.plot(rho, reach.fit.at(rho), color=BODY_COLOURS[0], label="(9)")
-            axes.set_title(f"{name}: R² {reach.fit.r_squared:.2f}")
-            axes.set_xlabel("distance from the mount [m]")
-            axes.set_ylabel("reachability [-]")
+            title = f"{name}: R² {reach.fit.r_squared:.2f}"
+            axes.set(title=title, xlabel="distance from the mount [m]", ylabel="reachability [-]")
             axes.legend()
         return png_of(figure)
 

@@ -77,7 +77,7 @@ def _bodies(robot: NewRobot) -> list[str]:
             f"mostly {robot.unseen.worst}: bodies that are neighbours or near as built are no "
             "pair, so limit the joints between them"
         )
-    hits = (meetings.distances <= 0).mean(axis=0)
+    hits = (meetings.random.distances <= 0).mean(axis=0)
     for pair, rate in zip(meetings.pairs, hits, strict=True):
         if pair in meetings.close and rate > 0:
             a, b = (meetings.units[unit].links[0] for unit in pair)

@@ -10,7 +10,8 @@ from typing import Annotated, Union, get_args
 from pydantic import Field, SerializeAsAny, ValidationError, model_validator
 from typing_extensions import Self
 
-from app.errors import DescriptionError
+from app.errors import DescriptionError, UnknownNameError
+from app.robot.assets import robot_folder, robot_names
 from app.robot.bases.car_like import CarLikeBase
 from app.robot.bases.differential import DifferentialBase
 from app.robot.bases.holonomic import HolonomicBase
@@ -228,3 +229,15 @@ def load_description(path: Path) -> RobotDescription:
         return RobotDescription.model_validate(data)
     except ValidationError as error:
         raise DescriptionError(f"{path}: {explain(error, RobotDescription)}") from None
+
+
+def load_robot(name: str) -> RobotDescription:
+    """The description of a robot by its name.
+
+    Raises:
+        UnknownNameError: No robot has that name; lists those that exist.
+        DescriptionError: Its description does not hold.
+    """
+    if name not in robot_names():
+        raise UnknownNameError("robot", name, robot_names())
+    return load_description(robot_folder(name) / "robot.toml")

@@ -19,7 +19,7 @@ import pinocchio as pin
 from pydantic import Field
 
 from app.errors import extras_named
-from app.robot.packages import resolve_package_uri
+from app.robot.assets import resolve_package_uri
 from app.strict import Positive, Strict, Vector3
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 
 from app.border.cache import BorderData, load_border_data
 from app.border.mobile import MobileBody
-from app.robot.assets import load_robot
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 
 Array = np.ndarray

@@ -12,7 +12,7 @@ import numpy as np
 from app.border.cache import BorderData, load_border_data
 from app.config import Config
 from app.jobs.pool import Workers
-from app.robot.assets import load_robot
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
 from app.simulation.scenarios import LINES

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import combinations
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -178,29 +178,7 @@ def _is_revolute(joint: pin.JointModel) -> bool:
     return joint.shortname().startswith("JointModelR")
 
 
-class Solver(Protocol):
-    """Gives the solutions of a chain whose free joints are held.
-
-    Attributes:
-        method: Its name.
-        free: Indices within the chain of the free joints.
-    """
-
-    method: str
-    free: tuple[int, ...]
-
-    def solve(self, target: pin.SE3, held: Array, rng: np.random.Generator) -> Array:
-        """(K, n) [rad or m] distinct solutions, joint limits not yet regarded.
-
-        Args:
-            target: T_base_point.
-            held: (len(free),) [rad or m] positions of the free joints.
-            rng: For what starts at random.
-        """
-        ...
-
-
-def make_solver(chain: Chain, restarts: int) -> Solver:
+def make_solver(chain: Chain, restarts: int) -> AnalyticSolver | RestartSolver:
     """The solver of a chain; of the choices of free joints it takes the outermost that works.
 
     Args:
@@ -244,6 +222,10 @@ class AnalyticSolver:
     """EAIK's decomposition into geometric subproblems, for chains of revolute joints.
 
     Without EAIK, which is not there on every Python, the restarts find the same, more slowly.
+
+    Attributes:
+        method: Its name.
+        free: Indices within the chain of the joints that are held.
     """
 
     method = "analytic"
@@ -273,7 +255,13 @@ class AnalyticSolver:
         return True
 
     def solve(self, target: pin.SE3, held: Array, rng: np.random.Generator) -> Array:
-        """(K, n) solutions, as `Solver.solve`; nothing here is random."""
+        """(K, n) [rad or m] distinct solutions, joint limits not yet regarded.
+
+        Args:
+            target: T_base_point.
+            held: (len(free),) [rad or m] positions of the free joints.
+            rng: For what starts at random, as nothing here does.
+        """
         robot = self._robot or self._held(held)
         asked = target.homogeneous
         asked[:3, :3] = target.rotation @ self._unturned
@@ -305,7 +293,7 @@ class RestartSolver:
         self._sought = [i for i in range(chain.size) if i not in free]
 
     def solve(self, target: pin.SE3, held: Array, rng: np.random.Generator) -> Array:
-        """(K, n) solutions, as `Solver.solve`; those of a small basin may be missed."""
+        """(K, n) solutions, as of `AnalyticSolver`; those of a small basin may be missed."""
         found: list[Array] = []
         fruitless = 0
         while fruitless < self._restarts:

@@ -17,7 +17,7 @@ from pydantic import Field
 from app.border.cache import Arrays, Header, digest, find_kept, header_of, keep, robot_content
 from app.border.config import ReachConfig
 from app.border.reach.chain import AnalyticSolver, Chain, free_joints, make_solver, reach_bodies
-from app.border.reach.fit import radial_profile
+from app.border.score import radial_profile
 from app.errors import DescriptionError, UnknownNameError
 from app.jobs.pool import Workers
 from app.jobs.progress import progress_bar

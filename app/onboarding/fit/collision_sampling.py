@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from itertools import combinations
 from typing import NamedTuple
 
+import coal
 import numpy as np
 import pinocchio as pin
 
@@ -148,19 +149,21 @@ def neighbours(model: RobotModel, a: Unit, b: Unit) -> bool:
     return not columns[3:].any() and bool(parallel.all())
 
 
-def add_hulls(geometry: pin.GeometryModel, units: Sequence[Unit]) -> list[list[int]]:
-    """Put the parts of units into pinocchio's geometry; gives their ids, unit by unit."""
-    return [
-        [
-            geometry.addGeometryObject(
-                pin.GeometryObject(
-                    f"{part.link}_{i}", unit.joint, 0, pin.SE3.Identity(), convex_hull(part.corners)
-                )
-            )
-            for i, part in enumerate(unit.parts)
-        ]
-        for unit in units
-    ]
+Placed = tuple[int, pin.SE3, coal.CollisionGeometry]
+"""A shape: pinocchio's joint that carries it, where it stands on that, and the shape."""
+
+
+def shape_distances(
+    model: RobotModel, groups: Sequence[Sequence[Placed]], pairs: Pairs, q_m: Array
+) -> Array:
+    """(N, pairs) [m] as `group_distances`, between groups of shapes that no model has."""
+    geometry, ids = pin.GeometryModel(), []
+    for group in groups:
+        first = geometry.ngeoms
+        for k, (joint, T, shape) in enumerate(group, first):
+            geometry.addGeometryObject(pin.GeometryObject(f"shape_{k}", joint, 0, T, shape))
+        ids.append(range(first, geometry.ngeoms))
+    return group_distances(model, geometry, ids, pairs, q_m)
 
 
 def group_distances(
@@ -249,22 +252,18 @@ class Meetings:
 
     Attributes:
         units: The links that move as one.
-        q_m: (N, n_m) [rad or m] the poses.
         pairs: Pairs of units, by their indices, that are no neighbours.
-        distances: (N, pairs) [m] signed distance of their hulls.
         close: Pairs that are within the buffer in most poses without a collision, as they are
             built: no buffer can watch them.
-        possible: (N,) as of `Poses`.
+        random: The random poses.
         rare: Poses around those in which pairs that hardly meet are nearest, where they do.
         met: By the pair (u, v): (points of u,) whether v came to that point of u's surface.
     """
 
     units: tuple[Unit, ...]
-    q_m: Array
     pairs: tuple[tuple[int, int], ...]
-    distances: Array
     close: frozenset[tuple[int, int]]
-    possible: Array
+    random: Poses
     rare: Poses
     met: dict[tuple[int, int], Array] = field(repr=False, default_factory=dict)
 
@@ -272,7 +271,7 @@ class Meetings:
     def collides(self) -> Array:
         """(N, pairs) whether the hulls meet; never for the close pairs."""
         watched = np.array([pair not in self.close for pair in self.pairs], dtype=bool)
-        return np.logical_and(self.distances <= 0.0, watched)
+        return np.logical_and(self.random.distances <= 0.0, watched)
 
     def needed(self, unit: int, others: Sequence[int]) -> Array:
         """(K, 3) [m] points of a unit's surface to which any of the others can come."""
@@ -312,14 +311,13 @@ def sample_meetings(
     distances = _hull_distances(model, units, pairs, q_m)
     close = _close_pairs(distances, pairs, d_b)
     rare_q = _rare_poses(model, units, pairs, (q_m, distances), close, seed)
-    rare_distances = _hull_distances(model, units, pairs, rare_q)
     nested = (distances <= 0.0).mean(axis=0) >= _BUILT_IN
     columns = [k for k, pair in enumerate(pairs) if pair in close and not nested[k]]
-    possible, rare_possible = (
-        np.asarray((each[:, columns] > 0.0).all(axis=1)) for each in (distances, rare_distances)
+    random, rare = (
+        Poses(q, d, np.asarray((d[:, columns] > 0.0).all(axis=1)))
+        for q, d in ((q_m, distances), (rare_q, _hull_distances(model, units, pairs, rare_q)))
     )
-    rare = Poses(rare_q, rare_distances, rare_possible)
-    found = Meetings(units, q_m, pairs, distances, close, possible, rare)
+    found = Meetings(units, pairs, close, random, rare)
     if points:
         _meet(found, model)
     return found
@@ -327,8 +325,11 @@ def sample_meetings(
 
 def _hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:
     """(N, pairs) [m] signed distances between the hulls of units at poses (N, n_m)."""
-    geometry = pin.GeometryModel()
-    return group_distances(model, geometry, add_hulls(geometry, units), pairs, q_m)
+    shapes = [
+        [(unit.joint, pin.SE3.Identity(), convex_hull(part.corners)) for part in unit.parts]
+        for unit in units
+    ]
+    return shape_distances(model, shapes, pairs, q_m)
 
 
 def _rare_poses(
@@ -375,11 +376,11 @@ def _meet(found: Meetings, model: RobotModel) -> None:
     """Fill in which points of the units met."""
     data, units = model.pin.createData(), found.units
     for k, (a, b) in enumerate(found.pairs):
-        column = found.distances[:, k]
-        met_in = np.flatnonzero((column <= _MARGIN) & found.possible)
+        column = found.random.distances[:, k]
+        met_in = np.flatnonzero((column <= _MARGIN) & found.random.possible)
         # The shallow ones first: deep ones, where arms pass through each other, come last.
         met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MOST_LOOKS)]
-        poses = found.q_m[met_in]
+        poses = found.random.q_m[met_in]
         if np.count_nonzero(column <= 0.0) < _RARE:
             rare = found.rare.q_m[(found.rare.distances[:, k] <= _MARGIN) & found.rare.possible]
             poses = np.vstack([poses, rare])

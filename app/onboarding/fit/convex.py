@@ -154,14 +154,8 @@ def support(shape: Shape, D: Array) -> Array:
 
 
 def volume_of(shape: Shape) -> float:
-    """[m³] of a capsule, box or hull."""
-    if isinstance(shape, Capsule):
-        return np.pi * shape.radius_m**2 * (shape.length_m + 4 / 3 * shape.radius_m)
-    if isinstance(shape, Box):
-        return float(np.prod(shape.size_m))
-    if isinstance(shape, Hull):
-        return float(ConvexHull(np.array(shape.vertices_m)).volume)
-    raise TypeError(f"no volume of a {type(shape).__name__}")
+    """[m³] of a shape, as the collision library has it."""
+    return float(shape.coal_geometry().computeVolume())
 
 
 def hull_volume(points: Array) -> float:

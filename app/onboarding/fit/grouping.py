@@ -13,7 +13,6 @@ from itertools import combinations, combinations_with_replacement, compress, pai
 from typing import NamedTuple
 
 import numpy as np
-import pinocchio as pin
 
 from app.errors import RobotFileError
 from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
@@ -22,6 +21,7 @@ from app.onboarding.fit.collision_sampling import (
     Meetings,
     group_distances,
     sample_meetings,
+    shape_distances,
     units_of_links,
 )
 from app.onboarding.read.links import LinkGeometry
@@ -106,7 +106,7 @@ def _sees(grouping: Grouping, meetings: Meetings, unit: int) -> bool:
     owner = {u: k for k, body in enumerate(grouping.bodies) for u in body.units}
     names = [body.name for body in grouping.bodies]
     rare = (meetings.rare.distances <= 0.0) & meetings.rare.possible[:, None]
-    hits = meetings.collides[meetings.possible]
+    hits = meetings.collides[meetings.random.possible]
     for k, (u, v) in enumerate(meetings.pairs):
         if unit not in (u, v) or (u, v) in meetings.close:
             continue
@@ -157,9 +157,9 @@ def judge(
     model: RobotModel, bodies: Sequence[FittedBody], meetings: Meetings, d_b: float
 ) -> Verdict:
     """How good bodies are, in poses of the meetings."""
-    chosen = np.flatnonzero(meetings.possible)[:_JUDGED]
-    q_m, hits = meetings.q_m[chosen], meetings.collides[chosen]
-    free = (meetings.distances[chosen] > 0).all(axis=1)
+    chosen = np.flatnonzero(meetings.random.possible)[:_JUDGED]
+    q_m, hits = meetings.random.q_m[chosen], meetings.collides[chosen]
+    free = (meetings.random.distances[chosen] > 0).all(axis=1)
     free = free if free.any() else ~free
     pairs = [(i, j) for i, j in combinations(range(len(bodies)), 2) if j - i > 1]
     distances = _body_distances(model, bodies, pairs, q_m)
@@ -240,7 +240,7 @@ def unseen_collisions(
     )
     owner = {unit.index: names.index(name) for name, each in by_body.items() for unit in each}
     shapes, groups = model.geometry.copy(), [model.shape_ids[name] for name in names]
-    hits = met.collides & met.possible[:, None]
+    hits = met.collides & met.random.possible[:, None]
     blame = np.zeros(len(met.pairs))
     watched = missed = unwatched = 0
     deepest, blind = 0.0, []
@@ -257,7 +257,7 @@ def unseen_collisions(
             blame[columns] = hits[:, columns].mean(axis=0)
             continue
         shapes.removeAllCollisionPairs()
-        q_m = np.vstack([met.q_m[random], met.rare.q_m[rare]])
+        q_m = np.vstack([met.random.q_m[random], met.rare.q_m[rare]])
         gaps = group_distances(model, shapes, groups, [(i, j)], q_m)[:, 0]
         unseen = gaps[: random.sum()] > 0.0
         blame[columns] = hits[random][unseen][:, columns].sum(axis=0) / len(hits)
@@ -276,18 +276,12 @@ def _body_distances(
     model: RobotModel, bodies: Sequence[FittedBody], pairs: Sequence[tuple[int, int]], q_m: Array
 ) -> Array:
     """(N, pairs) [m] signed distances between bodies at poses (N, n_m)."""
-    geometry = pin.GeometryModel()
-    ids: list[list[int]] = []
-    for body in bodies:
-        joint = model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint
-        shapes = [(fit.shape.placement(), fit.shape.coal_geometry()) for fit in body.fits]
-        ids.append(
-            [
-                geometry.addGeometryObject(pin.GeometryObject(f"{body.name}_{i}", joint, 0, *shape))
-                for i, shape in enumerate(shapes)
-            ]
-        )
-    return group_distances(model, geometry, ids, pairs, q_m)
+    joints = [model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint for body in bodies]
+    shapes = [
+        [(joint, fit.shape.placement(), fit.shape.coal_geometry()) for fit in body.fits]
+        for joint, body in zip(joints, bodies, strict=True)
+    ]
+    return shape_distances(model, shapes, pairs, q_m)
 
 
 def _apart(meetings: Meetings, owner: Mapping[int, int]) -> int:
@@ -299,7 +293,7 @@ def _ranked(
     units: Sequence[int], counts: Sequence[int], meetings: Meetings, mobile: Sequence[int]
 ) -> list[tuple[float, list[list[int]]]]:
     """All cuts of the chain, with the least cost that each can have, the least one first."""
-    hits = meetings.collides[meetings.possible]
+    hits = meetings.collides[meetings.random.possible]
     often = hits.sum(axis=0)
     ranked = []
     for count in counts:

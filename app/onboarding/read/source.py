@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element
 from xml.parsers import expat
 
 from app.errors import RobotFileError
-from app.robot.packages import package_roots, resolve_package_uri, share_folders
+from app.robot.assets import package_roots, resolve_package_uri, share_folders
 
 
 def locate(source: str) -> Path:

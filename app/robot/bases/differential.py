@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from app.robot.bases.kind import FORWARD, TURN, Axis, BaseForce, BaseKind, Wheels
+from app.robot.bases.kind import FORWARD, TURN, Axis, BaseForce, TurningBase, Wheels
 from app.strict import Positive
 
 Array = np.ndarray
@@ -81,7 +81,7 @@ def free_acceleration(force: BaseForce, m: float, I: float) -> Array:
     return np.array([force.x / m, force.torque / I])
 
 
-class DifferentialBase(BaseKind):
+class DifferentialBase(TurningBase):
     """The differentially driven base: r, b, m, I of the paper, its limits and its drive.
 
     It cannot move sideways: its twist has no v_y.
@@ -96,10 +96,6 @@ class DifferentialBase(BaseKind):
     """[m] r of (6)."""
     half_track_m: Positive
     """[m] b of (6), distance between a wheel and the base's centre."""
-    max_angular_velocity_radps: Positive
-    """[rad/s]"""
-    max_angular_acceleration_radps2: Positive
-    """[rad/s²]"""
     left_wheel_joints: tuple[str, ...]
     """Wheel joints of the URDF turning with the left side; drawn only, the drive is at r and b."""
     right_wheel_joints: tuple[str, ...]
@@ -109,16 +105,6 @@ class DifferentialBase(BaseKind):
     def J_m(self) -> Array:
         """See `BaseKind`; q̇_b are the speeds (θ̇_r, θ̇_l) of the wheels [rad/s]."""
         return mobile_jacobian(self.wheel_radius_m, self.half_track_m)
-
-    @property
-    def max_velocity(self) -> tuple[float, float]:
-        """Largest v [m/s] and ω [rad/s]."""
-        return self.max_linear_velocity_mps, self.max_angular_velocity_radps
-
-    @property
-    def max_acceleration(self) -> tuple[float, float]:
-        """Largest v̇ [m/s²] and ω̇ [rad/s²]."""
-        return self.max_linear_acceleration_mps2, self.max_angular_acceleration_radps2
 
     @property
     def yaw_limit_nm(self) -> float:

@@ -7,8 +7,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from app.robot.bases.kind import TURN, Axis, BaseForce, BaseKind
-from app.strict import Positive
+from app.robot.bases.kind import TURN, Axis, BaseForce, TurningBase
 
 Array = np.ndarray
 
@@ -16,7 +15,7 @@ AHEAD = Axis("v_x", False)
 SIDEWAYS = Axis("v_y", False, way="left")
 
 
-class HolonomicBase(BaseKind):
+class HolonomicBase(TurningBase):
     """A base with three velocities of its own: no place of it is singular, the arm's reach is all.
 
     ν = q̇_b = (v_x, v_y, ω). In (10) the measure is 1 everywhere and so S = R. In the place of (17)
@@ -26,27 +25,11 @@ class HolonomicBase(BaseKind):
     axes: ClassVar[tuple[Axis, ...]] = (AHEAD, SIDEWAYS, TURN)
 
     kind: Literal["holonomic"]
-    max_angular_velocity_radps: Positive
-    """[rad/s]"""
-    max_angular_acceleration_radps2: Positive
-    """[rad/s²]"""
 
     @property
     def J_m(self) -> Array:
         """See `BaseKind`."""
         return np.eye(3)
-
-    @property
-    def max_velocity(self) -> tuple[float, float, float]:
-        """Largest v_x, v_y [m/s] and ω [rad/s]."""
-        v = self.max_linear_velocity_mps
-        return v, v, self.max_angular_velocity_radps
-
-    @property
-    def max_acceleration(self) -> tuple[float, float, float]:
-        """Largest v̇_x, v̇_y [m/s²] and ω̇ [rad/s²]."""
-        a = self.max_linear_acceleration_mps2
-        return a, a, self.max_angular_acceleration_radps2
 
     @property
     def yaw_limit_nm(self) -> float:

@@ -257,6 +257,27 @@ class BaseKind(Sourced, ABC):
         return angles
 
 
+class TurningBase(BaseKind):
+    """A base that turns independently of how it moves; a kind derives from it."""
+
+    max_angular_velocity_radps: Positive
+    """[rad/s]"""
+    max_angular_acceleration_radps2: Positive
+    """[rad/s²]"""
+
+    @property
+    def max_velocity(self) -> tuple[float, ...]:
+        """Largest speed [m/s] or turning speed [rad/s], by the axis."""
+        v, w = self.max_linear_velocity_mps, self.max_angular_velocity_radps
+        return tuple(w if axis.angular else v for axis in self.axes)
+
+    @property
+    def max_acceleration(self) -> tuple[float, ...]:
+        """Largest acceleration [m/s²] or angular acceleration [rad/s²], by the axis."""
+        v, w = self.max_linear_acceleration_mps2, self.max_angular_acceleration_radps2
+        return tuple(w if axis.angular else v for axis in self.axes)
+
+
 def clamp(value: float, limit: float) -> float:
     """The value within ±limit; `min` and `max` cost several times as much."""
     return limit if value > limit else -limit if value < -limit else value

@@ -18,7 +18,7 @@ from app.border.score import ScoreField
 from app.border.surface import BorderSurface
 from app.config import Config, ForceConfig
 from app.jobs.pool import Workers
-from app.robot.assets import load_robot
+from app.robot.description import load_robot
 from app.robot.link_pairs import Closest, Pair, PairDistances
 from app.robot.model import RobotModel
 from app.simulation.run import RunResult

@@ -10,8 +10,8 @@ from matplotlib.collections import PathCollection
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from scipy import ndimage
 
-from app.border.reach.fit import fit_reachability, radial_profile
 from app.border.reach.map import PEAK, ReachMap, load_reach_map
+from app.border.score import fit_reachability, radial_profile
 from app.robot.model import RobotModel
 from app.studies.paper.drawing import (
     Drawing,

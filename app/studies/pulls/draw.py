@@ -15,7 +15,7 @@ from app.border.cache import BorderData, load_border_data
 from app.border.mobile import MobileBody
 from app.config import Config
 from app.errors import StudyError, UnreachableError
-from app.robot.assets import load_robot
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 from app.simulation.scenarios.start import StartSolver

@@ -18,7 +18,7 @@ import numpy as np
 
 from app.border.cache import load_border_data
 from app.jobs.pool import Workers
-from app.robot.assets import load_robot
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.studies.runs import Row, rounded, thinned, write_json
 from app.studies.sweep.plan import (
