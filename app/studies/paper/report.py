@@ -12,7 +12,7 @@ from app.errors import UnknownNameError
 from app.studies.page import Cell, Grid, Part, measured_grids, page_html
 from app.studies.paper import acting, density, offline, runs
 from app.studies.paper.claims import claims_of
-from app.studies.paper.drawing import Drawing, PaperFigure
+from app.studies.paper.drawing import Drawing
 from app.studies.paper.experiments import (
     ROBOT,
     Experiment,
@@ -21,14 +21,13 @@ from app.studies.paper.experiments import (
     run_experiments,
 )
 from app.studies.runs import write_json
-from app.studies.style import styled
+from app.studies.style import Picture, pictures_in, styled
 from app.system import write_whole
 
 FIGURES = {
-    each.name: each
+    name: figure
     for module in (offline, acting, runs, density)
-    for each in vars(module).values()
-    if isinstance(each, PaperFigure)
+    for name, figure in pictures_in(vars(module)).items()
 }
 """In the order of the paper, by their names."""
 _DRAWING = 5.0  # [s] of simulated time that drawing a figure costs about as much as
@@ -88,12 +87,13 @@ def reproduce(
     figures: dict[str, dict[str, Any]] = {}
     parts, worked = [], duration(experiments)
     for name in names:
+        figure = FIGURES[name]
         with styled():
-            drawing = FIGURES[name](sources)
-            files = drawing.write(out, name)
-        parts.append(figure_part(name, drawing, files))
+            drawing = figure.draw(sources)
+            files = drawing.write(out, name, figure.title)
+        parts.append(figure_part(figure, drawing, files))
         figures[name] = {
-            "title": drawing.title,
+            "title": figure.title,
             "files": [path.name for path in files],
             "measured": drawing.measured,
             "remarks": list(drawing.remarks),
@@ -130,7 +130,7 @@ def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], abo
     return page_html("The paper's experiments, reproduced", lead, [*figures, *last])
 
 
-def figure_part(name: str, drawing: Drawing, files: Sequence[Path]) -> Part:
+def figure_part(figure: Picture, drawing: Drawing, files: Sequence[Path]) -> Part:
     """One figure, the first of its files, and what the paper says beside what was measured."""
     measured = Part(
         "Measured here",
@@ -138,8 +138,8 @@ def figure_part(name: str, drawing: Drawing, files: Sequence[Path]) -> Part:
         points=drawing.remarks,
         note=", ".join(path.name for path in files),
     )
-    paper = Part("The paper says", text=[drawing.paper])
-    return Part(drawing.title, name, png=files[0].read_bytes(), sides=(paper, measured))
+    paper = Part("The paper says", text=[figure.words])
+    return Part(figure.title, figure.name, png=files[0].read_bytes(), sides=(paper, measured))
 
 
 def _claims_part(claims: Sequence[Mapping[str, Any]]) -> Part:

@@ -19,7 +19,6 @@ from app.studies.paper.drawing import (
     Table,
     framed,
     method_lines,
-    paper_figure,
     placed_meshes,
     snapshot_figure,
     stacked,
@@ -43,6 +42,7 @@ from app.studies.style import (
     level,
     new_figure,
     panel_title,
+    picture,
     time_axis,
 )
 
@@ -59,7 +59,7 @@ _MOTION = ("base_displacement_m", "base_yaw_rad", "contacts", "ee_error_final_m"
 _BUFFER = "buffer distance $d_b$"
 
 
-@paper_figure(
+@picture(
     "fig11", "Figure 11: the hand tracks a line towards the base", TRACKING, TRACKING_REPULSIVE
 )
 def figure_11(sources: Sources) -> Drawing:
@@ -78,9 +78,7 @@ def figure_11(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure(
-    "fig12", "Figure 12: distances and error while tracking", TRACKING, TRACKING_REPULSIVE
-)
+@picture("fig12", "Figure 12: distances and error while tracking", TRACKING, TRACKING_REPULSIVE)
 def figure_12(sources: Sources) -> Drawing:
     """(a) The distances fall below the buffer distance of 0.15 m, so that the avoidance task of
     each method is inserted continuously with top priority. (b) The repulsive method has a position
@@ -124,7 +122,7 @@ def figure_12(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure("fig13", "Figure 13: a person leads the hand towards the base", LATERAL, FRONT)
+@picture("fig13", "Figure 13: a person leads the hand towards the base", LATERAL, FRONT)
 def figure_13(sources: Sources) -> Drawing:
     """(a) From the lateral direction the collision is avoided by a force on the base. (b) From the
     front the base moves back as the arm approaches.
@@ -141,7 +139,7 @@ def figure_13(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure("fig14", "Figure 14: distances and activation while guiding", LATERAL, FRONT)
+@picture("fig14", "Figure 14: distances and activation while guiding", LATERAL, FRONT)
 def figure_14(sources: Sources) -> Drawing:
     """As a distance falls below the buffer distance of 0.15 m its activation rises, and the
     avoidance task is inserted continuously.
@@ -174,7 +172,7 @@ def figure_14(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure("fig15", "Figure 15: desired accelerations of the base while guiding", *COMPARED)
+@picture("fig15", "Figure 15: desired accelerations of the base while guiding", *COMPARED)
 def figure_15(sources: Sources) -> Drawing:
     """The desired linear (a) and angular (b) accelerations of the base, times the activation, are
     smooth: no chattering or vibration, because the task transition is continuous.
@@ -263,7 +261,7 @@ _OF_DOOR = (
 )
 
 
-@paper_figure("fig16", "Figure 16: the refrigerator", DOOR)
+@picture("fig16", "Figure 16: the refrigerator", DOOR)
 def figure_16(sources: Sources) -> Drawing:
     """The end-effector holds the door without any relative motion; the door, modelled by a
     hyper-ellipsoid, can collide with the mobile robot.
@@ -283,8 +281,8 @@ def figure_16(sources: Sources) -> Drawing:
             photographer.take(pose, q_m, camera, shapes, robot=False),
         )
     texts = ("opening a refrigerator", "collision models; the door's in magenta")
-    for ax, letter, text, picture in zip(grid, "ab", texts, pictures, strict=True):
-        ax.imshow(picture.rgb)
+    for ax, letter, text, shot in zip(grid, "ab", texts, pictures, strict=True):
+        ax.imshow(shot.rgb)
         ax.set_axis_off()
         panel_title(ax, letter, text)
     superquadric = door.superquadric(pin.SE3.Identity())
@@ -307,7 +305,7 @@ def figure_16(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure("fig17", "Figure 17: opening a refrigerator", DOOR, DOOR_NONE)
+@picture("fig17", "Figure 17: opening a refrigerator", DOOR, DOOR_NONE)
 def figure_17(sources: Sources) -> Drawing:
     """(a) With obstacle avoidance the mobile robot moves back and turns clockwise as the door comes
     closer. (b) Without it the door collides with the mobile robot at 30 s.
@@ -325,7 +323,7 @@ def figure_17(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure("fig18", "Figure 18: distance of the door and activation", DOOR, DOOR_NONE)
+@picture("fig18", "Figure 18: distance of the door and activation", DOOR, DOOR_NONE)
 def figure_18(sources: Sources) -> Drawing:
     """As the distance between door and mobile robot falls below the buffer distance, the avoidance
     task is inserted continuously.

@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-from app.config import Config
 from app.errors import StudyError
 from app.jobs.pool import Workers
 from app.studies.pulls.case import case_of, failed, play_case
@@ -110,11 +109,14 @@ def _row(parameters: StudyParameters, sources: StudySources, number: int) -> Row
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
     # Imported here: matplotlib is not needed before all cases are done.
-    from app.studies.pulls.figures import draw_all
+    from app.studies.pulls.figures import PICTURES
     from app.studies.pulls.report import report_html, summary_of
+    from app.studies.style import png_of, styled
 
     summary, envelope = summary_of(rows, parameters)
-    pictures = draw_all(rows, envelope, load_sources(parameters.robot), Config().border.d_b)
+    drawn = rows, envelope, load_sources(parameters.robot)
+    with styled():
+        pictures = {name: png_of(each.draw(*drawn)) for name, each in PICTURES.items()}
     write_table(out / "results.parquet", rows)
     _write_failures(rows, parameters, out / "failures")
     for name, png in pictures.items():
