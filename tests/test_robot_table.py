@@ -7,8 +7,8 @@ import pytest
 from app.border.mobile import MobileBody
 from app.cli.main import main
 from app.robot import packages
-from app.studies.sweep import robots as table
-from app.studies.sweep.robots import CASES, Case
+from app.studies.sweep import sweep as table
+from app.studies.sweep.sweep import CASES, Case
 from tests.robots import husky_panda
 
 SHORT = Case("short", "guiding", (10.0,), length=0.04, speed=0.1)
@@ -30,7 +30,7 @@ def test_paths_keep_to_the_heights_of_the_base_and_those_on_the_axis_lead_along_
 def test_a_row_for_each_controller_with_avoidance_farther_away():
     rows = table.robot_table(["husky_panda"], cases=[SHORT])["rows"]
     none, dbb = rows
-    assert (none["controller"], dbb["controller"]) == table.CONTROLLERS
+    assert (none["controller"], dbb["controller"]) == table.COMPARED
     assert dbb["clearance_m"] > none["clearance_m"] > 0.1
     assert none["base_path_m"] < 1e-6 < dbb["base_path_m"]
     assert none["direction_deg"] == dbb["direction_deg"] == 10.0

@@ -167,7 +167,7 @@ def compare_robots(
         check_name("robot", name, robot_names())
     check_seed(seed)
     side_by_side = check_processes(processes)
-    from app.studies.sweep.robots import CASES, robot_table
+    from app.studies.sweep.sweep import CASES, robot_table
 
     known = {each.name: each for each in CASES}
     for name in case:
