@@ -11,7 +11,8 @@ from PIL import Image
 
 from app.control.controller import CONTROLLERS
 from app.studies import style
-from app.studies.paper.drawing import Drawing, stacked, write_table
+from app.studies.paper.drawing import Drawing, stacked
+from app.studies.runs import write_table
 
 
 def luminance(colour: str) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -12,8 +11,6 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-import pyarrow as pa
-import pyarrow.csv
 import trimesh
 from matplotlib import patheffects
 from matplotlib.axes import Axes
@@ -26,6 +23,7 @@ from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
 from app.simulation.run import RunResult
 from app.simulation.snapshots import Camera, Photographer, Picture, Solid
+from app.studies.runs import write_table
 from app.studies.style import (
     HAND,
     METHOD_COLOURS,
@@ -76,15 +74,6 @@ class Drawing:
             paths.append(folder / (f"{name}_{suffix}.csv" if suffix else f"{name}.csv"))
             write_table(paths[-1], table)
         return paths
-
-
-def write_table(path: Path, table: Table) -> None:
-    """Write it as CSV; numbers keep all their digits, NaN is an empty cell."""
-    columns = {name: pa.array(column, from_pandas=True) for name, column in table.items()}
-    options = pa.csv.WriteOptions(quoting_style="needed")
-    sink = io.BytesIO()
-    pa.csv.write_csv(pa.table(columns), sink, options)
-    write_whole(path, sink.getvalue())
 
 
 def stacked(parts: dict[str, Table], kind: str) -> Table:

@@ -21,7 +21,7 @@ from app.studies.pulls.case import case_of, failed, play_case
 from app.studies.pulls.draw import StudySources, draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
-from app.studies.runs import Row, write_json
+from app.studies.runs import Row, write_json, write_table
 from app.system import claim, write_whole
 
 if TYPE_CHECKING:
@@ -117,7 +117,9 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
     drawn = rows, envelope, load_sources(parameters.robot)
     with styled():
         pictures = {name: png_of(each.draw(*drawn)) for name, each in PICTURES.items()}
-    write_table(out / "results.parquet", rows)
+    names = dict.fromkeys(name for row in rows for name in row)
+    table = {name: [row.get(name) for row in rows] for name in names}
+    write_table(out / "results.parquet", table)
     _write_failures(rows, parameters, out / "failures")
     for name, png in pictures.items():
         write_whole(out / f"{name}.png", png)
@@ -154,26 +156,6 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
         )
     for path in set(folder.glob("case-*.json")) - kept:
         path.unlink()
-
-
-def write_table(path: Path, rows: Sequence[Row]) -> None:
-    """Write the rows, sorted by case, as Parquet; the same rows give the same bytes.
-
-    What a row does not have is null.
-    """
-    # Imported here: it is not needed before all cases are done.
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    ordered = sorted(rows, key=lambda row: row["case"])
-    names = dict.fromkeys(name for row in ordered for name in row)
-    columns = {name: pa.array([row.get(name) for row in ordered]) for name in names}
-    empty = {
-        name: each.cast(pa.float64()) for name, each in columns.items() if each.type == pa.null()
-    }
-    sink = pa.BufferOutputStream()
-    pq.write_table(pa.table(columns | empty), sink, compression="zstd")
-    write_whole(path, sink.getvalue().to_pybytes())
 
 
 class Journal:
