@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from app.errors import ConfigError
 from app.simulation.trace.metrics import extremes, metrics, verdict
 from app.simulation.trace.trace import Trace
 from app.studies.page import Grid, Part, measured_grids, page_html
+from app.studies.runs import flattened
 from app.studies.style import (
     ACTING,
     HAND,
@@ -51,7 +52,7 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
     title = f"{run.meta.scenario or 'A person leads the hand'}, {controllers}"
     numbers = key_numbers(run)
     parts = [Part(text=[verdict(numbers)])]
-    parts.append(Part("Key numbers", "numbers", tables=measured_grids(_shown(numbers))))
+    parts.append(Part("Key numbers", "numbers", tables=measured_grids(flattened(numbers))))
     with styled():
         for k, each in enumerate(_FIGURES.values()):
             on_progress(k / len(_FIGURES))
@@ -72,18 +73,6 @@ def _about(run: Trace) -> str:
 def key_numbers(run: Trace) -> dict[str, Any]:
     """The figures of a run, as `dbb run --json` has them, and its extremes; keys as there."""
     return {**extremes(run), **metrics(run)}
-
-
-def _shown(numbers: Mapping[str, Any]) -> dict[str, Any]:
-    """Key numbers; those of each pair and each joint stand one below the other."""
-    shown: dict[str, Any] = {}
-    for key, value in numbers.items():
-        if isinstance(value, dict):
-            stem, _, unit = key.rpartition("_")
-            shown |= {f"{stem} {name}_{unit}": number for name, number in value.items()}
-        else:
-            shown[key] = value
-    return shown
 
 
 def _changes(run: Trace) -> Part:

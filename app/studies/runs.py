@@ -61,6 +61,21 @@ def thinned(result: RunResult) -> RunResult:
     return result._replace(trace=result.trace.rows(slice(None, None, _LOG_EVERY)))
 
 
+def flattened(figures: Mapping[str, Any]) -> Row:
+    """Figures by pair, axis or joint as figures of their own, each with its unit at its end.
+
+    `min_distance_m` of `lm-lEE` becomes `min_distance_lm-lEE_m`.
+    """
+    row: Row = {}
+    for key, value in figures.items():
+        if isinstance(value, Mapping):
+            stem, unit = (key[:-2], "_m") if key.endswith("_m") else (key, "")
+            row |= {f"{stem}_{inner}{unit}": each for inner, each in value.items()}
+        else:
+            row[key] = value
+    return row
+
+
 def rounded(value: object) -> object:
     """A number rounded to `DIGITS`, anything else as it is.
 
