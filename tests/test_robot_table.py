@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from app.border.mobile import MobileBody
+from app.cli.common import print_table
 from app.cli.main import main
 from app.robot import packages
 from app.studies.sweep import sweep as table
@@ -50,3 +51,10 @@ def test_a_name_that_does_not_exist_is_refused(words: list[str], capsys):
         main(["compare-robots", *words])
     assert end.value.code == 2
     assert words[1] in capsys.readouterr().err
+
+
+def test_a_printed_table_shows_its_texts_as_they_are(capsys):
+    """A unit in brackets is no markup."""
+    print_table(("least clearance [m]", ""), [("0.1", "[bold]")], "speed [m/s]")
+    out = capsys.readouterr().out
+    assert all(text in out for text in ("least clearance [m]", "[bold]", "speed [m/s]"))
