@@ -8,6 +8,8 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 import trimesh
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from app.simulation.plants.door import BODY, Door, with_door
 from app.simulation.run import RunResult
@@ -56,7 +58,6 @@ _SHARES = (0.0, 0.3, 0.6, 1.0)  # [-] of the run at which those of guiding are t
 _VIEWS = {LATERAL: (0.85, 0.45), FRONT: (0.70, 0.45)}  # [rad] from the left front, from above
 _PAIRS = ("lm-lEE", "lm-l3")
 _MOTION = ("base_displacement_m", "base_yaw_rad", "contacts", "ee_error_final_m")
-_BUFFER = "buffer distance $d_b$"
 
 
 @picture(
@@ -92,9 +93,7 @@ def figure_12(sources: Sources) -> Drawing:
     grid[0][0].sharey(grid[0][1])
     for k, (ax, column) in enumerate(zip(grid[0], distances, strict=True)):
         method_lines(ax, parts, column)
-        level(ax, sources.config.border.d_b, _BUFFER)
-        ax.set_ylabel("distance [m]")
-        panel_title(ax, f"a{k + 1}", PAIR_NAMES[_PAIRS[k]])
+        _distance_panel(ax, sources, f"a{k + 1}", PAIR_NAMES[_PAIRS[k]])
     shown = np.concatenate([table[column] for column in distances])
     grid[0][0].set_ylim(min(0.0, float(shown.min())), 1.1 * float(shown.max()))
     error, detail = grid[1]
@@ -154,16 +153,14 @@ def figure_14(sources: Sources) -> Drawing:
             style = {"color": PAIR_COLOURS[pair], "label": PAIR_NAMES[pair]}
             distance.plot(part["t_s"], part[f"d_{pair}_m"], **style)
             activation.plot(part["t_s"], part[f"beta_{pair}"], **style)
-        level(distance, sources.config.border.d_b, _BUFFER)
-        panel_title(distance, f"a{k + 1}", f"distances, {name} direction")
+        _distance_panel(distance, sources, f"a{k + 1}", f"distances, {name} direction")
         panel_title(activation, f"b{k + 1}", f"activation, {name} direction")
         time_axis(activation, DIRECTIONS[name].full().duration)
-    grid[0][0].set_ylabel("distance [m]")
+    grid[0][1].set_ylabel("")
     grid[0][0].set_ylim(0.0, None)
     grid[1][0].set_ylabel(r"activation $\beta$ [–]")
     grid[1][0].set_ylim(-0.02, 1.02)
-    lines = grid[0][0].get_legend_handles_labels()
-    figure.legend(*lines, loc="outside lower center", ncols=len(_PAIRS))
+    _legend_below(figure, grid[0][0])
     keys = ("min_clearance_m", "contacts", "activation_max", "ee_error_final_m")
     return Drawing(
         figure,
@@ -188,8 +185,7 @@ def figure_15(sources: Sources) -> Drawing:
         time_axis(grid[1][k], DIRECTIONS[name].full().duration)
     grid[0][0].set_ylabel(r"$\beta_m\,\dot v_d$ [m/s²]")
     grid[1][0].set_ylabel(r"$\beta_m\,\dot\omega_d$ [rad/s²]")
-    lines = grid[0][0].get_legend_handles_labels()
-    figure.legend(*lines, loc="outside lower center", ncols=len(GUIDING))
+    _legend_below(figure, grid[0][0])
     runs = {
         f"{name}, {method}": (sources.runs[experiment], method)
         for method, by_direction in GUIDING.items()
@@ -231,6 +227,18 @@ def _asked(run: RunResult, method: str) -> Table:
         "linear_mps2": run.trace[f"{kind}_a_mps2"],
         "angular_radps2": run.trace[f"{kind}_aw_radps2"],
     }
+
+
+def _distance_panel(ax: Axes, sources: Sources, letter: str, title: str) -> None:
+    """What each panel of distances [m] has."""
+    level(ax, sources.config.border.d_b, "buffer distance $d_b$")
+    ax.set_ylabel("distance [m]")
+    panel_title(ax, letter, title)
+
+
+def _legend_below(figure: Figure, ax: Axes) -> None:
+    handles, labels = ax.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
 
 
 def _columns(sources: Sources, by_name: dict[str, Experiment], *columns: str) -> dict[str, Table]:
@@ -329,17 +337,15 @@ def figure_18(sources: Sources) -> Drawing:
     task is inserted continuously.
     """
     columns = ("t_s", f"d_lm-{BODY}_m", f"beta_lm-{BODY}")
-    parts = {name: {c: sources.runs[e].trace[c] for c in columns} for name, e in _DOORS.items()}
+    parts = _columns(sources, _DOORS, *columns)
     figure = new_figure(3.6)
     distance, activation = figure.subplots(1, 2)
     for ax, column in zip((distance, activation), columns[1:], strict=True):
         method_lines(ax, dict(reversed(parts.items())), column)
         time_axis(ax, DOOR.full().duration)
-    level(distance, sources.config.border.d_b, "buffer distance $d_b$")
+    _distance_panel(distance, sources, "a", "distance between door and base")
     level(distance, 0.0, "contact")
-    distance.set_ylabel("distance [m]")
     activation.set_ylabel(r"activation $\beta$ [–]")
-    panel_title(distance, "a", "distance between door and base")
     panel_title(activation, "b", "activation")
     distance.legend(loc="upper right")
     return Drawing(
