@@ -10,7 +10,7 @@ from typing import Any
 
 from app.errors import UnknownNameError
 from app.studies.page import Cell, Grid, Part, measured_grids, page_html
-from app.studies.paper import acting, density, offline, runs
+from app.studies.paper import acting, approach, density, offline
 from app.studies.paper.claims import claims_of
 from app.studies.paper.drawing import Drawing
 from app.studies.paper.experiments import (
@@ -26,7 +26,7 @@ from app.system import write_whole
 
 FIGURES = {
     name: figure
-    for module in (offline, acting, runs, density)
+    for module in (offline, acting, approach, density)
     for name, figure in pictures_in(vars(module)).items()
 }
 """In the order of the paper, by their names."""
@@ -82,10 +82,10 @@ def reproduce(
     """
     begin = perf_counter()
     experiments, sources = experiments_for(names), load_sources()
-    done = run_experiments(experiments, seed=seed, processes=processes, on_progress=on_progress)
-    sources = replace(sources, runs=done)
+    runs = run_experiments(experiments, seed=seed, processes=processes, on_progress=on_progress)
+    sources = replace(sources, runs=runs)
     figures: dict[str, dict[str, Any]] = {}
-    parts, worked = [], duration(experiments)
+    parts, done = [], duration(experiments)
     for name in names:
         figure = FIGURES[name]
         with styled():
@@ -98,10 +98,10 @@ def reproduce(
             "measured": drawing.measured,
             "remarks": list(drawing.remarks),
         }
-        worked += _DRAWING
-        on_progress(worked)
+        done += _DRAWING
+        on_progress(done)
     claims = [claim.judge(sources) for claim in claims_of(names)]
-    about = f"Robot {ROBOT}, seed {seed}, {len(done)} runs."
+    about = f"Robot {ROBOT}, seed {seed}, {len(runs)} runs."
     write_whole(out / "index.html", paper_page(parts, claims, about))
     result = {
         "robot": ROBOT,
@@ -110,7 +110,7 @@ def reproduce(
         "claims": claims,
         "claims_that_hold": sum(bool(claim["holds"]) for claim in claims),
         "claims_that_do_not": sum(not claim["holds"] for claim in claims),
-        "runs": {e.name: done[e].figures for e in experiments},
+        "runs": {e.name: runs[e].figures for e in experiments},
         "page": "index.html",
         "elapsed_s": perf_counter() - begin,
     }
