@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import NamedTuple
 
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.dashboard.page import Page
 from app.dashboard.robots import StartLoop
 from app.dashboard.scene.robot import RobotParts
@@ -39,7 +39,7 @@ class Served(NamedTuple):
         """As the loop does it, once the dashboard has seen that all begins anew."""
         self.loop.send(Pause(True))
         self.loop.send(Reset())
-        wait_for(lambda: self.server.shared.tracks["hand"].last <= 0.0, what="a new beginning")
+        wait_for(lambda: self.server.shared.last <= 0.0, what="a new beginning")
         self.loop.pull_at_base(seconds)
 
 

@@ -101,7 +101,7 @@ def test_a_replay_moves_the_robot_from_a_file_with_the_network_off(tab, tmp_path
 
 
 def test_a_film_is_made_with_progress_and_can_be_cancelled(tab, tmp_path):
-    job = next(iter(tab.pages.values())).save_job
+    job = next(iter(tab.pages.values())).viewer.files
     tab.choose("Film as", ".gif")
     tab.click("Film")
     tab.page.get_by_text("Film: ").filter(visible=True).first.wait_for(timeout=PATIENCE)

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import app.dashboard.challenge as challenge_module
+import app.dashboard.job as job_module
 import app.dashboard.panels.challenge as panel_module
 from app.config import Config
-from app.dashboard.challenge import Challenge, Tried, try_again
 from app.dashboard.drag import GIZMO, SCALE
+from app.dashboard.job import Challenge, Tried, try_again
 from app.dashboard.panels.challenge import card, challenge_html
 from app.dashboard.record import Course
 from app.simulation.case import RunCase
@@ -77,7 +77,7 @@ def test_what_is_tried_again_is_what_a_run_of_the_case_gives(robot, border_data)
 def test_a_visitor_tries_and_gets_the_proof(
     browser, robot, border_data, monkeypatch, tmp_path: Path
 ):
-    monkeypatch.setattr(challenge_module, "CONTROLLERS", ("dbb", "none"))
+    monkeypatch.setattr(job_module, "CONTROLLERS", ("dbb", "none"))
     monkeypatch.setattr(panel_module, "CHALLENGE", CHALLENGE.changed(duration=12.0))
     # Not in a process of low priority, which on a busy machine gets its turn late.
     monkeypatch.setattr(Challenge, "run", lambda self, work, *args: work(self.report, *args))

@@ -27,7 +27,7 @@ from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
 from app.dashboard.panels.run import machine_html, pairs_html, status_html
 from app.dashboard.panels.why import why_html
-from app.dashboard.scene.borders import MAX_POINTS, BorderCloud, Borders, subsample
+from app.dashboard.scene.borders import MAX_POINTS, Borders, DrawnBorders, subsample
 from app.dashboard.scene.canvas import METRES_PER_NEWTON, Canvas
 from app.dashboard.scene.colours import css, viridis
 from app.dashboard.scene.layers import TOGETHER, beside, draw_motion, segments
@@ -45,8 +45,8 @@ from app.dashboard.server import check_address, serve_dashboard
 from app.dashboard.verdict import COLOURS, judge
 from app.dashboard.view import View
 from app.errors import AssetError, ConfigError, DescriptionError, ServerError
+from app.robot.assets import resolved_urdf
 from app.robot.packages import package_roots, resolve_package_uri
-from app.robot.urdf import resolved_urdf
 from app.simulation.loop.commands import Pull, Release
 from app.simulation.people import PullReading
 from app.simulation.trace.snapshot import PairReading
@@ -456,7 +456,7 @@ def view_of(**quantities):
 
 
 def test_the_border_is_drawn_anew_only_when_it_has_changed(scene, borders):
-    cloud = BorderCloud(scene, borders)
+    cloud = DrawnBorders(scene, borders, husky_panda())
     view, config = view_of(**{"lm-lEE": "score"}), BorderConfig()
     assert cloud.update(view, config)
     assert not cloud.update(view, config)
@@ -492,13 +492,13 @@ def test_what_one_viewer_has_asked_for_the_next_finds(borders):
 
 
 def test_a_hidden_border_has_no_legend(scene, borders):
-    cloud = BorderCloud(scene, borders)
+    cloud = DrawnBorders(scene, borders, husky_panda())
     view = view_of(**{"lm-lEE": "score"})
     cloud.update(view, BorderConfig())
     view.borders["lm-lEE"] = "hidden"
     assert cloud.update(view, BorderConfig())
     assert cloud.legends == []
-    assert not cloud._clouds["lm-lEE"].visible
+    assert cloud._nodes == {}
 
 
 @pytest.mark.parametrize("z", [0.1, 0.3, 0.45])
@@ -588,13 +588,27 @@ def test_what_a_picture_leaves_out_is_hidden_and_seen_again_when_it_is_drawn(sce
     assert picture() == {"/a": False, "/b": False}
 
 
+# The tour
+
+
+def test_the_tour_goes_back_in_time_for_who_asks_it_to(dashboard, loop):
+    with RawClient(dashboard.address):
+        page = page_of(dashboard)
+        loop.pull_at_base(4.0)
+        act = page._acts()[3]
+        assert not act.done()
+        act.show()
+        assert act.done()
+        assert page.timeline.shown().t == pytest.approx(1.0, abs=0.05)
+
+
 # Plots and readings
 
 
 def test_plots_are_fed_from_the_loop(dashboard, loop):
     with RawClient(dashboard.address) as client:
         page = page_of(dashboard)
-        client.set_widget(page._plots._sight, True)
+        client.set_widget(page.channel._box, '["1", "seen", "plots"]')
         plot = page._plots._plots["distance [m]"]
         wait_for(lambda: len(plot.data[0]) > 5)
         latest = loop.latest()
@@ -609,7 +623,7 @@ def test_plots_are_fed_from_the_loop(dashboard, loop):
 def test_plots_that_are_not_shown_are_not_sent(dashboard):
     with RawClient(dashboard.address) as client:
         page = page_of(dashboard)
-        client.set_widget(page._plots._sight, True)
+        client.set_widget(page.channel._box, '["1", "seen", "plots"]')
         plots = page._plots._plots
         hidden = [title for title in plots if title not in page.view.plots]
         assert hidden

@@ -9,6 +9,7 @@ import pytest
 
 from app.dashboard.panels.run import course_html
 from app.dashboard.record import BIN, KEPT, PERIOD, Course, Curve, Record, Strip
+from app.dashboard.scene.scene import SceneData
 from app.simulation.people import PullReading
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
@@ -21,6 +22,29 @@ def snapshot():
     return ScriptedLoop(husky_panda()).latest()
 
 
+class Past:
+    """Snapshots that a loop has, and what is kept of them."""
+
+    def __init__(self, snapshot, keeper):
+        self._snapshots = [snapshot]
+        self._data = SceneData(self, husky_panda(), {}, parts=object())
+        self._data.keepers = [keeper]
+
+    def extend(self, snapshots):
+        self._snapshots = snapshots
+        self._data.update()
+
+    @property
+    def last(self):
+        return self._data.last
+
+    def latest(self):
+        return self._snapshots[-1]
+
+    def history(self, after):
+        return [snapshot for snapshot in self._snapshots if snapshot.t > after]
+
+
 def run(snapshot, begin, end, every=0.02):
     times = np.arange(round(begin / every), round(end / every) + 1) * every
     return [replace(snapshot, t=float(t), ee_error=2.0 * float(t)) for t in times]
@@ -28,7 +52,8 @@ def run(snapshot, begin, end, every=0.02):
 
 def test_columns_are_the_curves_over_time(snapshot):
     record = Record(CURVES)
-    record.extend(run(snapshot, 0.0, 10.0), 10.0)
+    past = Past(snapshot, record)
+    past.extend(run(snapshot, 0.0, 10.0))
     table = record.columns(8.0, 3.0)
     assert table[0, 0] == pytest.approx(5.0)
     assert table[0, -1] == pytest.approx(8.0)
@@ -39,7 +64,8 @@ def test_columns_are_the_curves_over_time(snapshot):
 
 def test_it_is_bounded_in_memory_and_keeps_the_newest(snapshot):
     record = Record(CURVES)
-    record.extend(run(snapshot, 0.0, 700.0), 700.0)
+    past = Past(snapshot, record)
+    past.extend(run(snapshot, 0.0, 700.0))
     table = record.columns(700.0, 1e9)
     assert table.shape[1] <= KEPT / PERIOD + 2
     assert table[0, -1] == pytest.approx(700.0)
@@ -48,24 +74,27 @@ def test_it_is_bounded_in_memory_and_keeps_the_newest(snapshot):
 
 def test_snapshots_told_twice_are_taken_once(snapshot):
     record = Record(CURVES)
-    record.extend(run(snapshot, 0.0, 5.0), 5.0)
-    record.extend(run(snapshot, 3.0, 6.0), 6.0)
+    past = Past(snapshot, record)
+    past.extend(run(snapshot, 0.0, 5.0))
+    past.extend(run(snapshot, 3.0, 6.0))
     times = record.columns(6.0, 60.0)[0]
     assert (np.diff(times) > 0.5 * PERIOD).all()
-    assert record.last == pytest.approx(6.0)
+    assert past.last == pytest.approx(6.0)
 
 
 def test_a_restart_of_the_simulation_empties_it(snapshot):
     record = Record(CURVES)
-    record.extend(run(snapshot, 0.0, 5.0), 5.0)
-    record.extend(run(snapshot, 0.0, 0.1), 0.1)
+    past = Past(snapshot, record)
+    past.extend(run(snapshot, 0.0, 5.0))
+    past.extend(run(snapshot, 0.0, 0.1))
     assert record.columns(10.0, 60.0)[0, -1] == pytest.approx(0.1, abs=PERIOD)
 
 
 def test_an_empty_table_and_an_empty_stretch_still_have_a_row(snapshot):
     record = Record(CURVES)
+    past = Past(snapshot, record)
     assert record.columns(1.0, 1.0).shape == (3, 1)
-    record.extend(run(snapshot, 0.0, 1.0), 1.0)
+    past.extend(run(snapshot, 0.0, 1.0))
     assert record.columns(50.0, 1.0).shape == (3, 1)
 
 
@@ -85,14 +114,15 @@ def led(snapshot, t, name, *, x=0.0, d=0.2, pull=0.0):
 @pytest.mark.parametrize(("d", "result"), [(0.03, "no contact"), (-0.004, "contact")])
 def test_a_scenario_has_a_course_and_ends_with_its_figures(snapshot, d, result):
     course = Course()
+    past = Past(snapshot, course)
     assert course_html(course, "") == ""
     run = [led(snapshot, 2.0, "way-out", x=-0.4, d=d, pull=30.0), led(snapshot, 4.0, "way-out")]
-    course.extend([led(snapshot, 0.0, "way-out"), *run], 4.0)
+    past.extend([led(snapshot, 0.0, "way-out"), *run])
     text = course_html(course, "")
     assert "A start inside a buffer" in text
     assert "width:50%" in text
     assert "4.0 of 8 s" in text
-    course.extend([led(snapshot, 7.98, "way-out"), led(snapshot, 8.0, "", d=-1.0, x=9.0)], 8.0)
+    past.extend([led(snapshot, 7.98, "way-out"), led(snapshot, 8.0, "", d=-1.0, x=9.0)])
     text = course_html(course, "")
     for part in (
         f"way-out ended: {result}<",
@@ -105,10 +135,11 @@ def test_a_scenario_has_a_course_and_ends_with_its_figures(snapshot, d, result):
 
 def test_who_takes_the_hand_ends_a_scenario_early_and_a_beginning_forgets_it(snapshot):
     course = Course()
-    course.extend([led(snapshot, 3.0, "guiding-front"), led(snapshot, 3.02, "")], 3.02)
+    past = Past(snapshot, course)
+    past.extend([led(snapshot, 3.0, "guiding-front"), led(snapshot, 3.02, "")])
     assert "guiding-front left at 3.0 s" in course_html(course, "")
     assert "Preparing refrigerator" in course_html(course, "preparing refrigerator")
-    course.extend([led(snapshot, 0.0, "")], 0.0)
+    past.extend([led(snapshot, 0.0, "")])
     assert course_html(course, "") == course.name == ""
 
 
@@ -121,6 +152,7 @@ def near(snapshot, t, d, **more):
 
 def test_the_strip_keeps_extremes_and_what_happened_once_each(snapshot):
     strip = Strip(husky_panda().body_names)
+    past = Past(snapshot, strip)
     tuned = snapshot.config.replace("force.f_max", 200.0)
     pull = PullReading(0, None, np.zeros(3), np.zeros(3), np.array([0.0, 9.0, 0.0]))
     run = [
@@ -131,7 +163,7 @@ def test_the_strip_keeps_extremes_and_what_happened_once_each(snapshot):
         near(snapshot, 0.08, 0.2, config=tuned),
         near(snapshot, 3.0, 0.1, scenario="way-out"),
     ]
-    strip.extend(run, 3.0)
+    past.extend(run)
     assert list(strip.rows) == [(0.0, -0.01, pytest.approx(1.0, abs=0.1))]
     assert strip.nearest is run[3]
     assert strip.hardest is run[1]
@@ -147,14 +179,15 @@ def test_the_strip_keeps_extremes_and_what_happened_once_each(snapshot):
         (3.0, "parameter", "f_max [N]: 300"),
         (3.0, "buffer", "hand – base inside the buffer"),
     ]
-    strip.extend([near(snapshot, 0.0, 0.2)], 0.0)
+    past.extend([near(snapshot, 0.0, 0.2)])
     assert (len(strip.rows), len(strip.events), strip.runs) == (0, 0, 1)
 
 
 def test_the_strip_is_bounded_in_memory(snapshot):
     strip = Strip(husky_panda().body_names)
+    past = Past(snapshot, strip)
     for k in range(8000):
-        strip.extend([near(snapshot, k * BIN, 0.2 if k // 8 % 2 else 0.1)], k * BIN)
+        past.extend([near(snapshot, k * BIN, 0.2 if k // 8 % 2 else 0.1)])
     assert len(strip.rows) == KEPT / BIN < strip.closed
     assert len(strip.events) == 400
     assert len(strip.past) <= KEPT / BIN / 2

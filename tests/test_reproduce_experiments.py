@@ -11,8 +11,8 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
+from app.simulation import scenarios
 from app.simulation.run import run_scenario
-from app.simulation.scenarios import names as scenarios
 from app.studies.paper import experiments, report
 from app.studies.paper.experiments import LATERAL, Experiment, run_experiments
 from app.studies.paper.report import FIGURES, chosen

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.dashboard import demonstration
-from app.dashboard.demonstration import SHOWN
+from app.dashboard import page
 from app.dashboard.drag import GIZMO, SCALE
+from app.dashboard.page import SHOWN
+from app.dashboard.panels.plots import SIGHT
 from app.dashboard.scene.borders import LIGHT_POINTS
 from app.dashboard.scene.robot import LIGHT_FACES, Visual
 from app.simulation.loop.commands import Compare, Play, Pull, Release, Reset
@@ -67,12 +68,12 @@ def test_light_meshes_have_few_faces_and_fill_the_same_room():
 
 def test_a_plot_is_sent_only_while_somebody_sees_it(browser, served):
     tab = DashboardTab(browser, served.server.address)
-    plots = served.page()._plots
-    assert not plots._sight.value
+    channel = served.page().channel
+    assert SIGHT not in channel.seen
     tab.open_tab("Plots")
     wait_for(lambda: len(tab.plot("distance [m]")[0]) > 5, what="a curve")
     tab.open_tab("Why")
-    wait_for(lambda: not plots._sight.value, what="nobody sees it")
+    wait_for(lambda: SIGHT not in channel.seen, what="nobody sees it")
 
 
 def test_on_a_phone_the_sentence_stands_above_and_panels_are_a_drawer(browser, served):
@@ -117,7 +118,7 @@ def test_a_finger_pulls_the_hand_and_a_link(browser, served, size):
 
 
 def test_a_page_that_nobody_touches_plays_until_somebody_does(browser, served, monkeypatch):
-    monkeypatch.setattr(demonstration, "PATIENCE", 1.0)
+    monkeypatch.setattr(page, "UNTOUCHED", 1.0)
     served.begin_anew()
     tab = DashboardTab(browser, served.server.address, fresh=True)
     commands = served.loop.commands

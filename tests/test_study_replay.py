@@ -172,7 +172,8 @@ def test_the_button_plays_the_case_of_the_page(case):
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     sent = []
     sink = SimpleNamespace(send=sent.append)
-    RunPanel(server.gui, sink, Notifier(server), husky_panda().description, {}, case.scenario())
+    shared = SimpleNamespace(loop=sink, case=case.scenario())
+    RunPanel(SimpleNamespace(client=server, notifier=Notifier(server), shared=shared))
     *_, button = server.gui._gui_input_handle_from_uuid.values()
     assert button.label == "Play the case"
     button.value = True

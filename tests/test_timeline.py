@@ -8,6 +8,7 @@ import pytest
 
 from app.dashboard.panels.timeline import FRAME, MOST_MARKED, Timeline
 from app.dashboard.record import BIN, Strip
+from app.dashboard.scene.scene import SceneData
 from app.errors import LogError
 from app.simulation.trace.trace import History
 from tests.fakes import ScriptedLoop
@@ -20,13 +21,16 @@ class Past:
     def __init__(self, seconds: float) -> None:
         self._snapshot = ScriptedLoop(husky_panda()).latest()
         self._history = History()
+        self._history.add(replace(self._snapshot, t=0.0))
         self.strip = Strip(husky_panda().body_names)
+        self._data = SceneData(self, husky_panda(), {}, parts=object())
+        self._data.keepers = [self.strip]
         self.run(0.0, seconds)
 
     def run(self, begin: float, end: float) -> None:
         for k in range(round(begin / FRAME), round(end / FRAME) + 1):
             self._history.add(replace(self._snapshot, t=k * FRAME))
-            self.strip.extend([self.latest()], self.latest().t)
+            self._data.update()
 
     def latest(self):
         return self._history.latest

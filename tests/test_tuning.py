@@ -80,16 +80,13 @@ class Desk:
         self.sink, self.clock = Sink(), Clock()
         self.tuning = Tuning(self.sink, Config(), clock=self.clock)
         self.panels = [
-            TuningPanel(
-                server.gui,
-                self.tuning,
-                Notifier(server),
-                paths,
-                robot=husky_panda().description,
-                clock=self.clock,
-            )
-            for server in servers
+            TuningPanel(self.viewer(server), paths, clock=self.clock) for server in servers
         ]
+
+    def viewer(self, server):
+        """Who has a server for himself."""
+        shared = SimpleNamespace(tuning=self.tuning, model=husky_panda())
+        return SimpleNamespace(client=server, notifier=Notifier(server), shared=shared)
 
     def handle(self, path, viewer=0, face=0):
         return self.panels[viewer].widgets[path].handles[face]
@@ -99,7 +96,7 @@ class Desk:
 
     def update(self):
         for panel in self.panels:
-            panel.update()
+            panel.update(None)
 
 
 @pytest.fixture(scope="module")

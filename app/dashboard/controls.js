@@ -1,7 +1,7 @@
-// The page's own script, sent by channel.py: the time line along the lower edge of any page,
-// number boxes that take a number once it is typed to its end, and Escape.
-window.dbb?.end();
-window.dbb = (() => {
+// What a page shows and says beside viser's own widgets, begun by `Channel`: the time line along the
+// lower edge of any page, number boxes that take a number once it is typed to its end, and Escape.
+// `box` is the widget that brings the page's words to the server, `ranges` are those of the boxes.
+window.dbbControls = (box, ranges) => {
   const HEIGHT = 100; // [px] of the bar
   const FULL = 0.3; // [m] distance that fills the strip
   const PAST = "#e8890c";
@@ -11,7 +11,7 @@ window.dbb = (() => {
   const listen = (to, kinds, act, more = {}) => {
     for (const kind of kinds.split(" ")) to.addEventListener(kind, act, { signal: ending.signal, ...more });
   };
-  let box = "", count = 0, ranges = {};
+  let count = 0, seen = "";
   const ask = (word, ...values) =>
     window.__viserMutable?.sendMessage({ type: "GuiUpdateMessage", uuid: box,
       updates: { value: JSON.stringify([`${Date.now()}.${count++}`, word, ...values]) } });
@@ -317,8 +317,12 @@ window.dbb = (() => {
     for (const input of [...typed.keys()]) if (input !== e.target) take(input);
   }, { capture: true });
 
+  ask("link", window.dbbAsked());
   return {
-    begin: (uuid, known) => ([box, ranges] = [uuid, known]),
+    ...window.dbbPanels,
+    tellSeen: (names) => {
+      if (names !== seen) ask("seen", (seen = names));
+    },
     clear: (most, width) => {
       [kept, bin, rows] = [most, width, []];
       events.clear();
@@ -348,4 +352,4 @@ window.dbb = (() => {
       for (const element of [style, bar, edge, past, hint]) element.remove();
     },
   };
-})();
+};

@@ -12,8 +12,6 @@ import dataclasses
 import gzip
 import http
 import ipaddress
-import re
-import secrets
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -22,7 +20,7 @@ from functools import lru_cache
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
 from typing import Any, Union, get_type_hints
-from urllib.parse import parse_qsl, urlencode, urlsplit
+from urllib.parse import parse_qsl, urlsplit
 
 import msgspec
 from viser import _messages
@@ -39,11 +37,7 @@ _MOST_VIEWERS = 32  # [-] connections at a time
 _PARAMETERS = ("fixedDpr", "scenario", "controller", "robot", "look", "at")
 """Names that the page's address may carry, beside those with a dot, as border.d_b, which viser has
 none of: its own one for the density of the picture is harmless, others would tell the page whom to
-obey. The rest the page gets by `Gate.link`, and checks."""
-_COOKIE = "dbb_link"
-"""Names the link of a page until the page connects; viser's own request has no query."""
-_MOST_LINKS = 64  # [-] that wait for their pages
-_LONGEST_LINK = 4000  # [characters]
+obey. The rest the page itself tells `SharePanel`, which checks it."""
 _MOST_UPLOADS = 2  # [-] unfinished ones of a viewer
 _LONGEST_NAME = 1000  # [characters] of an element, a file or a scene node
 _LONGEST_VALUE = 2**16  # [characters] of what a widget is set to
@@ -64,11 +58,12 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 """Of every answer, with the policy."""
-_SCRIPT, _STYLE = (
-    Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("page.js", "page.css")
+_SCRIPT, _CONTROLS, _STYLE = (
+    Path(__file__).with_name(name).read_text(encoding="utf-8")
+    for name in ("page.js", "controls.js", "page.css")
 )
+_HEAD = f'<head><meta charset="utf-8"><script>{_SCRIPT}{_CONTROLS}</script><style>{_STYLE}</style>'
 """What stands in the page before viser's own client."""
-_HEAD = f"<head><script>{_SCRIPT}</script><style>{_STYLE}</style>"
 _lock = threading.Lock()
 
 _TAKEN = (
@@ -126,7 +121,6 @@ class Gate:
         """
         self._own_name, self._largest_upload = own_name, largest_upload
         self._viewers = 0
-        self._links: dict[str, str] = {}
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
         self.on_refused: Callable[[Any, RefusedError], None] = lambda connection, refused: None
 
@@ -180,7 +174,6 @@ class Gate:
                     del answer.headers["Content-Length"]
                     answer.headers["Content-Length"] = str(len(answer.body))
                 answer.headers.update(_HEADERS)
-                self._keep_link(request, answer)
                 answer.headers["Content-Security-Policy"] = _POLICY.format(host=host)
             return answer
 
@@ -212,37 +205,13 @@ class Gate:
         fields = Headers({"Content-Length": str(len(body)), "Content-Type": kind})
         return Response(status.value, status.phrase, fields, body)
 
-    def _keep_link(self, request: Request, answer: Response) -> None:
-        """Remember what a page's address asks for, until the page connects."""
-        address = urlsplit(request.path)
-        if answer.status_code != http.HTTPStatus.OK or address.path != "/":
-            return
-        asked = [(k, v) for k, v in parse_qsl(address.query, keep_blank_values=True)]
-        query = urlencode([each for each in asked if each[0] != "fixedDpr"])[:_LONGEST_LINK]
-        name = secrets.token_hex(8) if query else ""
-        if query:
-            self._links[name] = query
-            while len(self._links) > _MOST_LINKS:
-                self._links.pop(next(iter(self._links)))
-        age = 60 if query else 0
-        answer.headers["Set-Cookie"] = (
-            f"{_COOKIE}={name}; Max-Age={age}; Path=/; HttpOnly; SameSite=Strict"
-        )
-
-    def _link(self, request: Request | None) -> str:
-        """The query of the address of a page that connects, once; empty if it has none."""
-        cookies = "; ".join(request.headers.get_all("Cookie")) if request is not None else ""
-        found = re.search(rf"(?:^|;)\s*{_COOKIE}=(\w+)", cookies)
-        return self._links.pop(found[1], "") if found else ""
-
     def _handler(self, inner: Callable[..., Any]) -> Callable[..., Any]:
         """Wraps viser's handler of connections, which gets only messages that were checked."""
 
         async def handle(connection: ServerConnection) -> None:
             self._viewers += 1
             try:
-                link = self._link(connection.request)
-                await inner(_Checked(connection, self, Uploads(self._largest_upload), link))
+                await inner(_Checked(connection, self, Uploads(self._largest_upload)))
             finally:
                 self._viewers -= 1
 
@@ -250,16 +219,9 @@ class Gate:
 
 
 class _Checked:
-    """A connection whose messages have been checked; all else is the connection's own.
+    """A connection whose messages have been checked; all else is the connection's own."""
 
-    Attributes:
-        link: The query of the address of its page.
-    """
-
-    def __init__(
-        self, connection: ServerConnection, gate: Gate, uploads: Uploads, link: str
-    ) -> None:
-        self.link = link
+    def __init__(self, connection: ServerConnection, gate: Gate, uploads: Uploads) -> None:
         self._connection, self._gate, self._uploads = connection, gate, uploads
 
     def __getattr__(self, name: str) -> Any:

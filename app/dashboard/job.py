@@ -7,14 +7,18 @@ what a function of such work needs, it imports.
 from __future__ import annotations
 
 import gc
+import json
 import logging
+import math
 import os
 import threading
+import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from app.control import CONTROLLERS
 from app.dashboard.markup import plain
 from app.errors import ConfigError, DbbError
 from app.jobs.process import Cancelled, Report, run_in_process
@@ -25,6 +29,11 @@ if TYPE_CHECKING:
     from app.dashboard.export.offscreen import Look
     from app.onboarding.read.package import Contents
     from app.onboarding.request import Request
+    from app.robot.model import RobotModel
+    from app.simulation.case import RunCase
+    from app.simulation.run import RunResult
+    from app.simulation.session import Session, Step
+    from app.simulation.trace.trace import Trace
     from app.studies.sweep.plan import SweepPlan
 
 logger = logging.getLogger(__name__)
@@ -32,6 +41,16 @@ _CORES = max(1, (os.cpu_count() or 1) - 1)  # of a job: one core is the simulati
 FILM_RATE = 25.0
 """[1/s] pictures of a film."""
 _PATIENCE = 10.0  # [s] for a thread to end
+FIGURES = (
+    "min_clearance_m",
+    "arm_min_clearance_m",
+    "contacts",
+    "arm_contacts",
+    "hand_force_max_n",
+    "hand_speed_max_mps",
+    "base_path_m",
+)
+"""Those of a run that a challenge's case keeps, to be compared to the bit."""
 
 
 def give_back() -> None:
@@ -51,6 +70,8 @@ class Progress:
     title: str
     text: str
     share: float = -1.0
+    began: float = field(default_factory=time.monotonic)
+    """[s] of the monotonic clock."""
 
 
 class Job:
@@ -98,7 +119,7 @@ class Job:
     def report(self, text: str, share: float = -1.0) -> None:
         """Renew `progress`; part of a started work."""
         if self.progress is not None:
-            self.progress = Progress(self.progress.title, text, share)
+            self.progress = replace(self.progress, text=text, share=share)
 
     def check(self) -> None:
         """Go on if nobody has cancelled the work.
@@ -136,19 +157,75 @@ class Job:
             self.progress = None
 
 
-def sample_border(report: Report, robot: str) -> BorderData:
-    """Pairs and clouds of a robot, sampled if they are not cached."""
+class Tried(NamedTuple):
+    """What a controller made of the pulls of a challenge.
+
+    Attributes:
+        least: [m] the least distance of all pairs, at any control step.
+        met: Whether parts of the robot met, or were inside of one another.
+        pull: [N] the hardest pull of one person.
+        speed: [m/s] of the fastest hand.
+        figures: Those of `FIGURES`.
+    """
+
+    controller: str
+    least: float
+    met: bool
+    pull: float
+    speed: float
+    figures: dict[str, float]
+
+
+class Challenge(Job):
+    """The last challenge of all viewers: their pulls, played again step by step by each controller.
+
+    Attributes:
+        case: What was pulled, once it has ended; with its figures once it was played again.
+        tried: What controllers made of it so far, the one that was challenged first.
+    """
+
+    def __init__(self) -> None:
+        """Nobody has tried yet."""
+        super().__init__()
+        self.case: RunCase | None = None
+        self.tried: tuple[Tried, ...] = ()
+        self._taken: RunCase | None = None
+
+    def take(self, case: RunCase | None) -> None:
+        """Look at a challenge that has ended, unless it is the same one."""
+        if case is None or case == self._taken:
+            return
+        if self.progress is not None:
+            self.cancel()  # of the challenge before; this one begins when that has ended
+            return
+        self._taken, self.case, self.tried = case, case, ()
+        if case.options["pulls"]:
+            self.start("Make it collide", "is played again", lambda: self._try_all(case))
+
+    def _try_all(self, case: RunCase) -> None:
+        """Each in a process of its own, so that viewers see each as soon as it is there."""
+        for name in (case.controller, *(c for c in CONTROLLERS if c != case.controller)):
+            found = self.run(try_again, case.text(), name)
+            if not self.tried:
+                self.case = case.model_copy(update={"figures": found.figures})
+            self.tried = (*self.tried, found)
+
+
+def _loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
+    """A robot by its name, and its border; how that is sampled where it is not cached."""
     from app.border.cache import load_border_data
     from app.robot.assets import load_robot
     from app.robot.model import RobotModel
 
+    model = RobotModel(load_robot(robot))
+    return model, load_border_data(model, **sampling)
+
+
+def sample_border(report: Report, robot: str) -> BorderData:
+    """Pairs and clouds of a robot, sampled if they are not cached."""
     text = "sampling its border, once"
     report(text, 0.0)
-    return load_border_data(
-        RobotModel(load_robot(robot)),
-        processes=_CORES,
-        on_progress=lambda share: report(text, share),
-    )
+    return _loaded(robot, processes=_CORES, on_progress=lambda share: report(text, share))[1]
 
 
 def look_into_package(report: Report, archive: Path) -> dict[str, Contents]:
@@ -198,43 +275,34 @@ def write_report(report: Report, log: Path, page: Path) -> None:
 
 def write_replay(report: Report, log: Path, page: Path) -> None:
     """The replay of a log as a page."""
-    from app.border.cache import load_border_data
-    from app.dashboard.export.offscreen import Look, replay_html
-    from app.robot.assets import load_robot
-    from app.robot.model import RobotModel
     from app.simulation.trace.trace import read_trace
 
     read = read_trace(log)
-    duration = max(read.snapshots[-1].t - read.snapshots[0].t, 1e-9)
-    model = RobotModel(load_robot(read.meta.robot))
-    clouds = load_border_data(model, progress=False).clouds
+    _write_replay(report, read, *_loaded(read.meta.robot, progress=False), page)
 
-    def on_progress(t: float) -> None:
-        report("drawing the pictures", min(t / duration, 1.0))
 
-    text = replay_html(read, model, clouds, Look(), on_progress=on_progress)
-    write_whole(page, text)
+def write_case_replay(report: Report, text: str, page: Path) -> None:
+    """The replay of a case as a page."""
+    case, model, data = _read_case(text)
+    trace = _play(report, case, case.controller, model, data, drawn=True).trace
+    _write_replay(report, trace, model, data, page)
 
 
 def write_film_of(report: Report, log: Path, film: Path, look: Look) -> None:
     """The film of a log, at its own pace."""
     from contextlib import closing
 
-    from app.border.cache import load_border_data
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.film import CODECS, film_pictures, write_film
-    from app.robot.assets import load_robot
-    from app.robot.model import RobotModel
     from app.simulation.trace.trace import read_trace
 
     report("starting a browser", 0.0)
     with chromium() as browser:  # first of all: without one the rest is in vain
         read = read_trace(log)
-        model = RobotModel(load_robot(read.meta.robot))
-        clouds = load_border_data(model, progress=False).clouds
+        model, data = _loaded(read.meta.robot, progress=False)
         begin, end = read.snapshots[0].t, read.snapshots[-1].t
         times = [begin + k / FILM_RATE for k in range(1 + int((end - begin) * FILM_RATE + 1e-9))]
-        pictures = film_pictures(browser, read.snapshots, times, model, clouds, look)
+        pictures = film_pictures(browser, read.snapshots, times, model, data.clouds, look)
 
         def on_progress(k: int) -> None:
             report(f"picture {k + 1} of {len(times)}", k / len(times))
@@ -242,3 +310,72 @@ def write_film_of(report: Report, log: Path, film: Path, look: Look) -> None:
         with closing(pictures):
             codec = next(iter(CODECS[film.suffix]))
             write_film(film, pictures, FILM_RATE, codec, on_progress)
+
+
+def try_again(report: Report, text: str, controller: str) -> Tried:
+    """What a controller makes of the pulls of a case."""
+    from app.studies.pulls.case import met_base, met_itself
+
+    hardest = 0.0
+
+    def on_step(_: Session, step: Step) -> None:
+        nonlocal hardest
+        for force in (step.person.hand, *(push.force for push in step.person.pushes)):
+            hardest = max(hardest, math.hypot(*force.tolist()))
+
+    case, model, data = _read_case(text)
+    figures = _play(report, case, controller, model, data, on_step=on_step).figures
+    distances = [figures[name] for name in FIGURES[:2] if figures[name] is not None]
+    return Tried(
+        controller,
+        min(distances),
+        met_base(figures) or met_itself(figures),
+        hardest,
+        figures["hand_speed_max_mps"],
+        {name: figures[name] for name in FIGURES if figures[name] is not None},
+    )
+
+
+def _read_case(text: str) -> tuple[RunCase, RobotModel, BorderData]:
+    """A challenge's case, its robot, and the robot's border."""
+    from app.simulation.case import RunCase
+
+    case = RunCase.read(json.loads(text), "the challenge")
+    return case, *_loaded(case.robot, progress=False)
+
+
+def _play(
+    report: Report,
+    case: RunCase,
+    controller: str,
+    model: RobotModel,
+    data: BorderData,
+    **more: Any,
+) -> RunResult:
+    from app.simulation.run import run_scenario
+
+    scenario = case.scenario()
+    return run_scenario(
+        model,
+        data,
+        scenario,
+        case.config(),
+        controller=controller,
+        physics=case.physics,
+        seed=case.seed,
+        on_progress=lambda t: report(f"{controller} plays it again", t / scenario.duration),
+        **more,
+    )
+
+
+def _write_replay(
+    report: Report, trace: Trace, model: RobotModel, data: BorderData, page: Path
+) -> None:
+    from app.dashboard.export.offscreen import Look, replay_html
+
+    duration = max(trace.snapshots[-1].t - trace.snapshots[0].t, 1e-9)
+
+    def on_progress(t: float) -> None:
+        report("drawing the pictures", min(t / duration, 1.0))
+
+    write_whole(page, replay_html(trace, model, data.clouds, Look(), on_progress=on_progress))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from html import escape
 
 from app.errors import DbbError
@@ -26,6 +26,12 @@ def plain(error: BaseException) -> str:
 def small(html: str, *styles: str) -> str:
     """Text of a panel."""
     return _tag("div", html, "padding:.2em .7em;font-size:.82em;line-height:1.5", *styles)
+
+
+def framed(html: str, colour: str) -> str:
+    """The same with a frame of a colour."""
+    frame = f"border:1px solid {colour};border-left:6px solid {colour};margin:.4em .7em"
+    return small(html, frame)
 
 
 def problem(text: str) -> str:
@@ -60,6 +66,27 @@ def cell(html: str = "", *styles: str, span: int = 1, head: bool = False) -> str
     """A cell over so many columns; `head` for the title of a column of data."""
     name, across = "th" if head else "td", f' colspan="{span}"' if span > 1 else ""
     return f"<{name}{across}{_style(*styles)}>{html}</{name}>"
+
+
+def readings(values: Mapping[str, str], *styles: str) -> str:
+    """A table of what is read, by its name; styles are the table's."""
+    return table((reading(*each) for each in values.items()), *styles)
+
+
+def reading(name: str, value: str, colour: str = "") -> str:
+    """A row of what is read; loud in a colour."""
+    return row(cell(name, FAINT), cell(value, RIGHT, colour and f"color:{colour};font-weight:600"))
+
+
+def bar(share: float, colour: str = "currentColor", stroke: float | None = None) -> str:
+    """A bar that is filled by a share, 0 to 1; with a stroke at another one."""
+    filled = f"width:{100 * share:.0f}%;height:100%;background:{colour};border-radius:2px"
+    html = _tag("div", "", filled)
+    if stroke is not None:
+        place = f"position:absolute;left:{100 * stroke:.0f}%;top:-.15em"
+        html += _tag("div", "", place, "width:1px;height:.85em;background:currentColor;opacity:.7")
+    ground = "position:relative;height:.55em;background:rgba(128,138,150,.22);border-radius:2px"
+    return _tag("div", html, ground)
 
 
 def mark(sign: str, colour: str) -> str:

@@ -30,51 +30,44 @@
   };
 
   // A light drawing has fewer pixels, unless the address says how many.
+  let light = false;
   const thinOut = () => {
     if (location.search.includes("fixedDpr")) return;
-    const light = document.querySelector("[data-light]");
     points.devSettings.set({ fixedDpr: light ? 0.7 * devicePixelRatio : null });
   };
 
-  // What is to be seen: a mark in a panel names a box that is on while the mark is displayed.
-  const told = new Map();
-  const tell = (uuid, seen) => {
-    if (told.get(uuid) === seen) return;
-    told.set(uuid, seen);
-    const message = { type: "GuiUpdateMessage", uuid, updates: { value: seen } };
-    window.__viserMutable?.sendMessage(message);
-  };
+  // What holds of the page is told as names: those of the marks in panels that are displayed,
+  // "narrow", and "untouched" until anybody has touched it; a page of a test says so by itself.
+  let touched = !!self.dbbTouched;
   const look = () => {
     const closed = document.querySelector("[data-drawer=closed]");
-    const seen = new Set();
-    for (const mark of document.querySelectorAll("[data-seen]")) {
-      if (mark.getClientRects().length && !closed) seen.add(mark.dataset.seen);
-    }
-    const untouched = document.querySelector("[data-untouched]");
-    if (untouched && !touched) seen.add(untouched.dataset.untouched);
-    for (const uuid of told.keys()) if (!seen.has(uuid)) tell(uuid, false);
-    for (const uuid of seen) tell(uuid, true);
+    const marks = [...document.querySelectorAll("[data-seen]")];
+    const names = marks.filter((mark) => mark.getClientRects().length && !closed).map((mark) => mark.dataset.seen);
+    if (matches(NARROW).matches) names.push("narrow");
+    if (!touched) names.push("untouched");
+    window.dbb?.tellSeen(names.join(" "));
   };
 
-  // Whether anybody has touched the page; a page of a test says so by itself.
-  let touched = !!self.dbbTouched;
+  // What the page's address asks for is told once; the client may connect again and again.
+  let asked = location.search.slice(1);
+  window.dbbAsked = () => [asked, (asked = "")][0];
   const touch = () => {
     if (touched) return;
     touched = true;
     look();
   };
 
-  // A step of the tour stands in a panel, which has to be open for it.
-  let opened = null;
-  const openForTour = () => {
-    const place = document.querySelector("[data-tour]")?.dataset.tour ?? null;
-    if (place === opened) return;
-    opened = place;
+  // What the server asks of the page: a light drawing, and to open the panel with a name, or the
+  // drawer alone for an empty one, since something stands there. A drawer may still be to come.
+  let place = null;
+  window.dbbPanels = { light: (on) => (light = on), open: (name) => (place = name) };
+  const openPlace = () => {
     const drawer = document.querySelector("[data-drawer]");
-    if (drawer && place !== null) drawer.dataset.drawer = "open";
-    if (!place) return;
+    if (place === null || (!drawer && matches(NARROW).matches)) return;
+    if (drawer) drawer.dataset.drawer = "open";
     const named = (tab) => tab.innerText.trim() === place;
-    [...document.querySelectorAll("[role=tab]")].find(named)?.click();
+    if (place) [...document.querySelectorAll("[role=tab]")].find(named)?.click();
+    place = null;
   };
 
   // viser's client says when it is there; timers from before do not outlive its start.
@@ -89,7 +82,7 @@
         window.addEventListener(kind, touch, true);
       }
       timer = setInterval(() => {
-        openForTour();
+        openPlace();
         makeDrawer();
         thinOut();
         look();

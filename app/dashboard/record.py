@@ -30,11 +30,7 @@ _MOST_EVENTS = 400
 
 
 class Rows:
-    """What snapshots say over time, in bounded memory.
-
-    Attributes:
-        last: [s] time of the newest snapshot that was taken in, -1 if there is none.
-    """
+    """What snapshots say over time, in bounded memory."""
 
     def __init__(
         self,
@@ -50,30 +46,20 @@ class Rows:
             is_due: Whether the second of two rows is taken in after the first.
         """
         self._values, self._is_due, self._longest = values, is_due, longest
+        self.begin()
+
+    def begin(self) -> None:
+        """An empty table."""
         self._rows: list[Array] = []
         self._times: list[float] = []
-        self.last = -1.0
 
-    def extend(self, snapshots: Iterable[Snapshot], now: float) -> None:
-        """Take in what is new.
-
-        Args:
-            snapshots: In order of time.
-            now: [s] time of the newest snapshot; if it is before `last`, the simulation has begun
-                anew, and so does the table.
-        """
-        if now < self.last:
-            self._rows, self._times, self.last = [], [], -1.0
-        for snapshot in snapshots:
-            if snapshot.t <= self.last:
-                continue
-            self.last = snapshot.t
-            row = np.array([snapshot.t, *self._values(snapshot)])
-            if not self._rows or self._is_due(self._rows[-1], row):
-                self._rows.append(row)
-                self._times.append(snapshot.t)
-        if (over := len(self._rows) - self._longest) > 0:
-            del self._rows[:over], self._times[:over]
+    def add(self, snapshot: Snapshot) -> None:
+        """Take it in if it is due."""
+        row = np.array([snapshot.t, *self._values(snapshot)])
+        if not self._rows or self._is_due(self._rows[-1], row):
+            self._rows.append(row)
+            self._times.append(snapshot.t)
+            del self._rows[: -self._longest], self._times[: -self._longest]
 
     def table(self) -> Array:
         """(N, 1 + C) times [s] and values."""
@@ -135,7 +121,6 @@ class Course:
     """The scenario that was begun last, and what it has come to.
 
     Attributes:
-        last: [s] time of the newest snapshot that was taken in, -1 if there is none.
         name: Of the scenario; empty at the free start.
         running: Whether it leads the hand.
         duration: [s] at which it ends.
@@ -149,33 +134,28 @@ class Course:
     """
 
     def __init__(self) -> None:
+        self.begin()
+
+    def begin(self) -> None:
         """No scenario has begun."""
         self.case: RunCase | None = None
-        self.last, self.name, self.running = -1.0, "", False
+        self.name, self.running = "", False
         self.duration = self.until = self.pull = self.speed = self.path = 0.0
         self.least, self.touched = np.inf, False
         self._place: Array | None = None
 
-    def extend(self, snapshots: Iterable[Snapshot], now: float) -> None:
-        """Take in what is new, as `Rows.extend` does."""
-        if now < self.last:
-            self.__init__()
-        for snapshot in snapshots:
-            if snapshot.t > self.last:
-                self.last, self.running = snapshot.t, bool(snapshot.scenario)
-                self.case = snapshot.case or self.case
-                if self.running:
-                    self._add(snapshot)
-
-    def _add(self, snapshot: Snapshot) -> None:
+    def add(self, snapshot: Snapshot) -> None:
+        """Take it in."""
+        self.running, self.case = bool(snapshot.scenario), snapshot.case or self.case
+        if not self.running:
+            return
         place = np.array(snapshot.base_pose[:2])
         if self._place is not None:
             self.path += float(np.linalg.norm(place - self._place))
         self._place, self.name, self.until = place, snapshot.scenario, snapshot.t
         self.duration = snapshot.scenario_ends or snapshot.t
-        self.least = min(self.least, *(pair.d for pair in snapshot.pairs))
-        forces = (snapshot.hand_force, *(pull.force for pull in snapshot.pulls))
-        self.pull = max(self.pull, *(float(np.linalg.norm(force)) for force in forces))
+        self.least = min(self.least, least(snapshot))
+        self.pull = max(self.pull, pulled(snapshot))
         self.speed = max(self.speed, snapshot.hand_speed)
         self.touched = self.touched or judge(snapshot).state == "contact"
 
@@ -194,7 +174,6 @@ class Strip:
     """What happened when: the least distance and β of each `BIN`, events, and a thinned past.
 
     Attributes:
-        last: [s] time of the newest snapshot that was taken in, -1 if there is none.
         runs: How often time has begun anew.
         rows: Time [s] at which a bin begins, least distance [m] and largest β in it.
         closed: How many rows there have been, also those that are kept no longer.
@@ -203,9 +182,14 @@ class Strip:
         nearest, hardest: Snapshots of the least distance and of the hardest pull so far.
     """
 
-    def __init__(self, chain: Sequence[str], runs: int = 0) -> None:
+    def __init__(self, chain: Sequence[str]) -> None:
         """Nothing yet; `chain` names the robot's bodies, the mobile one first."""
-        self._chain, self.runs, self.last = chain, runs, -1.0
+        self._chain, self.runs = chain, -1
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget all but how often that was done."""
+        self.runs += 1
         self.rows: deque[tuple[float, float, float]] = deque(maxlen=round(KEPT / BIN))
         self.closed = self._numbered = 0
         self.events: dict[int, Event] = {}
@@ -216,16 +200,8 @@ class Strip:
         self._bin: list[Snapshot] = []
         self._before: Snapshot | None = None
 
-    def extend(self, snapshots: Iterable[Snapshot], now: float) -> None:
-        """Take in what is new, as `Rows.extend` does."""
-        if now < self.last:
-            self.__init__(self._chain, self.runs + 1)
-        for snapshot in snapshots:
-            if snapshot.t > self.last:
-                self.last = snapshot.t
-                self._add(snapshot)
-
-    def _add(self, snapshot: Snapshot) -> None:
+    def add(self, snapshot: Snapshot) -> None:
+        """Take it in."""
         if self._bin and int(snapshot.t / BIN + 1e-6) != int(self._bin[0].t / BIN + 1e-6):
             self._close()
         self._bin.append(snapshot)

@@ -12,18 +12,17 @@ from pathlib import Path
 
 import viser
 
-from app.border.cloud import Cloud
-from app.dashboard.demonstration import Demonstration
+from app.border.dbb import Cloud
 from app.dashboard.export.screenshot import page_picture
 from app.dashboard.notifications import Notifier
-from app.dashboard.page import Page, show_failure
+from app.dashboard.page import Demonstration, Page, show_failure
 from app.dashboard.panels.save import SWEEPS
 from app.dashboard.robots import RobotSwitch, RunningRobot, StartLoop
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
 from app.dashboard.scene.colours import set_theme
 from app.dashboard.scene.robot import RobotParts
 from app.dashboard.shared import SharedState
-from app.dashboard.viser_compat import Watchdog, close_server, link_of, open_server
+from app.dashboard.viser_compat import Watchdog, close_server, open_server
 from app.errors import LoopError, ServerError
 from app.onboarding.read.package import LARGEST_ARCHIVE
 from app.robot.model import RobotModel
@@ -166,7 +165,6 @@ class DashboardServer:
                 continue
             if self._failure is not None:
                 page.fail(*self._failure)
-            page.open_link(link_of(client))
         for number in self.pages.keys() - self.viser.get_clients().keys():
             self.pages.pop(number).end()
 

@@ -8,12 +8,11 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.config import Config, tunable
-from app.dashboard.challenge import Challenge
 from app.dashboard.drag import Sink
-from app.dashboard.explorer import Explorer
-from app.dashboard.job import Job
+from app.dashboard.job import Challenge, Job
+from app.dashboard.panels.explorer import Explorer
 from app.dashboard.panels.plots import plot_plans
 from app.dashboard.record import Course, Record, Strip
 from app.dashboard.robots import RobotBuild, RobotSwitch, RunningRobot
@@ -180,7 +179,7 @@ class SharedState(SceneData):
         self.record = Record(curve for plan in self.plans for curve in plan.curves)
         self.course = Course()
         self.strip = Strip(model.body_names)
-        self._kept += [self.record, self.course, self.strip]
+        self.keepers += [self.record, self.course, self.strip]
         self.sweep_job = Job()
         self.challenge = Challenge()
         self._watched = True

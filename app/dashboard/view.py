@@ -5,18 +5,34 @@ Callbacks assign a field, the drawing thread reads it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field, fields
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
+from PIL import Image
 
 from app.dashboard.scene.legend import QUANTITIES
+from app.simulation.trace.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    from app.dashboard.scene.scene import SceneData
 
 HIDDEN = "hidden"
 """Instead of a quantity: the border is not drawn."""
 CHOICES = (*reversed(QUANTITIES), HIDDEN)
 """What a border may be coloured by."""
+BORDER, LAYERS, PAGE = "Border coloured by", "Layers", "Camera and page"
+"""Folders of the tab "View"."""
+
+
+def _shown(
+    folder: str, label: str, hint: str | None = None, *, first: Any, choices: tuple[str, ...] = ()
+) -> Any:
+    """A field that a widget of a folder assigns, a box where there are no choices."""
+    about = {"folder": folder, "label": label, "hint": hint, "choices": choices}
+    return field(default=first, metadata=about)
 
 
 @dataclass
@@ -25,31 +41,52 @@ class View:
 
     borders: dict[str, str]
     """What the border of each pair of L_m is coloured by: one of `QUANTITIES`, or `HIDDEN`."""
-    whole_border: bool = False
-    """Also the part of the border above the base's top, which hides the arm."""
-    slice: bool = True
-    """The border's contour at the hand's height."""
-    shell: bool = False
-    """The border as a translucent body, in the place of its points."""
-    meshes: bool = True
-    bodies: bool = False
-    distances: bool = True
+    whole_border: bool = _shown(
+        BORDER,
+        "Above the base too",
+        "The part of the border above the base's top, which hides the arm",
+        first=False,
+    )
+    shell: bool = _shown(
+        BORDER,
+        "As a body",
+        "In the place of points; a click on it tells det, R and S there, and which way the base "
+        "would go for an arm that is halfway in",
+        first=False,
+    )
+    slice: bool = _shown(
+        BORDER, "Slice at the hand", "The border's contour at the hand's height", first=True
+    )
+    meshes: bool = _shown(LAYERS, "Robot", first=True)
+    bodies: bool = _shown(LAYERS, "Convex bodies", "What distances are measured to", first=False)
+    distances: bool = _shown(LAYERS, "Closest points", first=True)
     """Lines between the closest points of the pairs."""
-    labels: Literal["active", "all", "none"] = "active"
+    labels: Literal["active", "all", "none"] = _shown(
+        LAYERS, "Distances of", first="active", choices=("active", "all", "none")
+    )
     """Which of these lines carry their distance."""
-    acting: bool = True
-    """Acting points and the forces of avoidance."""
-    names: bool = False
-    """Names of p_a, p_b, p_n, p_t and p_act."""
-    motion: bool = True
-    """The person's force, and the accelerations asked of the base."""
-    trails: bool = True
-    """Where base and hand have been."""
-    follow: bool = True
-    """Whether the camera follows the base."""
-    dark: bool = True
-    light: bool = False
-    """Drawn for who has no GPU: fewer triangles and points, no shadows, fewer pictures."""
+    acting: bool = _shown(
+        LAYERS, "Acting points", "p_n, p_t, p_act and the force of avoidance", first=True
+    )
+    names: bool = _shown(
+        LAYERS,
+        "Names of points",
+        "p_a and p_b of the nearest pair, p_n, p_t and p_act",
+        first=False,
+    )
+    motion: bool = _shown(
+        LAYERS, "Person and base", "The person's force, and what the base is asked", first=True
+    )
+    trails: bool = _shown(LAYERS, "Trails", "Where base and hand have been", first=True)
+    follow: bool = _shown(PAGE, "Follow the base", first=True)
+    dark: bool = _shown(PAGE, "Dark", first=True)
+    light: bool = _shown(
+        PAGE,
+        "Light drawing",
+        "Fewer triangles and points, no shadows, fewer pictures: for a browser without a GPU, "
+        "which gets it by itself",
+        first=False,
+    )
     plots: set[str] = field(default_factory=set)
     """Titles of the plots that are shown."""
 
@@ -84,3 +121,7 @@ class Viewpoint(NamedTuple):
     view: View
     eye: np.ndarray
     target: np.ndarray
+
+
+PagePicture = Callable[["SceneData", list[Snapshot], Viewpoint, tuple[int, int]], Image.Image]
+"""Draws the whole page at the last of the snapshots, so many [px] wide and high."""

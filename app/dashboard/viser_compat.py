@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import io
+import json
 import logging
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -83,15 +84,6 @@ def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
     return file
 
 
-def link_of(client: viser.ClientHandle) -> str:
-    """The query of the address at which a viewer has opened the page; once, and then empty."""
-    connection = _connection(client)
-    if connection is None:
-        return ""
-    query, connection.link = getattr(connection, "link", ""), ""
-    return query
-
-
 def address_of(client: viser.ClientHandle) -> str:
     """The page's address, as the viewer's browser has it, without a query."""
     connection = _connection(client)
@@ -105,51 +97,70 @@ def image_size(client: viser.ClientHandle) -> tuple[float, float]:
     return state.image_width, state.image_height
 
 
-def run_script(client: viser.ClientHandle, source: str) -> None:
-    """Have a viewer's page run a script, after all that was sent to it before."""
-    client._websock_connection.queue_message(_messages.RunJavascriptMessage(source=source))
-
-
-def widget_name(handle: viser.GuiTextHandle) -> str:
-    """The name by which a page means a widget."""
-    return handle._impl.uuid
-
-
-def number_ranges(gui: viser.GuiApi) -> dict[str, tuple[float | None, float | None]]:
-    """Least and largest number that each box of a page takes, by the name of its widget."""
-    return {
-        uuid: (handle.min, handle.max)
-        for uuid, handle in gui._gui_input_handle_from_uuid.items()
-        if isinstance(handle, viser.GuiSliderHandle | viser.GuiNumberHandle)
-    }
-
-
 def has_no_gpu(client: viser.ClientHandle) -> bool:
     """Whether a viewer's browser has said that it draws in software."""
     connection = _connection(client)
     return connection is not None and draws_in_software(connection.request)
 
 
-def add_light_mark(gui: viser.GuiApi, *, visible: bool) -> viser.GuiHtmlHandle:
-    """What has the page draw fewer pixels while it is visible."""
-    return gui.add_html("<div data-light></div>", visible=visible)
+class Channel:
+    """What one viewer's page and this program say to each other beside viser's widgets.
 
+    viser has no widget that spans the page, reads a number as a person typed it, or says whether
+    anybody sees it; the page's own scripts have. They call functions by words, and are called.
 
-def add_sight(gui: viser.GuiApi, mark: str = "") -> viser.GuiCheckboxHandle:
-    """A hidden box in the GUI container that is now open: on while a person sees the container.
-
-    With the mark `data-narrow` it is so on narrow pages only.
+    Attributes:
+        seen: What the page has said of itself: the names of the `sight`s that a person sees,
+            "narrow" if it is a narrow one, "untouched" until a person presses or turns anything.
     """
-    box = gui.add_checkbox("seen", False, visible=False)
-    gui.add_html(f'<div data-seen="{box._impl.uuid}" {mark}></div>')
-    return box
 
+    def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:
+        """Nothing is said yet."""
+        self._client, self._acts = client, dict[str, Callable[..., None]]()
+        self._box = client.gui.add_text("", "", visible=False)
+        self._box.on_update(notifier.guard(self._hear))
+        self.seen: frozenset[str] = frozenset()
+        self.on("seen", lambda names: setattr(self, "seen", frozenset(str(names).split())))
+        self.on("refused", lambda text: notifier.warn(client, str(text)[:300]))
 
-def add_untouched(gui: viser.GuiApi) -> viser.GuiCheckboxHandle:
-    """A hidden box: on from when a page is there until a person presses or turns anything."""
-    box = gui.add_checkbox("untouched", False, visible=False)
-    gui.add_html(f'<div data-untouched="{box._impl.uuid}"></div>')
-    return box
+    def begin(self) -> None:
+        """Begin what the page has beside viser's widgets, all of which are there, anew."""
+        ranges = {
+            uuid: (handle.min, handle.max)
+            for uuid, handle in self._client.gui._gui_input_handle_from_uuid.items()
+            if isinstance(handle, viser.GuiSliderHandle | viser.GuiNumberHandle)
+        }
+        self._run("dbb?.end(); window.dbb = window.dbbControls", self._box._impl.uuid, ranges)
+
+    def tell(self, word: str, *values: Any) -> None:
+        """Call a function of the page with values that JSON can have."""
+        self._run(f"dbb.{word}", *values)
+
+    def on(self, word: str, act: Callable[..., None]) -> None:
+        """Call `act` with the values that the page says after a word."""
+        self._acts[word] = act
+
+    def sight(self, name: str) -> None:
+        """Have the page say whether a person sees the GUI container that is now open."""
+        self._client.gui.add_html(f'<div data-seen="{name}"></div>')
+
+    def _run(self, function: str, *values: Any) -> None:
+        told = json.dumps(values, separators=(",", ":"), allow_nan=False)
+        source = f"window.{function}(...{told})"
+        self._client._websock_connection.queue_message(
+            _messages.RunJavascriptMessage(source=source)
+        )
+
+    def _hear(self, event: viser.GuiEvent) -> None:
+        if event.client is None:
+            return
+        try:
+            _, word, *values = json.loads(event.target.value)
+            act = self._acts[word]
+        except (ValueError, TypeError, KeyError):  # no page of this program says so
+            return
+        if all(isinstance(value, str | int | float) for value in values):
+            act(*values)
 
 
 def _connection(client: viser.ClientHandle) -> Any:

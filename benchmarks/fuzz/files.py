@@ -21,9 +21,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.border.cache import Content, pack, unpack
-from app.border.cloud import make_cloud
-from app.border.kept import DamagedFileError, read, write
+from app.border.cache import Content, DamagedFileError, pack, read, unpack, write
+from app.border.dbb import make_cloud
 from app.cli.common import as_json
 from app.config import Config
 from app.config_file import read_config, save_config
@@ -143,7 +142,7 @@ def _mutate_zip(path: Path, right: bytes, rng: np.random.Generator) -> None:
         _write_zip(path, mutated_bytes(_URDF.encode(), rng))
     elif choice < 0.7:
         name = mutated_bytes(b"robot/r.urdf", rng).decode("utf-8", "replace")[:60_000]
-        _write_zip(path, name=name + ".urdf")
+        _write_zip(path, name=name.replace("\0", "") + ".urdf")  # zipfile ends a name there
     else:
         _mutate_bytes(path, right, rng)
 

@@ -219,7 +219,7 @@ class _Fuzz:
         """[MiB] of this process and the simulation's, once no work is under way."""
         shared = self._server.shared
         jobs = [shared.robot_switch, shared.robot_build, shared.sweep_job]
-        for job in [*jobs, *(page.save_job for page in self._server.pages.values())]:
+        for job in [*jobs, *(page.viewer.files for page in self._server.pages.values())]:
             job.close()
         here = psutil.Process()
         everyone = [here, *here.children(recursive=True)]

@@ -17,14 +17,14 @@ from typing import TYPE_CHECKING
 import pinocchio as pin
 from PIL import Image
 
-from app.border.cloud import Cloud
-from app.dashboard.export.labels import label
+from app.border.dbb import Cloud
 from app.dashboard.export.offscreen import (
     BARRIER,
     ONLY_SCENE,
     Look,
     OffscreenScene,
     RecordedLoop,
+    label,
     middle,
     open_page,
     own_page,

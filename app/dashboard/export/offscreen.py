@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import viser
+from PIL import Image, ImageDraw, ImageFont
 
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.dashboard.export.browser import new_context
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
-from app.dashboard.scene.colours import set_theme
+from app.dashboard.scene.colours import BACKGROUND, Rgb, set_theme
 from app.dashboard.scene.scene import Scene, SceneData
 from app.dashboard.view import HIDDEN, View
 from app.dashboard.viser_compat import close_server, open_server
@@ -37,6 +38,11 @@ LAYERS = ("determinant", "reachability", "score", "none")
 """What a border may be coloured by; without a border, none."""
 RATE = 25.0  # [Hz] pictures of a second of a replay
 _TEXTS_EVERY = 5  # pictures between two renewals of labels and trails
+INK: dict[bool, Rgb] = {True: (240, 240, 245), False: (25, 30, 38)}
+"""On a dark and on a light ground."""
+_HEIGHT = 0.04  # [-] of a line, of the picture's height
+_LEAST = 12  # [px] of a line that can be read
+_SPACING = 1.4  # [-] from line to line
 
 
 class Look(NamedTuple):
@@ -44,7 +50,8 @@ class Look(NamedTuple):
 
     Attributes:
         width, height: [px].
-        layer: What the border of the first pair of L_m is coloured by, one of `LAYERS`.
+        layer: What the border is coloured by, one of `LAYERS`.
+        pair: Name of the pair of L_m whose border it is; the first one by default.
         view: Where from, a key of `app.dashboard.scene.camera.PRESETS`.
         dark: A dark ground, else a light one.
         page: The whole dashboard, else the scene alone.
@@ -56,6 +63,7 @@ class Look(NamedTuple):
     view: str = "iso"
     dark: bool = True
     page: bool = False
+    pair: str = ""
 
 
 class RecordedLoop:
@@ -112,7 +120,7 @@ class OffscreenScene:
         self._server, self._loop = server, loop
         self._data = SceneData(loop, model, clouds)
         view = View.first(self._data.mobile, [])
-        choose_layer(view, look.layer)
+        choose_layer(view, look.layer, look.pair)
         set_theme(server.gui, dark=look.dark)
         self._scene = Scene(server.scene, self._data, view)
         self._scene.canvas.labels = labels
@@ -132,11 +140,13 @@ class OffscreenScene:
             self._scene.draw(snapshot, texts=texts)
 
 
-def choose_layer(view: View, layer: str) -> None:
-    """Colour the borders that are drawn by a layer, one of `LAYERS`."""
-    for pair, quantity in view.borders.items():
-        if quantity != HIDDEN:
-            view.borders[pair] = HIDDEN if layer == "none" else layer
+def choose_layer(view: View, layer: str, pair: str = "") -> None:
+    """Colour the border that is drawn, or that of the pair named, by one of `LAYERS`."""
+    for each, quantity in view.borders.items():
+        if each == pair or (not pair and quantity != HIDDEN):
+            view.borders[each] = HIDDEN if layer == "none" else layer
+        else:
+            view.borders[each] = HIDDEN
 
 
 @contextlib.contextmanager
@@ -227,3 +237,17 @@ def middle(snapshots: Sequence[Snapshot]) -> Snapshot:
     """A snapshot with the mean place of base and hand of some."""
     base = np.mean([s.base_pose for s in snapshots], axis=0)
     return replace(snapshots[0], base_pose=base, p_ee=np.mean([s.p_ee for s in snapshots], axis=0))
+
+
+def label(
+    picture: Image.Image, lines: Sequence[str | tuple[str, Rgb]], *, dark: bool
+) -> Image.Image:
+    """The picture with lines of text in its upper left corner, some of colours of their own."""
+    size = max(round(_HEIGHT * picture.height), _LEAST)
+    font, draw = ImageFont.load_default(size), ImageDraw.Draw(picture)
+    for k, line in enumerate(lines):
+        text, colour = (line, INK[dark]) if isinstance(line, str) else line
+        at = size, size // 2 + round(_SPACING * k * size)
+        ground, stroke = BACKGROUND[dark], max(size // 12, 1)
+        draw.text(at, text, colour, font, stroke_width=stroke, stroke_fill=ground)
+    return picture

@@ -11,17 +11,18 @@ from typing import TYPE_CHECKING
 import viser
 from PIL import Image, ImageDraw
 
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.dashboard.export.browser import chromium
-from app.dashboard.export.labels import INK, label
 from app.dashboard.export.offscreen import (
     BARRIER,
+    INK,
     ONLY_SCENE,
     TIMEOUT,
     Look,
     OffscreenScene,
     RecordedLoop,
     choose_layer,
+    label,
     middle,
     open_page,
     own_page,
@@ -160,9 +161,9 @@ def _of_page(
         loop.go_to(t)
         shared.update()
         if viewpoint is None:
-            shown.look(look.view)
+            shown.viewer.look(look.view)
         else:
-            shown.sit(viewpoint.eye, viewpoint.target)
+            shown.viewer.camera.put(viewpoint.eye, viewpoint.target)
         for _ in range(2):  # what the first drawing of a panel makes, the second fills
             shown.draw(texts=True)
         pictures.append(_settled(page, server))

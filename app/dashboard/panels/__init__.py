@@ -2,12 +2,72 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import viser
 
+from app.dashboard.markup import small
 from app.dashboard.notifications import Notifier
+
+if TYPE_CHECKING:
+    from app.dashboard.drag import Grip
+    from app.dashboard.job import Job, Progress
+    from app.dashboard.panels.timeline import Timeline
+    from app.dashboard.scene.camera import Camera
+    from app.dashboard.shared import SharedState
+    from app.dashboard.verdict import Verdict
+    from app.dashboard.view import PagePicture, View
+    from app.dashboard.viser_compat import Channel
+    from app.simulation.trace.snapshot import Snapshot
+
+
+@dataclass
+class Viewer:
+    """Who looks at the page of one robot: what the panels are built for.
+
+    Attributes:
+        client: The viewer's browser.
+        notifier: Tells viewers what goes wrong.
+        shared: What all viewers share.
+        channel: To the page's own scripts.
+        view: What the viewer has chosen to see; callbacks assign to it.
+        timeline: The viewer's place in time.
+        grip: What the viewer holds.
+        camera: Where the viewer looks from.
+        files: Makes the viewer's files, one after the other.
+        page_picture: Draws whole pages; None where there is no button for it.
+    """
+
+    client: viser.ClientHandle
+    notifier: Notifier
+    shared: SharedState
+    channel: Channel
+    view: View
+    timeline: Timeline
+    grip: Grip
+    camera: Camera
+    files: Job
+    page_picture: PagePicture | None = None
+
+    def look(self, preset: str) -> None:
+        """Look from a key of `PRESETS`, at the instant that is shown.
+
+        Raises:
+            TargetError: There is no door to look at.
+        """
+        self.camera.look(preset, self.timeline.shown())
+
+
+class Moment(NamedTuple):
+    """What panels are renewed by: the newest snapshot, the one that is shown, its verdict."""
+
+    newest: Snapshot
+    shown: Snapshot
+    verdict: Verdict
 
 
 class Panel:
@@ -17,10 +77,13 @@ class Panel:
     An `update` may assign everything each time: viser sends only what has changed.
     """
 
-    def __init__(self, gui: viser.GuiApi, notifier: Notifier) -> None:
+    def __init__(self, viewer: Viewer) -> None:
         """Nothing in it yet."""
-        self._gui, self._notifier = gui, notifier
+        self._gui, self._notifier = viewer.client.gui, viewer.notifier
         self._followed: dict[int, Any] = {}
+
+    def update(self, moment: Moment) -> None:
+        """Show what has changed; called by the drawing thread."""
 
     def on_update(self, handle: Any, act: Callable[[Any], None]) -> None:
         """Call `act` when a person sets a widget, not when this program assigns it."""
@@ -56,3 +119,34 @@ class Panel:
         """Show what all viewers share once it changes, not while a person's choice is under way."""
         if self._followed.get(id(handle)) != value:
             self._followed[id(handle)] = handle.value = value
+
+
+class JobStatus(Panel):
+    """How far a job is, or how it ended, and a button that cancels it."""
+
+    def __init__(self, viewer: Viewer, job: Job) -> None:
+        """Add the widgets."""
+        super().__init__(viewer)
+        self._job = job
+        self.text = self._gui.add_html("", visible=False)
+        self._bar = self._gui.add_progress_bar(0.0, animated=True, visible=False)
+        self._cancel = self.button(
+            "Cancel", lambda _: job.cancel(), viser.Icon.X, color="gray", visible=False
+        )
+
+    def show(self, idle: str) -> None:
+        """Show the progress, or HTML while nothing is under way."""
+        progress = self._job.progress
+        if progress is not None:
+            seconds = time.monotonic() - progress.began
+            idle = f"<b>{escape(progress.title)}</b>: {escape(how_far(progress))}, {seconds:.0f} s"
+            self._bar.value = round(100.0 * max(progress.share, 0.0), 1)
+        self.text.content = small(idle) if idle else ""
+        self.text.visible = bool(idle)
+        self._bar.visible = progress is not None and progress.share >= 0.0
+        self._cancel.visible = progress is not None
+
+
+def how_far(progress: Progress) -> str:
+    """What is being done, with its share if anybody knows it."""
+    return progress.text + (f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else "")

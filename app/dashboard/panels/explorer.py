@@ -2,27 +2,116 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import viser
 
-from app.dashboard.drag import Grip
-from app.dashboard.explorer import CLOSE, Posture
+from app.border.cache import BorderData
+from app.border.dbb import Cloud
 from app.dashboard.markup import RIGHT, cell, minus, row, small, table
-from app.dashboard.notifications import Notifier
-from app.dashboard.panels import Panel
+from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.panels.phrases import signed
-from app.dashboard.shared import SharedState
 from app.errors import TargetError
 from app.robot.bases.kind import planar
+from app.robot.link_pairs import LinkPairs, Pair
+from app.robot.model import RobotModel
 from app.simulation.loop.commands import Pause, Reset
-from app.simulation.trace.snapshot import Snapshot
+from app.simulation.loop.pacing import Pacer
+from app.simulation.scenarios.posture import PostureSearch, Target
+from app.simulation.session import DT, Session
+from app.simulation.trace.snapshot import Snapshot, make_snapshot
 
 Array = np.ndarray
 
 _DEGREES = float(np.degrees(1.0))
 FARTHEST = 5.0  # [m] of the base from the origin
+
+
+CLOSE = 0.002
+"""[m] from a place the hand counts as there."""
+
+
+class Posture(NamedTuple):
+    """Where the robot stands.
+
+    Attributes:
+        base_pose: (3,) x, y [m] and heading [rad] of the base.
+        q_m: (n_m,) [rad or m] the arm's joints.
+    """
+
+    base_pose: Array
+    q_m: Array
+
+
+class Explorer:
+    """Asks the control law about postures, by one control step from rest; for one thread."""
+
+    def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud], snapshot: Snapshot) -> None:
+        """Prepare for a robot, as it is in a snapshot."""
+        pairs = [(Pair(*pair.name.split("-")), pair.mobile) for pair in snapshot.pairs]
+        found = LinkPairs(
+            tuple(pair for pair, mobile in pairs if mobile),
+            tuple(pair for pair, mobile in pairs if not mobile),
+            never=(),
+            rates={},
+            least_distance_m={},
+            samples=0,
+            seed=0,
+        )
+        data = BorderData(found, dict(clouds), "cache")
+        self._model = model
+        self._session = Session(model, data, snapshot.config, physics="kinematic")
+        self._search = PostureSearch(model, found, snapshot.config.border.d_b)
+        self._asked: tuple[object, ...] = ()
+        self._answer = snapshot
+
+    def ask(self, posture: Posture, snapshot: Snapshot) -> Snapshot:
+        """A snapshot with the robot in a posture, else with what holds in another one."""
+        asked = (
+            posture.base_pose.tobytes(),
+            posture.q_m.tobytes(),
+            snapshot.config,
+            snapshot.controller,
+        )
+        if asked != self._asked:
+            session = self._session
+            if session.config != snapshot.config:
+                session.configure(snapshot.config)
+            session.controller.use(snapshot.controller)
+            session.reset(np.clip(posture.q_m, *self.limits), posture.base_pose)
+            step = session.step()
+            self._answer = make_snapshot(session, step, Pacer(DT, 1.0), paused=True)
+            self._asked = asked
+        about = ("t", "speed", "scenario", "step_time_us", "realtime_factor", "overruns")
+        return replace(self._answer, **{name: getattr(snapshot, name) for name in about})
+
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """(n_m,) [rad or m] each, of the arm's joints."""
+        return self._model.q_lower, self._model.q_upper
+
+    def reach(self, posture: Posture, place: Array) -> tuple[Posture, float]:
+        """The posture near another with the hand at a place (3,) [m], pointing as there if it can.
+
+        Returns:
+            The nearest that the arm comes, and [m] how far off it is.
+        """
+        search, best = self._search, (posture, np.inf)
+        search.stand(posture.base_pose)
+        search.place(posture.q_m)
+        points = search.state.T_world_ee.rotation[:, 2].copy()
+        for direction in (points, None):
+            q_m = search.reach(Target(place, direction), posture.q_m)
+            search.place(q_m)
+            off = float(np.linalg.norm(search.state.T_world_ee.translation - place))
+            if off < best[1]:
+                best = posture._replace(q_m=q_m), off
+            if off < CLOSE:
+                break
+        return best
 
 
 class ExplorerPanel(Panel):
@@ -32,21 +121,19 @@ class ExplorerPanel(Panel):
         posture: It, or None.
     """
 
-    def __init__(
-        self, gui: viser.GuiApi, shared: SharedState, grip: Grip, notifier: Notifier
-    ) -> None:
-        """Build the folder, closed; the hand is moved by the gizmo of `grip`."""
-        super().__init__(gui, notifier)
-        self._shared, self._grip = shared, grip
+    def __init__(self, viewer: Viewer) -> None:
+        """Build the folder, closed; the hand is moved by the viewer's gizmo."""
+        super().__init__(viewer)
+        self._shared, self._grip = viewer.shared, viewer.grip
         self.posture: Posture | None = None
         self._wanted: Array | None = None  # (3,) [m] where the hand is to be
         self._off = 0.0  # [m] from where it was to be last
         self._stopped = False
-        model = shared.model
+        model = viewer.shared.model
         kinds = [joint.shortname() for joint in model.pin.joints[2:]]  # after the planar joint
         self._scale = np.array([1.0 if "JointModelP" in kind else _DEGREES for kind in kinds])
-        with gui.add_folder("Postures", expand_by_default=False):
-            self._text = gui.add_html("")
+        with self._gui.add_folder("Postures", expand_by_default=False):
+            self._text = self._gui.add_html("")
             self._begin = self.button("Stop and explore", self._enter, viser.Icon.STRETCHING)
             self._sliders = [
                 self._slider(f"base {axis}", -most, most, 0.01 if unit == "m" else 0.5, unit)
@@ -83,8 +170,9 @@ class ExplorerPanel(Panel):
             self._set(posture)
         return explorer.ask(posture, newest)
 
-    def update(self, shown: Snapshot) -> None:
-        """Renew the readings, of what `shown` gave; called by the drawing thread."""
+    def update(self, moment: Moment) -> None:
+        """Renew the readings, of what `shown` gave."""
+        shown = moment.shown
         axes = self._shared.model.description.base.axes
         self._text.content = (
             posture_html(shown, planar(axes, shown.base_acceleration), self._off)

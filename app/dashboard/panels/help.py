@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import viser
 
 from app.dashboard.notifications import Notifier
-from app.dashboard.panels import Panel
-from app.dashboard.viser_compat import add_sight
+from app.dashboard.panels import Moment, Panel, Viewer
+from app.dashboard.viser_compat import Channel
 
 TEXT = """
 **Drag the hand** by the arrows at the gripper, or any link of the arm by itself: a person's spring
@@ -117,27 +117,19 @@ class Tour(Panel):
     for him.
     """
 
-    def __init__(
-        self,
-        client: viser.ClientHandle,
-        notifier: Notifier,
-    ) -> None:
-        """Ask the browser whether it has been here before, unless a page `before` this has."""
-        super().__init__(client.gui, notifier)
-        self._storage = client.local_storage
-        self._acts: tuple[Act, ...] = ()
-        self._places: Mapping[str, Any] = {}
+    def __init__(self, viewer: Viewer) -> None:
+        """Ask the browser whether it has been here before."""
+        super().__init__(viewer)
+        self._storage = viewer.client.local_storage
         self._card: viser.GuiFolderHandle | None = None
         self._step = self._wanted = -1  # that is shown, and that is to be
         self._next_at = math.inf
         threading.Thread(target=self._ask, name="tour", daemon=True).start()
 
-    def lead(self, acts: Sequence[Act], places: Mapping[str, Any]) -> None:
+    def lead(self, channel: Channel, acts: Sequence[Act], places: Mapping[str, Any]) -> None:
         """Go on, on a new page, whose acts are those of `STEPS` and whose tabs have these names."""
-        self._acts, self._places = tuple(acts), places
+        self._channel, self._acts, self._places = channel, tuple(acts), places
         self._card, self._step = None, -1
-        self._narrow = add_sight(self._gui, "data-narrow")  # there all steps stand above the tabs
-        self._mark = self._gui.add_html("")  # has the page open the panel in which a step stands
 
     def begin(self) -> None:
         """Show the first step."""
@@ -147,8 +139,8 @@ class Tour(Panel):
         """Close it."""
         self._wanted = -1
 
-    def update(self) -> None:
-        """Show the step that it has come to; called by the thread that draws."""
+    def update(self, moment: Moment) -> None:
+        """Show the step that it has come to."""
         if self._step != self._wanted:
             self._show(self._wanted)
         elif self._step >= 0 and self._next_at == math.inf and self._acts[self._step].done():
@@ -175,11 +167,11 @@ class Tour(Panel):
             self._card.remove()
             self._card = None
         if step < 0:
-            self._mark.content = ""
             return
         (title, text), act = STEPS[step], self._acts[step]
-        name = "" if self._narrow.value else act.place
-        self._mark.content = f'<div data-tour="{name}"></div>'
+        # On a narrow page all steps stand above the tabs.
+        name = "" if "narrow" in self._channel.seen else act.place
+        self._channel.tell("open", name)
         with self._places.get(name, nullcontext()):
             card = self._gui.add_folder(f"{step + 1} of {len(STEPS)}: {title}", order=-1.0)
         with card:

@@ -11,12 +11,10 @@ import numpy as np
 import viser
 from viser import uplot
 
+from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.panels import phrases as words
-from app.dashboard.panels.timeline import Timeline
-from app.dashboard.record import Curve, Record
+from app.dashboard.record import Curve
 from app.dashboard.scene.colours import ACTING, PERSON, SERIES, css
-from app.dashboard.view import View
-from app.dashboard.viser_compat import add_sight
 from app.robot.bases.kind import Axis, acceleration_symbol
 from app.robot.model import RobotModel
 from app.simulation.trace.snapshot import Snapshot
@@ -33,6 +31,7 @@ LINE = 1.6  # [px]
 _BETA = "#8e6bd8"
 _THRESHOLD = "#98a0ab"
 _CURSOR = "#ff7a00"
+SIGHT = "plots"  # whether a person sees them
 OFF = -9.0  # of the cursor, below its scale
 
 
@@ -86,42 +85,47 @@ def plot_plans(model: RobotModel, names: list[str]) -> list[PlotPlan]:
     ]
 
 
-class Plots:
+class Plots(Panel):
     """The plots of one viewer; those that are not shown cost nothing."""
 
-    def __init__(self, gui: viser.GuiApi, plans: list[PlotPlan], view: View) -> None:
+    def __init__(self, viewer: Viewer) -> None:
         """Empty plots, whose curves are the record's, in order; the view says which are shown."""
-        self._view, self._sight = view, add_sight(gui)
+        super().__init__(viewer)
+        self._viewer, plans = viewer, viewer.shared.plans
+        viewer.channel.sight(SIGHT)
         self._drawn: tuple[object, ...] = ()
         self._due = 0.0
-        self._plots = {plan.title: _plot(gui, plan) for plan in plans}
+        self._plots = {plan.title: _plot(self._gui, plan) for plan in plans}
         begins = np.cumsum([1, *(len(plan.curves) for plan in plans)])
         self._columns = {
             plan.title: slice(int(begin), int(begin) + len(plan.curves))
             for plan, begin in zip(plans, begins, strict=False)
         }
 
-    def update(self, record: Record, timeline: Timeline, shown: Snapshot) -> None:
+    def update(self, moment: Moment) -> None:
         """Show the stretch of time around the snapshot that is shown, if anybody sees it."""
+        shown, view, timeline = moment.shown, self._viewer.view, self._viewer.timeline
+        newest = self._viewer.shared.last
+        record, seen = self._viewer.shared.record, SIGHT in self._viewer.channel.seen
         for title, plot in self._plots.items():
-            plot.visible = title in self._view.plots
-        asked = (record, timeline.live, frozenset(self._view.plots))
-        drawn = (*asked, record.last, shown.t)
+            plot.visible = title in view.plots
+        asked = (record, timeline.live, frozenset(view.plots))
+        drawn = (*asked, newest, shown.t)
         soon = timeline.live and asked == self._drawn[:3] and time.monotonic() < self._due
-        if not self._sight.value or soon or drawn == self._drawn:
+        if not seen or soon or drawn == self._drawn:
             return
         self._drawn = drawn
-        until = record.last if timeline.live else min(record.last, shown.t + AHEAD)
+        until = newest if timeline.live else min(newest, shown.t + AHEAD)
         table = record.columns(until, LENGTH)
         table = table[:, np.diff(np.floor(table[0] / SPACING), prepend=-1.0) > 0.0]
-        now = [table[self._columns[title], -RESTING:] for title in self._view.plots]
+        now = [table[self._columns[title], -RESTING:] for title in view.plots]
         rests = all(np.ptp(lines, axis=1).max() < STILL for lines in now)
-        period = PERIOD_REST if rests else PERIOD_LIGHT if self._view.light else PERIOD
+        period = PERIOD_REST if rests else PERIOD_LIGHT if view.light else PERIOD
         self._due = time.monotonic() + period
         cursor = np.full(table.shape[1], OFF)
         if not timeline.live:
             cursor[int(np.abs(table[0] - shown.t).argmin())] = 1.0
-        for title in tuple(self._view.plots):
+        for title in tuple(view.plots):
             self._plots[title].data = (table[0], *table[self._columns[title]], cursor)
 
 

@@ -8,12 +8,10 @@ from typing import Any
 
 import viser
 
-from app.dashboard.job import Job, Progress
+from app.dashboard.job import Progress
 from app.dashboard.markup import banner, problem, small
-from app.dashboard.notifications import Notifier
-from app.dashboard.panels import Panel
+from app.dashboard.panels import JobStatus, Moment, Panel, Viewer, how_far
 from app.dashboard.robots import Package, RobotBuild, RobotEntry
-from app.dashboard.shared import SharedState
 from app.dashboard.viser_compat import taken_upload
 from app.errors import AssetError, ConfigError
 from app.onboarding.read.package import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
@@ -62,9 +60,10 @@ _STYLE = (
 class RobotPanel(Panel):
     """A list of the robots; what one viewer chooses, all see."""
 
-    def __init__(self, gui: viser.GuiApi, shared: SharedState, notifier: Notifier) -> None:
+    def __init__(self, viewer: Viewer) -> None:
         """Build the tab."""
-        super().__init__(gui, notifier)
+        super().__init__(viewer)
+        gui, shared = self._gui, viewer.shared
         self._shared, self._switch = shared, shared.robot_switch
         self._entries: list[RobotEntry] = []
         self._list = gui.add_dropdown(
@@ -75,13 +74,12 @@ class RobotPanel(Panel):
         self._about = gui.add_html("")
         self._use = self.button("Use this robot", self._begin, viser.Icon.ROBOT)
         self._report = self.button("Report", self._show_report, viser.Icon.REPORT, color="gray")
-        self.status = JobStatus(gui, self._switch, notifier)
+        self.status = JobStatus(viewer, self._switch)
         self._renew_list()
         self._choose(shared.model.description.name)
-        self.own = NewRobotPanel(gui, shared.robot_build, notifier)
-        self.update()
+        self.own = NewRobotPanel(viewer)
 
-    def update(self) -> None:
+    def update(self, moment: Moment) -> None:
         """Renew list, texts and progress."""
         if self._switch.entries is not self._entries:
             self._renew_list()
@@ -93,8 +91,8 @@ class RobotPanel(Panel):
         self._use.disabled = progress is not None or not usable
         self._report.visible = chosen is not None and chosen.report
         reason = self._switch.problem
-        self.status.update(f"{problem(reason)}. Nothing has changed." if reason else "")
-        self.own.update()
+        self.status.show(f"{problem(reason)}. Nothing has changed." if reason else "")
+        self.own.update(moment)
 
     def _begin(self, _: viser.GuiEvent) -> None:
         shared, chosen = self._shared, self._chosen()
@@ -114,9 +112,8 @@ class RobotPanel(Panel):
             raise AssetError(f"{name}: there is no report {path}")
         page = path.read_text(encoding="utf-8")
         modal = client.gui.add_modal(f"How {name} was made")
-        over = Panel(client.gui, self._notifier)
         with modal:
-            over.button(
+            self.button(
                 "Keep as a file",
                 lambda _: client.send_file_download(
                     f"{name}-report.html", page.encode(), save_immediately=True
@@ -125,7 +122,7 @@ class RobotPanel(Panel):
                 color="gray",
             )
             client.gui.add_html(report_html(page))
-            over.button("Close", lambda _: modal.close())
+            self.button("Close", lambda _: modal.close())
 
     def _chosen(self) -> RobotEntry | None:
         return next((each for each in self._entries if each.label == self._list.value), None)
@@ -145,9 +142,10 @@ class RobotPanel(Panel):
 class NewRobotPanel(Panel):
     """Folder "Your own robot": upload, the questions that a URDF leaves open, and the work."""
 
-    def __init__(self, gui: viser.GuiApi, build: RobotBuild, notifier: Notifier) -> None:
+    def __init__(self, viewer: Viewer) -> None:
         """Build the folder; what was uploaded and is built is common to all viewers."""
-        super().__init__(gui, notifier)
+        super().__init__(viewer)
+        gui, build = self._gui, viewer.shared.robot_build
         self._build, self._package = build, None
         self._shown_urdf = ""
         with gui.add_folder("Your own robot", expand_by_default=False):
@@ -155,14 +153,13 @@ class NewRobotPanel(Panel):
             self.uploads = self.upload(
                 "Upload a zip", self._receive, mime_type=".zip,application/zip"
             )
-            self.status = JobStatus(gui, build, notifier)
+            self.status = JobStatus(viewer, build)
             self.fields = {name: _field(gui, name) for name in _QUESTIONS}
             self._make = self.button(
                 "Make it", lambda _: build.build(self.request()), viser.Icon.HAMMER, visible=False
             )
-        self.update()
 
-    def update(self) -> None:
+    def update(self, moment: Moment) -> None:
         """Renew questions, texts and progress."""
         package, progress = self._build.package, self._build.progress
         if package is not self._package:
@@ -176,7 +173,7 @@ class NewRobotPanel(Panel):
             field.visible = asks and self._suits(name)
         self._make.visible = asks
         self.uploads.disabled = progress is not None
-        self.status.update(outcome_html(self._build))
+        self.status.show(outcome_html(self._build))
 
     def request(self) -> Request:
         """What the fields say.
@@ -250,35 +247,6 @@ class NewRobotPanel(Panel):
         ):
             self.fields[name].options = options
             self.fields[name].value = guess
-
-
-class JobStatus(Panel):
-    """How far a job is, or how it ended, and a button that cancels it."""
-
-    def __init__(self, gui: viser.GuiApi, job: Job, notifier: Notifier) -> None:
-        """Add the widgets."""
-        super().__init__(gui, notifier)
-        self._job = job
-        self.text = gui.add_html("")
-        self._bar = gui.add_progress_bar(0.0, animated=True, visible=False)
-        self._cancel = self.button(
-            "Cancel", lambda _: job.cancel(), viser.Icon.X, color="gray", visible=False
-        )
-
-    def update(self, idle: str) -> None:
-        """Show the progress, or HTML while nothing is under way."""
-        progress = self._job.progress
-        if progress is not None:
-            idle = f"<b>{escape(progress.title)}</b>: {escape(how_far(progress))} …"
-            self._bar.value = round(100.0 * max(progress.share, 0.0), 1)
-        self.text.content = small(idle) if idle else ""
-        self._bar.visible = progress is not None and progress.share >= 0.0
-        self._cancel.visible = progress is not None
-
-
-def how_far(progress: Progress) -> str:
-    """What is being done, with its share if anybody knows it."""
-    return progress.text + (f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else "")
 
 
 def switch_html(progress: Progress | None) -> str:

@@ -11,29 +11,29 @@ import viser
 
 from app.control import CONTROLLERS
 from app.control.buffer_watch import BufferReading, needed_text
-from app.dashboard.drag import Sink
 from app.dashboard.markup import (
     FAINT,
     ONE_LINE,
     RIGHT,
     banner,
+    bar,
     cell,
+    framed,
     mark,
     minus,
+    reading,
+    readings,
     row,
     small,
     table,
 )
-from app.dashboard.notifications import Notifier
-from app.dashboard.panels import Panel
+from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.panels import phrases as words
 from app.dashboard.record import Course
 from app.dashboard.scene.colours import GHOSTS, SERIES, css
 from app.dashboard.verdict import COLOURS, State, Verdict
-from app.robot.description import RobotDescription
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Pause, Play, Reset, Restart, Speed
-from app.simulation.scenarios.leading import Scenario
-from app.simulation.scenarios.names import SCENARIOS, own_line
+from app.simulation.scenarios import SCENARIOS, own_line
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
 
 FREE = "free: drag the hand"
@@ -68,27 +68,11 @@ _SCORES = (
 class RunPanel(Panel):
     """Scenario, controller, speed and readings; what one viewer chooses, all see."""
 
-    def __init__(
-        self,
-        gui: viser.GuiApi,
-        sink: Sink,
-        notifier: Notifier,
-        robot: RobotDescription,
-        spoken: Mapping[str, str],
-        case: Scenario | None = None,
-    ) -> None:
-        """Build the tab.
-
-        Args:
-            gui: The viewer's.
-            sink: Where commands go.
-            notifier: For refusals.
-            robot: Whose own lines the scenarios take.
-            spoken: Link pairs in words, by their names.
-            case: A scenario that begins where the loop does, for a button that plays it, or None.
-        """
-        super().__init__(gui, notifier)
-        self._sink, self._robot, self._spoken = sink, robot, spoken
+    def __init__(self, viewer: Viewer) -> None:
+        """Build the tab."""
+        super().__init__(viewer)
+        gui, self._shared = self._gui, viewer.shared
+        sink = self._sink = viewer.shared.loop
         self._paused = False
         self._scenario = gui.add_dropdown(
             "Scenario",
@@ -117,7 +101,7 @@ class RunPanel(Panel):
         self._machine = gui.add_folder("This machine", expand_by_default=False)
         with self._machine:
             self._speeds = gui.add_html("")
-        if case is not None:
+        if (case := viewer.shared.case) is not None:
             self.button(
                 "Play the case",
                 lambda _: sink.send(Play(case)),
@@ -142,10 +126,14 @@ class RunPanel(Panel):
         if scenario == FREE:
             self._sink.send(Reset())
         else:
-            self._sink.send(Play.named(scenario, own_line(self._robot, scenario)))
+            self._sink.send(
+                Play.named(scenario, own_line(self._shared.model.description, scenario))
+            )
 
-    def update(self, newest: Snapshot, shown: Snapshot, verdict: Verdict, course: Course) -> None:
-        """Renew the choices, which stand for `newest`, and the readings of `shown`."""
+    def update(self, moment: Moment) -> None:
+        """Renew the choices, which stand for the newest snapshot, and the readings."""
+        newest, shown, verdict = moment
+        course = self._shared.course
         self._paused = newest.paused
         self._pause.label = "Continue" if newest.paused else "Pause"
         self._pause.icon = viser.Icon.PLAYER_PLAY if newest.paused else viser.Icon.PLAYER_PAUSE
@@ -155,7 +143,7 @@ class RunPanel(Panel):
         self.follow(self._controller, newest.controller)
         self.follow(self._speed, newest.speed)
         self._status.content = status_html(shown, verdict)
-        self._pairs.content = pairs_html(shown, verdict, self._spoken)
+        self._pairs.content = pairs_html(shown, verdict, self._shared.spoken)
         self._speeds.content, worry = machine_html(shown)
         self._machine.label = f"This machine · {worry}" if worry else "This machine"
 
@@ -163,10 +151,10 @@ class RunPanel(Panel):
 class ComparePanel(Panel):
     """Choice of the controllers beside the real one, and their scores."""
 
-    def __init__(self, gui: viser.GuiApi, sink: Sink, notifier: Notifier) -> None:
+    def __init__(self, viewer: Viewer) -> None:
         """Build the tab."""
-        super().__init__(gui, notifier)
-        self._sink = sink
+        super().__init__(viewer)
+        gui, self._shared = self._gui, viewer.shared
         gui.add_markdown(
             "Translucent robots run the same input with other controllers and physics of their own."
         )
@@ -180,23 +168,24 @@ class ComparePanel(Panel):
         self._scores = gui.add_html("")
         self._names: list[str] = []
 
-    def update(self, newest: Snapshot, shown: Snapshot, course: Course) -> None:
-        """Renew the choices, which stand for `newest`, and the scores of `shown`.
+    def update(self, moment: Moment) -> None:
+        """Renew the choices, which stand for the newest snapshot, and the scores.
 
         Who is compared stays in the list where he was chosen, also when the other one goes.
         """
-        names = [ghost.controller for ghost in newest.ghosts]
+        course, scores = self._shared.course, moment.shown.scores
+        names = [ghost.controller for ghost in moment.newest.ghosts]
         if names != self._names:
             self._names = names
             if names != [h.value for h in self._choices if h.value != NOBODY]:
                 for handle, name in zip_longest(self._choices, names, fillvalue=NOBODY):
                     handle.value = name
-        self._scores.content = compared_html(shown.scores, course) + scores_html(shown.scores)
+        self._scores.content = compared_html(scores, course) + scores_html(scores)
 
     def _choose(self) -> None:
         wanted = (handle.value for handle in self._choices)
         others = tuple(name for name in wanted if name != NOBODY)
-        self._sink.send(Compare(others, INPUTS[self._input.value]))
+        self._shared.loop.send(Compare(others, INPUTS[self._input.value]))
 
 
 def scores_html(scores: tuple[Score, ...]) -> str:
@@ -255,29 +244,26 @@ def course_html(course: Course, busy: str) -> str:
         return ""
     about = SCENARIOS[course.name].about if course.name in SCENARIOS else ""
     if course.running:
-        share = 100.0 * min(course.until / max(course.duration, STEP), 1.0)
-        bar = (
-            '<div style="background:rgba(128,138,150,.22);border-radius:2px"><div style="'
-            f'width:{share:.0f}%;height:.5em;background:currentColor;border-radius:2px"></div></div>'
-        )
+        share = min(course.until / max(course.duration, STEP), 1.0)
         title = f"{course.until:.1f} of {course.duration:.0f} s"
-        return small(f"{capital(about)}.{bar}{title}")
+        return small(f"{capital(about)}.{bar(share)}{title}")
     early = course.until < course.duration - ENDED
     title = f"{course.name} {f'left at {course.until:.1f} s' if early else 'ended'}"
     result = "contact" if course.touched else "no contact"
-    figures = {
+    figures = course_figures(course) | {"way of the base": f"{course.path:.2f} m"}
+    return framed(
+        f"<b>{title}: {result}</b><br>{capital(about)}.{readings(figures)}",
+        css(COLOURS["contact" if course.touched else "clear"]),
+    )
+
+
+def course_figures(course: Course) -> dict[str, str]:
+    """What a scenario, or a challenge, has come to."""
+    return {
         "least distance": minus(f"{1000 * course.least:.0f} mm"),
         "hardest pull": f"{course.pull:.0f} N",
         "fastest hand": f"{course.speed:.2f} m/s",
-        "way of the base": f"{course.path:.2f} m",
     }
-    state: State = "contact" if course.touched else "clear"
-    rows = (_status_row(*each) for each in figures.items())
-    colour = css(COLOURS[state])
-    return small(
-        f"<b>{title}: {result}</b><br>{capital(about)}.{table(rows)}",
-        f"border:1px solid {colour};border-left:6px solid {colour};margin:.4em .7em",
-    )
 
 
 def capital(text: str) -> str:
@@ -343,8 +329,7 @@ def _number(value: float, form: str) -> str:
 
 
 def _status_row(label: str, value: str, state: State = "clear") -> str:
-    colour = "" if state == "clear" else f"color:{css(COLOURS[state])};font-weight:600"
-    return row(cell(label, FAINT), cell(value, RIGHT, colour))
+    return reading(label, value, "" if state == "clear" else css(COLOURS[state]))
 
 
 def pairs_html(
@@ -369,19 +354,13 @@ def pairs_html(
 def _pair_row(i: int, pair: PairReading, state: State, d_b: float, name: str) -> str:
     """A row whose bar is full of the colour of contact if one of the pair is inside the other."""
     colour = css(COLOURS[state])
-    share = 100.0 if state == "contact" else 100.0 * min(pair.d, BAR_RANGE) / BAR_RANGE
-    limit = 100.0 * min(d_b, BAR_RANGE) / BAR_RANGE
+    share = 1.0 if state == "contact" else min(pair.d, BAR_RANGE) / BAR_RANGE
+    limit = min(d_b, BAR_RANGE) / BAR_RANGE
     loud = f"color:{colour};font-weight:600" if state == "contact" else ""
-    bar = (
-        '<div style="position:relative;height:.55em;background:rgba(128,138,150,.22);'
-        f'border-radius:2px"><div style="width:{share:.0f}%;height:100%;background:{colour};'
-        f'border-radius:2px"></div><div style="position:absolute;left:{limit:.0f}%;top:-.15em;'
-        'width:1px;height:.85em;background:currentColor;opacity:.7"></div></div>'
-    )
     return row(
         cell(mark("●", SERIES[i % len(SERIES)])),
         cell(name, ONE_LINE),
-        cell(bar, "width:34%"),
+        cell(bar(share, colour, limit), "width:34%"),
         cell(minus(f"{1000 * pair.d:.0f}"), RIGHT, loud),
         cell(f"{pair.beta:.2f}", RIGHT),
         hint=f"{pair.name}: signed distance d [mm] of its bodies, below 0 inside, d_b = "

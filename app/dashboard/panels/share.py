@@ -1,25 +1,42 @@
-"""Folder "Link and case": what is played, to be sent to somebody or kept."""
+"""Folder "Link and case": what is played, to be sent to somebody or kept.
+
+A link is a page's address that carries scenario, controller, robot, parameters, camera and time.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import math
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import parse_qsl, urlencode
 
+import numpy as np
 import viser
 
-from app.dashboard.link import changed_parameters
+from app.config import Config, tunable
+from app.control import CONTROLLERS
 from app.dashboard.markup import small
-from app.dashboard.notifications import Notifier
-from app.dashboard.panels import Panel
-from app.dashboard.shared import SharedState
-from app.dashboard.viser_compat import taken_upload
-from app.errors import CaseError
+from app.dashboard.panels import Moment, Panel, Viewer
+from app.dashboard.scene.camera import PRESETS
+from app.dashboard.viser_compat import address_of, taken_upload
+from app.errors import CaseError, ConfigError, UnknownNameError
+from app.parameters import Parameter
+from app.robot.assets import robot_names
 from app.simulation.case import FORMAT, RunCase
 from app.simulation.loop.commands import Choose, Pause, Play
-from app.strict import parsed
+from app.simulation.scenarios import SCENARIOS, own_line
+from app.strict import check_range, parsed
 
+if TYPE_CHECKING:
+    from app.dashboard.shared import SharedState
+
+Array = np.ndarray
+
+_FARTHEST = 100.0  # [m] of a camera
+
+
+_FARTHEST = 100.0  # [m] of a camera
 LARGEST = 8 * 2**20
 """[bytes] of a case's file."""
 _COPY = (
@@ -29,24 +46,205 @@ _COPY = (
 """In the page, once the link has arrived there: it is copied, and is the page's address."""
 
 
-class SharePanel(Panel):
-    """A link to what is seen, and the case of what was played last."""
+class Link(NamedTuple):
+    """What a link asks for; what is empty it leaves as it is.
 
-    def __init__(
-        self,
-        gui: viser.GuiApi,
-        shared: SharedState,
-        notifier: Notifier,
-        link: Callable[[], str],
-    ) -> None:
-        """Build the folder; `link` makes the address of what the viewer sees."""
-        super().__init__(gui, notifier)
-        self._shared, self._link = shared, link
-        with gui.add_folder("Link and case"):
+    Attributes:
+        scenario: Name of the one that is played; all parameters that are not named are then at
+            their defaults.
+        controller, robot: Their names.
+        parameters: By their paths.
+        look: A key of `PRESETS`, or eye and target as six numbers [m].
+        at: [s] of the scenario, where it stands still.
+    """
+
+    scenario: str = ""
+    controller: str = ""
+    robot: str = ""
+    parameters: tuple[tuple[str, float | str], ...] = ()
+    look: str = ""
+    at: float | None = None
+
+    @classmethod
+    def read(cls, query: str) -> Link:
+        """What the query of an address asks for, all of it checked.
+
+        Raises:
+            UnknownNameError: Something does not exist.
+            ConfigError: A value is out of its range, or no number.
+        """
+        words = dict(parse_qsl(query, keep_blank_values=True))
+        given = {name: words.pop(name) for name in cls._fields if name in words}
+        for name, choices in (
+            ("scenario", SCENARIOS),
+            ("controller", CONTROLLERS),
+            ("robot", robot_names()),
+        ):
+            if name in given and given[name] not in choices:
+                raise UnknownNameError(name, given[name], choices)
+        parameters = ((path, _value(path, text)) for path, text in words.items() if "." in path)
+        scenario, controller, robot, look = (
+            given.get(name, "") for name in ("scenario", "controller", "robot", "look")
+        )
+        found = cls(scenario, controller, robot, tuple(parameters), look)
+        found.configured(Config())
+        found.camera()
+        if "at" in given:
+            at = _number("at", given["at"])
+            if not found.scenario:
+                raise ConfigError("at: is the time of a scenario; name it")
+            check_range("at", at, 0.0, SCENARIOS[found.scenario].duration, "s")
+            found = found._replace(at=at)
+        return found
+
+    def configured(self, now: Config) -> Config:
+        """The parameters with it, from those of now.
+
+        Raises:
+            ConfigError: One does not exist, or is out of its range.
+        """
+        config = Config() if self.scenario else now
+        for path, value in self.parameters:
+            config = config.replace(path, value)
+        return config
+
+    def camera(self) -> tuple[Array, Array] | None:
+        """(3,) [m] the eye and the target, where it gives them.
+
+        Raises:
+            UnknownNameError: It is neither a preset nor six numbers.
+            ConfigError: They are farther away than 100 m, or one place.
+        """
+        if not self.look or self.look in PRESETS:
+            return None
+        numbers = self.look.split(",")
+        if len(numbers) != 6:
+            raise UnknownNameError("look", self.look, PRESETS)
+        place = np.array([_number("look", text) for text in numbers])
+        for number in place:
+            check_range("look", float(number), -_FARTHEST, _FARTHEST, "m")
+        if np.linalg.norm(place[:2] - place[3:5]) < 1e-3:
+            raise ConfigError("look: a camera looks to a place that is not above or below it")
+        return place[:3], place[3:]
+
+    def query(self) -> str:
+        """The query of its address."""
+        words: list[tuple[str, str | float]] = [
+            (name, getattr(self, name))
+            for name in ("scenario", "controller", "robot")
+            if getattr(self, name)
+        ]
+        words += [(p, f"{v:.12g}" if isinstance(v, float) else v) for p, v in self.parameters]
+        words += [("look", self.look)] if self.look else []
+        words += [("at", f"{self.at:g}")] if self.at is not None else []
+        return urlencode(words, safe=",")
+
+
+def camera_text(eye: Array, target: Array) -> str:
+    """A camera as a link gives it, to the centimetre."""
+    return ",".join(f"{number:.2f}" for number in (*eye, *target))
+
+
+def changed_parameters(config: Config) -> tuple[tuple[str, float | str], ...]:
+    """Those that are not at their defaults, by their paths."""
+    default = Config().model_dump()
+    return tuple(
+        (f"{section}.{name}", value)
+        for section, values in config.model_dump().items()
+        for name, value in values.items()
+        if value != default[section][name]
+    )
+
+
+class SharePanel(Panel):
+    """A link to what is seen, and the case of what was played last.
+
+    Attributes:
+        waiting: The link that waits for its robot, or for its scenario to be looked at as it asks.
+    """
+
+    def __init__(self, viewer: Viewer) -> None:
+        """Build the folder."""
+        super().__init__(viewer)
+        self._viewer, self._shared = viewer, viewer.shared
+        self.waiting = Link()
+        viewer.channel.on("link", lambda query: self.open(str(query)))
+        with self._gui.add_folder("Link and case"):
             self.button("Copy link", lambda _: self._copy(), viser.Icon.LINK)
-            self._address = gui.add_html("", visible=False)
+            self._address = self._gui.add_html("", visible=False)
             self.button("Case (JSON)", self._save, viser.Icon.FILE_DOWNLOAD)
             self.upload("Play a case", self._play, mime_type="application/json")
+
+    def update(self, moment: Moment) -> None:
+        """Look as the link asks once its scenario plays."""
+        link, newest = self.waiting, moment.newest
+        if (
+            link.look
+            and link.robot in ("", self._shared.model.description.name)
+            and newest.scenario == link.scenario
+            and not newest.busy
+        ):
+            self.waiting = Link()
+            self._notifier.attempt(self._viewer.client, lambda: self._look_as(link))
+
+    def open(self, query: str) -> None:
+        """Do what the page's address asks for; if that cannot be, say why and change nothing."""
+        if query:
+            self._notifier.attempt(self._viewer.client, lambda: self._open(Link.read(query)))
+
+    def resume(self, link: Link) -> None:
+        """Go on with a link that waited on the page before; obey it if this is its robot."""
+        self.waiting = link
+        if link.robot == self._shared.model.description.name:
+            self._obey(link)
+
+    def _link(self) -> str:
+        """The address of what is seen."""
+        shared, client = self._shared, self._viewer.client
+        newest, shown = shared.loop.latest(), self._viewer.timeline.shown()
+        course, camera = shared.course, client.camera
+        scenario = course.name if course.name in SCENARIOS else ""
+        link = Link(
+            scenario,
+            newest.controller,
+            shared.model.description.name,
+            changed_parameters(shared.tuning.config),
+            self._viewer.camera.preset or camera_text(camera.position, camera.look_at),
+            round(min(shown.t, course.until), 3) if scenario else None,
+        )
+        return f"{address_of(client)}?{link.query()}"
+
+    def _open(self, link: Link) -> None:
+        shared = self._shared
+        if link.robot in ("", shared.model.description.name):
+            self._obey(link)
+            return
+        config = link.configured(shared.tuning.config)
+        controller = link.controller or shared.loop.latest().controller
+        shared.robot_switch.begin(link.robot, config, controller, shared.loop)
+        self.waiting = link
+
+    def _obey(self, link: Link) -> None:
+        shared, commands = self._shared, []
+        if link.controller:
+            commands.append(Choose(link.controller))
+        if link.scenario:
+            description = shared.model.description
+            scenario = Play.named(link.scenario, own_line(description, link.scenario)).scenario
+            commands += [Pause(False), Play(scenario, link.at or 0.0)]
+        shared.tuning.load(link.configured(shared.tuning.config))
+        for command in commands:
+            shared.loop.send(command)
+        self.waiting = link if link.scenario else Link()
+        if link.look and not link.scenario:
+            self._look_as(link)
+
+    def _look_as(self, link: Link) -> None:
+        place = link.camera()
+        if place is None:
+            self._viewer.look(link.look)
+        else:
+            self._viewer.camera.put(*place)
 
     def _copy(self) -> None:
         box = (
@@ -103,3 +301,17 @@ def play_case(shared: SharedState, content: dict[str, Any], name: str) -> str:
     for command in (Choose(case.controller), Pause(False), play):
         shared.loop.send(command)
     return "; ".join([f"{case.played} plays again", *case.differences()])
+
+
+def _value(path: str, text: str) -> float | str:
+    return _number(path, text) if isinstance(tunable(path), Parameter) else text
+
+
+def _number(name: str, text: str) -> float:
+    try:
+        number = float(text)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise ConfigError(f"{name}: {text[:40]!r} is no number")
+    return number

@@ -5,8 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Any
 
-from app.dashboard.channel import Channel
-from app.dashboard.drag import Sink
+from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.record import BIN, KEPT, Event, Strip
 from app.errors import LogError
 from app.simulation.loop.commands import Pause, StepOnce
@@ -136,12 +135,15 @@ class Timeline:
         self._marked = [s for s in self._marked if s.t <= end + 1e-9]
 
 
-class TimelinePanel:
+class TimelinePanel(Panel):
     """The bar of one viewer's page, drawn by the page's own script over the whole width."""
 
-    def __init__(self, channel: Channel, timeline: Timeline, sink: Sink, strip: Strip) -> None:
-        """Open it; commands go to the sink."""
-        self._channel, self._timeline, self._sink, self._strip = channel, timeline, sink, strip
+    def __init__(self, viewer: Viewer) -> None:
+        """Open it."""
+        super().__init__(viewer)
+        timeline, strip, channel = viewer.timeline, viewer.shared.strip, viewer.channel
+        self._channel, self._timeline, self._strip = channel, timeline, strip
+        self._sink = viewer.shared.loop
         self._newest: Snapshot | None = None
         self._sent: tuple[int, int] = (-1, 0)
         self._events: dict[int, Event] = {}
@@ -168,8 +170,9 @@ class TimelinePanel:
         else:
             self._timeline.step(seconds)
 
-    def update(self, newest: Snapshot, shown: Snapshot) -> None:
+    def update(self, moment: Moment) -> None:
         """Send what is new: rows, events, and where the viewer is."""
+        newest, shown, _ = moment
         self._newest, strip, line = newest, self._strip, self._timeline
         runs, closed = self._sent
         if runs != strip.runs:

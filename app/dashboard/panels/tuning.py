@@ -17,9 +17,7 @@ import viser
 from app.config import sections, tunable
 from app.config_file import decode_config, save_config
 from app.dashboard.markup import FAINT, cell, row, small, table
-from app.dashboard.notifications import Notifier
-from app.dashboard.panels import Panel
-from app.dashboard.shared import Tuning
+from app.dashboard.panels import Moment, Panel, Viewer
 from app.errors import ConfigError
 from app.parameters import Choice, Parameter
 from app.robot.description import RobotDescription
@@ -54,47 +52,41 @@ class TuningPanel(Panel):
 
     def __init__(
         self,
-        gui: viser.GuiApi,
-        tuning: Tuning,
-        notifier: Notifier,
+        viewer: Viewer,
         paths: Iterable[str] | None = None,
         *,
-        robot: RobotDescription | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Build the panel.
 
         Args:
-            gui: Of the page or of one client.
-            tuning: The configuration, which all viewers share.
-            notifier: Reports refused values to their senders.
+            viewer: All viewers share the configuration.
             paths: Parameters of a single folder without files, steps and resets of others; None
                 is all of them, with those.
-            robot: Whose numbers of the score are shown.
             clock: [s] for what waits for the end of typing.
         """
-        super().__init__(gui, notifier)
-        self._tuning, self._clock = tuning, clock
+        super().__init__(viewer)
+        self._viewer, self._tuning, self._clock = viewer, viewer.shared.tuning, clock
         self.widgets: dict[str, ParameterWidgets] = {}
         self._folders: list[_Folder] = []
         self._all: viser.GuiCheckboxHandle | None = None
         if paths is None:
-            self._add_everything(robot)
+            self._add_everything()
         else:
             self._add_folder("Main parameters", tuple(paths), expand=True)
-        self.update()
+        self._show_advanced()
 
-    def update(self) -> None:
-        """Show what has changed, whoever changed it; called by the drawing thread."""
+    def update(self, moment: Moment) -> None:
+        """Show what has changed, whoever changed it."""
         for each in self.widgets.values():
-            each.update()
+            each.update(moment)
         for folder in self._folders:
             count = sum(self.widgets[path].is_marked for path in folder.paths)
             folder.handle.label = f"{folder.title} · {count} changed" if count else folder.title
             folder.reset.disabled = not count
         self._show_advanced()
 
-    def _add_everything(self, robot: RobotDescription | None) -> None:
+    def _add_everything(self) -> None:
         tuning = self._tuning
         self.buttons(
             "Changes",
@@ -108,7 +100,7 @@ class TuningPanel(Panel):
             self._add_folder(section.title, paths, expand=section.name == _BEFORE_SCORE)
             if section.name == _BEFORE_SCORE:
                 with self._gui.add_folder("Score", expand_by_default=False):
-                    self._gui.add_html(score_html(robot))
+                    self._gui.add_html(score_html(self._viewer.shared.model.description))
         with self._gui.add_folder("File"):
             self._name = self._gui.add_text("Name", FIRST_NAME, hint="Of the file, without .toml")
             self.button(
@@ -129,9 +121,7 @@ class TuningPanel(Panel):
         handle = self._gui.add_folder(title, expand_by_default=expand)
         with handle:
             for path in paths:
-                self.widgets[path] = ParameterWidgets(
-                    self._gui, self._tuning, self._notifier, path, self._clock
-                )
+                self.widgets[path] = ParameterWidgets(self._viewer, path, self._clock)
             reset = self.button(
                 "Defaults",
                 lambda _: self._tuning.reset(paths),
@@ -180,12 +170,12 @@ def file_name(name: str) -> str:
     return f"{safe or FIRST_NAME}.toml"
 
 
-def score_html(robot: RobotDescription | None) -> str:
+def score_html(robot: RobotDescription) -> str:
     """That the score has nothing to tune, and where its numbers come from."""
     head = row(*map(cell, ("body", "A [1/m²]", "B [m]", "C")), style=FAINT)
     rows = [
         row(*map(cell, (body, f"{r.A_per_m2:g}", f"{r.B_m:g}", f"{r.C:g}")))
-        for body, r in (robot.reachability.items() if robot else ())
+        for body, r in robot.reachability.items()
     ]
     return small(
         "Nothing to tune: det J_c of (7) follows from the wheels, and A, B, C of (9) are the "
@@ -203,21 +193,14 @@ class ParameterWidgets(Panel):
         is_marked: Whether it was not at its default at the last update.
     """
 
-    def __init__(
-        self,
-        gui: viser.GuiApi,
-        tuning: Tuning,
-        notifier: Notifier,
-        path: str,
-        clock: Callable[[], float],
-    ) -> None:
+    def __init__(self, viewer: Viewer, path: str, clock: Callable[[], float]) -> None:
         """Add the widgets of the parameter at a path; see `TuningPanel`."""
-        super().__init__(gui, notifier)
+        super().__init__(viewer)
         self.about, self.is_marked = tunable(path), False
-        self._tuning, self._clock = tuning, clock
-        self._shown = tuning.value(path)
+        self._tuning, self._clock = viewer.shared.tuning, clock
+        self._shown = self._tuning.value(path)
         self._refused: _Refused | None = None
-        self._faces = _faces(gui, self.about, self._shown)
+        self._faces = _faces(self._gui, self.about, self._shown)
         for face in self._faces:
             self.on_update(face.handle, partial(self._set, face))
 
@@ -226,7 +209,7 @@ class ParameterWidgets(Panel):
         """The widgets; the first one shows the value itself."""
         return [face.handle for face in self._faces]
 
-    def update(self) -> None:
+    def update(self, moment: Moment) -> None:
         """Show what holds by now; answer a refused value that has stood long enough.
 
         Called by one thread only, not by the one that brings what people set. Should both write a

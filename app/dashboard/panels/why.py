@@ -51,6 +51,15 @@ def why_html(snapshot: Snapshot, verdict: Verdict) -> str:
     )
 
 
+def strip_html(snapshot: Snapshot, verdict: Verdict) -> str:
+    """What the panel says first, for a page that is too narrow for panels beside the scene."""
+    colour = css(verdict.colour)
+    return (
+        f'<div data-strip style="border-left:6px solid {colour}"><b style="color:{colour}">'
+        f"{verdict.state.capitalize()}</b> {sentence(snapshot)}</div>"
+    )
+
+
 def sentence(snapshot: Snapshot) -> str:
     """Why the robot does what it does at a snapshot's instant."""
     why = snapshot.explanation

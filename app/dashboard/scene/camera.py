@@ -11,6 +11,7 @@ import viser
 
 from app.dashboard.drag import SCALE
 from app.dashboard.viser_compat import image_size
+from app.errors import TargetError
 from app.simulation.trace.snapshot import Snapshot
 
 Array = np.ndarray
@@ -134,6 +135,16 @@ class Camera:
     def fit(self, extent: Array) -> None:
         """From now on show a robot of this extent (N, 3) [m], in the base's frame."""
         self._extent = extent
+
+    def look(self, name: str, snapshot: Snapshot) -> None:
+        """The same as `use`, for who asks for it.
+
+        Raises:
+            TargetError: There is no door to look at.
+        """
+        if name == "door" and snapshot.door is None:
+            raise TargetError("there is no door here; the scenario refrigerator has one")
+        self.use(name, snapshot)
 
     def use(self, name: str, snapshot: Snapshot) -> None:
         """Look from a key of `PRESETS` at the robot as it is in a snapshot."""

@@ -8,10 +8,10 @@ import numpy as np
 import pinocchio as pin
 import viser
 
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.dashboard.panels import phrases as words
 from app.dashboard.record import Course, Rows, Strip, Track
-from app.dashboard.scene.borders import BorderCloud, Borders, BorderSlice
+from app.dashboard.scene.borders import Borders, BorderSlice, DrawnBorders
 from app.dashboard.scene.canvas import ROOT, Canvas, from_viser, to_viser
 from app.dashboard.scene.colours import GHOSTS, TRAIL_BASE, TRAIL_HAND, Rgb
 from app.dashboard.scene.layers import (
@@ -23,7 +23,6 @@ from app.dashboard.scene.layers import (
 )
 from app.dashboard.scene.legend import Legend
 from app.dashboard.scene.robot import RobotParts, Visual
-from app.dashboard.scene.shell import Shell
 from app.dashboard.verdict import judge
 from app.dashboard.view import View
 from app.robot.model import RobotModel
@@ -49,6 +48,8 @@ class SceneData:
         pairs, mobile: Names of all link pairs, in the order of the snapshots, and of those of L_m.
         spoken: The pairs in words, by their names.
         tracks: Where "base" and "hand" have been.
+        keepers: All that keep something of the snapshots, in order of time.
+        last: [s] time of the newest snapshot that they were told, -1 if there is none.
     """
 
     def __init__(
@@ -70,14 +71,19 @@ class SceneData:
             "base": Track(lambda snapshot: np.append(snapshot.base_pose[:2], _TRACK_LIFT)),
             "hand": Track(lambda snapshot: snapshot.p_ee),
         }
-        self._kept: list[Rows | Course | Strip] = [*self.tracks.values()]
+        self.keepers: list[Rows | Course | Strip] = [*self.tracks.values()]
+        self.last = -1.0
 
     def update(self) -> None:
-        """Take in the new snapshots, or all that are kept if time went back."""
-        newest, last = self.loop.latest(), self.tracks["hand"].last
-        new = self.loop.history(last if newest.t >= last else -1.0)
-        for rows in self._kept:
-            rows.extend(new, newest.t)
+        """Tell each new snapshot once to all keepers; if time went back, all begin anew."""
+        if self.loop.latest().t < self.last:
+            self.last = -1.0
+            for keeper in self.keepers:
+                keeper.begin()
+        for snapshot in self.loop.history(self.last):
+            self.last = snapshot.t
+            for keeper in self.keepers:
+                keeper.add(snapshot)
 
 
 class RobotScene:
@@ -177,9 +183,8 @@ class Scene:
         self.robot = RobotScene(scene, data.parts, light=view.light)
         self._ghosts: list[RobotScene] = []
         self.canvas = Canvas(scene)
-        self._border = BorderCloud(scene, data.borders)
+        self._border = DrawnBorders(scene, data.borders, data.model)
         self._slice = BorderSlice(data.borders)
-        self._shell = Shell(scene, data.borders, data.model)
         self._trails: dict[str, Array] = {}
         self._dark, self._light, self._plain = view.dark, view.light, False
         self._light_up()
@@ -197,9 +202,7 @@ class Scene:
         Returns:
             Whether `legends` is new.
         """
-        changed = self._border.update(self._view, snapshot.config.border)
-        self._shell.update(self._view, snapshot, self._border.legends)
-        return changed
+        return self._border.update(self._view, snapshot.config.border)
 
     def draw(self, snapshot: Snapshot, *, texts: bool) -> None:
         """Draw a snapshot; labels and trails only if `texts`."""
@@ -243,7 +246,7 @@ class Scene:
         view, canvas, top = self._view, self.canvas, self._data.borders.top
         if view.slice:
             self._slice.draw(canvas, snapshot, dark=view.dark)
-        self._shell.draw(canvas, snapshot, view, top)
+        self._border.draw_probe(canvas, snapshot, top)
         if view.distances:
             draw_distances(canvas, snapshot, judge(snapshot), view, self._data.spoken)
         if view.acting:
