@@ -280,7 +280,6 @@ def study(
 
     load_robot(parameters.robot)
     make_folder(out)
-    from app.studies.pulls.report import outcome
     from app.studies.pulls.study import study as run_study
 
     with _kept(cases, out) as on_progress:
@@ -295,6 +294,9 @@ def study(
     if json:
         print_json(result)
         return
+    # Imported here: matplotlib is not needed before all cases are done.
+    from app.studies.pulls.report import outcome
+
     for part in outcome(result):
         print_part(part)
     print(out / "report.html")
