@@ -21,7 +21,7 @@ LIMIT = {"value": 0.05, "unit": "m", "source": "Figure 10"}
 
 
 def draw() -> None:
-    """Says <this>"""
+    """The paper says <this>."""
 
 
 @pytest.fixture
