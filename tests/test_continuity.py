@@ -27,7 +27,7 @@ def sources(robot: RobotModel, border_data: BorderData) -> Sources:
 @pytest.fixture(scope="module")
 def drawn(sources: Sources) -> Drawing:
     with styled():
-        return density.figure_continuity(sources)
+        return density.figure_continuity.draw(sources)
 
 
 @pytest.mark.slow

@@ -15,7 +15,7 @@ from app.border.mobile import MobileBody
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.run import RunResult
-from app.studies.paper import acting, density, offline, runs
+from app.studies.paper import acting, approach, density, offline
 from app.studies.paper.drawing import Drawing
 from app.studies.paper.experiments import (
     COMPARED,
@@ -45,7 +45,7 @@ def sources(robot: RobotModel, border_data: BorderData) -> Sources:
 def drawn(sources: Sources) -> dict[str, Drawing]:
     names = ("fig3", "fig5", "fig6", "fig7", "fig8", "fig10", "fig12", "fig14", "fig15")
     with styled():
-        return {name: FIGURES[name](sources) for name in names}
+        return {name: FIGURES[name].draw(sources) for name in names}
 
 
 def lines(drawing: Drawing) -> list[tuple[Axes, np.ndarray, np.ndarray]]:
@@ -81,8 +81,8 @@ def test_every_line_is_in_the_csv(drawn, name):
 def test_figures_have_a_number_labelled_axes_and_units(drawn):
     for name, drawing in drawn.items():
         number = name.removeprefix("fig")
-        assert drawing.title.startswith(f"Figure {number}:")
-        assert len(drawing.paper) > 40
+        assert FIGURES[name].title.startswith(f"Figure {number}:")
+        assert len(FIGURES[name].words) > 40
         # Panels that share an axis are labelled once.
         for labels in (
             [ax.get_xlabel() for ax in drawing.figure.axes],
@@ -195,10 +195,10 @@ def test_the_activation_is_the_controllers(drawn):
 def test_the_repulsive_line_is_what_is_asked_of_the_base(sources: Sources):
     run = sources.runs[LATERAL]
     np.testing.assert_array_equal(
-        runs._asked(run, "repulsive")["linear_mps2"], run.trace["base_a_mps2"]
+        approach._asked(run, "repulsive")["linear_mps2"], run.trace["base_a_mps2"]
     )
     np.testing.assert_array_equal(
-        runs._asked(run, "dbb")["linear_mps2"], run.trace["avoidance_a_mps2"]
+        approach._asked(run, "dbb")["linear_mps2"], run.trace["avoidance_a_mps2"]
     )
 
 
@@ -244,9 +244,9 @@ def test_a_picture_shows_at_most_so_many_points_and_each_once():
 @pytest.mark.slow
 def test_snapshots_are_drawn_with_the_paths_of_the_csv(sources: Sources, monkeypatch):
     """Both rows of Figure 13; the target stands where the scenario ends."""
-    monkeypatch.setattr(runs, "_SHARES", (0.0, 0.05, 0.1, 0.2))
+    monkeypatch.setattr(approach, "_SHARES", (0.0, 0.05, 0.1, 0.2))
     with styled():
-        drawing = runs.figure_13(sources)
+        drawing = approach.figure_13.draw(sources)
     pictures = [ax for ax in drawing.figure.axes if ax.images]
     assert len(pictures) == 8
     images = [np.asarray(ax.images[0].get_array()) for ax in pictures]
@@ -263,7 +263,8 @@ def test_the_refrigerators_figures_show_door_and_robot(robot: RobotModel, border
     run = short_run(robot, border_data, DOOR, 0.2, physics="planar")
     sources = sources_of(robot, border_data, every([DOOR, DOOR_NONE], run))
     with styled():
-        drawings = [draw(sources) for draw in (runs.figure_16, runs.figure_17, runs.figure_18)]
+        figures = (approach.figure_16, approach.figure_17, approach.figure_18)
+        drawings = [figure.draw(sources) for figure in figures]
     _, shapes = (np.asarray(ax.images[0].get_array()) for ax in drawings[0].figure.axes)
     r, g, b = np.moveaxis(shapes.astype(int), -1, 0)
     assert np.mean((r - g > 60) & (b - g > 30)) > 0.01
@@ -274,11 +275,11 @@ def test_the_refrigerators_figures_show_door_and_robot(robot: RobotModel, border
 
 
 def test_the_drawn_door_turns_about_its_hinge_by_its_angle():
-    door = runs._door()
+    door = approach._door()
     hinge = np.array([*door.hinge_position, 0.0])
     for angle in (0.0, 0.7, 1.4):
         run = RunResult({}, {"door_angle_rad": np.array([angle])})
-        body, board, _ = runs.refrigerator(run, 0)
+        body, board, _ = approach.refrigerator(run, 0)
         to_middle = (board.mesh.centroid - hinge) * [1.0, 1.0, 0.0]
         assert np.linalg.norm(to_middle) == pytest.approx(door.width / 2)
         along = door.pose(angle).rotation @ [0.0, -door.side, 0.0]

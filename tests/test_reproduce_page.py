@@ -14,9 +14,14 @@ from matplotlib.figure import Figure
 from app.studies.page import Part, label
 from app.studies.paper.drawing import Drawing
 from app.studies.paper.report import figure_part, paper_page
+from app.studies.style import Picture
 
 PNG = bytes(range(256))
 LIMIT = {"value": 0.05, "unit": "m", "source": "Figure 10"}
+
+
+def draw() -> None:
+    """The paper says <this>."""
 
 
 @pytest.fixture
@@ -24,12 +29,11 @@ def section(tmp_path: Path):
     """Makes a figure of the page, changed in some fields."""
 
     def make(name: str = "fig1", **changes) -> Part:
-        drawing = Drawing(
-            Figure(), {}, {"d_min_m": 0.125}, ["so"], "Figure 1: a & b", "says <this>"
-        )
+        drawing = Drawing(Figure(), {}, {"d_min_m": 0.125}, ["so"])
+        figure = Picture(name, "Figure 1: a & b", (), draw)
         picture = tmp_path / f"{name}.png"
         picture.write_bytes(PNG)
-        return figure_part(name, replace(drawing, **changes), [picture])
+        return figure_part(figure, replace(drawing, **changes), [picture])
 
     return make
 

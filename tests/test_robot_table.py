@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 
 from app.border.mobile import MobileBody
+from app.cli.common import print_table
 from app.cli.main import main
 from app.robot import assets
-from app.studies.sweep import robots as table
-from app.studies.sweep.robots import CASES, Case
+from app.studies.sweep import sweep as table
+from app.studies.sweep.sweep import CASES, Case
 from tests.robots import husky_panda
 
 SHORT = Case("short", "guiding", (10.0,), length=0.04, speed=0.1)
@@ -30,7 +31,7 @@ def test_paths_keep_to_the_heights_of_the_base_and_those_on_the_axis_lead_along_
 def test_a_row_for_each_controller_with_avoidance_farther_away():
     rows = table.robot_table(["husky_panda"], cases=[SHORT])["rows"]
     none, dbb = rows
-    assert (none["controller"], dbb["controller"]) == table.CONTROLLERS
+    assert (none["controller"], dbb["controller"]) == table.COMPARED
     assert dbb["clearance_m"] > none["clearance_m"] > 0.1
     assert none["base_path_m"] < 1e-6 < dbb["base_path_m"]
     assert none["direction_deg"] == dbb["direction_deg"] == 10.0
@@ -50,3 +51,10 @@ def test_a_name_that_does_not_exist_is_refused(words: list[str], capsys):
         main(["compare-robots", *words])
     assert end.value.code == 2
     assert words[1] in capsys.readouterr().err
+
+
+def test_a_printed_table_shows_its_texts_as_they_are(capsys):
+    """A unit in brackets is no markup."""
+    print_table(("least clearance [m]", ""), [("0.1", "[bold]")], "speed [m/s]")
+    out = capsys.readouterr().out
+    assert all(text in out for text in ("least clearance [m]", "[bold]", "speed [m/s]"))

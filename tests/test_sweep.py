@@ -13,9 +13,8 @@ from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
 from app.studies.sweep.plan import Approach, SweepPlan, Trial
-from app.studies.sweep.robots import GUIDED_LIMIT
 from app.studies.sweep.starts import Start, StartFinder
-from app.studies.sweep.sweep import arrival, passes, sweep
+from app.studies.sweep.sweep import GUIDED_LIMIT, arrival, passes, sweep
 
 pytestmark = pytest.mark.slow
 

@@ -68,13 +68,14 @@ def rounded_text(value: object) -> str:
 
 
 def print_table(head: Sequence[str], rows: Sequence[Sequence[str]], title: str = "") -> None:
-    """A table on standard output, as wide whatever the terminal is."""
+    """A table of plain texts on standard output, as wide whatever the terminal is."""
     from rich.console import Console
+    from rich.markup import escape  # else a unit such as [m] is taken for a style
     from rich.table import Table
 
-    table = Table(*head, title=title or None)
+    table = Table(*map(escape, head), title=escape(title) or None)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(escape, row))
     Console(width=140, force_terminal=False, file=sys.stdout).print(table)
 
 

@@ -167,7 +167,7 @@ def compare_robots(
         check_name("robot", name, robot_names())
     check_seed(seed)
     side_by_side = check_processes(processes)
-    from app.studies.sweep.robots import CASES, robot_table
+    from app.studies.sweep.sweep import CASES, robot_table
 
     known = {each.name: each for each in CASES}
     for name in case:
@@ -280,7 +280,6 @@ def study(
 
     load_robot(parameters.robot)
     make_folder(out)
-    from app.studies.pulls.report import outcome
     from app.studies.pulls.study import study as run_study
 
     with _kept(cases, out) as on_progress:
@@ -295,6 +294,9 @@ def study(
     if json:
         print_json(result)
         return
+    # Imported here: matplotlib is not needed before all cases are done.
+    from app.studies.pulls.report import outcome
+
     for part in outcome(result):
         print_part(part)
     print(out / "report.html")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from app.errors import ConfigError
 from app.simulation.trace.metrics import extremes, metrics, verdict
 from app.simulation.trace.trace import Trace
 from app.studies.page import Grid, Part, measured_grids, page_html
+from app.studies.runs import flattened
 from app.studies.style import (
     ACTING,
     HAND,
@@ -26,6 +27,8 @@ from app.studies.style import (
     level,
     marker_style,
     new_figure,
+    picture,
+    pictures_in,
     png_of,
     styled,
 )
@@ -49,11 +52,11 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
     title = f"{run.meta.scenario or 'A person leads the hand'}, {controllers}"
     numbers = key_numbers(run)
     parts = [Part(text=[verdict(numbers)])]
-    parts.append(Part("Key numbers", "numbers", tables=measured_grids(_shown(numbers))))
+    parts.append(Part("Key numbers", "numbers", tables=measured_grids(flattened(numbers))))
     with styled():
-        for k, (name, (text, draw)) in enumerate(_FIGURES.items()):
+        for k, each in enumerate(_FIGURES.values()):
             on_progress(k / len(_FIGURES))
-            parts.append(Part(text, name, png=png_of(draw(run))))
+            parts.append(Part(each.title, each.name, [each.words], png_of(each.draw(run))))
     parts.append(_changes(run))
     return page_html(title, _about(run), parts)
 
@@ -70,18 +73,6 @@ def _about(run: Trace) -> str:
 def key_numbers(run: Trace) -> dict[str, Any]:
     """The figures of a run, as `dbb run --json` has them, and its extremes; keys as there."""
     return {**extremes(run), **metrics(run)}
-
-
-def _shown(numbers: Mapping[str, Any]) -> dict[str, Any]:
-    """Key numbers; those of each pair and each joint stand one below the other."""
-    shown: dict[str, Any] = {}
-    for key, value in numbers.items():
-        if isinstance(value, dict):
-            stem, _, unit = key.rpartition("_")
-            shown |= {f"{stem} {name}_{unit}": number for name, number in value.items()}
-        else:
-            shown[key] = value
-    return shown
 
 
 def _changes(run: Trace) -> Part:
@@ -123,6 +114,7 @@ def _value(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
+@picture("distances", "Distances and activations")
 def distances_figure(run: Trace) -> Figure:
     """Distances of all pairs over their activations."""
     figure = new_figure(6.0)
@@ -149,6 +141,7 @@ def distances_figure(run: Trace) -> Figure:
     return figure
 
 
+@picture("base", "Accelerations and velocities of the base")
 def base_figure(run: Trace) -> Figure:
     """What is asked of the base, and what it does."""
     figure = new_figure(6.4)
@@ -173,6 +166,7 @@ def base_figure(run: Trace) -> Figure:
     return figure
 
 
+@picture("hand", "The hand")
 def hand_figure(run: Trace) -> Figure:
     """How far the hand is off, and with what force it is pulled."""
     figure = new_figure(4.6)
@@ -187,6 +181,7 @@ def hand_figure(run: Trace) -> Figure:
     return figure
 
 
+@picture("torques", "Torques of the arm")
 def torques_figure(run: Trace) -> Figure:
     """Torques of the arm's joints."""
     figure = new_figure(3.6)
@@ -199,6 +194,7 @@ def torques_figure(run: Trace) -> Figure:
     return figure
 
 
+@picture("plan", "From above")
 def plan_figure(run: Trace) -> Figure:
     """Where the base and the hand went, from above; a square where they began."""
     figure = new_figure(5.0)
@@ -250,10 +246,4 @@ def spans(flags: Array, t: Array) -> list[tuple[float, float]]:
     return [(float(t[s.start]), float(t[min(s.stop, len(t) - 1)])) for s in stretches]
 
 
-_FIGURES: dict[str, tuple[str, Callable[[Trace], Figure]]] = {
-    "distances": ("Distances and activations", distances_figure),
-    "base": ("Accelerations and velocities of the base", base_figure),
-    "hand": ("The hand", hand_figure),
-    "torques": ("Torques of the arm", torques_figure),
-    "plan": ("From above", plan_figure),
-}
+_FIGURES = pictures_in(globals())

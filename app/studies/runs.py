@@ -1,8 +1,9 @@
-"""What all that runs shares: a run to be done, its row of rounded figures, and their JSON."""
+"""What all that runs shares: a run to be done, its row of rounded figures, and their files."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -60,6 +61,21 @@ def thinned(result: RunResult) -> RunResult:
     return result._replace(trace=result.trace.rows(slice(None, None, _LOG_EVERY)))
 
 
+def flattened(figures: Mapping[str, Any]) -> Row:
+    """Figures by pair, axis or joint as figures of their own, each with its unit at its end.
+
+    `min_distance_m` of `lm-lEE` becomes `min_distance_lm-lEE_m`.
+    """
+    row: Row = {}
+    for key, value in figures.items():
+        if isinstance(value, Mapping):
+            stem, unit = (key[:-2], "_m") if key.endswith("_m") else (key, "")
+            row |= {f"{stem}_{inner}{unit}": each for inner, each in value.items()}
+        else:
+            row[key] = value
+    return row
+
+
 def rounded(value: object) -> object:
     """A number rounded to `DIGITS`, anything else as it is.
 
@@ -67,6 +83,26 @@ def rounded(value: object) -> object:
     to be the same on any number of processes.
     """
     return round(value, DIGITS) if isinstance(value, float) else value
+
+
+def write_table(path: Path, columns: Mapping[str, Any]) -> None:
+    """Write columns of equal length, whole or not at all, as Parquet or CSV by the file's ending.
+
+    Numbers keep all their digits; None and NaN are null, or an empty cell. The same columns give
+    the same bytes.
+    """
+    # Imported here: it is not needed before all runs are done.
+    import pyarrow as pa
+    from pyarrow import csv, parquet
+
+    arrays = {name: pa.array(column, from_pandas=True) for name, column in columns.items()}
+    empty = {name: a.cast(pa.float64()) for name, a in arrays.items() if a.type == pa.null()}
+    table, sink = pa.table(arrays | empty), pa.BufferOutputStream()
+    if path.suffix == ".csv":
+        csv.write_csv(table, sink, csv.WriteOptions(quoting_style="needed"))
+    else:
+        parquet.write_table(table, sink, compression="zstd")
+    write_whole(path, sink.getvalue().to_pybytes())
 
 
 def write_json(path: Path, content: object) -> None:

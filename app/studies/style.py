@@ -1,12 +1,12 @@
-"""The one visual language of all figures: colours, line widths, sizes, and how a PNG is made."""
+"""The one visual language of all figures: colours, line widths, sizes, and what a picture is."""
 
 from __future__ import annotations
 
 import io
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 from matplotlib import patheffects
@@ -105,6 +105,42 @@ def png_of(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", metadata={"Software": None})
     return buffer.getvalue()
+
+
+class Picture(NamedTuple):
+    """A picture for a page: a function that draws it, whose docstring is what is said of it.
+
+    Attributes:
+        name: As commands, files and links call it.
+        title: Its heading.
+        needs: What is run for it, if anything.
+        draw: Draws it.
+    """
+
+    name: str
+    title: str
+    needs: tuple[Any, ...]
+    draw: Callable[..., Any]
+
+    @property
+    def words(self) -> str:
+        """What is said of it."""
+        return words_of(self.draw)
+
+
+def picture(name: str, title: str, *needs: Any) -> Callable[[Callable[..., Any]], Picture]:
+    """Makes a picture of the function that draws it; as in `Picture`."""
+    return lambda draw: Picture(name, title, needs, draw)
+
+
+def pictures_in(module: Mapping[str, Any]) -> dict[str, Picture]:
+    """The pictures among the names of a module, in their order."""
+    return {each.name: each for each in module.values() if isinstance(each, Picture)}
+
+
+def words_of(function: Callable[..., Any]) -> str:
+    """A function's docstring in one line."""
+    return " ".join((function.__doc__ or "").split())
 
 
 def panel_title(axes: Axes, letter: str, text: str) -> None:

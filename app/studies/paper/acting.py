@@ -19,7 +19,6 @@ from app.studies.paper.drawing import (
     Table,
     arrow,
     base_in_plan,
-    paper_figure,
     placed_meshes,
     points_table,
     square_around,
@@ -36,6 +35,7 @@ from app.studies.style import (
     marker_style,
     new_figure,
     panel_title,
+    picture,
 )
 
 Array = np.ndarray
@@ -127,7 +127,7 @@ def turning(sources: Sources) -> Force:
     )
 
 
-@paper_figure("fig7", "Figure 7: the direction of the force", WHEEL_AXIS)
+@picture("fig7", "Figure 7: the direction of the force", WHEEL_AXIS)
 def figure_7(sources: Sources) -> Drawing:
     """The force starts at the acting point and points to the closest point of the hand. One of its
     two orthogonal components moves the base away from the hand, the other brings the part of the
@@ -165,7 +165,7 @@ def figure_7(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure("fig8", "Figure 8: finding the acting point", LATERAL)
+@picture("fig8", "Figure 8: finding the acting point", LATERAL)
 def figure_8(sources: Sources) -> Drawing:
     """(a) From the border's point nearest to the hand a step along the tangent leads towards a
     better score; the acting point is the border's point nearest to that. (b) With too large a step
@@ -193,7 +193,7 @@ def figure_8(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure("fig10", "Figure 10: activation by distance")
+@picture("fig10", "Figure 10: activation by distance")
 def figure_10(sources: Sources) -> Drawing:
     """0 from the buffer distance of 0.15 m outwards, 1 at 0.05 m and nearer, a cubic between."""
     d_b, d_full = sources.config.border.d_b, sources.config.activation.d_full

@@ -23,8 +23,8 @@ from app.studies.paper.experiments import (
     WHEEL_AXIS_RIGHT,
     Experiment,
     Sources,
-    words_of,
 )
+from app.studies.style import words_of
 
 
 class Threshold(NamedTuple):

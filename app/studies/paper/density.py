@@ -20,7 +20,6 @@ from app.studies.paper.drawing import (
     Drawing,
     Table,
     base_in_plan,
-    paper_figure,
     points_table,
     square_around,
     stacked,
@@ -33,6 +32,7 @@ from app.studies.style import (
     level,
     new_figure,
     panel_title,
+    picture,
 )
 
 Array = np.ndarray
@@ -56,7 +56,7 @@ _SHAPES = {"points": BorderPoints, "surface": BorderSurface}
 _MEASURED = ("jump_max_m", "jump_p99_m", "find_p50_us")
 
 
-@paper_figure("density", "§4.3: density of the border", LATERAL)
+@picture("density", "§4.3: density of the border", LATERAL)
 def figure_density(sources: Sources) -> Drawing:
     """The denser the border, the costlier the search and the smaller the jumps of the acting point;
     about 50,000 points suit a control rate of 1 kHz.
@@ -169,7 +169,7 @@ def jump_and_cost(
     return float(jumps.max()), float(np.percentile(jumps, 99)), 1e6 * float(np.median(times))
 
 
-@paper_figure("continuity", "§4.3: a continuous border", LATERAL)
+@picture("continuity", "§4.3: a continuous border", LATERAL)
 def figure_continuity(sources: Sources) -> Drawing:
     """Among points the acting point jumps from one to the next as the hand moves, a trade-off
     against the cost of more points.

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
-import pyarrow as pa
-import pyarrow.csv
 import trimesh
 from matplotlib import patheffects
 from matplotlib.axes import Axes
@@ -26,7 +23,7 @@ from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
 from app.simulation.run import RunResult
 from app.simulation.snapshots import Camera, Photographer, Picture, Solid
-from app.studies.paper.experiments import Experiment, Sources, words_of
+from app.studies.runs import write_table
 from app.studies.style import (
     HAND,
     METHOD_COLOURS,
@@ -60,62 +57,23 @@ class Drawing:
         tables: What is plotted; the first without a suffix, the others by theirs.
         measured: Figures of it; keys end in their unit.
         remarks: What has to be said about the measured figures, one sentence each.
-        title: Its number in the paper and what it shows.
-        paper: What the paper says about it, in our words.
     """
 
     figure: Figure
     tables: dict[str, Table]
     measured: dict[str, Any] = field(default_factory=dict)
     remarks: Sequence[str] = ()
-    title: str = ""
-    paper: str = ""
 
-    def write(self, folder: Path, name: str) -> list[Path]:
+    def write(self, folder: Path, name: str, title: str) -> list[Path]:
         """Write PNG and CSVs into a folder; returns their paths, the PNG first."""
         picture = folder / f"{name}.png"
-        self.figure.suptitle(self.title, x=0.01, ha="left", fontsize=13)
+        self.figure.suptitle(title, x=0.01, ha="left", fontsize=13)
         write_whole(picture, png_of(self.figure))
         paths = [picture]
         for suffix, table in self.tables.items():
             paths.append(folder / (f"{name}_{suffix}.csv" if suffix else f"{name}.csv"))
             write_table(paths[-1], table)
         return paths
-
-
-class PaperFigure(NamedTuple):
-    """A figure of the paper: a function that draws it, whose docstring is what the paper says.
-
-    Attributes:
-        name: As `dbb reproduce` calls it.
-        title: Its number in the paper and what it shows.
-        needs: The experiments that it shows.
-        draw: Draws it.
-    """
-
-    name: str
-    title: str
-    needs: tuple[Experiment, ...]
-    draw: Callable[[Sources], Drawing]
-
-    def __call__(self, sources: Sources) -> Drawing:
-        return replace(self.draw(sources), title=self.title, paper=words_of(self.draw))
-
-
-def paper_figure(
-    name: str, title: str, *needs: Experiment
-) -> Callable[[Callable[[Sources], Drawing]], PaperFigure]:
-    """Makes a figure of the function that draws it; as in `PaperFigure`."""
-    return lambda draw: PaperFigure(name, title, needs, draw)
-
-
-def write_table(path: Path, table: Table) -> None:
-    """Write it as CSV; numbers keep all their digits, NaN is an empty cell."""
-    columns = {name: pa.array(column, from_pandas=True) for name, column in table.items()}
-    options = pa.csv.WriteOptions(quoting_style="needed")
-    sink = io.BytesIO()
-    pa.csv.write_csv(pa.table(columns), sink, options)
-    write_whole(path, sink.getvalue())
 
 
 def stacked(parts: dict[str, Table], kind: str) -> Table:

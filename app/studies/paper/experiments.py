@@ -223,8 +223,3 @@ def duration(experiments: Iterable[Experiment]) -> float:
 
 def _run(seed: int, sources: Sources, experiment: Experiment) -> RunResult:
     return thinned(experiment.planned(seed=seed).done(sources.model, sources.data))
-
-
-def words_of(function: Callable[..., Any]) -> str:
-    """A function's docstring in one line: what the paper says of what it draws or judges."""
-    return " ".join((function.__doc__ or "").split())

@@ -17,7 +17,6 @@ from app.studies.paper.drawing import (
     Drawing,
     Table,
     base_corners,
-    paper_figure,
     plan_axes,
     points_table,
     stacked,
@@ -30,6 +29,7 @@ from app.studies.style import (
     SCORE_MAP,
     new_figure,
     panel_title,
+    picture,
 )
 
 Array = np.ndarray
@@ -40,7 +40,7 @@ _LEVELS = 25.0, 50.0, 75.0  # [-] of the reachability whose shells are drawn
 _SMOOTH = 1.0  # [-] steps of the lattice over which the counts of few poses are averaged
 
 
-@paper_figure("fig3", "Figure 3: sampled points and distance buffer borders")
+@picture("fig3", "Figure 3: sampled points and distance buffer borders")
 def figure_3(sources: Sources) -> Drawing:
     """(a) The sampled points of the arm's links lie around the mobile robot. (b) Those at the
     buffer distance of 0.15 m, within 0.01 m, are the distance buffer borders.
@@ -74,7 +74,7 @@ def figure_3(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure("fig5", "Figure 5: score of the border of the hand")
+@picture("fig5", "Figure 5: score of the border of the hand")
 def figure_5(sources: Sources) -> Drawing:
     """(a) The determinant is symmetric about the X-axis and vanishes on the wheel axis. (b) The
     reachability depends on the distance from the arm's mount alone. (c) Their product, signed by x,
@@ -110,7 +110,7 @@ def figure_5(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure("fig6", "Figure 6: reachability of the hand")
+@picture("fig6", "Figure 6: reachability of the hand")
 def figure_6(sources: Sources) -> Drawing:
     """The density of inverse kinematics solutions rises and then falls with the distance from the
     arm's mount. It is described by a parabola with A = 525.9 /m², B = 0.575 m, C = 100.

@@ -10,9 +10,9 @@ from typing import Any
 
 from app.errors import UnknownNameError
 from app.studies.page import Cell, Grid, Part, measured_grids, page_html
-from app.studies.paper import acting, density, offline, runs
+from app.studies.paper import acting, approach, density, offline
 from app.studies.paper.claims import claims_of
-from app.studies.paper.drawing import Drawing, PaperFigure
+from app.studies.paper.drawing import Drawing
 from app.studies.paper.experiments import (
     ROBOT,
     Experiment,
@@ -21,14 +21,13 @@ from app.studies.paper.experiments import (
     run_experiments,
 )
 from app.studies.runs import write_json
-from app.studies.style import styled
+from app.studies.style import Picture, pictures_in, styled
 from app.system import write_whole
 
 FIGURES = {
-    each.name: each
-    for module in (offline, acting, runs, density)
-    for each in vars(module).values()
-    if isinstance(each, PaperFigure)
+    name: figure
+    for module in (offline, acting, approach, density)
+    for name, figure in pictures_in(vars(module)).items()
 }
 """In the order of the paper, by their names."""
 _DRAWING = 5.0  # [s] of simulated time that drawing a figure costs about as much as
@@ -83,25 +82,26 @@ def reproduce(
     """
     begin = perf_counter()
     experiments, sources = experiments_for(names), load_sources()
-    done = run_experiments(experiments, seed=seed, processes=processes, on_progress=on_progress)
-    sources = replace(sources, runs=done)
+    runs = run_experiments(experiments, seed=seed, processes=processes, on_progress=on_progress)
+    sources = replace(sources, runs=runs)
     figures: dict[str, dict[str, Any]] = {}
-    parts, worked = [], duration(experiments)
+    parts, done = [], duration(experiments)
     for name in names:
+        figure = FIGURES[name]
         with styled():
-            drawing = FIGURES[name](sources)
-            files = drawing.write(out, name)
-        parts.append(figure_part(name, drawing, files))
+            drawing = figure.draw(sources)
+            files = drawing.write(out, name, figure.title)
+        parts.append(figure_part(figure, drawing, files))
         figures[name] = {
-            "title": drawing.title,
+            "title": figure.title,
             "files": [path.name for path in files],
             "measured": drawing.measured,
             "remarks": list(drawing.remarks),
         }
-        worked += _DRAWING
-        on_progress(worked)
+        done += _DRAWING
+        on_progress(done)
     claims = [claim.judge(sources) for claim in claims_of(names)]
-    about = f"Robot {ROBOT}, seed {seed}, {len(done)} runs."
+    about = f"Robot {ROBOT}, seed {seed}, {len(runs)} runs."
     write_whole(out / "index.html", paper_page(parts, claims, about))
     result = {
         "robot": ROBOT,
@@ -110,7 +110,7 @@ def reproduce(
         "claims": claims,
         "claims_that_hold": sum(bool(claim["holds"]) for claim in claims),
         "claims_that_do_not": sum(not claim["holds"] for claim in claims),
-        "runs": {e.name: done[e].figures for e in experiments},
+        "runs": {e.name: runs[e].figures for e in experiments},
         "page": "index.html",
         "elapsed_s": perf_counter() - begin,
     }
@@ -130,7 +130,7 @@ def paper_page(figures: Sequence[Part], claims: Sequence[Mapping[str, Any]], abo
     return page_html("The paper's experiments, reproduced", lead, [*figures, *last])
 
 
-def figure_part(name: str, drawing: Drawing, files: Sequence[Path]) -> Part:
+def figure_part(figure: Picture, drawing: Drawing, files: Sequence[Path]) -> Part:
     """One figure, the first of its files, and what the paper says beside what was measured."""
     measured = Part(
         "Measured here",
@@ -138,8 +138,8 @@ def figure_part(name: str, drawing: Drawing, files: Sequence[Path]) -> Part:
         points=drawing.remarks,
         note=", ".join(path.name for path in files),
     )
-    paper = Part("The paper says", text=[drawing.paper])
-    return Part(drawing.title, name, png=files[0].read_bytes(), sides=(paper, measured))
+    paper = Part("The paper says", text=[figure.words])
+    return Part(figure.title, figure.name, png=files[0].read_bytes(), sides=(paper, measured))
 
 
 def _claims_part(claims: Sequence[Mapping[str, Any]]) -> Part:

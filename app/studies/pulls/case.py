@@ -16,7 +16,7 @@ from app.simulation.case import FORMAT, RunCase
 from app.simulation.scenarios.line import StartedLine
 from app.strict import Finite, Positive, Vector3, explain, parsed
 from app.studies.pulls.parameters import PARAMETERS, StudyParameters, one_of_each
-from app.studies.runs import Planned, Row, rounded
+from app.studies.runs import Planned, Row, flattened, rounded
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -221,24 +221,8 @@ def case_of(row: Row, parameters: StudyParameters) -> Case:
 
 
 def flat(figures: Mapping[str, Any]) -> Row:
-    """A run's figures without those of the machine and those that the case has anyway.
-
-    Figures by pair or axis become columns of their own: `min_distance_m` of `lm-lEE` becomes
-    `min_distance_lm-lEE_m`.
-    """
-    row: Row = {}
-    for key, value in figures.items():
-        if key in _KNOWN:
-            continue
-        if isinstance(value, Mapping):
-            row |= {_joined(key, inner): v for inner, v in value.items()}
-        else:
-            row[key] = value
-    return row
-
-
-def _joined(key: str, inner: str) -> str:
-    return f"{key[:-2]}_{inner}_m" if key.endswith("_m") else f"{key}_{inner}"
+    """A run's figures in columns, without those of the machine and those that the case has."""
+    return flattened({key: value for key, value in figures.items() if key not in _KNOWN})
 
 
 def _at_most_zero(distance: float | None) -> bool:

@@ -27,7 +27,7 @@ from app.studies.pulls.parameters import (
     StudyParameters,
     StudyRange,
 )
-from app.studies.sweep.plan import way_out
+from app.studies.sweep.plan import point_of, way_out
 
 Array = np.ndarray
 
@@ -128,8 +128,7 @@ def draw_start(
         if not (heights[0] <= start.p[2] <= heights[1] and sources.near <= away <= sources.far):
             continue
         try:
-            x, y, z = start.p.tolist()
-            return start, solver.solve((x, y, z), seed=seed, tries=_SEARCHES), redraws
+            return start, solver.solve(point_of(start.p), seed=seed, tries=_SEARCHES), redraws
         except UnreachableError:
             continue
     raise StudyError(
@@ -215,8 +214,8 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
         robot=parameters.robot,
         controller=parameters.controller,
         physics=parameters.physics,
-        start=_triple(start.p),
-        move=_triple(move),
+        start=point_of(start.p),
+        move=point_of(move),
         duration=duration,
         moving=moving,
         release_at=release_at,
@@ -267,8 +266,3 @@ def _draw_release(
     release = duration * moving * rng.uniform(*_RELEASE)
     regrasp = release + duration * (1.0 - moving) * rng.uniform(*_APART)
     return (release if released else None), (regrasp if released and regrasped else None)
-
-
-def _triple(p: Array) -> tuple[float, float, float]:
-    x, y, z = p.tolist()
-    return x, y, z

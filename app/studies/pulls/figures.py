@@ -11,11 +11,12 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from app.config import Config
 from app.studies.pulls.case import failed, met_base, met_itself
 from app.studies.pulls.draw import StudySources
 from app.studies.pulls.envelope import FORCE, Envelope
 from app.studies.runs import Row
-from app.studies.style import INK, SOFT, TARGET, new_figure, png_of, styled
+from app.studies.style import INK, SOFT, TARGET, new_figure, picture, pictures_in
 
 Array = np.ndarray
 
@@ -25,22 +26,11 @@ _INSIDE, _OUTSIDE = "#0072B2", "#E69F00"
 _BEYOND = 1.15  # [-] of the largest speed, where the picture ends
 
 
-def draw_all(
-    rows: Sequence[Row], envelope: Envelope, sources: StudySources, d_b: float
-) -> dict[str, bytes]:
-    """All figures of the cases as PNG, by their names; d_b [m] is the buffer distance."""
-    with styled():
-        figures = {
-            "envelope": draw_envelope(rows, envelope),
-            "clearance": draw_clearance(rows, envelope, d_b),
-            "errors": draw_errors(rows),
-            "places": draw_places(rows, sources),
-        }
-        return {name: png_of(figure) for name, figure in figures.items()}
-
-
-def draw_envelope(rows: Sequence[Row], envelope: Envelope) -> Figure:
-    """Exerted force against speed; what is inside is shaded."""
+@picture("envelope", "Where safety ends")
+def draw_envelope(rows: Sequence[Row], envelope: Envelope, *_: object) -> Figure:
+    """Each point is a case. Below the black line lies the envelope that these cases give: 0.9 of
+    the force exerted in the weakest case that failed, or came nearer than 10 mm.
+    """
     figure = new_figure(4.6)
     axes = figure.subplots()
     known = [row for row in rows if row.get(FORCE) is not None]
@@ -57,8 +47,9 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope) -> Figure:
     return figure
 
 
-def draw_clearance(rows: Sequence[Row], envelope: Envelope, d_b: float) -> Figure:
-    """How near the arm came to the base: over all cases, and by where the pull came from."""
+@picture("clearance", "How near the arm came to the base")
+def draw_clearance(rows: Sequence[Row], envelope: Envelope, *_: object) -> Figure:
+    """The least true distance of each run; at the red line they touch. The grey line is d_b."""
     figure = new_figure(4.2)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     known = [row for row in rows if row.get("min_clearance_m") is not None]
@@ -73,7 +64,7 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope, d_b: float) -> Figur
         color=[_INSIDE, _OUTSIDE],
         label=[f"inside, {len(inside)}", f"outside, {len(outside)}"],
     )
-    for value in (0.0, d_b):
+    for value in (0.0, Config().border.d_b):
         left.axvline(value, color=TARGET if value == 0.0 else SOFT, linewidth=1.2)
     left.set_xlabel("least distance between arm and base [m]; the last bar holds all beyond")
     left.set_ylabel("cases")
@@ -85,8 +76,11 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope, d_b: float) -> Figur
     return figure
 
 
-def draw_errors(rows: Sequence[Row]) -> Figure:
-    """How far the hand ended from where the person pulled it."""
+@picture("errors", "Where the hand ended")
+def draw_errors(rows: Sequence[Row], *_: object) -> Figure:
+    """A pull that leads to where the base cannot give way, such as down onto its top, is resisted,
+    and the hand ends far from its target: that is meant.
+    """
     figure = new_figure(3.8)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     known = [row for row in rows if row.get("ee_error_final_m") is not None]
@@ -102,8 +96,11 @@ def draw_errors(rows: Sequence[Row]) -> Figure:
     return figure
 
 
-def draw_places(rows: Sequence[Row], sources: StudySources) -> Figure:
-    """Starts and pulls in plan, and seen from behind; what failed is red."""
+@picture("places", "Starts and pulls in plan")
+def draw_places(rows: Sequence[Row], _: Envelope, sources: StudySources) -> Figure:
+    """Lines lead from the start to where the hand is pulled to; the base begins in the grey box.
+    What failed is red.
+    """
     figure = new_figure(5.6)
     plan, behind = figure.subplots(1, 2, width_ratios=(5, 4))
     (x, y, z), (length, width, height) = sources.lower, sources.upper - sources.lower
@@ -194,3 +191,7 @@ def _strips(axes: Axes, rows: Sequence[Row], column: str) -> None:
         axes.scatter(values, spread, c=colours, s=10, linewidths=0)
     axes.set_yticks(range(len(kinds)), kinds, fontsize=9)
     axes.grid(visible=False, axis="y")
+
+
+PICTURES = pictures_in(globals())
+"""Each is drawn of the cases, the envelope that they give and the study's sources."""

@@ -12,6 +12,7 @@ import numpy as np
 from app.studies.page import Grid, Part, label, page_html
 from app.studies.pulls.case import entered_buffer, failed, met_base, met_itself
 from app.studies.pulls.envelope import Envelope, exerted, fit_envelope, tally, tally_by_halves
+from app.studies.pulls.figures import PICTURES
 from app.studies.pulls.parameters import StudyParameters
 from app.studies.runs import Row
 
@@ -39,28 +40,6 @@ _FAILURES: dict[str, Callable[[Row], object]] = {
 }
 _EVENTS = {**_FAILURES, "failed": failed, "entered_buffer": entered_buffer}
 _MOST_FAILURES = 200  # rows of the table of failures
-
-_TEXTS = {
-    "envelope": (
-        "Where safety ends",
-        "Each point is a case. Below the black line lies the envelope that these cases give: 0.9 "
-        "of the force exerted in the weakest case that failed, or came nearer than 10 mm.",
-    ),
-    "clearance": (
-        "How near the arm came to the base",
-        "The least true distance of each run; at the red line they touch. The grey line is d_b.",
-    ),
-    "errors": (
-        "Where the hand ended",
-        "A pull that leads to where the base cannot give way, such as down onto its top, is "
-        "resisted, and the hand ends far from its target: that is meant.",
-    ),
-    "places": (
-        "Starts and pulls in plan",
-        "Lines lead from the start to where the hand is pulled"
-        " to; the base begins in the grey box. What failed is red.",
-    ),
-}
 
 _COLUMNS = {
     "case": "case",
@@ -171,7 +150,7 @@ def report_html(
     said, forces = outcome(summary)
     parts = [
         said,
-        *(Part(_TEXTS[name][0], name, [_TEXTS[name][1]], png) for name, png in pictures.items()),
+        *(Part(each.title, name, [each.words], pictures[name]) for name, each in PICTURES.items()),
         _envelope(envelope),
         forces,
         _counted("By where the pull comes from", "from", summary["by_kind"]),

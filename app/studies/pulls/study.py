@@ -15,14 +15,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
-from app.config import Config
 from app.errors import StudyError
 from app.jobs.pool import Workers
 from app.studies.pulls.case import case_of, failed, play_case
 from app.studies.pulls.draw import StudySources, draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
-from app.studies.runs import Row, write_json
+from app.studies.runs import Row, write_json, write_table
 from app.system import claim, write_whole
 
 if TYPE_CHECKING:
@@ -110,12 +109,17 @@ def _row(parameters: StudyParameters, sources: StudySources, number: int) -> Row
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
     # Imported here: matplotlib is not needed before all cases are done.
-    from app.studies.pulls.figures import draw_all
+    from app.studies.pulls.figures import PICTURES
     from app.studies.pulls.report import report_html, summary_of
+    from app.studies.style import png_of, styled
 
     summary, envelope = summary_of(rows, parameters)
-    pictures = draw_all(rows, envelope, load_sources(parameters.robot), Config().border.d_b)
-    write_table(out / "results.parquet", rows)
+    drawn = rows, envelope, load_sources(parameters.robot)
+    with styled():
+        pictures = {name: png_of(each.draw(*drawn)) for name, each in PICTURES.items()}
+    names = dict.fromkeys(name for row in rows for name in row)
+    table = {name: [row.get(name) for row in rows] for name in names}
+    write_table(out / "results.parquet", table)
     _write_failures(rows, parameters, out / "failures")
     for name, png in pictures.items():
         write_whole(out / f"{name}.png", png)
@@ -152,26 +156,6 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
         )
     for path in set(folder.glob("case-*.json")) - kept:
         path.unlink()
-
-
-def write_table(path: Path, rows: Sequence[Row]) -> None:
-    """Write the rows, sorted by case, as Parquet; the same rows give the same bytes.
-
-    What a row does not have is null.
-    """
-    # Imported here: it is not needed before all cases are done.
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    ordered = sorted(rows, key=lambda row: row["case"])
-    names = dict.fromkeys(name for row in ordered for name in row)
-    columns = {name: pa.array([row.get(name) for row in ordered]) for name in names}
-    empty = {
-        name: each.cast(pa.float64()) for name, each in columns.items() if each.type == pa.null()
-    }
-    sink = pa.BufferOutputStream()
-    pq.write_table(pa.table(columns | empty), sink, compression="zstd")
-    write_whole(path, sink.getvalue().to_pybytes())
 
 
 class Journal:

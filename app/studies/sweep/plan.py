@@ -13,7 +13,7 @@ from app.config import Config
 from app.control import CONTROLLERS
 from app.errors import ConfigError, UnknownNameError
 from app.simulation.plants import chosen_plant, default_plant
-from app.simulation.scenarios.line import StartedLine
+from app.simulation.scenarios.line import Point, StartedLine
 from app.strict import check_range
 from app.studies.runs import Planned
 
@@ -94,6 +94,12 @@ class Approach:
             return {"place_x_m": self.place[0], "place_y_m": self.place[1]}
         found: dict[str, object] = {"height_m": self.height, "direction_deg": self.direction_deg}
         return found | ({"offset_m": self.offset} if self.kind == "wheel_axis" else {})
+
+
+def point_of(p: Array) -> Point:
+    """A vector (3,) as records have it."""
+    x, y, z = p.tolist()
+    return x, y, z
 
 
 def ring(heights: Sequence[float], step: float) -> Iterator[Approach]:
@@ -220,14 +226,13 @@ class SweepPlan:
     def planned(self, trial: Trial) -> Planned:
         """The run of one trial."""
         start, moving = trial.start, self.length / trial.speed
-        x, y, z = (self.length * start.approach.inwards).tolist()
         line = StartedLine(
             start.approach.name,
             moving + self.hold,
             "the hand is led towards the base",
             self.mode,
             start.p_ee,
-            (x, y, z),
+            point_of(self.length * start.approach.inwards),
             moving / (moving + self.hold),
             start.q_m,
         )

@@ -16,11 +16,11 @@ from app.border.mobile import MobileBody
 from app.errors import UnreachableError
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
+from app.simulation.scenarios.line import Point
 from app.simulation.scenarios.start import OUT_OF_REACH, StartSolver
-from app.studies.sweep.plan import Approach, way_out
+from app.studies.sweep.plan import Approach, point_of, way_out
 
 Array = np.ndarray
-Point = tuple[float, float, float]
 _Posture = tuple[Array, Array]  # (3,) [m] the hand's origin, (n_m,) the arm's joints
 
 _GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)  # [m] hand's origin to the base's outline, best first
@@ -91,7 +91,7 @@ class StartFinder:
                 refused[str(error)] += 1
                 continue
             closest = self._closest(q_m)
-            p_ee, p_b = _point(self._state.T_world_ee.translation), _point(closest.p_b)
+            p_ee, p_b = point_of(self._state.T_world_ee.translation), point_of(closest.p_b)
             return Start(approach, tuple(q_m.tolist()), p_ee, p_b, float(closest.d))
         return Start(approach, reason=_summary(refused or self._flaws))
 
@@ -107,12 +107,12 @@ class StartFinder:
     def _search(self, approach: Approach, seed: int, flaws: Counter[str]) -> Iterator[_Posture]:
         """Clear postures with the hand before the base; counts what stands in the way."""
         places = [self._place(approach, gap) for gap in _GAPS]
-        reached = [p for p in places if self._solver.reaches(_point(p), seed=seed)]
+        reached = [p for p in places if self._solver.reaches(point_of(p), seed=seed)]
         if len(reached) < len(places):
             flaws[OUT_OF_REACH] = len(places) - len(reached)
         for (turn, k), p_ee in product(_SEARCHES, reached):
             try:
-                q_m = self._solver.solve(_point(p_ee), seed=seed + k, turn=turn, tries=_TRIES)
+                q_m = self._solver.solve(point_of(p_ee), seed=seed + k, turn=turn, tries=_TRIES)
             except UnreachableError as error:
                 flaws.update(error.flaws)
                 continue
@@ -139,7 +139,7 @@ class StartFinder:
                 break
             try:
                 moved = p_ee + step * approach.inwards
-                q_new = self._solver.slide(_point(moved), q_m)
+                q_new = self._solver.slide(point_of(moved), q_m)
                 new_gap = self._closest(q_new).d - distance
             except UnreachableError:
                 step /= 2
@@ -165,7 +165,7 @@ class StartFinder:
             nearest = min(nearest, abs(off))
             if abs(off) > _NEARLY:
                 p_ee = p_ee - [off, 0.0, 0.0]
-                q_m = self._solver.slide(_point(p_ee), q_m)
+                q_m = self._solver.slide(point_of(p_ee), q_m)
             else:  # finer than the posture's own search: the shortest step of the joints
                 joint = self._state.model.body_joints[closest.pair.b]
                 along = self._state.point_jacobian(joint, closest.p_b)[0, self._state.model.n_b :]
@@ -176,10 +176,6 @@ class StartFinder:
         """The nearest pair of L_m; leaves the state at that posture."""
         self._state.update(at_rest(self._state.model, q_m))
         return min(self._monitor.find_closest_points(), key=lambda closest: closest.d)
-
-
-def _point(p: Array) -> Point:
-    return float(p[0]), float(p[1]), float(p[2])
 
 
 def _summary(flaws: Counter[str]) -> str:

@@ -8,6 +8,8 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 import trimesh
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from app.simulation.plants.door import BODY, Door, with_door
 from app.simulation.run import RunResult
@@ -19,7 +21,6 @@ from app.studies.paper.drawing import (
     Table,
     framed,
     method_lines,
-    paper_figure,
     placed_meshes,
     snapshot_figure,
     stacked,
@@ -43,6 +44,7 @@ from app.studies.style import (
     level,
     new_figure,
     panel_title,
+    picture,
     time_axis,
 )
 
@@ -56,10 +58,9 @@ _SHARES = (0.0, 0.3, 0.6, 1.0)  # [-] of the run at which those of guiding are t
 _VIEWS = {LATERAL: (0.85, 0.45), FRONT: (0.70, 0.45)}  # [rad] from the left front, from above
 _PAIRS = ("lm-lEE", "lm-l3")
 _MOTION = ("base_displacement_m", "base_yaw_rad", "contacts", "ee_error_final_m")
-_BUFFER = "buffer distance $d_b$"
 
 
-@paper_figure(
+@picture(
     "fig11", "Figure 11: the hand tracks a line towards the base", TRACKING, TRACKING_REPULSIVE
 )
 def figure_11(sources: Sources) -> Drawing:
@@ -78,9 +79,7 @@ def figure_11(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure(
-    "fig12", "Figure 12: distances and error while tracking", TRACKING, TRACKING_REPULSIVE
-)
+@picture("fig12", "Figure 12: distances and error while tracking", TRACKING, TRACKING_REPULSIVE)
 def figure_12(sources: Sources) -> Drawing:
     """(a) The distances fall below the buffer distance of 0.15 m, so that the avoidance task of
     each method is inserted continuously with top priority. (b) The repulsive method has a position
@@ -94,9 +93,7 @@ def figure_12(sources: Sources) -> Drawing:
     grid[0][0].sharey(grid[0][1])
     for k, (ax, column) in enumerate(zip(grid[0], distances, strict=True)):
         method_lines(ax, parts, column)
-        level(ax, sources.config.border.d_b, _BUFFER)
-        ax.set_ylabel("distance [m]")
-        panel_title(ax, f"a{k + 1}", PAIR_NAMES[_PAIRS[k]])
+        _distance_panel(ax, sources, f"a{k + 1}", PAIR_NAMES[_PAIRS[k]])
     shown = np.concatenate([table[column] for column in distances])
     grid[0][0].set_ylim(min(0.0, float(shown.min())), 1.1 * float(shown.max()))
     error, detail = grid[1]
@@ -124,7 +121,7 @@ def figure_12(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure("fig13", "Figure 13: a person leads the hand towards the base", LATERAL, FRONT)
+@picture("fig13", "Figure 13: a person leads the hand towards the base", LATERAL, FRONT)
 def figure_13(sources: Sources) -> Drawing:
     """(a) From the lateral direction the collision is avoided by a force on the base. (b) From the
     front the base moves back as the arm approaches.
@@ -141,7 +138,7 @@ def figure_13(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure("fig14", "Figure 14: distances and activation while guiding", LATERAL, FRONT)
+@picture("fig14", "Figure 14: distances and activation while guiding", LATERAL, FRONT)
 def figure_14(sources: Sources) -> Drawing:
     """As a distance falls below the buffer distance of 0.15 m its activation rises, and the
     avoidance task is inserted continuously.
@@ -156,16 +153,14 @@ def figure_14(sources: Sources) -> Drawing:
             style = {"color": PAIR_COLOURS[pair], "label": PAIR_NAMES[pair]}
             distance.plot(part["t_s"], part[f"d_{pair}_m"], **style)
             activation.plot(part["t_s"], part[f"beta_{pair}"], **style)
-        level(distance, sources.config.border.d_b, _BUFFER)
-        panel_title(distance, f"a{k + 1}", f"distances, {name} direction")
+        _distance_panel(distance, sources, f"a{k + 1}", f"distances, {name} direction")
         panel_title(activation, f"b{k + 1}", f"activation, {name} direction")
         time_axis(activation, DIRECTIONS[name].full().duration)
-    grid[0][0].set_ylabel("distance [m]")
+    grid[0][1].set_ylabel("")
     grid[0][0].set_ylim(0.0, None)
     grid[1][0].set_ylabel(r"activation $\beta$ [–]")
     grid[1][0].set_ylim(-0.02, 1.02)
-    lines = grid[0][0].get_legend_handles_labels()
-    figure.legend(*lines, loc="outside lower center", ncols=len(_PAIRS))
+    _legend_below(figure, grid[0][0])
     keys = ("min_clearance_m", "contacts", "activation_max", "ee_error_final_m")
     return Drawing(
         figure,
@@ -174,7 +169,7 @@ def figure_14(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure("fig15", "Figure 15: desired accelerations of the base while guiding", *COMPARED)
+@picture("fig15", "Figure 15: desired accelerations of the base while guiding", *COMPARED)
 def figure_15(sources: Sources) -> Drawing:
     """The desired linear (a) and angular (b) accelerations of the base, times the activation, are
     smooth: no chattering or vibration, because the task transition is continuous.
@@ -190,8 +185,7 @@ def figure_15(sources: Sources) -> Drawing:
         time_axis(grid[1][k], DIRECTIONS[name].full().duration)
     grid[0][0].set_ylabel(r"$\beta_m\,\dot v_d$ [m/s²]")
     grid[1][0].set_ylabel(r"$\beta_m\,\dot\omega_d$ [rad/s²]")
-    lines = grid[0][0].get_legend_handles_labels()
-    figure.legend(*lines, loc="outside lower center", ncols=len(GUIDING))
+    _legend_below(figure, grid[0][0])
     runs = {
         f"{name}, {method}": (sources.runs[experiment], method)
         for method, by_direction in GUIDING.items()
@@ -235,6 +229,18 @@ def _asked(run: RunResult, method: str) -> Table:
     }
 
 
+def _distance_panel(ax: Axes, sources: Sources, letter: str, title: str) -> None:
+    """What each panel of distances [m] has."""
+    level(ax, sources.config.border.d_b, "buffer distance $d_b$")
+    ax.set_ylabel("distance [m]")
+    panel_title(ax, letter, title)
+
+
+def _legend_below(figure: Figure, ax: Axes) -> None:
+    handles, labels = ax.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+
+
 def _columns(sources: Sources, by_name: dict[str, Experiment], *columns: str) -> dict[str, Table]:
     return {name: {c: sources.runs[e].trace[c] for c in columns} for name, e in by_name.items()}
 
@@ -263,7 +269,7 @@ _OF_DOOR = (
 )
 
 
-@paper_figure("fig16", "Figure 16: the refrigerator", DOOR)
+@picture("fig16", "Figure 16: the refrigerator", DOOR)
 def figure_16(sources: Sources) -> Drawing:
     """The end-effector holds the door without any relative motion; the door, modelled by a
     hyper-ellipsoid, can collide with the mobile robot.
@@ -283,8 +289,8 @@ def figure_16(sources: Sources) -> Drawing:
             photographer.take(pose, q_m, camera, shapes, robot=False),
         )
     texts = ("opening a refrigerator", "collision models; the door's in magenta")
-    for ax, letter, text, picture in zip(grid, "ab", texts, pictures, strict=True):
-        ax.imshow(picture.rgb)
+    for ax, letter, text, shot in zip(grid, "ab", texts, pictures, strict=True):
+        ax.imshow(shot.rgb)
         ax.set_axis_off()
         panel_title(ax, letter, text)
     superquadric = door.superquadric(pin.SE3.Identity())
@@ -307,7 +313,7 @@ def figure_16(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure("fig17", "Figure 17: opening a refrigerator", DOOR, DOOR_NONE)
+@picture("fig17", "Figure 17: opening a refrigerator", DOOR, DOOR_NONE)
 def figure_17(sources: Sources) -> Drawing:
     """(a) With obstacle avoidance the mobile robot moves back and turns clockwise as the door comes
     closer. (b) Without it the door collides with the mobile robot at 30 s.
@@ -325,23 +331,21 @@ def figure_17(sources: Sources) -> Drawing:
     )
 
 
-@paper_figure("fig18", "Figure 18: distance of the door and activation", DOOR, DOOR_NONE)
+@picture("fig18", "Figure 18: distance of the door and activation", DOOR, DOOR_NONE)
 def figure_18(sources: Sources) -> Drawing:
     """As the distance between door and mobile robot falls below the buffer distance, the avoidance
     task is inserted continuously.
     """
     columns = ("t_s", f"d_lm-{BODY}_m", f"beta_lm-{BODY}")
-    parts = {name: {c: sources.runs[e].trace[c] for c in columns} for name, e in _DOORS.items()}
+    parts = _columns(sources, _DOORS, *columns)
     figure = new_figure(3.6)
     distance, activation = figure.subplots(1, 2)
     for ax, column in zip((distance, activation), columns[1:], strict=True):
         method_lines(ax, dict(reversed(parts.items())), column)
         time_axis(ax, DOOR.full().duration)
-    level(distance, sources.config.border.d_b, "buffer distance $d_b$")
+    _distance_panel(distance, sources, "a", "distance between door and base")
     level(distance, 0.0, "contact")
-    distance.set_ylabel("distance [m]")
     activation.set_ylabel(r"activation $\beta$ [–]")
-    panel_title(distance, "a", "distance between door and base")
     panel_title(activation, "b", "activation")
     distance.legend(loc="upper right")
     return Drawing(
