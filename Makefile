@@ -5,7 +5,7 @@ ARGS ?=
 # Compiles what is compiled, so that nobody waits for it later.
 KERNELS := $(BIN)/python -c 'import app.control.controller'
 
-.PHONY: run test test-without-browser pictures results pages docs lint format browser clean
+.PHONY: run test test-without-browser pictures results pages docs site lint format browser clean
 
 run: $(VENV)/.installed
 	$(BIN)/dbb serve $(ARGS)
@@ -34,12 +34,16 @@ pages: $(VENV)/.installed-dev
 docs: $(VENV)/.installed-docs
 	$(BIN)/python -m sphinx -n -W --keep-going docs out/docs
 
+# Documentation, runs to play, borders and polar maps as files for a web server, in out/site: 20 minutes.
+site: $(VENV)/.installed-dev $(VENV)/.installed-docs
+	$(BIN)/python -m tools.site
+
 # pyright asks the interpreter for its search path: pinocchio extends it at run time. The oldest and
 # the newest Python, on both systems.
 lint: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/ci.yml
+	$(BIN)/check-jsonschema --builtin-schema vendor.github-workflows .github/workflows/*.yml
 	for platform in Linux Darwin; do for version in 3.10 3.14; do \
 		echo "pyright: $$platform, $$version"; \
 		$(BIN)/pyright --pythonpath $(BIN)/python \

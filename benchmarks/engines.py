@@ -21,7 +21,7 @@ import tyro
 from app.cli.common import load_robot_and_border
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
-from app.simulation.plants.choice import make_physics
+from app.simulation.plants import make_physics
 
 PLANTS = ("planar", "mujoco", "mujoco-contact")
 _STEPS = 200  # of each plant in a round

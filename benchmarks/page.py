@@ -28,7 +28,7 @@ from app.dashboard.export import browser as browsers
 from app.dashboard.server import serve_dashboard
 from app.simulation.loop.commands import Pause, Play, Pull
 from app.simulation.loop.process_loop import ProcessLoop
-from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.scenarios import scenario_by_name
 from app.simulation.scenarios.start import find_start
 from app.simulation.session import Session
 from tests.browser import DashboardTab, chromium

@@ -28,7 +28,7 @@ from app.dashboard.server import DashboardServer, serve_dashboard
 from app.simulation.loop.commands import Compare, Pull, Reset, Watch
 from app.simulation.loop.loop import LoopHandle, SimulationLoop
 from app.simulation.loop.process_loop import ProcessLoop
-from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.scenarios import scenario_by_name
 from app.simulation.scenarios.start import find_start
 from app.simulation.session import DT
 from benchmarks.client import FAR, NEAR, SWEEP, SWEEPS

@@ -11,7 +11,7 @@ from app import Config, RobotModel, load_border_data, load_robot
 from app.robot.bases.kind import FORWARD, Axis, BaseForce, BaseKind
 from app.robot.description import register_base_kind
 from app.simulation.run import run_scenario
-from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios import LINES
 
 
 class RailBase(BaseKind):

@@ -12,7 +12,7 @@ from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 from app.robot.shapes import Box
 from app.simulation.run import run_scenario
-from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.scenarios import scenario_by_name
 
 CARGO = Box(type="box", size_m=(0.20, 0.40, 0.70), xyz_m=(-0.38, 0.0, 0.60))
 """[m] in the frame of l_m, which is base_link, 0.13 m above the floor."""

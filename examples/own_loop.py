@@ -7,7 +7,7 @@ Run it: python examples/own_loop.py
 import numpy as np
 
 from app import Config, ControlLoop, RobotModel, load_border_data, load_robot
-from app.simulation.plants.choice import make_physics
+from app.simulation.plants import make_physics
 from app.simulation.scenarios.start import StartSolver
 
 DT = 0.001  # [s]

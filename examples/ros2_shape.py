@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from app import ControlLoop, Measurement, RobotModel, load_robot
-from app.simulation.plants.choice import make_physics
+from app.simulation.plants import make_physics
 
 
 class AvoidanceNode:

@@ -3,6 +3,7 @@
 import signal
 from collections.abc import Generator
 from contextlib import contextmanager
+from functools import partial
 from importlib.util import find_spec
 
 import pytest
@@ -10,15 +11,19 @@ from hypothesis import settings
 
 from app.border.cache import BorderData, load_border_data
 from app.cli import common
+from app.dashboard import job
 from app.errors import AssetError, ConfigError
+from app.jobs.process import run_in_process
 from app.robot.model import RobotModel
 from tests.browser import chromium
 from tests.robots import husky_panda
 
-# A shell starts what it runs in the background with Ctrl-C ignored, and the programs that tests
-# start would inherit that.
+# A shell starts what it runs in the background with Ctrl-C ignored, nohup with SIGHUP, and the
+# programs that tests start would inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if hasattr(signal, "SIGHUP"):
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 # A law does not fail because the machine is busy.
@@ -103,8 +108,12 @@ _borders: dict[RobotModel, BorderData] = {}
 
 @pytest.fixture(scope="module")
 def browser():
-    """A headless browser, one for the tests of a file."""
-    with chromium() as browser:
+    """A headless browser, one for the tests of a file.
+
+    What its pages ask for is made at the tests' own priority: other tests would hold it up.
+    """
+    with pytest.MonkeyPatch.context() as changed, chromium() as browser:
+        changed.setattr(job, "run_in_process", partial(run_in_process, niceness=0))
         yield browser
 
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from functools import cache
 from typing import NamedTuple
 
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.dashboard.page import Page
 from app.dashboard.robots import StartLoop
 from app.dashboard.scene.robot import RobotParts

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from app.border.cloud import Cloud, make_cloud, quantise_distances, quantise_points
+from app.border.dbb import Cloud, make_cloud, quantise_distances, quantise_points
 from app.border.mobile import MobileBody
 from app.config import Config
 from app.control.buffer_watch import BufferReading

@@ -13,8 +13,8 @@ import pinocchio as pin
 import pytest
 import trimesh
 
+from app.robot.assets import resolved_urdf
 from app.robot.model import RobotModel
-from app.robot.urdf import resolved_urdf
 from tests.robots import husky_panda
 
 pytest.importorskip("pybullet_data")  # it brings the meshes

@@ -8,9 +8,8 @@ import pytest
 from app.avoidance.mobile_acceleration import ActingPointFinder, step_size, tangential_step
 from app.border.dbb import Border
 from app.border.offset import OffsetContours
-from app.border.points import BorderPoints
 from app.border.score import ScoreField
-from app.border.surface import BorderSurface
+from app.border.surface import BorderPoints, BorderSurface
 from app.config import ForceConfig
 from app.robot.model import RobotModel
 

@@ -15,7 +15,7 @@ from app.control.drive import Drive
 from app.robot.bases.car_like import CarLikeBase, control_point_jacobian, nearest_in_cone
 from app.robot.bases.kind import BaseForce, planar
 from app.robot.state import Measurement, RobotState
-from app.simulation.plants.choice import make_physics
+from app.simulation.plants import make_physics
 from app.simulation.plants.planar import planar_plant
 from tests.bases import KINDS, base_of, robot_on
 from tests.finite_differences import jacobian

@@ -6,14 +6,17 @@ from __future__ import annotations
 
 from functools import cache
 
+import numpy as np
 import pytest
 
 from app.border.cache import BorderData, load_border_data
 from app.config import Config
-from app.errors import ConfigError
-from app.simulation.plants.choice import make_physics
+from app.control.control_loop import ControlLoop
+from app.errors import ConfigError, MeasurementError
+from app.robot.state import at_rest
+from app.simulation.plants import make_physics
 from app.simulation.run import run_scenario
-from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios import LINES
 from tests.bases import robot_on
 
 pytestmark = pytest.mark.slow
@@ -64,3 +67,18 @@ def test_a_holonomic_base_gives_way_sideways_in_pybullet_as_in_the_stand_in() ->
 def test_the_contact_plant_takes_no_other_kind_and_names_the_plants_that_do(kind: str) -> None:
     with pytest.raises(ConfigError, match=rf"{kind}: choose mujoco, planar or kinematic"):
         make_physics("mujoco-contact", robot_on(kind))
+
+
+def test_a_steering_angle_that_cannot_be_read_is_no_answer_to_rely_on() -> None:
+    robot = robot_on("car-like")
+    loop = ControlLoop(robot, border("car-like"))
+    good = at_rest(robot, np.array(robot.description.arm.ready_position))
+    assert loop.step(good).output.solved
+    command = loop.step(good._replace(drive=np.array([np.nan])))
+    assert not command.output.solved
+    assert np.isfinite(command.u_a).all()
+    assert np.isfinite(command.base_velocity).all()
+    assert loop.controller.failures == 1
+    assert loop.step(good).output.solved
+    with pytest.raises(MeasurementError, match=r"measurement.drive must be 1 numbers"):
+        loop.step(good._replace(drive=np.zeros(2)))

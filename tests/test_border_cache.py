@@ -11,12 +11,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.border import cache
-from app.border.cache import Content, border_key, load_border_data, pack, unpack
-from app.border.cloud import make_cloud
+from app.border import cache, sampling
+from app.border.cache import (
+    Content,
+    DamagedFileError,
+    border_key,
+    load_border_data,
+    pack,
+    read,
+    unpack,
+    write,
+)
 from app.border.config import SamplingConfig
-from app.border.kept import DamagedFileError, read, write
-from app.border.sampling import pairs
+from app.border.dbb import make_cloud
 from app.robot import assets
 from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel
@@ -137,7 +144,7 @@ def load(**options):
 def test_the_first_call_samples_and_the_next_ones_read(folder, monkeypatch):
     first = load()
     assert first.origin == "sampled"
-    monkeypatch.setattr(pairs, "sample_clouds", None)  # a second sampling would fail
+    monkeypatch.setattr(sampling, "sample_clouds", None)  # a second sampling would fail
     again = load()
     assert again.origin == "cache"
     assert_same(Content(first.pairs, first.clouds), Content(again.pairs, again.clouds))

@@ -7,8 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from app.border.cloud import Cloud, make_cloud, quantise_distances, quantise_points
-from app.border.dbb import construct_dbb
+from app.border.dbb import Cloud, construct_dbb, make_cloud, quantise_distances, quantise_points
 
 
 def ball_cloud(count: int, seed: int = 0) -> Cloud:

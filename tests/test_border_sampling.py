@@ -11,11 +11,10 @@ import time
 import numpy as np
 import pytest
 
-from app.border.cloud import quantise_points
 from app.border.config import SamplingConfig
-from app.border.sampling.flood import PairReader
-from app.border.sampling.pairs import sample_clouds
-from app.border.sampling.voxels import Voxels
+from app.border.dbb import quantise_points
+from app.border.flood import PairReader, Voxels
+from app.border.sampling import sample_clouds
 from app.errors import DescriptionError
 from app.jobs.pool import Workers
 from app.robot.link_pairs import Pair

@@ -15,10 +15,10 @@ from app.border.cache import BorderData
 from app.border.dbb import Border, construct_dbb
 from app.border.mobile import MobileBody
 from app.border.offset import RAYS, OffsetContours, ray_from
-from app.border.points import BorderPoints
 from app.border.score import ScoreField
 from app.border.surface import (
     STEEPEST_GAP,
+    BorderPoints,
     BorderSurface,
     Gap,
     find_reached,

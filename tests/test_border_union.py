@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from app.border.cache import load_border_data
-from app.border.cloud import make_cloud
-from app.border.dbb import Border
+from app.border.dbb import Border, make_cloud
 from app.border.mobile import MobileBody
 from app.border.offset import RAYS, OffsetContours
 from app.border.surface import BorderSurface
@@ -15,7 +14,7 @@ from app.config import Config
 from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, Cylinder, Hull
 from app.simulation.run import run_scenario
-from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.scenarios import scenario_by_name
 from tests.robots import husky_panda, with_mobile_shapes
 
 D_B = 0.15  # [m]

@@ -12,7 +12,7 @@ from app.simulation.case import RunCase
 from app.simulation.loop.commands import Pull
 from app.simulation.loop.ensemble import Ensemble
 from app.simulation.run import run_scenario, steps_of
-from app.simulation.scenarios.names import SCENARIOS
+from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.pulled import CHALLENGE
 from app.simulation.session import Session
 

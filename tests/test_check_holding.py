@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from app.onboarding.check import holding_row
-from app.onboarding.holding import carried_hand, holding_warning, lost_hand
+from app.onboarding.warn import carried_hand, holding_warning, lost_hand
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 from app.robot.packages import package_roots

@@ -23,7 +23,7 @@ import pytest
 from app.cli.main import COMMANDS, main
 from app.robot import assets
 from app.robot.state import Measurement, RobotState
-from app.simulation.scenarios.names import SCENARIOS
+from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.metrics import verdict
 from app.simulation.trace.trace import read_trace
 

@@ -19,7 +19,7 @@ from app.simulation.loop.commands import (
     Speed,
     StepOnce,
 )
-from app.simulation.scenarios.names import SCENARIOS
+from app.simulation.scenarios import SCENARIOS
 
 NAN = float("nan")
 

@@ -14,7 +14,7 @@ from app.errors import ConfigError
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Compare, Pull
 from app.simulation.loop.ensemble import Ensemble
-from app.simulation.scenarios.names import LINES, SCENARIOS
+from app.simulation.scenarios import LINES, SCENARIOS
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.snapshot import Score

@@ -45,8 +45,8 @@ from app.dashboard.server import check_address, serve_dashboard
 from app.dashboard.verdict import COLOURS, judge
 from app.dashboard.view import View
 from app.errors import AssetError, ConfigError, DescriptionError, ServerError
+from app.robot.assets import resolved_urdf
 from app.robot.packages import package_roots, resolve_package_uri
-from app.robot.urdf import resolved_urdf
 from app.simulation.loop.commands import Pull, Release
 from app.simulation.people import PullReading
 from app.simulation.trace.snapshot import PairReading

@@ -12,7 +12,7 @@ from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.disturbance import Disturbances, VelocityTracking
-from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session, Step
 

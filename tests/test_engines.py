@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import app.robot.urdf
+import app.robot.assets
 from app.errors import AssetError, ConfigError
-from app.robot.assets import load_robot, robot_names
+from app.robot.assets import load_robot, resolved_urdf, robot_names
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.robot.urdf import resolved_urdf
-from app.simulation.plants import choice as plants
-from app.simulation.plants.choice import PLANTS, chosen_plant, default_plant, make_physics
+from app.simulation import plants
+from app.simulation.plants import PLANTS, chosen_plant, default_plant, make_physics
 from app.simulation.plants.engines import SAME_DEPTH, SAME_PICTURE, compare_engines
 from app.simulation.plants.planar import planar_plant
 from tests.robots import husky_panda
@@ -96,7 +95,7 @@ def test_without_meshes_the_bodies_touch_instead_and_the_log_says_so(monkeypatch
     def missing(reference: str, folder: Path) -> Path:
         raise AssetError(f"{reference}: not installed")
 
-    monkeypatch.setattr(app.robot.urdf, "_mesh", missing)
+    monkeypatch.setattr(app.robot.assets, "_mesh", missing)
     model = RobotModel(load_robot("husky_panda"))
     ready = np.array(model.description.arm.ready_position)
     for kind in ("mujoco", "mujoco-contact"):

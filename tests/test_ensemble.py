@@ -15,8 +15,8 @@ from app.simulation.loop.commands import Compare, Pull
 from app.simulation.loop.ensemble import MOST_PULLS, Ensemble
 from app.simulation.loop.pacing import Pacer
 from app.simulation.run import begin
+from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Setting
-from app.simulation.scenarios.names import SCENARIOS
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.snapshot import make_snapshot

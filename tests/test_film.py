@@ -19,7 +19,7 @@ from app.dashboard.export.offscreen import Look
 from app.errors import OutputError
 from app.robot.model import RobotModel
 from app.simulation.run import filmed, steps_of
-from app.simulation.scenarios.names import scenario_of
+from app.simulation.scenarios import scenario_of
 from app.simulation.trace.snapshot import Snapshot
 
 SIZE = 64, 48

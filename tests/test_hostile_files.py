@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.border.kept import DamagedFileError, read
+from app.border.cache import DamagedFileError, read
 from app.cli.main import main
 from app.config_file import decode_config
 from app.errors import (

@@ -15,7 +15,7 @@ from app.config import Config
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.run import run_scenario
-from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios import LINES
 from app.simulation.trace.snapshot import QUANTITIES
 from tests.robots import husky_panda
 

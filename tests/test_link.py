@@ -11,7 +11,7 @@ from app.dashboard.panels.share import Link, camera_text, changed_parameters
 from app.errors import DbbError
 from app.simulation.case import RunCase
 from app.simulation.loop.commands import Choose, Configure, Play
-from app.simulation.scenarios.names import SCENARIOS
+from app.simulation.scenarios import SCENARIOS
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
 

@@ -17,7 +17,7 @@ from app.config import Config
 from app.errors import LogError, OutputError
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
-from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.scenarios import scenario_by_name
 from app.simulation.trace.metrics import metrics
 from app.simulation.trace.snapshot import QUANTITIES, Snapshot
 from app.simulation.trace.trace import read_trace

@@ -29,7 +29,7 @@ from app.simulation.loop.commands import (
     StepOnce,
 )
 from app.simulation.loop.loop import SimulationLoop
-from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session
 from app.simulation.trace.snapshot import Snapshot

@@ -21,7 +21,7 @@ from app.simulation.loop.commands import (
     Speed,
     StepOnce,
 )
-from app.simulation.scenarios.names import SCENARIOS
+from app.simulation.scenarios import SCENARIOS
 
 LATERAL = Play(SCENARIOS["guiding-lateral"])
 

@@ -13,7 +13,7 @@ from app.control.tasks import Reference, base_rest_acceleration
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.scenarios import scenario_by_name
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import Session
 

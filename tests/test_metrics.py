@@ -16,7 +16,7 @@ from app.config import Config
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 from app.simulation.plants.interface import Contacts
-from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import Session, Step
 from app.simulation.trace.columns import TraceMeta

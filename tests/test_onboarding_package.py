@@ -11,10 +11,9 @@ from pathlib import Path
 import pytest
 
 from app.errors import DbbError, RobotFileError
-from app.onboarding.new_robot import finish
+from app.onboarding.new_robot import finish, parse
 from app.onboarding.read import package as unpacking
 from app.onboarding.read.package import FOLDER, open_package
-from app.onboarding.read.parse import parse
 from app.onboarding.request import Request
 from tests.onboarding import arm, cart, cube, joint, robot, with_mesh, zipped
 

@@ -11,8 +11,7 @@ import pytest
 
 from app.errors import DbbError, RobotFileError
 from app.onboarding import new_robot
-from app.onboarding.new_robot import finish
-from app.onboarding.read.parse import parse
+from app.onboarding.new_robot import finish, parse
 from app.onboarding.read.tree import make_tree
 from app.onboarding.request import Request
 from app.onboarding.write import rebased_urdf

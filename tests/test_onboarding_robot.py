@@ -33,20 +33,18 @@ from app.onboarding.fit import grouping
 from app.onboarding.fit.bodies import FittedBody
 from app.onboarding.fit.collision_sampling import Meetings, Poses, make_units, sample_meetings
 from app.onboarding.fit.grouping import find_grouping
-from app.onboarding.new_robot import NewRobot, compiled, description, finish
-from app.onboarding.read.parse import parse
+from app.onboarding.new_robot import NewRobot, compiled, description, finish, parse
 from app.onboarding.read.source import mesh_address
 from app.onboarding.request import Request
 from app.onboarding.write import mesh_name
 from app.robot import assets, packages
-from app.robot.assets import ASSETS, load_robot, robot_names
+from app.robot.assets import ASSETS, load_robot, resolved_urdf, robot_names
 from app.robot.description import RobotDescription, load_description
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
 from app.robot.packages import package_roots, resolve_package_uri
-from app.robot.urdf import resolved_urdf
 from app.simulation.plants.collision_shapes import body_contact_pairs
-from app.simulation.scenarios.names import scenario_by_name, scenario_of
+from app.simulation.scenarios import scenario_by_name, scenario_of
 from tests.onboarding import (
     ARM_JOINTS,
     arm,

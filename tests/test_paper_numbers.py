@@ -12,7 +12,7 @@ from app.border.score import ScoreField
 from app.config import Config
 from app.control.admittance import AdmittanceLaw
 from app.robot.model import RobotModel
-from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.scenarios import scenario_by_name
 from app.simulation.session import DT
 
 

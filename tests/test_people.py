@@ -11,7 +11,7 @@ from app.config import Config, HandConfig
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.people import Hold, People, held_links, held_point
-from app.simulation.plants.choice import PLANTS, make_physics
+from app.simulation.plants import PLANTS, make_physics
 from app.simulation.plants.interface import Push
 from app.simulation.session import DT, Session
 from tests.robots import husky_panda

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from app.robot.state import RobotState
-from app.simulation.plants.choice import PLANTS, make_physics
+from app.simulation.plants import PLANTS, make_physics
 from app.simulation.plants.collision_shapes import body_contact_pairs, link_contact_pairs
 from app.simulation.plants.interface import Contacts
 from tests.hulls import hull_pairs

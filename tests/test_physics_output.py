@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from app.errors import AssetError
+from app.simulation.plants import PLANTS, make_physics
 from app.simulation.plants.bullet_world import BulletWorld
-from app.simulation.plants.choice import PLANTS, make_physics
 from tests.robots import husky_panda
 
 PROJECT = Path(__file__).resolve().parent.parent
@@ -20,7 +20,7 @@ PROJECT = Path(__file__).resolve().parent.parent
 RUN = """
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
-from app.simulation.plants.choice import make_physics
+from app.simulation.plants import make_physics
 import numpy as np
 plant = make_physics({kind!r}, RobotModel(load_robot("husky_panda")))
 for _ in range(10):

@@ -8,7 +8,7 @@ import pytest
 
 from app.errors import UnknownNameError
 from app.robot.state import RobotState
-from app.simulation.plants.choice import PLANTS, make_physics
+from app.simulation.plants import PLANTS, make_physics
 from tests.robots import husky_panda
 
 MODEL = husky_panda()

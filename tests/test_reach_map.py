@@ -11,7 +11,7 @@ import pinocchio as pin
 import pytest
 
 from app.border.config import ReachConfig
-from app.border.reach.chain import Chain, reach_bodies
+from app.border.reach.chain import AnalyticSolver, Chain, RestartSolver, make_solver, reach_bodies
 from app.border.reach.fit import fit_reachability, radial_profile
 from app.border.reach.map import (
     ReachMap,
@@ -20,7 +20,6 @@ from app.border.reach.map import (
     reach_key,
     sample_reach_map,
 )
-from app.border.reach.solver import AnalyticSolver, RestartSolver, make_solver
 from app.errors import ConfigError, UnknownNameError
 from app.robot import assets
 from app.robot.assets import load_robot

@@ -17,7 +17,7 @@ from app.errors import ConfigError, UnreachableError
 from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
-from app.simulation.plants.choice import make_physics
+from app.simulation.plants import make_physics
 from app.simulation.plants.collision_shapes import collision_shapes
 from app.simulation.plants.door import BODY, Door, OpenDoor, with_door
 from app.simulation.plants.interface import Contacts

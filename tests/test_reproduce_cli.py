@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from app.cli.main import main
-from app.simulation.scenarios.names import LINES, SCENARIOS
+from app.simulation.scenarios import LINES, SCENARIOS
 from app.studies.paper.report import FIGURES
 
 PROJECT = Path(__file__).parent.parent

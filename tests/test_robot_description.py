@@ -10,12 +10,11 @@ from xml.etree import ElementTree
 import pytest
 
 from app.errors import AssetError, DescriptionError, UnknownNameError
-from app.robot import assets, urdf
-from app.robot.assets import load_robot, robot_names
+from app.robot import assets
+from app.robot.assets import load_robot, resolved_urdf, robot_names
 from app.robot.description import load_description, tomllib
 from app.robot.model import RobotModel
 from app.robot.packages import resolve_package_uri
-from app.robot.urdf import resolved_urdf
 
 ORIGINAL = tomllib.loads((assets.ASSETS / "husky_panda/robot.toml").read_text(encoding="utf-8"))
 
@@ -292,7 +291,7 @@ def test_meshes_are_resolved_whatever_their_quotes_and_escapes(tmp_path, monkeyp
         "<mesh filename='a &amp; b.stl'/></geometry></visual></link></robot>",
         encoding="utf-8",
     )
-    monkeypatch.setattr(urdf, "urdf_path", lambda description: folder / "robot.urdf")
+    monkeypatch.setattr(assets, "urdf_path", lambda description: folder / "robot.urdf")
     tree = ElementTree.fromstring(resolved_urdf(load_robot("husky_panda")))
     assert [mesh.get("filename") for mesh in tree.iter("mesh")] == [str(folder / "a & b.stl")]
     assert tree.find("link/inertial/mass") is not None

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 
+from app.border.offset import offset_contours
+from app.robot.model import RobotModel, kept_per_model
+from app.simulation.plants.collision_shapes import collision_shapes
 from tests.hulls import URDF, body_pairs, collision_points, hull_pairs
 from tests.robots import husky_panda
 
@@ -120,3 +126,28 @@ def test_where_hulls_of_links_collide_their_bodies_do_and_sheltered_links_never_
             assert (hulls.body_of[a], hulls.body_of[b]) in overlapping, (a, b, q)
             assert not {a, b} & SHELTERED, (a, b, q)
     assert hits > 500
+
+
+def test_what_is_kept_of_a_model_is_made_once_within_bounds_and_goes_with_it() -> None:
+    made = []
+
+    @kept_per_model(2)
+    def bodies(model: RobotModel, scale: float = 1.0) -> list[float]:
+        made.append(scale)
+        return [scale] * len(model.body_names)
+
+    model = RobotModel(husky_panda().description)
+    assert bodies(model, 2.0) is bodies(model, 2.0)
+    assert bodies(husky_panda(), 2.0) is not bodies(model, 2.0)
+    for scale in (3.0, 4.0, 3.0, 2.0):  # the last was forgotten for 4.0
+        bodies(model, scale=scale)
+    assert made == [2.0, 2.0, 3.0, 4.0, 2.0]
+    collision_shapes(model)
+    offset_contours(model, 0.1)
+    ref = weakref.ref(model)
+    gc.disable()
+    try:
+        del model
+        assert ref() is None
+    finally:
+        gc.enable()

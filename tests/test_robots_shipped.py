@@ -9,10 +9,9 @@ import pytest
 from app.errors import AssetError
 from app.onboarding.check import base_row, bullet_row, limits_row, mujoco_row
 from app.robot import assets, packages
-from app.robot.assets import load_robot, robot_names
+from app.robot.assets import load_robot, resolved_urdf, robot_names
 from app.robot.model import RobotModel
 from app.robot.packages import package_roots, resolve_package_uri
-from app.robot.urdf import resolved_urdf
 
 PACKAGES = {
     "husky_panda": "pybullet_data",

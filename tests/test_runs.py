@@ -13,7 +13,7 @@ from app.config import Config
 from app.control.controller import CONTROLLERS
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
-from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session
 from app.simulation.trace.metrics import metrics

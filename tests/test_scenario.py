@@ -11,8 +11,8 @@ from app.config import Config
 from app.errors import ConfigError, TargetError, UnknownNameError
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
+from app.simulation.scenarios import LINES, SCENARIOS, scenario_by_name
 from app.simulation.scenarios.line import LineScenario
-from app.simulation.scenarios.names import LINES, SCENARIOS, scenario_by_name
 
 
 @pytest.fixture(params=LINES)

@@ -20,7 +20,7 @@ from app.dashboard.export.offscreen import Look, RecordedLoop
 from app.dashboard.export.screenshot import strip, take_pictures
 from app.errors import BrowserError
 from app.simulation.run import filmed, steps_of
-from app.simulation.scenarios.names import scenario_by_name
+from app.simulation.scenarios import scenario_by_name
 from tests.logs import random_snapshots
 
 PROJECT = Path(__file__).parent.parent

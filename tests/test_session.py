@@ -16,8 +16,8 @@ from app.control.drive import Drive
 from app.errors import TargetError, UnknownNameError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
-from app.simulation.plants.choice import PLANTS
-from app.simulation.scenarios.names import LINES
+from app.simulation.plants import PLANTS
+from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session, Step
 

@@ -13,7 +13,7 @@ from app.config import Config
 from app.errors import UnreachableError
 from app.robot.link_pairs import PairDistances
 from app.robot.model import RobotModel
-from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver, find_start
 
 D_B = Config().border.d_b

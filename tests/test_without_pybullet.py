@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.border.reach import solver as reach_solver
-from app.border.reach.chain import Chain
-from app.border.reach.solver import make_solver
+from app.border.reach import chain as reach_solver
+from app.border.reach.chain import Chain, make_solver
 from app.dashboard.scene.robot import RobotParts
 from app.errors import AssetError
 from app.robot.assets import load_robot
@@ -110,7 +109,7 @@ def test_the_default_plant_is_pybullets_where_it_is_installed(missing: bool, def
     if not missing:
         pytest.importorskip("pybullet")
     code = (WITHOUT if missing else "") + (
-        "\nfrom app.simulation.plants.choice import default_plant\nprint(default_plant())"
+        "\nfrom app.simulation.plants import default_plant\nprint(default_plant())"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=PROJECT, capture_output=True, text=True, check=True

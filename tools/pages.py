@@ -24,7 +24,7 @@ from unittest import mock
 from app.cli.main import main as dbb
 from app.config import sections
 from app.parameters import Parameter
-from app.simulation.scenarios.names import SCENARIOS
+from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.metrics import DOOR, FIGURES
 from app.studies.pulls.parameters import LOGARITHMIC, StudyRange
 from tools import results

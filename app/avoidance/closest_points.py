@@ -85,7 +85,7 @@ class DistanceMonitor:
     def distances(self) -> tuple[float, ...]:
         """[m] the signed distance of every pair, without the points."""
         self._distances.update_from(self._state.data)
-        return tuple(self._distances.distance(i) for i in range(len(self._distances.pairs)))
+        return self._distances.distances()
 
 
 class SmoothPoint:

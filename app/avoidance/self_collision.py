@@ -23,12 +23,10 @@ from app.avoidance.task import (
     mobile_activation,
     mobile_rows,
 )
-from app.border.cloud import Cloud
-from app.border.dbb import construct_dbb
-from app.border.offset import OffsetContours
-from app.border.points import BorderPoints
+from app.border.dbb import Cloud, construct_dbb
+from app.border.offset import offset_contours
 from app.border.score import ScoreField
-from app.border.surface import BorderSurface
+from app.border.surface import BorderPoints, BorderSurface
 from app.config import Config
 from app.robot.link_pairs import LinkPairs
 from app.robot.state import RobotState
@@ -181,7 +179,7 @@ class SelfCollisionAvoidance:
 
     def _make_finders(self, config: Config) -> dict[str, ActingPointFinder]:
         model = self._state.model
-        offset = OffsetContours(model, config.border.d_b)
+        offset = offset_contours(model, config.border.d_b)
         as_shape = BORDERS[config.border.kind]
         finders = {}
         for pair in self._pairs.mobile:

@@ -12,7 +12,7 @@ import numpy as np
 
 from app.border.contours import BLOCK, Contours, Table
 from app.border.mobile import ConvexPart, MobileBody
-from app.robot.model import RobotModel
+from app.robot.model import RobotModel, kept_per_model
 
 Array = np.ndarray
 
@@ -47,6 +47,12 @@ class OffsetContours(Contours):
         traced = _outermost([each for each in traced if len(each[1].heights)], d_b)
         self.rings: tuple[Rings, ...] = tuple(rings for _, rings, _ in traced)
         super().__init__(_table(self.rings, [shown for *_, shown in traced]))
+
+
+@kept_per_model(4)
+def offset_contours(model: RobotModel, d_b: float) -> OffsetContours:
+    """The contours for a buffer distance d_b [m], traced once: each controller asks for them."""
+    return OffsetContours(model, d_b)
 
 
 def ray_from(points_xy: Array, centre: Array) -> Array:

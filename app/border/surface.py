@@ -3,16 +3,18 @@
 Its contours are those of the exact offset, which the cloud samples. The cloud says which part of
 each contour the arm can reach: where it leaves a wide gap, the contour is open there. A point and
 its nearest point on the surface move together, at a cost that does not depend on the cloud.
+`BorderPoints` is the border as the paper has it: the sampled points alone.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from app.border.contours import Contours
+from app.border.contours import Contours, Foot
 from app.border.dbb import Border
 from app.border.offset import RAYS, OffsetContours, ray_from
 
@@ -39,6 +41,44 @@ class BorderSurface(Contours):
     def __init__(self, border: Border, offset: OffsetContours) -> None:
         """The sampled border of one pair, and the exact offset of l_m for the same d_b."""
         super().__init__(offset.table._replace(reached=find_reached(border, offset)))
+
+
+class BorderPoints:
+    """DBB_i as points; where a height has none, the exact offset of l_m takes their place."""
+
+    def __init__(self, border: Border, offset: OffsetContours) -> None:
+        """The sampled border of one pair, and the exact offset of l_m for the same d_b."""
+        self._border, self._offset = border, offset
+
+    def nearest(self, p: Array) -> Foot | None:
+        """FindSameHeight and FindMinDistancePoint: the point nearest to p at p's height.
+
+        The tangent is at right angles to the way from p to that point. Where p lies on the border,
+        which is known to within ε, that way has no direction: there it is the offset's tangent.
+
+        Paper: Algorithm 3, lines 1 to 4.
+
+        Args:
+            p: (3,) [m] in the base's frame.
+
+        Returns:
+            None only if l_m has no border at all.
+        """
+        exact = None
+        points = self._border.same_height(float(p[2]))
+        if len(points):
+            ways = points[:, :2] - p[:2]
+            x, y, _ = points[np.einsum("ij,ij->i", ways, ways).argmin()].tolist()
+        elif (exact := self._offset.nearest(p)) is not None:
+            x, y, _ = exact.p.tolist()
+        else:
+            return None
+        p_n = np.array([x, y, p[2]])
+        length = math.hypot(x - float(p[0]), y - float(p[1]))
+        if length > self._border.eps:
+            return Foot(p_n, np.array([(p[1] - y) / length, (x - p[0]) / length, 0.0]))
+        exact = exact or self._offset.nearest(p_n)
+        return Foot(p_n, np.array([0.0, 1.0, 0.0]) if exact is None else exact.t)
 
 
 class Gap(NamedTuple):

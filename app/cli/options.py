@@ -16,7 +16,7 @@ from app.config_file import read_config
 from app.control import CONTROLLERS
 from app.errors import ConfigError, OutputError, UnknownNameError
 from app.parameters import Parameter
-from app.simulation.plants.choice import chosen_plant, default_plant
+from app.simulation.plants import chosen_plant, default_plant
 from app.strict import MOST_SEEDS, check_range
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]

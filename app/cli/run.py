@@ -25,8 +25,8 @@ from app.cli.options import (
 )
 from app.cli.records import Given, from_record
 from app.cli.wanted import Wanted, read
+from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
-from app.simulation.scenarios.names import SCENARIOS, scenario_of
 from app.system import write_whole
 
 if TYPE_CHECKING:

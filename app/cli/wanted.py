@@ -11,8 +11,8 @@ from app.cli.options import Setup, check_name, configured
 from app.cli.records import Given
 from app.config import Config
 from app.jobs.progress import progress_bar
+from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
-from app.simulation.scenarios.names import SCENARIOS, scenario_of
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData

@@ -38,7 +38,7 @@ from app.errors import DbbError
 from app.robot.description import RobotDescription
 from app.simulation.loop.commands import Compare, Play, Reset
 from app.simulation.loop.loop import LoopHandle
-from app.simulation.scenarios.names import SCENARIOS, own_line
+from app.simulation.scenarios import SCENARIOS, own_line
 from app.simulation.trace.snapshot import Snapshot
 
 PanelType = TypeVar("PanelType", bound=Panel)

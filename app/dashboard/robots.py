@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
 
 from app.border.cache import BorderData, kept_border_data
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.config import Config
 from app.dashboard.job import Job, build_robot, look_into_package, sample_border
 from app.dashboard.scene.robot import RobotParts
@@ -18,11 +18,17 @@ from app.errors import ConfigError, DbbError
 from app.jobs.process import Cancelled
 from app.onboarding.read.package import LARGEST_ARCHIVE, Contents
 from app.onboarding.request import Request
-from app.robot.assets import load_robot, robot_folder, robot_names, user_robots
+from app.robot.assets import (
+    bare_urdf,
+    load_robot,
+    resolved_urdf,
+    robot_folder,
+    robot_names,
+    user_robots,
+)
 from app.robot.model import RobotModel
-from app.robot.urdf import bare_urdf, resolved_urdf
 from app.simulation.loop.loop import LoopHandle
-from app.simulation.plants.choice import default_plant
+from app.simulation.plants import default_plant
 
 _NEEDED = resolved_urdf if default_plant() == "planar" else bare_urdf
 """pybullet reads every mesh; MuJoCo and the viewer take the convex bodies if one is missing."""

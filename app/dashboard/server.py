@@ -12,7 +12,7 @@ from pathlib import Path
 
 import viser
 
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.dashboard.export.screenshot import page_picture
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Demonstration, Page, show_failure

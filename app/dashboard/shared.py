@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.config import Config, tunable
 from app.dashboard.drag import Sink
 from app.dashboard.job import Challenge, Job

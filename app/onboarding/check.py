@@ -19,11 +19,11 @@ from app.errors import DbbError, UnreachableError
 from app.onboarding.fit.collision_sampling import ALWAYS, units_of_links
 from app.onboarding.fit.grouping import UNSEEN_POSES, unseen_collisions
 from app.onboarding.fit.postures import judge_ready
-from app.onboarding.holding import carried_hand, holding_warning
 from app.onboarding.numbers import gravity_load, largest_of_poses
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
+from app.onboarding.warn import carried_hand, holding_warning
 from app.robot.assets import urdf_path
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import PairDistances, sample_joints
@@ -273,12 +273,8 @@ def pairs_row(model: RobotModel, data: BorderData) -> Row:
     if not pairs.mobile:
         return Row("pairs", "warned", "no part of the arm can meet the base", {})
     missing = [p.b for p in pairs.mobile if p.b not in model.description.reachability]
-    reader = PairDistances(model, pairs.all)
-    distances = []
-    for q_m in sample_joints(model, _NEAR_POSES, np.random.default_rng(1)):
-        reader.update(model.configuration((0.0, 0.0, 0.0), q_m))
-        distances.append([reader.distance(i) for i in range(len(pairs.all))])
-    seen = np.array(distances)
+    poses = sample_joints(model, _NEAR_POSES, np.random.default_rng(1))
+    seen = PairDistances(model, pairs.all).sampled(poses)
     free = (seen > 0.0).all(axis=1)
     near = (seen[free] < d_b).mean(axis=0) if free.any() else np.ones(len(pairs.all))
     names = [pair.name for pair in pairs.all]
@@ -347,7 +343,7 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     not come into the inner half of the buffer even without avoidance, the run shows nothing.
     """
     from app.simulation.run import run_scenario
-    from app.simulation.scenarios.names import scenario_of
+    from app.simulation.scenarios import scenario_of
 
     scenario, config = scenario_of(model.description, name), Config()
     run = partial(run_scenario, model, data, scenario, config)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
@@ -20,22 +21,24 @@ from app.onboarding.fit.collision_sampling import Meetings, make_units, sample_m
 from app.onboarding.fit.grouping import Grouping, Unseen, Verdict, find_grouping, unseen_collisions
 from app.onboarding.fit.postures import RULE, Place, Ready, find_places, find_ready, judge_ready
 from app.onboarding.numbers import (
+    Limits,
     Reach,
     Sourced,
     base_numbers,
     completed,
     damping,
     find_reach,
-    wheel_fields,
-    with_source,
+    read_limits,
 )
+from app.onboarding.read.links import LinkGeometry, LinkInertia, read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
-from app.onboarding.read.parse import Parsed, parse
+from app.onboarding.read.source import locate, read_robot
+from app.onboarding.read.tree import Arm, Tree, find_arm, make_tree
+from app.onboarding.read.wheels import Steering, Wheels, find_drive, with_rigid_suspensions
 from app.onboarding.report import report_html
-from app.onboarding.request import Request
+from app.onboarding.request import Request, package_folders
 from app.onboarding.warn import warnings_of
-from app.onboarding.write import ROOT, rebased_urdf, whole_folder, write_robot
-from app.robot.description import KINDS, RobotDescription
+from app.onboarding.write import compiled, description, rebased_urdf, whole_folder, write_robot
 from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.model import RobotModel
 from app.system import write_whole
@@ -46,6 +49,21 @@ MEETING_SAMPLES = 6000
 """[-] random poses in which the links' hulls are compared."""
 PAIR_SAMPLES = 20_000
 """[-] random poses for the pairs of the report."""
+PREFIX = "arm_"
+"""Before the names of an arm's links and joints that the base has too."""
+
+
+@dataclass(frozen=True)
+class Parsed:
+    """What the URDF itself says."""
+
+    tree: Tree
+    arm: Arm
+    geometry: dict[str, LinkGeometry]
+    wheels: Wheels
+    inertias: dict[str, LinkInertia]
+    limits: Limits
+    steering: Steering | None = None
 
 
 @dataclass(frozen=True)
@@ -239,79 +257,102 @@ def _moving(
     }
 
 
-def description(
-    request: Request,
-    parsed: Parsed,
-    bodies: Sequence[FittedBody] = (),
-    moving: tuple[Sourced, Sourced] | None = None,
-    unwatched: Mapping[str, str] = MappingProxyType({}),
-) -> dict[str, Any]:
-    """A description, its URDF by name; without numbers and bodies, for kinematics and dynamics.
-
-    Args:
-        request: What was asked.
-        parsed: What the URDF says.
-        bodies: Of the robot; dots stand for them.
-        moving: Of the base and the arm; ones stand for them, and the middle of the joints.
-        unwatched: Why a pair of bodies is not watched, by its name.
-    """
-    arm, limits = parsed.arm, parsed.limits
-    wheels = wheel_fields(request.kind, parsed.wheels, parsed.steering)
-    if moving is None:
-        fields = KINDS[request.kind].model_fields.keys() - {"source", "kind", "link", *wheels}
-        middle = tuple((a + b) / 2 for a, b in zip(limits.lower, limits.upper, strict=True))
-        limits = limits._replace(effort=tuple(e or 1.0 for e in limits.effort))
-        moving = (
-            dict.fromkeys(sorted(fields), (1.0, "assumed")),
-            {
-                "ready_position": (middle, "assumed"),
-                "joint_damping": ((0.0,) * len(middle), "assumed"),
-            },
-        )
-    given = any((*request.tip_xyz, *request.tip_rpy))
-    tip = "given: --tip-xyz, --tip-rpy" if given else "from the URDF: the origin of --tip"
-    hand = {
-        "end_effector_xyz_m": (request.tip_xyz, tip),
-        "end_effector_rpy_rad": (request.tip_rpy, tip),
-    }
-    chain = {
-        "mount_link": arm.mount,
-        "joints": tuple(joint.name for joint in arm.joints),
-        "end_effector_link": arm.tip,
-    }
-    dot = {"source": "none", "frame": ROOT, "covers": (ROOT,)}
-    dot["shapes"] = [{"type": "sphere", "radius_m": 0.01}]
-    return {
-        "name": request.name,
-        "title": request.title or request.name.replace("_", " "),
-        "urdf": "robot.urdf",
-        "licence": request.licence or "Of the files that the URDF refers to: see SOURCES.md.",
-        "base": with_source({"kind": request.kind, "link": ROOT}, moving[0], wheels),
-        "arm": with_source(chain, {**hand, **limits.numbers, **moving[1]}),
-        "bodies": [_body(body) for body in bodies] or [{"name": n, **dot} for n in ("lm", "l1")],
-        "reachability": {},
-        "unwatched": dict(unwatched),
-    }
-
-
-def _body(body: FittedBody) -> dict[str, Any]:
-    over = ", ".join(f"{fit.over_cover:.2f}" for fit in body.fits)
-    out = max(fit.protrusion for fit in body.fits)
-    shapes = [fit.shape.model_dump() for fit in body.fits]
-    return {
-        "name": body.name,
-        "source": f"fitted around the hulls of the covered links where they can meet others: "
-        f"{over} times their volume, at most {out:.3f} m outside of them",
-        "frame": body.frame,
-        "covers": body.links,
-        "shapes": [{k: v for k, v in s.items() if k != "rpy_rad" or any(v)} for s in shapes],
-    }
-
-
-def compiled(content: Mapping[str, Any], urdf: Path) -> RobotModel:
-    """The robot of a description and a URDF.
+def parse(request: Request) -> Parsed:
+    """Read and check the URDF; everything that can be wrong with it is reported here.
 
     Raises:
-        DescriptionError: It is no robot that the core takes.
+        RobotFileError: It cannot become a robot; says why, and which option helps.
+        AssetError: A package is not installed.
     """
-    return RobotModel(RobotDescription.model_validate({**content, "urdf": str(urdf)}))
+    robot, tip = _whole_robot(request)
+    tree = make_tree(_with_distinct_joints(robot))
+    arm = find_arm(tree, request.base, tip, request.mount)
+    limits = read_limits(arm)
+    _check_ready(request, arm, limits)
+    geometry = read_geometry(tree)
+    if not any(geometry[name].shapes for part in arm.segments for name in part):
+        raise RobotFileError(f"no link between {request.base!r} and {tip!r} has a shape")
+    arm = with_rigid_suspensions(tree, arm, geometry)
+    wheels, steering = find_drive(request, tree, arm, geometry)
+    inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)
+    return Parsed(tree, arm, geometry, wheels, inertias, limits, steering)
+
+
+def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
+    """Refuse a ready pose that the description would not take."""
+    if request.ready is None:
+        return
+    if len(request.ready) != len(arm.joints):
+        names = ", ".join(joint.name for joint in arm.joints)
+        raise RobotFileError(
+            f"--ready: {len(request.ready)} numbers; the arm has {len(arm.joints)} joints: {names}"
+        )
+    for joint, q, low, high in zip(
+        arm.joints, request.ready, limits.lower, limits.upper, strict=True
+    ):
+        if not low <= q <= high:
+            raise RobotFileError(
+                f"--ready: {joint.name} at {q:g} is outside of its limits, {low:g} to {high:g}"
+            )
+
+
+def _whole_robot(request: Request) -> tuple[Element, str]:
+    """The robot with its arm on it, and the tip's name there."""
+    packages = package_folders(request.package)
+    robot, tip = read_robot(locate(request.urdf), packages), request.tip
+    if request.arm_urdf is None:
+        return robot, tip
+    arm = read_robot(locate(request.arm_urdf), packages)
+    for part in (robot, arm):  # what is wrong with either is reported as its own
+        make_tree(part)
+    names = [{link.get("name") for link in part.findall("link")} for part in (robot, arm)]
+    return _composed(robot, arm, request), PREFIX + tip if tip in names[0] & names[1] else tip
+
+
+def _with_distinct_joints(robot: Element) -> Element:
+    """The robot with `_joint` after the name of each joint that is a link's name too.
+
+    A URDF may name them so, but pinocchio then cannot tell their frames apart.
+    """
+    links = {link.get("name") for link in robot.findall("link")}
+    taken = links | {joint.get("name") for joint in robot.findall("joint")}
+    robot = deepcopy(robot)
+    renamed: dict[str, str] = {}
+    for joint in robot.findall("joint"):
+        if (name := joint.get("name")) in links and name:
+            new = f"{name}_joint"
+            while new in taken:
+                new += "_"
+            taken.add(new)
+            renamed[name] = new
+            joint.set("name", new)
+    for mimic in robot.iterfind("joint/mimic"):
+        mimic.set("joint", renamed.get(str(mimic.get("joint")), str(mimic.get("joint"))))
+    return robot
+
+
+def _composed(base: Element, arm: Element, request: Request) -> Element:
+    """One robot: the arm's root fixed to --base; its names that the base has get `arm_` in front.
+
+    Neither of the two is changed.
+    """
+    robot, arm = deepcopy(base), deepcopy(arm)
+    for tag, roles in (("link", ("parent", "child")), ("joint", ("mimic",))):
+        taken = {each.get("name") for each in base.findall(tag)}
+        for each in arm.findall(tag):
+            if each.get("name") in taken:
+                each.set("name", f"{PREFIX}{each.get('name')}")
+        for role in roles:
+            for end in arm.iterfind(f"joint/{role}"):
+                if end.get(tag) in taken:
+                    end.set(tag, f"{PREFIX}{end.get(tag)}")
+    root = make_tree(arm).root
+    known = {m.get("name") for m in base.findall("material")}
+    robot.extend(m for m in arm.findall("material") if m.get("name") not in known)
+    robot.extend([*arm.findall("link"), *arm.findall("joint")])
+    joint = SubElement(robot, "joint", name="arm_on_base", type="fixed")
+    SubElement(joint, "parent", link=request.base)
+    SubElement(joint, "child", link=root)
+    xyz, rpy = (" ".join(map(repr, each)) for each in (request.mount_xyz, request.mount_rpy))
+    SubElement(joint, "origin", xyz=xyz, rpy=rpy)
+    return robot

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -18,16 +19,19 @@ import tomlkit
 from tomlkit.items import Item
 
 from app.errors import OutputError
+from app.onboarding.numbers import Sourced, wheel_fields, with_source
 from app.onboarding.read.links import LinkGeometry, LinkInertia
 from app.onboarding.read.package import FOLDER
-from app.onboarding.read.parse import Parsed
 from app.onboarding.read.source import mesh_path
 from app.onboarding.read.tree import MOVING, Joint
-from app.robot.description import load_description
+from app.robot.description import KINDS, RobotDescription, load_description
+from app.robot.model import RobotModel
 from app.system import write_whole
 
 if TYPE_CHECKING:
-    from app.onboarding.new_robot import NewRobot
+    from app.onboarding.fit.bodies import FittedBody
+    from app.onboarding.new_robot import NewRobot, Parsed
+    from app.onboarding.request import Request
 
 ROOT = "floor_point"
 """Link of the point on the floor below the middle between the wheels: the base's frame."""
@@ -256,3 +260,81 @@ def _add_inertial(link: Element, inertia: pin.Inertia) -> None:
 
 def _words(numbers: np.ndarray) -> str:
     return " ".join(f"{value + 0.0:.9g}" for value in np.where(np.abs(numbers) < 1e-12, 0, numbers))
+
+
+def description(
+    request: Request,
+    parsed: Parsed,
+    bodies: Sequence[FittedBody] = (),
+    moving: tuple[Sourced, Sourced] | None = None,
+    unwatched: Mapping[str, str] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """A description, its URDF by name; without numbers and bodies, for kinematics and dynamics.
+
+    Args:
+        request: What was asked.
+        parsed: What the URDF says.
+        bodies: Of the robot; dots stand for them.
+        moving: Of the base and the arm; ones stand for them, and the middle of the joints.
+        unwatched: Why a pair of bodies is not watched, by its name.
+    """
+    arm, limits = parsed.arm, parsed.limits
+    wheels = wheel_fields(request.kind, parsed.wheels, parsed.steering)
+    if moving is None:
+        fields = KINDS[request.kind].model_fields.keys() - {"source", "kind", "link", *wheels}
+        middle = tuple((a + b) / 2 for a, b in zip(limits.lower, limits.upper, strict=True))
+        limits = limits._replace(effort=tuple(e or 1.0 for e in limits.effort))
+        moving = (
+            dict.fromkeys(sorted(fields), (1.0, "assumed")),
+            {
+                "ready_position": (middle, "assumed"),
+                "joint_damping": ((0.0,) * len(middle), "assumed"),
+            },
+        )
+    given = any((*request.tip_xyz, *request.tip_rpy))
+    tip = "given: --tip-xyz, --tip-rpy" if given else "from the URDF: the origin of --tip"
+    hand = {
+        "end_effector_xyz_m": (request.tip_xyz, tip),
+        "end_effector_rpy_rad": (request.tip_rpy, tip),
+    }
+    chain = {
+        "mount_link": arm.mount,
+        "joints": tuple(joint.name for joint in arm.joints),
+        "end_effector_link": arm.tip,
+    }
+    dot = {"source": "none", "frame": ROOT, "covers": (ROOT,)}
+    dot["shapes"] = [{"type": "sphere", "radius_m": 0.01}]
+    return {
+        "name": request.name,
+        "title": request.title or request.name.replace("_", " "),
+        "urdf": "robot.urdf",
+        "licence": request.licence or "Of the files that the URDF refers to: see SOURCES.md.",
+        "base": with_source({"kind": request.kind, "link": ROOT}, moving[0], wheels),
+        "arm": with_source(chain, {**hand, **limits.numbers, **moving[1]}),
+        "bodies": [_body(body) for body in bodies] or [{"name": n, **dot} for n in ("lm", "l1")],
+        "reachability": {},
+        "unwatched": dict(unwatched),
+    }
+
+
+def _body(body: FittedBody) -> dict[str, Any]:
+    over = ", ".join(f"{fit.over_cover:.2f}" for fit in body.fits)
+    out = max(fit.protrusion for fit in body.fits)
+    shapes = [fit.shape.model_dump() for fit in body.fits]
+    return {
+        "name": body.name,
+        "source": f"fitted around the hulls of the covered links where they can meet others: "
+        f"{over} times their volume, at most {out:.3f} m outside of them",
+        "frame": body.frame,
+        "covers": body.links,
+        "shapes": [{k: v for k, v in s.items() if k != "rpy_rad" or any(v)} for s in shapes],
+    }
+
+
+def compiled(content: Mapping[str, Any], urdf: Path) -> RobotModel:
+    """The robot of a description and a URDF.
+
+    Raises:
+        DescriptionError: It is no robot that the core takes.
+    """
+    return RobotModel(RobotDescription.model_validate({**content, "urdf": str(urdf)}))

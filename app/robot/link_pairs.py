@@ -85,7 +85,7 @@ class PairDistances:
     def __init__(self, model: RobotModel, pairs: Sequence[Pair]) -> None:
         self.pairs = tuple(pairs)
         self.data = model.pin.createData()
-        self._pin = model.pin
+        self._model, self._pin = model, model.pin
         self._geometry = model.geometry.copy()
         self._geometry.removeAllCollisionPairs()
         groups: list[range] = []
@@ -112,6 +112,18 @@ class PairDistances:
     def distance(self, i: int) -> float:
         """[m] signed distance of the i-th pair."""
         return min(result.min_distance for result in self._results[i])
+
+    def distances(self) -> tuple[float, ...]:
+        """[m] signed distances of all pairs."""
+        return tuple(self.distance(i) for i in range(len(self.pairs)))
+
+    def sampled(self, q_m: Array) -> Array:
+        """(N, pairs) [m] signed distances at joint positions (N, n_m), the base at the origin."""
+        found = np.empty((len(q_m), len(self.pairs)))
+        for row, pose in zip(found, q_m, strict=True):
+            self.update(self._model.configuration((0.0, 0.0, 0.0), pose))
+            row[:] = self.distances()
+        return found
 
     def closest(self, i: int) -> Closest:
         """The closest points of the i-th pair; copies, safe to keep."""
@@ -172,7 +184,8 @@ def find_link_pairs(model: RobotModel, *, samples: int = 100_000, seed: int = 0)
         A pair stands in L if any sample has a signed distance of zero or less.
     """
     pairs = candidate_pairs(model)
-    distances = _sampled_distances(model, pairs, samples, seed)
+    q_m = sample_joints(model, samples, np.random.default_rng(seed))
+    distances = PairDistances(model, pairs).sampled(q_m)
     rates = dict(zip(pairs, (distances <= 0.0).mean(axis=0).tolist(), strict=True))
     least = dict(zip(pairs, distances.min(axis=0).tolist(), strict=True))
     lm = model.description.mobile_body.name
@@ -185,19 +198,3 @@ def find_link_pairs(model: RobotModel, *, samples: int = 100_000, seed: int = 0)
         samples=samples,
         seed=seed,
     )
-
-
-def _sampled_distances(
-    model: RobotModel, pairs: tuple[Pair, ...], samples: int, seed: int
-) -> Array:
-    """(samples, pairs) [m] signed distances at random joint positions."""
-    reader = PairDistances(model, pairs)
-    q = model.configuration((0.0, 0.0, 0.0), model.q_lower)
-    distances = np.empty((samples, len(pairs)))
-    for row, q_m in zip(
-        distances, sample_joints(model, samples, np.random.default_rng(seed)), strict=True
-    ):
-        q[4:] = q_m
-        reader.update(q)
-        row[:] = [reader.distance(i) for i in range(len(pairs))]
-    return distances

@@ -7,16 +7,21 @@ velocity to pinocchio's is the constant matrix S, and M_r = Sᵀ M S without a t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Concatenate, ParamSpec, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pinocchio as pin
 
 from app.errors import DescriptionError
+from app.robot.assets import bare_urdf
 from app.robot.description import RobotDescription
-from app.robot.urdf import bare_urdf
 
 Array = np.ndarray
+Options = ParamSpec("Options")
+Result = TypeVar("Result")
 
 
 class RobotModel:
@@ -31,6 +36,7 @@ class RobotModel:
         body_joints: Pinocchio's joint that carries each body, by its name.
         n: Degrees of freedom of the reduced velocity, n_b + n_m.
         n_b: Degrees of freedom of the base.
+        n_d: How many numbers the base's drive has beside its velocity.
         n_m: Degrees of freedom of the arm.
         J_m: (n_b, n_b) the base's Jacobian, (19) of a differential one.
         J_m_inv: (n_b, n_b) its inverse.
@@ -54,7 +60,7 @@ class RobotModel:
         self.pin = _planar_model(description)
         self.n_m = len(description.arm.joints)
         base = description.base
-        self.n_b = base.n_b
+        self.n_b, self.n_d = base.n_b, len(base.drive_at_rest())
         self.n = self.n_b + self.n_m
         self.J_m = base.J_m
         self.J_m_inv = np.linalg.inv(self.J_m)
@@ -163,6 +169,41 @@ class RobotModel:
 
     def _error(self, message: str) -> DescriptionError:
         return DescriptionError(f"{self.description.name}/robot.toml: {message}")
+
+
+def kept_per_model(
+    most: int,
+) -> Callable[
+    [Callable[Concatenate[RobotModel, Options], Result]],
+    Callable[Concatenate[RobotModel, Options], Result],
+]:
+    """Keep what a pure function of a model and hashable values gives, while the model is there.
+
+    What is kept is shared by all who ask: nobody may change it, and it must not hold the model, or
+    neither would ever be given back.
+
+    Args:
+        most: Results of one model that are kept; beyond that the oldest is forgotten.
+    """
+
+    def keep(
+        function: Callable[Concatenate[RobotModel, Options], Result],
+    ) -> Callable[Concatenate[RobotModel, Options], Result]:
+        kept: WeakKeyDictionary[RobotModel, dict[object, Result]] = WeakKeyDictionary()
+
+        @wraps(function)
+        def asked(model: RobotModel, *args: Options.args, **kwargs: Options.kwargs) -> Result:
+            known, key = kept.setdefault(model, {}), (args, tuple(sorted(kwargs.items())))
+            if key in known:
+                return known[key]
+            result = known[key] = function(model, *args, **kwargs)
+            if len(known) > most:
+                known.pop(next(iter(known)), None)
+            return result
+
+        return asked
+
+    return keep
 
 
 def _chosen(stated: Sequence[float] | None, from_urdf: Array) -> Array:

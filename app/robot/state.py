@@ -47,14 +47,15 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     Raises:
         MeasurementError: One of them is not that many numbers; the message names it.
     """
-    sizes = (3, model.n_b, model.n_m, model.n_m)
+    n_d = model.n_d if np.size(measurement.drive) else 0
+    sizes = (3, model.n_b, model.n_m, model.n_m, n_d)
     if all(
         isinstance(each, np.ndarray) and each.dtype == np.float64 and each.shape == (size,)
-        for each, size in zip(measurement, sizes, strict=False)
+        for each, size in zip(measurement, sizes, strict=True)
     ):
         return measurement
     found: dict[str, Array] = {}
-    for name, each, size in zip(Measurement._fields, measurement, sizes, strict=False):
+    for name, each, size in zip(Measurement._fields, measurement, sizes, strict=True):
         try:
             array = np.asarray(each, dtype=float)
         except (TypeError, ValueError):
@@ -67,7 +68,7 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
 
 def is_finite(measurement: Measurement) -> bool:
     """Whether no reading is infinite or not a number."""
-    return _all_finite(*measurement[:4])
+    return _all_finite(*measurement)
 
 
 def at_rest(model: RobotModel, q_m: Array, base_pose: Array | None = None) -> Measurement:
@@ -97,10 +98,10 @@ def _coordinates(
     return qd, q, v
 
 
-@compiled("b1(f8[:], f8[:], f8[:], f8[:])")
-def _all_finite(a: Array, b: Array, c: Array, d: Array) -> bool:
-    """Whether all numbers of four vectors are finite."""
-    return np.isfinite(a.sum() + b.sum() + c.sum() + d.sum())
+@compiled("b1(f8[:], f8[:], f8[:], f8[:], f8[:])")
+def _all_finite(a: Array, b: Array, c: Array, d: Array, e: Array) -> bool:
+    """Whether all numbers of five vectors are finite."""
+    return np.isfinite(a.sum() + b.sum() + c.sum() + d.sum() + e.sum())
 
 
 @compiled("Tuple((f8[:,::1], f8[::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:,:])")

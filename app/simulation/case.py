@@ -11,8 +11,8 @@ from pydantic import Field, ValidationError
 from app.config import Config, sections
 from app.control import CONTROLLERS
 from app.errors import CaseError, DbbError, UnknownNameError
+from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
-from app.simulation.scenarios.names import SCENARIOS
 from app.simulation.scenarios.pulled import CHALLENGE
 from app.strict import MOST_SEEDS, Finite, Strict, explain
 

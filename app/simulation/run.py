@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypedDict
+
+from typing_extensions import Unpack
 
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
 from app.simulation.loop.pacing import settled
-from app.simulation.plants.choice import chosen_plant
 from app.simulation.scenarios.leading import Scenario, Setting
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.metrics import metrics
@@ -26,31 +27,31 @@ class RunResult(NamedTuple):
     trace: Trace
 
 
-def begin(
-    setting: Setting, robot: RobotModel, *, controller: str, physics: str | None, seed: int
-) -> Session:
+class RunOptions(TypedDict, total=False):
+    """What a scenario is run with; the defaults are those of `Session`."""
+
+    controller: str
+    """One of `app.control.CONTROLLERS`."""
+    physics: str | None
+    """Kind of plant; None is the default one."""
+    seed: int
+    """Of everything random in the run."""
+
+
+def begin(setting: Setting, robot: RobotModel, **options: Unpack[RunOptions]) -> Session:
     """A new session at the beginning of a setting.
 
     Args:
         setting: Where it begins.
         robot: The robot as it is, without the door that the setting's may hold.
-        controller: One of `app.control.CONTROLLERS`.
-        physics: Kind of plant; the default one if None.
-        seed: Of everything random.
+        options: Controller, plant and seed.
 
     Raises:
         ConfigError: The plant has no doors, and the setting has one.
         UnknownNameError: No such controller or plant.
     """
     session = Session(
-        setting.model,
-        setting.data,
-        setting.config,
-        controller=controller,
-        physics=physics,
-        seed=seed,
-        plant=robot,
-        door=setting.door,
+        setting.model, setting.data, setting.config, plant=robot, door=setting.door, **options
     )
     session.reset(setting.q_m, setting.base_pose)
     return session
@@ -61,10 +62,7 @@ def steps_of(
     data: BorderData,
     scenario: Scenario,
     config: Config,
-    *,
-    controller: str = "dbb",
-    physics: str | None = None,
-    seed: int = 0,
+    **options: Unpack[RunOptions],
 ) -> Generator[tuple[Session, Step], None, None]:
     """The control steps of a scenario, one by one, with the session after each.
 
@@ -75,9 +73,7 @@ def steps_of(
         data: Its pairs and clouds.
         scenario: What happens.
         config: Parameters.
-        controller: One of `app.control.CONTROLLERS`.
-        physics: Kind of plant; the default one if not given.
-        seed: Of everything random in the run.
+        options: Controller, plant and seed.
 
     Raises:
         UnreachableError: No start of the arm for this scenario.
@@ -85,8 +81,8 @@ def steps_of(
         ConfigError: The plant has no doors, and the scenario has one.
         UnknownNameError: No such controller or plant.
     """
-    setting = scenario.setting(model, data, config, seed)
-    session = begin(setting, model, controller=controller, physics=physics, seed=seed)
+    setting = scenario.setting(model, data, config, options.get("seed", 0))
+    session = begin(setting, model, **options)
     try:
         leader = scenario.leader(session)
         for _ in range(round(scenario.duration / DT)):
@@ -101,12 +97,10 @@ def run_scenario(
     scenario: Scenario,
     config: Config,
     *,
-    controller: str = "dbb",
-    physics: str | None = None,
-    seed: int = 0,
     on_progress: Callable[[float], None] = lambda _: None,
     on_step: Callable[[Session, Step], None] | None = None,
     drawn: bool = False,
+    **options: Unpack[RunOptions],
 ) -> RunResult:
     """Run a scenario and take its figures.
 
@@ -114,12 +108,9 @@ def run_scenario(
     simulated time [s], `on_step` after each control step. A trace that is `drawn` has snapshots, to
     be written and replayed.
     """
-    physics = chosen_plant(physics)
-    recorder = Recorder(scenario, drawn=drawn, physics=physics, seed=seed)
+    recorder = Recorder(scenario, drawn=drawn)
     begun: float | None = None
-    steps = steps_of(
-        model, data, scenario, config, controller=controller, physics=physics, seed=seed
-    )
+    steps = steps_of(model, data, scenario, config, **options)
     with settled(), closing(steps):
         for k, (session, step) in enumerate(steps):
             begun = begun or perf_counter() - step.duration
@@ -133,11 +124,11 @@ def run_scenario(
     trace = recorder.trace()
     figures = {
         "scenario": scenario.name,
-        "controller": controller,
+        "controller": options.get("controller", "dbb"),
         "robot": model.description.name,
-        "seed": seed,
+        "seed": trace.meta.seed,
         "duration_s": scenario.duration,
-        "physics": physics,
+        "physics": trace.meta.physics,
         **metrics(trace),
         "realtime_factor": scenario.duration / elapsed,
     }

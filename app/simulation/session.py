@@ -22,7 +22,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.disturbance import Disturbances
 from app.simulation.people import Hold, People, PersonForces, PullReading
-from app.simulation.plants.choice import chosen_plant, make_physics
+from app.simulation.plants import chosen_plant, make_physics
 from app.simulation.plants.door import OpenDoor
 from app.simulation.plants.interface import Contacts, Physics
 from app.simulation.scenarios.leading import DoorReading

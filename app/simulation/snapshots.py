@@ -14,8 +14,8 @@ import numpy as np
 import trimesh
 from scipy import ndimage
 
+from app.robot.assets import PLANAR_JOINTS, planar_urdf
 from app.robot.model import RobotModel
-from app.robot.urdf import PLANAR_JOINTS, planar_urdf
 from app.simulation.plants.bullet_world import BulletWorld, pybullet
 from app.simulation.session import DT
 

@@ -21,9 +21,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.border.cache import Content, pack, unpack
-from app.border.cloud import make_cloud
-from app.border.kept import DamagedFileError, read, write
+from app.border.cache import Content, DamagedFileError, pack, read, unpack, write
+from app.border.dbb import make_cloud
 from app.cli.common import as_json
 from app.config import Config
 from app.config_file import read_config, save_config

@@ -15,7 +15,7 @@ from app.cli.common import load_robot_and_border, print_json
 from app.cli.options import Json, check_name, make_folder
 from app.errors import DbbError
 from app.jobs.progress import progress_bar
-from app.simulation.plants.choice import PLANTS
+from app.simulation.plants import PLANTS
 from benchmarks.peers.evaluator import Evaluator
 from benchmarks.peers.model import HAND
 from benchmarks.peers.names import chosen

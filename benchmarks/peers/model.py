@@ -11,12 +11,11 @@ import numpy as np
 import pinocchio as pin
 
 from app.errors import DescriptionError
-from app.robot.assets import urdf_path
+from app.robot.assets import root_link, urdf_path
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, Cylinder, Shape, Sphere
-from app.robot.urdf import root_link
 
 HAND = "peers_hand"
 """Link of the end-effector's frame."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from app.border.cache import BorderData
 from app.border.config import SamplingConfig
-from app.border.sampling.pairs import sample_clouds
+from app.border.sampling import sample_clouds
 from app.config import Config
 from app.control.controller import Controller, ControlOutput
 from app.robot.link_pairs import find_link_pairs

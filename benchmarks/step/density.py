@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from app.border.cache import BorderData
-from app.border.cloud import DISTANCE_UNIT, make_cloud, quantise_points
+from app.border.dbb import DISTANCE_UNIT, make_cloud, quantise_points
 from app.border.offset import RAYS, OffsetContours
 from app.config import Config
 from app.control.controller import Controller

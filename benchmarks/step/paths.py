@@ -13,8 +13,8 @@ from app.control.tasks import Reference
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.run import begin
+from app.simulation.scenarios import LINES
 from app.simulation.scenarios.line import LineScenario
-from app.simulation.scenarios.names import LINES
 from app.simulation.session import DT
 
 Array = np.ndarray

@@ -15,7 +15,7 @@ from app.jobs.pool import Workers
 from app.robot.assets import load_robot
 from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
-from app.simulation.scenarios.names import LINES
+from app.simulation.scenarios import LINES
 
 _RUNS = ("guiding-lateral", "guiding-front")
 _ROUNDS = 3

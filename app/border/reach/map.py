@@ -14,11 +14,10 @@ import numpy as np
 import pinocchio as pin
 from pydantic import Field
 
+from app.border.cache import Arrays, Header, digest, find_kept, header_of, keep, robot_content
 from app.border.config import ReachConfig
-from app.border.kept import Arrays, Header, digest, find_kept, header_of, keep, robot_content
-from app.border.reach.chain import Chain, reach_bodies
+from app.border.reach.chain import AnalyticSolver, Chain, free_joints, make_solver, reach_bodies
 from app.border.reach.fit import radial_profile
-from app.border.reach.solver import AnalyticSolver, free_joints, make_solver
 from app.errors import DescriptionError, UnknownNameError
 from app.jobs.pool import Workers
 from app.jobs.progress import progress_bar
@@ -347,14 +346,13 @@ class _SelfClearance:
         known = names[: names.index(chain.body) + 1]
         pairs = [pair for pair in candidate_pairs(model) if pair.b in known]
         self._distances = PairDistances(model, pairs)
-        self._count = len(pairs)
         self._arm = [4 + joint for joint in chain.joints]
         self._q = model.configuration((0.0, 0.0, 0.0), np.array(model.q_lower))
 
     def is_free(self, q: Array) -> bool:
         self._q[self._arm] = q[: len(self._arm)]
         self._distances.update(self._q)
-        return all(self._distances.distance(i) > 0.0 for i in range(self._count))
+        return min(self._distances.distances(), default=1.0) > 0.0
 
 
 def _random_rotation(rng: np.random.Generator) -> Array:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import pinocchio as pin
 from PIL import Image
 
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.dashboard.export.offscreen import (
     BARRIER,
     ONLY_SCENE,

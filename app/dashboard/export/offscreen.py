@@ -13,7 +13,7 @@ import numpy as np
 import viser
 from PIL import Image, ImageDraw, ImageFont
 
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.dashboard.export.browser import new_context
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
 from app.dashboard.scene.colours import BACKGROUND, Rgb, set_theme
@@ -50,7 +50,8 @@ class Look(NamedTuple):
 
     Attributes:
         width, height: [px].
-        layer: What the border of the first pair of L_m is coloured by, one of `LAYERS`.
+        layer: What the border is coloured by, one of `LAYERS`.
+        pair: Name of the pair of L_m whose border it is; the first one by default.
         view: Where from, a key of `app.dashboard.scene.camera.PRESETS`.
         dark: A dark ground, else a light one.
         page: The whole dashboard, else the scene alone.
@@ -62,6 +63,7 @@ class Look(NamedTuple):
     view: str = "iso"
     dark: bool = True
     page: bool = False
+    pair: str = ""
 
 
 class RecordedLoop:
@@ -118,7 +120,7 @@ class OffscreenScene:
         self._server, self._loop = server, loop
         self._data = SceneData(loop, model, clouds)
         view = View.first(self._data.mobile, [])
-        choose_layer(view, look.layer)
+        choose_layer(view, look.layer, look.pair)
         set_theme(server.gui, dark=look.dark)
         self._scene = Scene(server.scene, self._data, view)
         self._scene.canvas.labels = labels
@@ -138,11 +140,13 @@ class OffscreenScene:
             self._scene.draw(snapshot, texts=texts)
 
 
-def choose_layer(view: View, layer: str) -> None:
-    """Colour the borders that are drawn by a layer, one of `LAYERS`."""
-    for pair, quantity in view.borders.items():
-        if quantity != HIDDEN:
-            view.borders[pair] = HIDDEN if layer == "none" else layer
+def choose_layer(view: View, layer: str, pair: str = "") -> None:
+    """Colour the border that is drawn, or that of the pair named, by one of `LAYERS`."""
+    for each, quantity in view.borders.items():
+        if each == pair or (not pair and quantity != HIDDEN):
+            view.borders[each] = HIDDEN if layer == "none" else layer
+        else:
+            view.borders[each] = HIDDEN
 
 
 @contextlib.contextmanager

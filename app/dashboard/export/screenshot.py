@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import viser
 from PIL import Image, ImageDraw
 
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.dashboard.export.browser import chromium
 from app.dashboard.export.offscreen import (
     BARRIER,

@@ -10,7 +10,7 @@ import numpy as np
 import viser
 
 from app.border.cache import BorderData
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.dashboard.markup import RIGHT, cell, minus, row, small, table
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.panels.phrases import signed

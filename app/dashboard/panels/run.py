@@ -33,7 +33,7 @@ from app.dashboard.record import Course
 from app.dashboard.scene.colours import GHOSTS, SERIES, css
 from app.dashboard.verdict import COLOURS, State, Verdict
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Pause, Play, Reset, Restart, Speed
-from app.simulation.scenarios.names import SCENARIOS, own_line
+from app.simulation.scenarios import SCENARIOS, own_line
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
 
 FREE = "free: drag the hand"

@@ -25,7 +25,7 @@ from app.parameters import Parameter
 from app.robot.assets import robot_names
 from app.simulation.case import FORMAT, RunCase
 from app.simulation.loop.commands import Choose, Pause, Play
-from app.simulation.scenarios.names import SCENARIOS, own_line
+from app.simulation.scenarios import SCENARIOS, own_line
 from app.strict import check_range, parsed
 
 if TYPE_CHECKING:

@@ -18,8 +18,7 @@ from app.avoidance.mobile_acceleration import (
     avoidance_force,
     generate_mob_acc,
 )
-from app.border.cloud import Cloud
-from app.border.dbb import construct_dbb
+from app.border.dbb import Cloud, construct_dbb
 from app.border.mobile import MobileBody
 from app.border.offset import OffsetContours
 from app.border.score import ScoreField

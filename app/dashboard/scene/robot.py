@@ -16,10 +16,10 @@ import trimesh
 
 from app.dashboard.scene.colours import Rgb
 from app.errors import AssetError, DescriptionError
+from app.robot.assets import bare_urdf, floats, resolved_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
-from app.robot.urdf import bare_urdf, floats, resolved_urdf
 
 Array = np.ndarray
 logger = logging.getLogger(__name__)

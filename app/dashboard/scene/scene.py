@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import viser
 
-from app.border.cloud import Cloud
+from app.border.dbb import Cloud
 from app.dashboard.panels import phrases as words
 from app.dashboard.record import Course, Rows, Strip, Track
 from app.dashboard.scene.borders import Borders, BorderSlice, DrawnBorders

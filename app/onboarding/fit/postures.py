@@ -148,48 +148,84 @@ def find_places(
         d_b: [m] buffer distance.
         on_progress: Called with the share of the places that was looked at, 0 to 1.
     """
-    solver, search = StartSolver(model, pairs, d_b), PostureSearch(model, pairs, d_b)
+    if not pairs.mobile:
+        return {}
+    body, mount, guide = MobileBody(model), model.p_base(), _Guide(model, pairs, d_b)
+    heights = [round(h, 3) for h in _heights(min(float(body.upper[2]), float(mount[2]) + 0.4))]
+    ways = {"guiding-lateral": _lateral(body, mount), "guiding-front": _front(body, mount)}
+    found: dict[str, Place] = {}
+    for k, (name, starts) in enumerate(ways.items()):
+        tried = list(product(starts, heights))
+        shares = np.linspace(k, k + 1, len(tried), endpoint=False) / len(ways)
+        if (place := deepest(guide.lines(tried, shares, on_progress), d_b)) is not None:
+            found[name] = place
+    return found
 
-    def nearest(q_m: Array, start: Array, move: Array) -> float:
-        """[m] least distance of the arm to a base that stands still while the hand is led."""
+
+Line = tuple[Place, float]
+"""A line, and the least distance [m] of the arm to a base that stands still while it is led."""
+_Start = tuple[Array, Array]
+"""Where a line starts, x, y and how far out [m] of the base, and the unit vector (3,) inwards."""
+
+
+def deepest(lines: Iterable[Line], d_b: float) -> Place | None:
+    """The first line that leads deep into the buffer, else the one that leads deepest.
+
+    Args:
+        lines: In the order of preference; none is asked for after a deep one.
+        d_b: [m] buffer distance.
+
+    Returns:
+        None if no line comes into the inner part of the buffer.
+    """
+    found, least = None, _INNER * d_b
+    for place, nearest in lines:
+        if nearest < least:
+            found, least = place, nearest
+        if nearest < _DEEP * d_b:
+            break
+    return found
+
+
+class _Guide:
+    """Leads the hand of a robot along lines, its base standing still at the origin."""
+
+    def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
+        self._solver = StartSolver(model, pairs, d_b)
+        self._search = PostureSearch(model, pairs, d_b)
+        self._mobile = len(pairs.mobile)
+        self._hands = _free_hands(self._search)
+
+    def lines(
+        self, tried: list[tuple[_Start, float]], shares: Array, tell: Callable[[float], None]
+    ) -> Iterator[Line]:
+        """Those from starts at heights [m]; of each start, `tell` is called with its share."""
+        for (start, z), share in zip(tried, shares.tolist(), strict=True):
+            tell(share)
+            yield from self._from(start, z)
+
+    def _from(self, start: _Start, z: float) -> Iterator[Line]:
+        """Those from one place, if the arm can start there."""
+        at, inwards = start
+        p = _point([*np.round(at[:2], 3), z])
+        if np.linalg.norm(self._hands - p, axis=1).min(initial=np.inf) > _NEAR:
+            return
+        try:
+            q_m = self._solver.solve(p, tries=_TRIES)
+        except UnreachableError:
+            return
+        for left in _LEFT_OVER:
+            move = np.round((at[2] - left) * inwards, 3)
+            yield Place(p, _point(move), _LED.format(left)), self._nearest(q_m, np.array(p), move)
+
+    def _nearest(self, q_m: Array, start: Array, move: Array) -> float:
+        """[m] least distance of the arm to the base while the hand is led."""
         least = np.inf
         for share in np.linspace(0.0, 1.0, _STEPS):
-            q_m = search.reach(Target(start + share * move), q_m)
-            search.place(q_m)
-            least = min(least, *search.distances()[: len(pairs.mobile)])
+            q_m = self._search.reach(Target(start + share * move), q_m)
+            self._search.place(q_m)
+            least = min(least, *self._search.distances()[: self._mobile])
         return float(least)
-
-    body, mount = MobileBody(model), model.p_base()
-    top = float(body.upper[2])
-    reachable = min(top, float(mount[2]) + 0.4)
-    heights = [round(h, 3) for h in _heights(reachable)]
-    inner, deep = _INNER * d_b, _DEEP * d_b
-    found: dict[str, Place] = {}
-    ways = {"guiding-lateral": _lateral(body, mount), "guiding-front": _front(body, mount)}
-    if not pairs.mobile:
-        return found
-    hands = _free_hands(search)
-    for k, (name, lines) in enumerate(ways.items()):
-        tried, least = list(product(lines, heights)), inner
-        for i, ((start, inwards), z) in enumerate(tried):
-            on_progress((k + i / len(tried)) / len(ways))
-            p = _point([*np.round(start[:2], 3), z])
-            if np.linalg.norm(hands - p, axis=1).min(initial=np.inf) > _NEAR:
-                continue
-            try:
-                q_m = solver.solve(p, tries=_TRIES)
-            except UnreachableError:
-                continue
-            for left in _LEFT_OVER:
-                move = np.round((start[2] - left) * inwards, 3)
-                now = nearest(q_m, np.array(p), move)
-                if now < least:
-                    least, found[name] = now, Place(p, _point(move), _LED.format(left))
-                if now < deep:
-                    break
-            if least < deep:
-                break
-    return found
 
 
 def _free_hands(search: PostureSearch) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.errors import RobotFileError, did_you_mean
-from app.robot.urdf import floats
+from app.robot.assets import floats
 
 Array = np.ndarray
 

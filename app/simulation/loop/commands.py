@@ -17,8 +17,8 @@ from app.config import Config
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError, DbbError, LoopError, TargetError, UnknownNameError
 from app.simulation.people import checked_hold, checked_target
+from app.simulation.scenarios import scenario_by_name
 from app.simulation.scenarios.leading import Scenario
-from app.simulation.scenarios.names import scenario_by_name
 from app.simulation.trace.comparison import MOST_GHOSTS, SAMES
 
 Point = tuple[float, float, float]

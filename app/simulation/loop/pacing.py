@@ -7,28 +7,10 @@ from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from time import perf_counter, sleep
-from typing import Protocol
 
 _CATCH_UP = 0.2  # [s] of delay that is made good; more is given up
 _WINDOW = 1.0  # [s] over which figures are taken
 _COARSE = 2e-4  # [s] a shorter sleep is not worth a switch of threads
-
-
-class Clock(Protocol):
-    """What a snapshot tells about real time."""
-
-    @property
-    def realtime_factor(self) -> float:
-        """[-] simulated over real time in the last second."""
-        ...
-
-    @property
-    def step_time_us(self) -> float:
-        """[µs] mean duration of a control step in the last second."""
-        ...
-
-    overruns: int
-    """Steps that missed their period."""
 
 
 class Pacer:

@@ -11,9 +11,9 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
+from app.robot.assets import PLANAR_JOINTS, planar_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel
-from app.robot.urdf import PLANAR_JOINTS, planar_urdf
 from app.simulation.plants.bullet_world import BulletWorld, pybullet, touches
 from app.simulation.plants.collision_shapes import link_contact_pairs
 from app.simulation.plants.door import Cabinet, Door, OpenDoor

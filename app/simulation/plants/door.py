@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.border.cache import BorderData
-from app.border.cloud import make_cloud
+from app.border.dbb import make_cloud
 from app.robot.description import BodyDescription
 from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel

@@ -15,8 +15,8 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
+from app.robot.assets import PLANAR_JOINTS
 from app.robot.model import RobotModel
-from app.robot.urdf import PLANAR_JOINTS
 from app.simulation.plants.collision_shapes import CollisionShape, collision_shapes, vertices
 
 Array = np.ndarray

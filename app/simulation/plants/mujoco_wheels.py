@@ -19,12 +19,12 @@ import numpy as np
 import pinocchio as pin
 
 from app.control.drive import Drive
+from app.robot.assets import bare_urdf
 from app.robot.bases.differential import DifferentialBase, mobile_jacobian
 from app.robot.description import differential
 from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
 from app.robot.state import Measurement
-from app.robot.urdf import bare_urdf
 from app.simulation.plants.collision_shapes import CollisionShape
 from app.simulation.plants.door import OpenDoor
 from app.simulation.plants.interface import Contacts, Push

@@ -1,1 +1,72 @@
 """Scenarios: where a run starts, and what leads the end-effector."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from app.errors import UnknownNameError
+from app.simulation.scenarios.leading import Scenario
+from app.simulation.scenarios.line import LineScenario, Point
+from app.simulation.scenarios.refrigerator import RefrigeratorScenario
+from app.simulation.scenarios.way_out import WayOutScenario
+
+if TYPE_CHECKING:
+    from app.robot.description import RobotDescription
+
+
+def _guiding(name: str, what: str, start: Point, move: Point) -> LineScenario:
+    return LineScenario(name, 8.0, f"a person pulls the hand {what}", "guiding", start, move, 0.6)
+
+
+_LINES = (
+    _guiding("guiding-lateral", "from the side towards the base", (0.3, 0.72, 0.3), (0, -0.25, 0)),
+    _guiding("guiding-front", "from the front towards the base", (0.92, 0.1, 0.3), (-0.3, 0, 0)),
+    _guiding("guiding-above", "down onto the base's top", (-0.2, 0.15, 0.75), (0, 0, -0.4)),
+    _guiding("guiding-fold", "into the arm's own column", (0.75, 0.1, 0.75), (-0.4, -0.1, 0)),
+    LineScenario(
+        "tracking",
+        30.0,
+        "the hand tracks a line of 0.2 m towards the base's side, its orientation held",
+        "tracking",
+        (0.30, 0.68, 0.30),
+        (0.0, -0.2, 0.0),
+        1.0,
+    ),
+)
+LINES = {scenario.name: scenario for scenario in _LINES}
+"""Scenarios in which the hand is led on a straight line."""
+
+SCENARIOS: dict[str, Scenario] = {
+    **LINES,
+    **{s.name: s for s in (RefrigeratorScenario(), WayOutScenario())},
+}
+
+
+_SAME_LINE = {"tracking": "guiding-lateral"}
+"""Scenarios that take another one's line of a robot that has none for them."""
+
+
+def scenario_by_name(name: str) -> Scenario:
+    """The scenario of that name.
+
+    Raises:
+        UnknownNameError: Lists those that exist.
+    """
+    if name not in SCENARIOS:
+        raise UnknownNameError("scenario", name, SCENARIOS)
+    return SCENARIOS[name]
+
+
+def scenario_of(description: RobotDescription, name: str) -> Scenario:
+    """The scenario of that name, on the line that suits the robot if its description has one."""
+    return scenario_by_name(name).changed(**own_line(description, name))
+
+
+def own_line(description: RobotDescription, name: str) -> dict[str, object]:
+    """Start and move of a robot's own line for a scenario, as `Scenario.changed` takes them.
+
+    The hand is tracked, as it is guided, from the base's side.
+    """
+    lines = description.lines
+    place = lines.get(name) or lines.get(_SAME_LINE.get(name, name))
+    return {} if place is None else {"start": place.start_m, "move": place.move_m}

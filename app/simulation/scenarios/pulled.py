@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from app.errors import CaseError, DbbError
+from app.simulation.scenarios import LINES
 from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
-from app.simulation.scenarios.names import LINES
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData

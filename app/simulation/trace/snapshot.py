@@ -23,7 +23,7 @@ from app.control.explanation import Explanation, explain
 from app.control.limits import force_bound
 from app.robot.state import RobotState
 from app.simulation.case import RunCase
-from app.simulation.loop.pacing import Clock
+from app.simulation.loop.pacing import Pacer
 from app.simulation.people import PullReading
 from app.simulation.plants.door import Door
 from app.simulation.session import DT, Session, Step
@@ -433,7 +433,7 @@ QUANTITIES: dict[str, Quantity] = {
 def make_snapshot(
     session: Session,
     step: Step,
-    clock: Clock,
+    pacer: Pacer | None,
     *,
     paused: bool,
     explained: bool = True,
@@ -444,7 +444,8 @@ def make_snapshot(
     Args:
         session: After the step.
         step: The last one.
-        clock: Says how real time goes.
+        pacer: Says how real time goes; a run that keeps to no clock has none, and is then the same
+            each time.
         paused: Whether time stands still.
         explained: Whether it says why the robot moved so, which no file keeps.
         course: What else is known, by the fields of `Snapshot`.
@@ -454,9 +455,9 @@ def make_snapshot(
     why = (session.controller, step.output, session.config, step.base_command)
     return Snapshot(
         **fields,
-        step_time_us=clock.step_time_us,
-        realtime_factor=clock.realtime_factor,
-        overruns=clock.overruns,
+        step_time_us=pacer.step_time_us if pacer else NAN,
+        realtime_factor=pacer.realtime_factor if pacer else NAN,
+        overruns=pacer.overruns if pacer else 0,
         paused=paused,
         explanation=explain(*why) if explained else None,
         **course,

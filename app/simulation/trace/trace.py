@@ -228,7 +228,6 @@ class Recorder:
         quantities: Iterable[str] = QUANTITIES,
         drawn: bool = False,
         also: Iterable[int] = (),
-        **about: Any,
     ) -> None:
         """Nothing is recorded.
 
@@ -237,10 +236,8 @@ class Recorder:
             quantities: What is recorded, by the fields of `Snapshot`.
             drawn: Whether a snapshot of each twentieth step is kept too, the first among them.
             also: Numbers of further control steps of which a snapshot is wanted.
-            about: As in `TraceMeta.of`: physics, seed.
         """
         self._scenario, self._drawn, self._also = scenario, drawn, frozenset(also)
-        self._about = {"scenario": scenario.name if scenario else "", **about}
         self._names = list(quantities)
         self._rows: list[Take] = []
         self._layout: Layout | None = None
@@ -286,7 +283,14 @@ class Recorder:
         base = session.model.body_names[0]
         closest = [state.closest.pair for state in step.output.avoidance.pairs]
         pairs = {pair.name: pair.a == base for pair in closest}
-        meta = TraceMeta.of(session.model, pairs, session.config, **self._about)
+        meta = TraceMeta.of(
+            session.model,
+            pairs,
+            session.config,
+            scenario=self._scenario.name if self._scenario else "",
+            physics=session.kind,
+            seed=session.seed,
+        )
         self._layout = Layout.of(meta, self._names)
         self._rows = [QUANTITIES[name].row_of(meta) for name in self._names]
 
@@ -297,14 +301,7 @@ class Recorder:
         course: dict[str, Any] = {"explained": not self._rows}  # pictures alone say why
         if self._scenario is not None:
             course |= {"scenario": self._scenario.name, "scenario_ends": self._scenario.duration}
-        self.snapshots.append(make_snapshot(session, step, NoClock(), paused=False, **course))
-
-
-class NoClock:
-    """A run that keeps to no clock has nothing to tell about it, and is then the same each time."""
-
-    overruns = 0
-    realtime_factor = step_time_us = NAN
+        self.snapshots.append(make_snapshot(session, step, None, paused=False, **course))
 
 
 class History:

@@ -12,10 +12,8 @@ from matplotlib.axes import Axes
 from scipy.interpolate import CubicSpline
 
 from app.avoidance.mobile_acceleration import ActingPointFinder, PairForce, generate_mob_acc
-from app.border.cloud import Cloud
-from app.border.dbb import Border
-from app.border.points import BorderPoints
-from app.border.surface import BorderSurface
+from app.border.dbb import Border, Cloud
+from app.border.surface import BorderPoints, BorderSurface
 from app.robot.link_pairs import Closest
 from app.simulation.run import run_scenario
 from app.simulation.session import DT

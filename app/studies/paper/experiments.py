@@ -22,9 +22,9 @@ from app.robot.assets import load_robot
 from app.robot.link_pairs import Closest, Pair, PairDistances
 from app.robot.model import RobotModel
 from app.simulation.run import RunResult, run_scenario
+from app.simulation.scenarios import scenario_by_name
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import LineScenario, Point
-from app.simulation.scenarios.names import scenario_by_name
 from app.simulation.trace.trace import Trace
 
 Array = np.ndarray

@@ -11,7 +11,7 @@ from typing_extensions import Self
 
 from app.config import parameter
 from app.errors import ConfigError
-from app.simulation.plants.choice import default_plant
+from app.simulation.plants import default_plant
 from app.strict import Strict, check_range
 
 Interval = tuple[float, float]

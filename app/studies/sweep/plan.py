@@ -12,7 +12,7 @@ import numpy as np
 from app.config import Config
 from app.control import CONTROLLERS
 from app.errors import ConfigError, UnknownNameError
-from app.simulation.plants.choice import chosen_plant, default_plant
+from app.simulation.plants import chosen_plant, default_plant
 from app.simulation.scenarios.line import StartedLine
 from app.strict import check_range
 

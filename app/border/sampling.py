@@ -11,11 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.border.cloud import POINT_UNIT, Cloud, make_cloud, quantise_distances, quantise_points
 from app.border.config import SamplingConfig
+from app.border.dbb import POINT_UNIT, Cloud, make_cloud, quantise_distances, quantise_points
+from app.border.flood import Flood, PairReader, Voxels
 from app.border.mobile import MobileBody
-from app.border.sampling.flood import Flood, PairReader
-from app.border.sampling.voxels import Voxels
 from app.jobs.pool import Workers
 from app.jobs.progress import progress_bar
 from app.robot.description import RobotDescription

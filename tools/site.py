@@ -1,0 +1,175 @@
+"""The site, made of files alone: `make site` or `python -m tools.site [--out out/site]`.
+
+It has the documentation, every scenario with every controller as a page that plays it, the border
+over d_b, and the polar maps. Robots whose meshes may not be published are left out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from rich.progress import track
+
+from app.border.cache import BorderData
+from app.cli.common import load_robot_and_border
+from app.cli.main import main as dbb
+from app.config import BorderConfig, Config
+from app.control import CONTROLLERS
+from app.dashboard.export.offscreen import (
+    LAYERS,
+    Look,
+    OffscreenScene,
+    RecordedLoop,
+    own_server,
+    replay_html,
+)
+from app.dashboard.panels.phrases import spoken
+from app.errors import DbbError
+from app.robot.model import RobotModel
+from app.simulation.run import filmed, run_scenario, steps_of
+from app.simulation.scenarios import SCENARIOS, scenario_of
+from app.simulation.scenarios.leading import Scenario
+from app.simulation.trace.metrics import touches, verdict
+from app.system import write_whole
+
+PROJECT = Path(__file__).resolve().parent.parent
+ROBOT = "husky_panda"
+"""The paper's; its meshes are under BSD and Apache licences."""
+LARGEST = 3e6
+"""[bytes] of one page, so that it opens at once."""
+DISTANCES = tuple(round(0.01 * k, 2) for k in range(6, 25, 3))
+"""[m] buffer distances of the border's pages."""
+HOLD = 1.0  # [s] for which each of them is shown
+
+
+class Played(NamedTuple):
+    """A run with its page.
+
+    Attributes:
+        page: Its address.
+        verdict: How it went.
+        touched: Whether the arm touched anything.
+        distance: [mm] least distance to the base; None if no pair is near it.
+    """
+
+    page: str
+    verdict: str
+    touched: bool
+    distance: float | None
+
+
+class Bordered(NamedTuple):
+    """The border's page of a pair of L_m, in words, and a colouring."""
+
+    page: str
+    pair: str
+    layer: str
+
+
+def make_site(
+    out: Path,
+    scenarios: Sequence[Scenario],
+    controllers: Sequence[str],
+    layers: Sequence[str],
+) -> None:
+    """Replays, borders and the page that leads to them; `docs` and `maps` are linked if there.
+
+    Args:
+        out: Folder, which is made.
+        scenarios: One row of replays each.
+        controllers: One column each.
+        layers: What borders are coloured by, of `app.dashboard.export.offscreen.LAYERS`.
+
+    Raises:
+        DbbError: A page is larger than `LARGEST`.
+    """
+    model, data = load_robot_and_border(ROBOT)
+    asked = [(scenario, name) for scenario in scenarios for name in controllers]
+    played = {
+        (scenario.name, name): _replay(out, model, data, scenario, name)
+        for scenario, name in track(asked, "replays")
+    }
+    looks = [(pair, layer) for pair in data.clouds for layer in layers]
+    borders = [_border(out, model, data, pair, layer) for pair, layer in track(looks, "borders")]
+    shutil.copy(PROJECT / "docs/pictures/front.webp", out / "front.webp")
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined
+    )
+    page = environment.get_template("site.html.j2").render(
+        scenarios=scenarios,
+        controllers=controllers,
+        played=played,
+        borders=borders,
+        maps=sorted(path.relative_to(out).as_posix() for path in out.glob("maps/*.png")),
+        docs=(out / "docs/index.html").exists(),
+    )
+    write_whole(out / "index.html", page)
+
+
+def _replay(
+    out: Path, model: RobotModel, data: BorderData, scenario: Scenario, controller: str
+) -> Played:
+    result = run_scenario(model, data, scenario, Config(), controller=controller, drawn=True)
+    name = f"replays/{scenario.name}-{controller}.html"
+    _write(out / name, replay_html(result.trace, model, data.clouds, Look()))
+    figures = result.figures
+    near = [figures["min_distance_m"][pair] for pair in result.trace.meta.mobile_pairs]
+    return Played(name, verdict(figures), bool(touches(figures)), 1e3 * min(near) if near else None)
+
+
+def _border(out: Path, model: RobotModel, data: BorderData, pair: str, layer: str) -> Bordered:
+    """A page whose time line goes over d_b."""
+    scenario = scenario_of(model.description, "guiding-front")
+    snapshots = []
+    for k, d_b in enumerate(DISTANCES):
+        config = Config(border=BorderConfig(d_b=d_b))
+        steps = steps_of(model, data, scenario, config, physics="kinematic")
+        snapshots.append(replace(filmed(steps, scenario, [0.0])[0], t=k * HOLD))
+    with own_server() as server:
+        look = Look(layer=layer, pair=pair)
+        scene = OffscreenScene(server, RecordedLoop(snapshots), model, data.clouds, look)
+        scene.look(look.view, snapshots[0])
+        recording = server.get_scene_serializer()
+        for snapshot, d_b in zip(snapshots, DISTANCES, strict=True):
+            scene.draw(snapshot.t)
+            server.scene.add_label("/d_b", f"d_b = {d_b:.2f} m", position=(1.0, 0.0, 0.05))
+            recording.insert_sleep(HOLD)
+        name = f"border/{pair}-{layer}.html"
+        _write(out / name, recording.as_html(dark_mode=look.dark))
+    return Bordered(name, spoken(pair, model.body_names), layer)
+
+
+def _write(path: Path, page: str) -> None:
+    size = len(page.encode())
+    if size > LARGEST:
+        raise DbbError(f"{path.name} has {size / 1e6:.1f} MB; a page may have {LARGEST / 1e6:g}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, page)
+
+
+def main() -> None:
+    """Make all of it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=PROJECT / "out/site")
+    out = parser.parse_args().out
+    out.mkdir(parents=True, exist_ok=True)
+    sphinx = [sys.executable, "-m", "sphinx", "-n", "-W", "-q", "--keep-going"]
+    subprocess.run([*sphinx, str(PROJECT / "docs"), str(out / "docs")], check=True)
+    dbb(["sweep", "--controller", "dbb,none", "--step", "15", "--out", str(out / "maps")])
+    description = load_robot_and_border(ROBOT)[0].description
+    scenarios = [scenario_of(description, name) for name in SCENARIOS]
+    make_site(out, scenarios, CONTROLLERS, [each for each in LAYERS if each != "none"])
+    (out / ".nojekyll").touch()
+    print(out / "index.html")
+
+
+if __name__ == "__main__":
+    main()
