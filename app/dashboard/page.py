@@ -97,7 +97,7 @@ class Page:
         )
         self._camera = self.viewer.camera
         self._camera.fit(shared.parts.extent)
-        self.closed = False
+        self.closed, self._is_new = False, True
         refusal = shared.loop.latest().refusal
         self._refusals = 0 if refusal is None else refusal.number  # of before this viewer came
         self._dark, self._light = self.view.dark, self.view.light
@@ -122,6 +122,7 @@ class Page:
 
     def draw(self, *, texts: bool) -> None:
         """Draw the instant at which the viewer is; panels, plots and labels only if `texts`."""
+        texts, self._is_new = texts or self._is_new, False  # nobody waits for the first ones
         newest, shown = self._shared.loop.latest(), self.timeline.shown()
         if self.grip.holds_anything and not self.timeline.live:
             self.timeline.go_live()  # nobody pulls in the past
@@ -160,14 +161,14 @@ class Page:
 
     def _renew_beside(self, moment: Moment) -> None:
         """Renew the rest, which may take a while."""
-        for panel in self._panels:
-            if not panel.of_instant:
-                panel.update(moment)
-        _show(self._change, switch_html(self._shared.robot_switch.progress))
         _show(self._hung, hung_html(self._shared.loop.silence))
+        _show(self._change, switch_html(self._shared.robot_switch.progress))
         if self._light != self.view.light:
             self._light = self.view.light
             self.channel.tell("light", self._light)
+        for panel in self._panels:
+            if not panel.of_instant:
+                panel.update(moment)
 
     @property
     def untouched(self) -> bool:
