@@ -143,10 +143,11 @@ def _bar_html(legend: Legend) -> str:
     share = "all" if legend.drawn == legend.total else f"{legend.drawn:,} of the"
     part = "" if legend.top is None else f" up to z = {legend.top:.2f} m"
     unit = f" [{factor}{legend.unit}]" if factor or legend.unit else ""
-    gradient = f"height:.9em;border-radius:3px;background:linear-gradient(to right,{viridis_css()})"
+    colours = f"background:linear-gradient(to right,{viridis_css()})"
     return small(
         spread(f"<b>{legend.title}{unit}</b>", legend.pair)
-        + f'<div style="{gradient}"></div>{spread(*texts)}<div style="{FAINT}">'
+        + f'<div style="height:.9em;border-radius:3px;margin:.2em 0;{colours}"></div>'
+        f'{spread(*texts)}<div style="{FAINT}">'
         f"d<sub>b</sub> = {legend.d_b:.3f} m, {share} {legend.total:,} points{part}. "
         "Where there are none, the arm cannot be at that distance.</div>"
     )
