@@ -31,7 +31,7 @@ from app.dashboard.scene.borders import MAX_POINTS, Borders, DrawnBorders, subsa
 from app.dashboard.scene.canvas import METRES_PER_NEWTON, Canvas
 from app.dashboard.scene.colours import css, viridis
 from app.dashboard.scene.layers import TOGETHER, beside, draw_motion, segments
-from app.dashboard.scene.legend import legend_html, make_legend, normalised, tick_texts
+from app.dashboard.scene.legend import Legend, legend_html, tick_texts
 from app.dashboard.scene.robot import (
     GREY,
     MAX_FACES,
@@ -521,12 +521,12 @@ def test_ticks_times_their_power_of_ten_are_the_values(scale):
 
 def test_legend_says_how_many_points_are_drawn():
     base = husky_panda().description.base
-    legend = make_legend("lm-lEE", "score", base, 0.15, np.linspace(-1, 2, 50_000), 20_000, 0.38)
+    legend = Legend.of("lm-lEE", "score", base, 0.15, np.linspace(-1, 2, 50_000), 20_000, 0.38)
     html = legend_html([legend])
     assert "m⁴/rad⁴" in html
     assert "20,000 of the 50,000 points" in html
     assert "0.150 m" in html
-    np.testing.assert_allclose(normalised(np.array([-1.0, 0.5, 2.0]), legend), [0.0, 0.5, 1.0])
+    np.testing.assert_allclose(legend.normalised(np.array([-1.0, 0.5, 2.0])), [0.0, 0.5, 1.0])
 
 
 def test_subsample_is_steady_and_without_repetition():

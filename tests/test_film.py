@@ -14,8 +14,14 @@ from PIL import Image
 from app.border.cache import BorderData
 from app.cli.main import main
 from app.config import Config
-from app.dashboard.export.film import CODECS, captioned, film_pictures, with_ghosts, write_film
-from app.dashboard.export.offscreen import Look
+from app.dashboard.export.offscreen import (
+    CODECS,
+    Look,
+    captioned,
+    film_pictures,
+    with_ghosts,
+    write_film,
+)
 from app.errors import OutputError
 from app.robot.model import RobotModel
 from app.simulation.run import filmed, steps_of

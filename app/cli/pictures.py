@@ -176,8 +176,7 @@ def film(
         beside: Other controllers, whose robots are seen as ghosts.
     """
     # Imported here: viser and scipy would make every other command start later.
-    from app.dashboard.export.film import CODECS
-    from app.dashboard.export.offscreen import Look
+    from app.dashboard.export.offscreen import CODECS, Look
 
     is_case(scenario)
     for name in beside:
@@ -203,7 +202,7 @@ def _film(
 ) -> dict[str, Any]:
     """Run the scenario with each controller, draw and encode; what there is to tell of it."""
     from app.dashboard.export.browser import chromium
-    from app.dashboard.export.film import film_pictures, with_ghosts, write_film
+    from app.dashboard.export.offscreen import film_pictures, with_ghosts, write_film
 
     duration = asked.scenario.duration
     begin, end = how.span or (0.0, duration)

@@ -293,7 +293,7 @@ def write_film_of(report: Report, log: Path, film: Path, look: Look) -> None:
     from contextlib import closing
 
     from app.dashboard.export.browser import chromium
-    from app.dashboard.export.film import CODECS, film_pictures, write_film
+    from app.dashboard.export.offscreen import CODECS, film_pictures, write_film
     from app.simulation.trace.log_file import read_trace
 
     report("starting a browser", 0.0)

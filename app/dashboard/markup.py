@@ -78,6 +78,19 @@ def reading(name: str, value: str, colour: str = "") -> str:
     return row(cell(name, FAINT), cell(value, RIGHT, colour and f"color:{colour};font-weight:600"))
 
 
+def spread(*texts: str) -> str:
+    """Texts over the width of the panel, the first at its left and the last at its right end."""
+    style = "display:flex;justify-content:space-between;font-variant-numeric:tabular-nums"
+    return _tag("div", "".join(_tag("span", text) for text in texts), style)
+
+
+def grid(heads: Iterable[str], rows: Iterable[Iterable[str]], *styles: str) -> str:
+    """A table of numbers below their heads; the first of each row is its name."""
+    head = row(*(cell(name, RIGHT, head=True) for name in heads))
+    body = (row(cell(name), *(cell(text, RIGHT) for text in texts)) for name, *texts in rows)
+    return table((head, *body), *styles)
+
+
 def bar(share: float, colour: str = "currentColor", stroke: float | None = None) -> str:
     """A bar that is filled by a share, 0 to 1; with a stroke at another one."""
     filled = f"width:{100 * share:.0f}%;height:100%;background:{colour};border-radius:2px"

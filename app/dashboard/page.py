@@ -144,23 +144,33 @@ class Page:
             if texts and self.timeline.live:
                 self._camera.find(shown, on=self.view.follow, busy=self.grip.holds_anything)
             self._camera.follow(shown.base_pose[:2], on=self.view.follow)
-        if texts:
-            self._renew(Moment(newest, shown, judge(shown, self._shared.spoken)))
+            moment = Moment(newest, shown, judge(shown, self._shared.spoken)) if texts else None
+            if moment is not None:
+                self._renew(moment)
+        if moment is not None:
+            self._renew_beside(moment)
 
     def _renew(self, moment: Moment) -> None:
-        """Renew all that is read."""
+        """Renew what is read of the instant, which comes with its picture."""
         newest, shown, verdict = moment
         for panel in self._panels:
-            panel.update(moment)
+            if panel.of_instant:
+                panel.update(moment)
         self._why.content = why_html(shown, verdict)
         self._strip.content = strip_html(shown, verdict)
         self._key.content = key_html(newest.config.border.d_b)
         self._show_refusal(newest)
-        _show(self._change, switch_html(self._shared.robot_switch.progress))
+
+    def _renew_beside(self, moment: Moment) -> None:
+        """Renew the rest, which may take a while."""
         _show(self._hung, hung_html(self._shared.loop.silence))
+        _show(self._change, switch_html(self._shared.robot_switch.progress))
         if self._light != self.view.light:
             self._light = self.view.light
             self.channel.tell("light", self._light)
+        for panel in self._panels:
+            if not panel.of_instant:
+                panel.update(moment)
 
     @property
     def untouched(self) -> bool:

@@ -41,9 +41,8 @@ class Tuning:
     ) -> None:
         """Begin without a history; `config` holds already where changes go, to `sink`."""
         self._sink, self._clock = sink, clock
-        self._config = config
-        self._past: list[Config] = []
-        self._future: list[Config] = []
+        self._steps, self._at = [config], 0
+        """What held after each step, oldest first, and which of them holds."""
         self._burst: tuple[str, float] | None = None
         """Parameter that was moved last, and when."""
         self._lock = threading.RLock()
@@ -51,11 +50,12 @@ class Tuning:
     @property
     def config(self) -> Config:
         """What holds now; the same object as long as nothing changes."""
-        return self._config
+        with self._lock:
+            return self._steps[self._at]
 
     def value(self, path: str) -> float | str:
         """The value of a parameter now."""
-        return self._config.value(path)
+        return self.config.value(path)
 
     def set(self, path: str, value: float | str) -> None:
         """Change one parameter; moves of the same one in a burst are one step.
@@ -64,30 +64,31 @@ class Tuning:
             ConfigError: No such parameter, or a value that it cannot have.
         """
         with self._lock:
-            if self._config.value(path) == value:
+            if self.config.value(path) == value:
                 return
-            config, now = self._config.replace(path, value), self._clock()
+            config, now = self.config.replace(path, value), self._clock()
             last, at = self._burst or ("", -math.inf)
-            if last != path or now - at > BURST:
-                self._remember()
-            self._burst = path, now
-            self._hold(config)
-            if self._past[-1] == config:  # there and back in one burst is no step
-                self._past.pop()
+            if last == path and now - at <= BURST:
+                self._steps.pop()
+                self._at -= 1
+            if self._steps[self._at] != config:  # there and back in one burst is no step
+                self._add(config)
+                self._burst = path, now
+            else:
                 self._burst = None
+            self._sink.send(Configure(config))
 
     def load(self, config: Config) -> None:
         """Take over a whole configuration, in one step."""
         with self._lock:
-            if config != self._config:
-                self._burst = None
-                self._remember()
-                self._hold(config)
+            if config != self.config:
+                self._add(config)
+                self._sink.send(Configure(config))
 
     def reset(self, paths: Iterable[str] | None = None) -> None:
         """Set parameters, by default all, to their defaults, in one step."""
         with self._lock:
-            config = Config() if paths is None else self._config
+            config = Config() if paths is None else self.config
             for path in paths or ():
                 config = config.replace(path, tunable(path).default)
             self.load(config)
@@ -98,8 +99,7 @@ class Tuning:
         Raises:
             ConfigError: There is none.
         """
-        with self._lock:
-            self._step(self._past, self._future, "nothing to undo")
+        self._go(-1, "nothing to undo")
 
     def redo(self) -> None:
         """Do the step again that was undone last.
@@ -107,8 +107,7 @@ class Tuning:
         Raises:
             ConfigError: There is none, or something was changed since.
         """
-        with self._lock:
-            self._step(self._future, self._past, "nothing to do again")
+        self._go(1, "nothing to do again")
 
     def move_to(self, sink: Sink, config: Config) -> None:
         """Go on with another simulation, which has a configuration already.
@@ -117,26 +116,20 @@ class Tuning:
         """
         with self._lock:
             self._sink = sink
-            if self._config != config:
-                self._burst = None
-                self._remember()
-                self._config = config
+            if self.config != config:
+                self._add(config)
 
-    def _step(self, source: list[Config], target: list[Config], nothing: str) -> None:
-        if not source:
-            raise ConfigError(nothing)
-        target.append(self._config)
-        self._burst = None
-        self._hold(source.pop())
+    def _go(self, steps: int, nothing: str) -> None:
+        with self._lock:
+            if not 0 <= self._at + steps < len(self._steps):
+                raise ConfigError(nothing)
+            self._at, self._burst = self._at + steps, None
+            self._sink.send(Configure(self.config))
 
-    def _remember(self) -> None:
-        self._past.append(self._config)
-        del self._past[:-MOST_STEPS]
-        self._future.clear()
-
-    def _hold(self, config: Config) -> None:
-        self._config = config
-        self._sink.send(Configure(config))
+    def _add(self, config: Config) -> None:
+        """A new step, in the place of those that were undone."""
+        self._steps = [*self._steps[: self._at + 1], config][-MOST_STEPS - 1 :]
+        self._at, self._burst = len(self._steps) - 1, None
 
 
 class SharedState(SceneData):

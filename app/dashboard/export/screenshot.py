@@ -79,7 +79,15 @@ def take_pictures(
             finally:
                 shared.close()
         scene = OffscreenScene(server, loop, model, clouds, look)
-        return _of_scene(page, server, loop, scene, times, look)
+        scene.look(look.view, middle([loop.go_to(t) for t in times]))
+        scene.draw(times[0])
+        open_page(page, server)
+        page.add_style_tag(content=ONLY_SCENE)
+        pictures = []
+        for t in times:
+            scene.draw(t)
+            pictures.append(_settled(page, server))
+        return pictures
 
 
 def page_picture(
@@ -114,25 +122,6 @@ def strip(pictures: Sequence[Image.Image], times: Sequence[float], *, dark: bool
         if k:
             ImageDraw.Draw(whole).line([(k * width, 0), (k * width, height)], fill=INK[dark])
     return whole
-
-
-def _of_scene(
-    page: web.Page,
-    server: viser.ViserServer,
-    loop: RecordedLoop,
-    scene: OffscreenScene,
-    times: Sequence[float],
-    look: Look,
-) -> list[Image.Image]:
-    scene.look(look.view, middle([loop.go_to(t) for t in times]))
-    scene.draw(times[0])
-    open_page(page, server)
-    page.add_style_tag(content=ONLY_SCENE)
-    pictures = []
-    for t in times:
-        scene.draw(t)
-        pictures.append(_settled(page, server))
-    return pictures
 
 
 def _of_page(

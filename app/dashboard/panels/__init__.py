@@ -77,6 +77,9 @@ class Panel:
     An `update` may assign everything each time: viser sends only what has changed.
     """
 
+    of_instant = False
+    """Whether it shows the instant: then it is renewed quickly, together with the picture."""
+
     def __init__(self, viewer: Viewer) -> None:
         """Nothing in it yet."""
         self._gui, self._notifier = viewer.client.gui, viewer.notifier

@@ -10,7 +10,7 @@ from PIL import Image
 
 from app.dashboard.export.offscreen import label
 from app.dashboard.job import Challenge, Tried, write_case_replay
-from app.dashboard.markup import RIGHT, cell, framed, minus, readings, row, small, table
+from app.dashboard.markup import framed, grid, mark, minus, readings, small
 from app.dashboard.panels import Moment, Viewer
 from app.dashboard.panels.run import course_figures
 from app.dashboard.panels.save import FilePanel, png
@@ -103,14 +103,14 @@ def challenge_html(challenge: Challenge, course: Course) -> str:
         told = state and f"{going}Who has won is looked at step by step: {state}"
         return small(told or challenge.problem or "Nobody pulled, so nothing was tried.")
     text, colour = verdict_text(challenge.tried[0])
-    heads = ("", "least", "pull", "hand")
-    rows = [row(*(cell(name, RIGHT, head=True) for name in heads))]
+    rows = []
     for each in challenge.tried:
-        bad = f"color:{css(_WON)}" if each.met else ""
-        cells = (_mm(each.least), f"{each.pull:.0f} N", f"{each.speed:.2f} m/s")
-        rows.append(row(cell(each.controller), *(cell(c, RIGHT, bad) for c in cells)))
+        texts = (_mm(each.least), f"{each.pull:.0f} N", f"{each.speed:.2f} m/s")
+        loud = [mark(text, css(_WON)) if each.met else text for text in texts]
+        rows.append((each.controller, *loud))
+    table = grid(("", "least", "pull", "hand"), rows)
     return framed(
-        f"<b>{text}.</b><br>The same pull, each controller:{table(rows)}{state}{challenge.problem}",
+        f"<b>{text}.</b><br>The same pull, each controller:{table}{state}{challenge.problem}",
         css(colour),
     )
 

@@ -11,7 +11,7 @@ import viser
 
 from app.border.cache import BorderData
 from app.border.dbb import Cloud
-from app.dashboard.markup import RIGHT, cell, minus, row, small, table
+from app.dashboard.markup import grid, minus, small
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.panels.phrases import signed
 from app.errors import TargetError
@@ -120,6 +120,8 @@ class ExplorerPanel(Panel):
     Attributes:
         posture: It, or None.
     """
+
+    of_instant = True
 
     def __init__(self, viewer: Viewer) -> None:
         """Build the folder, closed; the hand is moved by the viewer's gizmo."""
@@ -239,12 +241,11 @@ class ExplorerPanel(Panel):
 def posture_html(shown: Snapshot, acceleration: tuple[float, float, float], off: float) -> str:
     """What the law says of a posture: distances, β, forces, and where the base would go."""
     forces = {each.name: float(np.linalg.norm(each.f)) for each in shown.acting}
-    rows = [row(*(cell(name, RIGHT, head=True) for name in ("", "d", "β", "f")))]
+    rows = []
     for pair in shown.pairs:
         force = f"{forces[pair.name]:.0f} N" if pair.name in forces else "–"
-        texts = (minus(f"{1000 * pair.d:.0f} mm"), f"{pair.beta:.2f}", force)
-        rows.append(row(cell(pair.name), *(cell(text, RIGHT) for text in texts)))
+        rows.append((pair.name, minus(f"{1000 * pair.d:.0f} mm"), f"{pair.beta:.2f}", force))
     forward, left, turn = acceleration
     way = f"v̇ {signed(forward)} m/s²" + (f", {signed(left)} to the left" if left else "")
     beyond = f"<br>The hand comes no nearer than {1000 * off:.0f} mm." if off > CLOSE else ""
-    return small(f"{table(rows)}base: {way}, ω̇ {signed(turn)} rad/s²{beyond}")
+    return small(f"{grid(('', 'd', 'β', 'f'), rows)}base: {way}, ω̇ {signed(turn)} rad/s²{beyond}")

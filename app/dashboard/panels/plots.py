@@ -88,6 +88,8 @@ def plot_plans(model: RobotModel, names: list[str]) -> list[PlotPlan]:
 class Plots(Panel):
     """The plots of one viewer; those that are not shown cost nothing."""
 
+    of_instant = True
+
     def __init__(self, viewer: Viewer) -> None:
         """Empty plots, whose curves are the record's, in order; the view says which are shown."""
         super().__init__(viewer)

@@ -68,6 +68,8 @@ _SCORES = (
 class RunPanel(Panel):
     """Scenario, controller, speed and readings; what one viewer chooses, all see."""
 
+    of_instant = True
+
     def __init__(self, viewer: Viewer) -> None:
         """Build the tab."""
         super().__init__(viewer)
@@ -150,6 +152,8 @@ class RunPanel(Panel):
 
 class ComparePanel(Panel):
     """Choice of the controllers beside the real one, and their scores."""
+
+    of_instant = True
 
     def __init__(self, viewer: Viewer) -> None:
         """Build the tab."""

@@ -13,8 +13,7 @@ from typing import Any
 import viser
 from PIL import Image
 
-from app.dashboard.export.film import CODECS
-from app.dashboard.export.offscreen import Look
+from app.dashboard.export.offscreen import CODECS, Look
 from app.dashboard.job import (
     FILM_RATE,
     Job,

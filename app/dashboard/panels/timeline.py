@@ -138,6 +138,8 @@ class Timeline:
 class TimelinePanel(Panel):
     """The bar of one viewer's page, drawn by the page's own script over the whole width."""
 
+    of_instant = True
+
     def __init__(self, viewer: Viewer) -> None:
         """Open it."""
         super().__init__(viewer)

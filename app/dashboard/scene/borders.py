@@ -27,7 +27,7 @@ from app.config import BorderConfig
 from app.dashboard.scene.canvas import ROOT, Canvas
 from app.dashboard.scene.colours import ACTING, Rgb, viridis
 from app.dashboard.scene.layers import draw_acceleration
-from app.dashboard.scene.legend import Legend, make_legend, measure_of, normalised
+from app.dashboard.scene.legend import Legend, measure_of
 from app.dashboard.view import HIDDEN, View
 from app.robot.bases.kind import planar
 from app.robot.model import RobotModel
@@ -137,8 +137,8 @@ class Borders:
         keep = subsample(len(points), MAX_POINTS)
         top = None if whole else self.top
         base = self._model.description.base
-        legend = make_legend(pair, quantity, base, border.d_b, values, len(keep), top)
-        return ColouredCloud(points[keep], viridis(normalised(values[keep], legend)), legend)
+        legend = Legend.of(pair, quantity, base, border.d_b, values, len(keep), top)
+        return ColouredCloud(points[keep], viridis(legend.normalised(values[keep])), legend)
 
 
 def subsample(total: int, most: int) -> Array:
@@ -347,7 +347,7 @@ def body_of(
     """Corners and triangles with the colours of a legend, smooth and translucent."""
     corners, faces = shell
     values = borders.values(legend.pair, quantity, corners)
-    u = np.clip(normalised(values, legend), 0.5 / _SHADES, 1.0 - 0.5 / _SHADES)
+    u = np.clip(legend.normalised(values), 0.5 / _SHADES, 1.0 - 0.5 / _SHADES)
     shades = viridis(np.linspace(0.0, 1.0, _SHADES))[None]
     material = PBRMaterial(
         baseColorTexture=Image.fromarray(np.repeat(shades, 2, axis=0)),

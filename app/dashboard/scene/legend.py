@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.dashboard.markup import mark, minus
+from app.dashboard.markup import FAINT, ONE_LINE, cell, mark, minus, row, small, spread, table
 from app.dashboard.scene.canvas import METRES_PER_ACCELERATION, METRES_PER_NEWTON
 from app.dashboard.scene.colours import (
     ACCELERATION,
@@ -23,8 +23,6 @@ from app.dashboard.verdict import COLOURS, State
 from app.robot.bases.kind import BaseKind
 
 Array = np.ndarray
-
-_BOX = "padding:.3em .8em .4em;font-size:.8em;line-height:1.5"
 
 QUANTITIES = ("determinant", "reachability", "score")
 """What the border can be coloured by."""
@@ -78,47 +76,40 @@ class Legend(NamedTuple):
     total: int
     top: float | None
 
+    @classmethod
+    def of(
+        cls,
+        pair: str,
+        quantity: str,
+        base: BaseKind,
+        d_b: float,
+        values: Array,
+        drawn: int,
+        top: float | None,
+    ) -> Legend:
+        """Of a border whose points all have these values (N,), N ≥ 1, of one of `QUANTITIES`.
 
-def make_legend(
-    pair: str,
-    quantity: str,
-    base: BaseKind,
-    d_b: float,
-    values: Array,
-    drawn: int,
-    top: float | None,
-) -> Legend:
-    """The legend of a border from the values (N,) of all its points, N ≥ 1.
+        `base` is whose measure stands in the score.
+        """
+        low, high = float(values.min()), float(values.max())
+        measure = measure_of(base.kind)
+        title, unit = {
+            "determinant": (measure.title, measure.unit),
+            "reachability": ("reachability R, (9)", ""),
+            "score": ("score S, (10)", measure.unit),
+        }[quantity]
+        return cls(pair, title, unit, d_b, low, high, drawn, len(values), top)
 
-    Args:
-        pair: The link pair.
-        quantity: One of `QUANTITIES`.
-        base: Whose measure stands in the score.
-        d_b: [m] buffer distance.
-        values: (N,) values of all points.
-        drawn: How many of the N points are drawn.
-        top: [m] height up to which it is drawn, None if all of it.
-    """
-    low, high = float(values.min()), float(values.max())
-    measure = measure_of(base.kind)
-    title, unit = {
-        "determinant": (measure.title, measure.unit),
-        "reachability": ("reachability R, (9)", ""),
-        "score": ("score S, (10)", measure.unit),
-    }[quantity]
-    return Legend(pair, title, unit, d_b, low, high, drawn, len(values), top)
-
-
-def normalised(values: Array, legend: Legend) -> Array:
-    """(N,) position of values on the colour bar, 0 to 1; a constant field lies in its middle."""
-    span = legend.high - legend.low
-    return np.full(len(values), 0.5) if span <= 0 else (values - legend.low) / span
+    def normalised(self, values: Array) -> Array:
+        """(N,) position of values on the bar, 0 to 1; a constant field lies in its middle."""
+        span = self.high - self.low
+        return np.full(len(values), 0.5) if span <= 0 else (values - self.low) / span
 
 
 def legend_html(legends: list[Legend]) -> str:
     """The colour bars of all drawn borders as HTML; without one, a line that says so."""
     if not legends:
-        return f'<div style="{_BOX};opacity:.65">no border drawn (tab View)</div>'
+        return small("no border drawn (tab View)", FAINT)
     return "".join(map(_bar_html, legends))
 
 
@@ -141,31 +132,24 @@ def key_html(d_b: float) -> str:
         (_signs("―", TRAIL_BASE, TRAIL_HAND), "ways of base and hand"),
         ("<b>―</b>", "border at the hand's height"),
     ]
-    body = "".join(
-        f'<div style="display:flex;gap:.6em"><span style="width:2.6em;text-align:center;'
-        f'white-space:nowrap">{sign}</span><span style="opacity:.75">{text}</span></div>'
-        for sign, text in rows
+    signs = "width:2.6em;text-align:center"
+    return small(
+        table(row(cell(sign, signs, ONE_LINE), cell(text, "opacity:.75")) for sign, text in rows)
     )
-    return f'<div style="{_BOX}">{body}</div>'
 
 
 def _bar_html(legend: Legend) -> str:
     texts, factor = tick_texts(legend.low, legend.high)
-    ticks = "".join(f"<span>{text}</span>" for text in texts)
     share = "all" if legend.drawn == legend.total else f"{legend.drawn:,} of the"
     part = "" if legend.top is None else f" up to z = {legend.top:.2f} m"
     unit = f" [{factor}{legend.unit}]" if factor or legend.unit else ""
-    return (
-        f'<div style="{_BOX}">'
-        f'<div style="display:flex;justify-content:space-between"><b>{legend.title}{unit}</b>'
-        f"<span>{legend.pair}</span></div>"
-        f'<div style="height:.9em;border-radius:3px;margin:.2em 0;'
-        f'background:linear-gradient(to right,{viridis_css()})"></div>'
-        '<div style="display:flex;justify-content:space-between;'
-        f'font-variant-numeric:tabular-nums">{ticks}</div>'
-        f'<div style="opacity:.65">d<sub>b</sub> = {legend.d_b:.3f} m, '
-        f"{share} {legend.total:,} points{part}. Where there are none, the arm cannot be at that "
-        "distance.</div></div>"
+    colours = f"background:linear-gradient(to right,{viridis_css()})"
+    return small(
+        spread(f"<b>{legend.title}{unit}</b>", legend.pair)
+        + f'<div style="height:.9em;border-radius:3px;margin:.2em 0;{colours}"></div>'
+        f'{spread(*texts)}<div style="{FAINT}">'
+        f"d<sub>b</sub> = {legend.d_b:.3f} m, {share} {legend.total:,} points{part}. "
+        "Where there are none, the arm cannot be at that distance.</div>"
     )
 
 
