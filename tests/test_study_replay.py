@@ -191,7 +191,7 @@ def labels_of_the_page(server) -> list[str]:
             assert time.monotonic() < end
             time.sleep(0.01)
         [client] = server.viser.get_clients().values()
-        return [handle.label for handle in client.gui._gui_input_handle_from_uuid.values()]
+        return [getattr(w, "label", "") for w in client.gui._gui_input_handle_from_uuid.values()]
 
 
 @pytest.mark.slow

@@ -64,7 +64,7 @@ def test_without_a_map_there_is_a_line_and_a_new_map_appears_by_itself(
 ) -> None:
     from app.studies.sweep.sweep import write_sweep
 
-    assert "No map" in panel._text.content
+    wait_for(lambda: "No map" in panel._text.content)
     assert panel._image is None
     (tmp_path / "sweeps").mkdir()
     write_sweep(result(("dbb",)), tmp_path / "sweeps")

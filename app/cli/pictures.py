@@ -26,8 +26,8 @@ from app.cli.wanted import filmed, is_case, trace_of, wanted
 from app.control import CONTROLLERS
 from app.errors import ConfigError
 from app.jobs.progress import progress_bar
+from app.simulation.case import Planned
 from app.strict import check_range
-from app.studies.runs import Planned
 from app.system import write_whole
 
 if TYPE_CHECKING:

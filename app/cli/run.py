@@ -25,9 +25,9 @@ from app.cli.options import (
 )
 from app.cli.records import Given, from_record
 from app.cli.wanted import check_no_others, of_case, planned, read, result_of
+from app.simulation.case import Planned
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
-from app.studies.runs import Planned
 from app.system import write_whole
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ from app.cli.records import Given
 from app.config import Config
 from app.errors import ConfigError
 from app.jobs.progress import progress_bar
+from app.simulation.case import Planned
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
-from app.studies.runs import Planned
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData

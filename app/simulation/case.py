@@ -1,10 +1,10 @@
-"""A case: all that it takes to run something again exactly, as a file, and what differs since."""
+"""A run to be done, and a case: all that it takes to do it again exactly, as a file."""
 
 from __future__ import annotations
 
 import json
 from importlib.metadata import version
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
@@ -16,10 +16,47 @@ from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.pulled import CHALLENGE
 from app.strict import MOST_SEEDS, Finite, Strict, explain
 
+if TYPE_CHECKING:
+    from app.border.cache import BorderData
+    from app.robot.model import RobotModel
+    from app.simulation.run import RunResult
+
 _PLAYED: dict[str, Scenario] = {**SCENARIOS, CHALLENGE.name: CHALLENGE}
 _FIELDS = {path for section in sections() for path in (t.path for t in section.tunables)}
 FORMAT = "dbb_case"
 """The key that only such a file has."""
+
+
+class Planned(NamedTuple):
+    """A run to be done: all that its figures follow from.
+
+    Attributes:
+        robot: Its name.
+        scenario: What happens.
+        config: Parameters.
+        controller: Name of the controller.
+        physics: Kind of plant; the default one if None.
+        seed: Of everything random.
+    """
+
+    robot: str
+    scenario: Scenario
+    config: Config
+    controller: str
+    physics: str | None = None
+    seed: int = 0
+
+    def done(self, model: RobotModel, data: BorderData, **how: Any) -> RunResult:
+        """Do it; what else it takes and what it raises stands at `run_scenario`."""
+        # Imported here: what is asked for is checked before anything is loaded.
+        from app.simulation.run import run_scenario
+
+        return run_scenario(model, data, self.scenario, self.config, **self.driven, **how)
+
+    @property
+    def driven(self) -> dict[str, Any]:
+        """Controller, plant and seed, as `run_scenario` and `steps_of` take them."""
+        return {"controller": self.controller, "physics": self.physics, "seed": self.seed}
 
 
 class RunCase(Strict):

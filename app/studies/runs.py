@@ -1,19 +1,15 @@
-"""What all that runs shares: a run to be done, its row of rounded figures, and their files."""
+"""What all that runs shares: rows of rounded figures, and their files."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from app.config import Config
-from app.simulation.scenarios.leading import Scenario
 from app.system import write_whole
 
 if TYPE_CHECKING:
-    from app.border.cache import BorderData
-    from app.robot.model import RobotModel
     from app.simulation.run import RunResult
 
 Row = dict[str, Any]
@@ -22,38 +18,6 @@ Row = dict[str, Any]
 DIGITS = 9
 """[-] after the point, of metres, radians, newtons and seconds."""
 _LOG_EVERY = 10  # control steps between two rows of a trace that is thinned
-
-
-class Planned(NamedTuple):
-    """A run to be done: all that its figures follow from.
-
-    Attributes:
-        robot: Its name.
-        scenario: What happens.
-        config: Parameters.
-        controller: Name of the controller.
-        physics: Kind of plant; the default one if None.
-        seed: Of everything random.
-    """
-
-    robot: str
-    scenario: Scenario
-    config: Config
-    controller: str
-    physics: str | None = None
-    seed: int = 0
-
-    def done(self, model: RobotModel, data: BorderData, **how: Any) -> RunResult:
-        """Do it; what else it takes and what it raises stands at `run_scenario`."""
-        # Imported here: what is asked for is checked before anything is loaded.
-        from app.simulation.run import run_scenario
-
-        return run_scenario(model, data, self.scenario, self.config, **self.driven, **how)
-
-    @property
-    def driven(self) -> dict[str, Any]:
-        """Controller, plant and seed, as `run_scenario` and `steps_of` take them."""
-        return {"controller": self.controller, "physics": self.physics, "seed": self.seed}
 
 
 def thinned(result: RunResult) -> RunResult:

@@ -65,7 +65,7 @@ def mutated(tree: Any, rng: np.random.Generator, hostile: tuple[Any, ...] = HOST
                 holder[f"{key}x"] = holder.pop(key)
             case 4 if isinstance(holder, list):
                 holder.extend([copy.deepcopy(holder[key])] * int(rng.integers(1, 300)))
-            case _ if isinstance(holder[key], int | float):
+            case _ if isinstance(holder[key], int | float) and abs(holder[key]) < 1e300:
                 holder[key] = holder[key] * float(rng.normal()) * 10.0 ** int(rng.integers(-3, 12))
     return root[0]
 

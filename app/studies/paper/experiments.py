@@ -21,11 +21,12 @@ from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.robot.link_pairs import Closest, Pair, PairDistances
 from app.robot.model import RobotModel
+from app.simulation.case import Planned
 from app.simulation.run import RunResult
 from app.simulation.scenarios import scenario_by_name
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import LineScenario, Point
-from app.studies.runs import Planned, thinned
+from app.studies.runs import thinned
 
 Array = np.ndarray
 

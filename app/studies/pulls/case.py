@@ -12,11 +12,11 @@ from pydantic import Field, ValidationError
 
 from app.config import Config
 from app.errors import CaseError, DbbError
-from app.simulation.case import FORMAT, RunCase
+from app.simulation.case import FORMAT, Planned, RunCase
 from app.simulation.scenarios.line import StartedLine
 from app.strict import Finite, Positive, Vector3, explain, parsed
 from app.studies.pulls.parameters import PARAMETERS, StudyParameters, one_of_each
-from app.studies.runs import Planned, Row, flattened, rounded
+from app.studies.runs import Row, flattened, rounded
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData

@@ -12,10 +12,10 @@ import numpy as np
 from app.config import Config
 from app.control import CONTROLLERS
 from app.errors import ConfigError, UnknownNameError
+from app.simulation.case import Planned
 from app.simulation.plants import chosen_plant, default_plant
 from app.simulation.scenarios.line import Point, StartedLine
 from app.strict import check_range
-from app.studies.runs import Planned
 
 if TYPE_CHECKING:
     from app.robot.model import RobotModel
