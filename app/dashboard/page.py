@@ -100,7 +100,7 @@ class Page:
         )
         self._camera = self.viewer.camera
         self._camera.fit(shared.parts.extent)
-        self.closed = False
+        self.closed, self._is_new = False, True
         refusal = shared.loop.latest().refusal
         self._refusals = 0 if refusal is None else refusal.number  # of before this viewer came
         self._dark, self._light = self.view.dark, self.view.light
@@ -125,6 +125,7 @@ class Page:
 
     def draw(self, *, texts: bool) -> None:
         """Draw the instant at which the viewer is; panels, plots and labels only if `texts`."""
+        texts, self._is_new = texts or self._is_new, False  # nobody waits for the first ones
         newest, shown = self._shared.loop.latest(), self.timeline.shown()
         if self.grip.holds_anything and not self.timeline.live:
             self.timeline.go_live()  # nobody pulls in the past
