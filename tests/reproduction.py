@@ -8,7 +8,7 @@ from typing import Any
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation.run import RunResult
+from app.simulation.run import RunResult, run_planned
 from app.studies.paper.experiments import Experiment, Sources
 from app.studies.runs import thinned
 
@@ -22,7 +22,7 @@ def short_run(
 ) -> RunResult:
     """An experiment, cut short."""
     scenario = experiment.full().changed(duration=duration)
-    return thinned(experiment.planned(scenario=scenario, physics=physics).done(robot, data))
+    return thinned(run_planned(experiment.planned(scenario=scenario, physics=physics), robot, data))
 
 
 def sources_of(robot: RobotModel, data: BorderData, runs: dict[Experiment, RunResult]) -> Sources:

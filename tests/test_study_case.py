@@ -12,6 +12,7 @@ from app.avoidance.closest_points import DistanceMonitor
 from app.config import Config
 from app.errors import CaseError, ConfigError, StudyError
 from app.robot.state import Measurement, RobotState
+from app.simulation.run import run_planned
 from app.studies.pulls.case import (
     TIMES,
     Case,
@@ -173,7 +174,7 @@ def test_a_case_from_a_file_gives_the_same_figures(sources, cases, tmp_path):
     file = tmp_path / "case.json"
     file.write_text(json.dumps({"case": cases[3].model_dump(mode="json"), "figures": row}))
     play_case(cases[4], sources.model, sources.data)
-    figures = read_case(file).planned().done(sources.model, sources.data).figures
+    figures = run_planned(read_case(file).planned(), sources.model, sources.data).figures
     again = flat({key: value for key, value in figures.items() if key not in TIMES})
     again = {key: rounded(value) for key, value in again.items()}
     assert {key: row[key] for key in again} == again
@@ -208,7 +209,7 @@ def test_a_misspelt_field_of_a_case_is_refused_by_name(cases, tmp_path: Path):
 def test_a_case_of_another_arm_or_with_an_impossible_value_is_refused(sources, cases):
     short = cases[0].model_copy(update={"q_m": cases[0].q_m[:-1]})
     with pytest.raises(CaseError, match=r"6 joints.*has 7"):
-        short.planned().done(sources.model, sources.data)
+        run_planned(short.planned(), sources.model, sources.data)
     with pytest.raises(ConfigError, match="base_delay"):
         cases[0].model_copy(update={"base_delay": 9.0}).config()
 

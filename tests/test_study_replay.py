@@ -17,6 +17,7 @@ from app.dashboard.panels.run import RunPanel
 from app.dashboard.server import serve_dashboard
 from app.simulation.loop.commands import Play, Pull, Reset
 from app.simulation.loop.loop import SimulationLoop
+from app.simulation.run import run_planned
 from app.simulation.session import Session
 from app.studies.pulls.case import Case, play_case
 from app.studies.pulls.draw import draw_case, load_sources
@@ -138,7 +139,7 @@ def begun(loop: SimulationLoop) -> None:
 
 def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, case, loop):
     """Each snapshot is a row of the run's log, to the last digit, noise included."""
-    trace = case.planned().done(sources.model, sources.data).trace
+    trace = run_planned(case.planned(), sources.model, sources.data).trace
     log = {round(t, 3): k for k, t in enumerate(trace.t)}
     loop.send(Play(case.scenario()))
     begun(loop)

@@ -12,6 +12,7 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
+from app.simulation.run import run_planned
 from app.studies.sweep.plan import Approach, SweepPlan, Trial
 from app.studies.sweep.starts import Start, StartFinder
 from app.studies.sweep.sweep import GUIDED_LIMIT, arrival, passes, sweep
@@ -109,7 +110,7 @@ def test_on_the_wheel_axis_a_barrier_moves_a_cheap_base_only(
     start = StartFinder(robot, border_data, config.border.d_b).find(
         Approach("wheel_axis", 0.3, 90.0), plan.distance
     )
-    found = plan.planned(Trial(start, "barrier", 0.16)).done(robot, border_data)
+    found = run_planned(plan.planned(Trial(start, "barrier", 0.16)), robot, border_data)
     displacement = found.figures["base_displacement_m"]
     assert isinstance(displacement, float)
     assert (displacement > 0.008) == moves

@@ -59,9 +59,12 @@ def of_case(case: Case | RunCase, setup: Given) -> Planned:
 
 def result_of(run: Planned, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
     """All of a run, under a bar of progress; see `run_scenario`."""
+    # Imported here: what is asked for is checked before anything is loaded.
+    from app.simulation.run import run_planned
+
     duration = run.scenario.duration
     with progress_bar(f"{run.scenario.name}, {run.controller}", duration) as on_progress:
-        return run.done(model, data, on_progress=on_progress, drawn=drawn)
+        return run_planned(run, model, data, on_progress=on_progress, drawn=drawn)
 
 
 def filmed(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
@@ -15,11 +15,6 @@ from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.pulled import CHALLENGE
 from app.strict import MOST_SEEDS, Finite, Strict, explain
-
-if TYPE_CHECKING:
-    from app.border.cache import BorderData
-    from app.robot.model import RobotModel
-    from app.simulation.run import RunResult
 
 _PLAYED: dict[str, Scenario] = {**SCENARIOS, CHALLENGE.name: CHALLENGE}
 _FIELDS = {path for section in sections() for path in (t.path for t in section.tunables)}
@@ -45,13 +40,6 @@ class Planned(NamedTuple):
     controller: str
     physics: str | None = None
     seed: int = 0
-
-    def done(self, model: RobotModel, data: BorderData, **how: Any) -> RunResult:
-        """Do it; what else it takes and what it raises stands at `run_scenario`."""
-        # Imported here: what is asked for is checked before anything is loaded.
-        from app.simulation.run import run_scenario
-
-        return run_scenario(model, data, self.scenario, self.config, **self.driven, **how)
 
     @property
     def driven(self) -> dict[str, Any]:

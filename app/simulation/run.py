@@ -12,6 +12,7 @@ from typing_extensions import Unpack
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
+from app.simulation.case import Planned
 from app.simulation.loop.pacing import settled
 from app.simulation.scenarios.leading import Scenario, Setting
 from app.simulation.session import DT, Session, Step
@@ -121,6 +122,11 @@ def run_scenario(
         "realtime_factor": scenario.duration / elapsed,
     }
     return RunResult(figures, trace)
+
+
+def run_planned(planned: Planned, model: RobotModel, data: BorderData, **how: Any) -> RunResult:
+    """Do a run; what else it takes and what it raises stands at `run_scenario`."""
+    return run_scenario(model, data, planned.scenario, planned.config, **planned.driven, **how)
 
 
 def filmed(

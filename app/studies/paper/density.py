@@ -15,6 +15,7 @@ from app.avoidance.mobile_acceleration import ActingPointFinder, PairForce, gene
 from app.border.dbb import Border, Cloud
 from app.border.surface import BorderPoints, BorderSurface
 from app.robot.link_pairs import Closest
+from app.simulation.run import run_planned
 from app.simulation.session import DT
 from app.studies.paper.drawing import (
     Drawing,
@@ -126,7 +127,7 @@ def run_at_50_000(sources: Sources) -> dict[str, Any]:
         for pair in sources.data.pairs.mobile
     }
     data = replace(sources.data, clouds=clouds)
-    return experiment.planned().done(sources.model, data).figures
+    return run_planned(experiment.planned(), sources.model, data).figures
 
 
 def thinned_cloud(cloud: Cloud, share: float) -> Cloud:

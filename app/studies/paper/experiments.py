@@ -22,7 +22,7 @@ from app.robot.description import load_robot
 from app.robot.link_pairs import Closest, Pair, PairDistances
 from app.robot.model import RobotModel
 from app.simulation.case import Planned
-from app.simulation.run import RunResult
+from app.simulation.run import RunResult, run_planned
 from app.simulation.scenarios import scenario_by_name
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import LineScenario, Point
@@ -223,4 +223,4 @@ def duration(experiments: Iterable[Experiment]) -> float:
 
 
 def _run(seed: int, sources: Sources, experiment: Experiment) -> RunResult:
-    return thinned(experiment.planned(seed=seed).done(sources.model, sources.data))
+    return thinned(run_planned(experiment.planned(seed=seed), sources.model, sources.data))

@@ -160,8 +160,11 @@ def play_case(case: Case, model: RobotModel, data: BorderData) -> Row:
 
     A run that breaks off is a row too: `error` says why, and its figures are missing.
     """
+    # Imported here: cases are read where nothing is run.
+    from app.simulation.run import run_planned
+
     try:
-        result = case.planned().done(model, data)
+        result = run_planned(case.planned(), model, data)
     except (DbbError, ValueError, ArithmeticError) as error:
         return {**inputs_of(case), "nan": False, "error": f"{type(error).__name__}: {error}"}
     figures = flat(result.figures)

@@ -23,6 +23,7 @@ from app.errors import DbbError
 from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
+from app.simulation.run import run_planned
 from app.studies.runs import Row, rounded, thinned, write_json
 from app.studies.sweep.plan import (
     CLEARANCE_LIMIT,
@@ -156,7 +157,7 @@ def _find_starts(plan: SweepPlan, finder: StartFinder, group: tuple[Approach, ..
 def _row(plan: SweepPlan, finder: StartFinder, trial: Trial) -> Row:
     """Figures of one path; keys end in their unit."""
     planned, start = plan.planned(trial), trial.start
-    run, scenario = thinned(planned.done(finder.model, finder.data)), planned.scenario
+    run, scenario = thinned(run_planned(planned, finder.model, finder.data)), planned.scenario
     off = np.linalg.norm(run.trace.of("p_ee") - scenario.position(scenario.duration)[0], axis=1)
     found: Row = {"controller": trial.controller, **start.approach.where()}
     found |= {"speed_mps": trial.speed}
@@ -376,7 +377,7 @@ def _of_robot(
     finder: StartFinder, plan: SweepPlan, case: Case, start: Start, controller: str
 ) -> Row:
     planned = plan.planned(Trial(start, controller, case.speed))
-    figures: Row = planned.done(finder.model, finder.data).figures
+    figures: Row = run_planned(planned, finder.model, finder.data).figures
     row: Row = {
         "controller": controller,
         **start.approach.where(),
