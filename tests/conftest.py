@@ -12,7 +12,7 @@ from hypothesis import settings
 from app.border.cache import BorderData, load_border_data
 from app.cli import common
 from app.dashboard import job
-from app.errors import AssetError, ConfigError
+from app.errors import DbbError
 from app.jobs.process import run_in_process
 from app.robot.model import RobotModel
 from tests.browser import chromium
@@ -52,7 +52,7 @@ def _what_needs_pybullet() -> Generator[None]:
     """Skip, where it has no wheels, what ends with the line that says that it is needed."""
     try:
         yield
-    except (AssetError, ConfigError) as error:
+    except DbbError as error:
         if find_spec("pybullet") is None and "pybullet" in str(error):
             pytest.skip(str(error))
         raise

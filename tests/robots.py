@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from functools import cache
+from importlib.util import find_spec
 
 import numpy as np
+import pytest
 
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.robot.shapes import Shape
 from app.robot.state import Measurement, RobotState
+
+needs_pybullet = pytest.mark.skipif(
+    find_spec("pybullet") is None,
+    reason="pybullet, and the meshes of the paper's robot with it, have no wheels for this Python",
+)
 
 
 @cache

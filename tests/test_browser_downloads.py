@@ -13,6 +13,7 @@ from app.dashboard.job import FILM_RATE
 from app.simulation.trace.log_file import read_trace
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
+from tests.robots import needs_pybullet
 
 pytestmark = pytest.mark.browser
 
@@ -87,6 +88,7 @@ def test_a_report_opens_from_a_file_with_the_network_off(tab, tmp_path, offline)
     assert offline.get_by_text("lm-lEE").first.is_visible()
 
 
+@needs_pybullet
 def test_a_replay_moves_the_robot_from_a_file_with_the_network_off(tab, tmp_path, offline):
     offline.goto(download(tab, "Replay (HTML)", tmp_path).as_uri())
     offline.wait_for_function("() => dbbPage.ready() && dbbPage.has('/robot')", timeout=PATIENCE)

@@ -11,6 +11,7 @@ from app.simulation.loop.commands import Pause, StepOnce
 from app.simulation.trace.snapshot import Snapshot
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
+from tests.robots import needs_pybullet
 
 pytestmark = pytest.mark.browser
 
@@ -112,6 +113,7 @@ def test_a_step_forward_from_now_is_simulated_and_a_step_back_is_remembered(tab,
     assert len(loop.commands) == count, "what is past is not simulated again"
 
 
+@needs_pybullet
 def test_who_takes_the_hand_is_back_in_the_present(tab, served):
     page = served.page()
     tab.look_at(3.0)

@@ -21,6 +21,7 @@ from app.simulation.loop.commands import (
 )
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import served_dashboard
+from tests.robots import needs_pybullet
 
 pytestmark = pytest.mark.browser
 
@@ -115,6 +116,7 @@ def test_dragging_the_gizmo_pulls_the_hand_and_letting_go_releases_it(tab, serve
     wait_for(lambda: np.linalg.norm(tab.position(GIZMO) - loop.latest().p_ee) < 1e-3)
 
 
+@needs_pybullet
 def test_a_link_dragged_by_the_mouse_is_pulled_there_by_a_band_with_its_newtons(tab, served):
     loop = served.loop
     before = tab.picture()

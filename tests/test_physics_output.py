@@ -13,7 +13,7 @@ import pytest
 from app.errors import AssetError
 from app.simulation.plants import PLANTS, make_physics
 from app.simulation.plants.bullet_world import BulletWorld
-from tests.robots import husky_panda
+from tests.robots import husky_panda, needs_pybullet
 
 PROJECT = Path(__file__).resolve().parent.parent
 
@@ -59,6 +59,7 @@ def output(program: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
+@needs_pybullet
 @pytest.mark.parametrize("kind", PLANTS)
 def test_a_plant_prints_nothing(kind):
     result = output(RUN.format(kind=kind))
@@ -67,6 +68,7 @@ def test_a_plant_prints_nothing(kind):
 
 
 @pytest.mark.slow
+@needs_pybullet
 def test_warnings_of_the_loader_do_not_reach_standard_output():
     assert len(output(LOUD.format(quietly=False)).stdout) > len("before\nafter\n")
     assert output(LOUD.format(quietly=True)).stdout == "before\nafter\n"

@@ -14,6 +14,7 @@ from app.dashboard.scene.robot import LIGHT_FACES, Visual
 from app.simulation.loop.commands import Compare, Play, Pull, Release, Reset
 from tests.browser import DashboardTab, wait_for
 from tests.dashboards import parts, served_dashboard
+from tests.robots import needs_pybullet
 
 pytestmark = pytest.mark.browser
 
@@ -35,6 +36,7 @@ def drawn(tab: DashboardTab) -> dict[str, int]:
     return tab.page.evaluate("() => ({ ...window.__viserTestpoints.rendererInfo.render })")
 
 
+@needs_pybullet
 def test_a_browser_without_a_gpu_gets_a_light_drawing_until_it_asks_for_the_other(browser, served):
     tab = DashboardTab(browser, served.server.address, honest=True)
     assert served.page().view.light
@@ -96,6 +98,7 @@ def test_on_a_phone_the_sentence_stands_above_and_panels_are_a_drawer(browser, s
     assert tab.errors == []
 
 
+@needs_pybullet
 @pytest.mark.parametrize("size", [PHONE, TABLET])
 def test_a_finger_pulls_the_hand_and_a_link(browser, served, size):
     tab = DashboardTab(browser, served.server.address, size, touch=True)
