@@ -90,6 +90,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 has no PYTHONSAFEPATH")
 def test_a_child_imports_nothing_from_the_working_directory(tmp_path: Path) -> None:
     script, folder = tmp_path / "script.py", tmp_path / "foreign"
     script.write_text(CHILD)
