@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -540,7 +541,9 @@ def test_ctrl_c_ends_a_run_cleanly(tmp_path):
     printed, err = process.communicate(timeout=30)
     assert process.returncode == 130
     assert printed == ""
-    assert [line for line in err.splitlines() if "pybullet" not in line] == ["dbb: interrupted"]
+    without = find_spec("pybullet") is None  # a line more: its meshes are not there either
+    assert len(err.splitlines()) == 1 + without
+    assert err.endswith("dbb: interrupted\n")
     assert list(out.iterdir()) == []
 
 

@@ -33,11 +33,13 @@ from app.dashboard.export.offscreen import (
 )
 from app.dashboard.panels.phrases import spoken
 from app.errors import DbbError
+from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.run import filmed, run_scenario, steps_of
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.trace.metrics import touches, verdict
+from app.simulation.trace.snapshot import Snapshot
 from app.system import write_whole
 
 PROJECT = Path(__file__).resolve().parent.parent
@@ -98,7 +100,10 @@ def make_site(
         for scenario, name in track(asked, "replays")
     }
     looks = [(pair, layer) for pair in data.clouds for layer in layers]
-    borders = [_border(out, model, data, pair, layer) for pair, layer in track(looks, "borders")]
+    snapshots = [_at_rest(model, data, k * HOLD, d_b) for k, d_b in enumerate(DISTANCES)]
+    borders = [
+        _border(out, model, data, snapshots, pair, layer) for pair, layer in track(looks, "borders")
+    ]
     shutil.copy(PROJECT / "docs/pictures/front.webp", out / "front.webp")
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent), autoescape=True, undefined=StrictUndefined
@@ -125,22 +130,32 @@ def _replay(
     return Played(name, verdict(figures), bool(touches(figures)), 1e3 * min(near) if near else None)
 
 
-def _border(out: Path, model: RobotModel, data: BorderData, pair: str, layer: str) -> Bordered:
-    """A page whose time line goes over d_b."""
+def _at_rest(model: RobotModel, data: BorderData, t: float, d_b: float) -> Snapshot:
+    """The robot before anybody pulls, with a buffer distance [m], as if it were a time [s]."""
     scenario = scenario_of(model.description, "guiding-front")
-    snapshots = []
-    for k, d_b in enumerate(DISTANCES):
-        config = Config(border=BorderConfig(d_b=d_b))
-        steps = steps_of(model, data, scenario, config, physics="kinematic")
-        snapshots.append(replace(filmed(steps, scenario, [0.0])[0], t=k * HOLD))
+    config = Config(border=BorderConfig(d_b=d_b))
+    steps = steps_of(model, data, scenario, config, physics="kinematic")
+    return replace(filmed(steps, scenario, [0.0])[0], t=t)
+
+
+def _border(
+    out: Path,
+    model: RobotModel,
+    data: BorderData,
+    snapshots: Sequence[Snapshot],
+    pair: str,
+    layer: str,
+) -> Bordered:
+    """A page whose time line goes over d_b."""
     with own_server() as server:
         look = Look(layer=layer, pair=pair)
         scene = OffscreenScene(server, RecordedLoop(snapshots), model, data.clouds, look)
         scene.look(look.view, snapshots[0])
         recording = server.get_scene_serializer()
-        for snapshot, d_b in zip(snapshots, DISTANCES, strict=True):
+        for snapshot in snapshots:
             scene.draw(snapshot.t)
-            server.scene.add_label("/d_b", f"d_b = {d_b:.2f} m", position=(1.0, 0.0, 0.05))
+            text = f"d_b = {snapshot.config.border.d_b:.2f} m"
+            server.scene.add_label("/d_b", text, position=(1.0, 0.0, 0.05))
             recording.insert_sleep(HOLD)
         name = f"border/{pair}-{layer}.html"
         _write(out / name, recording.as_html(dark_mode=look.dark))
@@ -164,7 +179,7 @@ def main() -> None:
     sphinx = [sys.executable, "-m", "sphinx", "-n", "-W", "-q", "--keep-going"]
     subprocess.run([*sphinx, str(PROJECT / "docs"), str(out / "docs")], check=True)
     dbb(["sweep", "--controller", "dbb,none", "--step", "15", "--out", str(out / "maps")])
-    description = load_robot_and_border(ROBOT)[0].description
+    description = load_robot(ROBOT)
     scenarios = [scenario_of(description, name) for name in SCENARIOS]
     make_site(out, scenarios, CONTROLLERS, [each for each in LAYERS if each != "none"])
     (out / ".nojekyll").touch()

@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 
 from app.border.cache import BorderData
 from app.border.dbb import construct_dbb
-from app.border.offset import OffsetContours
+from app.border.offset import offset_contours
 from app.border.score import radial_profile
 from app.onboarding.fit.collision_sampling import moved
 from app.robot.model import RobotModel
@@ -170,7 +170,7 @@ def border_png(robot: NewRobot, data: BorderData) -> bytes | None:
     clouds = [cloud for cloud in data.clouds.values() if len(cloud)]
     if not clouds:
         return None
-    offset = OffsetContours(model, d_b)
+    offset = offset_contours(model, d_b)
     placed = _placements(model, robot.ready.q_m)
     base = body_corners(model, placed, model.body_names[0])
     top = max(float(corners[:, 2].max()) for corners in base)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import NamedTuple
 
@@ -61,8 +61,8 @@ class LinkPairs:
     mobile: tuple[Pair, ...]
     manipulator: tuple[Pair, ...]
     never: tuple[Pair, ...]
-    rates: dict[str, float]
-    least_distance_m: dict[str, float]
+    rates: dict[str, float] = field(hash=False)
+    least_distance_m: dict[str, float] = field(hash=False)
     samples: int
     seed: int
 

@@ -20,7 +20,7 @@ from app.avoidance.mobile_acceleration import (
 )
 from app.border.dbb import Cloud, construct_dbb
 from app.border.mobile import MobileBody
-from app.border.offset import OffsetContours
+from app.border.offset import offset_contours
 from app.border.score import ScoreField
 from app.border.surface import BorderSurface
 from app.config import BorderConfig
@@ -105,7 +105,7 @@ class Borders:
             (pair, border.d_b, border.eps),
             lambda: BorderSurface(
                 construct_dbb(self._clouds[pair], border.d_b, border.eps),
-                OffsetContours(self._model, border.d_b),
+                offset_contours(self._model, border.d_b),
             ),
         )
 

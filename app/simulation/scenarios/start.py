@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import pinocchio as pin
 
 from app.border.mobile import MobileBody
 from app.errors import UnreachableError
-from app.robot.link_pairs import LinkPairs, Pair
-from app.robot.model import RobotModel
+from app.robot.link_pairs import LinkPairs
+from app.robot.model import RobotModel, kept_per_model
 from app.simulation.plants.door import Door
 from app.simulation.scenarios.posture import Found, PostureSearch, Target, manipulability
 
@@ -191,8 +190,6 @@ class StartSolver:
 
 
 _Place = tuple[float, float, float]
-_Asked = tuple[tuple[Pair, ...], float, _Place, int, _Place | None]
-_found: WeakKeyDictionary[RobotModel, dict[_Asked, Array]] = WeakKeyDictionary()
 
 
 def find_start(
@@ -212,15 +209,15 @@ def find_start(
     Raises:
         UnreachableError: There is none; says what stands in the way.
     """
-    kept = _found.setdefault(model, {})
-    asked = (pairs.all, d_b, (p_ee[0], p_ee[1], p_ee[2]), seed, move)
-    q = kept.get(asked)
-    if q is None:
-        along = () if move is None else [np.add(p_ee, share * np.array(move)) for share in _SHARES]
-        q = kept[asked] = StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along)
-        if len(kept) > _KEPT:
-            kept.pop(next(iter(kept)), None)
-    return q.copy()
+    return _found_start(model, pairs, d_b, (p_ee[0], p_ee[1], p_ee[2]), seed, move).copy()
+
+
+@kept_per_model(_KEPT)
+def _found_start(
+    model: RobotModel, pairs: LinkPairs, d_b: float, p_ee: _Place, seed: int, move: _Place | None
+) -> Array:
+    along = () if move is None else [np.add(p_ee, share * np.array(move)) for share in _SHARES]
+    return StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along)
 
 
 class GraspSolver:

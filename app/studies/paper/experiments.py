@@ -13,7 +13,7 @@ from app.avoidance.mobile_acceleration import ActingPoint, ActingPointFinder, av
 from app.border.cache import BorderData, load_border_data
 from app.border.contours import NearestBorder
 from app.border.dbb import Border, construct_dbb
-from app.border.offset import OffsetContours
+from app.border.offset import OffsetContours, offset_contours
 from app.border.score import ScoreField
 from app.border.surface import BorderSurface
 from app.config import Config, ForceConfig
@@ -137,7 +137,7 @@ class Sources:
     @cached_property
     def offset(self) -> OffsetContours:
         """The contours at the buffer distance from the base."""
-        return OffsetContours(self.model, self.config.border.d_b)
+        return offset_contours(self.model, self.config.border.d_b)
 
     def border_of(self, pair: Pair) -> Border:
         """DBB_i of a pair of L_m."""
