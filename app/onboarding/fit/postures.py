@@ -113,7 +113,8 @@ _INNER, _DEEP = 0.4, 0.1  # [-] shares of the buffer into which a line has to, a
 _STEP = 0.0125  # [m] along the line
 _NEAR = 0.15  # [m] from a place to the hand in some posture that is clear of the buffers
 _THERE = 1e-3  # [m] by which the hand may miss it
-_TRIES = 4
+_TRIES = 4  # [-] of those postures
+_SINGULAR = 1e-9  # [m/(N s)] of a hand that is nearly held in some direction
 
 
 class Place(NamedTuple):
@@ -216,18 +217,32 @@ class _Guide:
         if not self._may_start(np.array(p)):
             return
         try:
-            q_m = self._solver.solve(p, tries=_TRIES)
+            q_m = self._solver.solve(p)
         except UnreachableError:
             return
         led, least = 0.0, np.inf
         for left in _LEFT_OVER:
             steps = np.arange(led, at[2] - left, _STEP) + _STEP
             for led in np.minimum(steps, at[2] - left):
-                q_m = self._search.reach(Target(p + led * inwards), q_m)
-                self._search.place(q_m)
+                q_m = self._pulled(q_m, p + led * inwards)
                 least = min(least, *self._search.distances()[: self._mobile])
             move = _point(np.round((at[2] - left) * inwards, 3))
             yield Place(p, move, _LED.format(left)), float(least)
+
+    def _pulled(self, q_m: Array, p: Array) -> Array:
+        """(n_m,) the arm after its hand was slowly pulled from a posture to a place (3,) [m].
+
+        Only damping D resists a person without avoidance: q̇ = D⁻¹ Jᵀ (J D⁻¹ Jᵀ)⁻¹ v.
+        """
+        search, D = self._search, np.array(self._search.model.description.arm.joint_damping)
+        for _ in range(2):
+            search.place(q_m)
+            J = search.J_hand[:3]
+            off, W = p - search.state.T_world_ee.translation, J / D
+            q_m = q_m + W.T @ np.linalg.solve(J @ W.T + _SINGULAR * np.eye(3), off)
+            q_m = np.clip(q_m, search.model.q_lower, search.model.q_upper)
+        search.place(q_m)
+        return q_m
 
     def _may_start(self, p: Array) -> bool:
         """Whether a posture near one of the free ones has its hand at a place (3,) and is free."""
