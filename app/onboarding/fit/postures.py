@@ -113,15 +113,22 @@ _INNER, _DEEP = 0.4, 0.1  # [-] shares of the buffer into which a line has to, a
 _STEP = 0.0125  # [m] along the line
 _NEAR = 0.15  # [m] from a place to the hand in some posture that is clear of the buffers
 _THERE = 1e-3  # [m] by which the hand may miss it
-_TRIES = 4  # [-] of those postures
+_TRIES = 6  # [-] of the nearest of those postures
 _SINGULAR = 1e-9  # [m/(N s)] of a hand that is nearly held in some direction
 
 
 class Place(NamedTuple):
-    """A line of guiding [m], as the scenario has it, and where it comes from in words."""
+    """A line of guiding [m], as the scenario has it, and where it comes from in words.
+
+    Attributes:
+        start, move: As of `LineScenario`.
+        nearest: [m] least distance of the arm to a base that stands still while its hand is pulled.
+        source: In words.
+    """
 
     start: Point
     move: Point
+    nearest: float
     source: str
 
     def content(self) -> dict[str, Any]:
@@ -164,13 +171,11 @@ def find_places(
     return found
 
 
-Line = tuple[Place, float]
-"""A line, and the least distance [m] of the arm to a base that stands still while it is led."""
 _Start = tuple[Array, Array]
 """Where a line starts, x, y and how far out [m] of the base, and the unit vector (3,) inwards."""
 
 
-def deepest(lines: Iterable[Line], d_b: float) -> Place | None:
+def deepest(lines: Iterable[Place], d_b: float) -> Place | None:
     """The first line that leads deep into the buffer, else the one that leads deepest.
 
     Args:
@@ -181,10 +186,10 @@ def deepest(lines: Iterable[Line], d_b: float) -> Place | None:
         None if no line comes into the inner part of the buffer.
     """
     found, least = None, _INNER * d_b
-    for place, nearest in lines:
-        if nearest < least:
-            found, least = place, nearest
-        if nearest < _DEEP * d_b:
+    for line in lines:
+        if line.nearest < least:
+            found, least = line, line.nearest
+        if line.nearest < _DEEP * d_b:
             break
     return found
 
@@ -200,13 +205,13 @@ class _Guide:
 
     def lines(
         self, tried: list[tuple[_Start, float]], shares: Array, tell: Callable[[float], None]
-    ) -> Iterator[Line]:
+    ) -> Iterator[Place]:
         """Those from starts at heights [m]; of each start, `tell` is called with its share."""
         for (start, z), share in zip(tried, shares.tolist(), strict=True):
             tell(share)
             yield from self._from(start, z)
 
-    def _from(self, start: _Start, z: float) -> Iterator[Line]:
+    def _from(self, start: _Start, z: float) -> Iterator[Place]:
         """Those from one place, if the arm can start there; each goes on where the last one ends.
 
         The arm first tries to come there from postures nearby, however its hand points: that is
@@ -227,7 +232,7 @@ class _Guide:
                 q_m = self._pulled(q_m, p + led * inwards)
                 least = min(least, *self._search.distances()[: self._mobile])
             move = _point(np.round((at[2] - left) * inwards, 3))
-            yield Place(p, move, _LED.format(left)), float(least)
+            yield Place(p, move, float(least), _LED.format(left, least))
 
     def _pulled(self, q_m: Array, p: Array) -> Array:
         """(n_m,) the arm after its hand was slowly pulled from a posture to a place (3,) [m].
@@ -247,9 +252,9 @@ class _Guide:
     def _may_start(self, p: Array) -> bool:
         """Whether a posture near one of the free ones has its hand at a place (3,) and is free."""
         away = np.linalg.norm(self._hands - p, axis=1)
+        if away.min(initial=np.inf) > _NEAR:
+            return False
         for k in np.argsort(away)[:_TRIES]:
-            if away[k] > _NEAR:
-                return False
             self._search.place(self._search.reach(Target(p), self._free[k]))
             off = np.linalg.norm(self._search.state.T_world_ee.translation - p)
             if off < _THERE and _is_free(self._search):
@@ -275,7 +280,7 @@ def _is_free(search: PostureSearch) -> bool:
 
 _LED = (
     "chosen: the first place, from far to near, where the arm can start clear of the buffers; it "
-    "leads to {:g} m beside the base"
+    "leads the hand to {:g} m beside the base and without avoidance the arm to {:.3f} m"
 )
 
 
