@@ -236,6 +236,7 @@ def outcome(name: str, quick: bool) -> dict[str, Any]:
         return row
     found, took = dbb("check-robot", own, *how)
     row |= {key: made[key] for key in _FIGURES}
+    row["over_hulls"] = {name: max(body["over_cover"]) for name, body in made["bodies"].items()}
     if found is None:
         return row | took
     checks = {each.pop("name"): each for each in found["checks"]}
@@ -247,11 +248,8 @@ def outcome(name: str, quick: bool) -> dict[str, Any]:
     }
 
 
-_FIGURES = (
-    *("bodies", "pairs", "missed_collisions", "ready_position", "lines", "border_points"),
-    "warnings",
-)
-"""Of what `dbb new-robot` prints."""
+_FIGURES = ("pairs", "ready_position", "lines", "border_points", "warnings")
+"""Of what `dbb new-robot` prints; of a body how much larger it is than the hull of its links."""
 
 
 if __name__ == "__main__":
