@@ -109,11 +109,11 @@ Point = tuple[float, float, float]
 
 _OUT = (0.425, 0.375, 0.35, 0.325, 0.30, 0.275, 0.25)  # [m] from the base's side, farthest first
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
-_INNER, _DEEP = 0.4, 0.1  # [-] shares of the buffer into which a line has to, and should, lead
+_INNER = 0.4  # [-] share of the buffer into which a line has to lead; it should lead to contact
 _STEP = 0.0125  # [m] along the line
 _NEAR = 0.15  # [m] from a place to the hand in some posture that is clear of the buffers
 _THERE = 1e-3  # [m] by which the hand may miss it
-_TRIES = 6  # [-] of the nearest of those postures
+_TRIES = 6  # [-] of the nearest of those postures, and of a search
 _SINGULAR = 1e-9  # [m/(N s)] of a hand that is nearly held in some direction
 
 
@@ -176,10 +176,10 @@ _Start = tuple[Array, Array]
 
 
 def deepest(lines: Iterable[Place], d_b: float) -> Place | None:
-    """The first line that leads deep into the buffer, else the one that leads deepest.
+    """The first line on which the bodies would meet, else the one that leads deepest.
 
     Args:
-        lines: In the order of preference; none is asked for after a deep one.
+        lines: In the order of preference; none is asked for after one that leads to contact.
         d_b: [m] buffer distance.
 
     Returns:
@@ -189,7 +189,7 @@ def deepest(lines: Iterable[Place], d_b: float) -> Place | None:
     for line in lines:
         if line.nearest < least:
             found, least = line, line.nearest
-        if line.nearest < _DEEP * d_b:
+        if line.nearest <= 0.0:
             break
     return found
 
@@ -222,6 +222,7 @@ class _Guide:
         if not self._may_start(np.array(p)):
             return
         try:
+            self._solver.solve(p, tries=_TRIES)  # to find none by all tries would take long
             q_m = self._solver.solve(p)
         except UnreachableError:
             return
