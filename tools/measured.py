@@ -150,15 +150,17 @@ def engines_table(found: Figures) -> str:
 
 def plants_table(found: Figures) -> str:
     """A line a plant."""
-    times = found["times"]["times_us"]
-    first = times["planar"]["least"]
-    return grid(
-        ["plant", "step and reading, median", "least", "of pybullet's least"],
-        [
-            [f"`{n}`", f"{t['median']:.1f} µs", f"{t['least']:.1f} µs", f"{t['least'] / first:.2f}"]
-            for n, t in times.items()
-        ],
-    )
+    times, study = found["times"]["times_us"], found["times"]["study"]
+    first = {key: times["planar"][key] for key in ("median", "least")}
+    rows = []
+    for n, t in times.items():
+        cells = [f"{t['median']:.1f} µs, {t['least']:.1f} µs"]
+        cells.append(f"{t['median'] / first['median']:.2f}, {t['least'] / first['least']:.2f}")
+        if n in study:
+            cells.append(f"{study[n]:.0f} s, {study['planar'] / study[n]:.2f} times as fast")
+        rows.append([f"`{n}`", *cells, *[""] * (3 - len(cells))])
+    taken = f"`dbb study` of {study['cases']} cases"
+    return grid(["plant", "step and reading, median, least", "of pybullet's", taken], rows)
 
 
 def robots_table(found: Figures) -> str:
@@ -324,6 +326,19 @@ def keep_law(printed: dict[str, Any]) -> dict[str, Any]:
     return {"summary": printed["summary"]}
 
 
+def install_table(found: Figures) -> str:
+    """A line a stage of `make run` in a fresh clone."""
+    clone = found["clone"]
+    stages = {
+        "install_s": f"installing {clone['download_mb']:.0f} MB from {clone['installer']}'s cache",
+        "compile_s": "compiling the kernels",
+        "serve_s": "`dbb serve` until the page answers",
+        "page_answers_s": "`git clone` to the page's answer",
+    }
+    rows = [[what, number(clone[key], "s", 2)] for key, what in stages.items()]
+    return grid(["`make run` in a fresh clone", "takes"], rows)
+
+
 def buffer_table(found: Figures) -> str:
     """A line a speed, a column a place and delay."""
     rows = [dict(row) for row in found["rows"]["rows"]]
@@ -403,7 +418,9 @@ SETS: dict[str, ResultSet] = {
         keep_run,
         engines_table,
     ),
-    "plants": ResultSet({"times": ("benchmarks.engines", "--json")}, keep_all, plants_table),
+    "plants": ResultSet(
+        {"times": ("benchmarks.engines", "--study", "20", "--json")}, keep_all, plants_table
+    ),
     "robots": ResultSet(
         {name: ("app", "sweep", "robots", "--robots", name, "--json") for name in ROBOTS},
         keep_robots,
@@ -427,6 +444,12 @@ SETS: dict[str, ResultSet] = {
         {body: ("app", "reach", "--body", body, "--json") for body in ("lEE", "l3")},
         keep_reach,
         reach_table,
+    ),
+    "install": ResultSet(
+        {"clone": ("benchmarks.fresh_clone",)},
+        keep_all,
+        install_table,
+        default=False,
     ),
     "performance": ResultSet(
         {
