@@ -47,6 +47,10 @@ PULLS = (
 """Of the study that the documentation shows: strong pulls on a robot as modelled."""
 
 
+COUNTS = {"messages": "100000", "files": "10000"}
+"""Of the fuzz: messages, and mutations of each kind of file."""
+
+
 class ResultSet(NamedTuple):
     """What one file of docs/results holds, and one table shows.
 
@@ -372,6 +376,31 @@ def house_table(found: Figures) -> str:
     )
 
 
+def fuzz(what: str) -> tuple[str, ...]:
+    """So many messages, or mutations of each kind of file, that rare ones are among them."""
+    return ("benchmarks.fuzz", "--what", what, "--count", COUNTS[what], "--json")
+
+
+def trust_table(found: Figures) -> str:
+    """A line a kind of what is sent, read or done to a command, and what became of it."""
+    rows = []
+    if messages := found.get("messages", {}).get("messages"):
+        told = [f"{messages.get(key, 0):,} {key}" for key in ("taken", "refused", "garbage")]
+        told.append(f"memory {messages['memory_growth'] - 1:+.0%}".replace("-", "−"))
+        what = f"messages of {len(messages['kinds'])} kinds"
+        rows.append([what, f"{messages['messages']:,}", ", ".join(told)])
+    for kind, counts in found.get("files", {}).get("files", {}).items():
+        if kind != "findings":
+            told = f"{counts.get('right', 0):,} read, {counts.get('line', 0):,} refused in a line"
+            rows.append([f"files: {kind}", f"{sum(counts.values()):,}", told])
+    for command, counts in found.get("faults", {}).get("tally", {}).items():
+        left = ("orphans", "ports", "half", "lost")
+        words = ("processes left", "ports open", "half-written files", "results lost")
+        told = [f"{counts.get(key, 0)} {word}" for key, word in zip(left, words, strict=True)]
+        rows.append([f"faults: `{command}`", str(counts["tries"]), ", ".join(told)])
+    return grid(["what", "how often", "what became of it"], rows)
+
+
 SETS: dict[str, ResultSet] = {
     "house": ResultSet({"house": ("tools.house", "--json")}, keep_all, house_table),
     "scenarios": ResultSet(
@@ -461,6 +490,16 @@ SETS: dict[str, ResultSet] = {
         },
         keep_all,
         performance_table,
+        default=False,
+    ),
+    "trust": ResultSet(
+        {
+            "messages": fuzz("messages"),
+            "files": fuzz("files"),
+            "faults": ("benchmarks.faults", "--tries", "100", "--json"),
+        },
+        keep_all,
+        trust_table,
         default=False,
     ),
     "peers": ResultSet(
