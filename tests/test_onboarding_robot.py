@@ -224,7 +224,7 @@ def test_bodies_that_do_not_hold_their_links_are_refused(
         few_samples(tmp_path),
         pytest.raises(RobotFileError, match=r"l1-lEE do not hold the links.*--bodies than"),
     ):
-        new_robot.make_robot(request, tmp_path)
+        new_robot.make_robot(request, tmp_path, lambda _: pytest.fail("it is refused before"))
 
 
 def test_a_pair_that_random_poses_hardly_bring_together_is_searched_for(made: NewRobot) -> None:
@@ -286,12 +286,15 @@ def test_the_ready_pose_is_outside_of_every_buffer(made: NewRobot) -> None:
     assert (left >= 0.09 * span).all()
 
 
-def test_the_report_shows_bodies_pairs_and_warnings(made: NewRobot) -> None:
+def test_the_report_shows_bodies_pairs_and_warnings(
+    finished: tuple[NewRobot, BorderData],
+) -> None:
+    made, data = finished
     page = (made.request.out / "report.html").read_text()
     pictures = re.findall(r'src="data:image/png;base64,([^"]+)"', page)
     assert len(pictures) >= 2
     assert all(base64.b64decode(each).startswith(b"\x89PNG") for each in pictures)
-    for pair in made.pairs.all:
+    for pair in data.pairs.all:
         assert pair.name in page
     for warning in made.warnings:
         assert warning.split("'")[0][:40] in page

@@ -297,21 +297,34 @@ def gallery_table(found: Figures) -> str:
     """A line a robot: what was made and how its checks ended, or why it was not."""
     rows = []
     for name, row in found.items():
-        checks = row.get("checks", {}).items()
-        told = [f"{check}: {each['outcome']}" for check, each in checks]
+        checks = row.get("checks", {})
+        told = [f"{check}: {each['outcome']}" for check, each in checks.items()]
         told = [line for line in told if not line.endswith(": passed")]
+        unseen = checks.get("arm's bodies", {"numbers": {}})["numbers"].get("unseen_share")
         rows.append(
             [
                 f"`{name}`",
                 row["verdict"],
-                number(row["elapsed_s"], "s"),
+                number(row["cpu_s"], "s"),
                 ", ".join(row.get("pairs", [])),
-                number(100 * row["unseen_share"], "%") if "unseen_share" in row else "",
+                "" if unseen is None else number(100 * unseen, "%", 2),
+                *(guided_cell(checks.get(each)) for each in ("guiding-lateral", "guiding-front")),
                 row.get("refusal", "; ".join(told)).replace("|", "\\|"),
             ]
         )
-    head = ["robot", "verdict", "made in", "pairs", "unseen collisions", "what did not pass"]
-    return grid(head, rows)
+    head = ["robot", "verdict", "made in", "pairs", "unseen", "from the side", "from the front"]
+    return grid([*head, "what did not pass"], rows)
+
+
+def guided_cell(check: Figures | None) -> str:
+    """Least distance to the base with and without avoidance, and how far the base moved."""
+    if check is None or "min_clearance_m" not in (numbers := check["numbers"]):
+        return ""
+    near, without, moved = (
+        metres(numbers[key])
+        for key in ("min_clearance_m", "min_clearance_without_m", "base_displacement_m")
+    )
+    return f"{near}, `none` {without}; base {moved}"
 
 
 def keep_study(printed: dict[str, Any]) -> dict[str, Any]:
@@ -456,10 +469,7 @@ SETS: dict[str, ResultSet] = {
         robots_table,
     ),
     "gallery": ResultSet(
-        {
-            name: ("benchmarks.gallery", "--robots", name, "--again", "--quick", "--json")
-            for name in GALLERY
-        },
+        {name: ("benchmarks.gallery", "--robots", name, "--quick", "--json") for name in GALLERY},
         lambda printed: next(iter(printed.values())),
         gallery_table,
         default=False,

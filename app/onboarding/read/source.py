@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
@@ -108,11 +109,16 @@ def _in_package(
     if roots:
         places = ", ".join(map(str, roots))
         raise RobotFileError(f"mesh {reference}: no such file in the package {package!r}: {places}")
+    raise RobotFileError(f"mesh {reference}: {_nowhere(package, inner, folder)}")
+
+
+def _nowhere(package: str, inner: str, folder: Path) -> str:
+    """Where a package was looked for that a file in a folder names, and what helps."""
     holder = next((each for each in (folder, *folder.parents) if (each / inner).is_file()), None)
     found = "FOLDER" if holder is None else f"{holder}, which holds a file of that path"
-    raise RobotFileError(
-        f"mesh {reference}: the package {package!r} is no folder beside or above {folder}, is not "
-        "in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, and is not installed; "
+    return (
+        f"the package {package!r} is no folder beside or above {folder}, is not in "
+        "ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, and is not installed; "
         f"give --package {package}={found}"
     )
 
@@ -158,9 +164,12 @@ def _expanded(path: Path, packages: Mapping[str, Path]) -> str:
         document = XacroDoc.from_file(str(path), resolve_packages=False)
     except Exception as error:  # xacro has no common base of its errors
         why = " ".join(str(error).split())
-        raise RobotFileError(
-            f"{path}: xacro cannot expand it: {why} (--package NAME=FOLDER gives a package's place)"
-        ) from None
+        if missing := re.search(r"Package not found: (\S+)", why):
+            named = rf"\$\(find {re.escape(missing[1])}\)/([^\"']+)"
+            inner = re.search(named, path.read_text(encoding="utf-8"))
+            where = _nowhere(missing[1], inner[1] if inner else "", path.parent)
+            raise RobotFileError(f"{path}: {where}") from None
+        raise RobotFileError(f"{path}: xacro cannot expand it: {why}") from None
     return document.to_urdf_string()
 
 
