@@ -231,7 +231,7 @@ class Journal:
         whole = content.rfind(b"\n") + 1
         for number, line in enumerate(content[:whole].splitlines(), start=1):
             try:
-                row = parsed(json.loads, line)
+                row = parsed(json.loads, line.decode())
                 self.rows.setdefault(row["case"], row)
             except (ValueError, KeyError, TypeError):
                 raise StudyError(
