@@ -14,6 +14,7 @@ import pytest
 from app.border.cache import DamagedFileError, read
 from app.cli.main import main
 from app.config_file import decode_config
+from app.dashboard.robots import robot_entries
 from app.errors import (
     CaseError,
     ConfigError,
@@ -22,8 +23,7 @@ from app.errors import (
     OutputError,
     RobotFileError,
 )
-from app.onboarding.read.source import refuse_entities
-from app.robot.assets import ASSETS
+from app.robot.assets import ASSETS, refuse_entities
 from app.robot.description import load_description
 from app.simulation.trace.log_file import read_trace, write_trace
 from app.studies.pulls.case import read_case
@@ -71,6 +71,29 @@ def test_of_a_broken_robot_the_list_says_what_is_wrong_and_the_others_are_there(
     told = capsys.readouterr().out
     assert "\nhusky_panda " in told
     assert "\nbroken               cannot be used: " in told
+
+
+@pytest.mark.parametrize(
+    "urdf",
+    [
+        b"\xff\xfe",
+        b"<robot",
+        b"<!DOCTYPE r [<!ENTITY a 'b'>]><robot name='&a;'/>",
+        b"<a>" * 200 + b"</a>" * 200,
+    ],
+    ids=["no text", "no XML", "entity", "depth"],
+)
+def test_of_a_robot_with_a_broken_urdf_the_page_says_what_is_wrong(urdf, monkeypatch, tmp_path):
+    good = (ASSETS / "husky_panda" / "robot.toml").read_text(encoding="utf-8")
+    mine = good.replace('"husky_panda"', '"broken"').replace("robot.urdf", "mine.urdf")
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "robot.toml").write_text(mine, encoding="utf-8")
+    (tmp_path / "broken" / "mine.urdf").write_bytes(urdf)
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    entries = {entry.name: entry for entry in robot_entries()}
+    assert entries["husky_panda"].problem is None
+    assert entries["broken"].own
+    assert "mine.urdf: " in str(entries["broken"].problem)
 
 
 def test_a_file_that_is_replaced_is_the_old_one_until_it_is_the_new_one(tmp_path):

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from app.errors import DbbError, UnknownNameError, extras_named
 from app.jobs.progress import ending_signals_raised
+from app.system import open_standard_files
 
 COMMANDS = {
     "A robot that moves": {
@@ -42,6 +43,7 @@ _ABOUT = "Reactive self-collision avoidance for a mobile manipulator."
 
 def main(args: list[str] | None = None) -> None:
     """Run the command line; ends the process with status 0 only if it did what was asked."""
+    open_standard_files()
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
         with ending_signals_raised(), extras_named():

@@ -21,6 +21,7 @@ from websockets.exceptions import ConnectionClosed
 
 from app.dashboard.gate import Gate, RefusedError, draws_in_software
 from app.dashboard.notifications import Notifier
+from app.strict import parsed
 
 logger = logging.getLogger(__name__)
 
@@ -155,7 +156,7 @@ class Channel:
         if event.client is None:
             return
         try:
-            _, word, *values = json.loads(event.target.value)
+            _, word, *values = parsed(json.loads, event.target.value)
             act = self._acts[word]
         except (ValueError, TypeError, KeyError):  # no page of this program says so
             return

@@ -210,21 +210,9 @@ def make_robot(
     tell("looking for places to guide the hand")
     places = find_places(compiled(content, path), pairs, d_b, on_progress=on_progress)
     content["lines"] = {name: place.content() for name, place in places.items()}
-    robot = NewRobot(
-        request,
-        parsed,
-        urdf,
-        content,
-        compiled(content, path),
-        meetings,
-        bodies,
-        verdict,
-        unseen,
-        ready,
-        reach,
-        places,
-        warnings=[],
-    )
+    model = compiled(content, path)
+    fitted = meetings, bodies, verdict, unseen
+    robot = NewRobot(request, parsed, urdf, content, model, *fitted, ready, reach, places, [])
     return replace(robot, warnings=warnings_of(robot)), data
 
 

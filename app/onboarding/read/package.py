@@ -18,8 +18,9 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from app.errors import RobotFileError
-from app.onboarding.read.source import read_source, refuse_entities
+from app.onboarding.read.source import read_source
 from app.onboarding.read.tree import make_tree
+from app.robot.assets import refuse_entities
 
 FOLDER = "package"
 """Where a package lies in the robot's own folder."""

@@ -6,13 +6,11 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NoReturn
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
-from xml.parsers import expat
 
 from app.errors import RobotFileError
-from app.robot.assets import package_roots, resolve_package_uri, share_folders
+from app.robot.assets import package_roots, refuse_entities, resolve_package_uri, share_folders
 
 
 def locate(source: str) -> Path:
@@ -183,50 +181,3 @@ def _around(path: Path) -> dict[str, str]:
             if folder.is_dir() and not folder.name.startswith((".", "_")):
                 found.setdefault(folder.name, str(folder))
     return found
-
-
-_MOST_ELEMENTS = 100_000  # [-] of an XML file; the largest known URDFs have some thousands
-_DEEPEST = 100  # [-] elements in one another
-
-
-def refuse_entities(content: bytes | str, path: Path) -> None:
-    """Refuse XML that multiplies itself, reaches for other files or is huge, before a tree is made.
-
-    Args:
-        content: Of an XML file, as it is parsed afterwards: of a text, the encoding that it
-            declares does not count.
-        path: Named in the message.
-
-    Raises:
-        RobotFileError: It declares an entity, as a billion laughs do, nests deeper or has more
-            elements than any robot, or is not well-formed.
-    """
-
-    def refuse(name: str, *_: object) -> NoReturn:
-        raise RobotFileError(
-            f"{path.name}: it declares the XML entity {name!r}, which could grow without end or "
-            "read other files; write out what it stands for, without <!ENTITY …>"
-        )
-
-    depth = count = 0
-
-    def begin(*_: object) -> None:
-        nonlocal depth, count
-        depth, count = depth + 1, count + 1
-        if depth > _DEEPEST or count > _MOST_ELEMENTS:
-            raise RobotFileError(
-                f"{path.name}: it has more than {_MOST_ELEMENTS:,} elements, or more than "
-                f"{_DEEPEST} in one another, which no robot has"
-            )
-
-    def end(*_: object) -> None:
-        nonlocal depth
-        depth -= 1
-
-    parser = expat.ParserCreate("utf-8" if isinstance(content, str) else None)
-    parser.EntityDeclHandler = refuse
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
-    try:
-        parser.Parse(content, True)
-    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter of its encoding
-        raise RobotFileError(f"{path}: not well-formed: {error}") from None
