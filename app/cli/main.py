@@ -36,8 +36,6 @@ COMMANDS = {
 """The commands, by what they are about, and the module in which each stands as a function."""
 _MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
 _FORMERLY = {"compare-robots": ("sweep", "robots")}
-_NO_WAY_OUT = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
-"""What is wrong where nothing can be written, and no fault of the program."""
 _ABOUT = "Reactive self-collision avoidance for a mobile manipulator."
 
 
@@ -53,12 +51,11 @@ def main(args: list[str] | None = None) -> None:
         print(f"dbb: error: {error}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:
-        if error.errno not in _NO_WAY_OUT:
-            raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is still held
         if error.errno == errno.EPIPE:  # whoever read the results has gone, as `head` does
             sys.exit(1)
-        print(f"dbb: error: cannot write: {error.strerror}", file=sys.stderr)
+        where = "" if error.filename is None else f"{error.filename}: "
+        print(f"dbb: error: {where}{error.strerror or error}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         print("dbb: interrupted", file=sys.stderr)
