@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import ast
+import atexit
 import errno
 import logging
 import os
 import sys
+from contextlib import suppress
 from importlib import import_module, metadata
 from pathlib import Path
+from typing import NoReturn
 
 from app.errors import DbbError, UnknownNameError, extras_named
 from app.jobs.progress import ending_signals_raised
@@ -37,6 +40,26 @@ COMMANDS = {
 _MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
 _FORMERLY = {"compare-robots": ("sweep", "robots")}
 _ABOUT = "Reactive self-collision avoidance for a mobile manipulator."
+
+
+def console() -> NoReturn:
+    """Run the command line as a process, which ends as soon as its work has ended.
+
+    The interpreter would free object by object first, for up to a second in which no signal counts.
+    """
+    status = 0
+    try:
+        main()
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else 0 if end.code is None else 1
+    except BaseException:  # a defect
+        sys.excepthook(*sys.exc_info())
+        status = 1
+    atexit._run_exitfuncs()  # as multiprocessing's processes do
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):  # whoever read it has gone
+            stream.flush()
+    os._exit(status)
 
 
 def main(args: list[str] | None = None) -> None:
