@@ -52,8 +52,8 @@ def console() -> NoReturn:
         main()
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else 0 if end.code is None else 1
-    except BaseException:  # a defect
-        sys.excepthook(*sys.exc_info())
+    except BaseException as defect:
+        sys.excepthook(type(defect), defect, defect.__traceback__)
         status = 1
     atexit._run_exitfuncs()  # as multiprocessing's processes do
     for stream in (sys.stdout, sys.stderr):
