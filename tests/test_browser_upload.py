@@ -133,6 +133,7 @@ def test_a_zip_becomes_a_robot_whose_base_gives_way_to_the_hand(
     tab.click("Use this robot")
     wait_for(lambda: server.shared is not shared, what="the new robot")
     tab.wait_for_scene()
+    assert [text for text in tab.errors if text.startswith(BLOCKED)], "the browser says so"
     tab.errors = [text for text in tab.errors if not text.startswith((LATE, BLOCKED))]
     pull_towards_the_base(tab, server)
     assert tab.errors == []
