@@ -33,7 +33,7 @@ from app.onboarding.check import (
 from app.onboarding.fit import grouping
 from app.onboarding.fit.bodies import FittedBody
 from app.onboarding.fit.collision_sampling import Meetings, Poses, make_units, sample_meetings
-from app.onboarding.fit.grouping import find_grouping
+from app.onboarding.fit.grouping import Grouping, find_grouping
 from app.onboarding.new_robot import NewRobot, compiled, description, finish, parse
 from app.onboarding.read.source import mesh_address
 from app.onboarding.request import Request
@@ -216,7 +216,8 @@ def test_an_arm_that_meets_nothing_has_nothing_to_show(made: NewRobot) -> None:
 def test_bodies_that_do_not_hold_their_links_are_refused(
     made: NewRobot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    blind = made.unseen._replace(blind=("l1-lEE",))
+    blind, found = made.unseen._replace(blind=("l1-lEE",)), Grouping(made.bodies, made.verdict)
+    monkeypatch.setattr(new_robot, "find_grouping", lambda *_, **__: found)
     monkeypatch.setattr(new_robot, "unseen_collisions", lambda *_: blind)
     urdf = str(write(tmp_path, robot([*cart(), *arm()])))
     request = Request(urdf=urdf, base="base", tip="hand", out=tmp_path / "toy")
@@ -245,8 +246,16 @@ def test_a_pair_that_random_poses_hardly_bring_together_is_searched_for(made: Ne
 
 @pytest.mark.parametrize(("share", "outcome"), [(1.0, "passed"), (0.1, "nothing to show")])
 def test_a_line_that_stays_outside_of_the_buffer_shows_nothing(
-    finished: tuple[NewRobot, BorderData], share: float, outcome: str
+    finished: tuple[NewRobot, BorderData],
+    share: float,
+    outcome: str,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    """Of runs that are twice as fast."""
+    monkeypatch.setattr(
+        "app.simulation.scenarios.scenario_of",
+        lambda *of: scenario_of(*of).changed(duration=4.0),
+    )
     made, data = finished
     lines = {n: place.model_dump() for n, place in written(made).description.lines.items()}
     line = lines["guiding-front"]
