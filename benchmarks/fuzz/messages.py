@@ -207,10 +207,7 @@ class _Fuzz:
 
     def _look(self, seen: Callable[[], bool]) -> None:
         """Whether all goes on, and the parameters are in their ranges; what was begun is ended."""
-        shared = self._server.shared
-        jobs = [shared.robot_switch, shared.robot_build, shared.sweep_job, shared.challenge]
-        for job in [*jobs, *(page.viewer.files for page in self._server.pages.values())]:
-            job.close()  # each takes a core, and that it begins is enough
+        self._end_jobs()
         self._loop.send(Pause(False))
         t = self._loop.latest().t
         self._wait(lambda: self._loop.latest().t != t, "time stands still")
@@ -221,8 +218,16 @@ class _Fuzz:
         if self._server.error is not None:
             self._findings.setdefault(f"drawing ended: {self._server.error!r}", "")
 
+    def _end_jobs(self) -> None:
+        """End the work that buttons have begun: each takes a core, and that it begins is enough."""
+        shared = self._server.shared
+        jobs = [shared.robot_switch, shared.robot_build, shared.sweep_job, shared.challenge]
+        for job in [*jobs, *(page.viewer.files for page in self._server.pages.values())]:
+            job.close()
+
     def _memory(self) -> float:
-        """[MiB] of this process and the simulation's; no work is under way."""
+        """[MiB] of this process and the simulation's, once no work is under way."""
+        self._end_jobs()
         here = psutil.Process()
         everyone = [here, *here.children(recursive=True)]
         return sum(each.memory_info().rss for each in everyone) / 2**20
