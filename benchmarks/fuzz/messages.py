@@ -36,7 +36,7 @@ from benchmarks.fuzz.mutate import HOSTILE, mutated
 from tests.raw_client import RawClient
 
 _BURST = 500  # [-] messages between two looks
-_WARM = 0.25  # [-] share of it after which memory is measured first
+_WARM = 0.5  # [-] share of it after which memory is measured first
 _GARBAGE_EVERY = 10.0  # [s] between two clients that are sent away; a page takes long to make
 _LARGEST_GROWTH = 1.1  # [-] of memory
 _PATIENCE = 60.0  # [s] for a page to come or time to pass, on a machine with other work
@@ -99,6 +99,7 @@ class _Fuzz:
         """Send until it is long enough."""
         first = last = None
         with RawClient(self._server.address) as witness:
+            self._wait(lambda: self._server.pages, "no page for who looks on")
             self._client()
             begin, garbage, share = time.monotonic(), time.monotonic(), 0.0
             while share < 1.0 and not self._findings:
