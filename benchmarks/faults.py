@@ -43,6 +43,8 @@ _FAULTS = {
 that is held goes on only if it is the command, which has been terminated meanwhile."""
 _STUDY = ("study", "--cases", "4", "--physics", "kinematic", "--processes", "2", "--out", "out")
 _SWEEP = ("sweep", "--step", "90", "--hold", "0.5", "--physics", "kinematic", "--processes", "2")
+_FILM = ("film", "guiding-front", "--physics", "kinematic", "--width", "320", "--height", "240")
+_FILM = (*_FILM, "--out", "a.webm")
 _ROBOT = (
     "new-robot",
     *(str(ASSETS / "bases" / "racecar.urdf"), "--base", "base_link", "--kind", "car-like"),
@@ -55,6 +57,7 @@ _COMMANDS: dict[str, tuple[tuple[str, ...], float]] = {
     "study": (_STUDY, 20.0),
     "reproduce": (("reproduce", "fig3", "--processes", "2", "--out", "out"), 20.0),
     "new-robot": (_ROBOT, 20.0),
+    "film": (_FILM, 20.0),
 }
 """Each command, and [s] within which the fault comes."""
 
@@ -86,7 +89,7 @@ def main(
     Args:
         tries: How many.
         seed: Of command, fault, process and instant.
-        only: Commands: serve, sweep, study, reproduce, new-robot; all if not given.
+        only: Commands: serve, sweep, study, reproduce, new-robot, film; all if not given.
         json: Print one JSON object.
     """
     rng = np.random.default_rng(seed)

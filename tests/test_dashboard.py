@@ -199,6 +199,13 @@ def test_of_messages_of_one_kind_one_stands_and_counts():
     assert client.standing == ["too little"]
 
 
+def test_a_message_of_a_strangers_file_is_cut():
+    client = Recorder()
+    Notifier(Recorder()).warn(client, "a" * 10**6)
+    [(_, text)] = client.notes
+    assert len(text) < 10_000
+
+
 def page_of(dashboard):
     """The page of the only viewer."""
     wait_for(lambda: len(dashboard.pages) == 1, 20.0)

@@ -25,6 +25,7 @@ from app.strict import parsed
 
 logger = logging.getLogger(__name__)
 
+_ENDING = 10.0  # [s] for viser's thread, on a busy machine
 LOOK = 0.5  # [s] between two looks at the connections
 SILENT = 3  # [looks] without an answer, after which a viewer may sleep
 STUCK = 20  # [looks] without anything delivered, after which a connection is closed
@@ -77,6 +78,9 @@ def close_server(server: viser.ViserServer) -> None:
     """End a server and its threads."""
     with _silence():
         server.stop()
+        thread = server._websock_server._server_thread
+        if thread is not None:
+            thread.join(_ENDING)  # viser waits for a second; the last that it does is to print
 
 
 def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:

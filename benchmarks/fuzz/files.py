@@ -19,7 +19,7 @@ import zlib
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
-from functools import partial
+from functools import lru_cache, partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -116,7 +116,7 @@ def _mutate_parquet(path: Path, right: bytes, rng: np.random.Generator) -> None:
     if rng.random() < 0.3:
         _mutate_bytes(path, right, rng)
         return
-    table = pq.read_table(io.BytesIO(right))
+    table = _table(right)
     meta = table.schema.metadata
     k = int(rng.integers(table.num_columns))
     match int(rng.integers(5)):
@@ -132,6 +132,11 @@ def _mutate_parquet(path: Path, right: bytes, rng: np.random.Generator) -> None:
         case _:
             table = table.slice(int(rng.integers(table.num_rows)), int(rng.integers(9)))
     pq.write_table(table.replace_schema_metadata(meta), path)
+
+
+@lru_cache(maxsize=1)
+def _table(right: bytes) -> pa.Table:
+    return pq.read_table(io.BytesIO(right))
 
 
 def _mutate_picture(path: Path, right: bytes, rng: np.random.Generator) -> None:

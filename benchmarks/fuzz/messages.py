@@ -36,7 +36,7 @@ from benchmarks.fuzz.mutate import HOSTILE, mutated
 from tests.raw_client import RawClient
 
 _BURST = 500  # [-] messages between two looks
-_WARM = 0.25  # [-] share of it after which memory is measured first
+_WARM = 0.5  # [-] share of it after which memory is measured first
 _GARBAGE_EVERY = 10.0  # [s] between two clients that are sent away; a page takes long to make
 _LARGEST_GROWTH = 1.1  # [-] of memory
 _PATIENCE = 60.0  # [s] for a page to come or time to pass, on a machine with other work
@@ -99,6 +99,7 @@ class _Fuzz:
         """Send until it is long enough."""
         first = last = None
         with RawClient(self._server.address) as witness:
+            self._wait(lambda: self._server.pages, "no page for who looks on")
             self._client()
             begin, garbage, share = time.monotonic(), time.monotonic(), 0.0
             while share < 1.0 and not self._findings:
@@ -207,10 +208,7 @@ class _Fuzz:
 
     def _look(self, seen: Callable[[], bool]) -> None:
         """Whether all goes on, and the parameters are in their ranges; what was begun is ended."""
-        shared = self._server.shared
-        jobs = [shared.robot_switch, shared.robot_build, shared.sweep_job, shared.challenge]
-        for job in [*jobs, *(page.viewer.files for page in self._server.pages.values())]:
-            job.close()  # each takes a core, and that it begins is enough
+        self._end_jobs()
         self._loop.send(Pause(False))
         t = self._loop.latest().t
         self._wait(lambda: self._loop.latest().t != t, "time stands still")
@@ -221,8 +219,16 @@ class _Fuzz:
         if self._server.error is not None:
             self._findings.setdefault(f"drawing ended: {self._server.error!r}", "")
 
+    def _end_jobs(self) -> None:
+        """End the work that buttons have begun: each takes a core, and that it begins is enough."""
+        shared = self._server.shared
+        jobs = [shared.robot_switch, shared.robot_build, shared.sweep_job, shared.challenge]
+        for job in [*jobs, *(page.viewer.files for page in self._server.pages.values())]:
+            job.close()
+
     def _memory(self) -> float:
-        """[MiB] of this process and the simulation's; no work is under way."""
+        """[MiB] of this process and the simulation's, once no work is under way."""
+        self._end_jobs()
         here = psutil.Process()
         everyone = [here, *here.children(recursive=True)]
         return sum(each.memory_info().rss for each in everyone) / 2**20
