@@ -274,7 +274,7 @@ def test_a_base_that_does_not_give_way_fails(
     monkeypatch.setattr(run, "run_scenario", figures)
     row = run_row(written(finished[0]), finished[1], "guiding-front")
     assert row.outcome == "failed"
-    assert "does not give way" in row.text
+    assert "gives way by less than" in row.text
 
 
 def test_the_ready_pose_is_outside_of_every_buffer(made: NewRobot) -> None:
