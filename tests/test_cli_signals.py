@@ -107,6 +107,26 @@ def test_a_command_ends_by_its_signal_whatever_holds_its_main_thread(number):
     assert process.wait(timeout=30) == 128 + number
 
 
+LATE = r"""
+import atexit, os, sys
+from app.cli import console
+class Slow:
+    def __del__(self):  # as of a process that frees much
+        os.write(1, b"tidies up")
+kept = Slow()
+sys.argv[1:] = ["--version"]
+atexit.register(os.write, 1, b"ends")
+console()
+"""
+
+
+def test_a_command_ends_with_its_work_and_frees_nothing_first():
+    done = subprocess.run([sys.executable, "-c", LATE], capture_output=True, timeout=60)
+    assert done.returncode == 0
+    assert done.stdout.startswith(b"dbb ")
+    assert done.stdout.endswith(b"ends")
+
+
 def test_what_a_command_says_after_it_was_interrupted_is_heard(monkeypatch, capsys):
     def ended_by_ctrl_c(_: object) -> None:
         with suppress(KeyboardInterrupt):

@@ -7,6 +7,7 @@ import itertools
 import re
 import socket
 import time
+import urllib.request
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -303,6 +304,19 @@ def test_nothing_is_printed_by_serving(loop, clouds, capfd):
     server.stop()
     assert capfd.readouterr().out == ""
     assert re.fullmatch(r"http://127\.0\.0\.1:\d+", server.address)
+
+
+def test_the_address_of_a_server_at_ipv6_can_be_opened(loop, clouds):
+    try:
+        check_address("::1", 0)
+    except ServerError:
+        pytest.skip("this machine has no IPv6")
+    server = serve_dashboard(loop, husky_panda(), clouds, host="::1", port=0, parts=parts())
+    try:
+        RawClient(server.address).close()
+        assert urllib.request.urlopen(server.address, timeout=60).status == 200
+    finally:
+        server.stop()
 
 
 # Robot

@@ -17,7 +17,7 @@ from app.simulation.scenarios import LINES
 from tests.robots import husky_panda
 
 D_B = 0.15  # [m]
-INNER, DEEP = 0.4 * D_B, 0.1 * D_B  # [m]
+INNER = 0.4 * D_B  # [m]
 
 
 def places(nearest: list[float]) -> list[Place]:
@@ -30,20 +30,20 @@ def places(nearest: list[float]) -> list[Place]:
     [
         ([], None),
         ([0.3, INNER], None),  # none comes into the inner part
-        ([0.3, 0.9 * INNER, 0.8 * INNER, 0.85 * INNER], 2),  # none is deep: the deepest
-        ([0.9 * INNER, 0.9 * DEEP, -0.02], 1),  # the first deep one, not the deepest
+        ([0.3, 0.9 * INNER, 0.8 * INNER, 0.85 * INNER], 2),  # no contact: the deepest
+        ([0.9 * INNER, -0.001, -0.02], 1),  # the first contact, not the deepest
         ([-0.02, 0.0], 0),
     ],
 )
-def test_the_first_deep_line_is_taken_else_the_deepest(
+def test_the_first_line_to_contact_is_taken_else_the_deepest(
     nearest: list[float], taken: int | None
 ) -> None:
     lines = places(nearest)
     assert deepest(lines, D_B) == (None if taken is None else lines[taken])
 
 
-def test_nothing_is_searched_after_a_deep_line() -> None:
-    lines = places([0.3, 0.5 * DEEP])
+def test_nothing_is_searched_after_a_line_to_contact() -> None:
+    lines = places([0.3, -0.001])
 
     def searched() -> Iterator[Place]:
         yield from lines
@@ -61,13 +61,13 @@ def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
 ) -> None:
     """The paper's robot, from 0.35 m beside its base: to 0.2 m its arm does not come near."""
     monkeypatch.setattr(postures, "_OUT", (0.35,))
-    monkeypatch.setattr(postures, "_LEFT_OVER", (0.2, 0.075))
+    monkeypatch.setattr(postures, "_LEFT_OVER", (0.2, 0.025))
     monkeypatch.setattr(postures, "_heights", lambda top: [0.8 * top])
     monkeypatch.setattr(postures, "_front", lambda body, mount: iter(()))
     shares: list[float] = []
     pairs = find_link_pairs(husky_panda(), samples=2000)
     found = find_places(husky_panda(), pairs, D_B, on_progress=shares.append)
-    np.testing.assert_allclose(found["guiding-lateral"].move, (0.0, -0.275, 0.0), atol=1e-9)
+    np.testing.assert_allclose(found["guiding-lateral"].move, (0.0, -0.325, 0.0), atol=1e-9)
     assert found.keys() == {"guiding-lateral"}
     assert shares == [0.0]
 

@@ -407,8 +407,8 @@ def trust_table(found: Figures) -> str:
             told = f"{counts.get('right', 0):,} read, {counts.get('line', 0):,} refused in a line"
             rows.append([f"files: {kind}", f"{sum(counts.values()):,}", told])
     for command, counts in found.get("faults", {}).get("tally", {}).items():
-        left = ("orphans", "ports", "half", "lost")
-        words = ("processes left", "ports open", "half-written files", "results lost")
+        left = ("orphans", "ports", "half", "lost", "status")
+        words = ("processes left", "ports open", "half-written", "lost results", "wrong statuses")
         told = [f"{counts.get(key, 0)} {word}" for key, word in zip(left, words, strict=True)]
         rows.append([f"faults: `{command}`", str(counts["tries"]), ", ".join(told)])
     return grid(["what", "how often", "what became of it"], rows)

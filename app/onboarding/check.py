@@ -339,12 +339,15 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
 def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     """A guiding run with the default parameters, beside the same one without avoidance.
 
-    Where the arm cannot start there is nothing to judge, which is warned of; where the hand does
-    not come into the inner half of the buffer even without avoidance, the run shows nothing.
+    A robot that has lines of its own is led on no other's. Where the arm cannot start there is
+    nothing to judge, which is warned of; where the hand does not come into the inner half of the
+    buffer even without avoidance, the run shows nothing.
     """
     from app.simulation.run import run_scenario
     from app.simulation.scenarios import scenario_of
 
+    if (lines := model.description.lines) and name not in lines:
+        return Row(name, "warned", "not done: the description has no line for it", {})
     scenario, config = scenario_of(model.description, name), Config()
     run = partial(run_scenario, model, data, scenario, config)
     try:

@@ -12,6 +12,7 @@ import os
 import re
 import sys
 import sysconfig
+from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 from xml.etree import ElementTree
@@ -91,7 +92,7 @@ def resolve_package_uri(uri: str) -> Path:
         raise AssetError(f"{uri}: the package {package!r} is not installed{how}")
     for root in roots:
         path = (root / inner).resolve()
-        if path.is_file() and path.is_relative_to(root.resolve()):
+        if isfile(path) and path.is_relative_to(root.resolve()):
             return path
     raise AssetError(f"{uri}: no such file in the installed package {package!r}")
 
@@ -101,7 +102,7 @@ def package_roots(package: str) -> list[Path]:
     spec = importlib.util.find_spec(package) if package.isidentifier() else None
     roots = [Path(root) for root in (spec.submodule_search_locations if spec else None) or ()]
     if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", package):
-        roots += [share / package for share in share_folders() if (share / package).is_dir()]
+        roots += [share / package for share in share_folders() if isdir(share / package)]
     return roots
 
 
@@ -121,7 +122,7 @@ def urdf_path(description: RobotDescription) -> Path:
     if description.urdf.startswith("package://"):
         return resolve_package_uri(description.urdf)
     path = robot_folder(description.name) / description.urdf
-    if not path.is_file():
+    if not isfile(path):
         raise AssetError(f"{description.name}: the URDF {path} does not exist")
     return path
 
@@ -238,7 +239,8 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
         nonlocal depth
         depth -= 1
 
-    parser = expat.ParserCreate("utf-8" if isinstance(content, str) else None)
+    encoding = "utf-8" if isinstance(content, str) else None
+    parser = expat.ParserCreate(encoding, "}")  # with namespaces, as ElementTree has it
     parser.EntityDeclHandler = refuse
     parser.StartElementHandler, parser.EndElementHandler = begin, end
     try:
@@ -252,7 +254,7 @@ def _mesh(reference: str, folder: Path) -> Path:
     if "://" in reference:
         return resolve_package_uri(reference)
     path = (folder / reference).resolve()
-    if not path.is_file() or not path.is_relative_to(folder.resolve()):
+    if not isfile(path) or not path.is_relative_to(folder.resolve()):
         raise AssetError(f"{folder.name}: no mesh {reference!r} in the folder of the URDF")
     return path
 

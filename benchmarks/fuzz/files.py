@@ -15,8 +15,10 @@ import signal
 import tempfile
 import time
 import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -24,6 +26,8 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import trimesh
 from PIL import Image
 
@@ -35,7 +39,7 @@ from app.config_file import read_config, save_config
 from app.errors import DbbError
 from app.jobs.process import Child
 from app.onboarding.read.links import link_geometry
-from app.onboarding.read.package import look_into
+from app.onboarding.read.package import look_into, open_package
 from app.robot.assets import ASSETS, planar_urdf
 from app.robot.description import load_description, load_robot
 from app.robot.link_pairs import LinkPairs, Pair
@@ -107,6 +111,48 @@ def _mutate_csv(path: Path, right: bytes, rng: np.random.Generator) -> None:
     path.write_bytes(b"\n".join(lines))
 
 
+def _mutate_parquet(path: Path, right: bytes, rng: np.random.Generator) -> None:
+    """Its bytes, or its meta data, a column or its rows under checksums that hold."""
+    if rng.random() < 0.3:
+        _mutate_bytes(path, right, rng)
+        return
+    table = pq.read_table(io.BytesIO(right))
+    meta = table.schema.metadata
+    k = int(rng.integers(table.num_columns))
+    match int(rng.integers(5)):
+        case 0 | 1:
+            header = mutated(json.loads(meta[b"dbb_log"]), rng)
+            meta = {b"dbb_log": json.dumps(header, default=repr).encode()}
+        case 2:
+            values = mutated(table.column(k).to_pylist(), rng)
+            with suppress(pa.ArrowException, OverflowError, TypeError):  # no column has them
+                table = table.set_column(k, table.column_names[k], pa.array(values))
+        case 3:
+            table = table.remove_column(k)
+        case _:
+            table = table.slice(int(rng.integers(table.num_rows)), int(rng.integers(9)))
+    pq.write_table(table.replace_schema_metadata(meta), path)
+
+
+def _mutate_picture(path: Path, right: bytes, rng: np.random.Generator) -> None:
+    """Its bytes, or the data of a chunk under a checksum that holds."""
+    if rng.random() < 0.3:
+        _mutate_bytes(path, right, rng)
+        return
+    chunks, at = [], 8
+    while at < len(right):
+        size = int.from_bytes(right[at : at + 4], "big")
+        chunks.append((right[at + 4 : at + 8], right[at + 8 : at + 8 + size]))
+        at += 12 + size
+    k = int(rng.integers(len(chunks)))
+    chunks[k] = chunks[k][0], mutated_bytes(chunks[k][1], rng)
+    packed = (
+        len(data).to_bytes(4, "big") + name + data + zlib.crc32(name + data).to_bytes(4, "big")
+        for name, data in chunks
+    )
+    path.write_bytes(right[:8] + b"".join(packed))
+
+
 def _mutate_border(path: Path, right: bytes, rng: np.random.Generator) -> None:
     """Its bytes, or its arrays under a checksum that holds."""
     if rng.random() < 0.3:
@@ -157,6 +203,13 @@ def _mutate_zip(path: Path, right: bytes, rng: np.random.Generator) -> None:
         _write_zip(path, name=name.replace("\0", "") + ".urdf")  # zipfile ends a name there
     else:
         _mutate_bytes(path, right, rng)
+
+
+def _open_zip(path: Path) -> None:
+    """Look into it, and unpack it as a robot's."""
+    (first, *_) = look_into(path)
+    with tempfile.TemporaryDirectory() as folder:
+        open_package(path, Path(folder), first)
 
 
 def _border(path: Path) -> None:
@@ -294,14 +347,14 @@ KINDS = {
         _mine,
         _mutate_bytes,
     ),
-    "map": Kind("sweep_h0_v0.png", _picture, read_map, _mutate_bytes),
+    "map": Kind("sweep_h0_v0.png", _picture, read_map, _mutate_picture),
     "mesh": Kind("a.stl", _mesh, _shape, _mutate_bytes),
     "log csv": Kind("a.csv", _log, _figures, _mutate_csv),
-    "log parquet": Kind("a.parquet", _log, _figures, _mutate_bytes),
+    "log parquet": Kind("a.parquet", _log, _figures, _mutate_parquet),
     "border": Kind(
         "a.npz", _border, partial(read, unpack=partial(unpack, key="0" * 32)), _mutate_border
     ),
-    "zip": Kind("a.zip", _write_zip, look_into, _mutate_zip),
+    "zip": Kind("a.zip", _write_zip, _open_zip, _mutate_zip),
 }
 
 

@@ -35,7 +35,7 @@ from benchmarks.fuzz import Length
 from benchmarks.fuzz.mutate import HOSTILE, mutated
 from tests.raw_client import RawClient
 
-_BURST = 200  # [-] messages between two looks
+_BURST = 500  # [-] messages between two looks
 _WARM = 0.25  # [-] share of it after which memory is measured first
 _GARBAGE_EVERY = 10.0  # [s] between two clients that are sent away; a page takes long to make
 _LARGEST_GROWTH = 1.1  # [-] of memory
@@ -206,7 +206,11 @@ class _Fuzz:
         return plain.get(hint, None if hint is type(None) else {})
 
     def _look(self, seen: Callable[[], bool]) -> None:
-        """Whether all goes on, and the parameters are in their ranges."""
+        """Whether all goes on, and the parameters are in their ranges; what was begun is ended."""
+        shared = self._server.shared
+        jobs = [shared.robot_switch, shared.robot_build, shared.sweep_job, shared.challenge]
+        for job in [*jobs, *(page.viewer.files for page in self._server.pages.values())]:
+            job.close()  # each takes a core, and that it begins is enough
         self._loop.send(Pause(False))
         t = self._loop.latest().t
         self._wait(lambda: self._loop.latest().t != t, "time stands still")
@@ -218,11 +222,7 @@ class _Fuzz:
             self._findings.setdefault(f"drawing ended: {self._server.error!r}", "")
 
     def _memory(self) -> float:
-        """[MiB] of this process and the simulation's, once no work is under way."""
-        shared = self._server.shared
-        jobs = [shared.robot_switch, shared.robot_build, shared.sweep_job]
-        for job in [*jobs, *(page.viewer.files for page in self._server.pages.values())]:
-            job.close()
+        """[MiB] of this process and the simulation's; no work is under way."""
         here = psutil.Process()
         everyone = [here, *here.children(recursive=True)]
         return sum(each.memory_info().rss for each in everyone) / 2**20

@@ -12,7 +12,7 @@ from app.border.mobile import MobileBody
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.simulation.scenarios.posture import PostureSearch, Target, manipulability
+from app.simulation.scenarios.posture import PostureSearch, manipulability
 from app.simulation.scenarios.start import StartSolver
 
 Array = np.ndarray
@@ -107,13 +107,16 @@ class _Judge:
 
 Point = tuple[float, float, float]
 
+INNER = 0.4
+"""[-] Share of the buffer into which a line has to lead; it should lead to contact."""
 _OUT = (0.425, 0.375, 0.35, 0.325, 0.30, 0.275, 0.25)  # [m] from the base's side, farthest first
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
-_INNER, _DEEP = 0.4, 0.1  # [-] shares of the buffer into which a line has to, and should, lead
 _STEP = 0.0125  # [m] along the line
+_SHARES = np.linspace(0.1, 1.0, 10)  # [-] of the way from a posture nearby
 _NEAR = 0.15  # [m] from a place to the hand in some posture that is clear of the buffers
 _THERE = 1e-3  # [m] by which the hand may miss it
 _TRIES = 6  # [-] of the nearest of those postures
+_FEW = 2  # [-] tries of a search: to find none by all of them would take long
 _SINGULAR = 1e-9  # [m/(N s)] of a hand that is nearly held in some direction
 
 
@@ -176,20 +179,20 @@ _Start = tuple[Array, Array]
 
 
 def deepest(lines: Iterable[Place], d_b: float) -> Place | None:
-    """The first line that leads deep into the buffer, else the one that leads deepest.
+    """The first line on which the bodies would meet, else the one that leads deepest.
 
     Args:
-        lines: In the order of preference; none is asked for after a deep one.
+        lines: In the order of preference; none is asked for after one that leads to contact.
         d_b: [m] buffer distance.
 
     Returns:
         None if no line comes into the inner part of the buffer.
     """
-    found, least = None, _INNER * d_b
+    found, least = None, INNER * d_b
     for line in lines:
         if line.nearest < least:
             found, least = line, line.nearest
-        if line.nearest < _DEEP * d_b:
+        if line.nearest <= 0.0:
             break
     return found
 
@@ -214,14 +217,15 @@ class _Guide:
     def _from(self, start: _Start, z: float) -> Iterator[Place]:
         """Those from one place, if the arm can start there; each goes on where the last one ends.
 
-        The arm first tries to come there from postures nearby, however its hand points: that is
-        quick, and where it cannot the search of all postures need not begin.
+        The arm is first pulled there from postures nearby, however its hand points: that is quick,
+        and where it does not come there the search of all postures need not begin.
         """
         at, inwards = start
         p = _point([*np.round(at[:2], 3), z])
         if not self._may_start(np.array(p)):
             return
         try:
+            self._solver.solve(p, tries=_FEW)
             q_m = self._solver.solve(p)
         except UnreachableError:
             return
@@ -255,7 +259,9 @@ class _Guide:
         if away.min(initial=np.inf) > _NEAR:
             return False
         for k in np.argsort(away)[:_TRIES]:
-            self._search.place(self._search.reach(Target(p), self._free[k]))
+            q_m = self._free[k]
+            for share in _SHARES:
+                q_m = self._pulled(q_m, self._hands[k] + share * (p - self._hands[k]))
             off = np.linalg.norm(self._search.state.T_world_ee.translation - p)
             if off < _THERE and _is_free(self._search):
                 return True

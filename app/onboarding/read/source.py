@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Mapping
+from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
@@ -21,7 +22,7 @@ def locate(source: str) -> Path:
         AssetError: The package is not installed.
     """
     path = resolve_package_uri(source) if source.startswith("package://") else Path(source)
-    if not path.is_file():
+    if not isfile(path):
         raise RobotFileError(
             f"{source}: no such file; give a URDF, a xacro, a zip or package://PACKAGE/…"
         )
@@ -75,7 +76,7 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
     else:
         path = Path(reference.removeprefix("file://"))
         path = path if path.is_absolute() else folder / path
-    if not path.is_file():
+    if not isfile(path):
         raise RobotFileError(f"mesh {reference}: there is no file {path}")
     return _installed_address(path) or str(path.resolve())
 
@@ -104,7 +105,7 @@ def _in_package(
     """The file of a ROS package, wherever the package is found first with it."""
     roots = list(dict.fromkeys(_package_folders(package, folder, packages)))
     for root in roots:
-        if (root / inner).is_file():
+        if isfile(root / inner):
             return root / inner
     if roots:
         places = ", ".join(map(str, roots))
@@ -114,7 +115,7 @@ def _in_package(
 
 def _nowhere(package: str, inner: str, folder: Path) -> str:
     """Where a package was looked for that a file in a folder names, and what helps."""
-    holder = next((each for each in (folder, *folder.parents) if (each / inner).is_file()), None)
+    holder = next((each for each in (folder, *folder.parents) if isfile(each / inner)), None)
     found = "FOLDER" if holder is None else f"{holder}, which holds a file of that path"
     return (
         f"the package {package!r} is no folder beside or above {folder}, is not in "
@@ -131,10 +132,10 @@ def _package_folders(package: str, folder: Path, packages: Mapping[str, Path]) -
     for parent in (folder, *folder.parents):
         if parent.name == package:
             yield parent
-        if (parent / package).is_dir():
+        if isdir(parent / package):
             yield parent / package
     for top in _ros_folders():
-        yield from (each for each in (top / package, *top.glob(f"*/{package}")) if each.is_dir())
+        yield from (each for each in (top / package, *top.glob(f"*/{package}")) if isdir(each))
         if top.name == package:
             yield top
     yield from package_roots(package)
