@@ -66,6 +66,8 @@ class TraceMeta(Strict):
     """Parameters at the first row; a row that has others says which."""
     stuck: dict[str, Any] | None = None
     """Where and why a tracked hand stopped short at the end (`Stuck`), if it did."""
+    left_way: dict[str, Any] | None = None
+    """The same where it was farthest from its target, if that was more than 1 mm."""
 
     @model_validator(mode="after")
     def _check_names(self) -> Self:
