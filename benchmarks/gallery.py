@@ -238,7 +238,7 @@ def outcome(name: str, quick: bool) -> dict[str, Any]:
     row |= {key: made[key] for key in _FIGURES}
     row["over_hulls"] = {name: max(body["over_cover"]) for name, body in made["bodies"].items()}
     if found is None:
-        return row | took
+        return took | row
     checks = {each.pop("name"): each for each in found["checks"]}
     bad = any(each["outcome"] in ("failed", "nothing to show") for each in checks.values())
     return row | {

@@ -21,6 +21,7 @@ from app.border.config import QUICK, SamplingConfig
 from app.cli import serve
 from app.dashboard import job
 from app.errors import AssetError, RobotFileError
+from app.onboarding import check as checks
 from app.onboarding import new_robot
 from app.onboarding.check import (
     arm_row,
@@ -284,6 +285,18 @@ def test_a_base_that_does_not_give_way_fails(
     row = run_row(written(finished[0]), finished[1], "guiding-front")
     assert row.outcome == "failed"
     assert "gives way by less than" in row.text
+
+
+def test_what_a_library_raises_in_a_check_is_that_rows_failure(
+    made: NewRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def limits_row(_: RobotModel) -> None:
+        raise RuntimeError("more joints than it can hold")
+
+    monkeypatch.setattr(checks, "limits_row", limits_row)
+    rows = checks.check_robot(written(made).description, runs=False)
+    told = next(row for row in rows if row.name == "limits")
+    assert (told.outcome, told.text) == ("failed", "RuntimeError: more joints than it can hold")
 
 
 def test_the_ready_pose_is_outside_of_every_buffer(made: NewRobot) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.util import find_spec
@@ -31,6 +32,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.trace.columns import axis_name
 
+_log = logging.getLogger(__name__)
 Array = np.ndarray
 Outcome = Literal["passed", "warned", "failed", "nothing to show"]
 
@@ -129,10 +131,14 @@ def _shown(rows: list[Row]) -> bool:
 
 
 def _done(name: str, check: Callable[[], Row]) -> Row:
+    """The row of a check; whatever a library raises in it is its failure."""
     try:
         return check()
     except DbbError as error:
         return Row(name, "failed", str(error), {})
+    except Exception as error:  # pybullet, MuJoCo, coal: they have no common base
+        _log.debug("%s", name, exc_info=True)
+        return Row(name, "failed", f"{type(error).__name__}: {error}", {})
 
 
 def bullet_row(model: RobotModel) -> Row:
