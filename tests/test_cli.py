@@ -62,6 +62,7 @@ RELEASED = {
     "joint_speed_share_max",
     "solver_given_up",
     "stuck",
+    "left_way",
 }
 UNITS = ("_s", "_m", "_rad", "_nm", "_n", "_us", "_mps", "_radps", "_mps2", "_radps2")
 
@@ -127,7 +128,7 @@ def test_without_json_the_same_is_told_to_people(dbb, args):
 def test_figures_of_a_run_are_those_of_the_issue_and_further_ones_end_in_their_unit(dbb):
     figures = json.loads(dbb(*QUICK, "--json").out)
     assert set(figures) >= FIGURES | RELEASED
-    assert (figures["base_path_after_release_m"], figures["stuck"]) == (None, None)
+    assert [figures[k] for k in ("base_path_after_release_m", "stuck", "left_way")] == [None] * 3
     accelerations = ("base_acceleration", "avoidance_acceleration")
     by_axis = {f"{name}_{what}" for name in accelerations for what in ("jump_max", "sign_changes")}
     without_unit = {"physics", "floor_contacts", "torque_rate_sign_changes", *by_axis}
@@ -572,6 +573,24 @@ def test_a_reader_that_goes_away_is_no_error():
     os.close(write)
     assert process.stderr == ""
     assert process.returncode == 1
+
+
+@pytest.mark.parametrize("closed", ["0<&-", "1>&-", "0<&- 1>&- 2>&-"])
+def test_a_command_whose_input_and_outputs_are_closed_does_its_work(closed):
+    line = f'exec "{sys.executable}" -m app robots {closed}'
+    assert subprocess.run(["sh", "-c", line], cwd=PROJECT, timeout=60).returncode == 0
+
+
+def test_an_output_without_our_signs_gets_their_codes():
+    process = subprocess.run(
+        [sys.executable, "-m", "app", "--help"],
+        cwd=PROJECT,
+        env={**os.environ, "PYTHONIOENCODING": "latin-1"},
+        capture_output=True,
+        timeout=60,
+    )
+    assert process.returncode == 0
+    assert rb"\u2026" in process.stdout
 
 
 def wait_for(stream, text: str) -> None:

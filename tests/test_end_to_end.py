@@ -59,7 +59,7 @@ class Served:
 def simulation_of(served: Served) -> psutil.Process:
     """The process in which the simulation runs."""
     children = psutil.Process(served.process.pid).children()
-    [simulation] = [child for child in children if "spawn_main" in " ".join(child.cmdline())]
+    [simulation] = [child for child in children if "dbb _run_loop" in child.cmdline()]
     return simulation
 
 

@@ -14,7 +14,7 @@ from app.config import Config
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
 from app.simulation.session import Session, Step
-from app.simulation.trace.trace import SHORT, find_stuck
+from app.simulation.trace.trace import SHORT, Recorder, find_stuck
 
 ABOVE = np.array([0.0, 0.0, 2.5])  # [m] higher than the arm is long
 STILL = 0.02  # [m/s], [rad/s]
@@ -64,6 +64,34 @@ def test_joints_at_their_limits_are_told_by_name(session, short: Step):
     stuck = find_stuck(session.model, short._replace(truth=short.truth._replace(q_m=q_m)))
     assert "joint limits" in stuck.reasons
     assert stuck.joints == ("panda_joint4", "panda_joint6")
+
+
+def test_a_hand_that_left_its_way_is_told_where_it_was_farthest_with_its_joints_at_their_limits(
+    session: Session, short: Step
+):
+    """Also while its reference moves, and though it is back at the end."""
+    q_m = short.truth.q_m.copy()
+    q_m[4] = session.model.q_lower[4]
+    assert short.reference is not None
+    moving = short.reference._replace(velocity=np.array([0.1, 0, 0, 0, 0, 0]))
+    off = short._replace(t=1.0, reference=moving, truth=short.truth._replace(q_m=q_m))
+    recorder = Recorder()
+    for step in (short._replace(ee_error=0.5 * SHORT, reference=moving), off):
+        recorder.add(session, step)
+        recorder.add(session, short._replace(ee_error=2 * SHORT, reference=moving))
+    recorder.add(session, short._replace(ee_error=0.0))
+    meta = recorder.trace().meta
+    assert meta.stuck is None
+    assert meta.left_way is not None
+    assert (meta.left_way["t_s"], meta.left_way["ee_error_m"]) == (1.0, pytest.approx(0.05))
+    assert meta.left_way["joints"] == ("panda_joint5",)
+
+
+def test_a_hand_that_keeps_to_its_way_is_not_told(session: Session, short: Step):
+    recorder = Recorder()
+    recorder.add(session, short._replace(ee_error=0.9 * SHORT))
+    recorder.add(session, short._replace(reference=None))
+    assert recorder.trace().meta.left_way is None
 
 
 @pytest.mark.parametrize(("push", "told"), [(-0.5, True), (0.5, False)])

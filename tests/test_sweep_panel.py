@@ -72,6 +72,16 @@ def test_without_a_map_there_is_a_line_and_a_new_map_appears_by_itself(
     assert np.asarray(panel._image.image).std() > 10
 
 
+def test_a_map_that_cannot_be_read_is_told_as_text_and_the_page_goes_on(
+    dashboard: DashboardServer, panel: SweepPanel, tmp_path: Path
+) -> None:
+    (tmp_path / "sweeps").mkdir()
+    (tmp_path / "sweeps" / "sweep_h`{1}`<b>_v.png").write_bytes(b"no picture")
+    wait_for(lambda: "&lt;b&gt;_v.png cannot be read" in panel._text.content, 20.0)
+    [page] = dashboard.pages.values()
+    assert not page.closed
+
+
 def sweeping(job: Job) -> psutil.Process:
     """The process of a sweep under way, once it is one of low priority."""
     mine = psutil.Process(os.getpid())

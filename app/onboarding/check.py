@@ -47,6 +47,10 @@ _FEW = 10  # [-] points of the border in a layer that is not empty
 _CLEARANCE = 0.03  # [m] least distance of a pair with the base that passes
 _NEARLY = 0.05  # [m] to the base without avoidance, from which on the base has to move
 _GIVES_WAY = 0.05  # [m] by which it moves then
+_STILL = (
+    f"; the base gives way by less than {_GIVES_WAY:g} m; if `hand held` warns, a smaller "
+    "holding.weight lets it give way more"
+)
 
 
 class Row(NamedTuple):
@@ -339,12 +343,15 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
 def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     """A guiding run with the default parameters, beside the same one without avoidance.
 
-    Where the arm cannot start there is nothing to judge, which is warned of; where the hand does
-    not come into the inner half of the buffer even without avoidance, the run shows nothing.
+    A robot that has lines of its own is led on no other's. Where the arm cannot start there is
+    nothing to judge, which is warned of; where the hand does not come into the inner half of the
+    buffer even without avoidance, the run shows nothing.
     """
     from app.simulation.run import run_scenario
     from app.simulation.scenarios import scenario_of
 
+    if (lines := model.description.lines) and name not in lines:
+        return Row(name, "warned", "not done: the description has no line for it", {})
     scenario, config = scenario_of(model.description, name), Config()
     run = partial(run_scenario, model, data, scenario, config)
     try:
@@ -368,7 +375,7 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
         )
     still = without is not None and without < _NEARLY and moved < _GIVES_WAY
     if touched or failures or still or (near is not None and near < _CLEARANCE):
-        text += "; the base does not give way" if still else ""
+        text += _STILL if still else ""
         return Row(name, "failed", text, numbers)
     shown = without is not None and without < config.border.d_b / 2
     return Row(name, "passed" if shown else "nothing to show", text, numbers)

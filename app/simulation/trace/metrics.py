@@ -270,6 +270,10 @@ FIGURES: dict[str, Figure] = {
         "Where and why a tracked end-effector stops short of a resting target, or null.",
         lambda r: r.meta.stuck,
     ),
+    "left_way": Figure(
+        "The same where it was farthest from its target, moving or not; null within 1 mm.",
+        lambda r: r.meta.left_way,
+    ),
     "step_p50_us": Figure("Median time of a control step.", lambda r: _percentile(r, 50)),
     "step_p99_us": Figure("Its 99th percentile.", lambda r: _percentile(r, 99)),
 }

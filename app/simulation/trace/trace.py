@@ -12,6 +12,7 @@ import numpy as np
 from typing_extensions import Self
 
 from app.control.buffer_watch import BufferReading
+from app.control.tasks import Reference
 from app.errors import LogError
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
@@ -197,6 +198,7 @@ class Recorder:
         self._layout: Layout | None = None
         self._cells = array("d")  # a fifth of a list's memory, and nothing for the collector
         self._last: tuple[Session, Step] | None = None
+        self._farthest: Step | None = None  # of those in which a tracked hand is off its target
         self.snapshots: list[Snapshot] = []
 
     def add(self, session: Session, step: Step) -> None:
@@ -204,6 +206,9 @@ class Recorder:
         if self._layout is None:
             self._begin(session, step)
         self._last = session, step
+        most = SHORT if self._farthest is None else self._farthest.ee_error
+        if step.reference is not None and step.ee_error > most:
+            self._farthest = step
         cells: list[float] = []
         for row in self._rows:
             cells += row(session, step)
@@ -216,8 +221,11 @@ class Recorder:
         assert self._layout is not None, "no step was recorded"
         assert self._last is not None
         session, step = self._last
-        stuck = find_stuck(session.model, step)
-        meta = self._layout.meta.model_copy(update={"stuck": stuck and stuck._asdict()})
+        stuck, left, farthest = find_stuck(session.model, step), None, self._farthest
+        if farthest is not None and farthest.reference is not None:
+            left = _off_target(session.model, farthest, farthest.reference)
+        told = {"stuck": stuck and stuck._asdict(), "left_way": left and left._asdict()}
+        meta = self._layout.meta.model_copy(update=told)
         table = np.frombuffer(self._cells).reshape(-1, len(self._layout.columns))
         return Trace(self._layout._replace(meta=meta), table, self.snapshots)
 
@@ -303,9 +311,10 @@ def cells_of(snapshot: Snapshot, meta: TraceMeta) -> list[Any]:
 
 
 class Stuck(NamedTuple):
-    """Where a hand stands that does not reach its target, and why.
+    """Where a hand stands that is not at its target, and why.
 
     Attributes:
+        t_s: [s] when.
         ee_error_m: [m] from the hand to its target.
         hand_m: (3,) [m] where it is, in the world.
         target_m: (3,) [m] where it should be.
@@ -313,6 +322,7 @@ class Stuck(NamedTuple):
         joints: Names of those at their position limits.
     """
 
+    t_s: float
     ee_error_m: float
     hand_m: tuple[float, ...]
     target_m: tuple[float, ...]
@@ -321,18 +331,23 @@ class Stuck(NamedTuple):
 
 
 def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
-    """Whether the hand stops short in this step; None while its reference moves, or without one.
+    """Whether the hand stops short in this step; None while its reference moves, or without one."""
+    reference = step.reference
+    if reference is None or step.ee_error <= SHORT:
+        return None
+    if max(np.abs(reference.velocity).max(), np.abs(reference.acceleration).max()) > _RESTING:
+        return None
+    return _off_target(model, step, reference)
+
+
+def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
+    """Where the hand is in this step, and why it is off its target.
 
     The reasons are those of the true robot and of what the controller put on the base: joints at
     their position limits; a push of the border on the base that takes the hand away from its
     target; an arm at full stretch, whose smallest singular value of the hand's Jacobian is near
     zero.
     """
-    reference = step.reference
-    if reference is None or step.ee_error <= SHORT:
-        return None
-    if max(np.abs(reference.velocity).max(), np.abs(reference.acceleration).max()) > _RESTING:
-        return None
     state = RobotState(model)
     state.update(step.truth)
     hand, target = state.T_world_ee.translation, reference.pose.translation
@@ -345,9 +360,8 @@ def find_stuck(model: RobotModel, step: Step) -> Stuck | None:
         "full stretch": _least_motion(state) < _STRETCHED,
     }
     reasons: tuple[Reason, ...] = tuple(reason for reason, holds in found.items() if holds)
-    return Stuck(
-        step.ee_error, tuple(hand.tolist()), tuple(target.tolist()), reasons or ("unknown",), joints
-    )
+    places = tuple(hand.tolist()), tuple(target.tolist())
+    return Stuck(step.t, step.ee_error, *places, reasons or ("unknown",), joints)
 
 
 def _at_limits(model: RobotModel, q_m: Array) -> tuple[str, ...]:

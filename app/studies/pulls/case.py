@@ -40,7 +40,8 @@ COLUMNS = {
     "hand_mass": "hand_mass_kg",
 }
 """Where a row has what was drawn, by its name in `Case`."""
-_KNOWN = {"scenario", "controller", "robot", "seed", "duration_s", "physics", "stuck", *TIMES}
+_OF_TRACKING = {"stuck", "left_way"}
+_KNOWN = {"scenario", "controller", "robot", "seed", "duration_s", "physics", *TIMES, *_OF_TRACKING}
 
 _KEY = "case"  # under which the file of a failure keeps it, beside its figures
 _FORMER = {"strength", "noise", "delay", "base_speed"}  # fields of cases before hands had springs
