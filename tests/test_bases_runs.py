@@ -38,7 +38,7 @@ def border(kind: str) -> BorderData:
 def figures(kind: str, path: str, mode: str, physics: str = "kinematic") -> dict[str, object]:
     """Figures of a run, made once however many tests look at them."""
     start, move = PATHS[path]
-    scenario = LINES["guiding-lateral"].changed(start=start, move=move, mode=mode, duration=4.5)
+    scenario = LINES["guiding-lateral"].changed(start=start, move=move, mode=mode, duration=3.0)
     return run_scenario(robot_on(kind), border(kind), scenario, Config(), physics=physics).figures
 
 

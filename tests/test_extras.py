@@ -90,7 +90,6 @@ def test_a_missing_module_names_its_extra_and_any_other_stays_an_error() -> None
     ("command", "module", "extra"),
     [
         ("serve", "viser", "dashboard"),
-        ("serve", "trimesh", "dashboard"),
         ("reproduce", "matplotlib", "studies"),
         ("run guiding-lateral", "scipy", "sim"),
     ],

@@ -65,7 +65,7 @@ def make_loop(robot, border_data):
         loop.stop()
 
 
-def test_commands_go_out_and_snapshots_come_back(make_loop):
+def test_commands_go_out_and_snapshots_and_refusals_come_back(make_loop):
     loop = make_loop()
     wait_for(lambda: loop.latest().t > 0.1)
     times = [snapshot.t for snapshot in loop.history(0.05)]
@@ -85,10 +85,6 @@ def test_commands_go_out_and_snapshots_come_back(make_loop):
     stopped = loop.latest().t
     loop.send(Reset())
     wait_for(lambda: loop.latest().t < stopped)
-
-
-def test_a_scenario_and_its_refusal_cross_the_process_border(make_loop):
-    loop = make_loop()
     loop.send(Play.named("guiding-lateral", {"move": (0.0, 0.0, -2.0)}))
     wait_for(lambda: loop.latest().refusal is not None)
     assert loop.latest().refusal.number == 1
@@ -97,22 +93,16 @@ def test_a_scenario_and_its_refusal_cross_the_process_border(make_loop):
     assert loop.error is None
 
 
-def test_stop_ends_the_child_and_later_commands_are_harmless(make_loop):
-    loop = make_loop()
-    loop.stop()
-    assert loop._child.ended(PATIENCE) == 0
-    assert loop.error is None
-    loop.send(Pause(True))
-
-
-def test_a_child_that_waits_simulates_what_it_is_given(robot, border_data):
+def test_a_child_that_waits_simulates_what_it_is_given_until_it_is_stopped(robot, border_data):
     make_session = partial(Session, robot, border_data, Config(), physics="kinematic")
     with loop_child() as child:
         loop = ProcessLoop(make_session, np.array(robot.description.arm.ready_position), child)
         loop.start()
         wait_for(lambda: loop.latest().t > 0.1)
         loop.stop()
-        assert child.ended() == 0
+        assert child.ended(PATIENCE) == 0
+        assert loop.error is None
+        loop.send(Pause(True))  # it does no harm
 
 
 def test_a_child_that_is_never_told_what_to_simulate_is_ended():

@@ -135,4 +135,4 @@ def busy(pid: int) -> list[psutil.Process]:
     family = psutil.Process(pid).children(recursive=True)
     times = sorted(process.cpu_times().user for process in family)
     cores = os.cpu_count() or 1
-    return family if len(times) >= cores and times[-cores] > 3.0 else []
+    return family if len(times) >= cores and times[-cores] > 2.0 else []

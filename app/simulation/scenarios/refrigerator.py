@@ -110,12 +110,11 @@ class RefrigeratorScenario(Scenario):
         """See `Scenario.setting`; the controller's robot has the door as its last body."""
         # Imported here: scipy would make every command start later.
         from app.simulation.plants.door import OpenDoor, with_door
-        from app.simulation.scenarios.start import GraspSolver
+        from app.simulation.scenarios.start import find_grasp
 
         door, angle, base_pose = self.door, math.radians(self.door_angle), self.base_pose
-        q_m, T_ee = GraspSolver(model, data.pairs, config.border.d_b).solve(
-            base_pose, door, angle, seed=seed
-        )
+        d_b = config.border.d_b
+        q_m, T_ee = find_grasp(model, data.pairs, d_b, base_pose, door, angle, seed=seed)
         holding, holding_data = with_door(model, data, door, T_ee.inverse() * door.pose(angle))
         return Setting(
             holding, holding_data, base_pose, q_m, self.adapted(config), OpenDoor(door, angle)

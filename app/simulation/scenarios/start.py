@@ -324,6 +324,39 @@ class GraspSolver:
         return min(joints, 0.15) + 2 * min(bending, 0.05) + 5 * min(beyond - clearance, 0.1)
 
 
+def find_grasp(
+    model: RobotModel,
+    pairs: LinkPairs,
+    d_b: float,
+    base_pose: Array,
+    door: Door,
+    angle: float,
+    *,
+    seed: int = 0,
+) -> tuple[Array, pin.SE3]:
+    """The arm and the hand as `GraspSolver.solve` finds them; some that were found are kept.
+
+    Raises:
+        UnreachableError: There is none.
+    """
+    x, y, heading = base_pose.tolist()
+    q_m, T_ee = _found_grasp(model, pairs, d_b, (x, y, heading), door, angle, seed)
+    return q_m.copy(), T_ee.copy()
+
+
+@kept_per_model(_KEPT)
+def _found_grasp(
+    model: RobotModel,
+    pairs: LinkPairs,
+    d_b: float,
+    base_pose: _Place,
+    door: Door,
+    angle: float,
+    seed: int,
+) -> tuple[Array, pin.SE3]:
+    return GraspSolver(model, pairs, d_b).solve(np.array(base_pose), door, angle, seed=seed)
+
+
 def _rolled(pose: pin.SE3, roll: float) -> pin.SE3:
     """A hand's pose turned about its own axis."""
     return pose * pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, roll), np.zeros(3))
