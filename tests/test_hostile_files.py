@@ -149,6 +149,14 @@ def test_a_log_of_which_a_pair_has_the_name_of_another_or_a_line_break_is_one_li
         assert len(str(refused.value).splitlines()) == 1
 
 
+def test_a_log_whose_columns_have_no_names_in_utf8_is_refused(tmp_path):
+    path = tmp_path / "log.csv"
+    write_trace(path, trace_of(random_snapshots(2, 3)))
+    path.write_bytes(path.read_bytes().replace(b'"t_s"', b'"t\xff_s"', 1))
+    with pytest.raises(LogError, match=r"log\.csv: .*utf-8"):
+        read_trace(path)
+
+
 def test_a_log_that_expands_to_more_than_any_log_has_is_not_expanded(tmp_path, monkeypatch):
     path = tmp_path / "log.parquet"
     write_trace(path, trace_of(random_snapshots(2, 12)))

@@ -89,7 +89,7 @@ def read_trace(path: Path) -> Trace:
         raise LogError(f"{path}: not a log, or damaged: {reason}") from None
     try:
         return _trace(text, table)
-    except LogError as error:
+    except (LogError, UnicodeDecodeError) as error:  # the latter of a column's name
         raise LogError(f"{path}: {error}") from None
 
 
