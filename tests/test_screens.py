@@ -74,6 +74,9 @@ def test_a_plot_is_sent_only_while_somebody_sees_it(browser, served):
     assert SIGHT not in channel.seen
     tab.open_tab("Plots")
     wait_for(lambda: len(tab.plot("distance [m]")[0]) > 5, what="a curve")
+    line = tab.page.locator(".u-legend .u-series", has_text="hand – base").first
+    line.hover()
+    wait_for(lambda: (line.get_attribute("title") or "").startswith("lm-lEE: signed distance"))
     tab.open_tab("Why")
     wait_for(lambda: SIGHT not in channel.seen, what="nobody sees it")
 
@@ -91,6 +94,8 @@ def test_on_a_phone_the_sentence_stands_above_and_panels_are_a_drawer(browser, s
     assert drawer["y"] > 0.75 * PHONE[1]
     tab.page.touchscreen.tap(150, drawer["y"] + 10)
     tab.page.locator("[data-drawer=open]").wait_for()
+    opened = tab.page.locator("[data-drawer]").bounding_box()["y"]
+    wait_for(lambda: tab.pixel("/robot")[1] < opened, what="the robot above the drawer")
     tab.page.get_by_text("Why · Plots · Compare · Key", exact=True).tap()
     tab.page.get_by_role("tab", name="Plots").tap()
     wait_for(lambda: tab.plot("distance [m]") is not None, what="the plots")
