@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 _FARTHEST = 100.0  # [m] of a camera
+
+
+_FARTHEST = 100.0  # [m] of a camera
 LARGEST = 8 * 2**20
 """[bytes] of a case's file."""
 _COPY = (
