@@ -2,7 +2,7 @@
 
 An implementation of Jang, Kim and Park's method: a distance buffer border (DBB) around the base,
 scored by the base's singularity and the arm's reachability; a force from it that moves the base out
-of the arm's way; and one QP a step with continuous task transition.
+of the arm's way; and continuous task transition in a QP.
 
 In a robot's own loop at 1 kHz, where `sensors` and `send` are the robot's::
 

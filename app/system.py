@@ -7,13 +7,13 @@ no `malloc_trim`; there the work is done without. Nothing here raises for want o
 from __future__ import annotations
 
 import ctypes
-import multiprocessing
 import os
 import signal
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from io import TextIOWrapper
 from pathlib import Path
 from typing import BinaryIO
 
@@ -23,14 +23,11 @@ if sys.platform != "win32":
     import fcntl
     import resource
 
-SPAWN = multiprocessing.get_context("spawn")
-"""How processes are begun everywhere: a fork would copy locks that another thread holds, and is not
-safe at all with macOS's own libraries."""
-
 _REAL_TIME = 1  # [-] the least priority of those that come before all others
 _SPARE = 3  # [-] cores from which on one that is never given up leaves enough to others
 _BUDGET = 500_000  # [µs] that a thread may work before all others without a pause
 _MOST = 30_000_000  # [µs] after which the system ends a process that cannot even step back
+_PARENT_DEATH = 1  # [-] PR_SET_PDEATHSIG of prctl(2)
 
 
 def usable_cores() -> int:
@@ -91,6 +88,13 @@ def lead_group() -> None:
     """Make this process the leader of a group of its own, which `end_group` ends."""
     with suppress(AttributeError, PermissionError):  # it leads one already
         os.setsid()
+
+
+def wake_without_parent() -> None:
+    """If this process is stopped when its parent ends, the system lets it go on and learn of it."""
+    prctl = getattr(_c_library(), "prctl", None)
+    if prctl is not None:
+        prctl(_PARENT_DEATH, signal.SIGCONT)
 
 
 def end_group(leader: int, *, at_once: bool) -> None:
@@ -163,6 +167,22 @@ def give_freed_memory_back() -> None:
     trim = getattr(_c_library(), "malloc_trim", None)
     if trim is not None:
         trim(0)
+
+
+def open_standard_files() -> None:
+    """Standard input, output and error lead nowhere where whoever began this process closed them.
+
+    Else the next file, pipe or socket gets such a number, and what is printed goes into it. What an
+    output's encoding does not have is printed as its code.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # it gets the least free number
+            setattr(sys, name, os.fdopen(number, "w" if number else "r"))
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def flush_c_output() -> None:

@@ -1,9 +1,9 @@
 """Faults at random instants: `python -m benchmarks.faults --tries 30 [--seed 1] [--json]`.
 
-A command is started in a folder of its own, one of its processes is killed, terminated or stopped
-for a second, and what is left five seconds after its end is counted: processes, open ports and
-half-written results. A study is then gone on with, and has to give the same bytes as one that
-nothing befell.
+A command is started in a folder of its own, one of its processes is killed, terminated, stopped
+for a second, or stopped while the command is terminated, and what is left five seconds after its
+end is counted: processes, open ports and half-written results, and statuses of its own. A study is
+then gone on with, and has to give the same bytes as one that nothing befell.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ import tyro
 from app.cli.common import print_json
 from app.jobs.progress import progress_bar
 from app.robot.assets import ASSETS
+from app.system import ENDING
 
 _MARK = "DBB_FAULTS"  # in the environment of all that a try starts
 _PATIENCE = 5.0  # [s] after which nothing may be left
@@ -36,9 +37,14 @@ _FAULTS = {
     "terminate": signal.SIGTERM,
     "interrupt": signal.SIGINT,
     "stop": signal.SIGSTOP,
+    "hold": signal.SIGSTOP,
 }
+"""The first signal of each: one that was stopped goes on a second later, and then has to end. One
+that is held goes on only if it is the command, which has been terminated meanwhile."""
 _STUDY = ("study", "--cases", "4", "--physics", "kinematic", "--processes", "2", "--out", "out")
 _SWEEP = ("sweep", "--step", "90", "--hold", "0.5", "--physics", "kinematic", "--processes", "2")
+_FILM = ("film", "guiding-front", "--physics", "kinematic", "--width", "320", "--height", "240")
+_FILM = (*_FILM, "--out", "a.webm")
 _ROBOT = (
     "new-robot",
     *(str(ASSETS / "bases" / "racecar.urdf"), "--base", "base_link", "--kind", "car-like"),
@@ -51,6 +57,7 @@ _COMMANDS: dict[str, tuple[tuple[str, ...], float]] = {
     "study": (_STUDY, 20.0),
     "reproduce": (("reproduce", "fig3", "--processes", "2", "--out", "out"), 20.0),
     "new-robot": (_ROBOT, 20.0),
+    "film": (_FILM, 20.0),
 }
 """Each command, and [s] within which the fault comes."""
 
@@ -82,7 +89,7 @@ def main(
     Args:
         tries: How many.
         seed: Of command, fault, process and instant.
-        only: Commands: serve, sweep, study, reproduce, new-robot; all if not given.
+        only: Commands: serve, sweep, study, reproduce, new-robot, film; all if not given.
         json: Print one JSON object.
     """
     rng = np.random.default_rng(seed)
@@ -116,7 +123,7 @@ def main(
         sys.exit(1)
 
 
-_COUNTED = ("orphans", "ports", "half", "lost")
+_COUNTED = ("orphans", "ports", "half", "lost", "status")
 
 
 def _try(
@@ -137,6 +144,8 @@ def _try(
             command.wait(2.0)
         command.terminate()
     left = _left_after(command, folder, port)
+    usual = {0, *(each for n in ENDING for each in (-n, 128 + n))}  # it may have ended before
+    told = fault in ("terminate", "interrupt", "hold") and command.returncode not in usual
     lost: list[str] = []
     if name == "study":
         lost = [each for each, content in _studied(folder).items() if whole[each] != content]
@@ -149,6 +158,7 @@ def _try(
         "ports": [port] if left.port else [],
         "half": left.half,
         "lost": lost,
+        "status": [command.returncode] if told and not in_child else [],
         "begun": left.new,
     }
 
@@ -179,9 +189,12 @@ def _strike(
             struck = children[int(rng.integers(len(children)))]
         told = "the command" if struck.pid == command.pid else _told(struck)
         struck.send_signal(_FAULTS[fault])
-        if fault == "stop":
+        if fault == "hold":
+            command.terminate()
+        if fault in ("stop", "hold"):
             time.sleep(_STOPPED)
-            struck.resume()
+            if fault == "stop" or struck.pid == command.pid:
+                struck.resume()
         return told
     return "nobody"
 

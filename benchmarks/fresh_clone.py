@@ -1,8 +1,8 @@
 """How soon `make run` in a fresh clone has a page that answers: `python -m benchmarks.fresh_clone`.
 
 The committed state is cloned into a folder whose path has a space in it, and installed with the
-packages that are in the user's caches; with `--download` from empty caches first, whose size then
-says how much was loaded and whose time how long that took. Kernels are compiled anew each time.
+packages that are in the user's caches. Kernels are compiled anew. `download_mb` is the size of all
+wheels, which a machine with empty caches loads first.
 """
 
 from __future__ import annotations
@@ -28,7 +28,6 @@ STAGES = {"venv.sh": "install_s", "import app": "compile_s", "dbb serve": "serve
 def main() -> None:
     """Measure and print one JSON object."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--download", action="store_true", help="from empty caches first")
     parser.add_argument("--python", default="", help="as make's PYTHON")
     options = parser.parse_args()
     found: dict[str, Any] = {
@@ -37,14 +36,8 @@ def main() -> None:
         "installer": "uv" if shutil.which("uv") else "pip",
     }
     with tempfile.TemporaryDirectory(prefix="fresh clone ") as folder:
-        if options.download:
-            cache = Path(folder) / "cache"
-            os.environ.update(PIP_CACHE_DIR=str(cache / "pip"), UV_CACHE_DIR=str(cache / "uv"))
-            found["empty_caches"] = start(Path(folder) / "first", options.python)
-            size = sum(file.stat().st_size for file in cache.rglob("*") if file.is_file())
-            # pip keeps what it loads as it is; uv keeps it unpacked.
-            found["cache_mb"] = size / 1e6
-        found["filled_caches"] = start(Path(folder) / "clone", options.python)
+        clone = Path(folder) / "clone"
+        found.update(start(clone, options.python), download_mb=wheels(clone) / 1e6)
     print(json.dumps(found, indent=2))
 
 
@@ -83,6 +76,13 @@ def start(clone: Path, python: str) -> dict[str, float]:
         make.wait(timeout=60)
     stages = {marks[i][0]: marks[i + 1][1] - marks[i][1] for i in range(len(marks) - 1)}
     return {**stages, "page_answers_s": marks[-1][1] - begin}
+
+
+def wheels(clone: Path) -> int:
+    """[bytes] of the wheels that a clone's environment was made of."""
+    download = "-m pip download --quiet --no-deps -r requirements/all.txt --dest wheels"
+    subprocess.run([".venv/bin/python", *download.split()], cwd=clone, check=True)
+    return sum(file.stat().st_size for file in (clone / "wheels").iterdir())
 
 
 if __name__ == "__main__":

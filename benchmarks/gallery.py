@@ -1,14 +1,20 @@
 """Robots that nobody tuned: `python -m benchmarks.gallery --robots all|NAME,... [--quick]`.
 
-Each is made by `dbb new-robot` with options alone and then checked by `dbb check-robot`. A row is
-kept in a file as soon as it is there, so that the same call goes on where it was ended.
+Each is made by `dbb new-robot` with options alone and then checked by `dbb check-robot`, both as
+processes of their own, as a user would: one that dies is a row. With `--quick` the rows are those
+of the documentation's table, so that the same call goes on where it was ended.
 """
 
 from __future__ import annotations
 
 import json as json_module
-import tempfile
-from collections.abc import Mapping
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
@@ -16,17 +22,16 @@ from typing import Annotated, Any
 
 import tyro
 
-from app.border.config import QUICK, SamplingConfig
 from app.cli.common import say
-from app.errors import DbbError, UnknownNameError
-from app.onboarding.check import check_robot
-from app.onboarding.new_robot import NewRobot, compiled, finish
-from app.onboarding.request import Request, check_request
+from app.errors import UnknownNameError
+from app.onboarding.request import option
 
+_PROJECT = Path(__file__).resolve().parent.parent
+FOLDER = _PROJECT / "out" / "gallery"
+"""Where the robots stay, each with its report."""
 _DATA = "package://example-robot-data/robots"
 _RTB = "package://rtbdata/xacro"
 _STRETCH = "package://stretch_urdf"
-_MODULES = {"stretch_urdf": "hello-robot-stretch-urdf", "rtbdata": "rtb-data"}
 
 
 def _package(name: str, folder: str) -> tuple[str, ...]:
@@ -147,84 +152,104 @@ ROBOTS: dict[str, dict[str, Any]] = {
 
 def main(
     robots: str = "all",
-    file: Path = Path("out/gallery.json"),
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
-    again: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> None:
     """Make and check robots.
 
     Args:
         robots: Their names with commas, or all.
-        file: Where the rows are kept.
-        quick: With a coarser border.
-        again: Those that the file has, too.
-        json: Print the rows that were asked for as one JSON object.
+        quick: With a coarser border, as the documentation's table has it: what this commit has
+            measured is taken from there, and the rest is added.
+        json: Measure all of them now, and print the rows as one JSON object.
     """
     names = list(ROBOTS) if robots == "all" else robots.split(",")
     for name in names:
         if name not in ROBOTS:
             raise SystemExit(str(UnknownNameError("robot of the gallery", name, ROBOTS)))
-    rows = json_module.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
-    for name in names:
-        if again or name not in rows or rows[name]["quick"] != quick:
-            say(name)
-            rows[name] = {"quick": quick, **outcome(name, QUICK if quick else None)}
-            file.parent.mkdir(parents=True, exist_ok=True)
-            part = file.with_suffix(".part")
-            part.write_text(json_module.dumps(rows, indent=1), encoding="utf-8")
-            part.replace(file)
-    asked = {name: rows[name] for name in names}
+    if quick and not json:
+        from tools.results import figures, measure  # they know the gallery as one of many sets
+
+        if not measure("gallery", again=False, only=names):
+            sys.exit(1)
+        rows = figures("gallery")
+    else:
+        rows = {name: outcome(name, quick) for name in names}
     if json:
-        print(json_module.dumps(asked))
+        print(json_module.dumps(rows))
         return
-    for name, row in asked.items():
-        print(f"{name:18} {row['verdict']:8} {row['elapsed_s']:5.0f} s  {row.get('refusal', '')}")
+    for name in names:
+        row = rows[name]
+        print(f"{name:18} {row['verdict']:8} {row['cpu_s']:5.0f} s  {row.get('refusal', '')}")
 
 
-def outcome(name: str, sampling: SamplingConfig | None) -> dict[str, Any]:
+def dbb(*words: str) -> tuple[dict[str, Any] | None, dict[str, Any]]:
+    """Run a command of dbb with `--json`, with the robots in `FOLDER`.
+
+    Returns:
+        What it printed, or None; and its seconds by the clock and of all cores, with the reason
+        where it printed nothing: `refused`, or `crashed` at what it was doing.
+    """
+    begin, before = perf_counter(), _cpu_seconds()
+    done = subprocess.run(
+        [sys.executable, "-m", "app", *words, "--json"],
+        cwd=_PROJECT,
+        capture_output=True,
+        text=True,
+        env={**os.environ, "DBB_ROBOTS": str(FOLDER)},
+    )
+    took = {"elapsed_s": perf_counter() - begin, "cpu_s": _cpu_seconds() - before}
+    code, said = done.returncode, done.stderr.strip().splitlines() or ["without a word"]
+    if code in (0, 1) and done.stdout:
+        return json_module.loads(done.stdout), took
+    if code < 0:
+        said.append(f"dbb {words[0]} ended by {signal.Signals(-code).name} at: {said[-1]}")
+    verdict = "refused" if code == 2 else "crashed"
+    return None, took | {"verdict": verdict, "refusal": said[-1].removeprefix("dbb: error: ")}
+
+
+def _cpu_seconds() -> float:
+    """[s] of all processes that were waited for."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def words_of(given: Mapping[str, Any]) -> Iterator[str]:
+    """What `dbb new-robot` is called with, for fields of a `Request`."""
+    yield given["urdf"]
+    for field, value in given.items():
+        if field == "urdf" or value == ():
+            continue
+        yield option(field)
+        if value is not True:
+            yield from map(str, value if isinstance(value, tuple) else (value,))
+
+
+def outcome(name: str, quick: bool) -> dict[str, Any]:
     """The row of a robot: made and checked, or the reason why not."""
-    given, begin = ROBOTS[name], perf_counter()
-    processes = None if sampling is None else 1  # a coarse one takes less than to start others
-    used = f"{given['urdf']} {given.get('arm_urdf', '')}"
-    for module, package in _MODULES.items():
-        if f"//{module}/" in used and find_spec(module) is None:
-            return _refused(f"the package {package} is not installed", begin)
-    with tempfile.TemporaryDirectory() as folder:
-        request = Request(**given, out=Path(folder) / name)
-        try:
-            check_request(request)
-            made, data = finish(request, tell=say, sampling=sampling, processes=processes)
-        except DbbError as error:
-            return _refused(str(error), begin)
-        made_in, points = perf_counter() - begin, {n: len(c) for n, c in data.clouds.items()}
-        description = compiled(made.content, request.out / "robot.urdf").description
-        checks = list(check_robot(description, tell=say, sampling=sampling, processes=processes))
-    bad = [row.name for row in checks if row.outcome in ("failed", "nothing to show")]
-    return {
+    say(name)
+    how = ["--quick"] if quick else []
+    own = f"new_{name}"  # of two robots of a name the one that ships would be checked
+    shutil.rmtree(FOLDER / own, ignore_errors=True)
+    made, row = dbb("new-robot", *words_of(ROBOTS[name]), "--out", str(FOLDER / own), *how)
+    if made is None:
+        return row
+    found, took = dbb("check-robot", own, *how)
+    row |= {key: made[key] for key in _FIGURES}
+    row["over_hulls"] = {name: max(body["over_cover"]) for name, body in made["bodies"].items()}
+    if found is None:
+        return took | row
+    checks = {each.pop("name"): each for each in found["checks"]}
+    bad = any(each["outcome"] in ("failed", "nothing to show") for each in checks.values())
+    return row | {
         "verdict": "failed" if bad else "passed",
-        "elapsed_s": made_in,
-        "checked_in_s": perf_counter() - begin - made_in,
-        **_figures(made),
-        "border_points": points,
-        "checks": {row.name: {"outcome": row.outcome, "text": row.text} for row in checks},
+        "check_cpu_s": took["cpu_s"],
+        "checks": checks,
     }
 
 
-def _refused(why: str, begin: float) -> dict[str, Any]:
-    return {"verdict": "refused", "elapsed_s": perf_counter() - begin, "refusal": why}
-
-
-def _figures(made: NewRobot) -> Mapping[str, Any]:
-    """What was made."""
-    return {
-        "pairs": [pair.name for pair in made.pairs.all],
-        "bodies_over_hulls": {b.name: [fit.over_cover for fit in b.fits] for b in made.bodies},
-        "unseen_share": made.unseen.share,
-        "ready_pose": made.ready.q_m.tolist(),
-        "lines": sorted(made.places),
-        "warnings": made.warnings,
-    }
+_FIGURES = ("pairs", "ready_position", "lines", "border_points", "warnings")
+"""Of what `dbb new-robot` prints; of a body how much larger it is than the hull of its links."""
 
 
 if __name__ == "__main__":

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import multiprocessing as mp
 import os
+import subprocess
+import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +21,10 @@ def count_up(report: Report, most: int) -> int:
     return os.getpid()
 
 
+def add(context: int, job: int) -> int:
+    return context + job
+
+
 def fail_with(report: Report, error: Exception) -> None:
     raise error
 
@@ -29,11 +35,26 @@ def vanish(report: Report) -> None:
 
 def wait_for_ever(report: Report, file: str) -> None:
     """With a child of its own, whose number is told."""
-    child = mp.get_context("spawn").Process(target=time.sleep, args=(600,))
-    child.start()
+    child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
     Path(file).write_text(str(child.pid))
     report("waiting", 0.5)
     time.sleep(600)
+
+
+def say_and_wait(context: object, job: int) -> None:
+    os.write(1, b"started\n")
+    time.sleep(60)
+
+
+def wait_with_workers(report: Report, folder: str) -> None:
+    """In a folder, with processes that wait too; on a busy machine, too, nothing is killed."""
+    from app.jobs import process
+    from app.jobs.pool import Workers
+
+    process._PATIENCE = 60.0
+    own = tempfile.TemporaryDirectory(dir=folder, prefix="of-the-job-")
+    with own, Workers(int, processes=2) as workers:
+        list(workers.map(say_and_wait, range(2)))
 
 
 def wait_in_a_folder(report: Report, out: str) -> None:

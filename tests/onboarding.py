@@ -140,7 +140,6 @@ def few_samples(cache: Path) -> Iterator[SamplingConfig]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(assets, "cache_folder", lambda: cache)
         patch.setattr(new_robot, "MEETING_SAMPLES", 1200)
-        patch.setattr(new_robot, "PAIR_SAMPLES", 2000)
         patch.setattr(postures, "_SAMPLES", 800)
         patch.setattr(numbers, "COUNTED_POSES", 3000)
         yield SamplingConfig(

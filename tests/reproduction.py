@@ -1,4 +1,4 @@
-"""Short real runs for the tests of `app.reproduce`, and figures of runs as a test wants them."""
+"""Short real runs for the tests of `app.studies.paper`, and figures of runs for a test."""
 
 from __future__ import annotations
 

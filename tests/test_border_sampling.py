@@ -181,16 +181,10 @@ def test_within_one_process_the_context_is_made_once_for_all_work():
 
 
 CTRL_C = """
-import time
-from functools import partial
 from app.jobs.pool import Workers
-def context(): return None
-def work(_, job):
-    print("started", flush=True)
-    time.sleep(60)
-if __name__ == "__main__":
-    with Workers(context, processes=2) as workers:
-        list(workers.map(work, range(8)))
+from tests.jobs import say_and_wait
+with Workers(int, processes=2) as workers:
+    list(workers.map(say_and_wait, range(8)))
 """
 
 
@@ -217,7 +211,7 @@ def test_ctrl_c_ends_the_sampling_at_once_and_leaves_no_process(tmp_path):
 
 
 def _gone(group: int) -> bool:
-    """Whether a group of processes ends within 5 s, the resource tracker's last breath included."""
+    """Whether a group of processes ends within 5 s."""
     for _ in range(50):
         try:
             os.killpg(group, 0)

@@ -33,6 +33,12 @@ from tests.onboarding import arm, cart, cube, few_samples, robot, with_mesh, zip
 pytestmark = [pytest.mark.browser, pytest.mark.slow]
 
 TOY = with_mesh(robot([*cart(), *arm()]), "package://toy/meshes/m.stl")
+FOREIGN = (
+    "<p>not the robot's</p><script>top.foreign = 1</script>"
+    '<img src="data:," onerror="top.foreign = 1">'
+)
+BLOCKED = "Blocked script execution in 'about:srcdoc'"
+"""The page's browser, of the report's script."""
 LATE = "Tried to update non-existent component"
 """viser's page, of a widget whose removal came in the same picture as its last change.
 
@@ -116,14 +122,19 @@ def test_a_zip_becomes_a_robot_whose_base_gives_way_to_the_hand(
     see(tab, "Which links?")
     tab.click("Make it")
     see(tab, "toy is made")
+    report = tmp_path / "robots" / "toy" / "report.html"
+    report.write_text(FOREIGN + report.read_text(encoding="utf-8"), encoding="utf-8")
     tab.click("Report")
     see(tab, "How toy was made")
+    tab.page.frame_locator("iframe").get_by_text("not the robot's").wait_for()
+    assert tab.page.evaluate("window.foreign") is None
     tab.click("Close")
     shared = server.shared
     tab.click("Use this robot")
     wait_for(lambda: server.shared is not shared, what="the new robot")
     tab.wait_for_scene()
-    tab.errors = [text for text in tab.errors if not text.startswith(LATE)]
+    assert [text for text in tab.errors if text.startswith(BLOCKED)], "the browser says so"
+    tab.errors = [text for text in tab.errors if not text.startswith((LATE, BLOCKED))]
     pull_towards_the_base(tab, server)
     assert tab.errors == []
 

@@ -153,6 +153,7 @@ def test_a_case_of_another_version_says_what_differs():
         ({"parameters": {"border.d_b": 9.0}}, "border.d_b"),
         ({"seed": -1}, "seed"),
         ({"more": 1}, "more"),
+        ({"parameters": {f"a.b{k}": 1.0 for k in range(1001)}}, "at most 1000"),
     ],
 )
 def test_a_wrong_case_is_refused_in_one_line(change, named):

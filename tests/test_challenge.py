@@ -15,6 +15,7 @@ from app.dashboard.job import Challenge, Tried, try_again
 from app.dashboard.panels.challenge import card, challenge_html
 from app.dashboard.record import Course
 from app.simulation.case import RunCase
+from app.simulation.loop.commands import Pause
 from app.simulation.loop.loop import SimulationLoop
 from app.simulation.run import run_scenario
 from app.simulation.scenarios.pulled import CHALLENGE
@@ -78,7 +79,7 @@ def test_a_visitor_tries_and_gets_the_proof(
     browser, robot, border_data, monkeypatch, tmp_path: Path
 ):
     monkeypatch.setattr(job_module, "CONTROLLERS", ("dbb", "none"))
-    monkeypatch.setattr(panel_module, "CHALLENGE", CHALLENGE.changed(duration=7.0))
+    monkeypatch.setattr(panel_module, "CHALLENGE", CHALLENGE.changed(duration=4.0))
     # Not in a process of low priority, which on a busy machine gets its turn late.
     monkeypatch.setattr(Challenge, "run", lambda self, work, *args: work(self.report, *args))
     loop = SimulationLoop(partial(Session, robot, border_data, Config()), np.array(Q_START))
@@ -92,6 +93,7 @@ def test_a_visitor_tries_and_gets_the_proof(
         shared = served.server.shared
         wait_for(lambda: len(shared.challenge.tried) == 2, seconds=120, what="the card")
         tab.page.get_by_text("The same pull, each controller").wait_for()
+        loop.send(Pause(True))
         first = shared.challenge.tried[0]
         assert first.controller == "dbb"
         assert first.pull > 1.0, "the mouse pulled"
@@ -99,12 +101,12 @@ def test_a_visitor_tries_and_gets_the_proof(
             tab.click("Case of it (JSON)")
         download.value.save_as(tmp_path / "case.json")
         case = RunCase.read(json.loads((tmp_path / "case.json").read_text()), "case.json")
-        run = {"controller": case.controller, "physics": case.physics, "seed": case.seed}
-        again = run_scenario(robot, border_data, case.scenario(), case.config(), **run)
-        assert case.figures
-        assert case.changes(again.figures) == []
         with tab.page.expect_download() as download:
             tab.click("Card (PNG)")
         download.value.save_as(tmp_path / "card.png")
         tab.picture(tmp_path / "page.png")
         assert tab.errors == []
+    run = {"controller": case.controller, "physics": case.physics, "seed": case.seed}
+    again = run_scenario(robot, border_data, case.scenario(), case.config(), **run)
+    assert case.figures
+    assert case.changes(again.figures) == []

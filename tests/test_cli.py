@@ -575,6 +575,24 @@ def test_a_reader_that_goes_away_is_no_error():
     assert process.returncode == 1
 
 
+@pytest.mark.parametrize("closed", ["0<&-", "1>&-", "0<&- 1>&- 2>&-"])
+def test_a_command_whose_input_and_outputs_are_closed_does_its_work(closed):
+    line = f'exec "{sys.executable}" -m app robots {closed}'
+    assert subprocess.run(["sh", "-c", line], cwd=PROJECT, timeout=60).returncode == 0
+
+
+def test_an_output_without_our_signs_gets_their_codes():
+    process = subprocess.run(
+        [sys.executable, "-m", "app", "--help"],
+        cwd=PROJECT,
+        env={**os.environ, "PYTHONIOENCODING": "latin-1"},
+        capture_output=True,
+        timeout=60,
+    )
+    assert process.returncode == 0
+    assert rb"\u2026" in process.stdout
+
+
 def wait_for(stream, text: str) -> None:
     """Read until the text stands there; fails if the stream ends first."""
     seen = ""

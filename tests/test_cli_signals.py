@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -23,8 +24,9 @@ def interrupted() -> None:
 
 
 @pytest.fixture(autouse=True)
-def default_handler() -> Iterator[None]:
-    """A command finds Python's own; a test that fails must not end the tests."""
+def default_handler(monkeypatch) -> Iterator[None]:
+    """A command finds Python's own, and no deadline; a test that fails must not end the tests."""
+    monkeypatch.setattr("app.jobs.progress._LONGEST", 3600.0)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -73,13 +75,56 @@ def test_other_ending_signals_leave_by_every_finally(number, monkeypatch):
             tidied.append(True)
             raise ValueError("as compiled code makes of it") from None
 
-    monkeypatch.setattr("app.jobs.progress._LONGEST", 3600.0)
     monkeypatch.setattr(ENTRY, "_run", command)
     with pytest.raises(SystemExit) as end:
         main(["run"])
     assert end.value.code == 128 + number
     assert tidied == [True]
     assert signal.getsignal(number) is signal.SIG_DFL
+
+
+DEAF = r"""
+import ctypes, os
+from app.jobs.progress import ending_signals_raised
+lock = ctypes.create_string_buffer(256)
+ctypes.CDLL(None).pthread_mutex_init(lock, None)
+with ending_signals_raised():
+    while True:
+        try:
+            os.write(1, b"started\n")  # the second time it waits for ever, in compiled code
+            ctypes.CDLL(None).pthread_mutex_lock(lock)
+        except BaseException:
+            pass  # lost
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_command_ends_by_its_signal_whatever_holds_its_main_thread(number):
+    process = subprocess.Popen([sys.executable, "-c", DEAF], stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stdout.readline() == b"started\n"
+    process.send_signal(number)
+    assert process.wait(timeout=30) == 128 + number
+
+
+LATE = r"""
+import atexit, os, sys
+from app.cli import console
+class Slow:
+    def __del__(self):  # as of a process that frees much
+        os.write(1, b"tidies up")
+kept = Slow()
+sys.argv[1:] = ["--version"]
+atexit.register(os.write, 1, b"ends")
+console()
+"""
+
+
+def test_a_command_ends_with_its_work_and_frees_nothing_first():
+    done = subprocess.run([sys.executable, "-c", LATE], capture_output=True, timeout=60)
+    assert done.returncode == 0
+    assert done.stdout.startswith(b"dbb ")
+    assert done.stdout.endswith(b"ends")
 
 
 def test_what_a_command_says_after_it_was_interrupted_is_heard(monkeypatch, capsys):

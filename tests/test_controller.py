@@ -253,6 +253,18 @@ def test_a_failed_qp_gives_the_safe_command_and_is_counted(
     assert (output.base_acceleration * m.base_velocity < 0).all()
 
 
+def test_a_reference_that_is_not_finite_gives_the_safe_command(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    controller = Controller(robot, border_data, Config())
+    m = measured(robot, np.array(robot.description.arm.ready_position))
+    spoiled = reference_at(robot, m)._replace(velocity=np.full(6, np.nan))
+    output = controller.step(m, spoiled)
+    assert not output.solved
+    assert controller.failures == 1
+    np.testing.assert_allclose(output.u_a, free_arm_torque(controller.state))
+
+
 def test_what_was_measured_badly_at_first_is_no_posture_to_go_back_to(
     robot: RobotModel, border_data: BorderData
 ) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from app.dashboard.drag import GIZMO, SCALE
 from app.dashboard.panels.help import STEPS
+from app.dashboard.panels.plots import SIGHT
 from app.dashboard.panels.run import TITLES
 from app.simulation.loop.commands import (
     Choose,
@@ -79,6 +80,16 @@ def test_first_picture_shows_robot_border_panels_and_plots(tab, served):
     tab.open_tab("Why")
 
 
+def test_a_plot_is_sent_only_while_somebody_sees_it(tab, served):
+    channel = served.page().channel
+    wait_for(lambda: SIGHT not in channel.seen, what="nobody sees it")
+    tab.open_tab("Plots")
+    wait_for(lambda: SIGHT in channel.seen, what="somebody sees it")
+    wait_for(lambda: len(tab.plot("distance [m]")[0]) > 5, what="a curve")
+    tab.open_tab("Why")
+    wait_for(lambda: SIGHT not in channel.seen, what="nobody sees it")
+
+
 def test_the_robot_is_framed_by_the_scene(tab, served):
     left, top, right, bottom = tab.canvas_box()
     base = [(x, y, z) for x in (-0.48, 0.48) for y in (-0.33, 0.33) for z in (0.0, 0.38)]
@@ -119,6 +130,7 @@ def test_dragging_the_gizmo_pulls_the_hand_and_letting_go_releases_it(tab, serve
 @needs_pybullet
 def test_a_link_dragged_by_the_mouse_is_pulled_there_by_a_band_with_its_newtons(tab, served):
     loop = served.loop
+    wait_for(lambda: np.linalg.norm(tab.position(GIZMO) - loop.latest().p_ee) < 1e-3)
     before = tab.picture()
     start = tab.pixel(LINK, (0.0, 0.03, 0.0))
     tab.drag(start, start + np.array([-90.0, -60.0]), drop=False)
@@ -133,7 +145,7 @@ def test_a_link_dragged_by_the_mouse_is_pulled_there_by_a_band_with_its_newtons(
     along = [tab.pixel("", tuple(pull.point + u * (pull.target - pull.point))) for u in (0.3, 0.6)]
     tab.wait_for_change(before, 40, np.array(along), radius=12)
 
-    tab.page.wait_for_timeout(3000)  # [ms] longer than a browser that sleeps holds
+    tab.page.wait_for_timeout(2000)  # [ms] longer than a browser that sleeps holds
     assert not any(isinstance(command, Release) for command in loop.commands), "he holds still"
     tab.page.mouse.up()
     wait_for(lambda: isinstance(loop.commands[-1], Release), what="letting go")

@@ -1,8 +1,8 @@
-"""The gallery of robots: rows are kept, and what cannot be made says why."""
+"""The gallery of robots: each is a process, and what cannot be made is a row that says why."""
 
 from __future__ import annotations
 
-import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -17,13 +17,34 @@ def test_the_options_of_every_robot_go_together(tmp_path: Path) -> None:
     assert len(gallery.ROBOTS) == 23
 
 
-def test_a_row_is_kept_and_a_missing_package_is_one(
+def test_a_robot_is_asked_for_as_a_user_would() -> None:
+    given = gallery.ROBOTS["frankie"] | {"package": ()}
+    words = list(gallery.words_of(given))
+    assert words[0] == given["urdf"]
+    assert " ".join(words[1:]) == (
+        "--base panda_base_arm --tip frankie_hand --wheel-radius 0.1 --half-track 0.2 "
+        "--tip-xyz 0.0 0.0 0.1034 --assume-inertia"
+    )
+
+
+def test_what_is_refused_is_a_row(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gallery, "FOLDER", tmp_path)
+    given = {"urdf": "package://no_such_package/a.urdf", "base": "a", "tip": "b"}
+    monkeypatch.setitem(gallery.ROBOTS, "gone", given)
+    row = gallery.outcome("gone", quick=True)
+    assert row["verdict"] == "refused"
+    assert "'no_such_package' is not installed" in row["refusal"]
+    assert row["cpu_s"] > 0.0
+
+
+def test_a_native_crash_is_a_row_that_says_where(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(gallery, "find_spec", lambda _: None)
-    file = tmp_path / "rows.json"
-    gallery.main("stretch_re1", file)
-    row = json.loads(file.read_text(encoding="utf-8"))["stretch_re1"]
-    assert (row["verdict"], row["refusal"][:11]) == ("refused", "the package")
-    monkeypatch.setattr(gallery, "outcome", lambda *_: pytest.fail("it was there already"))
-    gallery.main("stretch_re1", file)
+    dying = tmp_path / "python"
+    dying.write_text("#!/bin/sh\necho '… fitting bodies' >&2\nkill -SEGV $$\n", encoding="utf-8")
+    dying.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(dying))
+    monkeypatch.setattr(gallery, "FOLDER", tmp_path)
+    row = gallery.outcome("pr2", quick=True)
+    assert row["verdict"] == "crashed"
+    assert row["refusal"] == "dbb new-robot ended by SIGSEGV at: … fitting bodies"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import resource
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -12,8 +13,10 @@ import numpy as np
 import pytest
 
 from app.border.cache import DamagedFileError, read
+from app.cli.common import as_json
 from app.cli.main import main
 from app.config_file import decode_config
+from app.dashboard.robots import robot_entries
 from app.errors import (
     CaseError,
     ConfigError,
@@ -22,11 +25,11 @@ from app.errors import (
     OutputError,
     RobotFileError,
 )
-from app.onboarding.read.source import refuse_entities
-from app.robot.assets import ASSETS
+from app.robot.assets import ASSETS, refuse_entities
 from app.robot.description import load_description
 from app.simulation.trace.log_file import read_trace, write_trace
 from app.studies.pulls.case import read_case
+from app.studies.run_report import key_numbers
 from app.system import write_whole
 from tests.logs import random_snapshots, trace_of
 
@@ -71,6 +74,30 @@ def test_of_a_broken_robot_the_list_says_what_is_wrong_and_the_others_are_there(
     told = capsys.readouterr().out
     assert "\nhusky_panda " in told
     assert "\nbroken               cannot be used: " in told
+
+
+@pytest.mark.parametrize(
+    "urdf",
+    [
+        b"\xff\xfe",
+        b"<robot",
+        b"<!DOCTYPE r [<!ENTITY a 'b'>]><robot name='&a;'/>",
+        b"<a>" * 200 + b"</a>" * 200,
+        b"<robot a:b:c='1'/>",
+    ],
+    ids=["no text", "no XML", "entity", "depth", "colons"],
+)
+def test_of_a_robot_with_a_broken_urdf_the_page_says_what_is_wrong(urdf, monkeypatch, tmp_path):
+    good = (ASSETS / "husky_panda" / "robot.toml").read_text(encoding="utf-8")
+    mine = good.replace('"husky_panda"', '"broken"').replace("robot.urdf", "mine.urdf")
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "robot.toml").write_text(mine, encoding="utf-8")
+    (tmp_path / "broken" / "mine.urdf").write_bytes(urdf)
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    entries = {entry.name: entry for entry in robot_entries()}
+    assert entries["husky_panda"].problem is None
+    assert entries["broken"].own
+    assert "mine.urdf: " in str(entries["broken"].problem)
 
 
 def test_a_file_that_is_replaced_is_the_old_one_until_it_is_the_new_one(tmp_path):
@@ -120,6 +147,36 @@ def test_a_log_of_which_a_pair_has_the_name_of_another_or_a_line_break_is_one_li
         with pytest.raises(LogError) as refused:
             read_trace(path)
         assert len(str(refused.value).splitlines()) == 1
+
+
+def test_a_log_that_expands_to_more_than_any_log_has_is_not_expanded(tmp_path, monkeypatch):
+    path = tmp_path / "log.parquet"
+    write_trace(path, trace_of(random_snapshots(2, 12)))
+    monkeypatch.setattr("app.simulation.trace.log_file._MOST_CELLS", 1000)
+    with pytest.raises(LogError, match=r"12 rows of .* columns, more than any log has"):
+        read_trace(path)
+
+
+@pytest.mark.parametrize("speeds", ["[1.0]", "[0,0,0,0,0,0,0]", "[NaN,1,1,1,1,1,1]"])
+def test_a_log_whose_joints_have_no_speeds_that_could_be_shares_of_is_refused(speeds, tmp_path):
+    path = tmp_path / "log.csv"
+    write_trace(path, trace_of(random_snapshots(2, 3)))
+    right = path.read_text(encoding="utf-8")
+    path.write_text(re.sub(r'"joint_speeds":\[[^]]*\]', f'"joint_speeds":{speeds}', right, count=1))
+    with pytest.raises(LogError, match="joint_speeds"):
+        read_trace(path)
+
+
+def test_of_a_log_with_numbers_beyond_all_the_report_has_no_figure(tmp_path):
+    path = tmp_path / "log.csv"
+    write_trace(path, trace_of(random_snapshots(2, 3)))
+    head, names, first, *rest = path.read_text(encoding="utf-8").split("\n")
+    column, cells = names.split(",").index('"base_x_m"'), first.split(",")
+    cells[column] = "-1e999"
+    path.write_text("\n".join([head, names, ",".join(cells), *rest]), encoding="utf-8")
+    figures = key_numbers(read_trace(path))
+    assert figures["base_path_m"] is None
+    as_json(figures)
 
 
 XML: dict[str, Callable[[int], str]] = {

@@ -71,24 +71,25 @@ def test_nobody_costs_nothing_and_somebody_finds_it_where_it_was_left(dashboard)
     wait_for(lambda: stand_still(dashboard), what="rest once he has gone")
 
 
-@pytest.mark.parametrize("paused", [False, True])
-def test_a_process_that_stops_is_told_on_the_page_until_it_goes_on(dashboard, paused):
+def test_a_process_that_stops_is_told_on_the_page_until_it_goes_on(dashboard):
+    """Whether it is paused or not."""
     loop = dashboard.shared.loop
     child = loop._child._process.pid
     with RawClient(dashboard.address):
         wait_for(lambda: dashboard.pages, what="a page")
         [page] = dashboard.pages.values()
-        loop.send(Pause(paused))
-        wait_for(lambda: loop.latest().paused is paused, what="the pause")
-        time.sleep(2 * PATIENCE)
-        assert not page._hung.visible, "who is paused lives"
-        os.kill(child, signal.SIGSTOP)
-        try:
-            begin = time.monotonic()
-            wait_for(lambda: page._hung.visible, what="the banner")
-            assert time.monotonic() - begin < 2.0
-        finally:
-            os.kill(child, signal.SIGCONT)
-        wait_for(lambda: not page._hung.visible, what="its end")
+        for paused in (False, True):
+            loop.send(Pause(paused))
+            wait_for(lambda paused=paused: loop.latest().paused is paused, what="the pause")
+            time.sleep(2 * PATIENCE)
+            assert not page._hung.visible, "who is paused lives"
+            os.kill(child, signal.SIGSTOP)
+            try:
+                begin = time.monotonic()
+                wait_for(lambda: page._hung.visible, what="the banner")
+                assert time.monotonic() - begin < 2.0
+            finally:
+                os.kill(child, signal.SIGCONT)
+            wait_for(lambda: not page._hung.visible, what="its end")
         assert dashboard.error is None
         assert loop.error is None

@@ -13,36 +13,25 @@ import pytest
 
 PROJECT = Path(__file__).resolve().parent.parent
 
-PARENT = r"""
-import os, sys, tempfile, threading, time
-from pathlib import Path
+PARENT = """
+import sys, tempfile, threading
 from app.jobs import process, progress
 from app.jobs.pool import Workers
 from app.jobs.process import run_in_process
 from app.jobs.progress import ending_signals_raised
+from tests.jobs import say_and_wait, wait_with_workers
 
 process._PATIENCE = progress._LONGEST = 60.0  # [s] on a busy machine, too, nothing is killed
-
-def wait(made, job):
-    os.write(1, b"started\n")
-    time.sleep(60)
-
-def wait_in_a_folder(report, folder):
-    with tempfile.TemporaryDirectory(dir=folder, prefix="of-the-job-"):
-        with Workers(int, processes=2) as workers:
-            list(workers.map(wait, range(2)))
-
-if __name__ == "__main__":
-    work = threading.Thread(
-        target=run_in_process,
-        args=(wait_in_a_folder, sys.argv[1]),
-        kwargs={"report": print, "cancelled": threading.Event()},
-        daemon=True,
-    )
-    with ending_signals_raised(), tempfile.TemporaryDirectory(dir=sys.argv[1], prefix="its-own-"):
-        work.start()
-        with Workers(int, processes=2) as workers:
-            list(workers.map(wait, range(2)))
+work = threading.Thread(
+    target=run_in_process,
+    args=(wait_with_workers, sys.argv[1]),
+    kwargs={"report": print, "cancelled": threading.Event()},
+    daemon=True,
+)
+with ending_signals_raised(), tempfile.TemporaryDirectory(dir=sys.argv[1], prefix="its-own-"):
+    work.start()
+    with Workers(int, processes=2) as workers:
+        list(workers.map(say_and_wait, range(2)))
 """
 
 
@@ -69,7 +58,7 @@ def test_all_that_a_process_has_started_ends_with_it(tmp_path: Path, number: int
     for _ in range(4):
         assert process.stdout.readline() == "started\n"
     children = psutil.Process(process.pid).children(recursive=True)
-    assert len(children) >= 5  # four workers, a job, and what keeps multiprocessing's accounts
+    assert len(children) == 5  # four workers and a job
     assert len(list(files.iterdir())) == 2
     os.kill(process.pid, number)
     process.wait(timeout=30)
@@ -79,25 +68,63 @@ def test_all_that_a_process_has_started_ends_with_it(tmp_path: Path, number: int
     assert left == ["its-own"] * (number == signal.SIGKILL), "only when it could do nothing"
 
 
-FOREIGN = "raise SystemExit('a foreign module was imported')"
-CHILD = """
-import threading
-from app.jobs.process import run_in_process
-from tests.jobs import count_up
-if __name__ == "__main__":
-    run_in_process(count_up, 1, report=lambda *_: None, cancelled=threading.Event())
-    print("done")
+SLOW = r"""
+import os, time
+os.write(1, b"importing\n")
+time.sleep(60)
+def work(receiver, sender): pass
+"""
+STARTING = """
+import sys, time, types
+from app.jobs.process import Child
+slow = types.ModuleType("slow")  # that this process has at once
+exec("def work(receiver, sender): pass", vars(slow))
+sys.modules["slow"] = slow
+child = Child(slow.work)
+time.sleep(60)
 """
 
 
-@pytest.mark.skipif(sys.version_info < (3, 11), reason="Python 3.10 has no PYTHONSAFEPATH")
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_child_that_still_imports_or_is_stopped_ends_with_its_killed_parent(
+    tmp_path: Path, stopped: bool
+) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(STARTING)
+    (tmp_path / "slow.py").write_text(SLOW)
+    process = start(script, tmp_path)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "importing\n"
+    (child,) = psutil.Process(process.pid).children()
+    if stopped and sys.platform == "linux":  # nobody else wakes it
+        child.suspend()
+    process.kill()
+    process.wait()
+    _, alive = psutil.wait_procs([child], timeout=30)
+    assert alive == []
+
+
+FOREIGN = "raise SystemExit('a foreign module was imported')"
+CHILD = """
+import threading
+from app.jobs.pool import Workers
+from app.jobs.process import run_in_process
+from tests.jobs import add, count_up
+run_in_process(count_up, 1, report=lambda *_: None, cancelled=threading.Event())
+with Workers(int, processes=2) as workers:
+    print(list(workers.map(add, range(3))))
+"""
+
+
 def test_a_child_imports_nothing_from_the_working_directory(tmp_path: Path) -> None:
+    """Nor the main module of its parent, which has no guard."""
     script, folder = tmp_path / "script.py", tmp_path / "foreign"
     script.write_text(CHILD)
-    for name in ("app", "tests", "multiprocessing"):
+    for name in ("app", "tests", "multiprocessing", "numpy"):
         (folder / name).mkdir(parents=True)
         for file in ("__init__.py", "__main__.py"):
             (folder / name / file).write_text(FOREIGN)
-    (folder / "pickle.py").write_text(FOREIGN)
+    for name in ("pickle.py", "sitecustomize.py", "signal.py"):
+        (folder / name).write_text(FOREIGN)
     out, errors = start(script, folder).communicate(timeout=60)
-    assert (out, errors) == ("done\n", "")
+    assert (out, errors) == ("[0, 1, 2]\n", "")

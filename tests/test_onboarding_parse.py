@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -262,6 +263,25 @@ def test_a_xacro_is_expanded(tmp_path: Path) -> None:
     path = write(tmp_path, text, "toy.urdf.xacro")
     parsed = parse(Request(urdf=str(path), base="base", tip="hand", out=tmp_path / "made"))
     assert parsed.wheels.r == pytest.approx(0.1)
+
+
+def test_a_package_that_a_xacro_names_and_nobody_finds_is_asked_for_with_its_place(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip("xacrodoc")
+    text = (
+        '<robot name="toy" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        '<xacro:include filename="$(find no_such_arm)/arm/arm.xacro"/></robot>'
+    )
+    path = write(tmp_path, text, "toy.urdf.xacro")
+    asked = Request(urdf=str(path), base="base", tip="hand", out=tmp_path / "made")
+    with pytest.raises(RobotFileError, match=r"give --package no_such_arm=FOLDER$"):
+        parse(asked)
+    (tmp_path / "arm").mkdir()
+    write(tmp_path / "arm", robot([*cart(), *arm()]), "arm.xacro")
+    with pytest.raises(RobotFileError, match=f"--package no_such_arm={tmp_path}, which holds"):
+        parse(asked)
+    assert parse(replace(asked, package=(f"no_such_arm={tmp_path}",))).arm.tip == "hand"
 
 
 def test_an_arm_of_its_own_file_is_put_on_the_base(tmp_path: Path) -> None:

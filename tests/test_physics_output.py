@@ -20,13 +20,14 @@ PROJECT = Path(__file__).resolve().parent.parent
 RUN = """
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
-from app.simulation.plants import make_physics
+from app.simulation.plants import PLANTS, make_physics
 import numpy as np
-plant = make_physics({kind!r}, RobotModel(load_robot("husky_panda")))
-for _ in range(10):
-    plant.step(np.zeros(7), (0.1, 0.0), np.ones(3))
-plant.close()
-print("one line")
+for kind in PLANTS:
+    plant = make_physics(kind, RobotModel(load_robot("husky_panda")))
+    for _ in range(10):
+        plant.step(np.zeros(7), (0.1, 0.0), np.ones(3))
+    plant.close()
+    print(kind)
 """
 LOUD = """
 from app.simulation.plants.bullet_world import BulletWorld
@@ -60,10 +61,9 @@ def output(program: str) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.slow
 @needs_pybullet
-@pytest.mark.parametrize("kind", PLANTS)
-def test_a_plant_prints_nothing(kind):
-    result = output(RUN.format(kind=kind))
-    assert result.stdout == "one line\n"
+def test_a_plant_prints_nothing():
+    result = output(RUN)
+    assert result.stdout.splitlines() == list(PLANTS)
     assert result.stderr == ""
 
 

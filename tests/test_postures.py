@@ -7,19 +7,22 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
+from app.border.cache import BorderData
+from app.config import Config
 from app.onboarding.fit import postures
 from app.onboarding.fit.postures import Place, deepest, find_places
 from app.robot.link_pairs import LinkPairs, find_link_pairs
+from app.simulation.run import RunOptions, run_scenario
+from app.simulation.scenarios import LINES
 from tests.robots import husky_panda
 
 D_B = 0.15  # [m]
-INNER, DEEP = 0.4 * D_B, 0.1 * D_B  # [m]
+INNER = 0.4 * D_B  # [m]
 
 
-def places(nearest: list[float]) -> tuple[list[tuple[Place, float]], list[Place]]:
+def places(nearest: list[float]) -> list[Place]:
     """Lines by how near [m] each of them leads the arm to the base."""
-    found = [Place((0.0, 0.0, 0.1 * k), (1.0, 0.0, 0.0), "") for k in range(len(nearest))]
-    return list(zip(found, nearest, strict=True)), found
+    return [Place((0.0, 0.0, 0.1 * k), (1.0, 0.0, 0.0), d, "") for k, d in enumerate(nearest)]
 
 
 @pytest.mark.parametrize(
@@ -27,26 +30,26 @@ def places(nearest: list[float]) -> tuple[list[tuple[Place, float]], list[Place]
     [
         ([], None),
         ([0.3, INNER], None),  # none comes into the inner part
-        ([0.3, 0.9 * INNER, 0.8 * INNER, 0.85 * INNER], 2),  # none is deep: the deepest
-        ([0.9 * INNER, 0.9 * DEEP, -0.02], 1),  # the first deep one, not the deepest
+        ([0.3, 0.9 * INNER, 0.8 * INNER, 0.85 * INNER], 2),  # no contact: the deepest
+        ([0.9 * INNER, -0.001, -0.02], 1),  # the first contact, not the deepest
         ([-0.02, 0.0], 0),
     ],
 )
-def test_the_first_deep_line_is_taken_else_the_deepest(
+def test_the_first_line_to_contact_is_taken_else_the_deepest(
     nearest: list[float], taken: int | None
 ) -> None:
-    lines, found = places(nearest)
-    assert deepest(lines, D_B) == (None if taken is None else found[taken])
+    lines = places(nearest)
+    assert deepest(lines, D_B) == (None if taken is None else lines[taken])
 
 
-def test_nothing_is_searched_after_a_deep_line() -> None:
-    lines, found = places([0.3, 0.5 * DEEP])
+def test_nothing_is_searched_after_a_line_to_contact() -> None:
+    lines = places([0.3, -0.001])
 
-    def searched() -> Iterator[tuple[Place, float]]:
+    def searched() -> Iterator[Place]:
         yield from lines
         raise AssertionError("searched on")
 
-    assert deepest(searched(), D_B) == found[1]
+    assert deepest(searched(), D_B) == lines[1]
 
 
 def test_an_arm_that_can_meet_no_base_has_no_lines() -> None:
@@ -58,12 +61,25 @@ def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
 ) -> None:
     """The paper's robot, from 0.35 m beside its base: to 0.2 m its arm does not come near."""
     monkeypatch.setattr(postures, "_OUT", (0.35,))
-    monkeypatch.setattr(postures, "_LEFT_OVER", (0.2, 0.125))
+    monkeypatch.setattr(postures, "_LEFT_OVER", (0.2, 0.025))
     monkeypatch.setattr(postures, "_heights", lambda top: [0.8 * top])
     monkeypatch.setattr(postures, "_front", lambda body, mount: iter(()))
     shares: list[float] = []
     pairs = find_link_pairs(husky_panda(), samples=2000)
     found = find_places(husky_panda(), pairs, D_B, on_progress=shares.append)
-    np.testing.assert_allclose(found["guiding-lateral"].move, (0.0, -0.225, 0.0), atol=1e-9)
+    np.testing.assert_allclose(found["guiding-lateral"].move, (0.0, -0.325, 0.0), atol=1e-9)
     assert found.keys() == {"guiding-lateral"}
     assert shares == [0.0]
+
+
+def test_a_line_leads_as_near_as_a_run_without_avoidance(border_data: BorderData) -> None:
+    """The paper's robot, pulled slowly from the side and the front."""
+    model, config = husky_panda(), Config()
+    found = find_places(model, border_data.pairs, config.border.d_b)
+    assert found.keys() == {"guiding-lateral", "guiding-front"}
+    without = RunOptions(controller="none", physics="kinematic")
+    for name, place in found.items():
+        line = LINES[name].changed(start=place.start, move=place.move)
+        run = run_scenario(model, border_data, line, config, **without)
+        assert place.nearest < INNER
+        assert run.figures["min_clearance_m"] == pytest.approx(place.nearest, abs=0.005)

@@ -12,7 +12,7 @@ import pytest
 from app.config import Config
 from app.errors import LoopError, TargetError
 from app.simulation.loop.commands import Configure, Pause, Play, Pull, Reset
-from app.simulation.loop.process_loop import LoopChild, ProcessLoop
+from app.simulation.loop.process_loop import ProcessLoop, loop_child
 from app.simulation.session import Session
 from app.simulation.trace.trace import History
 from tests.fakes import ScriptedLoop
@@ -100,14 +100,14 @@ def test_a_scenario_and_its_refusal_cross_the_process_border(make_loop):
 def test_stop_ends_the_child_and_later_commands_are_harmless(make_loop):
     loop = make_loop()
     loop.stop()
-    assert loop._child.ended() == 0
+    assert loop._child.ended(PATIENCE) == 0
     assert loop.error is None
     loop.send(Pause(True))
 
 
 def test_a_child_that_waits_simulates_what_it_is_given(robot, border_data):
     make_session = partial(Session, robot, border_data, Config(), physics="kinematic")
-    with LoopChild() as child:
+    with loop_child() as child:
         loop = ProcessLoop(make_session, np.array(robot.description.arm.ready_position), child)
         loop.start()
         wait_for(lambda: loop.latest().t > 0.1)
@@ -116,7 +116,7 @@ def test_a_child_that_waits_simulates_what_it_is_given(robot, border_data):
 
 
 def test_a_child_that_is_never_told_what_to_simulate_is_ended():
-    with LoopChild() as child:
+    with loop_child() as child:
         begin = time.monotonic()
     assert child.ended() is not None
     assert time.monotonic() - begin < 5.0, "no patience is due to it"
@@ -147,7 +147,7 @@ def test_an_error_that_cannot_be_pickled_arrives_as_its_text(robot):
 
 def test_a_killed_child_is_an_error_that_says_so(make_loop):
     loop = make_loop()
-    loop._child.kill()
+    loop._child.end(at_once=True)
     wait_for(lambda: loop.error is not None)
     assert "status -9" in str(loop.error)
 

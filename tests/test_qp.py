@@ -1,4 +1,4 @@
-"""Laws of the one QP of a control step: its optimum, hard and soft limits, never stuck."""
+"""Laws of the QP of a control step: its optimum, hard and soft limits, never stuck."""
 
 from __future__ import annotations
 

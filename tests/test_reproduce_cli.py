@@ -21,12 +21,6 @@ PROJECT = Path(__file__).parent.parent
 TIMES = {"step_p50_us", "step_p99_us", "realtime_factor"}
 
 
-def dbb(*args: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "app", *args], cwd=PROJECT, capture_output=True, text=True
-    )
-
-
 @pytest.fixture
 def refused(capfd) -> Callable[..., None]:
     """Checks, in this process: status 2, nothing on standard output, one line with these words."""
@@ -43,11 +37,12 @@ def refused(capfd) -> Callable[..., None]:
 
 
 @pytest.mark.slow
-def test_a_figure_without_runs_is_written_with_its_data_and_page(tmp_path):
+def test_a_figure_without_runs_is_written_with_its_data_and_page(tmp_path, capfd):
     out = tmp_path / "made" / "on demand"
-    done = dbb("reproduce", "fig10", "--out", str(out), "--json")
-    assert (done.returncode, done.stderr) == (0, "")
-    result = json.loads(done.stdout)
+    main(["reproduce", "fig10", "--out", str(out), "--json"])
+    printed, told = capfd.readouterr()
+    assert told == ""
+    result = json.loads(printed)
     assert json.loads((out / "metrics.json").read_text(encoding="utf-8")) == result
     assert list(result["figures"]) == ["fig10"]
     assert (result["claims"], result["runs"]) == ([], {})

@@ -39,6 +39,12 @@ def test_a_row_is_measured_once_for_a_commit(counting: Path) -> None:
     assert results.figures("counting") == {"a": {"n": 1}, "b": {"n": 2}}
 
 
+def test_rows_that_were_not_asked_for_stay_as_they_are(counting: Path) -> None:
+    assert results.measure("counting", again=False, only=["b"])
+    assert results.measure("counting", again=True, only=["a"])
+    assert results.figures("counting") == {"a": {"n": 2}, "b": {"n": 1}}
+
+
 def test_what_was_ended_goes_on_and_what_fails_keeps_its_former_row(counting: Path) -> None:
     results.write("counting", {"a": {"commit": "abc1234", "figures": {"n": 0}}})
     assert results.measure("counting", again=False)

@@ -8,12 +8,11 @@ import pytest
 from app.dashboard import page
 from app.dashboard.drag import GIZMO, SCALE
 from app.dashboard.page import SHOWN
-from app.dashboard.panels.plots import SIGHT
 from app.dashboard.scene.borders import LIGHT_POINTS
 from app.dashboard.scene.robot import LIGHT_FACES, Visual
 from app.simulation.loop.commands import Compare, Play, Pull, Release, Reset
 from tests.browser import DashboardTab, wait_for
-from tests.dashboards import parts, served_dashboard
+from tests.dashboards import Served, parts, served_dashboard
 from tests.robots import needs_pybullet
 
 pytestmark = pytest.mark.browser
@@ -68,21 +67,14 @@ def test_light_meshes_have_few_faces_and_fill_the_same_room():
     assert sum(len(v.mesh.faces) for v in light) < 1.2 * LIGHT_FACES * len(light)
 
 
-def test_a_plot_is_sent_only_while_somebody_sees_it(browser, served):
-    tab = DashboardTab(browser, served.server.address)
-    channel = served.page().channel
-    assert SIGHT not in channel.seen
-    tab.open_tab("Plots")
-    wait_for(lambda: len(tab.plot("distance [m]")[0]) > 5, what="a curve")
-    tab.open_tab("Why")
-    wait_for(lambda: SIGHT not in channel.seen, what="nobody sees it")
-
-
-def test_on_a_phone_the_sentence_stands_above_and_panels_are_a_drawer(browser, served):
+def test_on_a_phone_a_finger_pulls_the_hand_the_sentence_stands_above_and_panels_are_a_drawer(
+    browser, served
+):
     tab = DashboardTab(browser, served.server.address, PHONE, touch=True)
     strip = tab.page.locator("[data-strip]")
     strip.wait_for(state="visible")
     tab.page.locator("[data-drawer=closed]").wait_for()
+    pull_by_finger(tab, served)
     above, drawer = strip.bounding_box(), tab.page.locator("[data-drawer]").bounding_box()
     assert above["y"] == 0.0
     assert above["width"] == PHONE[0]
@@ -99,10 +91,22 @@ def test_on_a_phone_the_sentence_stands_above_and_panels_are_a_drawer(browser, s
 
 
 @needs_pybullet
-@pytest.mark.parametrize("size", [PHONE, TABLET])
-def test_a_finger_pulls_the_hand_and_a_link(browser, served, size):
-    tab = DashboardTab(browser, served.server.address, size, touch=True)
+def test_on_a_tablet_a_finger_pulls_the_hand_and_a_link(browser, served):
+    tab = DashboardTab(browser, served.server.address, TABLET, touch=True)
     tab.page.locator("[data-drawer=closed]").wait_for()
+    pull_by_finger(tab, served)
+    del served.loop.commands[:]
+    link = tab.pixels("/robot/panda_joint4", np.zeros((1, 3)))[0]
+    tab.touch(link, link + np.array([0.0, -40.0]))
+    wait_for(lambda: any(isinstance(c, Release) for c in served.loop.commands), what="let go")
+    pulls = [c for c in served.loop.commands if isinstance(c, Pull)]
+    assert pulls[-1].link is not None
+    assert pulls[-1].target[2] > pulls[0].target[2]
+    assert tab.errors == []
+
+
+def pull_by_finger(tab: DashboardTab, served: Served) -> None:
+    """The hand, forwards."""
     arrow = tab.arrow(GIZMO, 0, SCALE)
     a, b = tab.pixels(GIZMO, np.array([arrow, arrow + np.array([0.1, 0.0, 0.0])]))
     del served.loop.commands[:]
@@ -111,13 +115,6 @@ def test_a_finger_pulls_the_hand_and_a_link(browser, served, size):
     pulls = [c for c in served.loop.commands if isinstance(c, Pull)]
     assert pulls[-1].link is None
     assert pulls[-1].target[0] - pulls[0].target[0] > 0.05
-    del served.loop.commands[:]
-    link = tab.pixels("/robot/panda_joint4", np.zeros((1, 3)))[0]
-    tab.touch(link, link + np.array([0.0, -40.0]))
-    wait_for(lambda: any(isinstance(c, Release) for c in served.loop.commands), what="let go")
-    pulls = [c for c in served.loop.commands if isinstance(c, Pull)]
-    assert pulls[-1].link is not None
-    assert pulls[-1].target[2] > pulls[0].target[2]
 
 
 def test_a_page_that_nobody_touches_plays_until_somebody_does(browser, served, monkeypatch):

@@ -16,7 +16,6 @@ from app.control.drive import Drive
 from app.errors import TargetError, UnknownNameError
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
-from app.simulation.plants import PLANTS
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.start import StartSolver
 from app.simulation.session import DT, Session, Step
@@ -44,6 +43,14 @@ def make(robot: RobotModel, border_data: BorderData, q_start: np.ndarray):
     yield make
     for session in made:
         session.close()
+
+
+@pytest.fixture(scope="module")
+def run(robot: RobotModel, border_data: BorderData, q_start: np.ndarray) -> list[Step]:
+    """Steps of the stand-in in which the hand is pulled into the buffer."""
+    session = Session(robot, border_data, Config(), physics="kinematic")
+    session.reset(q_start)
+    return pulled(session, 1500)
 
 
 def pulled(session: Session, steps: int, target: np.ndarray | None = PULL) -> list[Step]:
@@ -76,8 +83,9 @@ def same(a: list[Step], b: list[Step]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("physics", PLANTS)
+@pytest.mark.parametrize("physics", ["kinematic", "planar"])
 def test_the_same_inputs_give_bitwise_the_same_outputs(make, physics):
+    """Of plants alone it is asked in `test_physics_plants.py`, of each of them."""
     a, b = make(physics), make(physics)
     steps = [(a.step(pull=PULL), b.step(pull=PULL)) for _ in range(1200)]
     same([first for first, _ in steps], [second for _, second in steps])
@@ -87,12 +95,12 @@ def test_the_same_inputs_give_bitwise_the_same_outputs(make, physics):
 @pytest.mark.slow
 def test_a_reset_begins_the_same_run_again(make):
     session = make()
-    first = pulled(session, 1200)
+    first = pulled(session, 1000)
     angles = session.wheel_angles.copy()
     session.reset(first[0].measurement.q_m)
     assert session.t == 0.0
     np.testing.assert_array_equal(session.wheel_angles, 0.0)
-    second = pulled(session, 1200)
+    second = pulled(session, 1000)
     # Not bitwise: the solvers are warm-started from where the first run has ended.
     np.testing.assert_allclose(
         [numbers(step) for step in second], [numbers(step) for step in first], atol=1e-9
@@ -140,18 +148,17 @@ def test_time_advances_by_the_control_period(make):
 
 @pytest.mark.slow
 def test_the_controllers_answer_depends_on_its_sensors_alone(
-    make, robot: RobotModel, border_data: BorderData
+    run: list[Step], robot: RobotModel, border_data: BorderData
 ):
     """Another controller, given only what is measured, answers bitwise the same.
 
     It never meets the person, whose force therefore has no way into the answer.
     """
-    steps = pulled(make(), 1500)
-    assert max(np.linalg.norm(step.hand_force) for step in steps) > 1.0
-    assert max(step.output.activation for step in steps) > 0.05
+    assert max(np.linalg.norm(step.hand_force) for step in run) > 1.0
+    assert max(step.output.activation for step in run) > 0.05
     blind = Controller(robot, border_data, Config())
     blind.reset()
-    for step, expected in zip(steps, expected_accelerations(robot, steps), strict=True):
+    for step, expected in zip(run, expected_accelerations(robot, run), strict=True):
         answer = blind.step(step.measurement, None, base_acceleration=expected)
         np.testing.assert_array_equal(answer.u_a, step.output.u_a)
         np.testing.assert_array_equal(answer.base_acceleration, step.output.base_acceleration)
@@ -167,21 +174,22 @@ def expected_accelerations(robot: RobotModel, steps: list[Step]) -> list[np.ndar
     ]
 
 
-def test_the_base_command_is_the_admittance_law_of_the_asked_acceleration(make, robot: RobotModel):
-    steps = pulled(make(), 1500)
+@pytest.mark.slow
+def test_the_base_command_is_the_admittance_law_of_the_asked_acceleration(
+    run: list[Step], robot: RobotModel
+):
     law = AdmittanceLaw(robot.description.base, Config().admittance)
     law.reset()
-    for step in steps:
+    for step in run:
         command = law.update(step.output.base_acceleration, DT)
         np.testing.assert_array_equal(step.base_command, command)
 
 
 @pytest.mark.slow
-def test_the_base_command_is_renewed_at_its_own_slow_rate(make):
-    steps = pulled(make(), 2500)
+def test_the_base_command_is_renewed_at_its_own_slow_rate(run: list[Step]):
     changes = [
         k
-        for k, (a, b) in enumerate(pairwise(steps), start=1)
+        for k, (a, b) in enumerate(pairwise(run), start=1)
         if (a.base_command != b.base_command).any()
     ]
     assert len(changes) > 3

@@ -3,27 +3,21 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-PROJECT = Path(__file__).parent.parent
-
-
-def dbb(*args: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "app", "sweep", *args], cwd=PROJECT, capture_output=True, text=True
-    )
+from app.cli import main
 
 
 @pytest.mark.slow
-def test_one_object_on_standard_output_and_the_files_that_it_names(tmp_path: Path) -> None:
+def test_one_object_on_standard_output_and_the_files_that_it_names(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     parameters = tmp_path / "parameters.json"
     parameters.write_text('{"border": {"d_b": 0.14}}', encoding="utf-8")
     out = tmp_path / "made" / "on demand"
-    done = dbb(
+    args = [
         "--controller",
         "none,barrier",
         "none",
@@ -47,9 +41,9 @@ def test_one_object_on_standard_output_and_the_files_that_it_names(tmp_path: Pat
         "--out",
         str(out),
         "--json",
-    )
-    assert done.returncode == 0, done.stderr
-    result = json.loads(done.stdout)
+    ]
+    main(["sweep", *args])
+    result = json.loads(capfd.readouterr().out)
     assert json.loads((out / "sweep.json").read_text(encoding="utf-8")) == result
     assert sorted(p.name for p in out.iterdir()) == sorted(result["files"])
     assert result["files"] == ["sweep.json", "sweep.csv", "sweep_h0.3_v0.4.png"]
@@ -83,8 +77,6 @@ def test_one_object_on_standard_output_and_the_files_that_it_names(tmp_path: Pat
 def test_bad_options_are_refused_in_one_line_before_any_work(
     args: list[str], words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from app.cli import main
-
     with pytest.raises(SystemExit) as ended:
         main(["sweep", *args, "--out", str(tmp_path / "out")])
     told = capsys.readouterr()
@@ -98,8 +90,6 @@ def test_bad_options_are_refused_in_one_line_before_any_work(
 def test_a_file_of_parameters_must_hold_parameters(
     text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from app.cli import main
-
     path = tmp_path / "given.json"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(SystemExit) as ended:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import asyncio
+import time
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,7 @@ OF_CONNECTIONS = {
     "_background_event_loop",
     "_broadcast_buffer",
     "_client_state_from_id",
+    "_server_thread",
 }
 OF_AN_EVENT = {"_value", "_waiters"}
 """Of asyncio, which viser's queue waits for."""
@@ -67,3 +69,13 @@ def test_viser_has_them() -> None:
         assert [name for name in used if not hasattr(gui, name)] == []
     finally:
         close_server(server)
+
+
+def test_a_server_that_takes_long_to_end_prints_nothing_either(capfd) -> None:
+    server = open_server("127.0.0.1", 0)
+    loop = server._websock_server._background_event_loop
+    assert loop is not None
+    loop.call_soon_threadsafe(time.sleep, 1.5)  # [s] longer than viser waits
+    close_server(server)
+    time.sleep(1.0)
+    assert capfd.readouterr().out == ""

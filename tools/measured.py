@@ -47,6 +47,10 @@ PULLS = (
 """Of the study that the documentation shows: strong pulls on a robot as modelled."""
 
 
+COUNTS = {"messages": "100000", "files": "10000"}
+"""Of the fuzz: messages, and mutations of each kind of file."""
+
+
 class ResultSet(NamedTuple):
     """What one file of docs/results holds, and one table shows.
 
@@ -150,15 +154,17 @@ def engines_table(found: Figures) -> str:
 
 def plants_table(found: Figures) -> str:
     """A line a plant."""
-    times = found["times"]["times_us"]
-    first = times["planar"]["least"]
-    return grid(
-        ["plant", "step and reading, median", "least", "of pybullet's least"],
-        [
-            [f"`{n}`", f"{t['median']:.1f} µs", f"{t['least']:.1f} µs", f"{t['least'] / first:.2f}"]
-            for n, t in times.items()
-        ],
-    )
+    times, study = found["times"]["times_us"], found["times"]["study"]
+    first = {key: times["planar"][key] for key in ("median", "least")}
+    rows = []
+    for n, t in times.items():
+        cells = [f"{t['median']:.1f} µs, {t['least']:.1f} µs"]
+        cells.append(f"{t['median'] / first['median']:.2f}, {t['least'] / first['least']:.2f}")
+        if n in study:
+            cells.append(f"{study[n]:.0f} s, {study['planar'] / study[n]:.2f} times as fast")
+        rows.append([f"`{n}`", *cells, *[""] * (3 - len(cells))])
+    taken = f"`dbb study` of {study['cases']} cases"
+    return grid(["plant", "step and reading, median, least", "of pybullet's", taken], rows)
 
 
 def robots_table(found: Figures) -> str:
@@ -291,21 +297,34 @@ def gallery_table(found: Figures) -> str:
     """A line a robot: what was made and how its checks ended, or why it was not."""
     rows = []
     for name, row in found.items():
-        checks = row.get("checks", {}).items()
-        told = [f"{check}: {each['outcome']}" for check, each in checks]
+        checks = row.get("checks", {})
+        told = [f"{check}: {each['outcome']}" for check, each in checks.items()]
         told = [line for line in told if not line.endswith(": passed")]
+        unseen = checks.get("arm's bodies", {"numbers": {}})["numbers"].get("unseen_share")
         rows.append(
             [
                 f"`{name}`",
                 row["verdict"],
-                number(row["elapsed_s"], "s"),
+                number(row["cpu_s"], "s"),
                 ", ".join(row.get("pairs", [])),
-                number(100 * row["unseen_share"], "%") if "unseen_share" in row else "",
+                "" if unseen is None else number(100 * unseen, "%", 2),
+                *(guided_cell(checks.get(each)) for each in ("guiding-lateral", "guiding-front")),
                 row.get("refusal", "; ".join(told)).replace("|", "\\|"),
             ]
         )
-    head = ["robot", "verdict", "made in", "pairs", "unseen collisions", "what did not pass"]
-    return grid(head, rows)
+    head = ["robot", "verdict", "made in", "pairs", "unseen", "from the side", "from the front"]
+    return grid([*head, "what did not pass"], rows)
+
+
+def guided_cell(check: Figures | None) -> str:
+    """Least distance to the base with and without avoidance, and how far the base moved."""
+    if check is None or "min_clearance_m" not in (numbers := check["numbers"]):
+        return ""
+    near, without, moved = (
+        metres(numbers[key])
+        for key in ("min_clearance_m", "min_clearance_without_m", "base_displacement_m")
+    )
+    return f"{near}, `none` {without}; base {moved}"
 
 
 def keep_study(printed: dict[str, Any]) -> dict[str, Any]:
@@ -322,6 +341,19 @@ def keep_all(printed: dict[str, Any]) -> dict[str, Any]:
 def keep_law(printed: dict[str, Any]) -> dict[str, Any]:
     """The summary; the rows are for people who look for something."""
     return {"summary": printed["summary"]}
+
+
+def install_table(found: Figures) -> str:
+    """A line a stage of `make run` in a fresh clone."""
+    clone = found["clone"]
+    stages = {
+        "install_s": f"installing {clone['download_mb']:.0f} MB from {clone['installer']}'s cache",
+        "compile_s": "compiling the kernels",
+        "serve_s": "`dbb serve` until the page answers",
+        "page_answers_s": "`git clone` to the page's answer",
+    }
+    rows = [[what, number(clone[key], "s", 2)] for key, what in stages.items()]
+    return grid(["`make run` in a fresh clone", "takes"], rows)
 
 
 def buffer_table(found: Figures) -> str:
@@ -355,6 +387,31 @@ def house_table(found: Figures) -> str:
             for row in found["house"]["measures"]
         ],
     )
+
+
+def fuzz(what: str) -> tuple[str, ...]:
+    """So many messages, or mutations of each kind of file, that rare ones are among them."""
+    return ("benchmarks.fuzz", "--what", what, "--count", COUNTS[what], "--json")
+
+
+def trust_table(found: Figures) -> str:
+    """A line a kind of what is sent, read or done to a command, and what became of it."""
+    rows = []
+    if messages := found.get("messages", {}).get("messages"):
+        told = [f"{messages.get(key, 0):,} {key}" for key in ("taken", "refused", "garbage")]
+        told.append(f"memory {messages['memory_growth'] - 1:+.0%}".replace("-", "−"))
+        what = f"messages of {len(messages['kinds'])} kinds"
+        rows.append([what, f"{messages['messages']:,}", ", ".join(told)])
+    for kind, counts in found.get("files", {}).get("files", {}).items():
+        if kind != "findings":
+            told = f"{counts.get('right', 0):,} read, {counts.get('line', 0):,} refused in a line"
+            rows.append([f"files: {kind}", f"{sum(counts.values()):,}", told])
+    for command, counts in found.get("faults", {}).get("tally", {}).items():
+        left = ("orphans", "ports", "half", "lost", "status")
+        words = ("processes left", "ports open", "half-written", "lost results", "wrong statuses")
+        told = [f"{counts.get(key, 0)} {word}" for key, word in zip(left, words, strict=True)]
+        rows.append([f"faults: `{command}`", str(counts["tries"]), ", ".join(told)])
+    return grid(["what", "how often", "what became of it"], rows)
 
 
 SETS: dict[str, ResultSet] = {
@@ -403,17 +460,16 @@ SETS: dict[str, ResultSet] = {
         keep_run,
         engines_table,
     ),
-    "plants": ResultSet({"times": ("benchmarks.engines", "--json")}, keep_all, plants_table),
+    "plants": ResultSet(
+        {"times": ("benchmarks.engines", "--study", "20", "--json")}, keep_all, plants_table
+    ),
     "robots": ResultSet(
         {name: ("app", "sweep", "robots", "--robots", name, "--json") for name in ROBOTS},
         keep_robots,
         robots_table,
     ),
     "gallery": ResultSet(
-        {
-            name: ("benchmarks.gallery", "--robots", name, "--again", "--quick", "--json")
-            for name in GALLERY
-        },
+        {name: ("benchmarks.gallery", "--robots", name, "--quick", "--json") for name in GALLERY},
         lambda printed: next(iter(printed.values())),
         gallery_table,
         default=False,
@@ -428,6 +484,12 @@ SETS: dict[str, ResultSet] = {
         keep_reach,
         reach_table,
     ),
+    "install": ResultSet(
+        {"clone": ("benchmarks.fresh_clone",)},
+        keep_all,
+        install_table,
+        default=False,
+    ),
     "performance": ResultSet(
         {
             "step": ("app", "bench", "--no-border", "--json"),
@@ -438,6 +500,16 @@ SETS: dict[str, ResultSet] = {
         },
         keep_all,
         performance_table,
+        default=False,
+    ),
+    "trust": ResultSet(
+        {
+            "messages": fuzz("messages"),
+            "files": fuzz("files"),
+            "faults": ("benchmarks.faults", "--tries", "100", "--json"),
+        },
+        keep_all,
+        trust_table,
         default=False,
     ),
     "peers": ResultSet(

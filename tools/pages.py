@@ -39,7 +39,8 @@ WIDTH = "124"  # [-] characters of a command's help
 
 def pages() -> list[Path]:
     """All pages that may hold generated blocks."""
-    return [PROJECT / "README.md", *sorted((PROJECT / "docs").rglob("*.md"))]
+    own = [PROJECT / name for name in ("README.md", "SECURITY.md")]
+    return [*own, *sorted((PROJECT / "docs").rglob("*.md"))]
 
 
 def generated(text: str) -> str:

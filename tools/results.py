@@ -14,7 +14,7 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -89,14 +89,21 @@ def machine() -> str:
     return f"{name} ({os.cpu_count()} cores), {system}, Python {platform.python_version()}"
 
 
-def measure(name: str, again: bool) -> bool:
-    """Measure the rows of a set that are missing or of another commit; False if one failed."""
+def measure(name: str, again: bool, only: Collection[str] = ()) -> bool:
+    """Measure the rows of a set that are missing or of another commit; False if one failed.
+
+    Args:
+        name: Of the set.
+        again: Those that are up to date, too.
+        only: Rows that are looked at, all if it is empty.
+    """
     rows, at, good = read(name), commit(), True
     wanted = SETS[name].runs
     for row in set(rows) - set(wanted):
         del rows[row]
     for row, arguments in wanted.items():
-        if not again and row in rows and rows[row]["commit"] == at and not at.endswith("+"):
+        kept = row in rows and rows[row]["commit"] == at and not at.endswith("+")
+        if (kept and not again) or (only and row not in only):
             continue
         print(f"{name}: {row}", file=sys.stderr, flush=True)
         command = [sys.executable, "-m", *arguments]

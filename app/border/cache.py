@@ -27,7 +27,7 @@ from app.border.config import SamplingConfig
 from app.border.dbb import Cloud, make_cloud
 from app.errors import OutputError
 from app.robot import assets
-from app.robot.assets import resolve_package_uri, urdf_path
+from app.robot.assets import read_urdf, resolve_package_uri
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import LinkPairs, Pair, find_link_pairs
 from app.robot.model import RobotModel
@@ -184,7 +184,7 @@ def robot_content(description: RobotDescription) -> dict[str, object]:
         AssetError: The URDF or a mesh is not there.
     """
     arm = description.arm
-    urdf = ElementTree.fromstring(urdf_path(description).read_text(encoding="utf-8"))
+    urdf = read_urdf(description)
     return {
         "base": description.base.link,
         "mount": arm.mount_link,

@@ -1,4 +1,4 @@
-"""DistanceToMobile of Algorithm 1: exact distance of points to the mobile robot's shapes.
+"""Exact distance of points to a convex shape, and to the mobile robot's (DistanceToMobile).
 
 Boxes, spheres, capsules and cylinders are measured by a kernel, with the same answers as by the
 collision library, fifty times faster: so a border for another d_b is there at once.

@@ -1,5 +1,5 @@
 """The console command `dbb`: a typed function each subcommand, of which tyro makes its options."""
 
-from app.cli.main import main
+from app.cli.main import console, main
 
-__all__ = ["main"]
+__all__ = ["console", "main"]

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import ast
+import atexit
 import errno
 import logging
 import os
 import sys
+from contextlib import suppress
 from importlib import import_module, metadata
 from pathlib import Path
+from typing import NoReturn
 
 from app.errors import DbbError, UnknownNameError, extras_named
 from app.jobs.progress import ending_signals_raised
+from app.system import open_standard_files
 
 COMMANDS = {
     "A robot that moves": {
@@ -35,13 +39,32 @@ COMMANDS = {
 """The commands, by what they are about, and the module in which each stands as a function."""
 _MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
 _FORMERLY = {"compare-robots": ("sweep", "robots")}
-_NO_WAY_OUT = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS)
-"""What is wrong where nothing can be written, and no fault of the program."""
 _ABOUT = "Reactive self-collision avoidance for a mobile manipulator."
+
+
+def console() -> NoReturn:
+    """Run the command line as a process, which ends as soon as its work has ended.
+
+    The interpreter would free object by object first, for up to a second in which no signal counts.
+    """
+    status = 0
+    try:
+        main()
+    except SystemExit as end:
+        status = end.code if isinstance(end.code, int) else 0 if end.code is None else 1
+    except BaseException as defect:
+        sys.excepthook(type(defect), defect, defect.__traceback__)
+        status = 1
+    atexit._run_exitfuncs()  # as multiprocessing's processes do
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError):  # whoever read it has gone
+            stream.flush()
+    os._exit(status)
 
 
 def main(args: list[str] | None = None) -> None:
     """Run the command line; ends the process with status 0 only if it did what was asked."""
+    open_standard_files()
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
         with ending_signals_raised(), extras_named():
@@ -51,12 +74,11 @@ def main(args: list[str] | None = None) -> None:
         print(f"dbb: error: {error}", file=sys.stderr)
         sys.exit(2)
     except OSError as error:
-        if error.errno not in _NO_WAY_OUT:
-            raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is still held
         if error.errno == errno.EPIPE:  # whoever read the results has gone, as `head` does
             sys.exit(1)
-        print(f"dbb: error: cannot write: {error.strerror}", file=sys.stderr)
+        where = "" if error.filename is None else f"{error.filename}: "
+        print(f"dbb: error: {where}{error.strerror or error}", file=sys.stderr)
         sys.exit(2)
     except KeyboardInterrupt:
         print("dbb: interrupted", file=sys.stderr)

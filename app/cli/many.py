@@ -33,7 +33,7 @@ from app.cli.records import Given, from_record
 from app.config import Config, make_config
 from app.errors import ConfigError
 from app.jobs.progress import progress_bar
-from app.strict import check_range
+from app.strict import check_range, parsed
 from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.sweep.plan import OPTIONS, SweepPlan
 
@@ -193,7 +193,7 @@ def _read_parameters(path: Path) -> Config:
         ConfigError: It is not there, no JSON object, or holds what is no parameter.
     """
     try:
-        given = json_reader.loads(path.read_text(encoding="utf-8"))
+        given = parsed(json_reader.loads, path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ConfigError(f"--parameters: cannot read {path}: {error}") from None
     if not isinstance(given, dict):

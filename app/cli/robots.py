@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from app.cli.common import print_json, print_table, rounded_text, say
-from app.cli.options import Json
+from app.cli.options import Flag, Json
 from app.cli.records import Given, from_record
 from app.errors import DbbError
 from app.jobs.progress import progress_bar
@@ -66,6 +66,7 @@ def check_robot(
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")],
     *,
     runs: Annotated[bool, tyro.conf.arg(name="runs")] = True,
+    quick: Flag = False,
     json: Json = False,
 ) -> None:
     """Check that a robot's description holds what it promises.
@@ -76,14 +77,17 @@ def check_robot(
     Args:
         name: Name of the robot; `dbb robots` lists them.
         runs: Guide the hand towards the base too, which takes longest.
+        quick: With the coarse border of `dbb new-robot --quick`.
     """
+    from app.border.config import QUICK
     from app.robot.description import load_robot
 
     description = load_robot(name)
     # Imported here: it needs scipy, trimesh and the engines.
     from app.onboarding import check
 
-    rows = list(check.check_robot(description, runs=runs, tell=say))
+    coarse: dict[str, Any] = {"sampling": QUICK, "processes": 1} if quick else {}
+    rows = list(check.check_robot(description, runs=runs, tell=say, **coarse))
     failed = any(row.outcome == "failed" for row in rows)
     if json:
         told = [row._asdict() for row in rows]
@@ -99,7 +103,7 @@ def new_robot(
     request: Annotated[
         Given, from_record(Request, leave=("source",), names=_NAMES, positional="urdf")
     ],
-    quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
+    quick: Flag = False,
     json: Json = False,
 ) -> None:
     """Make a robot's description and border from its URDF or xacro.

@@ -30,10 +30,11 @@ if TYPE_CHECKING:
     import numpy as np
 
     from app.border.cache import BorderData
+    from app.jobs.process import Child
     from app.robot.model import RobotModel
     from app.simulation.case import RunCase
     from app.simulation.loop.loop import SimulationLoop
-    from app.simulation.loop.process_loop import LoopChild, ProcessLoop
+    from app.simulation.loop.process_loop import ProcessLoop
     from app.studies.pulls.case import Case
 
 
@@ -82,10 +83,10 @@ def serve(
     from app.robot.assets import robot_names
 
     check_name("robot", chosen.robot, robot_names())
-    from app.simulation.loop.process_loop import LoopChild
+    from app.simulation.loop.process_loop import loop_child
 
     # The simulation's process imports as much as this one: both at once.
-    with LoopChild() if asked.loop == "process" else nullcontext() as child:
+    with loop_child() if asked.loop == "process" else nullcontext() as child:
         _serve(_First(chosen, tuned, asked, case, child))
 
 
@@ -96,7 +97,7 @@ class _First(NamedTuple):
     config: Config
     asked: Serving
     case: Case | RunCase | None
-    child: LoopChild | None
+    child: Child | None
 
     def q_start(self, model: RobotModel, data: BorderData) -> np.ndarray:
         """(n_m,) arm configuration."""
@@ -111,7 +112,7 @@ class _First(NamedTuple):
         config: Config,
         controller: str,
         q_start: np.ndarray | None = None,
-        waiting: LoopChild | None = None,
+        waiting: Child | None = None,
     ) -> ProcessLoop | SimulationLoop:
         """The simulation of a robot; without a start of the arm, at that of a new robot's."""
         from app.simulation.loop.loop import SimulationLoop

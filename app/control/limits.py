@@ -1,6 +1,6 @@
 """What the robot keeps whatever its tasks ask: torques, joints' ranges and speeds, distances.
 
-All of it bounds accelerations of one QP. Torques are hard; joints and distances give in where they
+All of it bounds accelerations of a QP. Torques are hard; joints and distances give in where they
 contradict each other. What others exert on the arm moves it too, so the latter are kept by the
 acceleration that the arm will have.
 """

@@ -1,4 +1,4 @@
-"""Continuous task transition (§3.4): one strictly convex QP a step.
+"""Continuous task transition (§3.4): a strictly convex QP in the place of strict levels.
 
 Rows of T_sca join the tasks below by their activations, limits give in where they contradict each
 other. The solution is continuous in its data, whatever enters or leaves: nothing in it can jump.

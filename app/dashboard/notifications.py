@@ -12,6 +12,7 @@ from app.dashboard.markup import plain
 from app.errors import DbbError
 
 logger = logging.getLogger(__name__)
+_LONGEST = 2000  # [characters] of a notification
 
 
 class Notifier:
@@ -75,6 +76,7 @@ class Notifier:
         colour: Any,
         seconds: float,
     ) -> None:
+        text = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"  # it may be of a file
         clients = [client] if client is not None else list(self._server.get_clients().values())
         for each in clients:
             key = (each.client_id, title)

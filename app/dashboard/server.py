@@ -50,7 +50,9 @@ class DashboardServer:
     def __init__(self, viser_server: viser.ViserServer, shared: SharedState) -> None:
         """Begin to draw."""
         self.viser, self.shared = viser_server, shared
-        self.address = f"http://{viser_server.get_host()}:{viser_server.get_port()}"
+        host = viser_server.get_host()
+        host = f"[{host}]" if ":" in host else host  # IPv6
+        self.address = f"http://{host}:{viser_server.get_port()}"
         self.pages: dict[int, Page] = {}
         self.pictures = 0
         self.error: BaseException | None = None

@@ -21,9 +21,11 @@ from websockets.exceptions import ConnectionClosed
 
 from app.dashboard.gate import Gate, RefusedError, draws_in_software
 from app.dashboard.notifications import Notifier
+from app.strict import parsed
 
 logger = logging.getLogger(__name__)
 
+_ENDING = 10.0  # [s] for viser's thread, on a busy machine
 LOOK = 0.5  # [s] between two looks at the connections
 SILENT = 3  # [looks] without an answer, after which a viewer may sleep
 STUCK = 20  # [looks] without anything delivered, after which a connection is closed
@@ -76,6 +78,9 @@ def close_server(server: viser.ViserServer) -> None:
     """End a server and its threads."""
     with _silence():
         server.stop()
+        thread = server._websock_server._server_thread
+        if thread is not None:
+            thread.join(_ENDING)  # viser waits for a second; the last that it does is to print
 
 
 def taken_upload(button: viser.GuiUploadButtonHandle) -> viser.UploadedFile:
@@ -155,7 +160,7 @@ class Channel:
         if event.client is None:
             return
         try:
-            _, word, *values = json.loads(event.target.value)
+            _, word, *values = parsed(json.loads, event.target.value)
             act = self._acts[word]
         except (ValueError, TypeError, KeyError):  # no page of this program says so
             return

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import logging
-import multiprocessing as mp
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
+from multiprocessing.connection import Connection
+from queue import SimpleQueue
 from types import TracebackType
 from typing import Any, TypeVar
 
-from app.jobs.process import follow_parent, starting_children
-from app.system import SPAWN
+from app.errors import LoopError
+from app.jobs.process import Child, Outcome
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 _log = logging.getLogger(__name__)
-_context: Any = None  # of a worker process, made once by its initialiser
 
 
 class Workers:
@@ -36,15 +36,12 @@ class Workers:
         """
         self._make_context = make_context
         self._processes = processes or os.cpu_count() or 1
-        self._executor: ProcessPoolExecutor | None = None
+        self._threads = ThreadPoolExecutor(self._processes)  # one waits for each process
+        self._children: list[Child] = []
+        self._idle: SimpleQueue[Child] = SimpleQueue()
         self._own: Any = None  # the context within this process, once it is needed
 
     def __enter__(self) -> Workers:
-        self._others = set(mp.active_children())
-        if self._processes > 1:
-            self._executor = ProcessPoolExecutor(
-                self._processes, SPAWN, _start_worker, (self._make_context,)
-            )
         return self
 
     def __exit__(
@@ -53,39 +50,63 @@ class Workers:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if self._executor is None:
-            return
         if kind is not None:
-            for child in set(mp.active_children()) - self._others:
-                child.terminate()
-        self._executor.shutdown(wait=True, cancel_futures=True)
+            self._end()
+        self._threads.shutdown(cancel_futures=True)
+        self._end()
 
     def map(self, function: Callable[[Any, Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
         """The results of all jobs, in their order, each as soon as it is there."""
         done = 0
-        if self._executor is not None:
+        if self._processes > 1:
             try:
-                with starting_children():  # the first submission starts all of them
-                    results = self._executor.map(partial(_run, function), jobs)
-                for result in results:
+                self._start()
+                for result in self._threads.map(partial(self._ask, function), jobs):
                     done += 1
                     yield result
-            except BrokenProcessPool:
+            except _GoneError:
                 _log.warning("worker processes cannot run here; going on in one process")
-                self._executor.shutdown(wait=False, cancel_futures=True)
-                self._executor = None
+                self._processes = 1
+                self._end()
         if done < len(jobs):
             if self._own is None:
                 self._own = self._make_context()
             for job in jobs[done:]:
                 yield function(self._own, job)
 
+    def _start(self) -> None:
+        try:
+            while len(self._children) < self._processes:
+                self._children.append(Child(_work, self._make_context))
+                self._idle.put(self._children[-1])
+        except OSError:
+            raise _GoneError from None
 
-def _start_worker(make_context: Callable[[], Any]) -> None:
-    global _context
-    follow_parent()
-    _context = make_context()
+    def _ask(self, function: Callable[[Any, Job], Result], job: Job) -> Result:
+        """Have an idle process do a job; there is one for each thread that waits here."""
+        child = self._idle.get()
+        try:
+            child.sender.send((function, job))
+            outcome = child.receiver.recv()
+        except (EOFError, OSError):
+            raise _GoneError from None
+        finally:
+            self._idle.put(child)
+        return outcome.value()
+
+    def _end(self) -> None:
+        for child in self._children:
+            child.end(at_once=True)
 
 
-def _run(function: Callable[[Any, Job], Result], job: Job) -> Result:
-    return function(_context, job)
+class _GoneError(LoopError):
+    """A process has ended, or could not be begun."""
+
+
+def _work(receiver: Connection, sender: Connection, make_context: Callable[[], Any]) -> None:
+    """What each process does, until its parent wants no more."""
+    context = make_context()
+    with suppress(EOFError):
+        while True:
+            function, job = receiver.recv()
+            sender.send(Outcome.of(function, context, job))

@@ -1,36 +1,40 @@
 """Child processes: how each one starts, reports progress, is cancelled, and ends with its parent.
 
-Ctrl-C, which reaches a whole group of processes, is left to the parent. A child watches its parent
-and ends with it, however the parent ends.
+A child is an interpreter of its own, not a fork, which would copy locks that another thread holds.
+It knows its parent by a pipe that nobody writes to: when that is closed, the parent has ended.
 """
 
 from __future__ import annotations
 
 import atexit
-import multiprocessing as mp
 import os
 import pickle
 import signal
+import subprocess
+import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from multiprocessing import resource_tracker
+from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.pool import RemoteTraceback
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from app.errors import DbbError, LoopError
-from app.system import SPAWN, end_group, interrupt_blocked, lead_group, step_back
+from app.system import end_group, interrupt_blocked, lead_group, step_back, wake_without_parent
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 Report = Callable[[str, float], None]
 """Takes the present activity, and the share of the work done, 0 to 1; below 0 if unknown."""
 
 _CANCEL_EVERY = 0.1  # [s] between two looks at the wish to cancel
 _PATIENCE = 2.5  # [s] for a process to leave by its `finally`s before it is killed
-_SAFE_PATH = "PYTHONSAFEPATH"
-_running: set[Any] = set()
+_BEGIN = "import sys; sys.path[:] = {}; from app.jobs.process import begin; begin({}, {}, {})"
+"""What the interpreter of a child does: until it has its parent's path, it imports nothing."""
+_running: set[Child] = set()
 """Processes of `run_in_process`, whose threads this process does not wait for when it exits."""
 
 
@@ -38,45 +42,97 @@ class Cancelled(DbbError):  # noqa: N818 - a person's wish, not an error
     """A person has cancelled the work."""
 
 
+class Child:
+    """A process that does `work(receiver, sender, *args)`, and ends when its parent has ended.
+
+    `work` is a function of a module, and it and its arguments must survive pickling. Nothing is
+    imported from the working directory, nor is the parent's main module. Ctrl-C, which reaches a
+    whole group of processes, is left to the parent.
+
+    Attributes:
+        receiver: Gives what the process sends.
+        sender: Takes what the process receives.
+    """
+
+    def __init__(
+        self, work: Callable[..., object], *args: object, leads_group: bool = False
+    ) -> None:
+        """Begin it.
+
+        Args:
+            work: What it does.
+            args: Its arguments after the two connections.
+            leads_group: Whether all processes that it starts end with it.
+        """
+        task = pickle.dumps((work, args))
+        theirs_in, self.sender = _pipe()
+        self.receiver, theirs_out = _pipe()
+        alive, self._alive = _pipe()
+        self._leads_group = leads_group
+        given = theirs_in.fileno(), theirs_out.fileno()
+        path = [folder for folder in sys.path if folder]  # an empty one is the working directory
+        code = _BEGIN.format(path, *given, leads_group)
+        with theirs_in, theirs_out, alive, interrupt_blocked():
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", code, f"dbb {getattr(work, '__name__', '')}"],
+                stdin=alive.fileno(),
+                pass_fds=given,
+            )
+        with suppress(BrokenPipeError):  # it has ended, as who waits for it will see
+            self.sender.send_bytes(task)
+
+    def __enter__(self) -> Self:
+        """Nothing but itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """End it at once if it has not ended."""
+        self.end(at_once=True)
+
+    def ended(self, patience: float = 0.0) -> int | None:
+        """Its status, below 0 by a signal, if it ends within a patience [s]; else None."""
+        try:
+            return self._process.wait(patience)
+        except subprocess.TimeoutExpired:
+            return None
+
+    def end(self, *, at_once: bool = False) -> None:
+        """End it, and its group if it leads one: by way of every `finally`, or at once."""
+        for hard in (True,) if at_once else (False, True):
+            if self.ended() is None:
+                if self._leads_group:
+                    end_group(self._process.pid, at_once=hard)
+                self._process.kill() if hard else self._process.terminate()  # it may not lead yet
+                self.ended(_PATIENCE)
+        if self._leads_group:
+            end_group(self._process.pid, at_once=True)  # what it may have left behind
+
+
+class Outcome(NamedTuple):
+    """What work in another process came to."""
+
+    result: Any
+    error: BaseException | None = None
+    traceback: str = ""
+
+    @classmethod
+    def of(cls, work: Callable[..., Any], *args: Any) -> Outcome:
+        """Do the work."""
+        try:
+            return cls(work(*args))
+        except Exception as error:  # raised again in the process that waits
+            return cls(None, portable(error), traceback.format_exc())
+
+    def value(self) -> Any:
+        """The result; or what the work raised is raised, its traceback the cause."""
+        if self.error is not None:
+            raise self.error from RemoteTraceback(self.traceback)
+        return self.result
+
+
 class _Activity(NamedTuple):
     text: str
     share: float
-
-
-class _Outcome(NamedTuple):
-    result: Any
-    error: BaseException | None
-    traceback: str = ""
-
-
-@contextmanager
-def starting_children() -> Iterator[None]:
-    """Processes started meanwhile never see Ctrl-C, and import nothing from the working directory.
-
-    Ctrl-C is blocked, not ignored: one that comes meanwhile reaches this process afterwards.
-    """
-    before = os.environ.get(_SAFE_PATH)
-    os.environ[_SAFE_PATH] = "1"
-    resource_tracker.ensure_running()  # its own start would unblock Ctrl-C
-    try:
-        with interrupt_blocked():
-            yield
-    finally:
-        if before is None:
-            os.environ.pop(_SAFE_PATH, None)
-        else:
-            os.environ[_SAFE_PATH] = before
-
-
-def follow_parent(*, leads_group: bool = False) -> None:
-    """First act of a child process: ignore Ctrl-C, and end when the parent has ended.
-
-    If it leads a group, all processes that this one starts end with it.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    if leads_group:
-        lead_group()
-    threading.Thread(target=_end_with_parent, args=(leads_group,), daemon=True).start()
 
 
 def run_in_process(
@@ -86,16 +142,13 @@ def run_in_process(
     cancelled: threading.Event,
     niceness: int = 10,
 ) -> Any:
-    """Run `work(report, *args)` in a process of low priority, and give what it returns.
-
-    The process leads a group, which ends with it; `work` is a function of a module, and it and
-    its arguments must survive pickling.
+    """Run `work(report, *args)` in a `Child` of low priority, and give what it returns.
 
     Args:
         work: What is done.
         args: Its arguments after `report`.
         report: Called here with what `work` reports there.
-        cancelled: Ends the process as soon as it is set.
+        cancelled: Ends the process, and all that it has started, as soon as it is set.
         niceness: [-] of the process, 0 to 19.
 
     Raises:
@@ -103,24 +156,17 @@ def run_in_process(
         LoopError: The process ended by itself.
         Exception: What `work` raised, its traceback the cause.
     """
-    receiver, sender = SPAWN.Pipe(duplex=False)
-    process = SPAWN.Process(target=_run, args=(sender, niceness, work, args), name="dbb job")
-    _running.add(process)
+    child = Child(_run, niceness, work, args, leads_group=True)
+    _running.add(child)
     try:
-        with starting_children():
-            process.start()
-        sender.close()
-        outcome = _receive(receiver, report, cancelled)
-        process.join(_PATIENCE)
+        outcome = _receive(child.receiver, report, cancelled)
+        status = child.ended(_PATIENCE)
         if outcome is None:
-            raise LoopError(f"the process for this ended with status {process.exitcode}")
-        if outcome.error is not None:
-            raise outcome.error from RemoteTraceback(outcome.traceback)
-        return outcome.result
+            raise LoopError(f"the process for this ended with status {status}")
+        return outcome.value()
     finally:
-        _running.discard(process)
-        receiver.close()
-        _end(process)
+        _running.discard(child)
+        child.end()
 
 
 def portable(error: BaseException) -> BaseException:
@@ -133,7 +179,28 @@ def portable(error: BaseException) -> BaseException:
     return error
 
 
-def _receive(receiver: Connection, report: Report, cancelled: threading.Event) -> _Outcome | None:
+def begin(receiver: int, sender: int, leads_group: bool) -> None:
+    """Main function of a `Child`, by the numbers of its two connections.
+
+    It watches its parent before it imports what its work needs, which may take seconds.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if leads_group:
+        lead_group()
+    wake_without_parent()
+    threading.Thread(target=_end_with_parent, args=(leads_group,), daemon=True).start()
+    with Connection(receiver, writable=False) as given, Connection(sender, readable=False) as taken:
+        work, args = pickle.loads(given.recv_bytes())
+        work(given, taken, *args)
+
+
+def _pipe() -> tuple[Connection, Connection]:
+    """Where is received, and where is sent."""
+    receiver, sender = os.pipe()
+    return Connection(receiver, writable=False), Connection(sender, readable=False)
+
+
+def _receive(receiver: Connection, report: Report, cancelled: threading.Event) -> Outcome | None:
     while not cancelled.is_set():
         if not receiver.poll(_CANCEL_EVERY):
             continue
@@ -141,45 +208,25 @@ def _receive(receiver: Connection, report: Report, cancelled: threading.Event) -
             received = receiver.recv()
         except (EOFError, OSError):
             return None
-        if isinstance(received, _Outcome):
+        if isinstance(received, Outcome):
             return received
         report(received.text, received.share)
     raise Cancelled("cancelled")
 
 
-def _end(process: Any) -> None:
-    """End a process and all that it has started."""
-    if process.pid is None:  # it could not be started
-        return
-    for at_once, end in ((False, process.terminate), (True, process.kill)):
-        if not process.is_alive():
-            break
-        end_group(process.pid, at_once=at_once)
-        end()  # it may not lead its group yet
-        process.join(_PATIENCE)
-    process.join()
-    end_group(process.pid, at_once=True)  # what it may have left behind
-    process.close()
-
-
 @atexit.register
 def _end_all() -> None:
-    for process in tuple(_running):
-        with suppress(ValueError):  # its own thread has just closed it
-            _end(process)
+    for child in tuple(_running):
+        child.end()
 
 
-def _run(sender: Connection, niceness: int, work: Callable[..., Any], args: tuple) -> None:
-    """Main function of the process of `run_in_process`."""
+def _run(
+    _: Connection, sender: Connection, niceness: int, work: Callable[..., Any], args: tuple
+) -> None:
+    """What the process of `run_in_process` does."""
     signal.signal(signal.SIGTERM, _leave)
-    follow_parent(leads_group=True)
     step_back(niceness)
-    try:
-        result = work(lambda text, share: sender.send(_Activity(text, share)), *args)
-        outcome = _Outcome(result, None)
-    except Exception as error:  # raised again in the process that waits
-        outcome = _Outcome(None, portable(error), traceback.format_exc())
-    sender.send(outcome)
+    sender.send(Outcome.of(work, lambda text, share: sender.send(_Activity(text, share)), *args))
     sender.close()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # nothing is left that a `finally` would do
 
@@ -191,10 +238,8 @@ def _leave(*_: object) -> None:
 
 
 def _end_with_parent(leads_group: bool) -> None:
-    parent = mp.parent_process()
-    if parent is None:
-        return
-    parent.join()
+    """Wait until the parent has closed its end of this process's standard input, and end."""
+    os.read(0, 1)
     if leads_group:
         end_group(0, at_once=False)  # itself too: temporary files go
         time.sleep(_PATIENCE)

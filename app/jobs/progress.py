@@ -6,16 +6,16 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from time import monotonic
+from time import monotonic, sleep
 from types import FrameType
 
 from app.errors import DbbError
 from app.system import ENDING
 
 _EVERY = 20.0  # [s] between two plain lines; shorter work says nothing
-_LONGEST = 2.0  # [s] for a command to end after SIGTERM or SIGHUP; its children take 2.5 s more
+_LONGEST = 2.0  # [s] for a command to end after such a signal; its children take 2.5 s more
 _received: list[int] = []
 
 
@@ -73,8 +73,8 @@ def _lines(text: str, total: float) -> Iterator[Callable[[float], None]]:
 def ending_signals_raised() -> Iterator[None]:
     """SIGINT raises `KeyboardInterrupt`; SIGTERM and SIGHUP raise `SystemExit` of 128 + the signal.
 
-    Whatever error compiled code makes of that is the same exception again at the end. After SIGTERM
-    or SIGHUP the process ends within 2 s whatever it does.
+    Whatever error compiled code makes of that is the same exception again at the end. Within 2 s
+    the process ends whatever it does.
 
     Raises:
         KeyboardInterrupt: Ctrl-C was pressed, and something ended by it.
@@ -87,9 +87,10 @@ def ending_signals_raised() -> Iterator[None]:
             handler = signal.getsignal(number)
             # A signal that is ignored stays so; a handler of others, such as a test's, too.
             if handler in (signal.default_int_handler, signal.SIG_DFL):
-                before[number] = signal.signal(number, _end)
+                before[number] = signal.signal(number, _raise)
     try:
-        yield
+        with _deadline(tuple(before)):
+            yield
     except Exception as error:
         if _received and not isinstance(error, DbbError):  # ours says what it is
             raise _exception() from error
@@ -106,13 +107,38 @@ def _check_signals() -> None:
         raise _exception()
 
 
-def _end(number: int, _: FrameType | None) -> None:
+def _raise(number: int, _: FrameType | None) -> None:
     _received.append(number)
-    if number != signal.SIGINT:
-        timer = threading.Timer(_LONGEST, os._exit, (128 + number,))
-        timer.daemon = True
-        timer.start()
     raise _exception()
+
+
+@contextmanager
+def _deadline(numbers: Sequence[int]) -> Iterator[None]:
+    """End the process 2 s after one of these signals, whatever its main thread does.
+
+    Python's own handlers wait until compiled code of the main thread has returned, and what they
+    raise may be lost there. The numbers of signals are also written to a file, at once.
+    """
+    if not numbers:
+        yield
+        return
+    heard, written = os.pipe()
+    os.set_blocking(written, False)
+    before = signal.set_wakeup_fd(written, warn_on_full_buffer=False)
+    threading.Thread(target=_end_late, args=(heard, numbers, _LONGEST), daemon=True).start()
+    try:
+        yield
+    finally:
+        signal.set_wakeup_fd(before)
+        os.close(written)
+
+
+def _end_late(heard: int, numbers: Sequence[int], longest: float) -> None:
+    with os.fdopen(heard, "rb", buffering=0) as signals:
+        while number := signals.read(1):
+            if number[0] in numbers:
+                sleep(longest)
+                os._exit(128 + number[0])
 
 
 def _exception() -> BaseException:

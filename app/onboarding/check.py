@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib.util import find_spec
@@ -31,6 +32,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.trace.columns import axis_name
 
+_log = logging.getLogger(__name__)
 Array = np.ndarray
 Outcome = Literal["passed", "warned", "failed", "nothing to show"]
 
@@ -47,6 +49,10 @@ _FEW = 10  # [-] points of the border in a layer that is not empty
 _CLEARANCE = 0.03  # [m] least distance of a pair with the base that passes
 _NEARLY = 0.05  # [m] to the base without avoidance, from which on the base has to move
 _GIVES_WAY = 0.05  # [m] by which it moves then
+_STILL = (
+    f"; the base gives way by less than {_GIVES_WAY:g} m; if `hand held` warns, a smaller "
+    "holding.weight lets it give way more"
+)
 
 
 class Row(NamedTuple):
@@ -125,10 +131,14 @@ def _shown(rows: list[Row]) -> bool:
 
 
 def _done(name: str, check: Callable[[], Row]) -> Row:
+    """The row of a check; whatever a library raises in it is its failure."""
     try:
         return check()
     except DbbError as error:
         return Row(name, "failed", str(error), {})
+    except Exception as error:  # pybullet, MuJoCo, coal: they have no common base
+        _log.debug("%s", name, exc_info=True)
+        return Row(name, "failed", f"{type(error).__name__}: {error}", {})
 
 
 def bullet_row(model: RobotModel) -> Row:
@@ -339,12 +349,15 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
 def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     """A guiding run with the default parameters, beside the same one without avoidance.
 
-    Where the arm cannot start there is nothing to judge, which is warned of; where the hand does
-    not come into the inner half of the buffer even without avoidance, the run shows nothing.
+    A robot that has lines of its own is led on no other's. Where the arm cannot start there is
+    nothing to judge, which is warned of; where the hand does not come into the inner half of the
+    buffer even without avoidance, the run shows nothing.
     """
     from app.simulation.run import run_scenario
     from app.simulation.scenarios import scenario_of
 
+    if (lines := model.description.lines) and name not in lines:
+        return Row(name, "warned", "not done: the description has no line for it", {})
     scenario, config = scenario_of(model.description, name), Config()
     run = partial(run_scenario, model, data, scenario, config)
     try:
@@ -368,7 +381,7 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
         )
     still = without is not None and without < _NEARLY and moved < _GIVES_WAY
     if touched or failures or still or (near is not None and near < _CLEARANCE):
-        text += "; the base does not give way" if still else ""
+        text += _STILL if still else ""
         return Row(name, "failed", text, numbers)
     shown = without is not None and without < config.border.d_b / 2
     return Row(name, "passed" if shown else "nothing to show", text, numbers)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -39,7 +40,6 @@ from app.onboarding.report import report_html
 from app.onboarding.request import Request, package_folders
 from app.onboarding.warn import warnings_of
 from app.onboarding.write import compiled, description, rebased_urdf, whole_folder, write_robot
-from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.model import RobotModel
 from app.system import write_whole
 
@@ -47,8 +47,6 @@ _log = logging.getLogger(__name__)
 
 MEETING_SAMPLES = 6000
 """[-] random poses in which the links' hulls are compared."""
-PAIR_SAMPLES = 20_000
-"""[-] random poses for the pairs of the report."""
 PREFIX = "arm_"
 """Before the names of an arm's links and joints that the base has too."""
 
@@ -88,7 +86,6 @@ class NewRobot:
     bodies: list[FittedBody]
     verdict: Verdict
     unseen: Unseen
-    pairs: LinkPairs
     ready: Ready
     reach: dict[str, Reach]
     places: dict[str, Place]
@@ -110,8 +107,8 @@ def finish(
         tell: Called with what is being done.
         processes: How many to sample with; all cores if not given.
         sampling: Of the border; by default as every command samples it.
-        on_progress: Called with the share of a long step that is done, 0 to 1: of the places that
-            are searched, then of the border.
+        on_progress: Called with the share of a long step that is done, 0 to 1: of the border,
+            then of the places that are searched.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library cannot take it.
@@ -133,15 +130,14 @@ def finish(
             path = open_package(Path(request.urdf), folder, request.file)
             name = f"{Path(request.urdf).name}: {path.relative_to((folder / FOLDER).resolve())}"
             request = replace(request, urdf=str(path), source=name)
-        robot = make_robot(request, folder, tell=say, on_progress=on_progress)
-        say("sampling the border")
-        data = load_border_data(
-            robot.model,
+        border = partial(
+            load_border_data,
             sampling=sampling,
             processes=processes,
             progress=False,
             on_progress=on_progress,
         )
+        robot, data = make_robot(request, folder, border, tell=say, on_progress=on_progress)
         say("writing the report")
         write_robot(robot, folder)
         page = report_html(robot, data)
@@ -172,13 +168,14 @@ _UNWATCHED = "chosen: links of them are nearer than d_b as they are built"
 def make_robot(
     request: Request,
     folder: Path,
+    border: Callable[[RobotModel], BorderData],
     *,
     tell: Callable[[str], None] = lambda _: None,
     on_progress: Callable[[float], None] = lambda _: None,
-) -> NewRobot:
-    """Everything but the border and the report, which `finish` adds; its arguments and errors.
+) -> tuple[NewRobot, BorderData]:
+    """Everything but the report, which `finish` adds; its arguments and errors.
 
-    The URDF is written into the folder, a temporary one.
+    The URDF is written into the folder, a temporary one; `border` gives pairs and clouds.
     """
     tell("reading the URDF")
     parsed = parse(request)
@@ -191,13 +188,15 @@ def make_robot(
     meetings, (bodies, verdict) = _fitted(request, parsed, bare, tell)
     d_b, unwatched = request.d_b, dict.fromkeys(verdict.unwatched, _UNWATCHED)
     model = compiled(description(request, parsed, bodies, unwatched=unwatched), path)
-    pairs = find_link_pairs(model, samples=PAIR_SAMPLES, seed=request.seed)
     unseen = unseen_collisions(model, parsed.geometry, d_b)
     if unseen.blind:
         raise RobotFileError(
             f"the bodies {', '.join(unseen.blind)} do not hold the links with which they meet; "
             f"give another number of --bodies than {len(bodies) - 1}, or another --seed"
         )
+    tell("sampling the border")
+    data = border(model)
+    pairs = data.pairs
     tell("choosing the ready pose")
     if request.ready is None:
         ready = find_ready(model, pairs, d_b=d_b, seed=request.seed)
@@ -211,23 +210,10 @@ def make_robot(
     tell("looking for places to guide the hand")
     places = find_places(compiled(content, path), pairs, d_b, on_progress=on_progress)
     content["lines"] = {name: place.content() for name, place in places.items()}
-    robot = NewRobot(
-        request,
-        parsed,
-        urdf,
-        content,
-        compiled(content, path),
-        meetings,
-        bodies,
-        verdict,
-        unseen,
-        pairs,
-        ready,
-        reach,
-        places,
-        warnings=[],
-    )
-    return replace(robot, warnings=warnings_of(robot))
+    model = compiled(content, path)
+    fitted = meetings, bodies, verdict, unseen
+    robot = NewRobot(request, parsed, urdf, content, model, *fitted, ready, reach, places, [])
+    return replace(robot, warnings=warnings_of(robot)), data
 
 
 def _fitted(

@@ -12,6 +12,7 @@ import numpy as np
 from app.config import AdmittanceConfig
 from app.control.admittance import largest_command
 from app.onboarding.fit.collision_sampling import ALWAYS
+from app.onboarding.fit.postures import INNER
 from app.robot.bases.kind import Axis
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from app.robot.model import RobotModel
@@ -64,7 +65,11 @@ def _poses(robot: NewRobot) -> list[str]:
         )
     missing = {"guiding-lateral", "guiding-front"} - robot.places.keys()
     for name in sorted(missing):
-        told.append(f"{name}: the arm cannot start clear of its buffers there; no line is written")
+        told.append(
+            f"{name}: no line is written: nowhere there can the arm be led from outside of its "
+            f"buffers to within {INNER * d_b:g} m of the base; it is too short for that, or stands "
+            "too far from that side (--mount-xyz)"
+        )
     return told
 
 

@@ -12,13 +12,15 @@ import os
 import re
 import sys
 import sysconfig
+from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 from xml.etree import ElementTree
+from xml.parsers import expat
 
 import platformdirs
 
-from app.errors import AssetError, DescriptionError
+from app.errors import AssetError, DescriptionError, RobotFileError
 
 if TYPE_CHECKING:
     from app.robot.description import RobotDescription
@@ -32,6 +34,8 @@ SHIPPED_CACHE = (_PROJECT if IN_CHECKOUT else _PACKAGE) / "dbb_cache"
 """Folder of the borders that ship with the project; only read."""
 _EXTRAS = ("example-robot-data", "rtbdata", "stretch_urdf")
 """Packages of the optional robots, which are installed together."""
+_MOST_ELEMENTS = 100_000  # [-] of an XML file; the largest known URDFs have some thousands
+_DEEPEST = 100  # [-] elements in one another
 _WITH_PYBULLET = (
     "it comes with pybullet: pip install 'dbb-mobile-manipulator[sim]', on the Pythons for which "
     "docs/install.md has it"
@@ -88,7 +92,7 @@ def resolve_package_uri(uri: str) -> Path:
         raise AssetError(f"{uri}: the package {package!r} is not installed{how}")
     for root in roots:
         path = (root / inner).resolve()
-        if path.is_file() and path.is_relative_to(root.resolve()):
+        if isfile(path) and path.is_relative_to(root.resolve()):
             return path
     raise AssetError(f"{uri}: no such file in the installed package {package!r}")
 
@@ -98,7 +102,7 @@ def package_roots(package: str) -> list[Path]:
     spec = importlib.util.find_spec(package) if package.isidentifier() else None
     roots = [Path(root) for root in (spec.submodule_search_locations if spec else None) or ()]
     if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_.-]*", package):
-        roots += [share / package for share in share_folders() if (share / package).is_dir()]
+        roots += [share / package for share in share_folders() if isdir(share / package)]
     return roots
 
 
@@ -118,7 +122,7 @@ def urdf_path(description: RobotDescription) -> Path:
     if description.urdf.startswith("package://"):
         return resolve_package_uri(description.urdf)
     path = robot_folder(description.name) / description.urdf
-    if not path.is_file():
+    if not isfile(path):
         raise AssetError(f"{description.name}: the URDF {path} does not exist")
     return path
 
@@ -156,14 +160,13 @@ def resolved_urdf(description: RobotDescription) -> str:
 
     Raises:
         AssetError: The URDF or a mesh that it refers to is not there.
-        DescriptionError: The URDF is not well-formed XML.
+        DescriptionError: As `read_urdf`.
     """
-    path = urdf_path(description)
-    tree = _read(path)
+    tree, folder = read_urdf(description), urdf_path(description).parent
     for mesh in tree.iter("mesh"):
         reference = mesh.get("filename", "")
         if reference and not reference.startswith("/"):
-            mesh.set("filename", str(_mesh(reference, path.parent)))
+            mesh.set("filename", str(_mesh(reference, folder)))
     return ElementTree.tostring(tree, encoding="unicode")
 
 
@@ -172,25 +175,78 @@ def bare_urdf(description: RobotDescription) -> str:
 
     Raises:
         AssetError: The URDF is not there.
-        DescriptionError: The URDF is not well-formed XML.
+        DescriptionError: As `read_urdf`.
     """
-    tree = _read(urdf_path(description))
+    tree = read_urdf(description)
     for link in tree.iterfind("link"):
         for shape in (*link.findall("visual"), *link.findall("collision")):
             link.remove(shape)
     return ElementTree.tostring(tree, encoding="unicode")
 
 
-def _read(path: Path) -> ElementTree.Element:
-    """A URDF with an inertia for each link."""
+def read_urdf(description: RobotDescription) -> ElementTree.Element:
+    """The robot's URDF with an inertia for each link.
+
+    Raises:
+        AssetError: It is not there.
+        DescriptionError: It cannot be read, or no robot's URDF is such XML.
+    """
+    path = urdf_path(description)
     try:
-        tree = ElementTree.fromstring(path.read_text(encoding="utf-8"))
-    except ElementTree.ParseError as error:
-        raise DescriptionError(f"{path}: not well-formed: {error}") from None
+        text = path.read_text(encoding="utf-8")
+        refuse_entities(text, path)
+    except (OSError, ValueError, RobotFileError) as error:
+        why = str(error).removeprefix(f"{path}: ")
+        raise DescriptionError(f"{path}: {why}") from None
+    tree = ElementTree.fromstring(text)
     for link in tree.iterfind("link"):
         if link.find("inertial") is None:
             link.append(ElementTree.fromstring(_ZERO_INERTIAL))
     return tree
+
+
+def refuse_entities(content: bytes | str, path: Path) -> None:
+    """Refuse XML that multiplies itself, reaches for other files or is huge, before a tree is made.
+
+    Args:
+        content: Of an XML file, as it is parsed afterwards: of a text, the encoding that it
+            declares does not count.
+        path: Named in the message.
+
+    Raises:
+        RobotFileError: It declares an entity, as a billion laughs do, nests deeper or has more
+            elements than any robot, or is not well-formed.
+    """
+
+    def refuse(name: str, *_: object) -> NoReturn:
+        raise RobotFileError(
+            f"{path.name}: it declares the XML entity {name!r}, which could grow without end or "
+            "read other files; write out what it stands for, without <!ENTITY …>"
+        )
+
+    depth = count = 0
+
+    def begin(*_: object) -> None:
+        nonlocal depth, count
+        depth, count = depth + 1, count + 1
+        if depth > _DEEPEST or count > _MOST_ELEMENTS:
+            raise RobotFileError(
+                f"{path.name}: it has more than {_MOST_ELEMENTS:,} elements, or more than "
+                f"{_DEEPEST} in one another, which no robot has"
+            )
+
+    def end(*_: object) -> None:
+        nonlocal depth
+        depth -= 1
+
+    encoding = "utf-8" if isinstance(content, str) else None
+    parser = expat.ParserCreate(encoding, "}")  # with namespaces, as ElementTree has it
+    parser.EntityDeclHandler = refuse
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    try:
+        parser.Parse(content, True)
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter of its encoding
+        raise RobotFileError(f"{path}: not well-formed: {error}") from None
 
 
 def _mesh(reference: str, folder: Path) -> Path:
@@ -198,7 +254,7 @@ def _mesh(reference: str, folder: Path) -> Path:
     if "://" in reference:
         return resolve_package_uri(reference)
     path = (folder / reference).resolve()
-    if not path.is_file() or not path.is_relative_to(folder.resolve()):
+    if not isfile(path) or not path.is_relative_to(folder.resolve()):
         raise AssetError(f"{folder.name}: no mesh {reference!r} in the folder of the URDF")
     return path
 

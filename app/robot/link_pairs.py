@@ -1,4 +1,4 @@
-"""§2.1: which bodies can meet, found by random sampling of the arm's joints."""
+"""§2.1: link pairs: which can meet, found once by random sampling, and their distances now."""
 
 from __future__ import annotations
 

@@ -18,6 +18,7 @@ from app.strict import MOST_SEEDS, Finite, Strict, explain
 
 _PLAYED: dict[str, Scenario] = {**SCENARIOS, CHALLENGE.name: CHALLENGE}
 _FIELDS = {path for section in sections() for path in (t.path for t in section.tunables)}
+_MOST = 1000  # [-] options, parameters or figures of a case; there are about a hundred
 FORMAT = "dbb_case"
 """The key that only such a file has."""
 
@@ -57,14 +58,14 @@ class RunCase(Strict):
     robot: str
     played: str
     """Name of the scenario."""
-    options: dict[str, Any]
+    options: dict[str, Any] = Field(max_length=_MOST)
     """Of the scenario, all of them."""
     controller: str
     physics: str
     seed: int = Field(default=0, ge=0, le=MOST_SEEDS)
-    parameters: dict[str, float | str]
+    parameters: dict[str, float | str] = Field(max_length=_MOST)
     """All of them, by their paths."""
-    figures: dict[str, Finite] = Field(default_factory=dict)
+    figures: dict[str, Finite] = Field(default_factory=dict, max_length=_MOST)
     """What came of it, by the names of `dbb run`'s figures."""
 
     @classmethod

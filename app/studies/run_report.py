@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -71,8 +71,17 @@ def _about(run: Trace) -> str:
 
 
 def key_numbers(run: Trace) -> dict[str, Any]:
-    """The figures of a run, as `dbb run --json` has them, and its extremes; keys as there."""
-    return {**extremes(run), **metrics(run)}
+    """The figures of a run, as `dbb run --json` has them, and its extremes; keys as there.
+
+    None in the place of what is not finite, as a log that somebody has changed may give.
+    """
+    return _finite({**extremes(run), **metrics(run)})
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(each) for key, each in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _changes(run: Trace) -> Part:

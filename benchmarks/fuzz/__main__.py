@@ -10,12 +10,14 @@ import tyro
 
 from app.cli.common import print_json
 from app.jobs.progress import progress_bar
+from benchmarks.fuzz import Length
 
 
 def main(
     seconds: float = 60.0,
     seed: int = 0,
     what: Literal["both", "messages", "files"] = "both",
+    count: int | None = None,
     keep: Path = Path("out/fuzz"),
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False,
 ) -> None:
@@ -25,6 +27,7 @@ def main(
         seconds: [s] for all of it, beside the starts.
         seed: Of the mutations.
         what: Messages, files or both.
+        count: So many messages, and as many files of each kind, however long that takes.
         keep: Folder for the files of findings.
         json: Print one JSON object.
     """
@@ -32,12 +35,12 @@ def main(
     from benchmarks.fuzz.files import fuzz_files
     from benchmarks.fuzz.messages import fuzz_messages
 
-    share = seconds / 2 if what == "both" else seconds
-    result: dict[str, Any] = {"seed": seed, "seconds": seconds}
+    length = Length(seconds / 2 if what == "both" else seconds, count)
+    result: dict[str, Any] = {"seed": seed}
     for name, fuzz in (("messages", fuzz_messages), ("files", fuzz_files)):
         if what in ("both", name):
-            with progress_bar(name, share) as on_progress:
-                result[name] = fuzz(share, seed, keep, lambda t: on_progress(min(t, share)))
+            with progress_bar(name, 1.0) as on_progress:
+                result[name] = fuzz(length, seed, keep, lambda done: on_progress(min(done, 1.0)))
     if json:
         print_json(result)
     else:

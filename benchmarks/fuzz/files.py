@@ -6,20 +6,30 @@ They are read in a process of its own, because one of them may end it.
 from __future__ import annotations
 
 import io
+import itertools
 import json
+import os
 import resource
+import shutil
 import signal
 import tempfile
 import time
 import zipfile
+import zlib
 from collections import Counter
 from collections.abc import Callable
-from functools import partial
+from contextlib import suppress
+from functools import lru_cache, partial
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import trimesh
+from PIL import Image
 
 from app.border.cache import Content, DamagedFileError, pack, read, unpack, write
 from app.border.dbb import make_cloud
@@ -27,22 +37,28 @@ from app.cli.common import as_json
 from app.config import Config
 from app.config_file import read_config, save_config
 from app.errors import DbbError
-from app.jobs.process import follow_parent, starting_children
-from app.onboarding.read.package import look_into
-from app.robot.assets import ASSETS
-from app.robot.description import load_description
+from app.jobs.process import Child
+from app.onboarding.read.links import link_geometry
+from app.onboarding.read.package import look_into, open_package
+from app.robot.assets import ASSETS, planar_urdf
+from app.robot.description import load_description, load_robot
 from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel
+from app.simulation.case import RunCase
+from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.log_file import read_trace, write_trace
 from app.studies.pulls.case import Case, read_case
+from app.studies.pulls.study import Journal
 from app.studies.run_report import key_numbers
-from app.system import SPAWN
+from app.studies.sweep.sweep import read_map
+from benchmarks.fuzz import Length
 from benchmarks.fuzz.mutate import mutated, mutated_bytes
 from tests.logs import random_snapshots, trace_of
 
 _LONGEST = 20.0  # [s] for one file
 _STARTING = 300.0  # [s] for the process that reads: it imports much
 _MEMORY = 6 * 2**30  # [bytes] of address space, of which the libraries take one half
+_numbers = itertools.count()
 _ROBOT = ASSETS / "husky_panda"
 _URDF = """<robot name="r"><link name="base"><visual><geometry><mesh filename="a.stl"/></geometry>
 </visual></link><link name="arm"/><joint name="j" type="revolute"><parent link="base"/>
@@ -93,6 +109,53 @@ def _mutate_csv(path: Path, right: bytes, rng: np.random.Generator) -> None:
     else:
         lines = [mutated_bytes(right, rng)]
     path.write_bytes(b"\n".join(lines))
+
+
+def _mutate_parquet(path: Path, right: bytes, rng: np.random.Generator) -> None:
+    """Its bytes, or its meta data, a column or its rows under checksums that hold."""
+    if rng.random() < 0.3:
+        _mutate_bytes(path, right, rng)
+        return
+    table = _table(right)
+    meta = table.schema.metadata
+    k = int(rng.integers(table.num_columns))
+    match int(rng.integers(5)):
+        case 0 | 1:
+            header = mutated(json.loads(meta[b"dbb_log"]), rng)
+            meta = {b"dbb_log": json.dumps(header, default=repr).encode()}
+        case 2:
+            values = mutated(table.column(k).to_pylist(), rng)
+            with suppress(pa.ArrowException, OverflowError, TypeError):  # no column has them
+                table = table.set_column(k, table.column_names[k], pa.array(values))
+        case 3:
+            table = table.remove_column(k)
+        case _:
+            table = table.slice(int(rng.integers(table.num_rows)), int(rng.integers(9)))
+    pq.write_table(table.replace_schema_metadata(meta), path)
+
+
+@lru_cache(maxsize=1)
+def _table(right: bytes) -> pa.Table:
+    return pq.read_table(io.BytesIO(right))
+
+
+def _mutate_picture(path: Path, right: bytes, rng: np.random.Generator) -> None:
+    """Its bytes, or the data of a chunk under a checksum that holds."""
+    if rng.random() < 0.3:
+        _mutate_bytes(path, right, rng)
+        return
+    chunks, at = [], 8
+    while at < len(right):
+        size = int.from_bytes(right[at : at + 4], "big")
+        chunks.append((right[at + 4 : at + 8], right[at + 8 : at + 8 + size]))
+        at += 12 + size
+    k = int(rng.integers(len(chunks)))
+    chunks[k] = chunks[k][0], mutated_bytes(chunks[k][1], rng)
+    packed = (
+        len(data).to_bytes(4, "big") + name + data + zlib.crc32(name + data).to_bytes(4, "big")
+        for name, data in chunks
+    )
+    path.write_bytes(right[:8] + b"".join(packed))
 
 
 def _mutate_border(path: Path, right: bytes, rng: np.random.Generator) -> None:
@@ -147,6 +210,13 @@ def _mutate_zip(path: Path, right: bytes, rng: np.random.Generator) -> None:
         _mutate_bytes(path, right, rng)
 
 
+def _open_zip(path: Path) -> None:
+    """Look into it, and unpack it as a robot's."""
+    (first, *_) = look_into(path)
+    with tempfile.TemporaryDirectory() as folder:
+        open_package(path, Path(folder), first)
+
+
 def _border(path: Path) -> None:
     """A small border in the form of a cache."""
     points = np.random.default_rng(0).integers(0, 500, (60, 3)).astype(np.int16)
@@ -195,6 +265,66 @@ def _case(path: Path) -> None:
     path.write_text(case.model_dump_json(), encoding="utf-8")
 
 
+def _played(path: Path) -> None:
+    """A case of the page."""
+    scenario = SCENARIOS["guiding-lateral"]
+    case = RunCase.of(scenario, Config(), robot="husky_panda", controller="dbb", physics="planar")
+    path.write_text(case.text(), encoding="utf-8")
+
+
+def _play(path: Path) -> None:
+    case = read_case(path)
+    case.scenario()
+    case.config()
+    case.differences()
+
+
+def _journal(path: Path) -> None:
+    path.write_text("".join(json.dumps({"case": k}) + "\n" for k in range(3)), encoding="utf-8")
+
+
+def _go_on(path: Path) -> None:
+    """Go on with the study of a folder whose journal that is."""
+    folder = path.parent / "study"
+    folder.mkdir(exist_ok=True)
+    shutil.copyfile(path, folder / "cases.jsonl")
+    with Journal(folder, {}):
+        pass
+
+
+def _mine(path: Path) -> None:
+    """Load the user's own robot whose URDF that is."""
+    folder = path.parent / "robots" / "mine"
+    folder.mkdir(parents=True, exist_ok=True)
+    os.environ["DBB_ROBOTS"] = str(folder.parent)
+    text = (_ROBOT / "robot.toml").read_text(encoding="utf-8")
+    (folder / "robot.toml").write_text(text.replace('"husky_panda"', '"mine"'), encoding="utf-8")
+    shutil.copyfile(path, folder / "robot.urdf")
+    description = load_robot("mine")
+    RobotModel(description)
+    planar_urdf(description)
+
+
+def _picture(path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(path, "PNG")
+
+
+def _mesh(path: Path) -> None:
+    trimesh.creation.box((1.0, 1.0, 1.0)).export(path)
+
+
+def _shape(path: Path) -> None:
+    """Fit what a link with that mesh is; each under a name of its own, by which it is kept."""
+    mesh = path.with_name(f"{next(_numbers)}.stl")
+    path.rename(mesh)
+    try:
+        text = f'<a><visual><geometry><mesh filename="{mesh}"/></geometry></visual></a>'
+        link_geometry(ElementTree.fromstring(text))
+    finally:
+        mesh.rename(path)
+
+
 KINDS = {
     "description": Kind(
         "robot.toml",
@@ -214,12 +344,22 @@ KINDS = {
         lambda path: (lambda case: (case.scenario(), case.config()))(read_case(path)),
         _mutate_json,
     ),
+    "page's case": Kind("played.json", _played, _play, _mutate_json),
+    "journal": Kind("cases.jsonl", _journal, _go_on, _mutate_bytes),
+    "urdf": Kind(
+        "robot.urdf",
+        lambda path: path.write_bytes((_ROBOT / "robot.urdf").read_bytes()),
+        _mine,
+        _mutate_bytes,
+    ),
+    "map": Kind("sweep_h0_v0.png", _picture, read_map, _mutate_picture),
+    "mesh": Kind("a.stl", _mesh, _shape, _mutate_bytes),
     "log csv": Kind("a.csv", _log, _figures, _mutate_csv),
-    "log parquet": Kind("a.parquet", _log, _figures, _mutate_bytes),
+    "log parquet": Kind("a.parquet", _log, _figures, _mutate_parquet),
     "border": Kind(
         "a.npz", _border, partial(read, unpack=partial(unpack, key="0" * 32)), _mutate_border
     ),
-    "zip": Kind("a.zip", _write_zip, look_into, _mutate_zip),
+    "zip": Kind("a.zip", _write_zip, _open_zip, _mutate_zip),
 }
 
 
@@ -229,60 +369,55 @@ class Outcome(NamedTuple):
     Attributes:
         result: `right`, `line` or `finding`.
         text: Of a finding, what came instead of a line.
+        lost: Whether the process that reads is lost with it.
     """
 
     result: str
     text: str = ""
+    lost: bool = False
 
 
 def fuzz_files(
-    seconds: float, seed: int, keep: Path, on_progress: Callable[[float], None]
+    length: Length, seed: int, keep: Path, on_progress: Callable[[float], None]
 ) -> dict[str, Any]:
     """Mutate files of all kinds in turn; figures of each kind.
 
     Args:
-        seconds: [s] for all of them, beside the starts of the process that reads.
+        length: Of it, beside the starts of the process that reads.
         seed: Of the mutations; file k of a kind follows from it alone.
         keep: Folder for the files of findings.
-        on_progress: Called with the time that has gone [s].
+        on_progress: Called with the share that is done.
     """
     tally = {name: Counter[str]() for name in KINDS}
     findings: dict[str, str] = {}
-    spent, k = 0.0, 0
-    while spent < seconds:
-        here, there = SPAWN.Pipe()
-        with tempfile.TemporaryDirectory() as folder:
-            process = SPAWN.Process(target=_take_many, args=(there, seed, Path(folder)))
-            with starting_children():
-                process.start()
-            there.close()
-            _answered(here, _STARTING)
-            text = ""
-            while spent < seconds and not text:
+    spent, k, share = 0.0, 0, 0.0
+    while share < 1.0:
+        with tempfile.TemporaryDirectory() as folder, Child(_take_many, seed, folder) as child:
+            _answered(child, _STARTING)
+            lost = False
+            while share < 1.0 and not lost:
                 name = list(KINDS)[k % len(KINDS)]
                 begin = time.monotonic()
-                here.send((name, k))
-                result, text, ended = *_answered(here, _LONGEST + 5.0), not process.is_alive()
+                child.sender.send((name, k))
+                result, text, lost = _answered(child, _LONGEST + 5.0)
                 tally[name][result] += 1
                 if text and f"{name}: {text}" not in findings:
                     findings[f"{name}: {text}"] = _kept(Path(folder) / KINDS[name].name, keep, k)
-                text = text if ended else ""
                 k += 1
                 spent += time.monotonic() - begin
-                on_progress(spent)
-            process.kill()
-            process.join()
+                share = length.share(spent, k // len(KINDS))
+                on_progress(share)
     return {**{name: dict(counts) for name, counts in tally.items()}, "findings": findings}
 
 
-def _answered(connection: Connection, patience: float) -> Outcome:
+def _answered(child: Child, patience: float) -> Outcome:
     """What the process that reads says, or that it says nothing."""
     try:
-        if connection.poll(patience):
-            return connection.recv()
+        if child.receiver.poll(patience):
+            return child.receiver.recv()
     except EOFError:
-        return Outcome("finding", "the process that reads has ended")
-    return Outcome("finding", "the process that reads hangs")
+        return Outcome("finding", "the process that reads has ended", True)
+    return Outcome("finding", "the process that reads hangs", True)
 
 
 def _kept(path: Path, keep: Path, k: int) -> str:
@@ -293,9 +428,9 @@ def _kept(path: Path, keep: Path, k: int) -> str:
     return str(copy)
 
 
-def _take_many(connection: Connection, seed: int, folder: Path) -> None:
-    """Main function of the process that reads: file k of a kind at a time, as it is asked."""
-    follow_parent()
+def _take_many(receiver: Connection, sender: Connection, seed: int, at: str) -> None:
+    """What the process that reads does: file k of a kind at a time, as it is asked."""
+    folder = Path(at)
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     signal.signal(signal.SIGALRM, _too_long)
     right = {}
@@ -304,12 +439,12 @@ def _take_many(connection: Connection, seed: int, folder: Path) -> None:
         kind.seed(path)
         kind.take(path)
         right[name] = path.read_bytes()
-    connection.send(Outcome("right"))
+    sender.send(Outcome("right"))
     while True:
-        name, k = connection.recv()
+        name, k = receiver.recv()
         kind = KINDS[name]
         kind.mutate(folder / kind.name, right[name], np.random.default_rng([seed, k]))
-        connection.send(_outcome(kind, folder / kind.name))
+        sender.send(_outcome(kind, folder / kind.name))
 
 
 def _outcome(kind: Kind, path: Path) -> Outcome:

@@ -31,11 +31,12 @@ from app.onboarding.read.package import LARGEST_ARCHIVE
 from app.simulation.loop.commands import Pause
 from app.simulation.loop.process_loop import ProcessLoop
 from app.simulation.session import Session
+from benchmarks.fuzz import Length
 from benchmarks.fuzz.mutate import HOSTILE, mutated
 from tests.raw_client import RawClient
 
-_BURST = 200  # [-] messages between two looks
-_WARM = 0.25  # [-] share of the time after which memory is measured first
+_BURST = 500  # [-] messages between two looks
+_WARM = 0.5  # [-] share of it after which memory is measured first
 _GARBAGE_EVERY = 10.0  # [s] between two clients that are sent away; a page takes long to make
 _LARGEST_GROWTH = 1.1  # [-] of memory
 _PATIENCE = 60.0  # [s] for a page to come or time to pass, on a machine with other work
@@ -44,15 +45,15 @@ _PACKED = tuple(value for value in HOSTILE if value != 10**400)
 
 
 def fuzz_messages(
-    seconds: float, seed: int, keep: Path, on_progress: Callable[[float], None]
+    length: Length, seed: int, keep: Path, on_progress: Callable[[float], None]
 ) -> dict[str, Any]:
-    """Send mutated messages for some seconds; what was sent, and what broke.
+    """Send mutated messages; what was sent, and what broke.
 
     Args:
-        seconds: [s] of sending.
+        length: Of it.
         seed: Of the mutations.
         keep: Not needed here: a message follows from the seed.
-        on_progress: Called with the time that has gone [s].
+        on_progress: Called with the share that is done.
     """
     model, data = load_robot_and_border("husky_panda")
     q_start = np.array(model.description.arm.ready_position)
@@ -63,7 +64,7 @@ def fuzz_messages(
             loop.start()
             server = serve_dashboard(loop, model, data.clouds, port=0, sweeps=Path("sweeps"))
             try:
-                return _Fuzz(server, loop, seed).run(seconds, on_progress)
+                return _Fuzz(server, loop, seed).run(length, on_progress)
             finally:
                 server.stop()
         finally:
@@ -94,21 +95,23 @@ class _Fuzz:
         self._kinds: Counter[str] = Counter()
         self._page: Any = None
 
-    def run(self, seconds: float, on_progress: Callable[[float], None]) -> dict[str, Any]:
-        """Send until the time is over."""
+    def run(self, length: Length, on_progress: Callable[[float], None]) -> dict[str, Any]:
+        """Send until it is long enough."""
         first = last = None
         with RawClient(self._server.address) as witness:
+            self._wait(lambda: self._server.pages, "no page for who looks on")
             self._client()
-            begin = garbage = time.monotonic()
-            while (gone := time.monotonic() - begin) < seconds and not self._findings:
-                if first is None and gone > _WARM * seconds:
+            begin, garbage, share = time.monotonic(), time.monotonic(), 0.0
+            while share < 1.0 and not self._findings:
+                if first is None and share > _WARM:
                     first = self._memory()
                 seen = witness.received
                 now = time.monotonic() - garbage > _GARBAGE_EVERY
                 garbage = time.monotonic() if now else garbage
                 self._burst(garbage=now)
                 self._look(lambda seen=seen: witness.received > seen)
-                on_progress(gone)
+                share = length.share(time.monotonic() - begin, sum(self._kinds.values()))
+                on_progress(share)
             last = self._memory()
             self._sender.close()
         growth = last / first if first else 1.0
@@ -204,7 +207,8 @@ class _Fuzz:
         return plain.get(hint, None if hint is type(None) else {})
 
     def _look(self, seen: Callable[[], bool]) -> None:
-        """Whether all goes on, and the parameters are in their ranges."""
+        """Whether all goes on, and the parameters are in their ranges; what was begun is ended."""
+        self._end_jobs()
         self._loop.send(Pause(False))
         t = self._loop.latest().t
         self._wait(lambda: self._loop.latest().t != t, "time stands still")
@@ -215,12 +219,16 @@ class _Fuzz:
         if self._server.error is not None:
             self._findings.setdefault(f"drawing ended: {self._server.error!r}", "")
 
-    def _memory(self) -> float:
-        """[MiB] of this process and the simulation's, once no work is under way."""
+    def _end_jobs(self) -> None:
+        """End the work that buttons have begun: each takes a core, and that it begins is enough."""
         shared = self._server.shared
-        jobs = [shared.robot_switch, shared.robot_build, shared.sweep_job]
+        jobs = [shared.robot_switch, shared.robot_build, shared.sweep_job, shared.challenge]
         for job in [*jobs, *(page.viewer.files for page in self._server.pages.values())]:
             job.close()
+
+    def _memory(self) -> float:
+        """[MiB] of this process and the simulation's, once no work is under way."""
+        self._end_jobs()
         here = psutil.Process()
         everyone = [here, *here.children(recursive=True)]
         return sum(each.memory_info().rss for each in everyone) / 2**20

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from typing import TypeVar
 
+from app.jobs.pool import Workers
 from app.jobs.progress import progress_bar
 
 Case = TypeVar("Case")
@@ -24,15 +24,12 @@ def played(play: Callable[[Case], Row], cases: Sequence[Case], jobs: int, text: 
         text: What the progress bar says.
     """
     rows: list[Row] = []
-    with progress_bar(text, len(cases)) as on_progress:
-        if jobs <= 1:
-            for case in cases:
-                rows.append(play(case))
-                on_progress(len(rows))
-            return rows
-        fresh = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(jobs, mp_context=fresh) as pool:
-            for row in pool.map(play, cases):
-                rows.append(row)
-                on_progress(len(rows))
+    with progress_bar(text, len(cases)) as on_progress, Workers(tuple, max(jobs, 1)) as workers:
+        for row in workers.map(partial(_row, play), cases):
+            rows.append(row)
+            on_progress(len(rows))
     return rows
+
+
+def _row(play: Callable[[Case], Row], _: object, case: Case) -> Row:
+    return play(case)

@@ -22,7 +22,7 @@ _SECTORS = (
 )
 """Direction and place on the base of the eighths of a turn, from forward to the left."""
 _FROM_OUTSIDE = ("hand", "forearm", "upper arm", "shoulder")
-_TOP = 0.8  # [-] height of a normal from which on it points out of the top, as in activation.py
+_TOP = 0.8  # [-] height of a normal from which on it points out of the top
 
 _BOUNDS: dict[BoundKind, str] = {
     "torque": "torque limit",

@@ -46,14 +46,10 @@ _QUESTIONS = {
 _WHEELS = "“Left wheel” and “Right wheel”"
 _CHOICES = {"kind": tuple(KINDS), "left": (FIND,), "right": (FIND,)}
 """Of the questions that have them before there is a zip."""
-_STYLE = (
-    "<style>.dbb-report table{border-collapse:collapse;width:100%;font-size:.82em}"
-    ".dbb-report th,.dbb-report td{text-align:left;vertical-align:top;padding:.2em .7em .2em 0;"
-    "border-bottom:1px solid rgba(128,138,150,.3)}"
-    ".dbb-report img{width:100%;height:auto;background:#fff;border-radius:4px}"
-    ".mantine-Modal-content:has(.dbb-report){flex:0 0 min(62rem,92vw)!important}"
-    ".dbb-report h2{font-size:1.05em;margin:1.2em 0 .3em}.dbb-report .scroll{overflow-x:auto}"
-    ".dbb-report ul{padding-left:1.2em}</style>"
+_REPORT = (
+    "<style>.mantine-Modal-content:has(.dbb-report){{flex:0 0 min(62rem,92vw)!important}}</style>"
+    '<iframe class="dbb-report" sandbox srcdoc="{}" title="report" '
+    'style="width:100%;height:72vh;border:0;border-radius:4px;background:#fff"></iframe>'
 )
 
 
@@ -273,9 +269,8 @@ def about_html(entry: RobotEntry, *, here: bool) -> str:
 
 
 def report_html(page: str) -> str:
-    """The report's content, without what belongs to a page of its own."""
-    body = re.search(r"<body[^>]*>(.*)</body>", page, re.DOTALL)
-    return f'{_STYLE}<div class="dbb-report">{body[1] if body else ""}</div>'
+    """The report in a frame in which nothing is executed: a robot may be anybody's."""
+    return _REPORT.format(escape(page))
 
 
 def upload_html() -> str:

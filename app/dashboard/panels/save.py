@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
+from html import escape
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -23,11 +24,12 @@ from app.dashboard.job import (
     write_replay,
     write_report,
 )
+from app.dashboard.markup import small
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
 from app.dashboard.view import Viewpoint
-from app.errors import BrowserError, LogError, OutputError
+from app.errors import BrowserError, LogError, OutputError, StudyError
 from app.jobs.process import Cancelled
 from app.simulation.trace.trace import Trace
 from app.studies.sweep.plan import SweepPlan
@@ -188,10 +190,11 @@ class SweepPanel(Panel):
         self._shared, self._job = viewer.shared, viewer.shared.sweep_job
         self._waiting = False
         self._map: tuple[Path, int] | None = None
+        self._problem = ""
         self._updates = 0
         self._box = self._gui.add_folder("Sweep", expand_by_default=False)
         with self._box:
-            self._text = self._gui.add_markdown("")
+            self._text = self._gui.add_html("")
             self._button = self.button(
                 "Make a map",
                 lambda _: self._start_or_stop(),
@@ -214,7 +217,7 @@ class SweepPanel(Panel):
             self._look()
         self._updates += 1
         if self._text.content != (text := self._status(progress)):
-            self._text.content = text  # viser sends markdown even if it is the same
+            self._text.content = text  # viser sends it even if it is the same
 
     def _start_or_stop(self) -> None:
         if self._job.progress is not None:
@@ -230,24 +233,31 @@ class SweepPanel(Panel):
         start_sweep(self._job, plan, shared.sweeps)
 
     def _status(self, progress: Progress | None) -> str:
+        """What stands above the map; its name may be anybody's."""
         if progress is not None:
-            return f"Sweep under way: {100 * max(progress.share, 0.0):.0f} %"
-        if self._map is None:
-            return f"No map in `{self._shared.sweeps}` yet."
-        return f"`{self._map[0].name}`"
+            text = f"Sweep under way: {100 * max(progress.share, 0.0):.0f} %"
+        elif self._map is None:
+            text = f"No map in {self._shared.sweeps} yet."
+        else:
+            text = self._problem or self._map[0].name
+        return small(escape(text))
 
     def _look(self) -> None:
         """Show the folder's newest map, if it is another one than is shown."""
-        path = newest_map(self._shared.sweeps)
-        if path is None or (found := (path, path.stat().st_mtime_ns)) == self._map:
+        found = newest_map(self._shared.sweeps)
+        if found is None or found == self._map:
             return
-        picture = read_map(path)  # whole: a press on it enlarges it
+        self._map, self._problem = found, ""
+        try:
+            picture = read_map(found[0])  # whole: a press on it enlarges it
+        except StudyError as error:
+            self._problem = str(error)
+            return
         if self._image is None:
             with self._box:
                 self._image = self._gui.add_image(picture, format="png")
         else:
             self._image.image = picture
-        self._map = found
 
 
 def start_sweep(job: Job, plan: SweepPlan, folder: Path) -> None:

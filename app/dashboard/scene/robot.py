@@ -18,7 +18,7 @@ from app.dashboard.scene.colours import Rgb
 from app.errors import AssetError, DescriptionError
 from app.robot.assets import bare_urdf, floats, resolved_urdf
 from app.robot.description import RobotDescription
-from app.robot.model import RobotModel
+from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import shape_mesh
 
 Array = np.ndarray
@@ -102,7 +102,7 @@ class RobotParts:
         self.bodies = _bodies(robot, self.kinematics.model)
         self.title = robot.description.title
         try:
-            self.visuals = load_visuals(robot.description, self.kinematics.model)
+            self.visuals = _visuals(robot)
         except AssetError as error:
             logger.warning("%s is drawn by its convex bodies: %s", robot.description.name, error)
             self.visuals = [
@@ -148,6 +148,11 @@ def _bodies(robot: RobotModel, model: pin.Model) -> list[Visual]:
             name = f"body_{body.name}_{i}"
             bodies.append(Visual(name, frame.parentJoint, placement, shape_mesh(shape), BODY))
     return bodies
+
+
+@kept_per_model(1)
+def _visuals(robot: RobotModel) -> list[Visual]:
+    return load_visuals(robot.description, LinkPoses(robot).model)
 
 
 def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual]:

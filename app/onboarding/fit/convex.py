@@ -43,21 +43,15 @@ def fit_best(points: Array, weights: dict[str, float]) -> Fit:
         points: (N, 3) [m].
         weights: [-] by which a kind's volume counts: `capsule`, `box`, `hull`.
     """
-    corners = hull_corners(points)
+    corners, volume = _hull(points)
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
-    fits = {kind: _judged(kinds[kind](corners), corners) for kind in weights}
+    fits = {kind: _judged(kinds[kind](corners), corners, volume) for kind in weights}
     return min(fits.items(), key=lambda item: weights[item[0]] * item[1].volume)[1]
 
 
 def hull_corners(points: Array) -> Array:
     """(M, 3) corners of the convex hull; the points themselves where they are flat."""
-    points = np.asarray(points, dtype=float)
-    if len(points) < 5:
-        return points
-    try:
-        return points[ConvexHull(points).vertices]
-    except QhullError:
-        return np.unique(np.round(points, 6), axis=0)
+    return _hull(points)[0]
 
 
 def fit_capsule(points: Array) -> Capsule:
@@ -160,10 +154,18 @@ def volume_of(shape: Shape) -> float:
 
 def hull_volume(points: Array) -> float:
     """[m³] of the points' convex hull; 0 where they are flat."""
+    return _hull(points)[1]
+
+
+def _hull(points: Array) -> tuple[Array, float]:
+    points = np.asarray(points, dtype=float)
+    if len(points) < 5:
+        return points, 0.0
     try:
-        return float(ConvexHull(points).volume) if len(points) > 4 else 0.0
+        hull = ConvexHull(points)
     except QhullError:
-        return 0.0
+        return np.unique(np.round(points, 6), axis=0), 0.0
+    return points[hull.vertices], float(hull.volume)
 
 
 @cache
@@ -188,9 +190,9 @@ def _tight_frame(points: Array, axis: Array) -> Array:
     return R @ turn
 
 
-def _judged(shape: Shape, corners: Array) -> Fit:
+def _judged(shape: Shape, corners: Array, inner: float) -> Fit:
     D = directions(2)
-    inner, volume = hull_volume(corners), volume_of(shape)
+    volume = volume_of(shape)
     protrusion = float((support(shape, D) - (D @ corners.T).max(axis=1)).max())
     return Fit(shape, volume, volume / inner if inner > 0 else np.inf, protrusion)
 

@@ -12,7 +12,7 @@ from app.border.mobile import MobileBody
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.simulation.scenarios.posture import PostureSearch, Target, manipulability
+from app.simulation.scenarios.posture import PostureSearch, manipulability
 from app.simulation.scenarios.start import StartSolver
 
 Array = np.ndarray
@@ -107,19 +107,31 @@ class _Judge:
 
 Point = tuple[float, float, float]
 
+INNER = 0.4
+"""[-] Share of the buffer into which a line has to lead; it should lead to contact."""
 _OUT = (0.425, 0.375, 0.35, 0.325, 0.30, 0.275, 0.25)  # [m] from the base's side, farthest first
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
-_INNER, _DEEP = 0.4, 0.1  # [-] shares of the buffer into which a line has to, and should, lead
-_STEPS = 24  # [-] along the line
+_STEP = 0.0125  # [m] along the line
+_SHARES = np.linspace(0.1, 1.0, 10)  # [-] of the way from a posture nearby
 _NEAR = 0.15  # [m] from a place to the hand in some posture that is clear of the buffers
-_TRIES = 4
+_THERE = 1e-3  # [m] by which the hand may miss it
+_TRIES = 6  # [-] of the nearest of those postures
+_FEW = 2  # [-] tries of a search: to find none by all of them would take long
+_SINGULAR = 1e-9  # [m/(N s)] of a hand that is nearly held in some direction
 
 
 class Place(NamedTuple):
-    """A line of guiding [m], as the scenario has it, and where it comes from in words."""
+    """A line of guiding [m], as the scenario has it, and where it comes from in words.
+
+    Attributes:
+        start, move: As of `LineScenario`.
+        nearest: [m] least distance of the arm to a base that stands still while its hand is pulled.
+        source: In words.
+    """
 
     start: Point
     move: Point
+    nearest: float
     source: str
 
     def content(self) -> dict[str, Any]:
@@ -162,27 +174,25 @@ def find_places(
     return found
 
 
-Line = tuple[Place, float]
-"""A line, and the least distance [m] of the arm to a base that stands still while it is led."""
 _Start = tuple[Array, Array]
 """Where a line starts, x, y and how far out [m] of the base, and the unit vector (3,) inwards."""
 
 
-def deepest(lines: Iterable[Line], d_b: float) -> Place | None:
-    """The first line that leads deep into the buffer, else the one that leads deepest.
+def deepest(lines: Iterable[Place], d_b: float) -> Place | None:
+    """The first line on which the bodies would meet, else the one that leads deepest.
 
     Args:
-        lines: In the order of preference; none is asked for after a deep one.
+        lines: In the order of preference; none is asked for after one that leads to contact.
         d_b: [m] buffer distance.
 
     Returns:
         None if no line comes into the inner part of the buffer.
     """
-    found, least = None, _INNER * d_b
-    for place, nearest in lines:
-        if nearest < least:
-            found, least = place, nearest
-        if nearest < _DEEP * d_b:
+    found, least = None, INNER * d_b
+    for line in lines:
+        if line.nearest < least:
+            found, least = line, line.nearest
+        if line.nearest <= 0.0:
             break
     return found
 
@@ -194,53 +204,89 @@ class _Guide:
         self._solver = StartSolver(model, pairs, d_b)
         self._search = PostureSearch(model, pairs, d_b)
         self._mobile = len(pairs.mobile)
-        self._hands = _free_hands(self._search)
+        self._free, self._hands = _free_postures(self._search)
 
     def lines(
         self, tried: list[tuple[_Start, float]], shares: Array, tell: Callable[[float], None]
-    ) -> Iterator[Line]:
+    ) -> Iterator[Place]:
         """Those from starts at heights [m]; of each start, `tell` is called with its share."""
         for (start, z), share in zip(tried, shares.tolist(), strict=True):
             tell(share)
             yield from self._from(start, z)
 
-    def _from(self, start: _Start, z: float) -> Iterator[Line]:
-        """Those from one place, if the arm can start there."""
+    def _from(self, start: _Start, z: float) -> Iterator[Place]:
+        """Those from one place, if the arm can start there; each goes on where the last one ends.
+
+        The arm is first pulled there from postures nearby, however its hand points: that is quick,
+        and where it does not come there the search of all postures need not begin.
+        """
         at, inwards = start
         p = _point([*np.round(at[:2], 3), z])
-        if np.linalg.norm(self._hands - p, axis=1).min(initial=np.inf) > _NEAR:
+        if not self._may_start(np.array(p)):
             return
         try:
-            q_m = self._solver.solve(p, tries=_TRIES)
+            self._solver.solve(p, tries=_FEW)
+            q_m = self._solver.solve(p)
         except UnreachableError:
             return
+        led, least = 0.0, np.inf
         for left in _LEFT_OVER:
-            move = np.round((at[2] - left) * inwards, 3)
-            yield Place(p, _point(move), _LED.format(left)), self._nearest(q_m, np.array(p), move)
+            steps = np.arange(led, at[2] - left, _STEP) + _STEP
+            for led in np.minimum(steps, at[2] - left):
+                q_m = self._pulled(q_m, p + led * inwards)
+                least = min(least, *self._search.distances()[: self._mobile])
+            move = _point(np.round((at[2] - left) * inwards, 3))
+            yield Place(p, move, float(least), _LED.format(left, least))
 
-    def _nearest(self, q_m: Array, start: Array, move: Array) -> float:
-        """[m] least distance of the arm to the base while the hand is led."""
-        least = np.inf
-        for share in np.linspace(0.0, 1.0, _STEPS):
-            q_m = self._search.reach(Target(start + share * move), q_m)
-            self._search.place(q_m)
-            least = min(least, *self._search.distances()[: self._mobile])
-        return float(least)
+    def _pulled(self, q_m: Array, p: Array) -> Array:
+        """(n_m,) the arm after its hand was slowly pulled from a posture to a place (3,) [m].
+
+        Only damping D resists a person without avoidance: q̇ = D⁻¹ Jᵀ (J D⁻¹ Jᵀ)⁻¹ v.
+        """
+        search, D = self._search, np.array(self._search.model.description.arm.joint_damping)
+        for _ in range(2):
+            search.place(q_m)
+            J = search.J_hand[:3]
+            off, W = p - search.state.T_world_ee.translation, J / D
+            q_m = q_m + W.T @ np.linalg.solve(J @ W.T + _SINGULAR * np.eye(3), off)
+            q_m = np.clip(q_m, search.model.q_lower, search.model.q_upper)
+        search.place(q_m)
+        return q_m
+
+    def _may_start(self, p: Array) -> bool:
+        """Whether a posture near one of the free ones has its hand at a place (3,) and is free."""
+        away = np.linalg.norm(self._hands - p, axis=1)
+        if away.min(initial=np.inf) > _NEAR:
+            return False
+        for k in np.argsort(away)[:_TRIES]:
+            q_m = self._free[k]
+            for share in _SHARES:
+                q_m = self._pulled(q_m, self._hands[k] + share * (p - self._hands[k]))
+            off = np.linalg.norm(self._search.state.T_world_ee.translation - p)
+            if off < _THERE and _is_free(self._search):
+                return True
+        return False
 
 
-def _free_hands(search: PostureSearch) -> Array:
-    """(N, 3) [m] where the hand is in random postures of which it may start."""
-    hands = [np.zeros((0, 3))]
+def _free_postures(search: PostureSearch) -> tuple[Array, Array]:
+    """(N, n_m) random postures of which the arm may start, and (N, 3) [m] where the hand is."""
+    postures, hands = [np.zeros((0, search.model.n_m))], [np.zeros((0, 3))]
     for q_m in search.guesses(np.random.default_rng(0), _SAMPLES):
         search.place(q_m)
-        if search.above_floor() > 0.0 and min(search.distances()) > search.d_b:
+        if _is_free(search):
+            postures.append(q_m[None])
             hands.append(search.state.T_world_ee.translation[None].copy())
-    return np.vstack(hands)
+    return np.vstack(postures), np.vstack(hands)
+
+
+def _is_free(search: PostureSearch) -> bool:
+    """Whether the posture that was placed is above the floor and outside of every buffer."""
+    return search.above_floor() > 0.0 and min(search.distances()) > search.d_b
 
 
 _LED = (
     "chosen: the first place, from far to near, where the arm can start clear of the buffers; it "
-    "leads to {:g} m beside the base"
+    "leads the hand to {:g} m beside the base and without avoidance the arm to {:.3f} m"
 )
 
 

@@ -12,14 +12,16 @@ import struct
 import tempfile
 import zipfile
 import zlib
+from os.path import isfile  # False also for a name that is too long for a file
 from pathlib import Path, PurePosixPath
 from typing import IO, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from app.errors import RobotFileError
-from app.onboarding.read.source import read_source, refuse_entities
+from app.onboarding.read.source import read_source
 from app.onboarding.read.tree import make_tree
+from app.robot.assets import refuse_entities
 
 FOLDER = "package"
 """Where a package lies in the robot's own folder."""
@@ -251,7 +253,7 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
             f"mesh {reference}: outside of the package; refer to a file in the zip by "
             "package://PACKAGE/PATH or by a path relative to the URDF"
         )
-    found = next((place for place in kept if place.is_file()), None)
+    found = next((place for place in kept if isfile(place)), None)
     if found is None:
         raise RobotFileError(
             f"mesh {reference}: there is no such file in the zip (STL, COLLADA, OBJ or PLY)"

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Mapping
+from os.path import isdir, isfile  # False also for a name that is too long for a file
 from pathlib import Path
-from typing import NoReturn
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
-from xml.parsers import expat
 
 from app.errors import RobotFileError
-from app.robot.assets import package_roots, resolve_package_uri, share_folders
+from app.robot.assets import package_roots, refuse_entities, resolve_package_uri, share_folders
 
 
 def locate(source: str) -> Path:
@@ -22,7 +22,7 @@ def locate(source: str) -> Path:
         AssetError: The package is not installed.
     """
     path = resolve_package_uri(source) if source.startswith("package://") else Path(source)
-    if not path.is_file():
+    if not isfile(path):
         raise RobotFileError(
             f"{source}: no such file; give a URDF, a xacro, a zip or package://PACKAGE/…"
         )
@@ -76,7 +76,7 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
     else:
         path = Path(reference.removeprefix("file://"))
         path = path if path.is_absolute() else folder / path
-    if not path.is_file():
+    if not isfile(path):
         raise RobotFileError(f"mesh {reference}: there is no file {path}")
     return _installed_address(path) or str(path.resolve())
 
@@ -105,16 +105,21 @@ def _in_package(
     """The file of a ROS package, wherever the package is found first with it."""
     roots = list(dict.fromkeys(_package_folders(package, folder, packages)))
     for root in roots:
-        if (root / inner).is_file():
+        if isfile(root / inner):
             return root / inner
     if roots:
         places = ", ".join(map(str, roots))
         raise RobotFileError(f"mesh {reference}: no such file in the package {package!r}: {places}")
-    holder = next((each for each in (folder, *folder.parents) if (each / inner).is_file()), None)
+    raise RobotFileError(f"mesh {reference}: {_nowhere(package, inner, folder)}")
+
+
+def _nowhere(package: str, inner: str, folder: Path) -> str:
+    """Where a package was looked for that a file in a folder names, and what helps."""
+    holder = next((each for each in (folder, *folder.parents) if isfile(each / inner)), None)
     found = "FOLDER" if holder is None else f"{holder}, which holds a file of that path"
-    raise RobotFileError(
-        f"mesh {reference}: the package {package!r} is no folder beside or above {folder}, is not "
-        "in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, and is not installed; "
+    return (
+        f"the package {package!r} is no folder beside or above {folder}, is not in "
+        "ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, and is not installed; "
         f"give --package {package}={found}"
     )
 
@@ -127,10 +132,10 @@ def _package_folders(package: str, folder: Path, packages: Mapping[str, Path]) -
     for parent in (folder, *folder.parents):
         if parent.name == package:
             yield parent
-        if (parent / package).is_dir():
+        if isdir(parent / package):
             yield parent / package
     for top in _ros_folders():
-        yield from (each for each in (top / package, *top.glob(f"*/{package}")) if each.is_dir())
+        yield from (each for each in (top / package, *top.glob(f"*/{package}")) if isdir(each))
         if top.name == package:
             yield top
     yield from package_roots(package)
@@ -160,9 +165,12 @@ def _expanded(path: Path, packages: Mapping[str, Path]) -> str:
         document = XacroDoc.from_file(str(path), resolve_packages=False)
     except Exception as error:  # xacro has no common base of its errors
         why = " ".join(str(error).split())
-        raise RobotFileError(
-            f"{path}: xacro cannot expand it: {why} (--package NAME=FOLDER gives a package's place)"
-        ) from None
+        if missing := re.search(r"Package not found: (\S+)", why):
+            named = rf"\$\(find {re.escape(missing[1])}\)/([^\"']+)"
+            inner = re.search(named, path.read_text(encoding="utf-8"))
+            where = _nowhere(missing[1], inner[1] if inner else "", path.parent)
+            raise RobotFileError(f"{path}: {where}") from None
+        raise RobotFileError(f"{path}: xacro cannot expand it: {why}") from None
     return document.to_urdf_string()
 
 
@@ -174,50 +182,3 @@ def _around(path: Path) -> dict[str, str]:
             if folder.is_dir() and not folder.name.startswith((".", "_")):
                 found.setdefault(folder.name, str(folder))
     return found
-
-
-_MOST_ELEMENTS = 100_000  # [-] of an XML file; the largest known URDFs have some thousands
-_DEEPEST = 100  # [-] elements in one another
-
-
-def refuse_entities(content: bytes | str, path: Path) -> None:
-    """Refuse XML that multiplies itself, reaches for other files or is huge, before a tree is made.
-
-    Args:
-        content: Of an XML file, as it is parsed afterwards: of a text, the encoding that it
-            declares does not count.
-        path: Named in the message.
-
-    Raises:
-        RobotFileError: It declares an entity, as a billion laughs do, nests deeper or has more
-            elements than any robot, or is not well-formed.
-    """
-
-    def refuse(name: str, *_: object) -> NoReturn:
-        raise RobotFileError(
-            f"{path.name}: it declares the XML entity {name!r}, which could grow without end or "
-            "read other files; write out what it stands for, without <!ENTITY …>"
-        )
-
-    depth = count = 0
-
-    def begin(*_: object) -> None:
-        nonlocal depth, count
-        depth, count = depth + 1, count + 1
-        if depth > _DEEPEST or count > _MOST_ELEMENTS:
-            raise RobotFileError(
-                f"{path.name}: it has more than {_MOST_ELEMENTS:,} elements, or more than "
-                f"{_DEEPEST} in one another, which no robot has"
-            )
-
-    def end(*_: object) -> None:
-        nonlocal depth
-        depth -= 1
-
-    parser = expat.ParserCreate("utf-8" if isinstance(content, str) else None)
-    parser.EntityDeclHandler = refuse
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
-    try:
-        parser.Parse(content, True)
-    except (expat.ExpatError, LookupError, ValueError) as error:  # the latter of its encoding
-        raise RobotFileError(f"{path}: not well-formed: {error}") from None

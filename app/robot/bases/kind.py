@@ -2,7 +2,8 @@
 
 A base has velocity axes ν (n_b,). `T` makes its twist (v_x, v_y, ω_z) of them, in its own frame:
 origin on the floor, x forward. `J_m` makes ν of the reduced coordinates q̇_b (n_b,), the wheels'
-speeds or whatever moves it. Nothing else of the project knows one kind from another.
+speeds or whatever moves it. The method knows no kind from another; onboarding does, which reads
+wheels, and so do the plant with wheels in contact and the dashboard's words.
 """
 
 from __future__ import annotations

@@ -35,12 +35,11 @@ from app.simulation.loop.ensemble import Ensemble
 from app.simulation.loop.pacing import Pacer
 from app.simulation.people import held_links
 from app.simulation.session import DT, Session, Step
-from app.simulation.trace.snapshot import Refusal, Snapshot, make_snapshot
+from app.simulation.trace.snapshot import EVERY, Refusal, Snapshot, make_snapshot
 from app.simulation.trace.trace import SNAPSHOTS_KEPT, History
 
 Array = np.ndarray
 
-_PUBLISH_EVERY = 20  # control steps between two snapshots: 50 Hz
 _IDLE = 0.25  # [s] between two signs of life while no step is taken
 
 
@@ -197,7 +196,7 @@ class SimulationLoop(LiveLoop):
         there = self._until > 0.0 and step.t > self._until - 0.5 * DT
         if there:
             self._until, self._paused = 0.0, True
-        if there or round(step.t / DT) % _PUBLISH_EVERY == 0:
+        if there or round(step.t / DT) % EVERY == 0:
             self._publish(ensemble, step)
         if self._until == 0.0:
             self._pacer.wait()

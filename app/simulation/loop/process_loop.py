@@ -15,19 +15,16 @@ from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from time import monotonic
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from app.errors import LoopError
-from app.jobs.process import follow_parent, portable, starting_children
+from app.jobs.process import Child, portable
 from app.simulation.loop.loop import LiveLoop, SimulationLoop
 from app.simulation.loop.pacing import settled
 from app.simulation.session import Session
-from app.system import SPAWN, come_first
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
+from app.system import come_first
 
 Array = np.ndarray
 
@@ -63,57 +60,22 @@ class _Failure(NamedTuple):
     """As it would have been printed."""
 
 
-class LoopChild:
+def loop_child() -> Child:
     """A process that waits for a session to simulate; it does so once.
 
     Its imports take a second or two. Whoever knows early that there will be a simulation begins the
-    process before anything else, and gives it to the `ProcessLoop` later. The process is spawned,
-    so a script that uses it must guard its main part by `if __name__ == "__main__":`.
-
-    Attributes:
-        commands: Takes first how to make the session and the arm's start, then commands.
-        snapshots: Gives `_Started`, then snapshots, None in between as a sign of life, and a
-            `_Failure` if it came to one.
+    process before anything else, and gives it to the `ProcessLoop` later. It takes how to make the
+    session and the arm's start, then commands; it gives `_Started`, then snapshots, None in between
+    as a sign of life, and a `_Failure` if it came to one.
     """
-
-    def __init__(self) -> None:
-        """Begin the process."""
-        self.snapshots, theirs_out = SPAWN.Pipe(duplex=False)
-        theirs_in, self.commands = SPAWN.Pipe(duplex=False)
-        self._process = SPAWN.Process(
-            target=_run_loop, args=(theirs_in, theirs_out), name="simulation", daemon=True
-        )
-        self._one_waits = threading.Lock()  # of two threads that wait, one would learn nothing
-        with starting_children():
-            self._process.start()
-        for connection in (theirs_in, theirs_out):  # else its end would not close the pipes
-            connection.close()
-
-    def __enter__(self) -> Self:
-        """Nothing but itself."""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End it if it has not ended."""
-        self.kill()
-
-    def ended(self) -> int | None:
-        """Its exit status, once it has had time to end; None if it has not ended."""
-        with self._one_waits:
-            self._process.join(_PATIENCE)
-            return self._process.exitcode
-
-    def kill(self) -> None:
-        """End it at once, whatever it does."""
-        self._process.kill()
-        self.ended()
+    return Child(_run_loop)
 
 
 class ProcessLoop(LiveLoop):
     """Runs a session in a child process; to others it is what `SimulationLoop` is."""
 
     def __init__(
-        self, make_session: Callable[[], Session], q_start: Array, child: LoopChild | None = None
+        self, make_session: Callable[[], Session], q_start: Array, child: Child | None = None
     ) -> None:
         """Prepare; `start` begins.
 
@@ -132,7 +94,7 @@ class ProcessLoop(LiveLoop):
     def begin(self) -> None:
         """See `LiveLoop.begin`."""
         super().begin()
-        self._child = self._child or LoopChild()
+        self._child = self._child or loop_child()
         for work, name in ((self._receive, "snapshots"), (self._send, "commands")):
             thread = threading.Thread(target=work, args=(self._child,), name=name, daemon=True)
             thread.start()
@@ -144,34 +106,34 @@ class ProcessLoop(LiveLoop):
         self._mailbox.filled.set()
         if self._child is None:
             return
-        if not self._threads or self._child.ended() is None:
-            self._child.kill()
+        if not self._threads or self._child.ended(_PATIENCE) is None:
+            self._child.end(at_once=True)
         for thread in self._threads:
             thread.join(_PATIENCE)
 
-    def _send(self, child: LoopChild) -> None:
+    def _send(self, child: Child) -> None:
         """Hand commands on to the child; a flood waits here, where it shrinks, not in the pipe."""
         try:
-            child.commands.send(self._task)
+            child.sender.send(self._task)
             self._task = None  # it holds the robot and its border
             while not self._stopping.is_set():
                 self._mailbox.filled.wait()
                 for command in self._mailbox.take():
-                    child.commands.send(command)
+                    child.sender.send(command)
                 self._stopping.wait(_SEND_EVERY)
         except OSError:
             pass  # the child's end, which `_receive` reports
         except Exception as error:  # what cannot be pickled
             self.error = error
         finally:
-            child.commands.close()
+            child.sender.close()
 
-    def _receive(self, child: LoopChild) -> None:
+    def _receive(self, child: Child) -> None:
         try:
-            self._take_in(child.snapshots)
+            self._take_in(child.receiver)
         except (EOFError, OSError):
             if self.error is None and not self._stopping.is_set():
-                status = child.ended()
+                status = child.ended(_PATIENCE)
                 self.error = LoopError(f"the process of the simulation ended with status {status}")
         finally:
             self._ready.set()
@@ -197,7 +159,6 @@ class ProcessLoop(LiveLoop):
 
 def _run_loop(commands: Connection, snapshots: Connection) -> None:
     """Main function of the child: run a loop until the parent's end of `commands` is closed."""
-    follow_parent()
     sys.setswitchinterval(_SWITCH)
     come_first(_NICENESS)
     try:

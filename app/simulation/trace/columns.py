@@ -17,7 +17,7 @@ from app.config import Config, make_config
 from app.robot.bases.kind import Axis
 from app.robot.model import RobotModel
 from app.simulation.session import Session, Step
-from app.strict import Strict, parsed
+from app.strict import Positive, Strict, parsed
 
 Array = np.ndarray
 Kind = Literal["float", "int", "bool", "text"]
@@ -44,7 +44,7 @@ class TraceMeta(Strict):
     """The arm's joints, in the order of q_m."""
     joint_units: tuple[Literal["rad", "m"], ...]
     """Unit of the position of each of them."""
-    joint_speeds: tuple[float, ...] = ()
+    joint_speeds: tuple[Positive, ...] = ()
     """(n_m,) [rad/s or m/s] the largest that each of them may have; empty if it is not known."""
     velocities: tuple[str, ...] = ("v_mps", "w_radps")
     """Names of the base's velocities in the columns, in the order of its axes."""
@@ -73,6 +73,8 @@ class TraceMeta(Strict):
     def _check_names(self) -> Self:
         if len(self.joint_units) != len(self.joints):
             raise ValueError("joint_units: not one for each of the joints")
+        if self.joint_speeds and len(self.joint_speeds) != len(self.joints):
+            raise ValueError("joint_speeds: not one for each of the joints")
         if not set(self.mobile_pairs) <= set(self.pairs):
             raise ValueError("mobile_pairs: not all of them are among the pairs")
         return self

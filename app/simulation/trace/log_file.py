@@ -25,6 +25,7 @@ SUFFIXES = ".csv", ".parquet"
 
 _KEY = b"dbb_log"
 _COMMENT = "# "
+_MOST_CELLS = 200_000_000  # [-] of a log; ten minutes have as many
 _TYPES = {"float": pa.float64(), "int": pa.int64(), "bool": pa.bool_(), "text": pa.string()}
 
 
@@ -222,6 +223,9 @@ def _parquet(header: str, table: pa.Table) -> bytes:
 
 def _read_parquet(path: Path) -> tuple[str, pa.Table]:
     with pq.ParquetFile(path, page_checksum_verification=True) as file:
+        rows, columns = file.metadata.num_rows, file.metadata.num_columns
+        if rows * columns > _MOST_CELLS:  # a small file may say so of one number
+            raise ValueError(f"{rows:,} rows of {columns:,} columns, more than any log has")
         table = file.read()
     metadata = table.schema.metadata or {}
     return metadata.get(_KEY, b"").decode("utf-8"), table

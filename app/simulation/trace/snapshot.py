@@ -46,7 +46,7 @@ from app.simulation.trace.columns import (
 Array = np.ndarray
 
 EVERY = 20
-"""Control steps between two snapshots: 50 Hz, as the live loop publishes them."""
+"""Control steps between two snapshots: 50 Hz, in the live loop as in a log."""
 
 _DOOR = TypeAdapter(Door)
 

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from app.errors import StudyError
 from app.jobs.pool import Workers
+from app.strict import parsed
 from app.studies.pulls.case import case_of, failed, play_case
 from app.studies.pulls.draw import StudySources, draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
@@ -215,7 +216,7 @@ class Journal:
             write_json(path, identity)
             return
         try:
-            kept = json.loads(path.read_text(encoding="utf-8"))
+            kept = parsed(json.loads, path.read_text(encoding="utf-8"))
         except ValueError:
             raise StudyError(f"--out: {path} is damaged; choose another folder") from None
         if kept != identity:
@@ -230,7 +231,7 @@ class Journal:
         whole = content.rfind(b"\n") + 1
         for number, line in enumerate(content[:whole].splitlines(), start=1):
             try:
-                row = json.loads(line)
+                row = parsed(json.loads, line.decode())
                 self.rows.setdefault(row["case"], row)
             except (ValueError, KeyError, TypeError):
                 raise StudyError(

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from functools import lru_cache, partial
 from itertools import groupby
 from pathlib import Path
@@ -19,7 +20,7 @@ import numpy as np
 from app.border.cache import load_border_data
 from app.border.mobile import MobileBody
 from app.config import Config
-from app.errors import DbbError
+from app.errors import DbbError, StudyError
 from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
@@ -40,6 +41,7 @@ from app.system import write_whole
 
 Array = np.ndarray
 
+_MOST_PIXELS = 20_000_000  # [-] of a map, which has two million
 START_SHARE = 0.25
 """[-] of the work that the search for starts is counted as."""
 LISTS: dict[Kind, str] = {"side": "paths", "wheel_axis": "wheel_axis", "above": "above"}
@@ -251,17 +253,32 @@ def write_sweep(result: Row, out: Path) -> list[str]:
     return names
 
 
-def newest_map(folder: Path) -> Path | None:
-    """The picture of the newest sweep from the side in a folder, or None."""
-    found = list(folder.glob("sweep_h*_v*.png")) if folder.is_dir() else []
-    return max(found, key=lambda path: (path.stat().st_mtime_ns, path.name), default=None)
+def newest_map(folder: Path) -> tuple[Path, int] | None:
+    """The picture of the newest sweep from the side in a folder, and its time [ns]; or None."""
+    found: dict[Path, int] = {}
+    for path in folder.glob("sweep_h*_v*.png"):
+        with suppress(OSError):  # it has just been removed
+            found[path] = path.stat().st_mtime_ns
+    return max(found.items(), key=lambda each: (each[1], each[0].name), default=None)
 
 
 def read_map(path: Path) -> Array:
-    """(H, W, 3) the picture's pixels, 0 to 255."""
-    from matplotlib.image import imread
+    """(H, W, 3) the picture's pixels, 0 to 255.
 
-    return np.round(255.0 * imread(path)[..., :3]).astype(np.uint8)
+    Raises:
+        StudyError: It cannot be read, or is larger than any map.
+    """
+    from PIL import Image
+
+    try:
+        with Image.open(path, formats=("PNG",)) as picture:
+            if picture.width * picture.height > _MOST_PIXELS:
+                raise StudyError(f"{path.name}: {picture.width} × {picture.height} pixels")
+            return np.asarray(picture.convert("RGB"))
+    except StudyError:
+        raise
+    except Exception as error:  # a damaged picture raises anything
+        raise StudyError(f"{path.name} cannot be read: {error}") from None
 
 
 def _csv(rows: list[Row]) -> str:
