@@ -27,7 +27,7 @@ from app.robot.shapes import shape_mesh
 from app.robot.state import Measurement
 from app.simulation.plants.collision_shapes import FLOOR, CollisionShape
 from app.simulation.plants.door import OpenDoor
-from app.simulation.plants.interface import Contacts, Push
+from app.simulation.plants.interface import Contacts, Physics, Push
 from app.simulation.plants.mujoco_spec import GRAVITY, RobotSpec
 from app.simulation.plants.mujoco_world import MujocoWorld
 
@@ -93,8 +93,8 @@ class Wheels:
         return whole
 
 
-class MujocoWheels:
-    """`Physics` with wheels that push on the floor."""
+class MujocoWheels(Physics):
+    """Wheels that push on the floor."""
 
     def __init__(
         self, model: RobotModel, *, dt: float = 0.001, door: OpenDoor | None = None
@@ -125,7 +125,7 @@ class MujocoWheels:
         return np.array([angles[right].mean(), angles[~right].mean()])
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
-        """See `Physics.reset`; the base stands on its wheels as the arm's weight tilts it."""
+        """The base stands on its wheels as the arm's weight tilts it."""
         world = self.world
         world.rewind()
         self._drive.reset()
@@ -143,7 +143,7 @@ class MujocoWheels:
             self.door.take_hold(world)
 
     def measure(self) -> Measurement:
-        """See `Physics.measure`; the pose of the root link, seen from above."""
+        """The pose of the root link, seen from above."""
         world = self.world
         q, v = world.q.copy(), world.v.copy()
         R = self._turn()
@@ -159,7 +159,6 @@ class MujocoWheels:
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """See `Physics.step`."""
         speeds = (self._rolling @ self._drive.step(base_velocity)).tolist()
         self.world.step(u_a, speeds, hand_force, pushes)
 
@@ -168,11 +167,7 @@ class MujocoWheels:
         return math.acos(min(1.0, self._turn()[2, 2]))
 
     def contacts(self) -> Contacts:
-        """See `Physics.contacts`."""
         return self.world.contacts()
-
-    def close(self) -> None:
-        """See `Physics.close`."""
 
     def _turn(self) -> Array:
         """(3, 3) orientation of the root."""

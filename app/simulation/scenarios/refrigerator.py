@@ -107,7 +107,7 @@ class RefrigeratorScenario(Scenario):
         return np.array([at[0], at[1], door.yaw])
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """See `Scenario.setting`; the controller's robot has the door as its last body."""
+        """The controller's robot has the door as its last body."""
         # Imported here: scipy would make every command start later.
         from app.simulation.plants.door import OpenDoor, with_door
         from app.simulation.scenarios.start import find_grasp
@@ -132,7 +132,6 @@ class RefrigeratorScenario(Scenario):
         return config
 
     def leader(self, session: Session) -> Leader:
-        """See `Scenario.leader`."""
         from app.simulation.scenarios.door_opening import Opener
 
         return Opener(self.door, session, rate=self.opening_rate, guess=self.radial_guess)
