@@ -230,14 +230,10 @@ def load_border_data(
     processes: int | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> BorderData:
-    """Pairs and clouds of a robot.
+    """Pairs and clouds of a robot: kept ones, or sampled on so many processes, or all cores.
 
-    Args:
-        model: The robot.
-        sampling: How to sample; the default is what the shipped file was made with.
-        progress: Whether to draw a bar on stderr while sampling.
-        processes: How many to sample with; all cores if not given.
-        on_progress: Called with the share that is sampled, 0 to 1.
+    The default sampling is what the shipped file was made with. `progress` draws a bar on stderr;
+    `on_progress` is called with the share that is sampled, 0 to 1.
 
     Raises:
         AssetError: The URDF or a mesh is not there.

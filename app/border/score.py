@@ -232,11 +232,7 @@ class ReachFit(NamedTuple):
 
 
 def fit_reachability(reach_map: ReachMap, share: float = FLOOR) -> ReachFit:
-    """A, B, C of (9) for a map.
-
-    Args:
-        reach_map: The map.
-        share: [-] of the peak, as `fit_parabola`.
+    """A, B, C of (9) for a map, where it is above a share of its peak; see `fit_parabola`.
 
     Raises:
         DescriptionError: The map does not rise and fall with the distance from the mount.

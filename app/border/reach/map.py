@@ -93,15 +93,9 @@ def load_reach_map(
     Positions stand on a lattice in a ball around the mount that the arm cannot leave, each with the
     same number of uniformly random orientations; an arm with more joints than the pose has numbers
     has the rest of them held at random for each pose. Solutions within the joint limits and without
-    self-collision count. The same seed gives the same map on any number of processes.
-
-    Args:
-        model: The robot.
-        body: Name of a body of the arm that at least three joints move.
-        config: How to sample; the default is what the shipped files were made with.
-        recompute: Whether to count anew even if there is a file.
-        progress: Whether to draw a bar on stderr while counting.
-        processes: How many to count with; all cores if not given.
+    self-collision count. The same seed gives the same map on any number of processes, all cores if
+    not given; the default configuration is what the shipped files were made with. `recompute`
+    counts anew even if there is a file, `progress` draws a bar on stderr.
 
     Raises:
         UnknownNameError: No such body can be asked for.
@@ -125,17 +119,10 @@ def load_reach_map(
 def sample_reach_map(
     model: RobotModel, body: str, *, samples: int = 20_000, spacing: float = 0.08, seed: int = 0
 ) -> ReachMap:
-    """The same density without inverse kinematics, by the area formula; not kept.
+    """The same density on a lattice of some spacing [m] by the area formula; not kept.
 
     The solutions of all poses in a region are counted by the integral of |det J| over the joint
     positions that lead there, J of the joints that are not held.
-
-    Args:
-        model: The robot.
-        body: Name of a body of the arm that at least three joints move.
-        samples: Joint positions, uniform within their limits.
-        spacing: [m] of the lattice.
-        seed: Of the joint positions.
 
     Raises:
         DescriptionError: No pose has any solution.

@@ -75,7 +75,8 @@ class LineScenario(Scenario):
         from app.simulation.scenarios.start import find_start
 
         move = self.move if self.mode == "tracking" else None  # a person does not hold it upright
-        return find_start(model, data.pairs, config.border.d_b, self.start, seed=seed, move=move)
+        x, y, z = self.start
+        return find_start(model, data.pairs, config.border.d_b, (x, y, z), seed=seed, move=move)
 
     def _check_release(self) -> None:
         """Whether somebody holds the hand who can let go within the run, and take hold after it."""

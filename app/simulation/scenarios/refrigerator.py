@@ -114,7 +114,8 @@ class RefrigeratorScenario(Scenario):
 
         door, angle, base_pose = self.door, math.radians(self.door_angle), self.base_pose
         d_b = config.border.d_b
-        q_m, T_ee = find_grasp(model, data.pairs, d_b, base_pose, door, angle, seed=seed)
+        x, y, heading = base_pose.tolist()
+        q_m, T_ee = find_grasp(model, data.pairs, d_b, (x, y, heading), door, angle, seed=seed)
         holding, holding_data = with_door(model, data, door, T_ee.inverse() * door.pose(angle))
         return Setting(
             holding, holding_data, base_pose, q_m, self.adapted(config), OpenDoor(door, angle)
