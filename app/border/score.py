@@ -98,10 +98,6 @@ class ScoreField:
         field = _fields(p[None], measure, self.p_base, self.A, self.B, self.C)[0]
         return field[1], field[2:]
 
-    def direction(self, p: Array) -> Array:
-        """(3,) ∇S/‖∇S‖ at a point (3,); on the wheels' axis its limit from both sides, e_x."""
-        return uphill(self.gradient(p))
-
     def _fields(self, p: Array) -> Array:
         """(…, 5) R, S and ∇S."""
         p = np.asarray(p, dtype=float)

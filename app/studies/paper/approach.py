@@ -11,7 +11,7 @@ import trimesh
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from app.simulation.plants.door import BODY, Door, with_door
+from app.simulation.plants.door import BODY, Cabinet, Door, with_door
 from app.simulation.run import RunResult
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
 from app.simulation.snapshots import Camera, Photographer, Rgba, Solid
@@ -242,7 +242,6 @@ _DOORS = {"dbb": DOOR, "none": DOOR_NONE}
 _DOOR_TIMES = (0.0, 20.0, 30.0, 40.0)  # [s] of the snapshots: when the paper says something
 _DOOR_VIEW = 2.35  # [rad] from the closed door's direction to the camera, on its free edge's side
 _DOOR_PITCH = 0.55  # [rad]
-_DEPTH = 0.60  # [m] of the refrigerator's body
 _BODY_COLOUR: Rgba = (0.82, 0.85, 0.88, 1.0)
 _DOOR_COLOUR: Rgba = (0.93, 0.95, 0.97, 1.0)
 _HANDLE_COLOUR: Rgba = (0.35, 0.38, 0.42, 1.0)
@@ -351,8 +350,7 @@ def figure_18(sources: Sources) -> drawing.Drawing:
 def refrigerator(run: RunResult, k: int) -> list[Solid]:
     """The refrigerator's body, its door and handle, as they stand in a row of the log."""
     door = _door()
-    closed, opened = door.pose(0.0), door.pose(float(run.trace["door_angle_rad"][k]))
-    behind = door.centre + np.array([(door.thickness + _DEPTH) / 2 + 0.005, 0.0, 0.0])
+    cabinet, opened = Cabinet(door), door.pose(float(run.trace["door_angle_rad"][k]))
     handle = np.array(
         [
             -door.thickness / 2 - door.handle_reach / 2,
@@ -361,14 +359,11 @@ def refrigerator(run: RunResult, k: int) -> list[Solid]:
         ]
     )
     parts = (
-        ((_DEPTH, door.width, door.height), closed, behind, _BODY_COLOUR),
-        (door.size, opened, door.centre, _DOOR_COLOUR),
-        ((door.handle_reach, 0.025, 0.24), opened, handle, _HANDLE_COLOUR),
+        (cabinet.size, cabinet.T_world, _BODY_COLOUR),
+        (door.size, opened * cabinet.T_centre, _DOOR_COLOUR),
+        ((door.handle_reach, 0.025, 0.24), opened * pin.SE3(np.eye(3), handle), _HANDLE_COLOUR),
     )
-    return [
-        Solid(trimesh.creation.box(size, (pose * pin.SE3(np.eye(3), at)).homogeneous), colour)
-        for size, pose, at, colour in parts
-    ]
+    return [Solid(trimesh.creation.box(size, T.homogeneous), colour) for size, T, colour in parts]
 
 
 def collision_shapes(sources: Sources, run: RunResult) -> list[Solid]:
