@@ -13,10 +13,10 @@ import json
 import logging
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, TypeVar
 from xml.etree import ElementTree
 from zipfile import BadZipFile
 
@@ -254,9 +254,9 @@ def load_border_data(
         processes=processes,
         on_progress=on_progress,
     )
-    key = border_key(model.description, sampling)
-    keep(model.description.name, *pack(Content(pairs, clouds), key))
-    return BorderData(pairs, clouds, "sampled")
+    data = BorderData(pairs, clouds, "sampled")
+    keep(model.description.name, *pack(data, border_key(model.description, sampling)))
+    return data
 
 
 def kept_border_data(
@@ -269,7 +269,7 @@ def kept_border_data(
     """
     key = border_key(model.description, sampling or SamplingConfig())
     found = find_kept(model.description.name, key, partial(unpack, key=key))
-    return found and BorderData(*found[0], found[1])
+    return found and replace(found[0], origin=found[1])
 
 
 def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
@@ -283,13 +283,6 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     )
 
 
-class Content(NamedTuple):
-    """What a file holds."""
-
-    pairs: LinkPairs
-    clouds: dict[str, Cloud]
-
-
 class _Header(Header):
     format: int
     mobile: tuple[tuple[str, str], ...]
@@ -301,16 +294,16 @@ class _Header(Header):
     seed: int
 
 
-def pack(content: Content, key: str) -> tuple[Header, Arrays]:
+def pack(data: BorderData, key: str) -> tuple[Header, Arrays]:
     """Header and arrays of a file."""
     arrays = {}
-    for i, pair in enumerate(content.pairs.mobile):
-        for part, array in _pack(content.clouds[pair.name]).items():
+    for i, pair in enumerate(data.pairs.mobile):
+        for part, array in _pack(data.clouds[pair.name]).items():
             arrays[f"cloud{i}_{part}"] = array
-    return _Header(format=FORMAT, key=key, **vars(content.pairs)), arrays
+    return _Header(format=FORMAT, key=key, **vars(data.pairs)), arrays
 
 
-def unpack(arrays: Arrays, key: str) -> Content:
+def unpack(arrays: Arrays, key: str) -> BorderData:
     """The inverse of `pack`.
 
     Raises:
@@ -327,7 +320,7 @@ def unpack(arrays: Arrays, key: str) -> Content:
         pair.name: _unpack(pair.name, *(arrays[f"cloud{i}_{part}"] for part in _PARTS))
         for i, pair in enumerate(mobile)
     }
-    return Content(pairs, clouds)
+    return BorderData(pairs, clouds, "cache")
 
 
 def _pack(cloud: Cloud) -> dict[str, Array]:

@@ -6,9 +6,10 @@ map in seconds is enough, their density is found from random joint positions alo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -144,17 +145,8 @@ def sample_reach_map(
     most = int(np.abs(cells).max())
     grid = np.zeros((2 * most + 1,) * 3)
     np.add.at(grid, tuple((steps + most).T), weight)
-    names = model.description.arm.joints
-    header = _Header(
-        key="",
-        body=body,
-        p_base=(p_base[0], p_base[1], p_base[2]),
-        seed=seed,
-        spacing_m=spacing,
-        samples=samples,
-        method="area formula",
-        free_joints=tuple(names[chain.joints[i]] for i in free),
-    )
+    sampled = {"seed": seed, "spacing_m": spacing, "samples": samples, "method": "area formula"}
+    header = _header_of(model, chain, free, key="", **sampled)
     return _as_map(_Counts(header, cells, grid[tuple((cells + most).T)]), "counted")
 
 
@@ -237,18 +229,18 @@ def _count(
         for counts in workers.map(count_solutions, jobs):
             found.append(counts)
             update(len(found))
-    names = model.description.arm.joints
-    header = _Header(
-        key=key,
-        body=body,
-        p_base=(p_base[0], p_base[1], p_base[2]),
-        seed=config.seed,
-        spacing_m=context.spacing,
-        samples=context.orientations,
-        method=context.solver.method,
-        free_joints=tuple(names[context.chain.joints[i]] for i in context.solver.free),
-    )
+    solver = context.solver
+    sampled = {"spacing_m": context.spacing, "samples": context.orientations}
+    sampled |= {"seed": config.seed, "method": solver.method}
+    header = _header_of(model, context.chain, solver.free, key=key, **sampled)
     return _Counts(header, steps, np.concatenate(found))
+
+
+def _header_of(model: RobotModel, chain: Chain, free: Sequence[int], **sampled: Any) -> _Header:
+    x, y, z = model.p_base().tolist()
+    names = model.description.arm.joints
+    held = tuple(names[chain.joints[i]] for i in free)
+    return _Header(body=chain.body, p_base=(x, y, z), free_joints=held, **sampled)
 
 
 def _as_map(content: _Counts, origin: Literal["cache", "shipped", "counted"]) -> ReachMap:
@@ -260,17 +252,12 @@ def _as_map(content: _Counts, origin: Literal["cache", "shipped", "counted"]) ->
     if not best > 0:
         raise DescriptionError(f"{header.body}: no sampled pose has an inverse kinematics solution")
     return ReachMap(
-        body=header.body,
         points=p_base + offsets,
         found=found,
-        samples=header.samples,
         reach=PEAK * found / best,
         p_base=p_base,
-        spacing_m=header.spacing_m,
-        seed=header.seed,
-        method=header.method,
-        free_joints=header.free_joints,
         origin=origin,
+        **header.model_dump(exclude={"key", "p_base"}),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from app.studies.paper import drawing
 from app.studies.paper.experiments import Sources
 
 Array = np.ndarray
+_Reach = Callable[[Array], Array]
 
 _SHOWN = 12_000  # [-] points of a cloud in a picture; more would only cover each other
 _FACES = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
@@ -104,10 +106,10 @@ def figure_6(sources: Sources) -> drawing.Drawing:
     fit, field = fit_reachability(reach_map), sources.field
     figure = style.new_figure(4.2)
     shells = figure.add_subplot(1, 3, 1, projection="3d")
-    grid = _Grid(reach_map)
-    shell_table = _draw_shells(shells, sources.model, reach_map, grid)
+    reach = _smoothed(reach_map)
+    shell_table = _draw_shells(shells, sources.model, reach_map, reach)
     cut, curve = figure.add_subplot(1, 3, 2), figure.add_subplot(1, 3, 3)
-    cut_table = _cut(reach_map, grid)
+    cut_table = _cut(reach_map, reach)
     look: dict[str, Any] = {"cmap": style.SCORE_MAP, "s": 36, "marker": "s", "linewidth": 0}
     shown = cut.scatter(cut_table["x_m"], cut_table["y_m"], c=cut_table["reachability"], **look)
     drawing.plan_axes(cut)
@@ -143,34 +145,32 @@ def figure_6(sources: Sources) -> drawing.Drawing:
     )
 
 
-class _Grid:
-    """A reachability map as a smooth function of the place."""
+def _smoothed(reach_map: ReachMap) -> _Reach:
+    """(…) the reachability at points (…, 3) [m] of the base's frame, zero outside of the map."""
+    h, p_base = reach_map.spacing_m, reach_map.p_base
+    steps = np.rint((reach_map.points - p_base) / h).astype(int)
+    low, shape = steps.min(axis=0), np.ptp(steps, axis=0) + 1
+    values, inside = np.zeros(shape), np.zeros(shape)
+    at = tuple((steps - low).T)
+    values[at], inside[at] = reach_map.reach, 1.0
+    weight = ndimage.gaussian_filter(inside, _SMOOTH)
+    values = ndimage.gaussian_filter(values, _SMOOTH) / np.maximum(weight, 1e-6)
 
-    def __init__(self, reach_map: ReachMap) -> None:
-        h, self._p_base = reach_map.spacing_m, reach_map.p_base
-        steps = np.rint((reach_map.points - self._p_base) / h).astype(int)
-        self.low, self.spacing = steps.min(axis=0), h
-        shape = np.ptp(steps, axis=0) + 1
-        values, inside = np.zeros(shape), np.zeros(shape)
-        at = tuple((steps - self.low).T)
-        values[at], inside[at] = reach_map.reach, 1.0
-        weight = ndimage.gaussian_filter(inside, _SMOOTH)
-        self.values = ndimage.gaussian_filter(values, _SMOOTH) / np.maximum(weight, 1e-6)
+    def reach(points: Array) -> Array:
+        index = (points - p_base) / h - low
+        return ndimage.map_coordinates(values, np.moveaxis(index, -1, 0), order=1)
 
-    def at(self, points: Array) -> Array:
-        """(…) reachability at points (…, 3) [m] of the base's frame, zero outside of the map."""
-        index = (points - self._p_base) / self.spacing - self.low
-        return ndimage.map_coordinates(self.values, np.moveaxis(index, -1, 0), order=1)
+    return reach
 
 
-def _draw_shells(ax: Any, model: RobotModel, reach_map: ReachMap, grid: _Grid) -> drawing.Table:
+def _draw_shells(ax: Any, model: RobotModel, reach_map: ReachMap, reach: _Reach) -> drawing.Table:
     """The far half of the outermost shells at some levels, seen from the open side."""
     azimuth, height = np.meshgrid(np.linspace(0, np.pi, 49), np.linspace(-np.pi / 2, np.pi / 2, 49))
     rays = np.stack(
         [np.cos(height) * np.cos(azimuth), np.cos(height) * np.sin(azimuth), np.sin(height)], -1
     )
     along = np.linspace(0.0, float(reach_map.rho.max()), 200)
-    values = grid.at(reach_map.p_base + along[:, None, None, None] * rays)
+    values = reach(reach_map.p_base + along[:, None, None, None] * rays)
     parts = {}
     for level, alpha in zip(_LEVELS, (0.22, 0.4, 1.0), strict=True):
         # The outermost place of that level on each ray; the mount where there is none.
@@ -192,11 +192,11 @@ def _draw_shells(ax: Any, model: RobotModel, reach_map: ReachMap, grid: _Grid) -
     return table
 
 
-def _cut(reach_map: ReachMap, grid: _Grid) -> drawing.Table:
+def _cut(reach_map: ReachMap, reach: _Reach) -> drawing.Table:
     """The lattice's layer at the mount's height, where anything is reached."""
     height = np.abs(reach_map.points[:, 2] - reach_map.p_base[2])
     points = reach_map.points[height < reach_map.spacing_m / 2]
-    values = grid.at(points)
+    values = reach(points)
     shown = values > 0.02 * PEAK
     return drawing.points_table(points[shown], reachability=values[shown])
 
