@@ -17,7 +17,7 @@ from app.robot.model import RobotModel
 from app.simulation.plants.bullet_world import BulletWorld, pybullet, touches
 from app.simulation.plants.collision_shapes import link_contact_pairs
 from app.simulation.plants.door import Cabinet, Door, OpenDoor
-from app.simulation.plants.interface import Contacts, Push, Wrench
+from app.simulation.plants.interface import Contacts, HeldDoor, PlanarWorld, Push, Wrench
 
 Array = np.ndarray
 
@@ -28,8 +28,8 @@ _GRASP_FORCE = 1000.0  # [N] that the grasp can hold
 _DOOR = 0  # pybullet's index of the door's link, and of its hinge
 
 
-class BulletRobot(BulletWorld):
-    """`PlanarWorld` by pybullet.
+class BulletRobot(BulletWorld, PlanarWorld):
+    """In pybullet.
 
     Attributes:
         moving: pybullet's indices of the joints x, y, yaw and those of the arm.
@@ -57,7 +57,6 @@ class BulletRobot(BulletWorld):
         self.door = None if door is None else BulletDoor(self, model, door)
 
     def reset(self, q: Array) -> None:
-        """See `PlanarWorld.reset`."""
         if self.door is not None:
             self.door.release()
         self.rewind()
@@ -67,7 +66,6 @@ class BulletRobot(BulletWorld):
             self.door.reset()
 
     def read(self) -> tuple[Array, list[float], Array, Array]:
-        """See `PlanarWorld.read`."""
         states = self.client.getJointStates(self.robot, self.moving)
         q, v = [state[0] for state in states], [state[1] for state in states]
         return np.array(q[:3]), v[:3], np.array(q[3:]), np.array(v[3:])
@@ -75,7 +73,6 @@ class BulletRobot(BulletWorld):
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """See `PlanarWorld.step`."""
         self.client.setJointMotorControlArray(
             self.robot,
             self._planar,
@@ -92,14 +89,12 @@ class BulletRobot(BulletWorld):
         self.client.stepSimulation()
 
     def contacts(self) -> Contacts:
-        """See `Physics.contacts`."""
         contacts = super().contacts()
         if self.door is None:
             return contacts
         return contacts._replace(door_base=self.door.touches_base())
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """See `PlanarWorld.mass_and_bias`."""
         order = np.argsort(np.argsort(self.moving))  # pybullet's is that of the indices
         ordered = np.empty((2, len(q)))
         ordered[:, order] = q, v
@@ -120,7 +115,7 @@ class BulletRobot(BulletWorld):
         self.client.applyExternalForce(self.robot, link, (fx, fy, fz), place, pybullet.WORLD_FRAME)
 
 
-class BulletDoor:
+class BulletDoor(HeldDoor):
     """The refrigerator's part of a pybullet plant. Only the base's links can touch the door.
 
     The hinge has dry friction and no stop. The body stands on the floor by its weight.
@@ -170,11 +165,9 @@ class BulletDoor:
         self._take_hold()
 
     def angle(self) -> float:
-        """[rad] how far the door is open."""
         return -self.door.side * self._client.getJointState(self.body, _DOOR)[0]
 
     def wrench(self) -> Wrench:
-        """What the hand exerted on the door in the last step; a force-torque sensor at the hand."""
         assert self._grasp is not None, "the hand does not hold the door"
         rows = self._client.getConstraintState(self._grasp)
         if not rows:  # before the first step
