@@ -233,9 +233,13 @@ class _Fuzz:
         """Whether all goes on, and the parameters are in their ranges; what was begun is ended."""
         for job in self._jobs():  # nobody waits for its end: a picture's may take half a minute
             job.cancel()
-        self._loop.send(Pause(False))
         t = self._loop.latest().t
-        self._wait(lambda: self._loop.latest().t != t, "time stands still")
+
+        def passes() -> bool:
+            self._loop.send(Pause(False))  # what was sent before may pause it once more
+            return self._loop.latest().t != t
+
+        self._wait(passes, "time stands still", lambda: str(self._loop.latest())[:2000])
         self._wait(seen, "another viewer gets nothing more")
         config = self._loop.latest().config
         if type(config).model_validate(config.model_dump()) != config:
@@ -257,11 +261,11 @@ class _Fuzz:
         everyone = [here, *here.children(recursive=True)]
         return sum(each.memory_info().rss for each in everyone) / 2**20
 
-    def _wait(self, true: Callable[[], Any], otherwise: str) -> None:
+    def _wait(self, true: Callable[[], Any], otherwise: str, told: Callable[[], str] = str) -> None:
         end = time.monotonic() + _PATIENCE
         while not true():
             if time.monotonic() > end:
-                self._findings.setdefault(otherwise, "")
+                self._findings.setdefault(otherwise, told())
                 return
             time.sleep(0.01)
 
