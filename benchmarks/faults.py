@@ -125,10 +125,8 @@ def main(
     else:
         for name, counts in result["tally"].items():
             print(f"{name:10} " + ", ".join(f"{key} {n}" for key, n in counts.items()))
-        for row in findings:
-            print(row)
     if findings:
-        sys.exit(1)
+        sys.exit("\n".join(map(str, findings)))
 
 
 _COUNTED = ("orphans", "ports", "half", "begun", "lost", "status")
