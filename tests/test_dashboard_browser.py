@@ -86,6 +86,9 @@ def test_a_plot_is_sent_only_while_somebody_sees_it(tab, served):
     tab.open_tab("Plots")
     wait_for(lambda: SIGHT in channel.seen, what="somebody sees it")
     wait_for(lambda: len(tab.plot("distance [m]")[0]) > 5, what="a curve")
+    line = tab.page.locator(".u-legend .u-series", has_text="hand – base").first
+    line.hover()
+    wait_for(lambda: (line.get_attribute("title") or "").startswith("lm-lEE: signed distance"))
     tab.open_tab("Why")
     wait_for(lambda: SIGHT not in channel.seen, what="nobody sees it")
 

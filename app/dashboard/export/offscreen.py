@@ -23,7 +23,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from app.border.dbb import Cloud
 from app.dashboard.export.browser import new_context
-from app.dashboard.scene.camera import PRESETS, placed, set_first_look
+from app.dashboard.scene.camera import PRESETS, lens_of, placed, set_first_look
+from app.dashboard.scene.canvas import Lens
 from app.dashboard.scene.colours import BACKGROUND, GHOSTS, Rgb, css, set_theme
 from app.dashboard.scene.scene import Scene, SceneData
 from app.dashboard.view import HIDDEN, View
@@ -146,11 +147,14 @@ class OffscreenScene:
         set_theme(server.gui, dark=look.dark)
         self._scene = Scene(server.scene, self._data, view)
         self._scene.canvas.labels = labels
+        self._lens: Lens | None = None
+        self._height = look.height
 
     def look(self, preset: str, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
         """Where new viewers look from, at base and hand: eye and target of a key of `PRESETS`."""
         eye, target = placed(PRESETS[preset], snapshot, self._data.parts.extent)
         set_first_look(self._server, eye, target)
+        self._lens = lens_of(eye, target, self._height)
         return eye, target
 
     def draw(self, t: float, *, texts: bool = True) -> None:
@@ -159,7 +163,7 @@ class OffscreenScene:
         self._data.update()
         self._scene.select_border(snapshot)
         with self._server.atomic():
-            self._scene.draw(snapshot, texts=texts)
+            self._scene.draw(snapshot, texts=texts, lens=self._lens)
 
 
 def choose_layer(view: View, layer: str, pair: str = "") -> None:
