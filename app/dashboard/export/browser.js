@@ -15,7 +15,7 @@
   // While drawing is held, the page does all but that: what arrives meanwhile costs no picture.
   let held = false;
   for (const kind of [self.WebGL2RenderingContext?.prototype]) {
-    for (const name of ["drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
+    for (const name of ["clear", "drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
       const original = kind?.[name];
       if (original) kind[name] = function (...args) { if (!held) original.apply(this, args); };
     }
@@ -74,7 +74,7 @@
       held = true;
       const { width, height } = canvas();
       flat ??= new OffscreenCanvas(width, height);
-      const ink = flat.getContext("2d");
+      const ink = flat.getContext("2d", { willReadFrequently: true });
       ink.fillStyle = ground;
       ink.fillRect(0, 0, width, height);
       ink.drawImage(canvas(), 0, 0);

@@ -85,7 +85,7 @@ class Explorer:
             step = session.step()
             self._answer = make_snapshot(session, step, Pacer(DT, 1.0), paused=True)
             self._asked = asked
-        about = ("t", "speed", "scenario", "step_time_us", "realtime_factor", "overruns")
+        about = ("t", "speed", "scenario", "scores", "step_time_us", "realtime_factor", "overruns")
         return replace(self._answer, **{name: getattr(snapshot, name) for name in about})
 
     @property
