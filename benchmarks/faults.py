@@ -43,8 +43,10 @@ _FAULTS = {
 that is held goes on only if it is the command, which has been terminated meanwhile."""
 _STUDY = ("study", "--cases", "4", "--physics", "kinematic", "--processes", "2", "--out", "out")
 _SWEEP = ("sweep", "--step", "90", "--hold", "0.5", "--physics", "kinematic", "--processes", "2")
-_FILM = ("film", "guiding-front", "--physics", "kinematic", "--width", "320", "--height", "240")
-_FILM = (*_FILM, "--out", "a.webm")
+_FILM = (
+    *("film", "guiding-front", "--physics", "kinematic", "--width", "320", "--height", "240"),
+    *("--out", "a.webm"),
+)
 _ROBOT = (
     "new-robot",
     *(str(ASSETS / "bases" / "racecar.urdf"), "--base", "base_link", "--kind", "car-like"),

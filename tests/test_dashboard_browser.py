@@ -134,7 +134,7 @@ def test_dragging_the_gizmo_pulls_the_hand_and_letting_go_releases_it(tab, serve
 def test_a_link_dragged_by_the_mouse_is_pulled_there_by_a_band_with_its_newtons(tab, served):
     loop = served.loop
     wait_for(lambda: np.linalg.norm(tab.position(GIZMO) - loop.latest().p_ee) < 1e-3)
-    before = tab.picture()
+    before = tab.picture_at_rest()
     start = tab.pixel(LINK, (0.0, 0.03, 0.0))
     tab.drag(start, start + np.array([-90.0, -60.0]), drop=False)
     wait_for(lambda: len(loop.pulls()) > 1, what="a pull")
@@ -208,6 +208,7 @@ def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served)
     heads = tab.page.locator("th").filter(visible=True)
     heads.nth(1).wait_for()
     assert [text.split()[-1] for text in heads.all_inner_texts()] == ["dbb", "repulsive"]
+    hand = served.loop.latest().p_ee
     served.loop.place((-0.35, 0.0, 0.0))  # the ghost stays behind
     wait_for(lambda: np.linalg.norm(tab.position("/robot") - [-0.35, 0.0, 0.0]) < 1e-3)
     np.testing.assert_allclose(tab.position("/ghost_0"), 0.0, atol=1e-6)
@@ -219,7 +220,7 @@ def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served)
     tab.render(3)
     assert tab.row("Third robot").locator("input").first.input_value() == "none", "it stays"
     served.loop.send(Compare())
-    tab.wait_for_change(with_ghost, 500)
+    tab.wait_for_change(with_ghost, 500, tab.pixel("", tuple(hand))[None], radius=50)
     assert tab.page.get_by_text("nothing compared").is_visible()
     tab.open_tab("Why")
 

@@ -116,9 +116,15 @@ def test_the_base_gets_out_of_the_way_of_a_hand_that_is_dragged_at_it(browser, s
     assert reading(tab, "contact") == "none"
     assert reading(tab, "solver failures") == "0"
     assert tab.errors == []
+    status, printed = served.interrupt()
+    assert (status, printed) == (0, "")
+
+
+def test_the_simulation_ends_with_its_parent_however_that_ends(served):
     simulation = simulation_of(served)
+    assert simulation.is_running()
     served.process.kill()
-    simulation.wait(timeout=PATIENCE)  # it ends with its parent, however that ends
+    simulation.wait(timeout=PATIENCE)
 
 
 def test_the_page_says_why_when_the_process_of_the_simulation_has_died(browser, served):
