@@ -456,6 +456,8 @@ def test_labels_keep_apart_and_stay_where_they_are_free(labels):
     if labels:
         assert spots[next(iter(labels))] == (ANCHORS[0], 0.0), "the first one is at its place"
     assert set_apart(labels, spots) == spots
+    for name, label in labels.items():
+        assert set_apart({name: label}, spots) == {name: (ANCHORS[0], 0.0)}, "alone it comes back"
 
 
 def test_an_unreadable_mesh_is_named(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from time import monotonic
 from typing import Literal, NamedTuple
 
@@ -13,7 +14,7 @@ from app.dashboard.drag import SCALE
 from app.dashboard.scene.canvas import Lens
 from app.dashboard.viser_compat import image_size
 from app.errors import TargetError
-from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.snapshot import GhostReading, Snapshot
 
 Array = np.ndarray
 
@@ -32,6 +33,7 @@ _CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
 _HAND = 0.12 * _CORNERS  # [m] what has to be seen around the hand
 _NEAR_HAND = 0.22 * _CORNERS  # [m] the same if the hand alone is looked at
 _NEAR_PAIR = 0.30 * _CORNERS  # [m] the same around closest points
+_FAR = 1.5  # [m] from the robot that is led; a ghost that is farther away is left behind
 _OPEN = np.deg2rad(90.0)  # [rad] of a door for whose way there is room in the picture
 _BACK = 1e-3  # [s] that time goes back where a run begins anew
 
@@ -50,9 +52,9 @@ class Window(NamedTuple):
     above: float = 0.0
 
     @classmethod
-    def of(cls, width: float, height: float, above: float, below: float) -> Window:
+    def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> Window:
         """Of what a browser says of itself, which may be nothing yet; `above` and `below` [-]."""
-        if not (0 < width < np.inf and 0 < height < np.inf):
+        if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
             return ANY_WINDOW
         aspect = float(np.clip(width / height, *_ASPECTS))
         above, below = np.clip((above, below), 0.0, _MOST_COVERED)
@@ -172,7 +174,7 @@ class Camera:
     def use(self, name: str, snapshot: Snapshot) -> None:
         """Look from a key of `PRESETS` at the robot as it is in a snapshot."""
         window, self._preset = self.window, name
-        eye, target = placed(PRESETS[name], snapshot, self._extent, window)
+        eye, target = placed(PRESETS[name], [snapshot], self._extent, window)
         self.put(eye, target)
         self._followed = np.array(snapshot.base_pose[:2])
         self._looked = _Look(name, window, eye)
@@ -239,8 +241,8 @@ class Camera:
         """Look again where the robot has got out of sight; call it with each snapshot shown.
 
         That is after a beginning, whoever has moved the camera, and, if it follows, once the base
-        has gone on unseen, or the hand where nobody has moved the camera. A scenario that has a
-        view of its own begins with it.
+        has gone on unseen, or a hand, also of a ghost, where nobody has moved the camera. A
+        scenario that has a view of its own begins with it.
 
         Args:
             snapshot: What is shown.
@@ -259,15 +261,17 @@ class Camera:
             self.use("iso", snapshot)
         if busy or self._waits():
             return
-        camera, base = self._client.camera, np.array(snapshot.base_pose[:2])
+        camera, base_pose = self._client.camera, np.array(snapshot.base_pose)
+        base = base_pose[:2]
         eye, target, window = camera.position, camera.look_at, self.window
-        seen = sees(eye, target, _in_world(snapshot, self._extent), window)
-        hand = [sees(eye, target, snapshot.p_ee + each, window, 0.0) for each in _HAND[:, None]]
+        seen = sees(eye, target, _in_world(base_pose, self._extent), window)
+        around = np.concatenate([robot.p_ee + _HAND for robot in _robots(snapshot)])
+        hands = [sees(eye, target, corner[None], window, 0.0) for corner in around]
         if self._seen_at is None or seen:
             self._seen_at, self._begun = base, False
         elif self._begun or (on and np.linalg.norm(base - self._seen_at) > _MOVED):
             self.use(self._preset, snapshot)
-        if on and self.preset and PRESETS[self.preset].of == "robot" and not all(hand):
+        if on and self.preset and PRESETS[self.preset].of == "robot" and not all(hands):
             self.use(self._preset, snapshot)
 
     def _waits(self) -> bool:
@@ -292,28 +296,37 @@ class Camera:
 
 
 def placed(
-    preset: Preset, snapshot: Snapshot, extent: Array, window: Window = ANY_WINDOW
+    preset: Preset, shown: Sequence[Snapshot], extent: Array, window: Window = ANY_WINDOW
 ) -> tuple[Array, Array]:
     """Eye and target of a preset (3,) [m] in the world, turned with the base.
 
-    `extent` are points (N, 3) [m] of the robot in its ready pose, in the base's frame.
+    All that is `shown` one after the other is in the picture. `extent` are points (N, 3) [m] of
+    the robot in its ready pose, in the base's frame.
     """
-    R, _ = _frame(snapshot)
-    away, hand = R @ preset.away, snapshot.p_ee
-    seen = np.vstack([_in_world(snapshot, extent), hand + _HAND])
-    if preset.of == "hand":
-        seen = hand + _NEAR_HAND
-    elif preset.of == "pair":
+    about = shown[len(shown) // 2]
+    away = pin.utils.rotate("z", about.base_pose[2]) @ preset.away
+    if preset.of == "door" and about.door is not None:
+        door = about.door.door
+        away = door.pose(0.0).rotation @ (preset.away * (1.0, -door.side, 1.0))
+    return fit(np.vstack([_to_see(preset.of, each, extent) for each in shown]), away, window)
+
+
+def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
+    """(N, 3) [m] what has to be in a picture of an instant; `of` as in `Preset`."""
+    hand, robots = snapshot.p_ee, _robots(snapshot)
+    seen = [_in_world(robot.base_pose, extent) for robot in robots]
+    seen += [robot.p_ee + _HAND for robot in robots]
+    if of == "hand":
+        seen = [hand + _NEAR_HAND]
+    elif of == "pair":
         nearest = min(snapshot.pairs, key=lambda pair: pair.d)
-        seen = np.vstack([nearest.p_a + _NEAR_PAIR, nearest.p_b + _NEAR_PAIR])
-    elif preset.of == "door" and snapshot.door is not None:
+        seen = [nearest.p_a + _NEAR_PAIR, nearest.p_b + _NEAR_PAIR]
+    elif of == "door" and snapshot.door is not None:
         door, (_, width, height) = snapshot.door.door, snapshot.door.door.size
         corners = [(0.0, -door.side * u, v) for u in (0.0, width) for v in (0.0, height)]
         poses = (door.pose(0.0), door.pose(snapshot.door.angle), door.pose(_OPEN))
-        seen = np.array([T.act(np.array(c)) for T in poses for c in corners])
-        away = door.pose(0.0).rotation @ (preset.away * (1.0, -door.side, 1.0))
-        return fit(np.vstack([seen, hand + _HAND]), away, window)
-    return fit(np.vstack([seen, hand + SCALE * np.eye(3)]), away, window)  # and the gizmo's tips
+        return np.array([*(T.act(np.array(c)) for T in poses for c in corners), *(hand + _HAND)])
+    return np.vstack([*seen, hand + SCALE * np.eye(3)])  # and the gizmo's tips
 
 
 def lens_of(eye: Array, target: Array, height: float) -> Lens:
@@ -339,16 +352,16 @@ def sees(
     )
 
 
-def _frame(snapshot: Snapshot) -> tuple[Array, Array]:
-    """R (3, 3) from the base's frame to the world, and its origin (3,) [m] on the floor."""
-    x, y, phi = snapshot.base_pose
-    return pin.utils.rotate("z", phi), np.array([x, y, 0.0])
+def _robots(snapshot: Snapshot) -> list[Snapshot | GhostReading]:
+    """The robot that is led, and the ghosts beside it that are to be seen with it."""
+    away = [np.linalg.norm((ghost.base_pose - snapshot.base_pose)[:2]) for ghost in snapshot.ghosts]
+    return [snapshot, *(g for g, d in zip(snapshot.ghosts, away, strict=True) if d < _FAR)]
 
 
-def _in_world(snapshot: Snapshot, extent: Array) -> Array:
-    """(N, 3) [m] points of the robot in the base's frame, in the world."""
-    R, origin = _frame(snapshot)
-    return origin + extent @ R.T
+def _in_world(base_pose: Array, extent: Array) -> Array:
+    """(N, 3) [m] points of a robot in its base's frame, in the world."""
+    x, y, phi = base_pose
+    return np.array([x, y, 0.0]) + extent @ pin.utils.rotate("z", phi).T
 
 
 def _axes(forward: Array) -> Array:

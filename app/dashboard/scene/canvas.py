@@ -24,6 +24,7 @@ ANCHORS: tuple[Anchor, ...] = ("bottom-left", "top-left", "bottom-right", "top-r
 """Corners of a label that may be at its place, the best first."""
 FONT_SCALE = 0.85  # [-] of labels, 12 px high
 LINE, CHARACTER = 15.0, 5.6  # [px] room of a label of that size, and of one of its characters
+_ROOM = 4.0  # [px] beside a spot to which a label moves, so that it does not go to and fro
 _FARTHEST = 8  # lines that a label may stand away from its place
 
 
@@ -61,7 +62,7 @@ def set_apart(
 
     Args:
         labels: [px] to the right and up, and text, by names.
-        before: Where they stood; a label stays as long as it is free there.
+        before: Where they stood; a label stays where it is free until a nearer spot has room.
     """
     lines = sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs)
     spots = [Spot(anchor, LINE * k) for k in lines for anchor in ANCHORS]
@@ -70,11 +71,15 @@ def set_apart(
     for name, (u, v, text) in labels.items():
         rows = text.split("\n")
         wide, tall = CHARACTER * (max(map(len, rows)) + 1), LINE * len(rows)
-        for spot in (before.get(name, spots[0]), *spots):
+        for spot in spots:
+            room = 0.0 if spot == before.get(name) else _ROOM
             left = u if spot.anchor.endswith("left") else u - wide
             low = v + spot.rise - (0.0 if spot.anchor.startswith("bottom") else tall)
             if all(
-                left >= x + w or x >= left + wide or low >= y + h or y >= low + tall
+                left - x >= w + room
+                or x - left >= wide + room
+                or low - y >= h + room
+                or y - low >= tall + room
                 for x, y, w, h in taken
             ):
                 break
