@@ -436,6 +436,9 @@ def test_decimation_takes_no_corners_off_meshes_of_many_parts():
         assert light.area == pytest.approx(whole.area, rel=0.05)  # 0.74 to 0.9 when it is hasty
 
 
+EVERYWHERE = (-np.inf, -np.inf, np.inf, np.inf)
+
+
 @given(
     st.dictionaries(
         st.sampled_from("abcdefghi"),
@@ -443,7 +446,7 @@ def test_decimation_takes_no_corners_off_meshes_of_many_parts():
     )
 )
 def test_labels_keep_apart_and_stay_where_they_are_free(labels):
-    spots = set_apart(labels, {})
+    spots = set_apart(labels, {}, EVERYWHERE)
     boxes = []
     for name, (u, v, text) in labels.items():
         anchor, rise = spots[name]
@@ -455,9 +458,18 @@ def test_labels_keep_apart_and_stay_where_they_are_free(labels):
         assert a >= z - 1e-6 or x >= c - 1e-6 or b >= w - 1e-6 or y >= d - 1e-6
     if labels:
         assert spots[next(iter(labels))] == (ANCHORS[0], 0.0), "the first one is at its place"
-    assert set_apart(labels, spots) == spots
+    assert set_apart(labels, spots, EVERYWHERE) == spots
     for name, label in labels.items():
-        assert set_apart({name: label}, spots) == {name: (ANCHORS[0], 0.0)}, "alone it comes back"
+        alone = set_apart({name: label}, spots, EVERYWHERE)
+        assert alone == {name: (ANCHORS[0], 0.0)}, "alone it comes back"
+
+
+@pytest.mark.parametrize(("u", "anchor"), [(0.0, "left"), (95.0, "right")])
+@pytest.mark.parametrize(("v", "side"), [(0.0, "bottom"), (45.0, "top")])
+def test_a_label_at_an_edge_stands_inside_the_picture(u, anchor, v, side):
+    free = (-100.0, -50.0, 100.0, 50.0)
+    spots = set_apart({"a": (u, v, "hand – base")}, {}, free)
+    assert spots == {"a": (f"{side}-{anchor}", 0.0)}
 
 
 def test_an_unreadable_mesh_is_named(tmp_path):

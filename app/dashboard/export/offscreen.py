@@ -155,7 +155,7 @@ class OffscreenScene:
         window = Window.of(self._look.width, self._look.height)
         eye, target = placed(PRESETS[self._look.view], shown, self._data.parts.extent, window)
         set_first_look(self._server, eye, target)
-        self._lens = lens_of(eye, target, self._look.height)
+        self._lens = lens_of(eye, target, self._look.height, window)
         return eye, target
 
     def draw(self, t: float, *, texts: bool = True) -> None:

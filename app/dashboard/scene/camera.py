@@ -155,7 +155,7 @@ class Camera:
         height = self._page[0] or drawn
         if not 0.0 < height < np.inf:
             return None
-        return lens_of(np.array(camera.position), np.array(camera.look_at), height)
+        return lens_of(np.array(camera.position), np.array(camera.look_at), height, self.window)
 
     def fit(self, extent: Array) -> None:
         """From now on show a robot of this extent (N, 3) [m], in the base's frame."""
@@ -329,9 +329,11 @@ def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
     return np.vstack([*seen, hand + SCALE * np.eye(3)])  # and the gizmo's tips
 
 
-def lens_of(eye: Array, target: Array, height: float) -> Lens:
+def lens_of(eye: Array, target: Array, height: float, window: Window) -> Lens:
     """Of a camera at a place (3,) [m] that looks at another one, in a picture so many [px] high."""
-    return Lens(eye, _axes(target - eye), height / 2 / np.tan(FIELD_OF_VIEW / 2))
+    half, (low, high) = height / 2, window.edges
+    free = -half * window.aspect, half * low, half * window.aspect, half * high
+    return Lens(eye, _axes(target - eye), half / np.tan(FIELD_OF_VIEW / 2), free)
 
 
 def sees(

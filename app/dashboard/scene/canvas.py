@@ -25,6 +25,7 @@ ANCHORS: tuple[Anchor, ...] = ("bottom-left", "top-left", "bottom-right", "top-r
 FONT_SCALE = 0.85  # [-] of labels, 12 px high
 LINE, CHARACTER = 15.0, 5.6  # [px] room of a label of that size, and of one of its characters
 _ROOM = 4.0  # [px] beside a spot to which a label moves, so that it does not go to and fro
+_SOON = 0.5  # [s] between two pictures of what goes on
 _FARTHEST = 8  # lines that a label may stand away from its place
 
 
@@ -35,17 +36,24 @@ class Lens(NamedTuple):
         eye: (3,) [m].
         axes: (3, 3) right, up and forward.
         focal: [px] of what is as large as its distance.
+        free: [px] left, low, right and high edge of what nothing lies over, as `pixel` counts.
     """
 
     eye: Array
     axes: Array
     focal: float
+    free: tuple[float, float, float, float]
 
     def pixel(self, place: Array) -> tuple[float, float, float]:
         """[px] to the right and up from the picture's middle, and [m] in front of the eye."""
         u, v, depth = map(float, self.axes @ (place - self.eye))
         scale = self.focal / max(depth, 1e-3)
         return scale * u, scale * v, depth
+
+    def has(self, pixel: tuple[float, float, float]) -> bool:
+        """Whether what is seen there is in front of the eye, and nothing lies over it."""
+        (u, v, depth), (left, low, right, high) = pixel, self.free
+        return depth > 0.0 and left < u < right and low < v < high
 
 
 class Spot(NamedTuple):
@@ -56,13 +64,16 @@ class Spot(NamedTuple):
 
 
 def set_apart(
-    labels: Mapping[str, tuple[float, float, str]], before: Mapping[str, Spot]
+    labels: Mapping[str, tuple[float, float, str]],
+    before: Mapping[str, Spot],
+    free: tuple[float, float, float, float],
 ) -> dict[str, Spot]:
     """Where labels stand so that none lies over another one; the first is at its place.
 
     Args:
         labels: [px] to the right and up, and text, by names.
         before: Where they stood; a label stays where it is free until a nearer spot has room.
+        free: [px] left, low, right and high edge of where they can be read.
     """
     lines = sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs)
     spots = [Spot(anchor, LINE * k) for k in lines for anchor in ANCHORS]
@@ -75,7 +86,9 @@ def set_apart(
             room = 0.0 if spot == before.get(name) else _ROOM
             left = u if spot.anchor.endswith("left") else u - wide
             low = v + spot.rise - (0.0 if spot.anchor.startswith("bottom") else tall)
-            if all(
+            inside = left >= free[0] and low >= free[1]
+            inside = inside and left + wide <= free[2] and low + tall <= free[3]
+            if inside and all(
                 left - x >= w + room
                 or x - left >= wide + room
                 or low - y >= h + room
@@ -83,6 +96,8 @@ def set_apart(
                 for x, y, w, h in taken
             ):
                 break
+        else:
+            spot = spots[0]  # there is no room for it
         taken.append((left, low, wide, tall))
         found[name] = spot
     return found
@@ -105,14 +120,18 @@ class Canvas:
         self._texts = True
         self._places: dict[str, tuple[Array, str]] = {}  # of labels, with their texts
         self._spots: dict[str, Spot] = {}
+        self._t = 0.0
 
     @contextmanager
-    def picture(self, *, texts: bool, lens: Lens | None = None) -> Iterator[None]:
+    def picture(self, *, texts: bool, lens: Lens | None = None, t: float = 0.0) -> Iterator[None]:
         """Draw anew; the texts of labels that were there change only if `texts`.
 
-        Labels keep apart as they are seen through a lens.
+        Labels keep apart as they are seen through a lens, and stay where they were while a time
+        [s] goes on: pictures of one instant are the same.
         """
-        self._drawn, self._texts, self._places = set(), texts, {}
+        if not 0.0 < t - self._t < _SOON:
+            self._spots = {}
+        self._drawn, self._texts, self._places, self._t = set(), texts, {}, t
         yield
         self._set_labels(lens)
         for name, handle in self._handles.items():
@@ -196,9 +215,9 @@ class Canvas:
         seen = {
             name: (*pixel[:2], text)
             for name, (place, text) in self._places.items()
-            if lens is not None and (pixel := lens.pixel(place))[2] > 0.0
+            if lens is not None and lens.has(pixel := lens.pixel(place))
         }
-        self._spots = set_apart(seen, self._spots)
+        self._spots = {} if lens is None else set_apart(seen, self._spots, lens.free)
         for name, (place, _) in self._places.items():
             spot, up = self._spots.get(name, Spot(ANCHORS[0], 0.0)), 0.0
             if lens is not None and spot.rise:

@@ -221,7 +221,7 @@ class Scene:
         self._draw_ghosts(snapshot)
         if texts and view.trails:
             self._trails = {name: t.until(snapshot.t) for name, t in self._data.tracks.items()}
-        with self.canvas.picture(texts=texts, lens=lens):
+        with self.canvas.picture(texts=texts, lens=lens, t=snapshot.t):
             self._draw_layers(snapshot)
 
     def _light_up(self) -> None:
