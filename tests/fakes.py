@@ -246,6 +246,9 @@ class ScriptedLoop:
         if self._compared is None:
             return snapshot
         names = self._compared.controllers
+        turn = pin.utils.rotate("z", (self._base_compared - self._base)[2])
+        of_base = turn @ (snapshot.p_ee - [*self._base[:2], 0.0])
+        p_ee = np.array([*self._base_compared[:2], 0.0]) + of_base
         return replace(
             snapshot,
             ghosts=tuple(
@@ -254,7 +257,7 @@ class ScriptedLoop:
                     self._base_compared.copy(),
                     snapshot.q_m,
                     snapshot.wheel_angles,
-                    snapshot.p_ee,
+                    p_ee,
                     clearance,
                 )
                 for name in names

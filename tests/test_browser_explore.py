@@ -118,8 +118,8 @@ def test_a_visitor_explores_postures_and_clicks_the_border(browser):
         tab.page.mouse.move(*at)
         tab.render(2)
         tab.page.mouse.click(*at)
-        wait_for(lambda: tab.is_shown("/robot/probe/text"), what="the place's numbers")
-        assert "det" in tab.text("/robot/probe/text")
+        wait_for(lambda: tab.is_shown("/probe/text"), what="the place's numbers")
+        assert "det" in tab.text("/probe/text")
 
         tab.open_tab("Run")
         tab.click("Start from here")

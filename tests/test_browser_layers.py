@@ -152,6 +152,7 @@ LAYERS = (
 @pytest.fixture(scope="module")
 def at_first(opened):
     """The picture that each layer's test begins and ends with."""
+    opened.rest()
     return opened.picture_at_rest()
 
 
@@ -224,7 +225,7 @@ def test_the_page_is_dark_or_light(tab):
 def looked(served: Served, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Eye and target of a preset in the viewer's window."""
     window = served.page()._camera.window
-    return placed(PRESETS[name], served.loop.latest(), served.server.shared.parts.extent, window)
+    return placed(PRESETS[name], [served.loop.latest()], served.server.shared.parts.extent, window)
 
 
 @pytest.mark.parametrize("name", [name for name in PRESETS if name != "door"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import itertools
 import re
 import socket
 import time
@@ -31,9 +32,16 @@ from app.dashboard.page import Page
 from app.dashboard.panels.run import machine_html, pairs_html, status_html
 from app.dashboard.panels.why import why_html
 from app.dashboard.scene.borders import MAX_POINTS, Borders, DrawnBorders, subsample
-from app.dashboard.scene.canvas import METRES_PER_NEWTON, Canvas
+from app.dashboard.scene.canvas import (
+    ANCHORS,
+    CHARACTER,
+    LINE,
+    METRES_PER_NEWTON,
+    Canvas,
+    set_apart,
+)
 from app.dashboard.scene.colours import css, viridis
-from app.dashboard.scene.layers import TOGETHER, beside, draw_motion, segments
+from app.dashboard.scene.layers import draw_motion, segments
 from app.dashboard.scene.legend import Legend, legend_html, tick_texts
 from app.dashboard.scene.robot import (
     GREY,
@@ -442,25 +450,40 @@ def test_decimation_takes_no_corners_off_meshes_of_many_parts():
         assert light.area == pytest.approx(whole.area, rel=0.05)  # 0.74 to 0.9 when it is hasty
 
 
-@given(st.lists(st.tuples(st.floats(-0.3, 0.3), st.sampled_from("abcd")), max_size=9))
-def test_labels_stand_far_apart_or_at_one_point_on_sides_of_their_own(labels):
-    """But for those whose side is taken, which stand where they belong."""
-    standing = []
+EVERYWHERE = (-np.inf, -np.inf, np.inf, np.inf)
 
-    def sides_at(spot):
-        return {side for p, side in standing if p is spot}
 
-    for x, side in labels:
-        place = np.array([x, 0.0, 0.0])
-        there = beside(place, side, standing)
-        assert np.linalg.norm(there - place) < TOGETHER
-        near = [p for p, _ in standing if np.linalg.norm(p - place) < TOGETHER]
-        if not any(there is p for p in near):
-            assert there is place
-            assert all(side in sides_at(p) for p in near)
-        else:
-            assert side not in sides_at(there)
-        standing.append((there, side))
+@given(
+    st.dictionaries(
+        st.sampled_from("abcdefghi"),
+        st.tuples(st.floats(-60, 60), st.floats(-30, 30), st.text("x ", min_size=3, max_size=30)),
+    )
+)
+def test_labels_keep_apart_and_stay_where_they_are_free(labels):
+    spots = set_apart(labels, {}, EVERYWHERE)
+    boxes = []
+    for name, (u, v, text) in labels.items():
+        anchor, rise = spots[name]
+        wide = CHARACTER * (len(text) + 1)
+        left = u - (wide if anchor.endswith("right") else 0.0)
+        low = v + rise - (LINE if anchor.startswith("top") else 0.0)
+        boxes.append((left, low, left + wide, low + LINE))
+    for (a, b, c, d), (x, y, z, w) in itertools.combinations(boxes, 2):
+        assert a >= z - 1e-6 or x >= c - 1e-6 or b >= w - 1e-6 or y >= d - 1e-6
+    if labels:
+        assert spots[next(iter(labels))] == (ANCHORS[0], 0.0), "the first one is at its place"
+    assert set_apart(labels, spots, EVERYWHERE) == spots
+    for name, label in labels.items():
+        alone = set_apart({name: label}, spots, EVERYWHERE)
+        assert alone == {name: (ANCHORS[0], 0.0)}, "alone it comes back"
+
+
+@pytest.mark.parametrize(("u", "anchor"), [(0.0, "left"), (95.0, "right")])
+@pytest.mark.parametrize(("v", "side"), [(0.0, "bottom"), (45.0, "top")])
+def test_a_label_at_an_edge_stands_inside_the_picture(u, anchor, v, side):
+    free = (-100.0, -50.0, 100.0, 50.0)
+    spots = set_apart({"a": (u, v, "hand – base")}, {}, free)
+    assert spots == {"a": (f"{side}-{anchor}", 0.0)}
 
 
 def test_an_unreadable_mesh_is_named(tmp_path):

@@ -20,7 +20,7 @@ from app.simulation.loop.commands import (
     Restart,
     Speed,
 )
-from tests.browser import DashboardTab, wait_for
+from tests.browser import DashboardTab, around, wait_for
 from tests.dashboards import served_dashboard
 from tests.robots import needs_pybullet
 
@@ -86,6 +86,9 @@ def test_a_plot_is_sent_only_while_somebody_sees_it(tab, served):
     tab.open_tab("Plots")
     wait_for(lambda: SIGHT in channel.seen, what="somebody sees it")
     wait_for(lambda: len(tab.plot("distance [m]")[0]) > 5, what="a curve")
+    line = tab.page.locator(".u-legend .u-series", has_text="hand – base").first
+    line.hover()
+    wait_for(lambda: (line.get_attribute("title") or "").startswith("lm-lEE: signed distance"))
     tab.open_tab("Why")
     wait_for(lambda: SIGHT not in channel.seen, what="nobody sees it")
 
@@ -209,7 +212,8 @@ def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served)
     served.loop.place((-0.35, 0.0, 0.0))  # the ghost stays behind
     wait_for(lambda: np.linalg.norm(tab.position("/robot") - [-0.35, 0.0, 0.0]) < 1e-3)
     np.testing.assert_allclose(tab.position("/ghost_0"), 0.0, atol=1e-6)
-    with_ghost = tab.picture()
+    wait_for(lambda: in_scene(tab, hand), what="the ghost's hand beside the panels")
+    with_ghost = tab.picture_at_rest()
     tab.choose("Third robot", "none")
     wait_for(lambda: len(served.loop.latest().ghosts) == 2)
     tab.choose("Second robot", "nobody")
@@ -220,6 +224,13 @@ def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served)
     tab.wait_for_change(with_ghost, 500, tab.pixel("", tuple(hand))[None], radius=50)
     assert tab.page.get_by_text("nothing compared").is_visible()
     tab.open_tab("Why")
+
+
+def in_scene(tab, place):
+    """Whether nothing lies over 50 px around a place (3,) [m], which is in the picture."""
+    mask = tab.scene_mask()
+    near = around(tab.pixel("", tuple(place))[None], 50, mask)
+    return near.sum() == 100**2 and mask[near].all()
 
 
 def test_the_tour_opens_at_the_first_visit_only_and_waits_until_a_step_is_done(browser, served):

@@ -27,12 +27,14 @@ from app.dashboard.scene.camera import (
 )
 from app.simulation.loop.commands import Reset
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
-from app.simulation.trace.snapshot import DoorView
+from app.simulation.trace.snapshot import DoorView, GhostReading, Snapshot
 from tests.dashboards import parts
 from tests.fakes import ScriptedLoop
 from tests.robots import husky_panda
 
 Array = np.ndarray
+
+AHEAD = np.array([1.0, 0.0, 0.0])
 
 
 def on_picture(points: Array, eye: Array, target: Array, window: Window) -> Array:
@@ -51,30 +53,32 @@ def on_picture(points: Array, eye: Array, target: Array, window: Window) -> Arra
     size=st.floats(0.05, 3.0),
     aspect=st.floats(0.4, 4.0),
     covered=st.floats(0.0, 0.45),
+    above=st.floats(0.0, 0.25),
 )
 def test_all_is_seen_and_from_no_nearer_it_would_be(
-    seed: int, size: float, aspect: float, covered: float
+    seed: int, size: float, aspect: float, covered: float, above: float
 ) -> None:
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(20, 3)) * size + rng.normal(size=3)
     away = rng.normal(size=3) + np.array([0.5, 0.0, 0.0])
-    window = Window(aspect, covered)
+    window = Window(aspect, covered, above)
     eye, target = fit(points, away, window)
     np.testing.assert_allclose(np.cross(target - eye, away), 0.0, atol=1e-6)
     seen = on_picture(points, eye, target, window)
-    free = 2.0 - 2.0 * covered
+    free = 2.0 - 2.0 * covered - 2.0 * above
     low, high = seen.min(axis=0), seen.max(axis=0)
-    assert (low > [-1.0, 1.0 - free]).all()
-    assert (high < 1.0).all()
+    floor, roof = np.array([-1.0, 2.0 * covered - 1.0]), np.array([1.0, 1.0 - 2.0 * above])
+    assert (low > floor).all()
+    assert (high < roof).all()
     # In one direction the margin is touched on both sides.
-    room = np.array([low - [-1.0, 1.0 - free], 1.0 - high]) / [2.0, free]
+    room = np.array([low - floor, roof - high]) / [2.0, free]
     assert np.min(np.max(room, axis=0)) == pytest.approx(0.05, abs=1e-6)
 
 
 def test_what_a_browser_says_of_its_window_is_believed_within_reason() -> None:
-    assert Window.of(0, 0, 100) == Window.of(float("nan"), 10, 100) == Window()
-    assert Window.of(1e9, 1, 100) == Window(4.0, 0.45)
-    assert Window.of(800, 1000, 100) == Window(0.8, 0.1)
+    assert Window.of(0, 0, 0.1, 0.1) == Window.of(float("nan"), 10, 0.1, 0.1) == Window()
+    assert Window.of(1e9, 1, 9.0, 9.0) == Window(4.0, 0.55, 0.25)
+    assert Window.of(800, 1000, 0.2, 0.1) == Window(0.8, 0.1, 0.2)
 
 
 @pytest.mark.slow
@@ -88,10 +92,47 @@ def test_a_preset_shows_the_whole_robot_wherever_it_stands(name: str, window: Wi
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     arrows = snapshot.p_ee + SCALE * np.eye(3)  # of the gizmo: the mouse has to reach them
     points = np.vstack([extent @ R.T + [*snapshot.base_pose[:2], 0.0], snapshot.p_ee, arrows])
-    eye, target = placed(PRESETS[name], snapshot, extent, window)
+    eye, target = placed(PRESETS[name], [snapshot], extent, window)
     seen = on_picture(points, eye, target, window)
     assert (np.abs(seen) < 1.0).all()
     assert seen[:, 1].min() > 2.0 * window.covered - 1.0
+
+
+def beside(snapshot: Snapshot, *away: float) -> Snapshot:
+    """With ghosts so far [m] ahead of it."""
+    ghosts = (
+        GhostReading(
+            "none",
+            snapshot.base_pose + x * AHEAD,
+            snapshot.q_m,
+            snapshot.wheel_angles,
+            snapshot.p_ee + x * AHEAD,
+            0.1,
+        )
+        for x in away
+    )
+    return replace(snapshot, ghosts=tuple(ghosts))
+
+
+def test_ghosts_beside_the_robot_are_in_the_picture_and_one_far_away_is_left_behind() -> None:
+    extent, window = parts().extent, Window(0.85, 0.23)
+    shown = beside(ScriptedLoop(husky_panda()).latest(), 0.6, 5.0)
+    eye, target = placed(PRESETS["iso"], [shown], extent, window)
+    near, far = (on_picture(extent + x * AHEAD, eye, target, window) for x in (0.6, 5.0))
+    assert (np.abs(near) < 1.0).all()
+    assert np.abs(far).max() > 1.0
+
+
+def test_a_film_has_all_that_happens_in_its_picture() -> None:
+    loop, extent, window = ScriptedLoop(husky_panda()), parts().extent, Window()
+    shown = []
+    for x in (0.0, 0.4, 3.0):
+        loop.place((x, 0.0, 0.0))
+        shown.append(loop.latest())
+    eye, target = placed(PRESETS["side"], shown, extent, window)
+    for x in (0.0, 0.4, 3.0):
+        seen = on_picture(extent + x * AHEAD, eye, target, window)
+        assert (np.abs(seen) < 1.0).all()
 
 
 class Eye:
@@ -155,7 +196,7 @@ def test_a_camera_that_follows_still_looks_again_when_the_panels_come(
     go_on(camera, eye, loop)
     np.testing.assert_allclose(eye.position - first, [0.3, 0.0, 0.0], atol=1e-9)
     assert settled(camera, eye, loop)
-    _, target = placed(PRESETS["iso"], loop.latest(), parts().extent)
+    _, target = placed(PRESETS["iso"], [loop.latest()], parts().extent)
     assert eye.position[0] > target[0]
 
 
@@ -172,7 +213,7 @@ def test_the_scene_stays_where_it_is_under_a_viewer_who_holds_something(
 ) -> None:
     camera, eye, loop = looking
     assert not settled(camera, eye, loop, busy=True)
-    assert not settled(camera, eye, loop), "nor once it is let go"
+    assert settled(camera, eye, loop), "once it is let go"
 
 
 @pytest.mark.parametrize("follow", [True, False])
@@ -215,13 +256,27 @@ def test_who_has_moved_the_camera_keeps_his_view_of_the_robot_at_a_beginning(
     np.testing.assert_array_equal(eye.position, place)
 
 
+def test_a_ghost_whose_hand_leaves_the_picture_is_found(
+    looking: tuple[Camera, Eye, ScriptedLoop],
+) -> None:
+    camera, eye, loop = looking
+    before = eye.position
+    camera.find(beside(loop.latest(), 0.02), on=True)
+    np.testing.assert_array_equal(eye.position, before)
+    shown = beside(loop.latest(), 1.2)
+    camera.find(shown, on=True)
+    hand = shown.ghosts[0].p_ee[None]
+    assert camera_module.sees(eye.position, eye.look_at, hand, camera.window, 0.0)
+    assert not np.array_equal(eye.position, before)
+
+
 @pytest.mark.parametrize("hinge", ["left", "right"])
 def test_the_view_of_a_door_shows_all_of_it_open_or_closed(hinge: Any) -> None:
     door = RefrigeratorScenario(hinge=hinge).door
     view = DoorView(door, np.deg2rad(63.0), np.zeros(3))
     snapshot = replace(ScriptedLoop(husky_panda()).latest(), door=view)
     window = Window(0.85, 0.23)
-    eye, target = placed(PRESETS["door"], snapshot, parts().extent, window)
+    eye, target = placed(PRESETS["door"], [snapshot], parts().extent, window)
     _, width, height = door.size
     corners = [np.array([0.0, -door.side * u, v]) for u in (0.0, width) for v in (0.0, height)]
     points = [door.pose(angle).act(c) for angle in (0.0, view.angle) for c in corners]

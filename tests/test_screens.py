@@ -83,6 +83,8 @@ def test_on_a_phone_a_finger_pulls_the_hand_the_sentence_stands_above_and_panels
     assert drawer["y"] > 0.75 * PHONE[1]
     tab.page.touchscreen.tap(150, drawer["y"] + 10)
     tab.page.locator("[data-drawer=open]").wait_for()
+    opened = tab.page.locator("[data-drawer]").bounding_box()["y"]
+    wait_for(lambda: tab.pixel("/robot")[1] < opened, what="the robot above the drawer")
     tab.page.get_by_text("Why · Plots · Compare · Key", exact=True).tap()
     tab.page.get_by_role("tab", name="Plots").tap()
     wait_for(lambda: tab.plot("distance [m]") is not None, what="the plots")

@@ -150,7 +150,7 @@ def _border(
     with own_server() as server:
         look = Look(layer=layer, pair=pair)
         scene = OffscreenScene(server, RecordedLoop(snapshots), model, data.clouds, look)
-        scene.look(look.view, snapshots[0])
+        scene.look(snapshots[:1])
         recording = server.get_scene_serializer()
         for snapshot in snapshots:
             scene.draw(snapshot.t)

@@ -11,7 +11,8 @@ window.dbbControls = (box, ranges) => {
   const listen = (to, kinds, act, more = {}) => {
     for (const kind of kinds.split(" ")) to.addEventListener(kind, act, { signal: ending.signal, ...more });
   };
-  let count = 0, seen = "";
+  let count = 0;
+  const told = new Map(); // what the page has said of itself, by its words
   const ask = (word, ...values) =>
     window.__viserMutable?.sendMessage({ type: "GuiUpdateMessage", uuid: box,
       updates: { value: JSON.stringify([`${Date.now()}.${count++}`, word, ...values]) } });
@@ -317,11 +318,21 @@ window.dbbControls = (box, ranges) => {
     for (const input of [...typed.keys()]) if (input !== e.target) take(input);
   }, { capture: true });
 
+  // ---- what stands for what in the plots, under the pointer
+  let hints = {};
+  listen(window, "pointerover", (e) => {
+    const line = e.target.closest?.(".u-legend .u-series"), plot = line?.closest(".uplot");
+    if (plot) line.title = hints[plot.querySelector(".u-title").textContent]?.[line.innerText.trim()] ?? "";
+  });
+
   ask("link", window.dbbAsked());
   return {
     ...window.dbbPanels,
-    tellSeen: (names) => {
-      if (names !== seen) ask("seen", (seen = names));
+    hints: (some) => (hints = some),
+    tell: (word, ...values) => {
+      if (told.get(word) === String(values)) return;
+      told.set(word, String(values));
+      ask(word, ...values);
     },
     clear: (most, width) => {
       [kept, bin, rows] = [most, width, []];

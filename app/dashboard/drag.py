@@ -11,9 +11,6 @@ import pinocchio as pin
 import viser
 
 from app.dashboard.notifications import Notifier
-from app.dashboard.panels import phrases as words
-from app.dashboard.scene.canvas import Canvas
-from app.dashboard.scene.colours import PERSON
 from app.dashboard.scene.scene import RobotScene
 from app.simulation.loop.commands import Command, Pull, Release
 from app.simulation.trace.snapshot import Snapshot
@@ -23,7 +20,6 @@ Array = np.ndarray
 GIZMO = "/hand"
 """Scene node of the gizmo."""
 SCALE = 0.26  # [m] length of the gizmo's arrows
-LEAST_STRETCH = 0.002  # [m] shorter rubber bands are not drawn
 
 
 class Sink(Protocol):
@@ -105,7 +101,7 @@ class Grip:
 
 
 class DragHandles:
-    """Gizmo on the end-effector, links that can be dragged, and the rubber bands of all pulls."""
+    """Gizmo on the end-effector, and links that can be dragged."""
 
     def __init__(
         self,
@@ -126,10 +122,9 @@ class DragHandles:
         self._gizmo.on_update(notifier.guard(self._drag_gizmo))  # type: ignore[arg-type]
         self._robot, self._arm_joints, self._notifier = robot, arm_joints, notifier
         self._links: object = None
-        self._canvas = Canvas(scene)
 
-    def update(self, snapshot: Snapshot, *, texts: bool) -> None:
-        """Let the gizmo follow the hand unless this viewer drags it; draw the rubber bands."""
+    def update(self, snapshot: Snapshot) -> None:
+        """Let the gizmo follow the hand unless this viewer drags it."""
         if self._links is not self._robot.links:
             self._links = self._robot.links
             for joint, mesh in self._robot.links:
@@ -137,14 +132,6 @@ class DragHandles:
                     self._listen(mesh, joint, self._arm_joints[joint])
         if not self.grip.holds_hand:
             self._gizmo.position = snapshot.p_ee
-        with self._canvas.picture(texts=texts):
-            for i, pull in enumerate(snapshot.pulls):
-                ends = np.array([pull.point, pull.target])
-                if np.linalg.norm(ends[1] - ends[0]) > LEAST_STRETCH:
-                    self._canvas.lines(f"/pull/{i}", [ends], PERSON, 3.0)
-                    text = f"{np.linalg.norm(pull.force):.0f} N"
-                    text += words.borne(snapshot.force_bound)
-                    self._canvas.label(f"/pull/label_{i}", ends.mean(axis=0), text)
 
     def _drag_gizmo(self, event: viser.TransformControlsEvent) -> None:
         """One event of the gizmo: start, update or end."""

@@ -45,7 +45,20 @@
     const names = marks.filter((mark) => mark.getClientRects().length && !closed).map((mark) => mark.dataset.seen);
     if (matches(NARROW).matches) names.push("narrow");
     if (!touched) names.push("untouched");
-    window.dbb?.tellSeen(names.join(" "));
+    window.dbb?.tell("seen", names.join(" "));
+    window.dbb?.tell("scene", ...scene());
+  };
+
+  // [px] height of the scene, and how much of it the strip and the drawer of a narrow page lie over;
+  // the strip grows and shrinks with what it says, under which the scene must not move.
+  let tallest = 0;
+  const scene = () => {
+    const rect = (element) => element?.getBoundingClientRect() ?? { height: 0 };
+    const box = rect(window.__viserMutable?.canvas);
+    const [strip, drawer] = ["[data-strip]", "[data-drawer]"].map((kind) => rect(document.querySelector(kind)));
+    tallest = matches(NARROW).matches ? Math.max(tallest, strip.height) : 0;
+    const below = drawer.height && box.bottom - drawer.top;
+    return [box.height, tallest, below].map((px) => Math.round(Math.max(px, 0)));
   };
 
   // What the page's address asks for is told once; the client may connect again and again.

@@ -100,6 +100,7 @@ class Page:
         )
         self._camera = self.viewer.camera
         self._camera.fit(shared.parts.extent)
+        self.channel.on("scene", self._camera.cover)
         self.closed, self._is_new = False, True
         refusal = shared.loop.latest().refusal
         self._refusals = 0 if refusal is None else refusal.number  # of before this viewer came
@@ -113,6 +114,7 @@ class Page:
             self.timeline_panel = self._add(TimelinePanel(self.viewer))
         self.channel.begin()
         self.channel.tell("light", self._light)
+        self.channel.tell("hints", self._plots.hints)
         self._scene = Scene(client.scene, shared, self.view)
         kinematics = shared.parts.kinematics.model
         arm = {kinematics.getJointId(name): name for name in shared.model.description.arm.joints}
@@ -139,8 +141,8 @@ class Page:
             if self._dark != self.view.dark:
                 self._dark = self.view.dark
                 set_theme(self._client.gui, dark=self._dark)
-            self._scene.draw(shown, texts=texts)
-            self.hand.update(shown, texts=texts)
+            self._scene.draw(shown, texts=texts, lens=self._camera.lens)
+            self.hand.update(shown)
             self._camera.settle(shown, busy=self.grip.holds_anything)
             if texts and self.timeline.live:
                 self._camera.find(shown, on=self.view.follow, busy=self.grip.holds_anything)

@@ -250,7 +250,7 @@ def serve_dashboard(
 def _set_first_picture(server: viser.ViserServer, shared: SharedState) -> None:
     """What is to be seen until a viewer's own page is there."""
     set_theme(server.gui, dark=True)
-    set_first_look(server, *placed(PRESETS["iso"], shared.loop.latest(), shared.parts.extent))
+    set_first_look(server, *placed(PRESETS["iso"], [shared.loop.latest()], shared.parts.extent))
 
 
 def check_address(host: str, port: int) -> None:

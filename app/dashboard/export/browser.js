@@ -15,7 +15,7 @@
   // While drawing is held, the page does all but that: what arrives meanwhile costs no picture.
   let held = false;
   for (const kind of [self.WebGL2RenderingContext?.prototype]) {
-    for (const name of ["drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
+    for (const name of ["clear", "drawArrays", "drawElements", "drawArraysInstanced", "drawElementsInstanced"]) {
       const original = kind?.[name];
       if (original) kind[name] = function (...args) { if (!held) original.apply(this, args); };
     }
@@ -30,12 +30,17 @@
   const node = (name) => viewer().nodeRefFromName[name];
   const pause = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
 
+  // Looks every so many ms; a page that has died is not waited for.
+  const until = async (there, ms) => {
+    const deadline = performance.now() + 60_000;
+    while (!there()) {
+      if (performance.now() > deadline) throw new Error("the page has drawn nothing for a minute");
+      await pause(ms);
+    }
+  };
   const render = async (count) => {
     const last = frame() + count;
-    while (frame() < last) {
-      viewer().requestRender();
-      await pause(held ? 4 : 15);
-    }
+    await until(() => frame() >= last || void viewer().requestRender(), held ? 4 : 15);
   };
   let flat = null;
 
@@ -64,7 +69,7 @@
     // Eye and target are in the scene's frame, z up; three.js itself has y up.
     still: async ([name, n, eye, target, ground]) => {
       held = true;
-      while (dbbPage.arrived(name) !== n) await pause(2);
+      await until(() => dbbPage.arrived(name) === n, 2);
       const inWorld = ([x, y, z]) =>
         node("").localToWorld(viewer().camera.position.clone().set(x, y, z)).toArray();
       viewer().cameraControl.setLookAt(...inWorld(eye), ...inWorld(target), false);
@@ -74,7 +79,7 @@
       held = true;
       const { width, height } = canvas();
       flat ??= new OffscreenCanvas(width, height);
-      const ink = flat.getContext("2d");
+      const ink = flat.getContext("2d", { willReadFrequently: true });
       ink.fillStyle = ground;
       ink.fillRect(0, 0, width, height);
       ink.drawImage(canvas(), 0, 0);

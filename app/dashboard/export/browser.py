@@ -87,16 +87,19 @@ def chromium() -> Iterator[Browser]:
     """A headless browser with WebGL, ended at the end.
 
     Raises:
-        BrowserError: There is none, or it cannot draw.
+        BrowserError: There is none, it cannot draw, or it fails where it is used.
     """
     # Imported here: most of what uses a scene needs no browser.
-    from playwright.sync_api import sync_playwright
+    from playwright.sync_api import Error, sync_playwright
 
     try:
         with sync_playwright() as playwright:
             browser = _launch(playwright, browser_path(playwright.chromium.executable_path))
             try:
                 yield browser
+            except Error as error:
+                reason = str(error).strip().splitlines()[0]
+                raise BrowserError(f"the browser has failed: {reason}") from None
             finally:
                 browser.close()
     except KeyboardInterrupt:

@@ -23,12 +23,13 @@ from PIL import Image, ImageDraw, ImageFont
 
 from app.border.dbb import Cloud
 from app.dashboard.export.browser import new_context
-from app.dashboard.scene.camera import PRESETS, placed, set_first_look
+from app.dashboard.scene.camera import PRESETS, Window, lens_of, placed, set_first_look
+from app.dashboard.scene.canvas import Lens
 from app.dashboard.scene.colours import BACKGROUND, GHOSTS, Rgb, css, set_theme
 from app.dashboard.scene.scene import Scene, SceneData
 from app.dashboard.view import HIDDEN, View
 from app.dashboard.viser_compat import close_server, open_server
-from app.errors import BrowserError, OutputError
+from app.errors import OutputError
 from app.robot.model import RobotModel
 from app.simulation.loop.commands import Command
 from app.simulation.trace.snapshot import GhostReading, Snapshot
@@ -146,11 +147,15 @@ class OffscreenScene:
         set_theme(server.gui, dark=look.dark)
         self._scene = Scene(server.scene, self._data, view)
         self._scene.canvas.labels = labels
+        self._lens: Lens | None = None
+        self._look = look
 
-    def look(self, preset: str, snapshot: Snapshot) -> tuple[np.ndarray, np.ndarray]:
-        """Where new viewers look from, at base and hand: eye and target of a key of `PRESETS`."""
-        eye, target = placed(PRESETS[preset], snapshot, self._data.parts.extent)
+    def look(self, shown: Sequence[Snapshot]) -> tuple[np.ndarray, np.ndarray]:
+        """Where new viewers look from, at all that is shown: eye and target."""
+        window = Window.of(self._look.width, self._look.height)
+        eye, target = placed(PRESETS[self._look.view], shown, self._data.parts.extent, window)
         set_first_look(self._server, eye, target)
+        self._lens = lens_of(eye, target, self._look.height, window)
         return eye, target
 
     def draw(self, t: float, *, texts: bool = True) -> None:
@@ -159,7 +164,7 @@ class OffscreenScene:
         self._data.update()
         self._scene.select_border(snapshot)
         with self._server.atomic():
-            self._scene.draw(snapshot, texts=texts)
+            self._scene.draw(snapshot, texts=texts, lens=self._lens)
 
 
 def choose_layer(view: View, layer: str, pair: str = "") -> None:
@@ -205,7 +210,7 @@ def replay_html(
     pictures = 1 + round((end - begin) * RATE)
     with own_server() as server:
         scene = OffscreenScene(server, RecordedLoop(log.snapshots), model, clouds, look)
-        scene.look(look.view, log.snapshots[0])
+        scene.look(log.snapshots)
         scene.draw(begin)
         recording = server.get_scene_serializer()
         for k in range(1, pictures):
@@ -245,20 +250,9 @@ def send_barrier(server: viser.ViserServer, number: int) -> None:
 
 def open_page(page: web.Page, server: viser.ViserServer) -> None:
     """Open the page of a server and wait until it could draw; drawing is held until a picture."""
-    from playwright.sync_api import Error
-
-    try:
-        page.goto(f"http://{HOST}:{server.get_port()}/?fixedDpr=1")
-        page.wait_for_function("() => dbbPage.ready() && dbbPage.lit()", timeout=1000 * TIMEOUT)
-        page.evaluate("() => dbbPage.hold(true)")
-    except Error as error:
-        raise BrowserError(f"the page does not open: {str(error).splitlines()[0]}") from None
-
-
-def middle(snapshots: Sequence[Snapshot]) -> Snapshot:
-    """A snapshot with the mean place of base and hand of some."""
-    base = np.mean([s.base_pose for s in snapshots], axis=0)
-    return replace(snapshots[0], base_pose=base, p_ee=np.mean([s.p_ee for s in snapshots], axis=0))
+    page.goto(f"http://{HOST}:{server.get_port()}/?fixedDpr=1")
+    page.wait_for_function("() => dbbPage.ready() && dbbPage.lit()", timeout=1000 * TIMEOUT)
+    page.evaluate("() => dbbPage.hold(true)")
 
 
 def with_ghosts(led: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -> list[Snapshot]:
@@ -290,14 +284,13 @@ def film_pictures(
         orbit: [rad] by which the camera turns around the robot from one picture to the next.
 
     Raises:
-        BrowserError: Its page does not open.
         AssetError: A mesh of the robot is not there.
     """
     loop = RecordedLoop(snapshots)
     with own_page(browser, look) as (server, page):
         scene = OffscreenScene(server, loop, model, clouds, look, labels=False)
         server.scene.configure_default_lights(enabled=True, cast_shadow=False)
-        eye, target = scene.look(look.view, middle([loop.go_to(t) for t in times]))
+        eye, target = scene.look([loop.go_to(t) for t in times])
         scene.draw(times[0])
         open_page(page, server)
         page.add_style_tag(content=ONLY_SCENE)

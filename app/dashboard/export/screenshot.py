@@ -23,7 +23,6 @@ from app.dashboard.export.offscreen import (
     RecordedLoop,
     choose_layer,
     label,
-    middle,
     open_page,
     own_page,
     send_barrier,
@@ -67,7 +66,7 @@ def take_pictures(
         viewpoint: Of the viewer whose page is pictured, in place of `look`'s layer and view.
 
     Raises:
-        BrowserError: Its page does not open.
+        BrowserError: Its page does not connect.
         AssetError: A mesh of the robot is not there.
     """
     loop = RecordedLoop(snapshots)
@@ -79,7 +78,7 @@ def take_pictures(
             finally:
                 shared.close()
         scene = OffscreenScene(server, loop, model, clouds, look)
-        scene.look(look.view, middle([loop.go_to(t) for t in times]))
+        scene.look([loop.go_to(t) for t in times])
         scene.draw(times[0])
         open_page(page, server)
         page.add_style_tag(content=ONLY_SCENE)
@@ -102,7 +101,7 @@ def page_picture(
         size: [px] width and height.
 
     Raises:
-        BrowserError: There is no browser, or its page does not open.
+        BrowserError: There is no browser, or it fails.
     """
     look = Look(*size, dark=viewpoint.view.dark, page=True)
     times = [snapshots[-1].t]

@@ -85,7 +85,7 @@ class Explorer:
             step = session.step()
             self._answer = make_snapshot(session, step, Pacer(DT, 1.0), paused=True)
             self._asked = asked
-        about = ("t", "speed", "scenario", "step_time_us", "realtime_factor", "overruns")
+        about = ("t", "speed", "scenario", "scores", "step_time_us", "realtime_factor", "overruns")
         return replace(self._answer, **{name: getattr(snapshot, name) for name in about})
 
     @property
@@ -177,7 +177,9 @@ class ExplorerPanel(Panel):
         shown = moment.shown
         axes = self._shared.model.description.base.axes
         self._text.content = (
-            posture_html(shown, planar(axes, shown.base_acceleration), self._off)
+            posture_html(
+                shown, planar(axes, shown.base_acceleration), self._off, self._shared.spoken
+            )
             if self.posture is not None
             else small("Time stands still; joints, base and hand are moved, and the law answers.")
         )
@@ -238,13 +240,20 @@ class ExplorerPanel(Panel):
             handle.visible = on
 
 
-def posture_html(shown: Snapshot, acceleration: tuple[float, float, float], off: float) -> str:
+def posture_html(
+    shown: Snapshot,
+    acceleration: tuple[float, float, float],
+    off: float,
+    spoken: Mapping[str, str],
+) -> str:
     """What the law says of a posture: distances, β, forces, and where the base would go."""
     forces = {each.name: float(np.linalg.norm(each.f)) for each in shown.acting}
     rows = []
     for pair in shown.pairs:
         force = f"{forces[pair.name]:.0f} N" if pair.name in forces else "–"
-        rows.append((pair.name, minus(f"{1000 * pair.d:.0f} mm"), f"{pair.beta:.2f}", force))
+        rows.append(
+            (spoken[pair.name], minus(f"{1000 * pair.d:.0f} mm"), f"{pair.beta:.2f}", force)
+        )
     forward, left, turn = acceleration
     way = f"v̇ {signed(forward)} m/s²" + (f", {signed(left)} to the left" if left else "")
     beyond = f"<br>The hand comes no nearer than {1000 * off:.0f} mm." if off > CLOSE else ""

@@ -11,6 +11,7 @@ import numpy as np
 import viser
 from viser import uplot
 
+from app.config import tunable
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.panels import phrases as words
 from app.dashboard.record import Curve
@@ -29,6 +30,8 @@ PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0  # [s] between two pictures of
 RESTING, STILL = 12, 2e-3  # [-] values, and how far they differ in the units of the plots, at rest
 LINE = 1.6  # [px]
 _BETA = "#8e6bd8"
+_MOVES = "β_m ẍ_m: what avoidance alone asks of this axis of the base, (16) to (18), 0 outside"
+_ACTIVATION = "activation β_m of the pairs with the base, 0 at d_b to 1 at d_full, Figure 10, (28)"
 _THRESHOLD = "#98a0ab"
 _CURSOR = "#ff7a00"
 SIGHT = "plots"  # whether a person sees them
@@ -46,6 +49,7 @@ class PlotPlan(NamedTuple):
         height: [px] without title and legend.
         fill: Whether the area under the lines is filled.
         dashed: How many of the last lines are thresholds.
+        hints: What the pointer over each line's name says: symbol, unit, range and equation.
     """
 
     title: str
@@ -55,6 +59,7 @@ class PlotPlan(NamedTuple):
     height: int
     fill: bool = False
     dashed: int = 0
+    hints: tuple[str, ...] = ()
 
 
 def plot_plans(model: RobotModel, names: list[str]) -> list[PlotPlan]:
@@ -74,15 +79,63 @@ def plot_plans(model: RobotModel, names: list[str]) -> list[PlotPlan]:
     of_axes = (*_series(len(axes) - 2), css(PERSON), css(ACTING))[-len(axes) :]
     error = Curve("error", lambda s: 1000.0 * s.ee_error)
     step = Curve("mean of 1 s", lambda s: s.step_time_us)
+    about_pairs, about_torques = _about(model, names)
     of_pairs, of_joints = (*_series(len(names)), _THRESHOLD), _series(len(torques))
     return [
-        PlotPlan("distance [m]", distances, of_pairs, _soft(0.0, 0.4), 160, dashed=1),
-        PlotPlan("activation β_m", [beta], (_BETA,), (-0.02, 1.05), 100, fill=True),
-        PlotPlan("base acceleration of avoidance, β ẍ", avoidance, of_axes, _soft(-1.0, 1.0), 125),
-        PlotPlan("torque of joint / its limit", torques, of_joints, (-1.05, 1.05), 140),
-        PlotPlan("hand off its target [mm]", [error], (_BETA,), _soft(0.0, 5.0), 100),
-        PlotPlan("control step [µs]", [step], (css(PERSON),), _soft(0.0, 1000.0), 100),
+        PlotPlan(
+            "distance [m]", distances, of_pairs, _soft(0.0, 0.4), 160, dashed=1, hints=about_pairs
+        ),
+        PlotPlan(
+            "activation β_m", [beta], (_BETA,), (-0.02, 1.05), 100, fill=True, hints=(_ACTIVATION,)
+        ),
+        PlotPlan(
+            "base acceleration of avoidance, β ẍ",
+            avoidance,
+            of_axes,
+            _soft(-1.0, 1.0),
+            125,
+            hints=(_MOVES,) * len(axes),
+        ),
+        PlotPlan(
+            "torque of joint / its limit",
+            torques,
+            of_joints,
+            (-1.05, 1.05),
+            140,
+            hints=about_torques,
+        ),
+        PlotPlan(
+            "hand off its target [mm]",
+            [error],
+            (_BETA,),
+            _soft(0.0, 5.0),
+            100,
+            hints=("distance [mm] of the end-effector from where it is led, from 0",),
+        ),
+        PlotPlan(
+            "control step [µs]",
+            [step],
+            (css(PERSON),),
+            _soft(0.0, 1000.0),
+            100,
+            hints=("time [µs] of Algorithm 2 in a step, which may take 1000",),
+        ),
     ]
+
+
+def _about(model: RobotModel, names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """What is said of the lines of the pairs, with d_b, and of the joints' torques."""
+    apart = "signed distance d [m] of its bodies, below 0 inside; β begins at d_b, Figure 10"
+    d_b = tunable("border.d_b")
+    pairs = (
+        *(f"{name}: {apart}" for name in names),
+        f"d_b, {d_b.help[:-1]}: {d_b.allowed}, (3)",
+    )
+    torques = tuple(
+        f"{name}: u_a over its limit of {most:g} N m, −1 to 1, (26)"
+        for name, most in zip(model.description.arm.joints, model.tau_max, strict=True)
+    )
+    return pairs, torques
 
 
 class Plots(Panel):
@@ -103,6 +156,16 @@ class Plots(Panel):
             plan.title: slice(int(begin), int(begin) + len(plan.curves))
             for plan, begin in zip(plans, begins, strict=False)
         }
+
+    @property
+    def hints(self) -> dict[str, dict[str, str]]:
+        """What the pointer says over the names of lines, by the plot's title."""
+        named = {
+            plan.title: dict(zip([c.label for c in plan.curves], plan.hints, strict=True))
+            for plan in self._viewer.shared.plans
+        }
+        cursor = {"looking at": "the instant that the page shows, where that is past"}
+        return {title: {**hints, **cursor} for title, hints in named.items()}
 
     def update(self, moment: Moment) -> None:
         """Show the stretch of time around the snapshot that is shown, if anybody sees it."""

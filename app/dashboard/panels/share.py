@@ -34,9 +34,6 @@ if TYPE_CHECKING:
 Array = np.ndarray
 
 _FARTHEST = 100.0  # [m] of a camera
-
-
-_FARTHEST = 100.0  # [m] of a camera
 LARGEST = 8 * 2**20
 """[bytes] of a case's file."""
 _COPY = (

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 import trimesh
 import viser
 from PIL import Image
@@ -268,7 +269,9 @@ class DrawnBorders:
         canvas.point(f"{ROOT}/probe/p", probe.p, (255, 255, 255), 0.012)
         canvas.point(f"{ROOT}/probe/p_act", probe.p_act, ACTING, 0.012)
         canvas.lines(f"{ROOT}/probe/step", [np.array([probe.p, probe.p_act])], ACTING, 2.0)
-        canvas.label(f"{ROOT}/probe/text", probe.p, text.replace("-", "−"), "bottom-left")
+        x, y, phi = snapshot.base_pose
+        place = pin.utils.rotate("z", phi) @ probe.p + (x, y, 0.0)
+        canvas.label("/probe/text", place, text.replace("-", "−"))
         draw_acceleration(canvas, f"{ROOT}/probe", probe.acceleration, base.axes, top)
 
     def _look(
@@ -279,8 +282,7 @@ class DrawnBorders:
         if mesh is None:
             return None
         x, y, phi = snapshot.base_pose
-        c, s = np.cos(phi), np.sin(phi)
-        R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])  # from the world to the base
+        R = pin.utils.rotate("z", -phi)  # from the world to the base
         hit = first_hit(mesh, R @ (origin - np.array([x, y, 0.0])), R @ direction)
         if hit is None:
             return None

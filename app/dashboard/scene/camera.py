@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from time import monotonic
 from typing import Literal, NamedTuple
 
@@ -10,29 +11,29 @@ import pinocchio as pin
 import viser
 
 from app.dashboard.drag import SCALE
+from app.dashboard.scene.canvas import Lens
 from app.dashboard.viser_compat import image_size
 from app.errors import TargetError
-from app.simulation.trace.snapshot import Snapshot
+from app.simulation.trace.snapshot import GhostReading, Snapshot
 
 Array = np.ndarray
 
 FIELD_OF_VIEW = np.deg2rad(42.0)  # [rad] vertical; longer than viser's 75°, so less distortion
 _MARGIN = 0.10  # [-] of the free part that stays empty, both sides together
 _ASPECTS = (0.4, 4.0)  # [-] that are believed
-_MOST_COVERED = 0.45  # [-]
+_MOST_COVERED = 0.25, 0.55  # [-] from above and from below
 UP = np.array([0.0, 0.0, 1.0])
 _LEAST_STEP = 1e-3  # [m] nobody sees less
 _SAME = 0.02  # [m] nearer to where it was put nobody has moved a camera
 _ECHO = 0.3  # [s] after which what comes back from a browser holds what was set
 _PATIENCE = 6.0  # [s] after which nothing is waited for any more
-_SETTLING = 8.0  # [s] in which a page still takes its shape
-_COVERED = 168.0  # [px] of the scene, from below, that the time line lies over
 _LEAST_SHARE = 0.05  # [-] of the picture's height; a robot that looks smaller is not found
 _MOVED = 0.2  # [m] of the base, from which on who follows it wants to see it
 _CORNERS = np.stack(np.meshgrid(*[(-1.0, 1.0)] * 3), axis=-1).reshape(-1, 3)
 _HAND = 0.12 * _CORNERS  # [m] what has to be seen around the hand
 _NEAR_HAND = 0.22 * _CORNERS  # [m] the same if the hand alone is looked at
 _NEAR_PAIR = 0.30 * _CORNERS  # [m] the same around closest points
+_FAR = 1.5  # [m] from the robot that is led; a ghost that is farther away is left behind
 _OPEN = np.deg2rad(90.0)  # [rad] of a door for whose way there is room in the picture
 _BACK = 1e-3  # [s] that time goes back where a run begins anew
 
@@ -43,18 +44,26 @@ class Window(NamedTuple):
     Attributes:
         aspect: [-] its width over its height.
         covered: [-] share of its height, from below, that something else lies over.
+        above: [-] the same from above.
     """
 
     aspect: float = 1.5
     covered: float = 0.0
+    above: float = 0.0
 
     @classmethod
-    def of(cls, width: float, height: float, covered: float) -> Window:
-        """Of what a browser says of itself, all in pixels, which may be nothing yet."""
-        if not (0 < width < np.inf and 0 < height < np.inf):
+    def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> Window:
+        """Of what a browser says of itself, which may be nothing yet; `above` and `below` [-]."""
+        if not (0 < width < np.inf and 0 < height < np.inf and above >= 0 and below >= 0):
             return ANY_WINDOW
         aspect = float(np.clip(width / height, *_ASPECTS))
-        return cls(aspect, min(covered / height, _MOST_COVERED))
+        above, below = np.clip((above, below), 0.0, _MOST_COVERED)
+        return cls(aspect, float(below), float(above))
+
+    @property
+    def edges(self) -> tuple[float, float]:
+        """[-] of the free part, from below and from above: −1 and 1 are those of the picture."""
+        return 2.0 * self.covered - 1.0, 1.0 - 2.0 * self.above
 
 
 ANY_WINDOW = Window()
@@ -90,7 +99,7 @@ OF_SCENARIOS = {"refrigerator": "door", "way-out": "pair"}
 
 
 class _Look(NamedTuple):
-    """A preset that was looked from at a time [s].
+    """A preset that was looked from.
 
     Attributes:
         window: Where the picture was to be drawn then.
@@ -100,7 +109,6 @@ class _Look(NamedTuple):
     name: str
     window: Window
     eye: Array
-    at: float
 
 
 class Camera:
@@ -125,12 +133,29 @@ class Camera:
         self._set: Array | None = None
         self._set_at = 0.0
         self._from = np.zeros(3)  # where it was before what is on its way was set
+        self._page = 0.0, 0.0, 0.0  # [px] what `cover` was told
         client.camera.on_update(self._hear)
 
     @property
     def window(self) -> Window:
         """Where the viewer's scene is drawn, as far as that is known."""
-        return Window.of(*image_size(self._client), _COVERED)
+        height, above, below = self._page
+        return Window.of(
+            *image_size(self._client), above / max(height, 1.0), below / max(height, 1.0)
+        )
+
+    def cover(self, height: float, above: float, below: float) -> None:
+        """Take what the page says of its scene: height, and what lies over it [px]."""
+        self._page = float(height), float(above), float(below)
+
+    @property
+    def lens(self) -> Lens | None:
+        """What is seen where; None while the browser has not said it."""
+        camera, (_, drawn) = self._client.camera, image_size(self._client)
+        height = self._page[0] or drawn
+        if not 0.0 < height < np.inf:
+            return None
+        return lens_of(np.array(camera.position), np.array(camera.look_at), height, self.window)
 
     def fit(self, extent: Array) -> None:
         """From now on show a robot of this extent (N, 3) [m], in the base's frame."""
@@ -149,10 +174,10 @@ class Camera:
     def use(self, name: str, snapshot: Snapshot) -> None:
         """Look from a key of `PRESETS` at the robot as it is in a snapshot."""
         window, self._preset = self.window, name
-        eye, target = placed(PRESETS[name], snapshot, self._extent, window)
+        eye, target = placed(PRESETS[name], [snapshot], self._extent, window)
         self.put(eye, target)
         self._followed = np.array(snapshot.base_pose[:2])
-        self._looked = _Look(name, window, eye, self._set_at)
+        self._looked = _Look(name, window, eye)
         self._stands = np.array(eye)
 
     @property
@@ -176,19 +201,18 @@ class Camera:
         self._set, self._set_at, self._arrived = eye, monotonic(), False
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
-        """Look again if the page has taken another shape since; call it until it has settled.
+        """Look again if the page has taken another shape since, and nobody moved the camera.
 
-        A page's panels come with its first picture, and narrow the scene only then. While the
-        viewer is `busy` holding something, the scene must not move.
+        A page's panels come with its first picture, and narrow the scene only then; a drawer opens
+        later. While the viewer is `busy` holding something, the scene must not move.
         """
         look, window = self._looked, self.window
-        if look is None:
+        if look is None or busy:
             return
-        if busy or monotonic() > look.at + _SETTLING or self._left(look):
-            self._looked = None  # the page has settled, or the viewer has begun
+        if self._left(look):
+            self._looked = None  # the viewer has begun
         elif look.window != window:
             self.use(look.name, snapshot)
-            self._looked = self._looked and self._looked._replace(at=look.at)
 
     def follow(self, base_position: Array, *, on: bool) -> None:
         """Carry the camera along by what the base (2,) [m] has moved since the last step.
@@ -217,7 +241,8 @@ class Camera:
         """Look again where the robot has got out of sight; call it with each snapshot shown.
 
         That is after a beginning, whoever has moved the camera, and, if it follows, once the base
-        has gone on unseen. A scenario that has a view of its own begins with it.
+        has gone on unseen, or a hand, also of a ghost, where nobody has moved the camera. A
+        scenario that has a view of its own begins with it.
 
         Args:
             snapshot: What is shown.
@@ -236,12 +261,17 @@ class Camera:
             self.use("iso", snapshot)
         if busy or self._waits():
             return
-        camera, base = self._client.camera, np.array(snapshot.base_pose[:2])
-        if self._seen_at is None or sees(
-            camera.position, camera.look_at, _in_world(snapshot, self._extent), self.window
-        ):
+        camera, base_pose = self._client.camera, np.array(snapshot.base_pose)
+        base = base_pose[:2]
+        eye, target, window = camera.position, camera.look_at, self.window
+        seen = sees(eye, target, _in_world(base_pose, self._extent), window)
+        around = np.concatenate([robot.p_ee + _HAND for robot in _robots(snapshot)])
+        hands = [sees(eye, target, corner[None], window, 0.0) for corner in around]
+        if self._seen_at is None or seen:
             self._seen_at, self._begun = base, False
         elif self._begun or (on and np.linalg.norm(base - self._seen_at) > _MOVED):
+            self.use(self._preset, snapshot)
+        if on and self.preset and PRESETS[self.preset].of == "robot" and not all(hands):
             self.use(self._preset, snapshot)
 
     def _waits(self) -> bool:
@@ -266,53 +296,74 @@ class Camera:
 
 
 def placed(
-    preset: Preset, snapshot: Snapshot, extent: Array, window: Window = ANY_WINDOW
+    preset: Preset, shown: Sequence[Snapshot], extent: Array, window: Window = ANY_WINDOW
 ) -> tuple[Array, Array]:
     """Eye and target of a preset (3,) [m] in the world, turned with the base.
 
-    `extent` are points (N, 3) [m] of the robot in its ready pose, in the base's frame.
+    All that is `shown` one after the other is in the picture. `extent` are points (N, 3) [m] of
+    the robot in its ready pose, in the base's frame.
     """
-    R, _ = _frame(snapshot)
-    away, hand = R @ preset.away, snapshot.p_ee
-    seen = np.vstack([_in_world(snapshot, extent), hand + _HAND])
-    if preset.of == "hand":
-        seen = hand + _NEAR_HAND
-    elif preset.of == "pair":
+    about = shown[len(shown) // 2]
+    away = pin.utils.rotate("z", about.base_pose[2]) @ preset.away
+    if preset.of == "door" and about.door is not None:
+        door = about.door.door
+        away = door.pose(0.0).rotation @ (preset.away * (1.0, -door.side, 1.0))
+    return fit(np.vstack([_to_see(preset.of, each, extent) for each in shown]), away, window)
+
+
+def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
+    """(N, 3) [m] what has to be in a picture of an instant; `of` as in `Preset`."""
+    hand, robots = snapshot.p_ee, _robots(snapshot)
+    seen = [_in_world(robot.base_pose, extent) for robot in robots]
+    seen += [robot.p_ee + _HAND for robot in robots]
+    if of == "hand":
+        seen = [hand + _NEAR_HAND]
+    elif of == "pair":
         nearest = min(snapshot.pairs, key=lambda pair: pair.d)
-        seen = np.vstack([nearest.p_a + _NEAR_PAIR, nearest.p_b + _NEAR_PAIR])
-    elif preset.of == "door" and snapshot.door is not None:
+        seen = [nearest.p_a + _NEAR_PAIR, nearest.p_b + _NEAR_PAIR]
+    elif of == "door" and snapshot.door is not None:
         door, (_, width, height) = snapshot.door.door, snapshot.door.door.size
         corners = [(0.0, -door.side * u, v) for u in (0.0, width) for v in (0.0, height)]
         poses = (door.pose(0.0), door.pose(snapshot.door.angle), door.pose(_OPEN))
-        seen = np.array([T.act(np.array(c)) for T in poses for c in corners])
-        away = door.pose(0.0).rotation @ (preset.away * (1.0, -door.side, 1.0))
-        return fit(np.vstack([seen, hand + _HAND]), away, window)
-    return fit(np.vstack([seen, hand + SCALE * np.eye(3)]), away, window)  # and the gizmo's tips
+        return np.array([*(T.act(np.array(c)) for T in poses for c in corners), *(hand + _HAND)])
+    return np.vstack([*seen, hand + SCALE * np.eye(3)])  # and the gizmo's tips
 
 
-def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
-    """Whether the middle of points (N, 3) [m] is in the free part of a picture, large enough."""
+def lens_of(eye: Array, target: Array, height: float, window: Window) -> Lens:
+    """Of a camera at a place (3,) [m] that looks at another one, in a picture so many [px] high."""
+    half, (low, high) = height / 2, window.edges
+    free = -half * window.aspect, half * low, half * window.aspect, half * high
+    return Lens(eye, _axes(target - eye), half / np.tan(FIELD_OF_VIEW / 2), free)
+
+
+def sees(
+    eye: Array, target: Array, points: Array, window: Window, least: float = _LEAST_SHARE
+) -> bool:
+    """Whether the middle of points (N, 3) [m] is in the free part of a picture.
+
+    They have to fill `least` [-] of its height.
+    """
     axes = _axes(target - eye)
     middle = points.mean(axis=0)
     u, v, depth = axes @ (middle - eye)
     high = np.tan(FIELD_OF_VIEW / 2) * depth
     size = float(np.linalg.norm(points - middle, axis=1).max())
-    low = -high * (1 - 2 * window.covered)
-    return bool(depth > 0.0 and abs(u) < high * window.aspect and low < v < high) and (
-        size > _LEAST_SHARE * high
+    low, top = window.edges
+    return bool(depth > 0.0 and abs(u) < high * window.aspect and low * high < v < top * high) and (
+        size >= least * high
     )
 
 
-def _frame(snapshot: Snapshot) -> tuple[Array, Array]:
-    """R (3, 3) from the base's frame to the world, and its origin (3,) [m] on the floor."""
-    x, y, phi = snapshot.base_pose
-    return pin.utils.rotate("z", phi), np.array([x, y, 0.0])
+def _robots(snapshot: Snapshot) -> list[Snapshot | GhostReading]:
+    """The robot that is led, and the ghosts beside it that are to be seen with it."""
+    away = [np.linalg.norm((ghost.base_pose - snapshot.base_pose)[:2]) for ghost in snapshot.ghosts]
+    return [snapshot, *(g for g, d in zip(snapshot.ghosts, away, strict=True) if d < _FAR)]
 
 
-def _in_world(snapshot: Snapshot, extent: Array) -> Array:
-    """(N, 3) [m] points of the robot in the base's frame, in the world."""
-    R, origin = _frame(snapshot)
-    return origin + extent @ R.T
+def _in_world(base_pose: Array, extent: Array) -> Array:
+    """(N, 3) [m] points of a robot in its base's frame, in the world."""
+    x, y, phi = base_pose
+    return np.array([x, y, 0.0]) + extent @ pin.utils.rotate("z", phi).T
 
 
 def _axes(forward: Array) -> Array:
@@ -346,7 +397,8 @@ def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
     u, v, depth = axes @ points.T
     high = np.tan(FIELD_OF_VIEW / 2)
     across = _Strip(u, depth, -high * window.aspect, high * window.aspect)
-    along = _Strip(v, depth, -high * (1 - 2 * window.covered), high)
+    low, top = window.edges
+    along = _Strip(v, depth, low * high, top * high)
     nearest = min(across.nearest, along.nearest)
     eye = axes.T @ np.array([across.middle(nearest), along.middle(nearest), nearest])
     return eye, eye + ((depth.min() + depth.max()) / 2 - nearest) * forward

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -20,6 +20,87 @@ ROOT = "/robot"
 METRES_PER_NEWTON = 1 / 400  # [m/N] of a force: 0.1 m is 40 N
 METRES_PER_ACCELERATION = 0.2  # [s²] of v̇: 0.2 m is 1 m/s²
 HEAD_LENGTH = 0.035  # [m] of an arrow
+ANCHORS: tuple[Anchor, ...] = ("bottom-left", "top-left", "bottom-right", "top-right")
+"""Corners of a label that may be at its place, the best first."""
+FONT_SCALE = 0.85  # [-] of labels, 12 px high
+LINE, CHARACTER = 15.0, 5.6  # [px] room of a label of that size, and of one of its characters
+_ROOM = 4.0  # [px] beside a spot to which a label moves, so that it does not go to and fro
+_SOON = 0.5  # [s] between two pictures of what goes on
+_FARTHEST = 8  # lines that a label may stand away from its place
+
+
+class Lens(NamedTuple):
+    """Where the places of a scene are seen.
+
+    Attributes:
+        eye: (3,) [m].
+        axes: (3, 3) right, up and forward.
+        focal: [px] of what is as large as its distance.
+        free: [px] left, low, right and high edge of what nothing lies over, as `pixel` counts.
+    """
+
+    eye: Array
+    axes: Array
+    focal: float
+    free: tuple[float, float, float, float]
+
+    def pixel(self, place: Array) -> tuple[float, float, float]:
+        """[px] to the right and up from the picture's middle, and [m] in front of the eye."""
+        u, v, depth = map(float, self.axes @ (place - self.eye))
+        scale = self.focal / max(depth, 1e-3)
+        return scale * u, scale * v, depth
+
+    def has(self, pixel: tuple[float, float, float]) -> bool:
+        """Whether what is seen there is in front of the eye, and nothing lies over it."""
+        (u, v, depth), (left, low, right, high) = pixel, self.free
+        return depth > 0.0 and left < u < right and low < v < high
+
+
+class Spot(NamedTuple):
+    """Where a label stands: the corner that is at its place, raised by so many pixels."""
+
+    anchor: Anchor
+    rise: float
+
+
+def set_apart(
+    labels: Mapping[str, tuple[float, float, str]],
+    before: Mapping[str, Spot],
+    free: tuple[float, float, float, float],
+) -> dict[str, Spot]:
+    """Where labels stand so that none lies over another one; the first is at its place.
+
+    Args:
+        labels: [px] to the right and up, and text, by names.
+        before: Where they stood; a label stays where it is free until a nearer spot has room.
+        free: [px] left, low, right and high edge of where they can be read.
+    """
+    lines = sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs)
+    spots = [Spot(anchor, LINE * k) for k in lines for anchor in ANCHORS]
+    found: dict[str, Spot] = {}
+    taken: list[tuple[float, float, float, float]] = []
+    for name, (u, v, text) in labels.items():
+        rows = text.split("\n")
+        wide, tall = CHARACTER * (max(map(len, rows)) + 1), LINE * len(rows)
+        for spot in spots:
+            room = 0.0 if spot == before.get(name) else _ROOM
+            left = u if spot.anchor.endswith("left") else u - wide
+            low = v + spot.rise - (0.0 if spot.anchor.startswith("bottom") else tall)
+            inside = left >= free[0] and low >= free[1]
+            inside = inside and left + wide <= free[2] and low + tall <= free[3]
+            if inside and all(
+                left - x >= w + room
+                or x - left >= wide + room
+                or low - y >= h + room
+                or y - low >= tall + room
+                for x, y, w, h in taken
+            ):
+                break
+        else:
+            spot = spots[0]  # there is no room for it
+        taken.append((left, low, wide, tall))
+        found[name] = spot
+    return found
 
 
 class Canvas:
@@ -37,12 +118,22 @@ class Canvas:
         self._handles: dict[str, Any] = {}
         self._drawn: set[str] = set()
         self._texts = True
+        self._places: dict[str, tuple[Array, str]] = {}  # of labels, with their texts
+        self._spots: dict[str, Spot] = {}
+        self._t = 0.0
 
     @contextmanager
-    def picture(self, *, texts: bool) -> Iterator[None]:
-        """Draw anew; the texts of labels that were there change only if `texts`."""
-        self._drawn, self._texts = set(), texts
+    def picture(self, *, texts: bool, lens: Lens | None = None, t: float = 0.0) -> Iterator[None]:
+        """Draw anew; the texts of labels that were there change only if `texts`.
+
+        Labels keep apart as they are seen through a lens, and stay where they were while a time
+        [s] goes on: pictures of one instant are the same.
+        """
+        if not 0.0 < t - self._t < _SOON:
+            self._spots = {}
+        self._drawn, self._texts, self._places, self._t = set(), texts, {}, t
         yield
+        self._set_labels(lens)
         for name, handle in self._handles.items():
             handle.visible = name in self._drawn
 
@@ -56,19 +147,19 @@ class Canvas:
         )
         node.position = place
 
-    def label(self, name: str, place: Array, text: str, anchor: Anchor = "top-left") -> None:
-        """A text at a place (3,) [m], which is its corner `anchor`."""
+    def label(self, name: str, place: Array, text: str) -> None:
+        """A text at a place (3,) [m] of the world; what is named first stands nearest to it."""
         if not self.labels:
             return
         node = self._node(
             name,
             lambda: self._scene.add_label(
-                name, text, anchor=anchor, font_screen_scale=0.85, visible=False
+                name, text, anchor=ANCHORS[0], font_screen_scale=FONT_SCALE, visible=False
             ),
         )
-        node.position, node.anchor = place, anchor
         if self._texts:
             node.text = text
+        self._places[name] = place, node.text
 
     def lines(self, name: str, lines: Sequence[Array], colour: Rgb, pixels: float) -> None:
         """Lines of one colour through points (K, 3) [m] each, K ≥ 2.
@@ -119,6 +210,19 @@ class Canvas:
         )
         node.dimensions = tuple(map(float, size))
         node.position, node.wxyz = to_viser(T)
+
+    def _set_labels(self, lens: Lens | None) -> None:
+        seen = {
+            name: (*pixel[:2], text)
+            for name, (place, text) in self._places.items()
+            if lens is not None and lens.has(pixel := lens.pixel(place))
+        }
+        self._spots = {} if lens is None else set_apart(seen, self._spots, lens.free)
+        for name, (place, _) in self._places.items():
+            spot, up = self._spots.get(name, Spot(ANCHORS[0], 0.0)), 0.0
+            if lens is not None and spot.rise:
+                up = spot.rise * lens.pixel(place)[2] / lens.focal * lens.axes[1]
+            self._handles[name].position, self._handles[name].anchor = place + up, spot.anchor
 
     def _node(self, name: str, send: Callable[[], Any]) -> Any:
         self._drawn.add(name)

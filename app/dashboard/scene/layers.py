@@ -7,12 +7,12 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import pinocchio as pin
 
+from app.dashboard.panels import phrases as words
 from app.dashboard.scene.canvas import (
     HEAD_LENGTH,
     METRES_PER_ACCELERATION,
     METRES_PER_NEWTON,
     ROOT,
-    Anchor,
     Canvas,
 )
 from app.dashboard.scene.colours import (
@@ -32,14 +32,10 @@ from app.simulation.trace.snapshot import ActingReading, DoorView, PairReading, 
 
 Array = np.ndarray
 
-TOGETHER = 0.15  # [m] nearer labels of distances stand at one point
 _LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] over its point, clear of the acting points
-_ANCHORS: tuple[Anchor, ...] = ("bottom-left", "top-left", "bottom-right", "top-right")
-"""Quarters in which the labels stand in turn: those of one point do not overlap."""
-
+LEAST_STRETCH = 0.002  # [m] shorter rubber bands are not drawn
 _LEAST_FORCE = 0.5  # [N] weaker forces get no arrow, whose head would be longer than itself
 _FORCE_LIFT = 0.08  # [m] of the arrow of a force on the base over the base's top
-_LEAST_APART = 0.05  # [m] nearer to p_act the label of p_t would lie under that of p_act
 _P_N: Rgb = (240, 240, 245)
 _P_T: Rgb = (32, 190, 200)
 
@@ -76,24 +72,20 @@ def draw_distances(
             f"/distances/{kind}", ends, np.repeat(colours[:, None, :], 2, axis=1), pixels
         )
     nearest = min(pairs, key=lambda pair: pair.d)
-    standing: list[tuple[Array, Anchor]] = []
-    for i, pair in enumerate(pairs):
+    for pair in pairs:
         if view.labels == "all" or (view.labels == "active" and pair.d < d_b):
             # Between the base and the arm stand the acting points with their own labels.
             place = pair.p_a + _LABEL_LIFT if pair.mobile else (pair.p_a + pair.p_b) / 2
-            anchor = _ANCHORS[i % len(_ANCHORS)]
-            place = beside(place, anchor, standing)
-            standing.append((place, anchor))
             depth = "" if pair.d >= 0.0 else " inside: contact"
             text = f"{spoken[pair.name]}  {1000 * abs(pair.d):.0f} mm{depth}"
-            canvas.label(f"/distances/label_{pair.name}", place, text, anchor)
+            canvas.label(f"/distances/label_{pair.name}", place, text)
         if view.names and pair.d < d_b:
             node = f"/distances/{pair.name}"
             canvas.point(f"{node}/p_a", pair.p_a, NEAR, 0.009)
             canvas.point(f"{node}/p_b", pair.p_b, NEAR, 0.009)
             if pair is nearest:  # those of all pairs would lie over one another
-                canvas.label(f"{node}/p_a_label", pair.p_a, "p_a", "bottom-right")
-                canvas.label(f"{node}/p_b_label", pair.p_b, "p_b", "top-left")
+                canvas.label(f"{node}/p_a_label", pair.p_a, "p_a")
+                canvas.label(f"{node}/p_b_label", pair.p_b, "p_b")
 
 
 def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array:
@@ -104,26 +96,10 @@ def segments(pairs: Sequence[PairReading], d_b: float, *, inside: bool) -> Array
     return ends
 
 
-def beside(place: Array, side: str, standing: Sequence[tuple[Array, str]]) -> Array:
-    """Where a label stands: with others near it at one point, in a quarter of its own.
-
-    Args:
-        place: (3,) [m] where it belongs.
-        side: Its anchor.
-        standing: Place (3,) [m] and anchor of each label that stands already.
-    """
-    for there, _ in standing:
-        taken = {s for p, s in standing if p is there}
-        if np.linalg.norm(there - place) < TOGETHER and side not in taken:
-            return there
-    return place
-
-
 def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: float) -> None:
     """p_n, p_t, p_act and the force of avoidance of each active pair of L_m.
 
-    Each label stands on its own side, the distance's to the upper right: they stay apart where
-    points meet. The base's top is at a height [m].
+    The base's top is at a height [m].
     """
     for reading in snapshot.acting:
         node = f"/acting/{reading.name}"
@@ -131,9 +107,8 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
         canvas.point(f"{node}/p_t", reading.p_t, _P_T, 0.011)
         canvas.point(f"{node}/p_act", reading.p_act, ACTING, 0.011)
         if view.names:
-            canvas.label(f"{node}/p_n_label", reading.p_n, "p_n", "bottom-right")
-            if np.linalg.norm(reading.p_t - reading.p_act) > _LEAST_APART:
-                canvas.label(f"{node}/p_t_label", reading.p_t, "p_t", "top-right")
+            canvas.label(f"{node}/p_n_label", reading.p_n, "p_n")
+            canvas.label(f"{node}/p_t_label", reading.p_t, "p_t")
         place = _draw_force(canvas, node, reading, top)
         force = f"{np.linalg.norm(reading.f):.0f} N"
         canvas.label(f"{node}/p_act_label", place, f"p_act  {force}" if view.names else force)
@@ -188,12 +163,22 @@ def arc(w: float) -> Array:
     return _RADIUS * np.column_stack([np.cos(along), np.sin(along), np.zeros(len(along))])
 
 
+def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
+    """The rubber bands by which people pull, with their newtons."""
+    for i, pull in enumerate(snapshot.pulls):
+        ends = np.array([pull.point, pull.target])
+        if np.linalg.norm(ends[1] - ends[0]) > LEAST_STRETCH:
+            canvas.lines(f"/pull/{i}", [ends], PERSON, 3.0)
+            text = f"{np.linalg.norm(pull.force):.0f} N{words.borne(snapshot.force_bound)}"
+            canvas.label(f"/pull/label_{i}", ends.mean(axis=0), text)
+
+
 def draw_names(canvas: Canvas, snapshot: Snapshot) -> None:
-    """Below each of several robots its controller's name, in a quarter of its own."""
+    """Below each of several robots its controller's name."""
     ghosts = [(ghost.controller, ghost.base_pose) for ghost in snapshot.ghosts]
     robots = [(f"{snapshot.controller} (led)", snapshot.base_pose), *ghosts] if ghosts else []
     for i, (name, (x, y, _)) in enumerate(robots):
-        canvas.label(f"/names/{i}", np.array([x, y, _NAME_HEIGHT]), name, _ANCHORS[i])
+        canvas.label(f"/names/{i}", np.array([x, y, _NAME_HEIGHT]), name)
 
 
 def draw_door(canvas: Canvas, view: DoorView) -> None:

@@ -12,7 +12,7 @@ from app.border.dbb import Cloud
 from app.dashboard.panels import phrases as words
 from app.dashboard.record import Course, Rows, Strip, Track
 from app.dashboard.scene.borders import Borders, BorderSlice, DrawnBorders
-from app.dashboard.scene.canvas import ROOT, Canvas, from_viser, to_viser
+from app.dashboard.scene.canvas import ROOT, Canvas, Lens, from_viser, to_viser
 from app.dashboard.scene.colours import GHOSTS, TRAIL_BASE, TRAIL_HAND, Rgb
 from app.dashboard.scene.layers import (
     draw_acting_points,
@@ -20,6 +20,7 @@ from app.dashboard.scene.layers import (
     draw_door,
     draw_motion,
     draw_names,
+    draw_pulls,
 )
 from app.dashboard.scene.legend import Legend
 from app.dashboard.scene.robot import RobotParts, Visual
@@ -204,8 +205,8 @@ class Scene:
         """
         return self._border.update(self._view, snapshot.config.border)
 
-    def draw(self, snapshot: Snapshot, *, texts: bool) -> None:
-        """Draw a snapshot; labels and trails only if `texts`."""
+    def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> None:
+        """Draw a snapshot, as it is seen through a lens; labels and trails only if `texts`."""
         view = self._view
         if self._light != view.light:
             self._light = view.light
@@ -220,7 +221,7 @@ class Scene:
         self._draw_ghosts(snapshot)
         if texts and view.trails:
             self._trails = {name: t.until(snapshot.t) for name, t in self._data.tracks.items()}
-        with self.canvas.picture(texts=texts):
+        with self.canvas.picture(texts=texts, lens=lens, t=snapshot.t):
             self._draw_layers(snapshot)
 
     def _light_up(self) -> None:
@@ -253,6 +254,7 @@ class Scene:
             draw_acting_points(canvas, snapshot, view, top)
         if view.motion:
             draw_motion(canvas, snapshot, self._data.model.description.base.axes, top)
+        draw_pulls(canvas, snapshot)
         draw_names(canvas, snapshot)
         if snapshot.door is not None:
             draw_door(canvas, snapshot.door)
