@@ -12,9 +12,10 @@ from app.config import Config
 from app.onboarding.fit import postures
 from app.onboarding.fit.postures import Place, deepest, find_places
 from app.robot.link_pairs import LinkPairs, find_link_pairs
+from app.robot.shapes import Box
 from app.simulation.run import RunOptions, run_scenario
 from app.simulation.scenarios import LINES
-from tests.robots import husky_panda
+from tests.robots import husky_panda, with_mobile_shapes
 
 D_B = 0.15  # [m]
 INNER = 0.4 * D_B  # [m]
@@ -62,7 +63,7 @@ def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
     """The paper's robot, from 0.35 m beside its base: to 0.2 m its arm does not come near."""
     monkeypatch.setattr(postures, "_OUT", (0.35,))
     monkeypatch.setattr(postures, "_LEFT_OVER", (0.2, 0.025))
-    monkeypatch.setattr(postures, "_heights", lambda top: [0.8 * top])
+    monkeypatch.setattr(postures, "_heights", lambda tops: [0.8 * tops[0]])
     monkeypatch.setattr(postures, "_front", lambda body, mount: iter(()))
     shares: list[float] = []
     pairs = find_link_pairs(husky_panda(), samples=2000)
@@ -70,6 +71,20 @@ def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
     np.testing.assert_allclose(found["guiding-lateral"].move, (0.0, -0.325, 0.0), atol=1e-9)
     assert found.keys() == {"guiding-lateral"}
     assert shares == [0.0]
+
+
+def test_a_line_leads_to_what_there_is_of_the_base_at_its_height(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A base on a wide plate: beside the plate its trunk is out of the arm's reach."""
+    monkeypatch.setattr(postures, "_front", lambda body, mount: iter(()))
+    trunk = husky_panda().description.mobile_body.shapes[0]
+    plate = Box(type="box", xyz_m=(0.0, 0.0, -0.1), size_m=(1.6, 1.2, 0.04))
+    model = with_mobile_shapes((trunk, plate))
+    found = find_places(model, find_link_pairs(model, samples=2000), D_B)
+    place = found["guiding-lateral"]
+    assert place.nearest < INNER
+    assert abs(place.start[1]) < 0.6 + 0.25  # [m] nearer than a line to the plate could begin
 
 
 def test_a_line_leads_as_near_as_a_run_without_avoidance(border_data: BorderData) -> None:

@@ -112,6 +112,8 @@ INNER = 0.4
 _OUT = (0.425, 0.375, 0.35, 0.325, 0.30, 0.275, 0.25)  # [m] from the base's side, farthest first
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
 _STEP = 0.0125  # [m] along the line
+_OVER_MOUNT = 0.4  # [m] above which no part of l_m is approached
+_SAME_TOP = 0.1  # [m] less between the tops of two parts is the same height
 _SHARES = np.linspace(0.1, 1.0, 10)  # [-] of the way from a posture nearby
 _NEAR = 0.15  # [m] from a place to the hand in some posture that is clear of the buffers
 _THERE = 1e-3  # [m] by which the hand may miss it
@@ -149,10 +151,10 @@ def find_places(
 ) -> dict[str, Place]:
     """Lines towards the base from its side and its front, by the scenario's name.
 
-    From 0.43 m beside the box around l_m (0.25 m where the arm is short) to 0.125 m, as with the
-    paper's robot, or nearer, at the height nearest to 0.8 of the box at which the arm can start.
-    Without avoidance the arm would come to the base itself there, or well into the inner half of
-    the buffer. A side on which the arm does not reach so far has none.
+    From 0.43 m beside what there is of l_m at the line's height (0.25 m where the arm is short) to
+    0.125 m, as with the paper's robot, or nearer, at the height nearest to 0.8 of a part of l_m at
+    which the arm can start. Without avoidance the arm would come to the base itself there, or well
+    into the inner half of the buffer. A side on which the arm does not reach so far has none.
 
     Args:
         model: The robot.
@@ -162,8 +164,9 @@ def find_places(
     """
     if not pairs.mobile:
         return {}
-    body, mount, guide = MobileBody(model), model.p_base(), _Guide(model, pairs, d_b)
-    heights = [round(h, 3) for h in _heights(min(float(body.upper[2]), float(mount[2]) + 0.4))]
+    guide, mount = _Guide(model, pairs, d_b), model.p_base()
+    body = guide.body
+    heights = [round(h, 3) for h in _heights(_tops(body, float(mount[2]) + _OVER_MOUNT))]
     ways = {"guiding-lateral": _lateral(body, mount), "guiding-front": _front(body, mount)}
     found: dict[str, Place] = {}
     for k, (name, starts) in enumerate(ways.items()):
@@ -175,7 +178,8 @@ def find_places(
 
 
 _Start = tuple[Array, Array]
-"""Where a line starts, x, y and how far out [m] of the base, and the unit vector (3,) inwards."""
+"""Where a line starts, x, y and how far out [m] of the box around l_m, and the unit vector (3,)
+inwards."""
 
 
 def deepest(lines: Iterable[Place], d_b: float) -> Place | None:
@@ -201,6 +205,7 @@ class _Guide:
     """Leads the hand of a robot along lines, its base standing still at the origin."""
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
+        self.body = MobileBody(model)
         self._solver = StartSolver(model, pairs, d_b)
         self._search = PostureSearch(model, pairs, d_b)
         self._mobile = len(pairs.mobile)
@@ -221,7 +226,8 @@ class _Guide:
         and where it does not come there the search of all postures need not begin.
         """
         at, inwards = start
-        p = _point([*np.round(at[:2], 3), z])
+        gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
+        p = _point([*np.round(at[:2] + gap * inwards[:2], 3), z])
         if not self._may_start(np.array(p)):
             return
         try:
@@ -290,8 +296,27 @@ _LED = (
 )
 
 
-def _heights(top: float) -> list[float]:
-    return [0.8 * top, 0.65 * top, top, top + 0.1, 0.5 * top, top + 0.2, top + 0.35]
+def _tops(body: MobileBody, most: float) -> list[float]:
+    """[m] of l_m's parts, the highest first, none above `most` and none nearly twice."""
+    found: list[float] = []
+    for top in sorted((float(part.upper[2]) for part in body.parts), reverse=True):
+        if not found or min(top, most) < found[-1] - _SAME_TOP:
+            found.append(min(top, most))
+    return found
+
+
+def _heights(tops: list[float]) -> list[float]:
+    """[m] of lines towards parts of l_m up to these tops, the best ones first."""
+    ways = ((0.8, 0.0), (0.65, 0.0), (1.0, 0.0), (1.0, 0.1), (0.5, 0.0), (1.0, 0.2), (1.0, 0.35))
+    return [share * top + over for share, over in ways for top in tops]
+
+
+def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
+    """[m] from a point (3,) inwards to l_m; 0 if it is not met, as above its top."""
+    size = body.upper - body.lower
+    steps = np.arange(0.0, float(np.abs(inwards) @ size), _STEP)
+    met = body.distance(p + steps[:, None] * inwards) <= _STEP
+    return float(steps[met.argmax()]) if met.any() else 0.0
 
 
 def _lateral(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:
