@@ -108,12 +108,12 @@ ROBOTS: dict[str, dict[str, Any]] = {
     "stretch_re2": _of(
         f"{_STRETCH}/RE2V0/stretch_description_RE2V0_eoa_wrist_dw3_tool_sg3.urdf",
         "base_link",
-        "link_gripper_s3_body",
+        _STRETCH_HAND,
     ),
     "stretch_se3": _of(
         f"{_STRETCH}/SE3/stretch_description_SE3_eoa_wrist_dw3_tool_sg3.urdf",
         "base_link",
-        "link_gripper_s3_body",
+        _STRETCH_HAND,
     ),
     "tiago": _of(f"{_TIAGO}/tiago_no_hand.urdf", "base_footprint", "wrist_ft_tool_link"),
     "tiago_hand": _of(f"{_TIAGO}/tiago.urdf", "base_footprint", "arm_tool_link"),

@@ -10,7 +10,7 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config
 from app.onboarding.fit import postures
-from app.onboarding.fit.postures import Place, deepest, find_places
+from app.onboarding.fit.postures import Place, chosen, find_places
 from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.shapes import Box
 from app.simulation.run import RunOptions, run_scenario
@@ -22,7 +22,7 @@ INNER = 0.4 * D_B  # [m]
 
 
 def places(nearest: list[float]) -> list[Place]:
-    """Lines by how near [m] each of them leads the arm to the base."""
+    """Lines by how near [m] each of them leads the arm to the base, each from another place."""
     return [Place((0.0, 0.0, 0.1 * k), (1.0, 0.0, 0.0), d, "") for k, d in enumerate(nearest)]
 
 
@@ -40,7 +40,7 @@ def test_the_first_line_to_contact_is_taken_else_the_deepest(
     nearest: list[float], taken: int | None
 ) -> None:
     lines = places(nearest)
-    assert deepest(lines, D_B) == (None if taken is None else lines[taken])
+    assert chosen(lines, D_B) == (None if taken is None else lines[taken])
 
 
 def test_nothing_is_searched_after_a_line_to_contact() -> None:
@@ -50,7 +50,23 @@ def test_nothing_is_searched_after_a_line_to_contact() -> None:
         yield from lines
         raise AssertionError("searched on")
 
-    assert deepest(searched(), D_B) == lines[1]
+    assert chosen(searched(), D_B) == lines[1]
+
+
+def test_of_lines_to_contact_the_first_is_taken_on_which_the_base_gives_way() -> None:
+    lines = places([0.3, -0.01, -0.03, -0.02])
+    assert chosen(lines, D_B, shows=lambda line: line is lines[3]) == lines[3]
+    assert chosen(lines, D_B, shows=lambda _: False) is None
+    short = places([0.3, 0.9 * INNER, 0.7 * INNER, 0.8 * INNER])
+    assert chosen(short, D_B, shows=lambda line: line is not short[2]) == short[3]
+
+
+def test_only_a_few_lines_are_tried_by_a_run() -> None:
+    tried: list[Place] = []
+    for nearest in (-0.01, 0.5 * INNER):
+        tried.clear()
+        chosen(places([nearest] * 20), D_B, shows=lambda line: bool(tried.append(line)))
+        assert 1 < len(tried) < 6
 
 
 def test_an_arm_that_can_meet_no_base_has_no_lines() -> None:

@@ -20,7 +20,15 @@ from app.errors import DbbError, RobotFileError
 from app.onboarding.fit.bodies import FittedBody
 from app.onboarding.fit.collision_sampling import Meetings, make_units, sample_meetings
 from app.onboarding.fit.grouping import Grouping, Unseen, Verdict, find_grouping, unseen_collisions
-from app.onboarding.fit.postures import RULE, Place, Ready, find_places, find_ready, judge_ready
+from app.onboarding.fit.postures import (
+    RULE,
+    Place,
+    Ready,
+    find_places,
+    find_ready,
+    gives_way,
+    judge_ready,
+)
 from app.onboarding.numbers import (
     Limits,
     Reach,
@@ -208,7 +216,9 @@ def make_robot(
     reach = find_reach(compiled(content, path), pairs)
     content["reachability"] = {name: each.content() for name, each in reach.items()}
     tell("looking for places to guide the hand")
-    places = find_places(compiled(content, path), pairs, d_b, on_progress=on_progress)
+    model = compiled(content, path)
+    shows = partial(gives_way, model, data)
+    places = find_places(model, pairs, d_b, shows=shows, on_progress=on_progress)
     content["lines"] = {name: place.content() for name, place in places.items()}
     model = compiled(content, path)
     fitted = meetings, bodies, verdict, unseen

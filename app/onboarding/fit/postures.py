@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from app.border.cache import BorderData
 from app.border.mobile import MobileBody
+from app.config import Config
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
+from app.simulation.run import steps_of
+from app.simulation.scenarios import LINES
 from app.simulation.scenarios.posture import PostureSearch, manipulability
 from app.simulation.scenarios.start import StartSolver
 
@@ -109,6 +115,9 @@ Point = tuple[float, float, float]
 
 INNER = 0.4
 """[-] Share of the buffer into which a line has to lead; it should lead to contact."""
+GIVES_WAY = 0.05
+"""[m] by which the base should move then."""
+_MOST_RUNS = 3  # [-] of lines that are tried
 _OUT = (0.425, 0.375, 0.35, 0.325, 0.30, 0.275, 0.25)  # [m] from the base's side, farthest first
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
 _STEP = 0.0125  # [m] along the line
@@ -147,6 +156,7 @@ def find_places(
     pairs: LinkPairs,
     d_b: float,
     *,
+    shows: Callable[[str, Place], bool] = lambda _, __: True,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Place]:
     """Lines towards the base from its side and its front, by the scenario's name.
@@ -160,6 +170,7 @@ def find_places(
         model: The robot.
         pairs: Those that avoidance watches.
         d_b: [m] buffer distance.
+        shows: Whether a line, by the scenario's name, shows what it should; see `gives_way`.
         on_progress: Called with the share of the places that was looked at, 0 to 1.
     """
     if not pairs.mobile:
@@ -172,7 +183,8 @@ def find_places(
     for k, (name, starts) in enumerate(ways.items()):
         tried = list(product(starts, heights))
         shares = np.linspace(k, k + 1, len(tried), endpoint=False) / len(ways)
-        if (place := deepest(guide.lines(tried, shares, on_progress), d_b)) is not None:
+        lines = guide.lines(tried, shares, on_progress)
+        if (place := chosen(lines, d_b, partial(shows, name))) is not None:
             found[name] = place
     return found
 
@@ -182,23 +194,49 @@ _Start = tuple[Array, Array]
 inwards."""
 
 
-def deepest(lines: Iterable[Place], d_b: float) -> Place | None:
-    """The first line on which the bodies would meet, else the one that leads deepest.
+def chosen(
+    lines: Iterable[Place], d_b: float, shows: Callable[[Place], bool] = lambda _: True
+) -> Place | None:
+    """The first line on which the bodies would meet that shows it, else the deepest that does.
 
     Args:
-        lines: In the order of preference; none is asked for after one that leads to contact.
+        lines: In the order of preference; none is asked for after the last one that is tried.
         d_b: [m] buffer distance.
+        shows: Asked of a few lines.
 
     Returns:
-        None if no line comes into the inner part of the buffer.
+        None if no line that was tried shows it or comes into the inner part of the buffer.
     """
-    found, least = None, INNER * d_b
+    deep: dict[Point, Place] = {}
+    tried = 0
     for line in lines:
-        if line.nearest < least:
-            found, least = line, line.nearest
-        if line.nearest <= 0.0:
-            break
-    return found
+        if line.nearest > 0.0:
+            if line.nearest < INNER * d_b:
+                deep[line.start] = line
+            continue
+        if shows(line):
+            return line
+        tried += 1
+        if tried == _MOST_RUNS:
+            return None
+    for line in sorted(deep.values(), key=lambda each: each.nearest)[: _MOST_RUNS - tried]:
+        if shows(line):
+            return line
+    return None
+
+
+def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> bool:
+    """Whether the base gives way when the hand is guided along a line.
+
+    It does not where other parts of the arm meet first, which holds the hand, or where the base
+    would take the hand along.
+    """
+    line = LINES[name].changed(start=place.start, move=place.move)
+    try:
+        with closing(steps_of(model, data, line, Config(), physics="kinematic")) as steps:
+            return any(np.hypot(*step.measurement.base_pose[:2]) >= GIVES_WAY for _, step in steps)
+    except UnreachableError:
+        return False
 
 
 class _Guide:
@@ -243,6 +281,8 @@ class _Guide:
                 least = min(least, *self._search.distances()[: self._mobile])
             move = _point(np.round((at[2] - left) * inwards, 3))
             yield Place(p, move, float(least), _LED.format(left, least))
+            if least <= 0.0:
+                return
 
     def _pulled(self, q_m: Array, p: Array) -> Array:
         """(n_m,) the arm after its hand was slowly pulled from a posture to a place (3,) [m].
