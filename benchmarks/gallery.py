@@ -240,9 +240,11 @@ def outcome(name: str, quick: bool) -> dict[str, Any]:
     if found is None:
         return took | row
     checks = {each.pop("name"): each for each in found["checks"]}
-    bad = any(each["outcome"] in ("failed", "nothing to show") for each in checks.values())
+    outcomes = {each["outcome"] for each in checks.values()}
+    guided = {checks[name]["outcome"] for name in checks if name.startswith("guiding")}
+    verdict = "passed" if "passed" in guided else "warned"
     return row | {
-        "verdict": "failed" if bad else "passed",
+        "verdict": "failed" if outcomes & {"failed", "nothing to show"} else verdict,
         "check_cpu_s": took["cpu_s"],
         "checks": checks,
     }

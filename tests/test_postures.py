@@ -57,6 +57,7 @@ def test_of_lines_to_contact_the_first_is_taken_on_which_the_base_gives_way() ->
     lines = places([0.3, -0.01, -0.03, -0.02])
     assert chosen(lines, D_B, shows=lambda line: line is lines[3]) == lines[3]
     assert chosen(lines, D_B, shows=lambda _: False) is None
+    assert chosen(lines, D_B, shows=lambda _: False, anyway=True) == lines[1]
     short = places([0.3, 0.9 * INNER, 0.7 * INNER, 0.8 * INNER])
     assert chosen(short, D_B, shows=lambda line: line is not short[2]) == short[3]
 

@@ -49,9 +49,10 @@ _MANY = 500  # [-] points nearer than the border by which a layer counts as reac
 _FEW = 10  # [-] points of the border in a layer that is not empty
 _CLEARANCE = 0.03  # [m] least distance of a pair with the base that passes
 _NEARLY = 0.05  # [m] to the base without avoidance, from which on the base has to move
-_STILL = (
-    f"; the base gives way by less than {GIVES_WAY:g} m; if `hand held` warns, a smaller "
-    "holding.weight lets it give way more"
+_STILL = f"; the base gives way by less than {GIVES_WAY:g} m"
+_HELD = (
+    ", as the arm cannot hold its hand where it is (`hand held`) and keeps away by itself; a "
+    "smaller holding.weight lets the base give way more"
 )
 
 
@@ -127,7 +128,7 @@ def check_robot(
 
 
 def _shown(rows: list[Row]) -> bool:
-    return any(row.outcome in ("passed", "failed") for row in rows)
+    return any(row.numbers and row.outcome != "nothing to show" for row in rows)
 
 
 def _done(name: str, check: Callable[[], Row]) -> Row:
@@ -384,8 +385,11 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
             f"moved by {moved:.3f} m, {text}"
         )
     still = without is not None and without < _NEARLY and moved < GIVES_WAY
-    if touched or failures or still or (near is not None and near < _CLEARANCE):
-        text += _STILL if still else ""
+    if touched or failures or (near is not None and near < _CLEARANCE):
         return Row(name, "failed", text, numbers)
+    if still:
+        held = bool(holding_warning(carried_hand(model)))
+        text += _STILL + (_HELD if held else "")
+        return Row(name, "warned" if held else "failed", text, numbers)
     shown = without is not None and without < config.border.d_b / 2
     return Row(name, "passed" if shown else "nothing to show", text, numbers)

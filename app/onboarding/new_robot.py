@@ -46,7 +46,7 @@ from app.onboarding.read.tree import Arm, Tree, find_arm, make_tree
 from app.onboarding.read.wheels import Steering, Wheels, find_drive, with_rigid_suspensions
 from app.onboarding.report import report_html
 from app.onboarding.request import Request, package_folders
-from app.onboarding.warn import warnings_of
+from app.onboarding.warn import carried_hand, holding_warning, warnings_of
 from app.onboarding.write import compiled, description, rebased_urdf, whole_folder, write_robot
 from app.robot.model import RobotModel
 from app.system import write_whole
@@ -217,8 +217,14 @@ def make_robot(
     content["reachability"] = {name: each.content() for name, each in reach.items()}
     tell("looking for places to guide the hand")
     model = compiled(content, path)
-    shows = partial(gives_way, model, data)
-    places = find_places(model, pairs, d_b, shows=shows, on_progress=on_progress)
+    places = find_places(
+        model,
+        pairs,
+        d_b,
+        shows=partial(gives_way, model, data),
+        anyway=bool(holding_warning(carried_hand(model))),  # the arm then avoids by itself
+        on_progress=on_progress,
+    )
     content["lines"] = {name: place.content() for name, place in places.items()}
     model = compiled(content, path)
     fitted = meetings, bodies, verdict, unseen

@@ -157,6 +157,7 @@ def find_places(
     d_b: float,
     *,
     shows: Callable[[str, Place], bool] = lambda _, __: True,
+    anyway: bool = False,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Place]:
     """Lines towards the base from its side and its front, by the scenario's name.
@@ -171,6 +172,7 @@ def find_places(
         pairs: Those that avoidance watches.
         d_b: [m] buffer distance.
         shows: Whether a line, by the scenario's name, shows what it should; see `gives_way`.
+        anyway: Whether one is taken where none does.
         on_progress: Called with the share of the places that was looked at, 0 to 1.
     """
     if not pairs.mobile:
@@ -184,7 +186,8 @@ def find_places(
         tried = list(product(starts, heights))
         shares = np.linspace(k, k + 1, len(tried), endpoint=False) / len(ways)
         lines = guide.lines(tried, shares, on_progress)
-        if (place := chosen(lines, d_b, partial(shows, name))) is not None:
+        place = chosen(lines, d_b, partial(shows, name), anyway=anyway)
+        if place is not None:
             found[name] = place
     return found
 
@@ -195,7 +198,11 @@ inwards."""
 
 
 def chosen(
-    lines: Iterable[Place], d_b: float, shows: Callable[[Place], bool] = lambda _: True
+    lines: Iterable[Place],
+    d_b: float,
+    shows: Callable[[Place], bool] = lambda _: True,
+    *,
+    anyway: bool = False,
 ) -> Place | None:
     """The first line on which the bodies would meet that shows it, else the deepest that does.
 
@@ -203,12 +210,13 @@ def chosen(
         lines: In the order of preference; none is asked for after the last one that is tried.
         d_b: [m] buffer distance.
         shows: Asked of a few lines.
+        anyway: Whether the first of them is taken if none shows it.
 
     Returns:
-        None if no line that was tried shows it or comes into the inner part of the buffer.
+        None if there is no such line in the inner part of the buffer.
     """
     deep: dict[Point, Place] = {}
-    tried = 0
+    tried: list[Place] = []
     for line in lines:
         if line.nearest > 0.0:
             if line.nearest < INNER * d_b:
@@ -216,13 +224,14 @@ def chosen(
             continue
         if shows(line):
             return line
-        tried += 1
-        if tried == _MOST_RUNS:
-            return None
-    for line in sorted(deep.values(), key=lambda each: each.nearest)[: _MOST_RUNS - tried]:
+        tried.append(line)
+        if len(tried) == _MOST_RUNS:
+            break
+    for line in sorted(deep.values(), key=lambda each: each.nearest)[: _MOST_RUNS - len(tried)]:
         if shows(line):
             return line
-    return None
+        tried.append(line)
+    return tried[0] if tried and anyway else None
 
 
 def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> bool:
