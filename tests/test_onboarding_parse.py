@@ -79,7 +79,7 @@ def test_the_arm_is_what_moves_between_base_and_tip(tmp_path: Path) -> None:
     assert set(found.base_links) == {"base", "left_wheel", "right_wheel"}
 
 
-def test_a_link_on_which_wheels_hang_is_the_bases_and_not_the_arms(tmp_path: Path) -> None:
+def test_a_link_that_stands_on_the_floor_is_the_bases_and_not_the_arms(tmp_path: Path) -> None:
     """Between --base, a bare point on the floor, and the arm's first joint is the base itself."""
     footprint = [link("footprint"), joint("stands", "fixed", "footprint", "base", xyz="0 0 0.15")]
     first = 'name="pan" type="revolute"><parent link="column"/>'

@@ -43,7 +43,13 @@ from app.onboarding.read.links import LinkGeometry, LinkInertia, read_geometry, 
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.source import locate, read_robot
 from app.onboarding.read.tree import Arm, Tree, find_arm, make_tree
-from app.onboarding.read.wheels import Steering, Wheels, find_drive, with_rigid_suspensions
+from app.onboarding.read.wheels import (
+    Steering,
+    Wheels,
+    find_drive,
+    stands_on_floor,
+    with_rigid_suspensions,
+)
 from app.onboarding.report import report_html
 from app.onboarding.request import Request, package_folders
 from app.onboarding.warn import carried_hand, holding_warning, warnings_of
@@ -274,6 +280,8 @@ def parse(request: Request) -> Parsed:
     geometry = read_geometry(tree)
     if not any(geometry[name].shapes for part in arm.segments for name in part):
         raise RobotFileError(f"no link between {request.base!r} and {tip!r} has a shape")
+    if request.mount is None and stands_on_floor(tree, arm, geometry):
+        arm = find_arm(tree, request.base, tip, arm.joints[0].child)
     arm = with_rigid_suspensions(tree, arm, geometry)
     wheels, steering = find_drive(request, tree, arm, geometry)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)

@@ -271,8 +271,6 @@ class Arm(NamedTuple):
 def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     """The arm between two links, standing at `mount` or the link that carries its first joint.
 
-    A link that carries other joints too, such as those of wheels, is the base's and no mount.
-
     Raises:
         RobotFileError: A link is not there, or no joint moves between them; names the option.
     """
@@ -287,9 +285,7 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     on_chain = [joint.parent for joint in chain]
     fixed_part = on_chain[: on_chain.index(first.parent) + 1]
     if mount is None:
-        others = [j for link in tree.below(first.parent, moving=False) for j in tree.children(link)]
-        carries = any(j.kind in MOVING and j.name != first.name for j in others)
-        mount = first.child if carries or first.parent == base else first.parent
+        mount = first.parent if first.parent != base else first.child
     elif tree.link(mount, "--mount") not in (*fixed_part, first.child):
         raise RobotFileError(
             f"--mount: {mount!r} is not between --base and the first joint {first.name!r}; "
