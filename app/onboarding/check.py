@@ -19,7 +19,7 @@ from app.config import Config
 from app.errors import DbbError, UnreachableError
 from app.onboarding.fit.collision_sampling import ALWAYS, units_of_links
 from app.onboarding.fit.grouping import UNSEEN_POSES, unseen_collisions
-from app.onboarding.fit.postures import GIVES_WAY, judge_ready
+from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
 from app.onboarding.numbers import gravity_load, largest_of_poses
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot
@@ -47,7 +47,6 @@ _LAYER = 0.05  # [m]
 _NEAR_POSES = 1000
 _MANY = 500  # [-] points nearer than the border by which a layer counts as reached
 _FEW = 10  # [-] points of the border in a layer that is not empty
-_CLEARANCE = 0.03  # [m] least distance of a pair with the base that passes
 _NEARLY = 0.05  # [m] to the base without avoidance, from which on the base has to move
 _STILL = f"; the base gives way by less than {GIVES_WAY:g} m"
 _HELD = (
@@ -385,7 +384,7 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
             f"moved by {moved:.3f} m, {text}"
         )
     still = without is not None and without < _NEARLY and moved < GIVES_WAY
-    if touched or failures or (near is not None and near < _CLEARANCE):
+    if touched or failures or (near is not None and near < CLEARANCE):
         return Row(name, "failed", text, numbers)
     if still:
         held = bool(holding_warning(carried_hand(model)))

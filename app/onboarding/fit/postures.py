@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing
 from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
@@ -16,7 +15,7 @@ from app.config import Config
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.simulation.run import steps_of
+from app.simulation.run import run_scenario
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.posture import PostureSearch, manipulability
 from app.simulation.scenarios.start import StartSolver
@@ -117,6 +116,8 @@ INNER = 0.4
 """[-] Share of the buffer into which a line has to lead; it should lead to contact."""
 GIVES_WAY = 0.05
 """[m] by which the base should move then."""
+CLEARANCE = 0.03
+"""[m] least distance to the base that the arm should keep."""
 _MOST_RUNS = 3  # [-] of lines that are tried
 _OUT = (0.425, 0.375, 0.35, 0.325, 0.30, 0.275, 0.25)  # [m] from the base's side, farthest first
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
@@ -235,17 +236,18 @@ def chosen(
 
 
 def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> bool:
-    """Whether the base gives way when the hand is guided along a line.
+    """Whether the base gives way, and the arm keeps away, when the hand is guided along a line.
 
-    It does not where other parts of the arm meet first, which holds the hand, or where the base
+    The base does not where other parts of the arm meet first, which holds the hand, or where it
     would take the hand along.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
     try:
-        with closing(steps_of(model, data, line, Config(), physics="kinematic")) as steps:
-            return any(np.hypot(*step.measurement.base_pose[:2]) >= GIVES_WAY for _, step in steps)
+        figures = run_scenario(model, data, line, Config(), physics="kinematic").figures
     except UnreachableError:
         return False
+    moved, near = figures["base_displacement_m"], figures["min_clearance_m"]
+    return bool(moved >= GIVES_WAY and near >= CLEARANCE)
 
 
 class _Guide:
