@@ -264,7 +264,7 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
         raise ValueError("it is above zero at too few distances")
     polynomial = np.polynomial.Polynomial.fit(x, y, 2)
     c, b, a = polynomial.convert().coef
-    if not a < 0:
+    if not a < 0 < b:
         raise ValueError("it does not fall off on both sides of a best distance")
     B = -b / (2 * a)
     left = y - polynomial(x)
