@@ -39,7 +39,7 @@ from app.dashboard.scene.canvas import (
     set_apart,
 )
 from app.dashboard.scene.colours import css, viridis
-from app.dashboard.scene.layers import draw_motion, segments
+from app.dashboard.scene.layers import draw_distances, draw_motion, segments
 from app.dashboard.scene.legend import Legend, legend_html, tick_texts
 from app.dashboard.scene.robot import (
     GREY,
@@ -50,6 +50,7 @@ from app.dashboard.scene.robot import (
     load_visuals,
     read_mesh,
 )
+from app.dashboard.scene.scene import SceneData
 from app.dashboard.server import check_address, serve_dashboard
 from app.dashboard.verdict import COLOURS, judge
 from app.dashboard.view import View
@@ -470,6 +471,15 @@ def test_a_label_at_an_edge_stands_inside_the_picture(u, anchor, v, side):
     free = (-100.0, -50.0, 100.0, 50.0)
     spots = set_apart({"a": (u, v, "hand – base")}, {}, free)
     assert spots == {"a": (f"{side}-{anchor}", 0.0)}
+
+
+def test_a_door_that_comes_near_is_named_though_it_was_not_there_at_first(scene, loop, clouds):
+    data = SceneData(loop, husky_panda(), clouds, parts())
+    door = loop.latest().pairs[0]._replace(name="lm-door", d=0.1)
+    shown, canvas = replace(loop.latest(), pairs=(door,)), Canvas(scene)
+    with canvas.picture(texts=True):
+        draw_distances(canvas, shown, judge(shown), View.first([], []), data.spoken)
+    assert canvas._handles["/distances/label_lm-door"].text == "door – base  100 mm"
 
 
 def test_an_unreadable_mesh_is_named(tmp_path):

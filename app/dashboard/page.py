@@ -122,7 +122,7 @@ class Page:
         add_shortcuts(client.gui, self._shortcuts(), notifier)
         self.tour = self._add(before.tour if before else Tour(self.viewer))
         self.tour.lead(self.channel, self._acts(), self._places)
-        self.viewer.look("iso")
+        self._camera.begin(self.timeline.shown())
         self.share_panel.resume(before.share_panel.waiting if before else Link())
 
     def draw(self, *, texts: bool) -> None:
