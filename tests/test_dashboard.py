@@ -56,7 +56,7 @@ from app.dashboard.verdict import COLOURS, judge
 from app.dashboard.view import View
 from app.errors import AssetError, ConfigError, DescriptionError, ServerError
 from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf
-from app.simulation.loop.commands import Pull, Release
+from app.simulation.loop.commands import Pause, Pull, Release, Reset
 from app.simulation.people import PullReading
 from app.simulation.trace.snapshot import PairReading
 from tests.dashboards import parts
@@ -248,6 +248,21 @@ def test_each_viewer_has_a_page_that_ends_with_the_connection(dashboard):
             assert first.timeline.live
         wait_for(lambda: list(dashboard.pages.values()) == [first])
     wait_for(lambda: dashboard.pages == {})
+    assert dashboard.error is None
+
+
+@pytest.mark.slow
+def test_where_time_begins_anew_nobody_holds_the_robot(dashboard, loop):
+    with RawClient(dashboard.address):
+        grip = page_of(dashboard).grip
+        grip.take(Hold())
+        grip.pull(loop.latest().p_ee + np.array([0.1, 0.0, 0.0]), None)
+        drawn = dashboard.pictures
+        wait_for(lambda: dashboard.pictures > drawn + 1, 20.0)
+        assert loop.latest().pulls
+        loop.send(Pause(True))
+        loop.send(Reset())
+        wait_for(lambda: not grip.holds_anything)
     assert dashboard.error is None
 
 
