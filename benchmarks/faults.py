@@ -2,8 +2,9 @@
 
 A command is started in a folder of its own, one of its processes is killed, terminated, stopped
 for a second, or stopped while the command is terminated, and what is left five seconds after its
-end is counted: processes, open ports and half-written results, and statuses of its own. A study is
-then gone on with, and has to give the same bytes as one that nothing befell.
+end is counted: processes, open ports, half-written results, what was begun beside them or as a
+temporary file (unless something was killed), and statuses of its own. A study is then gone on with,
+and has to give the same bytes as one that nothing befell.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from app.robot.assets import ASSETS
 from app.system import ENDING
 
 _MARK = "DBB_FAULTS"  # in the environment of all that a try starts
+_TEMPORARY = "temporary"  # folder of a try for what libraries put into /tmp
 _PATIENCE = 5.0  # [s] after which nothing may be left
 _STOPPED = 1.0  # [s] that a process is stopped
 _FAULTS = {
@@ -38,9 +40,14 @@ _FAULTS = {
     "interrupt": signal.SIGINT,
     "stop": signal.SIGSTOP,
     "hold": signal.SIGSTOP,
+    "ctrl-c": signal.SIGINT,
+    "hang up": signal.SIGHUP,
+    "impatient": signal.SIGINT,
 }
 """The first signal of each: one that was stopped goes on a second later, and then has to end. One
-that is held goes on only if it is the command, which has been terminated meanwhile."""
+that is held goes on only if it is the command, which has been terminated meanwhile. The last three
+reach the whole group, as from a terminal; who is impatient presses Ctrl-C three times."""
+_FROM_TERMINAL = ("ctrl-c", "hang up", "impatient")
 _STUDY = ("study", "--cases", "4", "--physics", "kinematic", "--processes", "2", "--out", "out")
 _SWEEP = ("sweep", "--step", "90", "--hold", "0.5", "--physics", "kinematic", "--processes", "2")
 _FILM = (
@@ -71,13 +78,13 @@ class Left(NamedTuple):
         orphans: Processes, by their command lines.
         port: Whether somebody still listens.
         half: Names of files that are not whole.
-        new: Names of files and folders that were begun, which a kill alone may leave.
+        begun: Names of files and folders beside the results, or in the folder for temporary files.
     """
 
     orphans: list[str]
     port: bool
     half: list[str]
-    new: list[str]
+    begun: list[str]
 
 
 def main(
@@ -95,8 +102,9 @@ def main(
         json: Print one JSON object.
     """
     rng = np.random.default_rng(seed)
-    # Who is started in the background ignores Ctrl-C, and would pass that on.
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+    # Who is started in the background ignores these two, and would pass that on.
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.default_int_handler)
     names = only or tuple(_COMMANDS)
     tally: dict[str, Counter[str]] = {name: Counter() for name in names}
     findings = []
@@ -119,25 +127,24 @@ def main(
     else:
         for name, counts in result["tally"].items():
             print(f"{name:10} " + ", ".join(f"{key} {n}" for key, n in counts.items()))
-        for row in findings:
-            print(row)
     if findings:
-        sys.exit(1)
+        sys.exit("\n".join(map(str, findings)))
 
 
-_COUNTED = ("orphans", "ports", "half", "lost", "status")
+_COUNTED = ("orphans", "ports", "half", "begun", "lost", "status")
 
 
 def _try(
     name: str, folder: Path, rng: np.random.Generator, whole: dict[str, bytes]
 ) -> dict[str, Any]:
     """One command and one fault; what is found is by the names in `_COUNTED`."""
-    folder.mkdir()
+    (folder / _TEMPORARY).mkdir(parents=True)
     port = _free_port()
     words, span = _COMMANDS[name]
     words = tuple(word.format(port=port) for word in words)
     delay = float(rng.uniform(0.3, span))
     fault, in_child = list(_FAULTS)[int(rng.integers(len(_FAULTS)))], rng.random() < 0.4
+    in_child = in_child and fault not in _FROM_TERMINAL
     command = _started(words, folder)
     time.sleep(delay)
     struck = _strike(command, fault, in_child, rng)
@@ -147,7 +154,7 @@ def _try(
         command.terminate()
     left = _left_after(command, folder, port)
     usual = {0, *(each for n in ENDING for each in (-n, 128 + n))}  # it may have ended before
-    told = fault in ("terminate", "interrupt", "hold") and command.returncode not in usual
+    told = fault not in ("kill", "stop") and command.returncode not in usual
     lost: list[str] = []
     if name == "study":
         lost = [each for each, content in _studied(folder).items() if whole[each] != content]
@@ -159,14 +166,15 @@ def _try(
         "orphans": left.orphans,
         "ports": [port] if left.port else [],
         "half": left.half,
+        "begun": [] if fault == "kill" else left.begun,
         "lost": lost,
         "status": [command.returncode] if told and not in_child else [],
-        "begun": left.new,
     }
 
 
 def _started(words: tuple[str, ...], folder: Path) -> subprocess.Popen[bytes]:
     environment = {**os.environ, _MARK: str(folder), "DBB_ROBOTS": str(folder / "robots")}
+    environment["TMPDIR"] = str(folder / _TEMPORARY)
     root = str(Path(__file__).resolve().parent.parent)
     environment["PYTHONPATH"] = os.pathsep.join([root, environment.get("PYTHONPATH", "")])
     with (folder / "said").open("ab") as said:
@@ -184,13 +192,18 @@ def _strike(
     command: subprocess.Popen[bytes], fault: str, in_child: bool, rng: np.random.Generator
 ) -> str:
     """Send the signal to the command itself or to one of its processes; which it was."""
-    with suppress(psutil.NoSuchProcess):
+    with suppress(psutil.NoSuchProcess, ProcessLookupError):
         struck = psutil.Process(command.pid)
         children = struck.children(recursive=True)
         if in_child and children:
             struck = children[int(rng.integers(len(children)))]
         told = "the command" if struck.pid == command.pid else _told(struck)
-        struck.send_signal(_FAULTS[fault])
+        if fault in _FROM_TERMINAL:
+            for pause in (0.0, 0.1, 0.4)[: 3 if fault == "impatient" else 1]:
+                time.sleep(pause)
+                os.killpg(command.pid, _FAULTS[fault])
+        else:
+            struck.send_signal(_FAULTS[fault])
         if fault == "hold":
             command.terminate()
         if fault in ("stop", "hold"):
@@ -214,7 +227,7 @@ def _left_after(command: subprocess.Popen[bytes], folder: Path, port: int) -> Le
     command.wait()
     files = [path for path in folder.rglob("*") if path.is_file() and path.name != "said"]
     begun = {path for path in files if path.name.startswith(".new-")}
-    begun |= set(folder.glob(".mine-*"))
+    begun |= {*folder.glob(".mine-*"), *(folder / _TEMPORARY).iterdir()}
     own = [path for path in files if not any(path.is_relative_to(each) for each in begun)]
     if (folder / "mine").exists() and not (folder / "mine" / "report.html").exists():
         own.append(folder / "mine")
@@ -264,7 +277,7 @@ def _is_whole(path: Path) -> bool:
 
 def _studied(folder: Path) -> dict[str, bytes]:
     """The results of the study in a folder, done or gone on with until its end."""
-    folder.mkdir(exist_ok=True)
+    (folder / _TEMPORARY).mkdir(parents=True, exist_ok=True)
     command = _started(_STUDY, folder)
     if command.wait() != 0:
         return {"results.parquet": (folder / "said").read_bytes()}

@@ -13,7 +13,7 @@ import pytest
 
 from app.border import cache, sampling
 from app.border.cache import (
-    Content,
+    BorderData,
     DamagedFileError,
     border_key,
     load_border_data,
@@ -34,7 +34,7 @@ TINY = SamplingConfig(
 )
 
 
-def content(count: int = 1000) -> Content:
+def content(count: int = 1000) -> BorderData:
     rng = np.random.default_rng(0)
     mobile = (Pair("lm", "lEE"), Pair("lm", "l3"))
     clouds = {
@@ -47,14 +47,14 @@ def content(count: int = 1000) -> Content:
     }
     rates = {"lm-lEE": 0.07, "lm-l3": 0.03, "lm-l2": 0.0}
     pairs = LinkPairs(mobile, (), (Pair("lm", "l2"),), rates, {"lm-l2": 0.237}, 100, 0)
-    return Content(pairs, clouds)
+    return BorderData(pairs, clouds, "sampled")
 
 
-def written(path: Path, key: str = "k") -> Content:
+def written(path: Path, key: str = "k") -> BorderData:
     return read(path, partial(unpack, key=key))
 
 
-def assert_same(a: Content, b: Content) -> None:
+def assert_same(a: BorderData, b: BorderData) -> None:
     assert a.pairs == b.pairs
     assert a.clouds.keys() == b.clouds.keys()
     for name, cloud in a.clouds.items():
@@ -147,7 +147,7 @@ def test_the_first_call_samples_and_the_next_ones_read(folder, monkeypatch):
     monkeypatch.setattr(sampling, "sample_clouds", None)  # a second sampling would fail
     again = load()
     assert again.origin == "cache"
-    assert_same(Content(first.pairs, first.clouds), Content(again.pairs, again.clouds))
+    assert_same(first, again)
     assert all(len(cloud) > 20 for cloud in again.clouds.values())
     (folder / "cache").rename(folder / "shipped")
     assert load().origin == "shipped"

@@ -83,6 +83,25 @@ def test_other_ending_signals_leave_by_every_finally(number, monkeypatch):
     assert signal.getsignal(number) is signal.SIG_DFL
 
 
+def test_a_second_signal_does_not_interrupt_what_is_tidied_up(monkeypatch, capsys):
+    tidied = []
+
+    def command(_: object) -> None:
+        try:
+            interrupted()
+        finally:
+            signal.raise_signal(signal.SIGTERM)
+            interrupted()
+            tidied.append(True)
+
+    monkeypatch.setattr(ENTRY, "_run", command)
+    with pytest.raises(SystemExit) as end:
+        main(["run"])
+    assert end.value.code == 130
+    assert tidied == [True]
+    assert capsys.readouterr().err == "dbb: interrupted\n"
+
+
 DEAF = r"""
 import ctypes, os
 from app.jobs.progress import ending_signals_raised

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import gc
 import itertools
 import re
 import socket
 import time
 import urllib.request
+import weakref
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -198,6 +200,18 @@ def test_of_messages_of_one_kind_one_stands_and_counts():
         notifier.warn(client, text)
     assert [text for _, text in client.notes] == ["too much", "too much (2 times)", "too little"]
     assert client.standing == ["too little"]
+
+
+def test_of_a_viewer_who_is_gone_no_message_is_kept():
+    """Its handle would keep all of the page."""
+    notifier, gone = Notifier(Recorder()), Recorder()
+    gone.client_id, kept = 7, weakref.ref(gone)
+    gone.standing.append(gone)  # as a page and its parts hold one another
+    notifier.warn(gone, "too much")
+    del gone
+    notifier.warn(Recorder(), "too little")
+    gc.collect()
+    assert kept() is None
 
 
 def test_a_message_of_a_strangers_file_is_cut():

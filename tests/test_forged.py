@@ -6,8 +6,10 @@ import time
 from contextlib import contextmanager
 
 import pytest
-from viser import _messages
+from PIL import Image
+from viser import _messages, _viser
 
+from app.dashboard.panels.save import FilePanel, png
 from app.simulation.loop.commands import Configure, Pause, Speed, StepOnce
 from tests.browser import wait_for
 from tests.dashboards import served_dashboard
@@ -91,6 +93,38 @@ def test_unknown_widgets_nodes_and_attributes_are_ignored(served):
         assert goes_on(served)
         assert handle.label != "forged"
     assert served.loop.latest().config == config
+
+
+def test_a_page_that_answers_with_another_picture_than_it_was_asked_for_is_told_so(
+    served, monkeypatch, caplog
+):
+    monkeypatch.setattr(_viser, "_make_uuid", lambda: "asked")
+    told, small = [], png(Image.new("RGBA", (8, 4)))
+    with visitor(served) as (client, page):
+        monkeypatch.setattr(page._notifier, "warn", lambda _, text: told.append(text))
+        button = next(each for each in widgets(page) if each.label == "Picture (PNG)")
+        client.set_widget(button, True)
+
+        def answer() -> bool:
+            client.send(_messages.GetRenderResponseMessage(small, "asked"))
+            return bool(told)
+
+        wait_for(answer, what="a word on the picture")
+    assert told == ["the browser gave another picture than it was asked for"]
+    assert [record for record in caplog.records if record.levelname == "ERROR"] == []
+
+
+def test_the_card_of_a_challenge_that_nobody_has_tried_is_refused(served, monkeypatch, caplog):
+    """Its button is not shown then, and pressed all the same."""
+    told = []
+    with visitor(served) as (client, page):
+        monkeypatch.setattr(page._notifier, "warn", lambda _, text: told.append(text))
+        monkeypatch.setattr(FilePanel, "scene", lambda self, *size: Image.new("RGB", size))
+        button = next(each for each in widgets(page) if each.label == "Card (PNG)")
+        client.set_widget(button, True)
+        wait_for(lambda: told or caplog.records, what="a word on the card")
+    assert told == ["nobody has tried yet"]
+    assert [record for record in caplog.records if record.levelname == "ERROR"] == []
 
 
 def test_thousands_of_messages_at_once_hold_nobody_up_and_the_last_value_counts(served):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import math
+import socket
 import urllib.error
 import urllib.request
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import SimpleNamespace
 
 import msgspec
@@ -15,11 +17,13 @@ import viser
 import websockets
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 from viser import _messages
 from websockets.asyncio import server as websockets_server
 from websockets.asyncio.client import connect
 
 from app.dashboard.gate import (
+    _TAKEN,
     LARGEST_MESSAGE,
     Gate,
     RefusedError,
@@ -78,6 +82,11 @@ def camera(**changes):
         (None, "evil.example:8080", False),
         ("http://localhost.evil.example:8080", "localhost.evil.example:8080", False),
         ("http://127.0.0.1:8080", None, False),
+        (None, "[", False),  # no addresses
+        ("http://[", "127.0.0.1:8080", False),
+        (None, "127.0.0.1:x", False),
+        (None, "127.0.0.1:8080; script-src *", False),
+        (None, "127.0.0.1:8080/a", False),
     ],
 )
 def test_only_the_servers_own_page_is_allowed(of_page, host, allowed):
@@ -135,6 +144,19 @@ def test_a_link_cannot_give_the_page_orders(name):
         assert repr(name).encode() in text
         assert b"it may have: fixedDpr" in text
         assert get(server, "/?fixedDpr=1&scenario=x&border.d_b=y")[0] == 200
+
+
+@pytest.mark.parametrize(
+    ("header", "status"),
+    [("Host: [", 403), ("Host: a\r\nHost: b", 400), ("Host: a\r\nCookie: a\r\nCookie: b", 400)],
+)
+def test_a_request_that_cannot_be_read_is_refused_without_a_word_in_the_log(header, status, caplog):
+    with served() as server, socket.create_connection(("127.0.0.1", server.get_port())) as raw:
+        raw.sendall(f"GET //[ HTTP/1.1\r\n{header}\r\n\r\n".encode())
+        answer = raw.makefile("rb").read()
+    assert answer.startswith(f"HTTP/1.1 {status} ".encode())
+    assert b"frame-ancestors 'none'" in answer
+    assert caplog.records == []
 
 
 def test_every_answer_forbids_frames_and_connections_to_others():
@@ -228,6 +250,7 @@ def test_what_a_page_sends_passes_unchanged():
         {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": -(2**60)}},
         {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": [[[[[[[[1]]]]]]]]}},
         {"type": "GuiUpdateMessage", "uuid": "a" * 5000, "updates": {"value": 1}},
+        {"type": "GuiFormDirtyMessage", "uuid": "a"},  # it would be kept for ever
         {"type": "ShareUrlRequest"},
         {"type": "ShareUrlDisconnect"},
         {"type": "RunJavascriptMessage", "source": "1"},
@@ -251,9 +274,53 @@ def test_bytes_that_are_no_message_are_refused(data):
         checked(data, Uploads(0), lambda uuid: None)
 
 
+def test_a_message_of_more_parts_than_a_page_sends_ends_its_connection(monkeypatch):
+    """Each part takes memory, also an empty one, and there is no end of them."""
+    monkeypatch.setattr("app.dashboard.gate._MOST_PARTS", 100)
+    camera = msgspec.msgpack.encode(CAMERA)
+
+    async def until_closed(connection):
+        while True:
+            await connection.recv()
+
+    async def reason_after(server, parts):
+        async with link(server, None) as connection:
+            await connection.send(camera)
+            await connection.send(parts)
+            with suppress(asyncio.TimeoutError):
+                try:
+                    await asyncio.wait_for(until_closed(connection), 2.0)
+                except websockets.ConnectionClosed as closed:
+                    return closed.rcvd.reason
+        return None
+
+    with served() as server:
+        assert asyncio.run(reason_after(server, [camera[:9], *[b""] * 90, camera[9:]])) is None
+        reason = asyncio.run(reason_after(server, [camera[:9], *[b""] * 110, camera[9:]]))
+        assert reason == "this is no message (of too many parts)"
+
+
+def test_of_all_kinds_that_viser_obeys_some_are_taken_and_the_others_are_known():
+    with served() as server, RawClient(f"http://127.0.0.1:{server.get_port()}"):
+        wait_for(server.get_clients, what="the client")
+        [client] = server.get_clients().values()
+        places = server._websock_server, client._websock_connection
+        obeyed = {kind for place in places for kind in place._incoming_handlers}
+    assert obeyed - set(_TAKEN) == {
+        _messages.GuiButtonHoldMessage,
+        _messages.GuiFormDirtyMessage,
+        _messages.GuiFormSubmitMessage,
+        _messages.ScenePointerMessage,
+        _messages.ShareUrlDisconnect,
+        _messages.ShareUrlRequest,
+    }
+    asked_for = {_messages.GetRenderResponseMessage, _messages.LocalStorageGetItemResponseMessage}
+    assert set(_TAKEN) - obeyed == {*asked_for, _messages.FileTransferPartAck}
+
+
 def test_only_a_picture_may_be_large():
     content = b"x" * 2 * LARGEST_MESSAGE
-    pass_on({"type": "GetRenderResponseMessage", "payload": content, "render_uuid": "a"})
+    pass_on(answered(png() + content))
     for message in (
         {"type": "GuiUpdateMessage", "uuid": "a", "updates": {"value": content}},
         {
@@ -273,6 +340,29 @@ def test_only_a_picture_may_be_large():
             pass_on(message)
 
 
+def png(size=(8, 4), frames=1):
+    file = io.BytesIO()
+    more = [Image.new("1", size, k % 2) for k in range(1, frames)]
+    Image.new("1", size).save(file, "PNG", save_all=True, append_images=more)
+    return file.getvalue()
+
+
+def answered(payload):
+    return {"type": "GetRenderResponseMessage", "payload": payload, "render_uuid": "a"}
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [b"x", b"GIF89a" + bytes(30), png((20_000, 2_000)), png(frames=3), png()[:20], b"\x89PNG"],
+    ids=["bytes", "another kind", "many pixels", "many frames", "cut", "short"],
+)  # some kilobytes that would take gigabytes
+def test_an_answer_that_is_no_picture_or_unpacks_to_much_is_refused(payload):
+    pass_on(answered(png()))
+    pass_on(answered(b""))  # a page that could make none
+    with pytest.raises(RefusedError, match="no picture"):
+        pass_on(answered(payload))
+
+
 def announced(size, parts=1, transfer="a"):
     return {
         "type": "FileTransferStartUpload",
@@ -285,12 +375,12 @@ def announced(size, parts=1, transfer="a"):
     }
 
 
-def part(content, transfer="a"):
+def part(content, transfer="a", index=0):
     return {
         "type": "FileTransferPart",
         "source_component_uuid": "b",
         "transfer_uuid": transfer,
-        "part_index": 0,
+        "part_index": index,
         "content": content,
     }
 
@@ -299,15 +389,35 @@ def test_an_upload_takes_what_was_announced_and_no_more():
     uploads = Uploads(1000)
     pass_on(announced(900, 2), uploads=uploads)
     pass_on(part(b"x" * 500), uploads=uploads)
-    with pytest.raises(RefusedError, match="more than was announced"):
-        pass_on(part(b"x" * 401), uploads=uploads)
-    with pytest.raises(RefusedError, match="more than was announced"):
-        pass_on(part(b"x"), uploads=uploads)
+    for wrong in (part(b"x" * 401, index=1), part(b"x", index=0), part(b"x", index=2)):
+        with pytest.raises(RefusedError, match="not what was announced"):
+            pass_on(wrong, uploads=uploads)
+    pass_on(part(b"x" * 400, index=1), uploads=uploads)
+    with pytest.raises(RefusedError, match="not what was announced"):
+        pass_on(part(b"", index=2), uploads=uploads)
+
+
+def test_of_an_upload_viser_keeps_no_part_that_is_not_counted():
+    """A part that comes twice counted twice, and viser waited for another with what it had."""
+    uploads = Uploads(1000)
+    for transfer in ("a", "b"):
+        pass_on(announced(900, 3, transfer), uploads=uploads)
+        pass_on(part(b"x" * 450, transfer, index=0), uploads=uploads)
+        with pytest.raises(RefusedError, match="not what was announced"):
+            pass_on(part(b"x" * 450, transfer, index=0), uploads=uploads)
+    with pytest.raises(RefusedError, match="one upload after the other"):
+        pass_on(announced(900, 3, "c"), uploads=uploads)
+
+
+def test_empty_files_can_be_uploaded_one_after_the_other():
+    uploads = Uploads(1000)
+    for transfer in ("a", "b", "c"):
+        pass_on(announced(0, 0, transfer), uploads=uploads)
 
 
 def test_uploads_are_bounded_in_size_and_number():
     uploads = Uploads(1000)
-    for size, parts in ((1001, 1), (-1, 1), (10, 1_000_000_000)):
+    for size, parts in ((1001, 1), (-1, 1), (10, 1_000_000_000), (10, 0), (0, 1)):
         with pytest.raises(RefusedError):
             pass_on(announced(size, parts), uploads=uploads)
     pass_on(announced(900, transfer="a"), uploads=uploads)

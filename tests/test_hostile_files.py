@@ -6,6 +6,7 @@ import json
 import re
 import resource
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import pytest
 from app.border.cache import DamagedFileError, read
 from app.cli.common import as_json
 from app.cli.main import main
+from app.cli.options import make_folder
 from app.config_file import decode_config
 from app.dashboard.robots import robot_entries
 from app.errors import (
@@ -109,6 +111,12 @@ def test_a_file_that_is_replaced_is_the_old_one_until_it_is_the_new_one(tmp_path
     write_whole(path, "new")
     assert [each.name for each in tmp_path.iterdir()] == ["page.html"]
     assert path.read_text() == "new"
+
+
+def test_several_commands_may_try_the_same_folder_at_once(tmp_path):
+    with ThreadPoolExecutor(8) as threads:
+        assert list(threads.map(make_folder, [tmp_path / "out"] * 400)) == [None] * 400
+    assert list((tmp_path / "out").iterdir()) == []
 
 
 def test_a_full_disk_is_one_line_and_leaves_no_page(tmp_path, capsys, monkeypatch):

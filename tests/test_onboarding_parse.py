@@ -79,6 +79,19 @@ def test_the_arm_is_what_moves_between_base_and_tip(tmp_path: Path) -> None:
     assert set(found.base_links) == {"base", "left_wheel", "right_wheel"}
 
 
+def test_a_link_that_stands_on_the_floor_is_the_bases_and_not_the_arms(tmp_path: Path) -> None:
+    """Between --base, a bare point on the floor, and the arm's first joint is the base itself."""
+    footprint = [link("footprint"), joint("stands", "fixed", "footprint", "base", xyz="0 0 0.15")]
+    first = 'name="pan" type="revolute"><parent link="column"/>'
+    assert first in TOY
+    urdf = TOY.replace(first, first.replace("column", "base"))
+    urdf = urdf.replace("</robot>", "".join(footprint) + "</robot>")
+    found = parse(request(tmp_path, urdf, base="footprint")).arm
+    assert {"base", "left_wheel", "right_wheel", "column"} <= set(found.base_links)
+    assert found.mount == "shoulder"
+    assert not found.segments[0]
+
+
 def test_fingers_beside_the_chain_belong_to_the_link_that_carries_them(tmp_path: Path) -> None:
     finger = [
         link("finger", solid('<box size="0.01 0.01 0.05"/>', mass=0.05)),

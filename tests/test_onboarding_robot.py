@@ -38,9 +38,11 @@ from app.onboarding.fit.grouping import Grouping, find_grouping
 from app.onboarding.new_robot import NewRobot, compiled, description, finish, parse
 from app.onboarding.read.source import mesh_address
 from app.onboarding.request import Request
+from app.onboarding.warn import Carried
 from app.onboarding.write import mesh_name
 from app.robot import assets
 from app.robot.assets import ASSETS, package_roots, resolve_package_uri, resolved_urdf, robot_names
+from app.robot.bases.kind import FORWARD
 from app.robot.description import RobotDescription, load_description, load_robot
 from app.robot.link_pairs import find_link_pairs
 from app.robot.model import RobotModel
@@ -267,24 +269,35 @@ def test_a_line_that_stays_outside_of_the_buffer_shows_nothing(
     assert inside is (outcome == "passed")
 
 
-def test_a_base_that_does_not_give_way_fails(
-    finished: tuple[NewRobot, BorderData], monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("lost", "near", "outcome"),
+    [(0.0, 0.1, "failed"), (1.0, 0.1, "warned"), (1.0, 0.02, "failed")],
+    ids=["holds", "cannot hold its hand", "cannot hold its hand and comes near"],
+)
+def test_a_base_that_does_not_give_way_fails_unless_it_would_take_the_hand_along(
+    finished: tuple[NewRobot, BorderData],
+    monkeypatch: pytest.MonkeyPatch,
+    lost: float,
+    near: float,
+    outcome: str,
 ) -> None:
     """Figures of runs, not runs: clear of contact, but the base stood still."""
     from app.simulation import run
 
+    monkeypatch.setattr(checks, "carried_hand", lambda _: (Carried(FORWARD, 0.5, lost, lost),))
+
     def figures(*_: object, controller: str = "dbb", **__: object) -> SimpleNamespace:
         counts = ("contacts", "arm_contacts", "floor_contacts", "solver_failures")
-        near = 0.02 if controller == "none" else 0.1
+        least = 0.02 if controller == "none" else near
         told = dict.fromkeys(counts, 0)
         return SimpleNamespace(
-            figures=told | {"min_clearance_m": near, "base_displacement_m": 0.01}
+            figures=told | {"min_clearance_m": least, "base_displacement_m": 0.01}
         )
 
     monkeypatch.setattr(run, "run_scenario", figures)
     row = run_row(written(finished[0]), finished[1], "guiding-front")
-    assert row.outcome == "failed"
-    assert "gives way by less than" in row.text
+    assert row.outcome == outcome
+    assert ("gives way by less than" in row.text) is (near > 0.05)
 
 
 def test_what_a_library_raises_in_a_check_is_that_rows_failure(

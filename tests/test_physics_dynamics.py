@@ -6,6 +6,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from app.robot.assets import resolved_urdf
+from app.robot.model import RobotModel
+from app.robot.state import Measurement, RobotState
 from app.simulation.plants.planar import planar_plant
 from tests.robots import husky_panda, random_measurement
 
@@ -94,3 +97,37 @@ def test_one_step_of_forward_dynamics_agrees(plant, seed):
     assert not any(plant.contacts())
     np.testing.assert_allclose([s[1] for s in states], speeds, **TOLERANCE)
     np.testing.assert_allclose([s[0] for s in states], q_bullet + speeds * plant.dt, **TOLERANCE)
+
+
+def test_links_that_are_fixed_take_no_room_in_the_engine(tmp_path):
+    """The engine has room for the state of 128; hands with fingers held still have more."""
+    known, parts, above = husky_panda().description, [], "panda_hand"
+    for k in range(140):
+        parts.append(
+            f'<link name="f{k}"><inertial><origin xyz="0 0.01 0" rpy="0.3 0 0"/>'
+            '<mass value="0.02"/><inertia ixx="2e-5" ixy="3e-6" ixz="0" iyy="3e-5" iyz="0"'
+            ' izz="4e-5"/></inertial>'
+            '<collision><geometry><sphere radius="0.005"/></geometry></collision></link>'
+            f'<joint name="j{k}" type="fixed"><parent link="{above}"/><child link="f{k}"/>'
+            '<origin xyz="0.0002 0 0.0003" rpy="0.01 0.02 0"/></joint>'
+        )
+        above = f"f{k}"
+    path = tmp_path / "robot.urdf"
+    urdf = resolved_urdf(known).replace("</robot>", "".join(parts) + "</robot>")
+    path.write_text(urdf, encoding="utf-8")
+    *inner, hand = known.bodies
+    covers = (*hand.covers, *(f"f{k}" for k in range(140)))
+    bodies = (*inner, hand.model_copy(update={"covers": covers}))
+    model = RobotModel(known.model_copy(update={"urdf": str(path), "bodies": bodies}))
+    state, q_m = RobotState(model), np.array(known.arm.ready_position)
+    qd = np.linspace(-0.5, 0.5, model.n_b + model.n_m)
+    state.update(Measurement(np.zeros(3), model.J_m @ qd[: model.n_b], q_m, qd[model.n_b :]))
+    plant = planar_plant("pybullet", model)
+    try:
+        plant.reset(np.zeros(3), q_m)
+        np.testing.assert_array_equal(plant.measure().q_m, q_m)
+        M, nle = plant.mass_and_bias(q_m, qd)
+    finally:
+        plant.close()
+    np.testing.assert_allclose(M, state.M, **TOLERANCE)
+    np.testing.assert_allclose(nle, state.h, **TOLERANCE)

@@ -10,18 +10,19 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config
 from app.onboarding.fit import postures
-from app.onboarding.fit.postures import Place, deepest, find_places
+from app.onboarding.fit.postures import Place, chosen, find_places
 from app.robot.link_pairs import LinkPairs, find_link_pairs
+from app.robot.shapes import Box
 from app.simulation.run import RunOptions, run_scenario
 from app.simulation.scenarios import LINES
-from tests.robots import husky_panda
+from tests.robots import husky_panda, with_mobile_shapes
 
 D_B = 0.15  # [m]
 INNER = 0.4 * D_B  # [m]
 
 
 def places(nearest: list[float]) -> list[Place]:
-    """Lines by how near [m] each of them leads the arm to the base."""
+    """Lines by how near [m] each of them leads the arm to the base, each from another place."""
     return [Place((0.0, 0.0, 0.1 * k), (1.0, 0.0, 0.0), d, "") for k, d in enumerate(nearest)]
 
 
@@ -39,7 +40,7 @@ def test_the_first_line_to_contact_is_taken_else_the_deepest(
     nearest: list[float], taken: int | None
 ) -> None:
     lines = places(nearest)
-    assert deepest(lines, D_B) == (None if taken is None else lines[taken])
+    assert chosen(lines, D_B) == (None if taken is None else lines[taken])
 
 
 def test_nothing_is_searched_after_a_line_to_contact() -> None:
@@ -49,7 +50,24 @@ def test_nothing_is_searched_after_a_line_to_contact() -> None:
         yield from lines
         raise AssertionError("searched on")
 
-    assert deepest(searched(), D_B) == lines[1]
+    assert chosen(searched(), D_B) == lines[1]
+
+
+def test_of_lines_to_contact_the_first_is_taken_on_which_the_base_gives_way() -> None:
+    lines = places([0.3, -0.01, -0.03, -0.02])
+    assert chosen(lines, D_B, shows=lambda line: line is lines[3]) == lines[3]
+    assert chosen(lines, D_B, shows=lambda _: False) is None
+    assert chosen(lines, D_B, shows=lambda _: False, anyway=True) == lines[1]
+    short = places([0.3, 0.9 * INNER, 0.7 * INNER, 0.8 * INNER])
+    assert chosen(short, D_B, shows=lambda line: line is not short[2]) == short[3]
+
+
+def test_only_a_few_lines_are_tried_by_a_run() -> None:
+    tried: list[Place] = []
+    for nearest in (-0.01, 0.5 * INNER):
+        tried.clear()
+        chosen(places([nearest] * 20), D_B, shows=lambda line: bool(tried.append(line)))
+        assert 1 < len(tried) < 6
 
 
 def test_an_arm_that_can_meet_no_base_has_no_lines() -> None:
@@ -62,7 +80,7 @@ def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
     """The paper's robot, from 0.35 m beside its base: to 0.2 m its arm does not come near."""
     monkeypatch.setattr(postures, "_OUT", (0.35,))
     monkeypatch.setattr(postures, "_LEFT_OVER", (0.2, 0.025))
-    monkeypatch.setattr(postures, "_heights", lambda top: [0.8 * top])
+    monkeypatch.setattr(postures, "_heights", lambda tops: [0.8 * tops[0]])
     monkeypatch.setattr(postures, "_front", lambda body, mount: iter(()))
     shares: list[float] = []
     pairs = find_link_pairs(husky_panda(), samples=2000)
@@ -70,6 +88,20 @@ def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
     np.testing.assert_allclose(found["guiding-lateral"].move, (0.0, -0.325, 0.0), atol=1e-9)
     assert found.keys() == {"guiding-lateral"}
     assert shares == [0.0]
+
+
+def test_a_line_leads_to_what_there_is_of_the_base_at_its_height(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A base on a wide plate: beside the plate its trunk is out of the arm's reach."""
+    monkeypatch.setattr(postures, "_front", lambda body, mount: iter(()))
+    trunk = husky_panda().description.mobile_body.shapes[0]
+    plate = Box(type="box", xyz_m=(0.0, 0.0, -0.1), size_m=(1.6, 1.2, 0.04))
+    model = with_mobile_shapes((trunk, plate))
+    found = find_places(model, find_link_pairs(model, samples=2000), D_B)
+    place = found["guiding-lateral"]
+    assert place.nearest < INNER
+    assert abs(place.start[1]) < 0.6 + 0.25  # [m] nearer than a line to the plate could begin
 
 
 def test_a_line_leads_as_near_as_a_run_without_avoidance(border_data: BorderData) -> None:

@@ -41,6 +41,13 @@ def test_the_zeros_beyond_the_reach_do_not_count():
     assert fit.points < len(rho) / 2
 
 
+def test_a_map_that_only_falls_has_no_best_distance():
+    """As of a short arm on a lift, which is far from its mount nearly always."""
+    rho = np.linspace(0.1, 0.6, 500)
+    with pytest.raises(ValueError, match="both sides of a best distance"):
+        fit_parabola(rho, parabola(rho, 100.0, -0.5, 200.0))
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_of_counting_leaves_the_coefficients_and_lowers_the_share_of_single_positions(seed):
     """Each value is a mean of few counts, as in a map."""

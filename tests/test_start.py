@@ -107,10 +107,11 @@ def test_what_was_found_is_not_searched_again_and_what_differs_is(
     def found(d_b, place, seed):
         return find_start(model, border_data.pairs, d_b, place, seed=seed)
 
-    asked = (0.15, list(LINES["guiding-front"].start), 0)
+    asked = (0.15, LINES["guiding-front"].start, 0)
     first = found(*asked)
     np.testing.assert_array_equal(first, solver.solve(LINES["guiding-front"].start))
-    first[:] = np.nan  # belongs to who asked
+    with pytest.raises(ValueError, match="read-only"):  # it is everybody's who asks
+        first[:] = np.nan
     searched = []
     monkeypatch.setattr(
         StartSolver, "solve", lambda *args, **_: searched.append(args) or np.ones(7)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
 from typing import Any, NamedTuple
@@ -47,8 +48,12 @@ PULLS = (
 """Of the study that the documentation shows: strong pulls on a robot as modelled."""
 
 
-COUNTS = {"messages": "100000", "files": "10000"}
-"""Of the fuzz: messages, and mutations of each kind of file."""
+TRUST = {
+    "messages": (4, ("benchmarks.fuzz", "--what", "messages", "--count", "25000")),
+    "files": (10, ("benchmarks.fuzz", "--what", "files", "--count", "1000")),
+    "faults": (6, ("benchmarks.faults", "--tries", "18")),
+}
+"""What is done long: how many parts, each of a seed of its own, and the command of a part."""
 
 
 class ResultSet(NamedTuple):
@@ -389,29 +394,45 @@ def house_table(found: Figures) -> str:
     )
 
 
-def fuzz(what: str) -> tuple[str, ...]:
-    """So many messages, or mutations of each kind of file, that rare ones are among them."""
-    return ("benchmarks.fuzz", "--what", what, "--count", COUNTS[what], "--json")
-
-
 def trust_table(found: Figures) -> str:
     """A line a kind of what is sent, read or done to a command, and what became of it."""
+    sums: dict[str, Counter[str]] = {}
+    growth = []
+    for printed in found.values():
+        if messages := printed.get("messages"):
+            what = f"messages of {len(messages['kinds'])} kinds"
+            sums.setdefault(what, Counter()).update({key: messages.get(key, 0) for key in _SENT})
+            growth.append(f"{messages['memory_growth'] - 1:+.0%}".replace("-", "−"))
+        for kind, counts in printed.get("files", {}).items():
+            if kind != "findings":
+                sums.setdefault(f"files: {kind}", Counter()).update(counts)
+        for command, counts in printed.get("tally", {}).items():
+            sums.setdefault(f"faults: `{command}`", Counter()).update(counts)
     rows = []
-    if messages := found.get("messages", {}).get("messages"):
-        told = [f"{messages.get(key, 0):,} {key}" for key in ("taken", "refused", "garbage")]
-        told.append(f"memory {messages['memory_growth'] - 1:+.0%}".replace("-", "−"))
-        what = f"messages of {len(messages['kinds'])} kinds"
-        rows.append([what, f"{messages['messages']:,}", ", ".join(told)])
-    for kind, counts in found.get("files", {}).get("files", {}).items():
-        if kind != "findings":
-            told = f"{counts.get('right', 0):,} read, {counts.get('line', 0):,} refused in a line"
-            rows.append([f"files: {kind}", f"{sum(counts.values()):,}", told])
-    for command, counts in found.get("faults", {}).get("tally", {}).items():
-        left = ("orphans", "ports", "half", "lost", "status")
-        words = ("processes left", "ports open", "half-written", "lost results", "wrong statuses")
-        told = [f"{counts.get(key, 0)} {word}" for key, word in zip(left, words, strict=True)]
-        rows.append([f"faults: `{command}`", str(counts["tries"]), ", ".join(told)])
+    for what, counts in sums.items():
+        shown = next(each for kind, each in _TOLD.items() if what.startswith(kind))
+        told = [f"{counts[key]:,} {words}" for key, words in shown.items()]
+        if what.startswith("messages"):
+            told.append(f"memory of the parts {', '.join(growth)}")
+        often = counts["tries"] or sum(counts[key] for key in shown)
+        rows.append([what, f"{often:,}", ", ".join(told)])
     return grid(["what", "how often", "what became of it"], rows)
+
+
+_SENT = ("taken", "refused", "garbage")
+_TOLD = {
+    "messages": {each: each for each in _SENT},
+    "files": {"right": "read", "line": "refused in a line"},
+    "faults": {
+        "orphans": "processes left",
+        "ports": "ports open",
+        "half": "half-written",
+        "begun": "begun and left",
+        "lost": "lost results",
+        "status": "wrong statuses",
+    },
+}
+"""What is counted, by the word for it in the table."""
 
 
 SETS: dict[str, ResultSet] = {
@@ -504,9 +525,9 @@ SETS: dict[str, ResultSet] = {
     ),
     "trust": ResultSet(
         {
-            "messages": fuzz("messages"),
-            "files": fuzz("files"),
-            "faults": ("benchmarks.faults", "--tries", "100", "--json"),
+            f"{what} {seed}": (*words, "--seed", str(seed), "--json")
+            for what, (parts, words) in TRUST.items()
+            for seed in range(parts)
         },
         keep_all,
         trust_table,

@@ -1,6 +1,9 @@
 """The picture of the robots: bodies over the hulls of their links, and their borders.
 
 python tools/robots_picture.py docs/pictures/robots.png husky_panda tiago …
+DBB_ROBOTS=out/gallery python tools/robots_picture.py docs/pictures/gallery.png new_tiago …
+
+More than fit into a row are shown from the side alone.
 """
 
 import sys
@@ -25,6 +28,7 @@ from app.studies.style import SOFT, new_figure, png_of, styled
 D_B = 0.15  # [m]
 ALONG, ACROSS, UP = (-0.7, 1.1), (-0.85, 0.65), (-0.05, 1.6)  # [m] what is seen
 HEIGHTS = 9  # [-] contours from the floor up
+IN_A_ROW = 6  # [-] robots
 
 
 def draw(axes: Axes, model: RobotModel, x: int, y: int) -> None:
@@ -53,17 +57,27 @@ def draw_border(axes: Axes, model: RobotModel) -> None:
 
 
 def main(out: Path, names: list[str]) -> None:
-    """One column a robot: from the side, and from above with its border."""
+    """One column a robot, from the side and from above with its border; or rows from the side."""
+    models = [RobotModel(load_robot(name)) for name in names]
     with styled():
-        figure = new_figure(5.4)
-        for column, name in zip(figure.subplots(2, len(names)).T, names, strict=True):
-            model = RobotModel(load_robot(name))
-            draw(column[0], model, 0, 2)
-            draw(column[1], model, 0, 1)
-            draw_border(column[1], model)
-            column[0].set_title(model.description.title.replace(" (", "\n("), fontsize=10)
-            column[0].set(xlim=ALONG, ylim=UP)
-            column[1].set(xlim=ALONG, ylim=ACROSS, xlabel="x [m]")
+        if len(models) <= IN_A_ROW:
+            figure = new_figure(5.4)
+            above, below = figure.subplots(2, len(models))
+        else:
+            rows = -(-len(models) // IN_A_ROW)
+            figure = new_figure(2.3 * rows)
+            above, below = figure.subplots(rows, IN_A_ROW, sharey=True).ravel(), []
+        for axes, model in zip(above, models, strict=False):
+            draw(axes, model, 0, 2)
+            title = model.description.title.removeprefix("new ").replace(" (", "\n(")
+            axes.set_title(title, fontsize=10)
+            axes.set(xlim=ALONG, ylim=UP)
+        for axes, model in zip(below, models, strict=False):
+            draw(axes, model, 0, 1)
+            draw_border(axes, model)
+            axes.set(xlim=ALONG, ylim=ACROSS, xlabel="x [m]")
+        for axes in above[len(models) :]:
+            axes.set_axis_off()
         out.write_bytes(png_of(figure))
 
 

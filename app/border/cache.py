@@ -13,10 +13,10 @@ import json
 import logging
 import zlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, TypeVar
 from xml.etree import ElementTree
 from zipfile import BadZipFile
 
@@ -230,14 +230,10 @@ def load_border_data(
     processes: int | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> BorderData:
-    """Pairs and clouds of a robot.
+    """Pairs and clouds of a robot: kept ones, or sampled on so many processes, or all cores.
 
-    Args:
-        model: The robot.
-        sampling: How to sample; the default is what the shipped file was made with.
-        progress: Whether to draw a bar on stderr while sampling.
-        processes: How many to sample with; all cores if not given.
-        on_progress: Called with the share that is sampled, 0 to 1.
+    The default sampling is what the shipped file was made with. `progress` draws a bar on stderr;
+    `on_progress` is called with the share that is sampled, 0 to 1.
 
     Raises:
         AssetError: The URDF or a mesh is not there.
@@ -258,9 +254,9 @@ def load_border_data(
         processes=processes,
         on_progress=on_progress,
     )
-    key = border_key(model.description, sampling)
-    keep(model.description.name, *pack(Content(pairs, clouds), key))
-    return BorderData(pairs, clouds, "sampled")
+    data = BorderData(pairs, clouds, "sampled")
+    keep(model.description.name, *pack(data, border_key(model.description, sampling)))
+    return data
 
 
 def kept_border_data(
@@ -273,7 +269,7 @@ def kept_border_data(
     """
     key = border_key(model.description, sampling or SamplingConfig())
     found = find_kept(model.description.name, key, partial(unpack, key=key))
-    return found and BorderData(*found[0], found[1])
+    return found and replace(found[0], origin=found[1])
 
 
 def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
@@ -287,13 +283,6 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     )
 
 
-class Content(NamedTuple):
-    """What a file holds."""
-
-    pairs: LinkPairs
-    clouds: dict[str, Cloud]
-
-
 class _Header(Header):
     format: int
     mobile: tuple[tuple[str, str], ...]
@@ -305,16 +294,16 @@ class _Header(Header):
     seed: int
 
 
-def pack(content: Content, key: str) -> tuple[Header, Arrays]:
+def pack(data: BorderData, key: str) -> tuple[Header, Arrays]:
     """Header and arrays of a file."""
     arrays = {}
-    for i, pair in enumerate(content.pairs.mobile):
-        for part, array in _pack(content.clouds[pair.name]).items():
+    for i, pair in enumerate(data.pairs.mobile):
+        for part, array in _pack(data.clouds[pair.name]).items():
             arrays[f"cloud{i}_{part}"] = array
-    return _Header(format=FORMAT, key=key, **vars(content.pairs)), arrays
+    return _Header(format=FORMAT, key=key, **vars(data.pairs)), arrays
 
 
-def unpack(arrays: Arrays, key: str) -> Content:
+def unpack(arrays: Arrays, key: str) -> BorderData:
     """The inverse of `pack`.
 
     Raises:
@@ -331,7 +320,7 @@ def unpack(arrays: Arrays, key: str) -> Content:
         pair.name: _unpack(pair.name, *(arrays[f"cloud{i}_{part}"] for part in _PARTS))
         for i, pair in enumerate(mobile)
     }
-    return Content(pairs, clouds)
+    return BorderData(pairs, clouds, "cache")
 
 
 def _pack(cloud: Cloud) -> dict[str, Array]:

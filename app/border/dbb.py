@@ -49,13 +49,7 @@ class Cloud:
 
 
 def make_cloud(pair: str, points: Array, distances: Array) -> Cloud:
-    """A cloud from points in any order.
-
-    Args:
-        pair: Name of the pair.
-        points: (N, 3) int16 as in `Cloud`.
-        distances: (N,) uint16 as in `Cloud`.
-    """
+    """A cloud from points (N, 3) int16 and distances (N,) uint16, as in `Cloud`, in any order."""
     x, y, z = points.astype(np.int64).T
     # One key of height, then y, then x: sorting it is several times faster than by three keys.
     order = np.argsort((z << 32) + (y << 16) + x)

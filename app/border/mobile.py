@@ -29,7 +29,7 @@ class ConvexPart:
     """
 
     def __init__(self, geometry: coal.CollisionGeometry, placement: pin.SE3) -> None:
-        self.lower, self.upper = _bounds(geometry, placement)
+        self.lower, self.upper = bounds(geometry, placement)
         self._placement, self._measures = placement, _measures(geometry)
         self._T_shape = coal.Transform3s(placement.rotation, placement.translation)
         self._T_point = coal.Transform3s()
@@ -121,7 +121,8 @@ class MobileBody:
         return np.array([min(part.distance(p) for part in self.parts) for p in points])
 
 
-def _bounds(geometry: coal.CollisionGeometry, placement: pin.SE3) -> tuple[Array, Array]:
+def bounds(geometry: coal.CollisionGeometry, placement: pin.SE3) -> tuple[Array, Array]:
+    """(3,) [m] corners of a box around a placed shape: the placed box around the shape."""
     geometry.computeLocalAABB()
     centre = placement.act(geometry.aabb_center)
     box = geometry.aabb_local

@@ -123,14 +123,10 @@ class Rings(NamedTuple):
 
 
 def trace_rings(part: ConvexPart, d_b: float) -> Rings:
-    """The offset of a convex shape above the floor; without any height if it has none there.
+    """The offset d_b [m] of a convex shape above the floor; without heights if it has none there.
 
     Rays start from the middle of the shape. Where a slice of the offset does not contain it, as of
     a slanted shape, each height has the middle of its own slice.
-
-    Args:
-        part: The shape.
-        d_b: [m] the offset.
     """
     tracer = _Tracer(part, d_b)
     heights = _levels(float(part.lower[2]), float(part.upper[2]), d_b)
@@ -207,10 +203,7 @@ class _Tracer:
 
 
 def _vertex_tangents(edges: Array) -> Array:
-    """Unit tangents at the vertices, as x + iy: between those of the two edges there.
-
-    Args:
-        edges: (H, RAYS).
+    """Unit tangents at the vertices, as x + iy: between those of the two edges (H, RAYS) there.
 
     Returns:
         (H, RAYS + 1), the first one repeated.

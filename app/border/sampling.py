@@ -39,15 +39,8 @@ def sample_clouds(
 
     Random sampling alone leaves the base's sides almost empty. From every pose found, the flood
     steps to the voxels beside its point. Only the joint limits and the pair's own distance restrict
-    the poses. The same seed gives the same points on any number of processes.
-
-    Args:
-        model: The robot.
-        pairs: L_m.
-        config: How to sample.
-        progress: Whether to draw a bar on stderr.
-        processes: How many; all cores if not given.
-        on_progress: Called with the share that is done, 0 to 1.
+    the poses. The same seed gives the same points on any number of processes, all cores if not
+    given. `progress` draws a bar on stderr; `on_progress` is called with the share that is done.
 
     Returns:
         By the name of the pair.

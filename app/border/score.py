@@ -98,10 +98,6 @@ class ScoreField:
         field = _fields(p[None], measure, self.p_base, self.A, self.B, self.C)[0]
         return field[1], field[2:]
 
-    def direction(self, p: Array) -> Array:
-        """(3,) ∇S/‖∇S‖ at a point (3,); on the wheels' axis its limit from both sides, e_x."""
-        return uphill(self.gradient(p))
-
     def _fields(self, p: Array) -> Array:
         """(…, 5) R, S and ∇S."""
         p = np.asarray(p, dtype=float)
@@ -232,11 +228,7 @@ class ReachFit(NamedTuple):
 
 
 def fit_reachability(reach_map: ReachMap, share: float = FLOOR) -> ReachFit:
-    """A, B, C of (9) for a map.
-
-    Args:
-        reach_map: The map.
-        share: [-] of the peak, as `fit_parabola`.
+    """A, B, C of (9) for a map, where it is above a share of its peak; see `fit_parabola`.
 
     Raises:
         DescriptionError: The map does not rise and fall with the distance from the mount.
@@ -272,7 +264,7 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
         raise ValueError("it is above zero at too few distances")
     polynomial = np.polynomial.Polynomial.fit(x, y, 2)
     c, b, a = polynomial.convert().coef
-    if not a < 0:
+    if not a < 0 < b:
         raise ValueError("it does not fall off on both sides of a best distance")
     B = -b / (2 * a)
     left = y - polynomial(x)

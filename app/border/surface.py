@@ -96,8 +96,7 @@ class Gap(NamedTuple):
 def gaps_between(stretches: Iterable[tuple[float, float]]) -> list[Gap]:
     """What stretches without points tell: the narrow ones nothing, the others a gap within each.
 
-    Args:
-        stretches: [rays] from the last point before each to the first one after it.
+    A stretch goes from the last point before it to the first one after it [rays].
     """
     return [
         Gap(before + _MARGIN, after - _MARGIN)
@@ -150,10 +149,6 @@ def find_reached(border: Border, offset: OffsetContours) -> Array:
     A gap is a stretch of a ring without points. What other shapes hide has none and belongs to it,
     but a stretch that is all hidden is no gap. From ring to ring an end moves by `STEEPEST_GAP` at
     most.
-
-    Args:
-        border: The sampled border of one pair.
-        offset: The exact offset of l_m for the same d_b.
 
     Returns:
         (N, RAYS + 1) [rays] from a gap's end, negative inside of it, as the rows of `Table`.

@@ -12,23 +12,8 @@ from typing import Annotated, Any
 
 import tyro
 
+from app.cli import options
 from app.cli.common import print_json, print_part, print_table
-from app.cli.options import (
-    NO_DEFAULT,
-    ConfigOption,
-    Flag,
-    Json,
-    Processes,
-    Setup,
-    SetupOptions,
-    changed,
-    check_name,
-    check_processes,
-    check_seed,
-    configured,
-    make_folder,
-    parameter_options,
-)
 from app.cli.records import Given, from_record
 from app.config import Config, make_config
 from app.errors import ConfigError
@@ -46,8 +31,8 @@ def reproduce(
     *,
     out: Path = Path("out/reproduction"),
     seed: int = 0,
-    processes: Processes = None,
-    json: Json = False,
+    processes: options.Processes = None,
+    json: options.Json = False,
 ) -> None:
     """Run the paper's experiments, draw its figures, judge its claims.
 
@@ -61,9 +46,9 @@ def reproduce(
     from app.studies.paper import report
 
     names = report.chosen(figures)
-    check_seed(seed)
-    side_by_side = check_processes(processes)
-    make_folder(out)
+    options.check_seed(seed)
+    side_by_side = options.check_processes(processes)
+    options.make_folder(out)
     text = f"{len(names)} figures" if len(names) > 1 else names[0]
     with progress_bar(text, report.work(names)) as on_progress:
         result = report.reproduce(
@@ -95,12 +80,12 @@ def choose_sweep(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
 
 def sweep(
     plan: Annotated[Given, from_record(SweepPlan, leave=("config",), names=OPTIONS)],
-    parameter: Annotated[Given, parameter_options(_OF_SWEEP)],
-    config: ConfigOption = None,
-    parameters: Annotated[Path | None, NO_DEFAULT] = None,
-    processes: Processes = None,
+    parameter: Annotated[Given, options.parameter_options(_OF_SWEEP)],
+    config: options.ConfigOption = None,
+    parameters: Annotated[Path | None, options.NO_DEFAULT] = None,
+    processes: options.Processes = None,
     out: Path = Path("out/sweep"),
-    json: Json = False,
+    json: options.Json = False,
 ) -> None:
     """Lead the hand at the base from all around, as a polar map.
 
@@ -115,21 +100,21 @@ def sweep(
     """
     if config is not None and parameters is not None:
         raise ConfigError("--parameters: --config gives them already; leave one of them")
-    tuned = configured(config) if parameters is None else _read_parameters(parameters)
+    tuned = options.configured(config) if parameters is None else _read_parameters(parameters)
     if "controllers" in plan:
         plan["controllers"] = [
             name for text in plan["controllers"] for name in text.split(",") if name
         ]
     for name in OPTIONS.keys() & plan.keys():
         plan[name] = tuple(dict.fromkeys(plan[name]))
-    made = SweepPlan(**plan, config=changed(tuned, parameter, _OF_SWEEP))
-    check_seed(made.seed)
-    side_by_side = check_processes(processes)
+    made = SweepPlan(**plan, config=options.changed(tuned, parameter, _OF_SWEEP))
+    options.check_seed(made.seed)
+    side_by_side = options.check_processes(processes)
     # Imported here: matplotlib and scipy would make every other command start later.
     from app.robot.description import load_robot
 
     load_robot(made.robot)
-    make_folder(out)
+    options.make_folder(out)
     from app.studies.sweep.sweep import sweep as make
     from app.studies.sweep.sweep import write_sweep
 
@@ -145,9 +130,9 @@ def sweep(
 def compare_robots(
     robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME …")] = (),
     case: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME …")] = (),
-    processes: Processes = None,
+    processes: options.Processes = None,
     seed: int = 0,
-    json: Json = False,
+    json: options.Json = False,
 ) -> None:
     """Lead each robot's hand towards its own base, without avoidance and with it.
 
@@ -164,14 +149,14 @@ def compare_robots(
     from app.robot.assets import robot_names
 
     for name in robots:
-        check_name("robot", name, robot_names())
-    check_seed(seed)
-    side_by_side = check_processes(processes)
+        options.check_name("robot", name, robot_names())
+    options.check_seed(seed)
+    side_by_side = options.check_processes(processes)
     from app.studies.sweep.sweep import CASES, robot_table
 
     known = {each.name: each for each in CASES}
     for name in case:
-        check_name("case", name, known)
+        options.check_name("case", name, known)
     with progress_bar("robots", 1.0) as on_progress:
         result = robot_table(
             robots or robot_names(),
@@ -249,14 +234,14 @@ def study(
     cases: int = 2000,
     *,
     ranges: Annotated[Given, from_record(StudyRange)],
-    setup: SetupOptions,
+    setup: options.SetupOptions,
     inside: Annotated[
-        Flag, tyro.conf.arg(help="Draw only cases inside of the stated envelope.")
+        options.Flag, tyro.conf.arg(help="Draw only cases inside of the stated envelope.")
     ] = False,
-    scheduler: Annotated[str | None, NO_DEFAULT] = None,
-    processes: Processes = None,
+    scheduler: Annotated[str | None, options.NO_DEFAULT] = None,
+    processes: options.Processes = None,
     out: Path = Path("out/study"),
-    json: Json = False,
+    json: options.Json = False,
 ) -> None:
     """Pull the hand at the base by the thousand, at random.
 
@@ -272,14 +257,14 @@ def study(
         out: Folder for `results.parquet`, `study.json`, `report.html` and `failures/`.
     """
     check_range("--cases", cases, 1, _MOST_CASES)
-    chosen = asdict(Setup(**setup))
+    chosen = asdict(options.Setup(**setup))
     parameters = StudyParameters(**chosen, inside=inside, ranges=StudyRange(**ranges))
-    side_by_side = check_processes(processes)
+    side_by_side = options.check_processes(processes)
     # Imported here: it takes longer than to find a mistake in what was asked.
     from app.robot.description import load_robot
 
     load_robot(parameters.robot)
-    make_folder(out)
+    options.make_folder(out)
     from app.studies.pulls.study import study as run_study
 
     with _kept(cases, out) as on_progress:

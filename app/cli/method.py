@@ -6,17 +6,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
+from app.cli import options
 from app.cli.common import load_model, load_robot_and_border, print_json, say
-from app.cli.options import (
-    NO_DEFAULT,
-    ConfigOption,
-    Flag,
-    Json,
-    check_seed,
-    configured,
-    make_folder,
-    parameter_options,
-)
 from app.cli.records import Given
 from app.config import Config, sections
 from app.config_file import save_config
@@ -37,7 +28,7 @@ _FEWEST_POINTS, _MOST_POINTS = 1_000, 20_000_000
 
 
 def pairs(
-    robot: str = "husky_panda", samples: int = 100_000, seed: int = 0, json: Json = False
+    robot: str = "husky_panda", samples: int = 100_000, seed: int = 0, json: options.Json = False
 ) -> None:
     """Find the link pairs that can collide, by sampling (§2.1).
 
@@ -47,7 +38,7 @@ def pairs(
         seed: Seed of the sampling.
     """
     check_range("--samples", samples, 1, _MOST_SAMPLES)
-    check_seed(seed)
+    options.check_seed(seed)
     from app.robot.link_pairs import find_link_pairs
 
     found = find_link_pairs(load_model(robot), samples=samples, seed=seed)
@@ -85,11 +76,11 @@ def _of_pairs(robot: str, found: LinkPairs) -> dict[str, object]:
 
 
 def border(
-    parameters: Annotated[Given, parameter_options(_OF_BORDER)],
+    parameters: Annotated[Given, options.parameter_options(_OF_BORDER)],
     robot: str = "husky_panda",
-    out: Annotated[Path | None, NO_DEFAULT] = None,
+    out: Annotated[Path | None, options.NO_DEFAULT] = None,
     seed: int = 0,
-    json: Json = False,
+    json: options.Json = False,
 ) -> None:
     """Build or load the distance buffer border of each pair (§2.2).
 
@@ -98,9 +89,9 @@ def border(
         out: Folder for one CSV of the border's points per pair (base frame, metres).
         seed: Seed of the sampling; another one is another cloud.
     """
-    config = configured(None, parameters, _OF_BORDER).border
-    check_seed(seed)
-    make_folder(out)
+    config = options.configured(None, parameters, _OF_BORDER).border
+    options.check_seed(seed)
+    options.make_folder(out)
     # Imported here: it takes longer than to find a mistake in what was asked.
     import numpy as np
 
@@ -167,7 +158,9 @@ def _of_border(model: RobotModel, data: BorderData, border: Border) -> dict[str,
 
 
 def config(
-    config: ConfigOption = None, out: Annotated[Path | None, NO_DEFAULT] = None, json: Json = False
+    config: options.ConfigOption = None,
+    out: Annotated[Path | None, options.NO_DEFAULT] = None,
+    json: options.Json = False,
 ) -> None:
     """Print all parameters as a file that --config takes.
 
@@ -176,7 +169,7 @@ def config(
     Args:
         out: File to write instead of printing; one that exists is not written over.
     """
-    tuned = configured(config)
+    tuned = options.configured(config)
     if out is not None:
         _write_new(out, save_config(tuned, out.stem))
     if json:
@@ -203,9 +196,9 @@ def _of_parameter(about: Tunable, tuned: Config) -> dict[str, Any]:
 def bench(
     robot: str = "husky_panda",
     points: tuple[int, ...] = (50_000, 500_000, 5_000_000),
-    no_border: Flag = False,
+    no_border: options.Flag = False,
     seed: int = 0,
-    json: Json = False,
+    json: options.Json = False,
 ) -> None:
     """Time the control step along recorded hand paths, stage by stage.
 
@@ -217,7 +210,7 @@ def bench(
         no_border: Leave out the sampling of a border from nothing, which takes half a minute.
         seed: Of the plant and of the synthetic borders.
     """
-    check_seed(seed)
+    options.check_seed(seed)
     for count in points:
         if not _FEWEST_POINTS <= count <= _MOST_POINTS:
             raise ConfigError(

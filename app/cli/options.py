@@ -211,7 +211,7 @@ def make_folder(out: Path | None, option: str = "--out") -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
         probe.touch()
-        probe.unlink()
+        probe.unlink(missing_ok=True)  # another command may try the same folder now
     except OSError as error:
         raise OutputError(f"{option}: cannot write to {out}: {error.strerror}") from None
 

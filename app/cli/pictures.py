@@ -12,15 +12,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from app.cli import options
 from app.cli.common import load_robot_and_border, print_json
-from app.cli.options import (
-    ConfigOption,
-    Flag,
-    Json,
-    SetupOptions,
-    check_file,
-    check_name,
-)
 from app.cli.records import Given, from_record
 from app.cli.wanted import filmed, is_case, trace_of, wanted
 from app.control import CONTROLLERS
@@ -38,8 +31,8 @@ if TYPE_CHECKING:
 _MOST_PICTURES = 12
 _SIZES = 64, 8192  # [px]
 
-DarkOption = Annotated[Flag, tyro.conf.arg(help="A dark ground, the default.")]
-LightOption = Annotated[Flag, tyro.conf.arg(help="A light ground.")]
+DarkOption = Annotated[options.Flag, tyro.conf.arg(help="A dark ground, the default.")]
+LightOption = Annotated[options.Flag, tyro.conf.arg(help="A light ground.")]
 
 
 @dataclass(frozen=True)
@@ -75,11 +68,11 @@ def screenshot(
     at: Annotated[tuple[float, ...], tyro.conf.arg(metavar="SECONDS")],
     out: Path,
     picture: Annotated[Given, from_record(Picture)],
-    setup: SetupOptions,
+    setup: options.SetupOptions,
     dark: DarkOption = False,
     light: LightOption = False,
-    config: ConfigOption = None,
-    json: Json = False,
+    config: options.ConfigOption = None,
+    json: options.Json = False,
 ) -> None:
     """Draw a scenario at some times, in a browser that nobody sees.
 
@@ -91,7 +84,7 @@ def screenshot(
     is_case(scenario)
     shown = Picture(**picture)
     check_range("--at", len(at), 1, _MOST_PICTURES, "times")
-    check_file("--out", out, (".png",))
+    options.check_file("--out", out, (".png",))
     asked = wanted(scenario, setup, config)
     whole = _draw(asked, at, shown, dark=is_dark(dark=dark, light=light))
     drawn = io.BytesIO()
@@ -162,11 +155,11 @@ def film(
     beside: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CONTROLLER")] = (),
     filming: Annotated[Given, from_record(Filming)],
     picture: Annotated[Given, from_record(Picture, leave=("page",))],
-    setup: SetupOptions,
+    setup: options.SetupOptions,
     dark: DarkOption = False,
     light: LightOption = False,
-    config: ConfigOption = None,
-    json: Json = False,
+    config: options.ConfigOption = None,
+    json: options.Json = False,
 ) -> None:
     """Film a scenario without a display, picture by picture.
 
@@ -180,12 +173,12 @@ def film(
 
     is_case(scenario)
     for name in beside:
-        check_name("controller of --beside", name, CONTROLLERS)
+        options.check_name("controller of --beside", name, CONTROLLERS)
     shown, how = Picture(**picture), Filming(**filming)
-    check_file("--out", out, tuple(CODECS))
+    options.check_file("--out", out, tuple(CODECS))
     codecs = CODECS[out.suffix.lower()]
     codec = how.codec or next(iter(codecs))
-    check_name(f"--codec of {out.suffix}", codec, codecs)
+    options.check_name(f"--codec of {out.suffix}", codec, codecs)
     look = Look(shown.width, shown.height, shown.layer, shown.view, is_dark(dark=dark, light=light))
     asked = wanted(scenario, setup, config)
     told = _film(asked, beside, how, codec, look, out)
@@ -243,7 +236,7 @@ def replay(
     looks: Annotated[Given, from_record(Picture, only=("layer", "view"))],
     dark: DarkOption = False,
     light: LightOption = False,
-    json: Json = False,
+    json: options.Json = False,
 ) -> None:
     """Make one HTML file of a log that plays the run in any browser.
 
@@ -258,7 +251,7 @@ def replay(
 
     shown = Picture(**looks)
     ground = is_dark(dark=dark, light=light)
-    check_file("--out", out, (".html",))
+    options.check_file("--out", out, (".html",))
     read = trace_of(log)
     model, data = load_robot_and_border(read.meta.robot)
     duration = read.snapshots[-1].t - read.snapshots[0].t
@@ -289,7 +282,7 @@ def report(
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")],
     *,
     out: Path = Path("out/report.html"),
-    json: Json = False,
+    json: options.Json = False,
 ) -> None:
     """Make one HTML file of a log: figures and key numbers.
 
@@ -300,7 +293,7 @@ def report(
     # Imported here: matplotlib and pyarrow would make every other command start later.
     from app.studies.run_report import key_numbers, run_report
 
-    check_file("--out", out, (".html",))
+    options.check_file("--out", out, (".html",))
     run = trace_of(log)
     write_whole(out, run_report(run))
     if json:

@@ -7,22 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import tyro
 
+from app.cli import options
 from app.cli.common import as_json, load_robot_and_border, print_json, rounded_text, say
-from app.cli.options import (
-    PARAMETERS,
-    ConfigOption,
-    Flag,
-    Json,
-    ParameterOptions,
-    Setup,
-    SetupOptions,
-    changed,
-    check_file,
-    check_name,
-    configured,
-    make_folder,
-    parameter_options,
-)
 from app.cli.records import Given, from_record
 from app.cli.wanted import check_no_others, of_case, planned, read, result_of
 from app.simulation.case import Planned
@@ -34,7 +20,7 @@ if TYPE_CHECKING:
     from app.robot.model import RobotModel
     from app.simulation.run import RunResult
 
-_OF_A_CASE = {name: PARAMETERS[name] for name in ("buffer_distance", "border")}
+_OF_A_CASE = {name: options.PARAMETERS[name] for name in ("buffer_distance", "border")}
 _OF_SCENARIOS = {name for each in SCENARIOS.values() for name in each.options}
 
 OutOption = Annotated[
@@ -52,7 +38,7 @@ LogOption = Annotated[
 
 
 ContactOption = Annotated[
-    Flag, tyro.conf.arg(help="End with status 1 if the arm touched anything.")
+    options.Flag, tyro.conf.arg(help="End with status 1 if the arm touched anything.")
 ]
 
 
@@ -73,7 +59,7 @@ def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
     named = first or [word for word in words if word in SCENARIOS][:1]
     if not named:
         return "", run, words
-    check_name("scenario", named[0], SCENARIOS)
+    options.check_name("scenario", named[0], SCENARIOS)
     scenario, rest = SCENARIOS[named[0]], list(words)
     rest.remove(scenario.name)
     for name in map(_field, rest):
@@ -89,13 +75,13 @@ def _field(word: str) -> str:
 
 
 def run(
-    setup: SetupOptions,
-    parameters: ParameterOptions,
-    config: ConfigOption = None,
+    setup: options.SetupOptions,
+    parameters: options.ParameterOptions,
+    config: options.ConfigOption = None,
     out: OutOption = None,
     log: LogOption = None,
     fail_on_contact: ContactOption = False,
-    json: Json = False,
+    json: options.Json = False,
 ) -> None:
     """Run a scenario, or a case of a study again; print its figures."""
     del setup, parameters, config, out, log, fail_on_contact, json
@@ -118,16 +104,16 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
 
     def command(
         scenario_options: Annotated[Given, from_record(scenario, only=scenario.options)],
-        setup: SetupOptions,
-        parameters: ParameterOptions,
-        config: ConfigOption = None,
+        setup: options.SetupOptions,
+        parameters: options.ParameterOptions,
+        config: options.ConfigOption = None,
         out: OutOption = None,
         log: LogOption = None,
         fail_on_contact: ContactOption = False,
-        json: Json = False,
+        json: options.Json = False,
     ) -> None:
-        chosen = Setup(**setup)
-        tuned = configured(config, parameters)
+        chosen = options.Setup(**setup)
+        tuned = options.configured(config, parameters)
         # Imported here: it takes longer than to find a mistake in what was asked.
         from app.robot.description import load_robot
 
@@ -141,12 +127,12 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
 
 def run_case(
     case: Path,
-    setup: Annotated[Given, from_record(Setup, only=("controller", "physics"))],
-    parameters: Annotated[Given, parameter_options(_OF_A_CASE)],
+    setup: Annotated[Given, from_record(options.Setup, only=("controller", "physics"))],
+    parameters: Annotated[Given, options.parameter_options(_OF_A_CASE)],
     out: OutOption = None,
     log: LogOption = None,
     fail_on_contact: ContactOption = False,
-    json: Json = False,
+    json: options.Json = False,
 ) -> None:
     """Run a case again: its start, pulls, robot, disturbances and seed, so its figures.
 
@@ -155,7 +141,7 @@ def run_case(
     """
     played = read(case)
     again = of_case(played, setup)
-    again = again._replace(config=changed(again.config, parameters))
+    again = again._replace(config=options.changed(again.config, parameters))
     figures = _run(again, _Files(out, log, json))
     if not setup and not parameters:
         for change in played.changes(figures):
@@ -165,15 +151,15 @@ def run_case(
 
 def _check_replay(words: list[str]) -> None:
     """Refuse what a replayed case answers itself."""
-    own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *PARAMETERS}
+    own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *options.PARAMETERS}
     given = ("scenario" if word in SCENARIOS else _field(word) for word in words)
     check_no_others(dict.fromkeys(sorted(own & set(given)), True))
 
 
 def _run(asked: Planned, files: _Files) -> dict[str, Any]:
     """Run it, write what is asked for, and say how it went; its figures."""
-    make_folder(files.out)
-    check_file("--log", files.log, (".csv", ".parquet", ".mcap"))
+    options.make_folder(files.out)
+    options.check_file("--log", files.log, (".csv", ".parquet", ".mcap"))
     # Imported here: it takes longer than to find a mistake in what was asked.
     from app.control.buffer_watch import buffer_warning
     from app.simulation.trace.metrics import verdict

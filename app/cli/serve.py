@@ -9,16 +9,8 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
+from app.cli import options
 from app.cli.common import load_model, say
-from app.cli.options import (
-    ConfigOption,
-    ParameterOptions,
-    Setup,
-    SetupOptions,
-    changed,
-    check_name,
-    configured,
-)
 from app.cli.records import Given, from_record
 from app.cli.wanted import check_no_others, read
 from app.config import Config
@@ -58,16 +50,16 @@ class Serving:
     """Folder of `dbb sweep` whose newest map is shown, and where a button writes new ones."""
 
     def __post_init__(self) -> None:
-        check_name("loop", self.loop, ("process", "thread"))
+        options.check_name("loop", self.loop, ("process", "thread"))
         if self.start is not None:
             check_point("--start", self.start)
 
 
 def serve(
     serving: Annotated[Given, from_record(Serving)],
-    setup: SetupOptions,
-    parameters: ParameterOptions,
-    config: ConfigOption = None,
+    setup: options.SetupOptions,
+    parameters: options.ParameterOptions,
+    config: options.ConfigOption = None,
 ) -> None:
     """Serve the dashboard: drag the hand, and the base gives way."""
     asked = Serving(**serving)
@@ -77,12 +69,16 @@ def serve(
         check_no_others({"start": asked.start, "config": config, **parameters})
         of_case = {"controller": case.controller, "physics": case.physics}
         setup = {**of_case, **setup, "robot": case.robot, "seed": case.seed}
-    chosen = Setup(**setup)
-    tuned = changed(case.config(), parameters) if case else configured(config, parameters)
+    chosen = options.Setup(**setup)
+    tuned = (
+        options.changed(case.config(), parameters)
+        if case
+        else options.configured(config, parameters)
+    )
     # Imported here: it takes longer than to find a mistake in what was asked.
     from app.robot.assets import robot_names
 
-    check_name("robot", chosen.robot, robot_names())
+    options.check_name("robot", chosen.robot, robot_names())
     from app.simulation.loop.process_loop import loop_child
 
     # The simulation's process imports as much as this one: both at once.
@@ -93,7 +89,7 @@ def serve(
 class _First(NamedTuple):
     """What the dashboard shows at first, and the process for its simulation."""
 
-    setup: Setup
+    setup: options.Setup
     config: Config
     asked: Serving
     case: Case | RunCase | None

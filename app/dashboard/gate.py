@@ -12,7 +12,9 @@ import dataclasses
 import gzip
 import http
 import ipaddress
+import math
 import socket
+import struct
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -33,6 +35,9 @@ from app.errors import ServerError
 
 LARGEST_MESSAGE = 2**20  # [bytes] viser's client sends a file in parts of half of that
 _LARGEST_PICTURE = 32 * 2**20  # [bytes] what a page that was asked for a picture may answer
+_MOST_PIXELS = 2**24  # [-] of such a picture
+_MOST_WAITING = 2  # [-] messages of a viewer that have come and are not taken yet
+_MOST_PARTS = 10_000  # [-] in which a message may come; each costs memory even if it is empty
 _MOST_VIEWERS = 32  # [-] connections at a time
 _PARAMETERS = ("fixedDpr", "scenario", "controller", "robot", "look", "at")
 """Names that the page's address may carry, beside those with a dot, as border.d_b, which viser has
@@ -58,6 +63,8 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 """Of every answer, with the policy."""
+_SINGLE = ("Host", "Origin", "Upgrade", "Cookie", "Accept-Encoding")
+"""Headers that are asked for one value here or by viser."""
 _SCRIPT, _CONTROLS, _STYLE = (
     Path(__file__).with_name(name).read_text(encoding="utf-8")
     for name in ("page.js", "controls.js", "page.css")
@@ -69,12 +76,8 @@ _lock = threading.Lock()
 _TAKEN = (
     _messages.ViewerCameraMessage,
     _messages.GuiUpdateMessage,
-    _messages.GuiButtonHoldMessage,
-    _messages.GuiFormSubmitMessage,
-    _messages.GuiFormDirtyMessage,
     _messages.CommandTriggerMessage,
     _messages.SceneNodeClickMessage,
-    _messages.ScenePointerMessage,
     _messages.SceneNodeDragMessage,
     _messages.TransformControlsUpdateMessage,
     _messages.TransformControlsDragStartMessage,
@@ -85,7 +88,8 @@ _TAKEN = (
     _messages.FileTransferPart,
     _messages.FileTransferPartAck,
 )
-"""What a page may send. Others exist, as one that opens a tunnel to this machine for anybody."""
+"""What this program's page sends. viser has others: one opens a tunnel to this machine for anybody,
+and one of a form that nobody has is kept, and told to every viewer, for ever."""
 
 
 class RefusedError(ValueError):
@@ -141,7 +145,7 @@ class Gate:
                 **more: Any,
             ) -> Any:
                 seen.append(True)
-                more["max_size"] = _LARGEST_PICTURE
+                more |= {"max_size": _LARGEST_PICTURE, "max_queue": _MOST_WAITING}
                 return original(
                     self._handler(handler),
                     *args,
@@ -166,7 +170,7 @@ class Gate:
                 answer = inner(connection, request)
                 answer = await answer if hasattr(answer, "__await__") else answer
             if answer is not None:
-                host = request.headers.get("Host", "")
+                host = ", ".join(request.headers.get_all("Host"))
                 if answer.headers.get("Content-Type", "").startswith("text/html"):
                     answer.body = with_script(
                         bytes(answer.body), answer.headers["Content-Encoding"]
@@ -182,10 +186,14 @@ class Gate:
     def _refusal(self, request: Request) -> Response | None:
         """The refusal of a request, or None if it may go on to viser."""
         headers = request.headers
-        query = parse_qsl(urlsplit(request.path).query, keep_blank_values=True)
+        query = parse_qsl(request.path.partition("?")[2], keep_blank_values=True)
         names = {name for name, _ in query}
         unknown = {name for name in names if name not in _PARAMETERS and "." not in name}
-        if not is_allowed(headers.get("Origin"), headers.get("Host"), self._own_name):
+        twice = [name for name in _SINGLE if len(headers.get_all(name)) > 1]
+        if twice:
+            status = http.HTTPStatus.BAD_REQUEST
+            why = f"the request has the header {twice[0]} twice"
+        elif not is_allowed(headers.get("Origin"), headers.get("Host"), self._own_name):
             status = http.HTTPStatus.FORBIDDEN
             why = "this page is not allowed to connect to this server"
         elif headers.get("Upgrade", "").lower() == "websocket":
@@ -230,13 +238,27 @@ class _Checked:
     async def recv(self) -> bytes:
         """The next message that viser may see; who sends another is told, or is no page."""
         while True:
-            data = await self._connection.recv()
             try:
+                data = await self._message()
                 return checked(data, self._uploads, lambda uuid: self._gate.widget(self, uuid))
             except GarbageError as garbage:
                 await self._connection.close(1008, str(garbage)[:100])
             except RefusedError as refused:
                 self._gate.on_refused(self, refused)
+
+    async def _message(self) -> bytes:
+        """The next message, put together of its parts.
+
+        Raises:
+            GarbageError: It has more of them than any page sends.
+        """
+        parts = []
+        async for part in self._connection.recv_streaming(decode=False):
+            if len(parts) <= _MOST_PARTS:
+                parts.append(part)
+        if len(parts) > _MOST_PARTS:
+            raise GarbageError("this is no message (of too many parts)")
+        return b"".join(parts)
 
 
 @lru_cache(maxsize=2)
@@ -271,9 +293,14 @@ def is_allowed(origin: str | None, host: str | None, own_name: str) -> bool:
     """
     if host is None:
         return origin is None
-    if not _is_here(urlsplit(f"//{host}").hostname, own_name):
+    try:
+        here, page = urlsplit(f"//{host}"), urlsplit(origin or "")
+        whole = here.netloc == host and here.port != 0  # looked at: one that is no number raises
+    except ValueError:  # no address at all
         return False
-    return origin is None or urlsplit(origin).netloc.lower() == host.lower()
+    if not (whole and _is_here(here.hostname, own_name)):
+        return False
+    return origin is None or page.netloc.lower() == host.lower()
 
 
 def _is_here(name: str | None, own_name: str) -> bool:
@@ -305,38 +332,45 @@ _decoder = msgspec.msgpack.Decoder(type=Union[tuple(_RECORDS.values())])  # noqa
 
 
 class Uploads:
-    """What one viewer is uploading: viser keeps what it gets until a file is whole."""
+    """What one viewer is uploading: viser keeps what it gets until each part of a file is there.
+
+    As a page sends them, parts come in their order: else viser would wait for ever for one that is
+    counted here, and keep the others.
+    """
 
     def __init__(self, largest: int) -> None:
         """Nothing yet; a file may have `largest` [bytes]."""
         self._largest = largest
-        self._left: dict[str, int] = {}
+        self._left: dict[str, tuple[int, range]] = {}
+        """By transfer: how many bytes are still to come, and which parts."""
 
     def begin(self, transfer: str, size: int, parts: int) -> None:
-        """Take note of a file that is announced.
+        """Take note of a file that is announced; an empty one has no parts.
 
         Raises:
             RefusedError: It is too large, or another is not finished.
         """
         if size > self._largest:
             raise RefusedError(f"{size / 1e6:.0f} MB; a file may have {self._largest / 1e6:.0f} MB")
-        if not (size >= 0 and 0 <= parts <= max(size, 1)):
+        if not min(size, 1) <= parts <= size:
             raise RefusedError("this is no upload")
         if len(self._left) >= _MOST_UPLOADS:
             raise RefusedError("one upload after the other")
-        self._left[transfer] = size
+        if parts:
+            self._left[transfer] = size, range(parts)
 
-    def add(self, transfer: str, size: int) -> None:
-        """Take note of a part.
+    def add(self, transfer: str, part: int, size: int) -> None:
+        """Take note of a part of so many bytes.
 
         Raises:
-            RefusedError: Nothing was announced of which it is a part.
+            RefusedError: Nothing was announced of which it is the next part.
         """
-        left = self._left.pop(transfer, -1) - size
-        if left < 0:
-            raise RefusedError("more than was announced")
-        if left > 0:
-            self._left[transfer] = left
+        left, parts = self._left.get(transfer, (0, range(0)))
+        if part not in parts[:1] or size > left:
+            raise RefusedError("not what was announced")
+        self._left[transfer] = left - size, parts[1:]
+        if not parts[1:]:
+            del self._left[transfer]
 
 
 def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> bytes:
@@ -361,6 +395,8 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
     except (msgspec.DecodeError, RecursionError) as error:
         raise GarbageError(f"this is no message ({error})") from None
     if isinstance(message, _RECORDS[_messages.GetRenderResponseMessage]):
+        if not is_picture(message.payload):
+            raise RefusedError("this is no picture that a page was asked for", message)
         return data
     if len(data) > LARGEST_MESSAGE:
         raise large
@@ -379,8 +415,16 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
     elif isinstance(message, _RECORDS[_messages.FileTransferStartUpload]):
         uploads.begin(message.transfer_uuid, message.size_bytes, message.part_count)
     elif isinstance(message, _RECORDS[_messages.FileTransferPart]):
-        uploads.add(message.transfer_uuid, len(message.content))
+        uploads.add(message.transfer_uuid, message.part_index, len(message.content))
     return data
+
+
+def is_picture(content: bytes) -> bool:
+    """Whether it is empty, as where none could be made, or a PNG that does not unpack to much."""
+    head = content.partition(b"IDAT")[0]
+    size = 0 if len(head) < 24 else math.prod(struct.unpack_from(">II", head, 16))
+    whole = head.startswith(b"\x89PNG\r\n\x1a\n") and 0 < size <= _MOST_PIXELS
+    return not content or (whole and b"acTL" not in head)  # one of many frames
 
 
 def is_alike(value: object, current: object) -> bool:

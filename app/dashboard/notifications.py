@@ -78,6 +78,10 @@ class Notifier:
     ) -> None:
         text = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"  # it may be of a file
         clients = [client] if client is not None else list(self._server.get_clients().values())
+        here = {each.client_id for each in clients} | set(self._server.get_clients())
+        for key in tuple(self._shown):
+            if key[0] not in here:  # a handle would keep all of the page of who has gone
+                self._shown.pop(key, None)
         for each in clients:
             key = (each.client_id, title)
             before, count, old = self._shown.get(key, ("", 0, None))

@@ -109,7 +109,8 @@ def _check_signals() -> None:
 
 def _raise(number: int, _: FrameType | None) -> None:
     _received.append(number)
-    raise _exception()
+    if len(_received) == 1:  # no other one interrupts what is tidied up after it
+        raise _exception()
 
 
 @contextmanager
@@ -142,5 +143,5 @@ def _end_late(heard: int, numbers: Sequence[int], longest: float) -> None:
 
 
 def _exception() -> BaseException:
-    last = _received[-1]
-    return KeyboardInterrupt() if last == signal.SIGINT else SystemExit(128 + last)
+    first = _received[0]
+    return KeyboardInterrupt() if first == signal.SIGINT else SystemExit(128 + first)

@@ -19,7 +19,7 @@ from app.config import Config
 from app.errors import DbbError, UnreachableError
 from app.onboarding.fit.collision_sampling import ALWAYS, units_of_links
 from app.onboarding.fit.grouping import UNSEEN_POSES, unseen_collisions
-from app.onboarding.fit.postures import judge_ready
+from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
 from app.onboarding.numbers import gravity_load, largest_of_poses
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot
@@ -38,7 +38,8 @@ Outcome = Literal["passed", "warned", "failed", "nothing to show"]
 
 _STATES = 20  # [-] random ones in which the dynamics are compared
 _AGREE = 1e-6  # [-] of the largest entry
-_FASTEST, _STRONGEST = 20.0, 2000.0  # [rad/s or m/s], [N m or N] of a joint
+_FASTEST = 20.0  # [rad/s or m/s] of a joint
+_STRONGEST, _LIFTS = 2000.0, 20_000.0  # [N m] of a joint, [N] of one that slides
 _MARGIN = 0.02  # [-] share of a joint's range between the ready pose and a limit
 _OUT_OF_BASE = 0.01  # [m] by which a base's mesh may stick out of its body; a buffer has 0.1 m
 _MISSED = 0.01  # [-] share of collisions that the pairs of their bodies may not see
@@ -46,12 +47,11 @@ _LAYER = 0.05  # [m]
 _NEAR_POSES = 1000
 _MANY = 500  # [-] points nearer than the border by which a layer counts as reached
 _FEW = 10  # [-] points of the border in a layer that is not empty
-_CLEARANCE = 0.03  # [m] least distance of a pair with the base that passes
 _NEARLY = 0.05  # [m] to the base without avoidance, from which on the base has to move
-_GIVES_WAY = 0.05  # [m] by which it moves then
-_STILL = (
-    f"; the base gives way by less than {_GIVES_WAY:g} m; if `hand held` warns, a smaller "
-    "holding.weight lets it give way more"
+_STILL = f"; the base gives way by less than {GIVES_WAY:g} m"
+_HELD = (
+    ", as the arm cannot hold its hand where it is (`hand held`) and keeps away by itself; a "
+    "smaller holding.weight lets the base give way more"
 )
 
 
@@ -127,7 +127,7 @@ def check_robot(
 
 
 def _shown(rows: list[Row]) -> bool:
-    return any(row.outcome in ("passed", "failed") for row in rows)
+    return any(row.numbers and row.outcome != "nothing to show" for row in rows)
 
 
 def _done(name: str, check: Callable[[], Row]) -> Row:
@@ -198,10 +198,14 @@ def limits_row(model: RobotModel) -> Row:
     names, data = model.description.arm.joints, model.pin.createData()
     load = gravity_load(model)
     least = -largest_of_poses(model, lambda q: -np.diag(pin.crba(model.pin, data, q))[3:])
+    kinds = [joint.shortname() for joint in model.pin.joints[2:]]
+    strongest = [_LIFTS if kind.startswith("JointModelP") else _STRONGEST for kind in kinds]
     wrong = [
         f"{name} has {speed:g} rad/s (or m/s) and {effort:g} N m (or N)"
-        for name, speed, effort in zip(names, model.qd_max, model.tau_max, strict=True)
-        if speed > _FASTEST or effort > _STRONGEST
+        for name, speed, effort, most in zip(
+            names, model.qd_max, model.tau_max, strongest, strict=True
+        )
+        if speed > _FASTEST or effort > most
     ]
     wrong += [f"{name} moves no inertia" for name, m in zip(names, least, strict=True) if m <= 1e-9]
     weak = [
@@ -379,9 +383,12 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
             f"least distance to the base {near:.3f} m ({without:.3f} m without avoidance), base "
             f"moved by {moved:.3f} m, {text}"
         )
-    still = without is not None and without < _NEARLY and moved < _GIVES_WAY
-    if touched or failures or still or (near is not None and near < _CLEARANCE):
-        text += _STILL if still else ""
+    still = without is not None and without < _NEARLY and moved < GIVES_WAY
+    if touched or failures or (near is not None and near < CLEARANCE):
         return Row(name, "failed", text, numbers)
+    if still:
+        held = bool(holding_warning(carried_hand(model)))
+        text += _STILL + (_HELD if held else "")
+        return Row(name, "warned" if held else "failed", text, numbers)
     shown = without is not None and without < config.border.d_b / 2
     return Row(name, "passed" if shown else "nothing to show", text, numbers)

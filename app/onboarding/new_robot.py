@@ -20,7 +20,15 @@ from app.errors import DbbError, RobotFileError
 from app.onboarding.fit.bodies import FittedBody
 from app.onboarding.fit.collision_sampling import Meetings, make_units, sample_meetings
 from app.onboarding.fit.grouping import Grouping, Unseen, Verdict, find_grouping, unseen_collisions
-from app.onboarding.fit.postures import RULE, Place, Ready, find_places, find_ready, judge_ready
+from app.onboarding.fit.postures import (
+    RULE,
+    Place,
+    Ready,
+    find_places,
+    find_ready,
+    gives_way,
+    judge_ready,
+)
 from app.onboarding.numbers import (
     Limits,
     Reach,
@@ -35,10 +43,16 @@ from app.onboarding.read.links import LinkGeometry, LinkInertia, read_geometry, 
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.source import locate, read_robot
 from app.onboarding.read.tree import Arm, Tree, find_arm, make_tree
-from app.onboarding.read.wheels import Steering, Wheels, find_drive, with_rigid_suspensions
+from app.onboarding.read.wheels import (
+    Steering,
+    Wheels,
+    find_drive,
+    stands_on_floor,
+    with_rigid_suspensions,
+)
 from app.onboarding.report import report_html
 from app.onboarding.request import Request, package_folders
-from app.onboarding.warn import warnings_of
+from app.onboarding.warn import carried_hand, holding_warning, warnings_of
 from app.onboarding.write import compiled, description, rebased_urdf, whole_folder, write_robot
 from app.robot.model import RobotModel
 from app.system import write_whole
@@ -208,7 +222,15 @@ def make_robot(
     reach = find_reach(compiled(content, path), pairs)
     content["reachability"] = {name: each.content() for name, each in reach.items()}
     tell("looking for places to guide the hand")
-    places = find_places(compiled(content, path), pairs, d_b, on_progress=on_progress)
+    model = compiled(content, path)
+    places = find_places(
+        model,
+        pairs,
+        d_b,
+        shows=partial(gives_way, model, data),
+        anyway=bool(holding_warning(carried_hand(model))),  # the arm then avoids by itself
+        on_progress=on_progress,
+    )
     content["lines"] = {name: place.content() for name, place in places.items()}
     model = compiled(content, path)
     fitted = meetings, bodies, verdict, unseen
@@ -258,6 +280,8 @@ def parse(request: Request) -> Parsed:
     geometry = read_geometry(tree)
     if not any(geometry[name].shapes for part in arm.segments for name in part):
         raise RobotFileError(f"no link between {request.base!r} and {tip!r} has a shape")
+    if request.mount is None and stands_on_floor(tree, arm, geometry):
+        arm = find_arm(tree, request.base, tip, arm.joints[0].child)
     arm = with_rigid_suspensions(tree, arm, geometry)
     wheels, steering = find_drive(request, tree, arm, geometry)
     inertias = read_inertias(tree, arm, geometry, assume=request.assume_inertia)

@@ -12,7 +12,7 @@ import numpy as np
 from app.config import AdmittanceConfig
 from app.control.admittance import largest_command
 from app.onboarding.fit.collision_sampling import ALWAYS
-from app.onboarding.fit.postures import INNER
+from app.onboarding.fit.postures import GIVES_WAY, INNER
 from app.robot.bases.kind import Axis
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from app.robot.model import RobotModel
@@ -66,9 +66,10 @@ def _poses(robot: NewRobot) -> list[str]:
     missing = {"guiding-lateral", "guiding-front"} - robot.places.keys()
     for name in sorted(missing):
         told.append(
-            f"{name}: no line is written: nowhere there can the arm be led from outside of its "
-            f"buffers to within {INNER * d_b:g} m of the base; it is too short for that, or stands "
-            "too far from that side (--mount-xyz)"
+            f"{name}: no line is written: none was found that leads the arm from outside of its "
+            f"buffers to within {INNER * d_b:g} m of the base and on which the base gives way by "
+            f"{GIVES_WAY:g} m; the arm is too short for that, stands too far from that side "
+            "(--mount-xyz), meets itself first, or cannot hold its hand"
         )
     return told
 

@@ -171,10 +171,7 @@ class RobotDescription(Strict):
 
 
 def register_base_kind(kind: type[BaseKind]) -> None:
-    """Let descriptions have another kind of base from now on.
-
-    Args:
-        kind: Its record; the field `kind` is a `Literal` of its name.
+    """Let descriptions have another kind of base from now on: a record whose `kind` is a `Literal`.
 
     Raises:
         DescriptionError: The name is not a single one, or another kind has it.
@@ -209,9 +206,6 @@ def differential(description: RobotDescription) -> DifferentialBase:
 
 def load_description(path: Path) -> RobotDescription:
     """Read and validate a description file.
-
-    Args:
-        path: The TOML file.
 
     Raises:
         DescriptionError: The file is missing, is not TOML, or a field is missing, misspelt or out

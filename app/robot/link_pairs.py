@@ -175,11 +175,6 @@ def find_link_pairs(model: RobotModel, *, samples: int = 100_000, seed: int = 0)
     Paper: Eq. (1).
     Paper: Eq. (2).
 
-    Args:
-        model: The robot.
-        samples: Number of joint positions.
-        seed: Seed of the generator.
-
     Returns:
         A pair stands in L if any sample has a signed distance of zero or less.
     """

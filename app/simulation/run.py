@@ -135,13 +135,10 @@ def filmed(
     times: Sequence[float],
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> list[Snapshot]:
-    """Snapshots of a run up to the last of some times, those of the times themselves among them.
+    """Snapshots of a run up to the last of some times [s], those at the times themselves included.
 
-    Args:
-        steps: The run, as `steps_of` gives it; it is ended here.
-        scenario: Which leads the hand.
-        times: [s] within the scenario's duration.
-        on_progress: Called now and then with the simulated time [s].
+    The steps, as `steps_of` gives them, are ended here. `on_progress` is called now and then with
+    the simulated time [s].
     """
     last = round(scenario.duration / DT) - 1
     wanted = {min(round(t / DT), last) for t in times}

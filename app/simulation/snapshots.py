@@ -65,11 +65,9 @@ class Camera(NamedTuple):
         return np.asarray(self.target) + self.distance * np.array(towards)
 
     def framing(self, points: Array, margin: float = 0.06) -> Camera:
-        """The same camera moved so that the points (N, 3) [m] just fill the picture.
+        """The same camera moved so that points (N, 3) [m] of the world just fill the picture.
 
-        Args:
-            points: What has to be seen, in the world.
-            margin: [-] of the picture that stays free on each side.
+        The margin [-] of the picture stays free on each side.
         """
         camera = self
         for _ in range(8):  # the perspective's share of the place changes a little each time
@@ -268,9 +266,7 @@ def _floor_points(camera: Camera) -> Array:
 def _painted_floor(camera: Camera, floor: Array) -> Array:
     """(height, width, 3) colours of the floor with its grid, white from where the grid has faded.
 
-    Args:
-        camera: Where from.
-        floor: (height, width, 3) [m] the floor's place in each pixel.
+    `floor` (height, width, 3) [m] is its place in each pixel.
     """
     pixel = np.gradient(floor[..., :2], axis=0), np.gradient(floor[..., :2], axis=1)
     size = np.hypot(*pixel)  # [m] a pixel's reach along x and along y

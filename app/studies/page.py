@@ -83,10 +83,7 @@ class Part(NamedTuple):
 def page_html(title: str, lead: str, parts: Sequence[Part]) -> str:
     """The page; all that it is given is text and no markup.
 
-    Args:
-        title: Its title and heading.
-        lead: A sentence or two below it.
-        parts: The parts; those with a name are linked to at the top.
+    Below the title stands the lead, a sentence or two, with links to the parts that have a name.
     """
     return _template().render(title=title, lead=lead, parts=parts)
 

@@ -14,24 +14,9 @@ from app.config import Config, parameter
 from app.errors import ConfigError
 from app.simulation.trace.metrics import extremes, metrics, verdict
 from app.simulation.trace.trace import Trace
+from app.studies import style
 from app.studies.page import Grid, Part, measured_grids, page_html
 from app.studies.runs import flattened
-from app.studies.style import (
-    ACTING,
-    HAND,
-    INK,
-    PAIR_COLOURS,
-    PATH,
-    SOFT,
-    TARGET,
-    level,
-    marker_style,
-    new_figure,
-    picture,
-    pictures_in,
-    png_of,
-    styled,
-)
 
 Array = np.ndarray
 
@@ -53,10 +38,10 @@ def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None
     numbers = key_numbers(run)
     parts = [Part(text=[verdict(numbers)])]
     parts.append(Part("Key numbers", "numbers", tables=measured_grids(flattened(numbers))))
-    with styled():
+    with style.styled():
         for k, each in enumerate(_FIGURES.values()):
             on_progress(k / len(_FIGURES))
-            parts.append(Part(each.title, each.name, [each.words], png_of(each.draw(run))))
+            parts.append(Part(each.title, each.name, [each.words], style.png_of(each.draw(run))))
     parts.append(_changes(run))
     return page_html(title, _about(run), parts)
 
@@ -123,25 +108,25 @@ def _value(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-@picture("distances", "Distances and activations")
+@style.picture("distances", "Distances and activations")
 def distances_figure(run: Trace) -> Figure:
     """Distances of all pairs over their activations."""
-    figure = new_figure(6.0)
+    figure = style.new_figure(6.0)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=[3, 2])
     others = iter(_OTHERS * (1 + len(run.meta.pairs)))
     for k, pair in enumerate(run.meta.pairs):
         mobile = pair in run.meta.mobile_pairs
-        colour = PAIR_COLOURS.get(pair) or next(others)
-        style = {"color": colour, "linestyle": "-" if mobile else (0, (5, 2))}
-        above.plot(run.t, run.distances[:, k], label=pair, **style)
-        below.plot(run.t, run.betas[:, k], **style)
+        colour = style.PAIR_COLOURS.get(pair) or next(others)
+        line = {"color": colour, "linestyle": "-" if mobile else (0, (5, 2))}
+        above.plot(run.t, run.distances[:, k], label=pair, **line)
+        below.plot(run.t, run.betas[:, k], **line)
     d_b = [s.config.border.d_b for s in run.snapshots]
     if len(set(d_b)) == 1:
-        level(above, d_b[0], "buffer distance $d_b$")
+        style.level(above, d_b[0], "buffer distance $d_b$")
     else:  # it was changed while the run went on
         times = [s.t for s in run.snapshots]
-        above.step(times, d_b, where="post", color=SOFT, linestyle=(0, (4, 3)), label="$d_b$")
-    above.axhline(0.0, color=TARGET, linewidth=1.0)
+        above.step(times, d_b, where="post", color=style.SOFT, linestyle=(0, (4, 3)), label="$d_b$")
+    above.axhline(0.0, color=style.TARGET, linewidth=1.0)
     above.set_ylabel("distance [m]")
     below.set_ylabel(r"activation $\beta$ [–]")
     below.set_ylim(-0.03, 1.05)
@@ -150,10 +135,10 @@ def distances_figure(run: Trace) -> Figure:
     return figure
 
 
-@picture("base", "Accelerations and velocities of the base")
+@style.picture("base", "Accelerations and velocities of the base")
 def base_figure(run: Trace) -> Figure:
     """What is asked of the base, and what it does."""
-    figure = new_figure(6.4)
+    figure = style.new_figure(6.4)
     linear = run.of("base_acceleration").shape[1] - 1  # the last axis turns
     grid = figure.subplots(2, linear + 1, sharex=True)
     names = {1: ["v"], 2: ["v_x", "v_y"]}.get(linear, [f"v_{i}" for i in range(linear)])
@@ -163,11 +148,11 @@ def base_figure(run: Trace) -> Figure:
     commanded, measured = run.of("base_velocity_command"), run.of("base_velocity")
     for k, ((rate, rate_unit), (speed, speed_unit)) in enumerate(zip(rates, speeds, strict=True)):
         above, below = grid[:, k]
-        above.plot(run.t, asked[:, k], color=PATH, label="asked by the QP")
-        above.plot(run.t, inserted[:, k], color=ACTING, label=r"avoidance, $\beta\,\ddot x$")
+        above.plot(run.t, asked[:, k], color=style.PATH, label="asked by the QP")
+        above.plot(run.t, inserted[:, k], color=style.ACTING, label=r"avoidance, $\beta\,\ddot x$")
         above.set_ylabel(f"${rate}$ [{rate_unit}]")
-        below.step(run.t, commanded[:, k], where="post", color=SOFT, label="commanded")
-        below.plot(run.t, measured[:, k], color=PATH, label="measured")
+        below.step(run.t, commanded[:, k], where="post", color=style.SOFT, label="commanded")
+        below.plot(run.t, measured[:, k], color=style.PATH, label="measured")
         below.set_ylabel(f"${speed}$ [{speed_unit}]")
     for row in grid:
         row[0].legend(loc="lower left", bbox_to_anchor=(-0.01, 1.0), ncols=2, borderaxespad=0.1)
@@ -175,14 +160,14 @@ def base_figure(run: Trace) -> Figure:
     return figure
 
 
-@picture("hand", "The hand")
+@style.picture("hand", "The hand")
 def hand_figure(run: Trace) -> Figure:
     """How far the hand is off, and with what force it is pulled."""
-    figure = new_figure(4.6)
+    figure = style.new_figure(4.6)
     error, force = figure.subplots(2, 1, sharex=True)
-    error.plot(run.t, 1000.0 * run.of("ee_error"), color=HAND)
+    error.plot(run.t, 1000.0 * run.of("ee_error"), color=style.HAND)
     error.set_ylabel("hand off its target [mm]")
-    force.plot(run.t, np.linalg.norm(run.of("hand_force"), axis=1), color=ACTING)
+    force.plot(run.t, np.linalg.norm(run.of("hand_force"), axis=1), color=style.ACTING)
     force.set_ylabel("force on the hand [N]")
     for ax in (error, force):
         ax.set_ylim(bottom=0.0)
@@ -190,10 +175,10 @@ def hand_figure(run: Trace) -> Figure:
     return figure
 
 
-@picture("torques", "Torques of the arm")
+@style.picture("torques", "Torques of the arm")
 def torques_figure(run: Trace) -> Figure:
     """Torques of the arm's joints."""
-    figure = new_figure(3.6)
+    figure = style.new_figure(3.6)
     ax = figure.subplots()
     for k, joint in enumerate(run.meta.joints):
         ax.plot(run.t, run.of("u_a")[:, k], color=_JOINTS[k % len(_JOINTS)], label=joint)
@@ -203,29 +188,35 @@ def torques_figure(run: Trace) -> Figure:
     return figure
 
 
-@picture("plan", "From above")
+@style.picture("plan", "From above")
 def plan_figure(run: Trace) -> Figure:
     """Where the base and the hand went, from above; a square where they began."""
-    figure = new_figure(5.0)
+    figure = style.new_figure(5.0)
     ax = figure.subplots()
     for points, colour, text in (
-        (run.of("base_pose"), PATH, "base"),
-        (run.of("p_ee"), HAND, "hand"),
+        (run.of("base_pose"), style.PATH, "base"),
+        (run.of("p_ee"), style.HAND, "hand"),
     ):
         ax.plot(points[:, 0], points[:, 1], color=colour, label=text)
-        ax.plot(*points[0, :2], **marker_style(colour, "s", 7.0))
-        ax.plot(*points[-1, :2], **marker_style(colour))
+        ax.plot(*points[0, :2], **style.marker_style(colour, "s", 7.0))
+        ax.plot(*points[-1, :2], **style.marker_style(colour))
     for k, filled in ((0, False), (-1, True)):
         x, y, phi = run.of("base_pose")[k].tolist()
         ax.annotate(
             "",
             (x + 0.2 * math.cos(phi), y + 0.2 * math.sin(phi)),
             (x, y),
-            arrowprops={"arrowstyle": "-|>", "color": PATH if filled else SOFT, "linewidth": 1.6},
+            arrowprops={
+                "arrowstyle": "-|>",
+                "color": style.PATH if filled else style.SOFT,
+                "linewidth": 1.6,
+            },
         )
     targets = np.array([s.hand_target for s in run.snapshots if s.hand_target is not None])
     if len(targets):
-        ax.plot(targets[:, 0], targets[:, 1], ":", color=TARGET, linewidth=1.4, label="pulled to")
+        ax.plot(
+            targets[:, 0], targets[:, 1], ":", color=style.TARGET, linewidth=1.4, label="pulled to"
+        )
     ax.set_aspect("equal", adjustable="datalim")
     ax.set_xlabel("x [m]")
     ax.set_ylabel("y [m]")
@@ -244,9 +235,11 @@ def _over_time(axes: Sequence[Axes], run: Trace, bottom: Sequence[Axes] | None =
         if run.t[-1] > run.t[0]:
             ax.set_xlim(run.t[0], run.t[-1])
         for begin, end in touched:
-            ax.axvspan(begin, end, color=TARGET, alpha=0.12, linewidth=0.0)
+            ax.axvspan(begin, end, color=style.TARGET, alpha=0.12, linewidth=0.0)
     for ax in axes[-1:] if bottom is None else bottom:
-        ax.set_xlabel("time [s]" + (", in contact where shaded" if touched else ""), color=INK)
+        ax.set_xlabel(
+            "time [s]" + (", in contact where shaded" if touched else ""), color=style.INK
+        )
 
 
 def spans(flags: Array, t: Array) -> list[tuple[float, float]]:
@@ -255,4 +248,4 @@ def spans(flags: Array, t: Array) -> list[tuple[float, float]]:
     return [(float(t[s.start]), float(t[min(s.stop, len(t) - 1)])) for s in stretches]
 
 
-_FIGURES = pictures_in(globals())
+_FIGURES = style.pictures_in(globals())

@@ -47,14 +47,17 @@ def main(
         for name in ("messages", "files"):
             for key, value in result.get(name, {}).items():
                 print(f"{key:14} {value}")
-    if _found(result):
-        sys.exit(1)
+    if found := _found(result):
+        sys.exit("\n".join(f"{what} {where}" for what, where in found.items()))
 
 
-def _found(result: dict[str, Any]) -> bool:
-    """Whether there is a finding anywhere in it."""
-    inner = (each for each in result.values() if isinstance(each, dict))
-    return bool(result.get("findings")) or any(map(_found, inner))
+def _found(result: dict[str, Any]) -> dict[str, str]:
+    """The findings anywhere in it."""
+    found = dict(result.get("findings", {}))
+    for each in result.values():
+        if isinstance(each, dict):
+            found |= _found(each)
+    return found
 
 
 if __name__ == "__main__":

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import logging
 import os
 import tempfile
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -21,11 +22,15 @@ import msgspec
 import numpy as np
 import psutil
 import websockets
-from viser import _messages
+from PIL import Image
+from viser import _messages, _viser
 
 from app.cli.common import load_robot_and_border
 from app.config import Config
 from app.dashboard import gate
+from app.dashboard.export.browser import VARIABLE
+from app.dashboard.job import Job
+from app.dashboard.panels.save import SIZES, png
 from app.dashboard.server import DashboardServer, serve_dashboard
 from app.onboarding.read.package import LARGEST_ARCHIVE
 from app.simulation.loop.commands import Pause
@@ -42,6 +47,10 @@ _LARGEST_GROWTH = 1.1  # [-] of memory
 _PATIENCE = 60.0  # [s] for a page to come or time to pass, on a machine with other work
 _PACKED = tuple(value for value in HOSTILE if value != 10**400)
 """Values that a message can hold."""
+_PICTURE = png(Image.new("RGBA", (SIZES["width"][2], SIZES["height"][2])))
+"""What a page answers that is asked for a picture of the scene."""
+_asked: deque[str] = deque(maxlen=1)
+"""The last name of a question to a page."""
 
 
 def fuzz_messages(
@@ -73,14 +82,24 @@ def fuzz_messages(
 
 @contextlib.contextmanager
 def _elsewhere() -> Iterator[None]:
-    """In a folder and with robots of its own: buttons that are pressed write files."""
-    before = os.getcwd()
+    """In a folder and with robots of its own: buttons that are pressed write files.
+
+    Films and pictures of whole pages find no browser: each would take a core for seconds.
+    """
+    before, name = os.getcwd(), getattr(_viser, "_make_uuid")  # noqa: B009  # pyright: private
+
+    def remembered() -> str:
+        _asked.append(name())
+        return _asked[-1]
+
     with tempfile.TemporaryDirectory() as folder:
-        os.environ["DBB_ROBOTS"] = f"{folder}/robots"
+        os.environ |= {"DBB_ROBOTS": f"{folder}/robots", VARIABLE: f"{folder}/none"}
         os.chdir(folder)
+        setattr(_viser, "_make_uuid", remembered)  # noqa: B010
         try:
             yield
         finally:
+            setattr(_viser, "_make_uuid", name)  # noqa: B010
             os.chdir(before)
 
 
@@ -98,7 +117,7 @@ class _Fuzz:
     def run(self, length: Length, on_progress: Callable[[float], None]) -> dict[str, Any]:
         """Send until it is long enough."""
         first = last = None
-        with RawClient(self._server.address) as witness:
+        with RawClient(self._server.address) as witness, _errors_in(self._findings):
             self._wait(lambda: self._server.pages, "no page for who looks on")
             self._client()
             begin, garbage, share = time.monotonic(), time.monotonic(), 0.0
@@ -190,6 +209,10 @@ class _Fuzz:
     def _right(self, name: str, hint: Any) -> Any:
         """A value of a type that viser has for a field."""
         options = get_args(hint)
+        if name in ("render_uuid", "request_uuid"):
+            return _asked[-1] if _asked else ""
+        if name == "payload":
+            return _PICTURE
         if name in ("uuid", "container_uuid", "source_component_uuid"):
             names = list(self._widgets())
             return names[int(self._rng.integers(len(names)))]
@@ -208,10 +231,15 @@ class _Fuzz:
 
     def _look(self, seen: Callable[[], bool]) -> None:
         """Whether all goes on, and the parameters are in their ranges; what was begun is ended."""
-        self._end_jobs()
-        self._loop.send(Pause(False))
+        for job in self._jobs():  # nobody waits for its end: a picture's may take half a minute
+            job.cancel()
         t = self._loop.latest().t
-        self._wait(lambda: self._loop.latest().t != t, "time stands still")
+
+        def passes() -> bool:
+            self._loop.send(Pause(False))  # what was sent before may pause it once more
+            return self._loop.latest().t != t
+
+        self._wait(passes, "time stands still", lambda: str(self._loop.latest())[:2000])
         self._wait(seen, "another viewer gets nothing more")
         config = self._loop.latest().config
         if type(config).model_validate(config.model_dump()) != config:
@@ -219,27 +247,44 @@ class _Fuzz:
         if self._server.error is not None:
             self._findings.setdefault(f"drawing ended: {self._server.error!r}", "")
 
-    def _end_jobs(self) -> None:
-        """End the work that buttons have begun: each takes a core, and that it begins is enough."""
+    def _jobs(self) -> list[Job]:
+        """The work that buttons begin: each takes a core, and that it begins is enough."""
         shared = self._server.shared
         jobs = [shared.robot_switch, shared.robot_build, shared.sweep_job, shared.challenge]
-        for job in [*jobs, *(page.viewer.files for page in self._server.pages.values())]:
-            job.close()
+        return [*jobs, *(page.viewer.files for page in list(self._server.pages.values()))]
 
     def _memory(self) -> float:
         """[MiB] of this process and the simulation's, once no work is under way."""
-        self._end_jobs()
+        for job in self._jobs():
+            job.close()
         here = psutil.Process()
         everyone = [here, *here.children(recursive=True)]
         return sum(each.memory_info().rss for each in everyone) / 2**20
 
-    def _wait(self, true: Callable[[], Any], otherwise: str) -> None:
+    def _wait(self, true: Callable[[], Any], otherwise: str, told: Callable[[], str] = str) -> None:
         end = time.monotonic() + _PATIENCE
         while not true():
             if time.monotonic() > end:
-                self._findings.setdefault(otherwise, "")
+                self._findings.setdefault(otherwise, told())
                 return
             time.sleep(0.01)
+
+
+@contextlib.contextmanager
+def _errors_in(findings: dict[str, str]) -> Iterator[None]:
+    """What the log calls an error meanwhile is a finding, by the line that raised it."""
+
+    class Errors(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            error = record.exc_info[1] if record.exc_info else None
+            findings.setdefault(f"{record.getMessage()}: {error!r}"[:200], self.format(record))
+
+    handler = Errors(logging.ERROR)
+    logging.getLogger().addHandler(handler)
+    try:
+        yield
+    finally:
+        logging.getLogger().removeHandler(handler)
 
 
 def _plain(value: Any) -> Any:

@@ -35,7 +35,7 @@ class Peers:
     out: Path = Path("out/peers")
     """Folder for table.json, table.csv, table.md and peers.png, and for the environments."""
     physics: str = "planar"
-    """Plant of our own controllers: planar, contact or kinematic."""
+    """Plant of our own controllers: planar, mujoco, mujoco-contact or kinematic."""
     allow_missing: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """End with status 0 even if something could not be installed or run."""
     quick: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False

@@ -181,9 +181,7 @@ def _is_revolute(joint: pin.JointModel) -> bool:
 def make_solver(chain: Chain, restarts: int) -> AnalyticSolver | RestartSolver:
     """The solver of a chain; of the choices of free joints it takes the outermost that works.
 
-    Args:
-        chain: The chain.
-        restarts: Restarts in a row that find nothing new before a pose counts as done.
+    A pose counts as done after so many restarts in a row that find nothing new.
 
     Raises:
         DescriptionError: The arm's joints do not fill the space of the body's poses.

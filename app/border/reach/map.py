@@ -6,9 +6,10 @@ map in seconds is enough, their density is found from random joint positions alo
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -93,15 +94,9 @@ def load_reach_map(
     Positions stand on a lattice in a ball around the mount that the arm cannot leave, each with the
     same number of uniformly random orientations; an arm with more joints than the pose has numbers
     has the rest of them held at random for each pose. Solutions within the joint limits and without
-    self-collision count. The same seed gives the same map on any number of processes.
-
-    Args:
-        model: The robot.
-        body: Name of a body of the arm that at least three joints move.
-        config: How to sample; the default is what the shipped files were made with.
-        recompute: Whether to count anew even if there is a file.
-        progress: Whether to draw a bar on stderr while counting.
-        processes: How many to count with; all cores if not given.
+    self-collision count. The same seed gives the same map on any number of processes, all cores if
+    not given; the default configuration is what the shipped files were made with. `recompute`
+    counts anew even if there is a file, `progress` draws a bar on stderr.
 
     Raises:
         UnknownNameError: No such body can be asked for.
@@ -125,17 +120,10 @@ def load_reach_map(
 def sample_reach_map(
     model: RobotModel, body: str, *, samples: int = 20_000, spacing: float = 0.08, seed: int = 0
 ) -> ReachMap:
-    """The same density without inverse kinematics, by the area formula; not kept.
+    """The same density on a lattice of some spacing [m] by the area formula; not kept.
 
     The solutions of all poses in a region are counted by the integral of |det J| over the joint
     positions that lead there, J of the joints that are not held.
-
-    Args:
-        model: The robot.
-        body: Name of a body of the arm that at least three joints move.
-        samples: Joint positions, uniform within their limits.
-        spacing: [m] of the lattice.
-        seed: Of the joint positions.
 
     Raises:
         DescriptionError: No pose has any solution.
@@ -157,17 +145,8 @@ def sample_reach_map(
     most = int(np.abs(cells).max())
     grid = np.zeros((2 * most + 1,) * 3)
     np.add.at(grid, tuple((steps + most).T), weight)
-    names = model.description.arm.joints
-    header = _Header(
-        key="",
-        body=body,
-        p_base=(p_base[0], p_base[1], p_base[2]),
-        seed=seed,
-        spacing_m=spacing,
-        samples=samples,
-        method="area formula",
-        free_joints=tuple(names[chain.joints[i]] for i in free),
-    )
+    sampled = {"seed": seed, "spacing_m": spacing, "samples": samples, "method": "area formula"}
+    header = _header_of(model, chain, free, key="", **sampled)
     return _as_map(_Counts(header, cells, grid[tuple((cells + most).T)]), "counted")
 
 
@@ -250,18 +229,18 @@ def _count(
         for counts in workers.map(count_solutions, jobs):
             found.append(counts)
             update(len(found))
-    names = model.description.arm.joints
-    header = _Header(
-        key=key,
-        body=body,
-        p_base=(p_base[0], p_base[1], p_base[2]),
-        seed=config.seed,
-        spacing_m=context.spacing,
-        samples=context.orientations,
-        method=context.solver.method,
-        free_joints=tuple(names[context.chain.joints[i]] for i in context.solver.free),
-    )
+    solver = context.solver
+    sampled = {"spacing_m": context.spacing, "samples": context.orientations}
+    sampled |= {"seed": config.seed, "method": solver.method}
+    header = _header_of(model, context.chain, solver.free, key=key, **sampled)
     return _Counts(header, steps, np.concatenate(found))
+
+
+def _header_of(model: RobotModel, chain: Chain, free: Sequence[int], **sampled: Any) -> _Header:
+    x, y, z = model.p_base().tolist()
+    names = model.description.arm.joints
+    held = tuple(names[chain.joints[i]] for i in free)
+    return _Header(body=chain.body, p_base=(x, y, z), free_joints=held, **sampled)
 
 
 def _as_map(content: _Counts, origin: Literal["cache", "shipped", "counted"]) -> ReachMap:
@@ -273,17 +252,12 @@ def _as_map(content: _Counts, origin: Literal["cache", "shipped", "counted"]) ->
     if not best > 0:
         raise DescriptionError(f"{header.body}: no sampled pose has an inverse kinematics solution")
     return ReachMap(
-        body=header.body,
         points=p_base + offsets,
         found=found,
-        samples=header.samples,
         reach=PEAK * found / best,
         p_base=p_base,
-        spacing_m=header.spacing_m,
-        seed=header.seed,
-        method=header.method,
-        free_joints=header.free_joints,
         origin=origin,
+        **header.model_dump(exclude={"key", "p_base"}),
     )
 
 

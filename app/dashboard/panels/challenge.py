@@ -60,8 +60,10 @@ class ChallengePanel(FilePanel):
             self._shared.loop.send(command)
 
     def _picture(self) -> bytes:
-        scene = self.scene(*SIZE)
-        return png(card(scene, self._shared.challenge.tried, dark=self._viewer.view.dark))
+        tried = self._shared.challenge.tried  # while the scene is drawn another one may begin
+        if not tried:
+            raise CaseError("nobody has tried yet")
+        return png(card(self.scene(*SIZE), tried, dark=self._viewer.view.dark))
 
     def _replay(self) -> bytes:
         text = self._case().decode()

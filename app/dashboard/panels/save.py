@@ -93,6 +93,8 @@ class FilePanel(Panel):
             pixels = client.get_render(height, width, transport_format="png", timeout=_PATIENCE)
         except (RuntimeError, TimeoutError) as error:
             raise BrowserError(f"the browser gave no picture: {error}") from None
+        if pixels.shape != (height, width, 4):
+            raise BrowserError("the browser gave another picture than it was asked for")
         picture = Image.fromarray(pixels, "RGBA")  # transparent where nothing is drawn
         whole = Image.new("RGBA", picture.size, (*BACKGROUND[self._viewer.view.dark], 255))
         whole.alpha_composite(picture)

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from app.border.cache import BorderData
 from app.border.mobile import MobileBody
+from app.config import Config
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
+from app.simulation.run import run_scenario
+from app.simulation.scenarios import LINES
 from app.simulation.scenarios.posture import PostureSearch, manipulability
 from app.simulation.scenarios.start import StartSolver
 
@@ -109,9 +114,16 @@ Point = tuple[float, float, float]
 
 INNER = 0.4
 """[-] Share of the buffer into which a line has to lead; it should lead to contact."""
+GIVES_WAY = 0.05
+"""[m] by which the base should move then."""
+CLEARANCE = 0.03
+"""[m] least distance to the base that the arm should keep."""
+_MOST_RUNS = 3  # [-] of lines that are tried
 _OUT = (0.425, 0.375, 0.35, 0.325, 0.30, 0.275, 0.25)  # [m] from the base's side, farthest first
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
 _STEP = 0.0125  # [m] along the line
+_OVER_MOUNT = 0.4  # [m] above which no part of l_m is approached
+_SAME_TOP = 0.1  # [m] less between the tops of two parts is the same height
 _SHARES = np.linspace(0.1, 1.0, 10)  # [-] of the way from a posture nearby
 _NEAR = 0.15  # [m] from a place to the hand in some posture that is clear of the buffers
 _THERE = 1e-3  # [m] by which the hand may miss it
@@ -145,62 +157,104 @@ def find_places(
     pairs: LinkPairs,
     d_b: float,
     *,
+    shows: Callable[[str, Place], bool] = lambda _, __: True,
+    anyway: bool = False,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Place]:
     """Lines towards the base from its side and its front, by the scenario's name.
 
-    From 0.43 m beside the box around l_m (0.25 m where the arm is short) to 0.125 m, as with the
-    paper's robot, or nearer, at the height nearest to 0.8 of the box at which the arm can start.
-    Without avoidance the arm would come to the base itself there, or well into the inner half of
-    the buffer. A side on which the arm does not reach so far has none.
+    From 0.43 m beside what there is of l_m at the line's height (0.25 m where the arm is short) to
+    0.125 m, as with the paper's robot, or nearer, at the height nearest to 0.8 of a part of l_m at
+    which the arm can start. Without avoidance the arm would come to the base itself there, or well
+    into the inner half of the buffer. A side on which the arm does not reach so far has none.
 
     Args:
         model: The robot.
         pairs: Those that avoidance watches.
         d_b: [m] buffer distance.
+        shows: Whether a line, by the scenario's name, shows what it should; see `gives_way`.
+        anyway: Whether one is taken where none does.
         on_progress: Called with the share of the places that was looked at, 0 to 1.
     """
     if not pairs.mobile:
         return {}
-    body, mount, guide = MobileBody(model), model.p_base(), _Guide(model, pairs, d_b)
-    heights = [round(h, 3) for h in _heights(min(float(body.upper[2]), float(mount[2]) + 0.4))]
+    guide, mount = _Guide(model, pairs, d_b), model.p_base()
+    body = guide.body
+    heights = [round(h, 3) for h in _heights(_tops(body, float(mount[2]) + _OVER_MOUNT))]
     ways = {"guiding-lateral": _lateral(body, mount), "guiding-front": _front(body, mount)}
     found: dict[str, Place] = {}
     for k, (name, starts) in enumerate(ways.items()):
         tried = list(product(starts, heights))
         shares = np.linspace(k, k + 1, len(tried), endpoint=False) / len(ways)
-        if (place := deepest(guide.lines(tried, shares, on_progress), d_b)) is not None:
+        lines = guide.lines(tried, shares, on_progress)
+        place = chosen(lines, d_b, partial(shows, name), anyway=anyway)
+        if place is not None:
             found[name] = place
     return found
 
 
 _Start = tuple[Array, Array]
-"""Where a line starts, x, y and how far out [m] of the base, and the unit vector (3,) inwards."""
+"""Where a line starts, x, y and how far out [m] of the box around l_m, and the unit vector (3,)
+inwards."""
 
 
-def deepest(lines: Iterable[Place], d_b: float) -> Place | None:
-    """The first line on which the bodies would meet, else the one that leads deepest.
+def chosen(
+    lines: Iterable[Place],
+    d_b: float,
+    shows: Callable[[Place], bool] = lambda _: True,
+    *,
+    anyway: bool = False,
+) -> Place | None:
+    """The first line on which the bodies would meet that shows it, else the deepest that does.
 
     Args:
-        lines: In the order of preference; none is asked for after one that leads to contact.
+        lines: In the order of preference; none is asked for after the last one that is tried.
         d_b: [m] buffer distance.
+        shows: Asked of a few lines.
+        anyway: Whether the first of them is taken if none shows it.
 
     Returns:
-        None if no line comes into the inner part of the buffer.
+        None if there is no such line in the inner part of the buffer.
     """
-    found, least = None, INNER * d_b
+    deep: dict[Point, Place] = {}
+    tried: list[Place] = []
     for line in lines:
-        if line.nearest < least:
-            found, least = line, line.nearest
-        if line.nearest <= 0.0:
+        if line.nearest > 0.0:
+            if line.nearest < INNER * d_b:
+                deep[line.start] = line
+            continue
+        if shows(line):
+            return line
+        tried.append(line)
+        if len(tried) == _MOST_RUNS:
             break
-    return found
+    for line in sorted(deep.values(), key=lambda each: each.nearest)[: _MOST_RUNS - len(tried)]:
+        if shows(line):
+            return line
+        tried.append(line)
+    return tried[0] if tried and anyway else None
+
+
+def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> bool:
+    """Whether the base gives way, and the arm keeps away, when the hand is guided along a line.
+
+    The base does not where other parts of the arm meet first, which holds the hand, or where it
+    would take the hand along.
+    """
+    line = LINES[name].changed(start=place.start, move=place.move)
+    try:
+        figures = run_scenario(model, data, line, Config(), physics="kinematic").figures
+    except UnreachableError:
+        return False
+    moved, near = figures["base_displacement_m"], figures["min_clearance_m"]
+    return bool(moved >= GIVES_WAY and near >= CLEARANCE)
 
 
 class _Guide:
     """Leads the hand of a robot along lines, its base standing still at the origin."""
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
+        self.body = MobileBody(model)
         self._solver = StartSolver(model, pairs, d_b)
         self._search = PostureSearch(model, pairs, d_b)
         self._mobile = len(pairs.mobile)
@@ -221,7 +275,8 @@ class _Guide:
         and where it does not come there the search of all postures need not begin.
         """
         at, inwards = start
-        p = _point([*np.round(at[:2], 3), z])
+        gap = _gap(self.body, np.array([*at[:2], z]) + at[2] * inwards, inwards)
+        p = _point([*np.round(at[:2] + gap * inwards[:2], 3), z])
         if not self._may_start(np.array(p)):
             return
         try:
@@ -237,6 +292,8 @@ class _Guide:
                 least = min(least, *self._search.distances()[: self._mobile])
             move = _point(np.round((at[2] - left) * inwards, 3))
             yield Place(p, move, float(least), _LED.format(left, least))
+            if least <= 0.0:
+                return
 
     def _pulled(self, q_m: Array, p: Array) -> Array:
         """(n_m,) the arm after its hand was slowly pulled from a posture to a place (3,) [m].
@@ -290,8 +347,27 @@ _LED = (
 )
 
 
-def _heights(top: float) -> list[float]:
-    return [0.8 * top, 0.65 * top, top, top + 0.1, 0.5 * top, top + 0.2, top + 0.35]
+def _tops(body: MobileBody, most: float) -> list[float]:
+    """[m] of l_m's parts, the highest first, none above `most` and none nearly twice."""
+    found: list[float] = []
+    for top in sorted((float(part.upper[2]) for part in body.parts), reverse=True):
+        if not found or min(top, most) < found[-1] - _SAME_TOP:
+            found.append(min(top, most))
+    return found
+
+
+def _heights(tops: list[float]) -> list[float]:
+    """[m] of lines towards parts of l_m up to these tops, the best ones first."""
+    ways = ((0.8, 0.0), (0.65, 0.0), (1.0, 0.0), (1.0, 0.1), (0.5, 0.0), (1.0, 0.2), (1.0, 0.35))
+    return [share * top + over for share, over in ways for top in tops]
+
+
+def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
+    """[m] from a point (3,) inwards to l_m; 0 if it is not met, as above its top."""
+    size = body.upper - body.lower
+    steps = np.arange(0.0, float(np.abs(inwards) @ size), _STEP)
+    met = body.distance(p + steps[:, None] * inwards) <= _STEP
+    return float(steps[met.argmax()]) if met.any() else 0.0
 
 
 def _lateral(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:

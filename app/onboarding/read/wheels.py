@@ -22,6 +22,7 @@ _SAME_PLACE = 0.01  # [m] by which mirrored wheels may be off
 _UPRIGHT = np.cos(np.radians(10.0))  # a steering axis may lean by 10 degrees
 _STEERING_RATE = 1.5  # [rad/s]
 _IN_LINE = 0.02  # [m] by which steered wheels may be ahead of each other
+_ON_FLOOR = 0.02  # [m] above the base's lowest point
 _TRAVEL = 0.5  # [-] of a wheel's radius that its suspension may travel
 
 
@@ -119,15 +120,34 @@ def find_drive(
 
 def _floor_below(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> float:
     """[m] the height of the lowest point of the base's shapes in its link's frame."""
-    lows = [
-        float(tree.pose(link, arm.base).act(corner)[2])
-        for link in arm.base_links
-        for shape in geometry[link].shapes
-        for corner in np.asarray(shape.hull.bounding_box.vertices)
-    ]
-    if not lows:
+    if (low := _lowest(tree, arm, geometry, arm.base_links)) is None:
         raise RobotFileError(f"--base: no link of {arm.base!r} has a shape")
-    return min(lows)
+    return low
+
+
+def _lowest(
+    tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], links: Sequence[str]
+) -> float | None:
+    """[m] the height of the lowest point of links' shapes in the base's frame, None if none has."""
+    return min(
+        (
+            float(tree.pose(link, arm.base).act(corner)[2])
+            for link in links
+            for shape in geometry[link].shapes
+            for corner in np.asarray(shape.hull.bounding_box.vertices)
+        ),
+        default=None,
+    )
+
+
+def stands_on_floor(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> bool:
+    """Whether what is fixed below the arm reaches as low as the base: then it is the base's own.
+
+    That is so where --base is a bare point on the floor below the link of wheels and arm.
+    """
+    low = _lowest(tree, arm, geometry, arm.segments[0])
+    floor = _lowest(tree, arm, geometry, arm.base_links)
+    return low is not None and (floor is None or low < floor + _ON_FLOOR)
 
 
 def _find_wheels(

@@ -118,7 +118,6 @@ class CarLikeBase(BaseKind):
 
     @property
     def J_m(self) -> Array:
-        """See `BaseKind`."""
         return np.diag([1.0, 1.0 / self.wheelbase_m])
 
     @property
@@ -141,7 +140,7 @@ class CarLikeBase(BaseKind):
 
     @property
     def yaw_limit_nm(self) -> float:
-        """See `BaseKind`; the traction at the front axle."""
+        """The traction at the front axle."""
         return self.traction_limit_n * self.wheelbase_m
 
     @property
@@ -154,11 +153,10 @@ class CarLikeBase(BaseKind):
 
     @property
     def score_unit(self) -> float:
-        """See `BaseKind`."""
         return 4.0 * self.curvature_max**2 / PAPERS_MEASURE
 
     def singularity(self, p: Array) -> tuple[Array, Array]:
-        """Sign(x) (2 κ_max x)² [-]; see `BaseKind`."""
+        """Sign(x) (2 κ_max x)² [-]."""
         x = np.asarray(p, dtype=float)[..., 0]
         per, gradient = 4.0 * self.curvature_max**2, np.zeros(np.shape(p))
         gradient[..., 0] = 2.0 * per * np.abs(x)
@@ -176,7 +174,6 @@ class CarLikeBase(BaseKind):
         return ((Channel((1.0, 0.0, 0.0), a, v),), *arcs)
 
     def admissible(self, wanted: Array, before: Array) -> Array:
-        """See `nearest_in_cone`."""
         v, w = wanted.tolist()
         return np.array(self._in_cone(v, w, float(before[0])))
 
@@ -185,7 +182,6 @@ class CarLikeBase(BaseKind):
         return np.zeros(1)
 
     def follower(self, dt: float) -> Follower:
-        """See `BaseKind`."""
         gain = -math.expm1(-dt / self.drive_time_constant_s)
 
         def follow(v: list[float], drive: Array, v_cmd: list[float]) -> tuple[list[float], Array]:
@@ -200,7 +196,7 @@ class CarLikeBase(BaseKind):
     def drive_acceleration(
         self, v: Sequence[float] | Array, drive: Array, v_cmd: Sequence[float] | Array
     ) -> Array:
-        """See `BaseKind`: v̇, and ω̇ = v̇ tan δ / L + v δ̇ / (L cos² δ)."""
+        """v̇, and ω̇ = v̇ tan δ / L + v δ̇ / (L cos² δ)."""
         speed, angle, tau = float(v[0]), float(drive[0]), self.drive_time_constant_s
         speed_to, angle_to = self._goal(speed, angle, v_cmd)
         a = clamp((speed_to - speed) / tau, self.max_linear_acceleration_mps2)
@@ -209,7 +205,6 @@ class CarLikeBase(BaseKind):
         return np.array([a, (a * slope + speed * rate * (1.0 + slope**2)) / self.wheelbase_m])
 
     def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:
-        """See `BaseKind`."""
         return np.array([angles[0] + qd_b[0] / self.wheel_radius_m * dt, drive[0]])
 
     @property

@@ -103,12 +103,11 @@ class DifferentialBase(TurningBase):
 
     @property
     def J_m(self) -> Array:
-        """See `BaseKind`; q̇_b are the speeds (θ̇_r, θ̇_l) of the wheels [rad/s]."""
+        """q̇_b are the speeds (θ̇_r, θ̇_l) of the wheels [rad/s]."""
         return mobile_jacobian(self.wheel_radius_m, self.half_track_m)
 
     @property
     def yaw_limit_nm(self) -> float:
-        """See `BaseKind`."""
         return self.traction_limit_n * self.half_track_m
 
     @property
@@ -120,7 +119,7 @@ class DifferentialBase(TurningBase):
         )
 
     def singularity(self, p: Array) -> tuple[Array, Array]:
-        """Sign(x) det(J_c J_cᵀ) [m⁴/rad⁴]; see `BaseKind`."""
+        """Sign(x) det(J_c J_cᵀ) [m⁴/rad⁴]."""
         x = np.asarray(p, dtype=float)[..., 0]
         measure = singularity_measure(p, self.wheel_radius_m, self.half_track_m)
         gradient = np.zeros(np.shape(p))
@@ -128,16 +127,13 @@ class DifferentialBase(TurningBase):
         return np.where(x >= 0, measure, -measure), gradient
 
     def singularity_at(self, p: Array) -> tuple[float, float, float]:
-        """See `BaseKind`."""
         per, x = self._per_square_metre, float(p[0])
         return per * x * abs(x), 2 * per * abs(x), 0.0
 
     def acceleration(self, force: BaseForce) -> Array:
-        """See `BaseKind`."""
         return free_acceleration(force, self.mass_kg, self.inertia_kgm2)
 
     def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:
-        """See `BaseKind`."""
         del drive
         return angles + qd_b * dt
 

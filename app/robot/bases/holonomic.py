@@ -28,20 +28,18 @@ class HolonomicBase(TurningBase):
 
     @property
     def J_m(self) -> Array:
-        """See `BaseKind`."""
         return np.eye(3)
 
     @property
     def yaw_limit_nm(self) -> float:
-        """See `BaseKind`; the traction at the radius of gyration."""
+        """The traction at the radius of gyration."""
         return self.traction_limit_n * math.sqrt(self.inertia_kgm2 / self.mass_kg)
 
     def singularity(self, p: Array) -> tuple[Array, Array]:
-        """1 [-]; see `BaseKind`."""
+        """1 [-]."""
         p = np.asarray(p, dtype=float)
         return np.ones(p.shape[:-1]), np.zeros(p.shape)
 
     def acceleration(self, force: BaseForce) -> Array:
-        """See `BaseKind`."""
         m = self.mass_kg
         return np.array([force.x / m, force.y / m, force.torque / self.inertia_kgm2])

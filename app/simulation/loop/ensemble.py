@@ -208,7 +208,7 @@ class Ensemble:
         """
         if not self.ghosts:
             return ()
-        return tuple(runner.keeper.score() for runner in (self._led, *self.ghosts))
+        return tuple(runner.score() for runner in (self._led, *self.ghosts))
 
     def close(self) -> None:
         """Release all plants."""
@@ -319,23 +319,26 @@ class Ensemble:
 
 
 class Runner:
-    """A robot with what leads it and its score, in a plant of its own.
+    """A robot with what leads it and its score, in a plant of its own; its memory is bounded.
 
     Attributes:
         session: Its own.
-        keeper: Of its score.
         scored: Whether it is compared, and its steps count.
     """
 
     def __init__(self, session: Session, leader: Leader | None) -> None:
         """Stand at the beginning of a session, led by a reader of its own sensors or by nothing."""
-        self.session, self.keeper = session, ScoreKeeper(session)
-        self._leader, self.scored = leader, False
+        self.session, self._leader, self.scored = session, leader, False
+        self._recorder = Recorder(quantities=_NEEDED)
+        self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+        self._rows, self._complete = 0, False
+        self._clearance = math.inf  # [m] least distance of the pairs of L_m at the last step
 
     def let_go(self) -> None:
         """Nothing leads it any more; its score is that of being led."""
         if self._leader is not None and self.scored:
-            self.keeper.freeze()
+            self._look()
+            self._complete = True
         self._leader = None
 
     def step(self, holds: tuple[Hold, ...], forces: PersonForces | None = None) -> Step:
@@ -343,11 +346,14 @@ class Runner:
         lead = Lead() if self._leader is None else self._leader(self.session)
         step = self.session.step(*lead._replace(holds=(*lead.holds, *holds)), forces=forces)
         if self.scored:
-            self.keeper.add(step)
+            self._recorder.add(self.session, step)
+            if len(self._recorder) > _TOGETHER:
+                self._look()
         return step
 
     def reading(self) -> GhostReading:
         """How it stands after the last step; shares no memory with it, and is read-only."""
+        self._look()
         session, measured = self.session, self.session.state.measurement
         return GhostReading(
             session.controller.name,
@@ -355,43 +361,13 @@ class Runner:
             frozen(measured.q_m),
             frozen(session.wheel_angles),
             frozen(session.state.T_world_ee.translation),
-            self.keeper.clearance,
+            self._clearance,
         )
-
-
-class ScoreKeeper:
-    """Takes each control step of one robot; keeps its score, in bounded memory."""
-
-    def __init__(self, session: Session) -> None:
-        """Begin to count."""
-        self._session = session
-        self._recorder = Recorder(quantities=_NEEDED)
-        self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
-        self._rows = 0
-        self._frozen = False
-        self._clearance = math.inf
-
-    def add(self, step: Step) -> None:
-        """Take one control step."""
-        self._recorder.add(self._session, step)
-        if len(self._recorder) > _TOGETHER:
-            self._look()
-
-    @property
-    def clearance(self) -> float:
-        """[m] least distance of the pairs of L_m at the last step."""
-        self._look()
-        return self._clearance
-
-    def freeze(self) -> None:
-        """Let the score be what it is now; the clearance goes on."""
-        self._look()
-        self._frozen = True
 
     def score(self) -> Score:
         """The score so far."""
         self._look()
-        return self._score._replace(controller=self._session.controller.name)
+        return self._score._replace(controller=self.session.controller.name)
 
     def _look(self) -> None:
         """Add up the rows since the last look; changes are from its last row on."""
@@ -402,7 +378,7 @@ class ScoreKeeper:
         self._rows += len(new)
         if not len(new):
             return
-        if not self._frozen:
+        if not self._complete:
             self._add_up(block, new)
         now = clearance(new.rows(slice(-1, None)), mobile=True)
         self._clearance = math.inf if now is None else now

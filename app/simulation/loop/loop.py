@@ -76,8 +76,8 @@ class LoopHandle(Protocol):
         ...
 
 
-class LiveLoop:
-    """A `LoopHandle` of a loop that runs elsewhere: a mailbox for it, and what it publishes."""
+class LiveLoop(LoopHandle):
+    """A loop that runs elsewhere: a mailbox for it, and what it publishes."""
 
     error: BaseException | None = None
     """The exception that ended it."""
@@ -109,19 +109,15 @@ class LiveLoop:
 
     @property
     def silence(self) -> float:
-        """See `LoopHandle.silence`."""
         return monotonic() - self._alive
 
     def send(self, command: Command) -> None:
-        """See `LoopHandle.send`."""
         self._mailbox.put(command, self.links)
 
     def latest(self) -> Snapshot:
-        """See `LoopHandle.latest`."""
         return self._history.latest
 
     def history(self, after: float) -> list[Snapshot]:
-        """See `LoopHandle.history`."""
         return self._history.after(after)
 
 
@@ -147,7 +143,6 @@ class SimulationLoop(LiveLoop):
         self._refusal: Refusal | None = None
 
     def begin(self) -> None:
-        """See `LiveLoop.begin`."""
         super().begin()
         self._thread.start()
 
@@ -160,7 +155,7 @@ class SimulationLoop(LiveLoop):
 
     @property
     def silence(self) -> float:
-        """See `LoopHandle.silence`; what takes long and says so is no silence."""
+        """What takes long and says so is no silence."""
         return 0.0 if self.latest().busy else super().silence
 
     def _run(self) -> None:

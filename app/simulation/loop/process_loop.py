@@ -92,7 +92,6 @@ class ProcessLoop(LiveLoop):
         self._threads: list[threading.Thread] = []
 
     def begin(self) -> None:
-        """See `LiveLoop.begin`."""
         super().begin()
         self._child = self._child or loop_child()
         for work, name in ((self._receive, "snapshots"), (self._send, "commands")):

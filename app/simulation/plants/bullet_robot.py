@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import pinocchio as pin
@@ -17,7 +18,7 @@ from app.robot.model import RobotModel
 from app.simulation.plants.bullet_world import BulletWorld, pybullet, touches
 from app.simulation.plants.collision_shapes import link_contact_pairs
 from app.simulation.plants.door import Cabinet, Door, OpenDoor
-from app.simulation.plants.interface import Contacts, Push, Wrench
+from app.simulation.plants.interface import Contacts, HeldDoor, PlanarWorld, Push, Wrench
 
 Array = np.ndarray
 
@@ -25,11 +26,12 @@ _AWAY = (100.0, 0.0)  # [m] where it is loaded, so that no robot that settles at
 _SEAL_STIFFNESS = 2e4  # [N/m] of the door's edge
 _SEAL_DAMPING = 500.0  # [N s/m]
 _GRASP_FORCE = 1000.0  # [N] that the grasp can hold
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _DOOR = 0  # pybullet's index of the door's link, and of its hinge
 
 
-class BulletRobot(BulletWorld):
-    """`PlanarWorld` by pybullet.
+class BulletRobot(BulletWorld, PlanarWorld):
+    """In pybullet.
 
     Attributes:
         moving: pybullet's indices of the joints x, y, yaw and those of the arm.
@@ -57,7 +59,6 @@ class BulletRobot(BulletWorld):
         self.door = None if door is None else BulletDoor(self, model, door)
 
     def reset(self, q: Array) -> None:
-        """See `PlanarWorld.reset`."""
         if self.door is not None:
             self.door.release()
         self.rewind()
@@ -67,7 +68,6 @@ class BulletRobot(BulletWorld):
             self.door.reset()
 
     def read(self) -> tuple[Array, list[float], Array, Array]:
-        """See `PlanarWorld.read`."""
         states = self.client.getJointStates(self.robot, self.moving)
         q, v = [state[0] for state in states], [state[1] for state in states]
         return np.array(q[:3]), v[:3], np.array(q[3:]), np.array(v[3:])
@@ -75,7 +75,6 @@ class BulletRobot(BulletWorld):
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """See `PlanarWorld.step`."""
         self.client.setJointMotorControlArray(
             self.robot,
             self._planar,
@@ -92,14 +91,12 @@ class BulletRobot(BulletWorld):
         self.client.stepSimulation()
 
     def contacts(self) -> Contacts:
-        """See `Physics.contacts`."""
         contacts = super().contacts()
         if self.door is None:
             return contacts
         return contacts._replace(door_base=self.door.touches_base())
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """See `PlanarWorld.mass_and_bias`."""
         order = np.argsort(np.argsort(self.moving))  # pybullet's is that of the indices
         ordered = np.empty((2, len(q)))
         ordered[:, order] = q, v
@@ -120,7 +117,7 @@ class BulletRobot(BulletWorld):
         self.client.applyExternalForce(self.robot, link, (fx, fy, fz), place, pybullet.WORLD_FRAME)
 
 
-class BulletDoor:
+class BulletDoor(HeldDoor):
     """The refrigerator's part of a pybullet plant. Only the base's links can touch the door.
 
     The hinge has dry friction and no stop. The body stands on the floor by its weight.
@@ -148,7 +145,8 @@ class BulletDoor:
             targetVelocity=0.0,
             force=self.door.friction,
         )
-        touching = {world.links[name] for name in model.description.mobile_body.covers}
+        covered = model.description.mobile_body.covers
+        touching = {world.links[name] for name in covered if name in world.links}
         for link in world.links.values():
             for part in (-1, _DOOR):
                 may = part == _DOOR and link in touching
@@ -170,11 +168,9 @@ class BulletDoor:
         self._take_hold()
 
     def angle(self) -> float:
-        """[rad] how far the door is open."""
         return -self.door.side * self._client.getJointState(self.body, _DOOR)[0]
 
     def wrench(self) -> Wrench:
-        """What the hand exerted on the door in the last step; a force-torque sensor at the hand."""
         assert self._grasp is not None, "the hand does not hold the door"
         rows = self._client.getConstraintState(self._grasp)
         if not rows:  # before the first step
@@ -226,7 +222,84 @@ def _plant_urdf(description: RobotDescription) -> str:
     for joint in tree.iterfind("joint"):
         if joint.get("name") not in (*PLANAR_JOINTS, *description.arm.joints):
             joint.set("type", "fixed")
+    _fuse_fixed(tree, description)
+    ElementTree.indent(tree)  # pybullet cannot read long lines
     return ElementTree.tostring(tree, encoding="unicode")
+
+
+def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
+    """Make one link of those that are fixed to one another, if one body covers them.
+
+    To pybullet each link is a joint: it steps all of them, and has room for the state of 128. A
+    link keeps its own if it bears the end-effector, in whose frame the hand is pulled.
+    """
+    body_of = {link: body.name for body in description.bodies for link in body.covers}
+    links = {str(link.get("name")): link for link in tree.iterfind("link")}
+    for joint in [each for each in tree.iterfind("joint") if each.get("type") == "fixed"]:
+        parent, child = (_ends(joint)[role] for role in ("parent", "child"))
+        link = links[child]
+        alike = body_of.get(parent) == body_of.get(child) or link.find("collision") is None
+        if child == description.arm.end_effector_link or not alike:
+            continue
+        T = _origin(joint)
+        for collision in link.findall("collision"):
+            _place(collision, T * _origin(collision))
+            links[parent].append(collision)
+        _weigh(links[parent], _inertia(links[parent]) + T.act(_inertia(link)))
+        for outer in tree.iterfind("joint"):
+            if (end := outer.find("parent")) is not None and end.get("link") == child:
+                end.set("link", parent)
+                _place(outer, T * _origin(outer))
+        tree.remove(joint)
+        tree.remove(link)
+
+
+def _ends(joint: Element) -> dict[str, str]:
+    """Names of the parent and the child of a joint."""
+    return {end.tag: str(end.get("link")) for end in joint if end.get("link")}
+
+
+def _origin(element: Element) -> pin.SE3:
+    """The `<origin>` of a link's part or of a joint; the identity where there is none."""
+    at = element.find("origin")
+    words = {} if at is None else at.attrib
+    xyz, rpy = (np.array(words.get(key, "0 0 0").split(), dtype=float) for key in ("xyz", "rpy"))
+    return pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
+
+
+def _place(element: Element, T: pin.SE3) -> None:
+    """Write the `<origin>` of an element."""
+    at = element.find("origin")
+    at = SubElement(element, "origin") if at is None else at
+    at.attrib |= {"xyz": _words(T.translation), "rpy": _words(pin.rpy.matrixToRpy(T.rotation))}
+
+
+def _inertia(link: Element) -> pin.Inertia:
+    """What a link weighs, in its own frame."""
+    inertial = _part(link, "inertial")
+    moments = _part(inertial, "inertia")
+    xx, xy, xz, yy, yz, zz = (float(moments.get(key, 0.0)) for key in _MOMENTS)
+    tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    mass = float(_part(inertial, "mass").get("value", 0.0))
+    return _origin(inertial).act(pin.Inertia(mass, np.zeros(3), tensor))
+
+
+def _weigh(link: Element, inertia: pin.Inertia) -> None:
+    """Write what a link weighs along its principal axes: pybullet finds others only nearly."""
+    moments, axes = np.linalg.eigh(inertia.inertia)
+    axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
+    inertial = _part(link, "inertial")
+    _place(inertial, pin.SE3(axes, inertia.lever))
+    _part(inertial, "mass").set("value", repr(inertia.mass))
+    values = np.diag(moments)[np.triu_indices(3)].tolist()
+    _part(inertial, "inertia").attrib |= dict(zip(_MOMENTS, map(repr, values), strict=True))
+
+
+def _part(element: Element, tag: str) -> Element:
+    """What an element has to hold."""
+    found = element.find(tag)
+    assert found is not None, tag
+    return found
 
 
 def _refrigerator_urdf(door: Door, cabinet: Cabinet) -> str:

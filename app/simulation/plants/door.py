@@ -159,13 +159,7 @@ def with_door(
 
     The door is the hyper-ellipsoid of Figure 16b, fixed to the end-effector's link: the grasp lets
     it not move there. Its reachability is the hand's. It has no sampled border, so that the acting
-    point is found on the exact offset of l_m.
-
-    Args:
-        model: The robot.
-        data: Its pairs and clouds, which stay those of the other pairs.
-        door: The door.
-        T_ee_door: Pose of the door's frame in the end-effector's.
+    point is found on the exact offset of l_m. The door's frame stands at `T_ee_door` in the hand's.
     """
     description = model.description
     link = description.arm.end_effector_link

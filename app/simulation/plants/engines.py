@@ -9,8 +9,8 @@ import numpy as np
 from app.robot.link_pairs import sample_joints
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
-from app.simulation.plants.interface import Contacts
-from app.simulation.plants.planar import PlanarWorld, planar_plant
+from app.simulation.plants.interface import Contacts, PlanarWorld
+from app.simulation.plants.planar import planar_plant
 
 Array = np.ndarray
 

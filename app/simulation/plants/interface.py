@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -51,19 +52,19 @@ class Push(NamedTuple):
     force: Array
 
 
-class HeldDoor(Protocol):
+class HeldDoor(ABC):
     """A door that the hand holds since the plant's reset."""
 
+    @abstractmethod
     def angle(self) -> float:
         """[rad] how far it is open."""
-        ...
 
+    @abstractmethod
     def wrench(self) -> Wrench:
         """What the hand exerted on it in the last step, as a force-torque sensor gives it."""
-        ...
 
 
-class Physics(Protocol):
+class Physics(ABC):
     """A plant with a velocity-controlled base and a torque-controlled arm, stepped by `dt`.
 
     The world's floor is z = 0. Implementations: `planar` in pybullet (default) or in MuJoCo,
@@ -72,20 +73,18 @@ class Physics(Protocol):
 
     dt: float
     """[s] one step."""
+    door: HeldDoor | None
+    """The door that the hand holds; None in a plant without one."""
 
-    @property
-    def door(self) -> HeldDoor | None:
-        """The door that the hand holds; None in a plant without one."""
-        ...
-
+    @abstractmethod
     def reset(self, base_pose: Array, q_m: Array) -> None:
         """Put the robot at rest at base pose (x, y, φ) [m, rad] and arm joints `q_m`."""
-        ...
 
+    @abstractmethod
     def measure(self) -> Measurement:
         """The sensors' readings now."""
-        ...
 
+    @abstractmethod
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
@@ -98,12 +97,50 @@ class Physics(Protocol):
             hand_force: (3,) [N] force of the person on the end-effector's origin, in the world.
             pushes: Forces on other points of the arm.
         """
-        ...
 
+    @abstractmethod
     def contacts(self) -> Contacts:
         """Contacts of the last step."""
-        ...
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027 - most have nothing to release
         """Release what the plant holds."""
-        ...
+
+
+class PlanarWorld(ABC):
+    """A robot on planar joints in an engine; q and v are x, y, yaw in the world and the arm's."""
+
+    door: HeldDoor | None
+    """The door that the hand holds."""
+
+    @abstractmethod
+    def reset(self, q: Array) -> None:
+        """At rest at q (3 + n_m,) [m, rad]; the hand takes hold of the door."""
+
+    @abstractmethod
+    def read(self) -> tuple[Array, list[float], Array, Array]:
+        """Of x, y and yaw where they are (3,) and how fast; of the arm q_m and q̇_m, as copies."""
+
+    @abstractmethod
+    def step(
+        self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push]
+    ) -> None:
+        """As `Physics.step`, with the speeds of x, y and yaw [m/s, rad/s] in the world."""
+
+    @abstractmethod
+    def contacts(self) -> Contacts:
+        """Contacts of the last step."""
+
+    @abstractmethod
+    def depths(self) -> dict[str, float]:
+        """[m] how deep they are, by the fields of `Contacts`."""
+
+    @abstractmethod
+    def seen(self, begins: Array, ends: Array) -> Array:
+        """(n,) [m] from each begin (n, 3) to the robot or the floor, towards its end; else inf."""
+
+    @abstractmethod
+    def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Mass matrix and bias forces, as the engine computes them."""
+
+    def close(self) -> None:  # noqa: B027 - most have nothing to release
+        """Release what it holds."""

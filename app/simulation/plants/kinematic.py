@@ -18,14 +18,14 @@ from app.control.drive import Drive
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 from app.simulation.plants.collision_shapes import FLOOR, body_contact_pairs
-from app.simulation.plants.interface import Contacts, Push
+from app.simulation.plants.interface import Contacts, Physics, Push
 from app.simulation.plants.planar import world_twist
 
 Array = np.ndarray
 
 
-class Kinematic:
-    """`Physics` by pinocchio alone."""
+class Kinematic(Physics):
+    """By pinocchio alone."""
 
     door = None
 
@@ -40,14 +40,12 @@ class Kinematic:
         self.reset(np.zeros(3), np.array(model.description.arm.ready_position))
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
-        """See `Physics.reset`."""
         self._drive.reset()
         self._base_pose = np.array(base_pose, dtype=float)
         self._q, self._qd = np.array(q_m, dtype=float), np.zeros(self._model.n_m)
         self._stepped = False
 
     def measure(self) -> Measurement:
-        """See `Physics.measure`."""
         return Measurement(
             self._base_pose.copy(),
             np.array(self._drive.velocity),
@@ -59,7 +57,6 @@ class Kinematic:
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """See `Physics.step`."""
         self._state.update(self.measure())
         before = self._drive.velocity
         now = self._drive.step(base_velocity)
@@ -72,13 +69,10 @@ class Kinematic:
         self._stepped = True
 
     def contacts(self) -> Contacts:
-        """See `Physics.contacts`; overlaps of the bodies, which are fatter than the links."""
+        """Overlaps of the bodies, which are fatter than the links."""
         if not self._stepped:
             return Contacts()
         return self._overlaps.at(self._model.configuration(self._base_pose, self._q))
-
-    def close(self) -> None:
-        """See `Physics.close`."""
 
     def _felt(self, hand_force: Array, pushes: Sequence[Push]) -> Array:
         """(n_m,) Σ J_aᵀ f: the joints' share of the forces on the arm."""

@@ -57,14 +57,10 @@ class RobotSpec:
     def __init__(
         self, model: RobotModel, dt: float, *, free_root: pin.Inertia | None = None
     ) -> None:
-        """Specify the robot over the floor.
+        """Specify the robot over the floor; `dt` [s] is one step.
 
-        Args:
-            model: The robot.
-            dt: [s] one step.
-            free_root: The inertia of a root link that is free, and that carries some of the
-                robot's mass on joints which the plant adds; by default the root moves on motors
-                along x, y and yaw.
+        The root moves on motors along x, y and yaw, or freely with the inertia that is given, where
+        the plant adds joints which carry some of the robot's mass.
         """
         self.model, self._dt = model, dt
         self.spec = _empty_spec(dt)

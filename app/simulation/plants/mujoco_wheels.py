@@ -10,7 +10,7 @@ the spheres at the floor that the URDF has, or else four corners.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import product
 
 import coal
@@ -18,16 +18,16 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
+from app.border.mobile import MobileBody, bounds
 from app.control.drive import Drive
 from app.robot.assets import bare_urdf
 from app.robot.bases.differential import DifferentialBase, mobile_jacobian
 from app.robot.description import differential
 from app.robot.model import RobotModel
-from app.robot.shapes import shape_mesh
 from app.robot.state import Measurement
-from app.simulation.plants.collision_shapes import FLOOR, CollisionShape
+from app.simulation.plants.collision_shapes import FLOOR
 from app.simulation.plants.door import OpenDoor
-from app.simulation.plants.interface import Contacts, Push
+from app.simulation.plants.interface import Contacts, Physics, Push
 from app.simulation.plants.mujoco_spec import GRAVITY, RobotSpec
 from app.simulation.plants.mujoco_world import MujocoWorld
 
@@ -93,8 +93,8 @@ class Wheels:
         return whole
 
 
-class MujocoWheels:
-    """`Physics` with wheels that push on the floor."""
+class MujocoWheels(Physics):
+    """Wheels that push on the floor."""
 
     def __init__(
         self, model: RobotModel, *, dt: float = 0.001, door: OpenDoor | None = None
@@ -125,7 +125,7 @@ class MujocoWheels:
         return np.array([angles[right].mean(), angles[~right].mean()])
 
     def reset(self, base_pose: Array, q_m: Array) -> None:
-        """See `Physics.reset`; the base stands on its wheels as the arm's weight tilts it."""
+        """The base stands on its wheels as the arm's weight tilts it."""
         world = self.world
         world.rewind()
         self._drive.reset()
@@ -143,7 +143,7 @@ class MujocoWheels:
             self.door.take_hold(world)
 
     def measure(self) -> Measurement:
-        """See `Physics.measure`; the pose of the root link, seen from above."""
+        """The pose of the root link, seen from above."""
         world = self.world
         q, v = world.q.copy(), world.v.copy()
         R = self._turn()
@@ -159,7 +159,6 @@ class MujocoWheels:
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """See `Physics.step`."""
         speeds = (self._rolling @ self._drive.step(base_velocity)).tolist()
         self.world.step(u_a, speeds, hand_force, pushes)
 
@@ -168,11 +167,7 @@ class MujocoWheels:
         return math.acos(min(1.0, self._turn()[2, 2]))
 
     def contacts(self) -> Contacts:
-        """See `Physics.contacts`."""
         return self.world.contacts()
-
-    def close(self) -> None:
-        """See `Physics.close`."""
 
     def _turn(self) -> Array:
         """(3, 3) orientation of the root."""
@@ -234,7 +229,7 @@ def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
     for i, shape in enumerate(robot.shapes):
         if shape.part not in robot.mobile or shape.part in wheels.links:
             continue
-        if _lowest(shape) > _AT_FLOOR:
+        if bounds(shape.geometry, shape.T)[0][2] > _AT_FLOOR:
             robot.allow(None, [FLOOR], [f"{shape.part}/{i}"])
         elif isinstance(shape.geometry, coal.Sphere):
             casters.append((shape.geometry.radius, shape.T.translation))
@@ -247,23 +242,8 @@ def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
             robot.allow(None, [FLOOR], [name], friction=0.0, firmness=_SPRING)
 
 
-def _lowest(shape: CollisionShape) -> float:
-    """[m] height of the box around a shape of the root."""
-    geometry = shape.geometry
-    geometry.computeLocalAABB()
-    low, high = geometry.aabb_local.min_, geometry.aabb_local.max_
-    corner = shape.T.act((low + high) / 2)[2]
-    return float(corner - np.abs(shape.T.rotation[2]) @ (high - low) / 2)
-
-
 def _corner_casters(model: RobotModel, r: float) -> list[Array]:
     """Centres (3,) [m] of four casters of radius r [m] in the corners of l_m's footprint."""
-    body = model.description.mobile_body
-    placed = [model.geometry.geometryObjects[i].placement for i in model.shape_ids[body.name]]
-    bounds = [
-        shape_mesh(shape).apply_transform(T.homogeneous).bounds[:, :2]
-        for shape, T in zip(body.shapes, placed, strict=True)
-    ]
-    low, high = np.min(bounds, axis=(0, 1)) + r, np.max(bounds, axis=(0, 1)) - r
-    corners: Iterable[tuple[float, float]] = product((low[0], high[0]), (low[1], high[1]))
-    return [np.array([x, y, r]) for x, y in corners]
+    body = MobileBody(model)
+    (left, low), (right, high) = body.lower[:2] + r, body.upper[:2] - r
+    return [np.array([x, y, r]) for x, y in product((left, right), (low, high))]

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from app.simulation.plants.collision_shapes import FLOOR
 from app.simulation.plants.door import Cabinet, OpenDoor
-from app.simulation.plants.interface import Contacts, Push, Wrench
+from app.simulation.plants.interface import Contacts, HeldDoor, PlanarWorld, Push, Wrench
 from app.simulation.plants.mujoco_spec import RobotSpec
 
 Array = np.ndarray
@@ -31,8 +31,8 @@ _GRASP: dict[str, Any] = {"solref": [0.002, 1.0], "solimp": [0.999, 0.9999, 0.00
 _BODY, _DOOR, _HINGE, _GRIP = "refrigerator", "door", "hinge", "grip"
 
 
-class MujocoWorld:
-    """A specification at work; `PlanarWorld`, if its root is on planar joints.
+class MujocoWorld(PlanarWorld):
+    """A specification at work, also of a robot whose root is free.
 
     Attributes:
         model, data: MuJoCo's.
@@ -73,14 +73,12 @@ class MujocoWorld:
         mujoco.mj_resetData(self.model, self.data)
 
     def reset(self, q: Array) -> None:
-        """See `PlanarWorld.reset`."""
         self.rewind()
         self._planar_q[:] = q
         if self.door is not None:
             self.door.take_hold(self)
 
     def read(self) -> tuple[Array, list[float], Array, Array]:
-        """See `PlanarWorld.read`."""
         base_q, base_v, q_m, qd_m = self._read
         return base_q.copy(), base_v.tolist(), q_m.copy(), qd_m.copy()
 
@@ -93,7 +91,7 @@ class MujocoWorld:
         return rows
 
     def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """See `PlanarWorld.mass_and_bias`; there is no door."""
+        """Without a door."""
         self.rewind()
         self.q[:], self.v[:] = q, v
         mujoco.mj_forward(self.model, self.data)
@@ -102,7 +100,7 @@ class MujocoWorld:
     def step(
         self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """As `Physics.step`, with the speeds [m/s or rad/s] to which motors hold their joints."""
+        """The speeds [m/s or rad/s] are those to which motors hold their joints."""
         data = self.data
         mujoco.mj_step1(self.model, data)
         # Dry friction decelerates by v / dt, against the floor; a motor, against what moves.
@@ -121,14 +119,12 @@ class MujocoWorld:
         mujoco.mj_step2(self.model, data)
 
     def contacts(self) -> Contacts:
-        """Contacts found in the last step."""
         if not self.data.ncon:
             return Contacts()
         touching = self.data.contact.geom.tolist()
         return Contacts.of(filter(None, {self._group[a, b] for a, b in touching}))
 
     def depths(self) -> dict[str, float]:
-        """[m] how deep the contacts of the last step are, by the fields of `Contacts`."""
         deepest: dict[str, float] = {}
         contacts = self.data.contact
         for (a, b), distance in zip(contacts.geom.tolist(), contacts.dist, strict=True):
@@ -137,7 +133,6 @@ class MujocoWorld:
         return deepest
 
     def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] from each begin (n, 3) to the robot or the floor, towards its end; else inf."""
         mujoco.mj_kinematics(self.model, self.data)
         found, hit = np.full(len(begins), np.inf), np.zeros(1, np.int32)
         for i, (begin, way) in enumerate(zip(begins, ends - begins, strict=True)):
@@ -146,9 +141,6 @@ class MujocoWorld:
             if 0.0 <= at <= length:
                 found[i] = at
         return found
-
-    def close(self) -> None:
-        """Nothing is to be released."""
 
     def _press(self, body: int, point: Array, force: Array) -> None:
         """Force (3,) [N] in the world on a point (3,) [m] of a body's frame."""
@@ -159,7 +151,7 @@ class MujocoWorld:
         )
 
 
-class MujocoDoor:
+class MujocoDoor(HeldDoor):
     """The refrigerator's part of a plant in MuJoCo. Only the base's links can touch the door.
 
     The hinge has dry friction and no stop. The hand is welded to a body without mass that is fixed
@@ -222,7 +214,6 @@ class MujocoDoor:
         model.eq_data[0, :10] = [*p_grip, *self._tool, *between]
 
     def angle(self) -> float:
-        """[rad] how far the door is open."""
         return -self.door.side * float(self._data.joint(_HINGE).qpos[0])
 
     def place(self) -> Array:
@@ -230,7 +221,6 @@ class MujocoDoor:
         return self._data.joint(_BODY).qpos[:3].copy()
 
     def wrench(self) -> Wrench:
-        """What the hand exerted on the door in the last step; a force-torque sensor at the hand."""
         R = self._data.site(_GRIP).xmat.reshape(3, 3)
         read = self._data.sensordata  # of the door on what holds it
         return Wrench(-R @ read[:3], -R @ read[3:])

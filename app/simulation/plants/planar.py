@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 
@@ -16,79 +16,29 @@ from app.control.drive import Drive
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.plants.door import OpenDoor
-from app.simulation.plants.interface import Contacts, HeldDoor, Push
+from app.simulation.plants.interface import Contacts, Physics, PlanarWorld, Push
 
 Array = np.ndarray
 
 
-class PlanarWorld(Protocol):
-    """A robot on planar joints in an engine; q and v are x, y, yaw in the world and the arm's."""
-
-    @property
-    def door(self) -> HeldDoor | None:
-        """The door that the hand holds."""
-        ...
-
-    def reset(self, q: Array) -> None:
-        """At rest at q (3 + n_m,) [m, rad]; the hand takes hold of the door."""
-        ...
-
-    def read(self) -> tuple[Array, list[float], Array, Array]:
-        """Of x, y and yaw where they are (3,) and how fast; of the arm q_m and q̇_m, as copies."""
-        ...
-
-    def step(
-        self, u_a: Array, speeds: Sequence[float], hand_force: Array, pushes: Sequence[Push]
-    ) -> None:
-        """As `Physics.step`, with the speeds of x, y and yaw [m/s, rad/s] in the world."""
-        ...
-
-    def contacts(self) -> Contacts:
-        """Contacts of the last step."""
-        ...
-
-    def depths(self) -> dict[str, float]:
-        """[m] how deep they are, by the fields of `Contacts`."""
-        ...
-
-    def seen(self, begins: Array, ends: Array) -> Array:
-        """(n,) [m] from each begin (n, 3) to the robot or the floor, towards its end; else inf."""
-        ...
-
-    def mass_and_bias(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Mass matrix and bias forces, as the engine computes them."""
-        ...
-
-    def close(self) -> None:
-        """Release what it holds."""
-        ...
-
-
-class Planar:
+class Planar(Physics):
     """`Physics` with an ideal contact of the wheels up to their traction."""
 
     def __init__(self, model: RobotModel, world: PlanarWorld, dt: float = 0.001) -> None:
         """The robot of that world at rest in its ready position."""
-        self.world, self.dt = world, dt
+        self.world, self.door, self.dt = world, world.door, dt
         self._S = model.S
         base = model.description.base
         self._drive = Drive(base, dt)
         self._axes = base.T.argmax(axis=0).tolist()  # each is one component of the twist
         self.reset(np.zeros(3), np.array(model.description.arm.ready_position))
 
-    @property
-    def door(self) -> HeldDoor | None:
-        """See `Physics.door`."""
-        return self.world.door
-
     def reset(self, base_pose: Array, q_m: Array) -> None:
-        """See `Physics.reset`."""
         self.world.reset(np.concatenate([base_pose, q_m]))
         self._drive.reset()
         self._heading: float | None = None  # [rad] as measured since the last step
 
     def measure(self) -> Measurement:
-        """See `Physics.measure`."""
         pose, v, q_m, qd_m = self.world.read()
         self._heading = heading = pose.item(2)
         twist = base_twist(v, heading)
@@ -98,7 +48,6 @@ class Planar:
     def step(
         self, u_a: Array, base_velocity: Array, hand_force: Array, pushes: Sequence[Push] = ()
     ) -> None:
-        """See `Physics.step`."""
         heading = self.world.read()[0].item(2) if self._heading is None else self._heading
         twist = [0.0, 0.0, 0.0]
         for axis, value in zip(self._axes, self._drive.step(base_velocity), strict=True):
@@ -107,7 +56,6 @@ class Planar:
         self._heading = None
 
     def contacts(self) -> Contacts:
-        """See `Physics.contacts`."""
         return self.world.contacts()
 
     def mass_and_bias(self, q_m: Array, qd: Array) -> tuple[Array, Array]:
@@ -126,7 +74,6 @@ class Planar:
         return S.T @ M @ S, S.T @ (h + M @ turning)
 
     def close(self) -> None:
-        """See `Physics.close`."""
         self.world.close()
 
 

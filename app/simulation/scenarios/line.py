@@ -48,7 +48,7 @@ class LineScenario(Scenario):
 
     @property
     def options(self) -> tuple[str, ...]:
-        """See `Scenario.options`; only a person can let go."""
+        """Only a person can let go."""
         released = ("release_at", "regrasp_at") if self.mode == "guiding" else ()
         return ("start", "move", "duration", *released)
 
@@ -63,7 +63,6 @@ class LineScenario(Scenario):
         check_point("--move", self.move)
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """See `Scenario.setting`."""
         from app.simulation.people import checked_target
 
         q_m = self._posture(model, data, config, seed)
@@ -76,7 +75,8 @@ class LineScenario(Scenario):
         from app.simulation.scenarios.start import find_start
 
         move = self.move if self.mode == "tracking" else None  # a person does not hold it upright
-        return find_start(model, data.pairs, config.border.d_b, self.start, seed=seed, move=move)
+        x, y, z = self.start
+        return find_start(model, data.pairs, config.border.d_b, (x, y, z), seed=seed, move=move)
 
     def _check_release(self) -> None:
         """Whether somebody holds the hand who can let go within the run, and take hold after it."""
@@ -98,7 +98,7 @@ class LineScenario(Scenario):
             )
 
     def changed(self, **changes: Any) -> Self:
-        """See `Scenario.changed`; a duration stretches the motion unless the person lets go.
+        """A duration stretches the motion unless the person lets go.
 
         With `release_at` the motion keeps its pace, and the run ends at the duration.
         """
@@ -109,7 +109,6 @@ class LineScenario(Scenario):
         return super().changed(**changes)
 
     def leader(self, session: Session) -> Leader:
-        """See `Scenario.leader`."""
         orientation = session.T_world_ee.rotation.copy()
         if self.mode == "tracking":
             return lambda session: Lead(reference=self.reference(session.t, orientation))

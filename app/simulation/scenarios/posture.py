@@ -207,13 +207,9 @@ def best_posture(
     guess: Array,
     bounds: tuple[Array, Array],
 ) -> Array:
-    """(n_m,) the joints with the least sum of squared residuals near a guess.
+    """(n_m,) the joints with the least sum of squared residuals (k,) near a guess.
 
-    Args:
-        residual: (k,) of joints (n_m,).
-        jacobian: (k, n_m) its derivative.
-        guess: (n_m,) where the search begins, moved within the bounds.
-        bounds: Lower and upper, (n_m,) each.
+    The guess is moved within the bounds, lower and upper; the Jacobian is (k, n_m).
     """
     inside = np.clip(guess, bounds[0] + 1e-6, bounds[1] - 1e-6)
     return least_squares(

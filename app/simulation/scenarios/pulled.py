@@ -58,7 +58,6 @@ class PulledScenario(Scenario):
 
     @property
     def open(self) -> bool:
-        """See `Scenario.open`."""
         return not self.pulls
 
     def __post_init__(self) -> None:
@@ -72,7 +71,6 @@ class PulledScenario(Scenario):
             raise CaseError(f"{self.name}: the arm's joints are {self.q_m!r}")
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """See `Scenario.setting`."""
         from app.simulation.people import held_links
 
         unknown = {pull.link for pull in self.pulls} - {None, *held_links(model)}
@@ -82,7 +80,6 @@ class PulledScenario(Scenario):
         return Setting(model, data, np.zeros(3), q_m, config)
 
     def leader(self, session: Session) -> Leader:
-        """See `Scenario.leader`."""
         from app.simulation.people import Hold
         from app.simulation.session import DT
 

@@ -107,14 +107,15 @@ class RefrigeratorScenario(Scenario):
         return np.array([at[0], at[1], door.yaw])
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """See `Scenario.setting`; the controller's robot has the door as its last body."""
+        """The controller's robot has the door as its last body."""
         # Imported here: scipy would make every command start later.
         from app.simulation.plants.door import OpenDoor, with_door
         from app.simulation.scenarios.start import find_grasp
 
         door, angle, base_pose = self.door, math.radians(self.door_angle), self.base_pose
         d_b = config.border.d_b
-        q_m, T_ee = find_grasp(model, data.pairs, d_b, base_pose, door, angle, seed=seed)
+        x, y, heading = base_pose.tolist()
+        q_m, T_ee = find_grasp(model, data.pairs, d_b, (x, y, heading), door, angle, seed=seed)
         holding, holding_data = with_door(model, data, door, T_ee.inverse() * door.pose(angle))
         return Setting(
             holding, holding_data, base_pose, q_m, self.adapted(config), OpenDoor(door, angle)
@@ -132,7 +133,6 @@ class RefrigeratorScenario(Scenario):
         return config
 
     def leader(self, session: Session) -> Leader:
-        """See `Scenario.leader`."""
         from app.simulation.scenarios.door_opening import Opener
 
         return Opener(self.door, session, rate=self.opening_rate, guess=self.radial_guess)

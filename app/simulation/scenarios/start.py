@@ -192,6 +192,7 @@ class StartSolver:
 _Place = tuple[float, float, float]
 
 
+@kept_per_model(_KEPT)
 def find_start(
     model: RobotModel,
     pairs: LinkPairs,
@@ -201,7 +202,7 @@ def find_start(
     seed: int = 0,
     move: _Place | None = None,
 ) -> Array:
-    """(n_m,) arm configuration as `StartSolver.solve` finds it; some that were found are kept.
+    """(n_m,) arm configuration as `StartSolver.solve` finds it, read-only; some are kept.
 
     So a run that begins again, such as with another controller, does not wait for the search.
     After it the hand follows a line, its `move` (3,) [m], pointing as at the start.
@@ -209,15 +210,8 @@ def find_start(
     Raises:
         UnreachableError: There is none; says what stands in the way.
     """
-    return _found_start(model, pairs, d_b, (p_ee[0], p_ee[1], p_ee[2]), seed, move).copy()
-
-
-@kept_per_model(_KEPT)
-def _found_start(
-    model: RobotModel, pairs: LinkPairs, d_b: float, p_ee: _Place, seed: int, move: _Place | None
-) -> Array:
     along = () if move is None else [np.add(p_ee, share * np.array(move)) for share in _SHARES]
-    return StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along)
+    return _frozen(StartSolver(model, pairs, d_b).solve(p_ee, seed=seed, along=along))
 
 
 class GraspSolver:
@@ -237,11 +231,7 @@ class GraspSolver:
     ) -> tuple[Array, pin.SE3]:
         """(n_m,) the arm at a door's handle, and the hand's pose: horizontal, its palm to the door.
 
-        Args:
-            base_pose: (3,) x, y [m] and heading [rad] of the base.
-            door: The door.
-            angle: [rad] by which it is open.
-            seed: Of the search.
+        The base stands at x, y [m] and heading [rad], the door is open by an angle [rad].
 
         Raises:
             UnreachableError: There is none.
@@ -324,37 +314,29 @@ class GraspSolver:
         return min(joints, 0.15) + 2 * min(bending, 0.05) + 5 * min(beyond - clearance, 0.1)
 
 
-def find_grasp(
-    model: RobotModel,
-    pairs: LinkPairs,
-    d_b: float,
-    base_pose: Array,
-    door: Door,
-    angle: float,
-    *,
-    seed: int = 0,
-) -> tuple[Array, pin.SE3]:
-    """The arm and the hand as `GraspSolver.solve` finds them; some that were found are kept.
-
-    Raises:
-        UnreachableError: There is none.
-    """
-    x, y, heading = base_pose.tolist()
-    q_m, T_ee = _found_grasp(model, pairs, d_b, (x, y, heading), door, angle, seed)
-    return q_m.copy(), T_ee.copy()
-
-
 @kept_per_model(_KEPT)
-def _found_grasp(
+def find_grasp(
     model: RobotModel,
     pairs: LinkPairs,
     d_b: float,
     base_pose: _Place,
     door: Door,
     angle: float,
-    seed: int,
+    *,
+    seed: int = 0,
 ) -> tuple[Array, pin.SE3]:
-    return GraspSolver(model, pairs, d_b).solve(np.array(base_pose), door, angle, seed=seed)
+    """The arm, read-only, and the hand as `GraspSolver.solve` finds them; some are kept.
+
+    Raises:
+        UnreachableError: There is none.
+    """
+    q_m, T_ee = GraspSolver(model, pairs, d_b).solve(np.array(base_pose), door, angle, seed=seed)
+    return _frozen(q_m), T_ee
+
+
+def _frozen(q_m: Array) -> Array:
+    q_m.flags.writeable = False
+    return q_m
 
 
 def _rolled(pose: pin.SE3, roll: float) -> pin.SE3:

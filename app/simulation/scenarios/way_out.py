@@ -49,12 +49,10 @@ class WayOutScenario(Scenario):
             raise ConfigError(f"--begin: {self.begin!r} is none of {', '.join(BEGINS)}")
 
     def setting(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Setting:
-        """See `Scenario.setting`."""
         starts = TroubledStarts(model, data.pairs, config.border.d_b)
         return Setting(model, data, np.zeros(3), starts.draw(self.begin, seed), config)
 
     def leader(self, session: Session) -> Leader:
-        """See `Scenario.leader`."""
         del session
         return lambda _: Lead()
 

@@ -6,6 +6,7 @@ import math
 from array import array
 from collections import deque
 from collections.abc import Iterable, Sequence
+from itertools import compress
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -348,35 +349,21 @@ def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     target; an arm at full stretch, whose smallest singular value of the hand's Jacobian is near
     zero.
     """
-    state = RobotState(model)
+    state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
     state.update(step.truth)
     hand, target = state.T_world_ee.translation, reference.pose.translation
     towards = (target - hand) / np.linalg.norm(target - hand)
-    joints = _at_limits(model, step.truth.q_m)
+    margin = _AT_LIMIT * (model.q_upper - model.q_lower)
+    at_limit = (q_m < model.q_lower + margin) | (q_m > model.q_upper - margin)
+    joints = tuple(compress(model.description.arm.joints, at_limit.tolist()))
+    pushed = state.J_ee[:3, :n_b] @ (model.J_m_inv @ step.output.inserted.base_acceleration)
+    least_motion = np.linalg.svd(state.J_ee[:, n_b:], compute_uv=False)[-1]
     found: dict[Reason, bool] = {
         "still moving": bool(state.v_ee[:3] @ towards > _MOVING),
         "joint limits": bool(joints),
-        "border against hand": _pushed_away(state, step) @ towards < -_PUSHED,
-        "full stretch": _least_motion(state) < _STRETCHED,
+        "border against hand": bool(pushed @ towards < -_PUSHED),
+        "full stretch": bool(least_motion < _STRETCHED),
     }
     reasons: tuple[Reason, ...] = tuple(reason for reason, holds in found.items() if holds)
     places = tuple(hand.tolist()), tuple(target.tolist())
     return Stuck(step.t, step.ee_error, *places, reasons or ("unknown",), joints)
-
-
-def _at_limits(model: RobotModel, q_m: Array) -> tuple[str, ...]:
-    margin = _AT_LIMIT * (model.q_upper - model.q_lower)
-    at = (q_m < model.q_lower + margin) | (q_m > model.q_upper - margin)
-    names = model.description.arm.joints
-    return tuple(name for name, is_at in zip(names, at.tolist(), strict=True) if is_at)
-
-
-def _pushed_away(state: RobotState, step: Step) -> Array:
-    """(3,) [m/s²] of the hand, by what avoidance adds to the base's acceleration."""
-    model = state.model
-    return state.J_ee[:3, : model.n_b] @ (model.J_m_inv @ step.output.inserted.base_acceleration)
-
-
-def _least_motion(state: RobotState) -> float:
-    J = state.J_ee[:, state.model.n_b :]
-    return float(np.linalg.svd(J, compute_uv=False)[-1])

@@ -14,29 +14,9 @@ from app.avoidance.mobile_acceleration import ActingPoint
 from app.avoidance.task import activation
 from app.config import ForceConfig
 from app.robot.link_pairs import Closest
-from app.studies.paper.drawing import (
-    Drawing,
-    Table,
-    arrow,
-    base_in_plan,
-    placed_meshes,
-    points_table,
-    square_around,
-    table_of,
-)
+from app.studies import style
+from app.studies.paper import drawing
 from app.studies.paper.experiments import LATERAL, WHEEL_AXIS, Experiment, Sources
-from app.studies.style import (
-    ACTING,
-    INK,
-    METHOD_COLOURS,
-    PAIR_COLOURS,
-    SCORE_MAP,
-    SOFT,
-    marker_style,
-    new_figure,
-    panel_title,
-    picture,
-)
 
 Array = np.ndarray
 
@@ -127,8 +107,8 @@ def turning(sources: Sources) -> Force:
     )
 
 
-@picture("fig7", "Figure 7: the direction of the force", WHEEL_AXIS)
-def figure_7(sources: Sources) -> Drawing:
+@style.picture("fig7", "Figure 7: the direction of the force", WHEEL_AXIS)
+def figure_7(sources: Sources) -> drawing.Drawing:
     """The force starts at the acting point and points to the closest point of the hand. One of its
     two orthogonal components moves the base away from the hand, the other brings the part of the
     border with a high score closer to it.
@@ -137,27 +117,27 @@ def figure_7(sources: Sources) -> Drawing:
     along, across = force.components
     p_b, p_act = force.closest.p_b, force.acting.p_act
     table = _slice(sources, force)
-    figure = new_figure(5.4)
+    figure = style.new_figure(5.4)
     whole, near = figure.subplots(1, 2)
     for ax in (whole, near):
         shown = _plan(ax, sources, force, table)
-    panel_title(whole, "", "the border at the hand's height")
+    style.panel_title(whole, "", "the border at the hand's height")
     _points(whole, force, "p_b", "p_act")
     whole.set(xlim=(-0.70, 0.80), ylim=(-0.75, 0.75))
     figure.colorbar(shown, ax=whole, label=_SCORE, shrink=0.8)
-    panel_title(near, "a", "its two orthogonal components")
-    square_around(near, np.array(list(force.points.values())), 0.06, _ZOOM)
+    style.panel_title(near, "a", "its two orthogonal components")
+    drawing.square_around(near, np.array(list(force.points.values())), 0.06, _ZOOM)
     length = float(np.linalg.norm(p_b - p_act) / max(np.linalg.norm(force.f), 1e-9))
     for vector, colour, text in (
         (across, _TANGENT, "towards a better score"),
         (along, _NORMAL, "away from the hand's link"),
-        (force.f, ACTING, "force $f_{m,1}$"),
+        (force.f, style.ACTING, "force $f_{m,1}$"),
     ):
-        arrow(near, p_act, p_act + length * vector, colour)
+        drawing.arrow(near, p_act, p_act + length * vector, colour)
         near.plot([], [], color=colour, label=text)
     _points(near, force)
     near.legend(loc="lower left", fontsize=9)
-    return Drawing(
+    return drawing.Drawing(
         figure,
         {"": table, "points": _point_table({"chosen": force})},
         {"t_s": force.t, **force.measured()},
@@ -165,8 +145,8 @@ def figure_7(sources: Sources) -> Drawing:
     )
 
 
-@picture("fig8", "Figure 8: finding the acting point", LATERAL)
-def figure_8(sources: Sources) -> Drawing:
+@style.picture("fig8", "Figure 8: finding the acting point", LATERAL)
+def figure_8(sources: Sources) -> drawing.Drawing:
     """(a) From the border's point nearest to the hand a step along the tangent leads towards a
     better score; the acting point is the border's point nearest to that. (b) With too large a step
     the force may have no component along the line between the hand and the border: the step is
@@ -175,35 +155,35 @@ def figure_8(sources: Sources) -> Drawing:
     configs, k = {"chosen": sources.config.force, "too large": TOO_LARGE}, deepest(sources)
     found = {name: force_at(sources, LATERAL, k, config) for name, config in configs.items()}
     table = _slice(sources, found["chosen"])
-    figure = new_figure(5.4)
+    figure = style.new_figure(5.4)
     grid = figure.subplots(1, 2, sharex=True, sharey=True)
     for ax, letter, force in zip(grid, "ab", found.values(), strict=True):
         shown = _plan(ax, sources, force, table)
-        arrow(ax, force.acting.p_n, force.acting.p_t, INK)
+        drawing.arrow(ax, force.acting.p_n, force.acting.p_t, style.INK)
         _points(ax, force)
         text = "the step along the tangent" if letter == "a" else "too large a step"
-        panel_title(ax, letter, rf"{text}, $\alpha$ = {force.acting.alpha:.3f} m")
+        style.panel_title(ax, letter, rf"{text}, $\alpha$ = {force.acting.alpha:.3f} m")
     points = [point for force in found.values() for point in force.points.values()]
-    square_around(grid[0], np.array(points), 0.06, _ZOOM)
+    drawing.square_around(grid[0], np.array(points), 0.06, _ZOOM)
     figure.colorbar(shown, ax=grid, label=_SCORE, shrink=0.8)
-    return Drawing(
+    return drawing.Drawing(
         figure,
         {"": table, "points": _point_table(found)},
         {name: force.measured() for name, force in found.items()},
     )
 
 
-@picture("fig10", "Figure 10: activation by distance")
-def figure_10(sources: Sources) -> Drawing:
+@style.picture("fig10", "Figure 10: activation by distance")
+def figure_10(sources: Sources) -> drawing.Drawing:
     """0 from the buffer distance of 0.15 m outwards, 1 at 0.05 m and nearer, a cubic between."""
     d_b, d_full = sources.config.border.d_b, sources.config.activation.d_full
     d = np.linspace(0.0, 0.2, 201)
     table = {"d_m": d, "beta": np.array([activation(x, d_b, d_full) for x in d])}
-    figure = new_figure(3.6, 6.4)
+    figure = style.new_figure(3.6, 6.4)
     ax = figure.subplots()
-    ax.plot(table["d_m"], table["beta"], color=METHOD_COLOURS["dbb"], linewidth=2.4)
+    ax.plot(table["d_m"], table["beta"], color=style.METHOD_COLOURS["dbb"], linewidth=2.4)
     for at, text in ((d_full, "task in full force"), (d_b, "buffer distance $d_b$")):
-        ax.axvline(at, color=SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
+        ax.axvline(at, color=style.SOFT, linewidth=1.2, linestyle=(0, (4, 3)), zorder=1)
         ax.annotate(
             text,
             (at, 0.5),
@@ -216,53 +196,57 @@ def figure_10(sources: Sources) -> Drawing:
         )
     ax.set(xlim=(0.0, 0.2), ylim=(-0.02, 1.05), xlabel="distance of the pair [m]")
     ax.set_ylabel(r"activation $\beta$ [–]")
-    return Drawing(
+    return drawing.Drawing(
         figure,
         {"": table},
         {"full_at_m": d_full, "zero_from_m": d_b, "largest_slope_per_m": 1.5 / (d_b - d_full)},
     )
 
 
-def _slice(sources: Sources, force: Force) -> Table:
+def _slice(sources: Sources, force: Force) -> drawing.Table:
     """The border at the hand's height, with its score."""
     points = sources.border.same_height(float(force.closest.p_b[2]))
-    return points_table(points, score_m4prad4=sources.field.score(points))
+    return drawing.points_table(points, score_m4prad4=sources.field.score(points))
 
 
-def _plan(ax: Axes, sources: Sources, force: Force, border: Table) -> PathCollection:
+def _plan(ax: Axes, sources: Sources, force: Force, border: drawing.Table) -> PathCollection:
     """Base, border, hand and force from above; returns what a colour bar shows."""
-    base_in_plan(ax, sources.model)
+    drawing.base_in_plan(ax, sources.model)
     score = border["score_m4prad4"]
-    shown = ax.scatter(border["x_m"], border["y_m"], c=score, s=7, cmap=SCORE_MAP, zorder=2)
-    look: dict[str, Any] = {"facecolor": PAIR_COLOURS["lm-lEE"], "alpha": 0.18, "linewidth": 0}
-    for name, mesh in placed_meshes(sources.model, (0.0, 0.0, 0.0), force.q_m):
+    shown = ax.scatter(border["x_m"], border["y_m"], c=score, s=7, cmap=style.SCORE_MAP, zorder=2)
+    look: dict[str, Any] = {
+        "facecolor": style.PAIR_COLOURS["lm-lEE"],
+        "alpha": 0.18,
+        "linewidth": 0,
+    }
+    for name, mesh in drawing.placed_meshes(sources.model, (0.0, 0.0, 0.0), force.q_m):
         if name == sources.pair.b:
             corners = mesh.vertices[:, :2]
             ax.add_patch(Polygon(corners[ConvexHull(corners).vertices], zorder=1, **look))
-    arrow(ax, force.acting.p_act, force.closest.p_b, ACTING)
+    drawing.arrow(ax, force.acting.p_act, force.closest.p_b, style.ACTING)
     return shown
 
 
 def _points(ax: Axes, force: Force, *names: str) -> None:
     """The points of Algorithm 3 with their names, or those that are named."""
     looks: dict[str, tuple[str, str, tuple[float, float]]] = {
-        "p_n": ("$p_n$", INK, (-18, 8)),
-        "p_t": ("$p_t$", SOFT, (8, 8)),
-        "p_act": ("$p_{act}$", ACTING, (8, -14)),
-        "p_b": ("$p_b$", PAIR_COLOURS["lm-lEE"], (6, -14)),
+        "p_n": ("$p_n$", style.INK, (-18, 8)),
+        "p_t": ("$p_t$", style.SOFT, (8, 8)),
+        "p_act": ("$p_{act}$", style.ACTING, (8, -14)),
+        "p_b": ("$p_b$", style.PAIR_COLOURS["lm-lEE"], (6, -14)),
     }
     for name, (text, colour, offset) in looks.items():
         if name in (names or looks):
             x, y, _ = force.points[name]
-            ax.plot(x, y, **marker_style(colour, size=8))
+            ax.plot(x, y, **style.marker_style(colour, size=8))
             place: dict[str, Any] = {"xytext": offset, "textcoords": "offset points"}
             ax.annotate(text, (x, y), fontsize=12, zorder=7, **place).set_in_layout(False)
 
 
-def _point_table(found: dict[str, Force]) -> Table:
+def _point_table(found: dict[str, Force]) -> drawing.Table:
     rows = [
         (step, name, *point, force.acting.alpha)
         for step, force in found.items()
         for name, point in force.points.items()
     ]
-    return table_of(("step", "point", "x_m", "y_m", "z_m", "alpha_m"), rows)
+    return drawing.table_of(("step", "point", "x_m", "y_m", "z_m", "alpha_m"), rows)

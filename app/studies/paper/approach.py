@@ -11,20 +11,12 @@ import trimesh
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from app.simulation.plants.door import BODY, Door, with_door
+from app.simulation.plants.door import BODY, Cabinet, Door, with_door
 from app.simulation.run import RunResult
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
 from app.simulation.snapshots import Camera, Photographer, Rgba, Solid
-from app.studies.paper.drawing import (
-    Drawing,
-    Strip,
-    Table,
-    framed,
-    method_lines,
-    placed_meshes,
-    snapshot_figure,
-    stacked,
-)
+from app.studies import style
+from app.studies.paper import drawing
 from app.studies.paper.experiments import (
     COMPARED,
     DOOR,
@@ -36,16 +28,6 @@ from app.studies.paper.experiments import (
     TRACKING_REPULSIVE,
     Experiment,
     Sources,
-)
-from app.studies.style import (
-    METHOD_NAMES,
-    PAIR_COLOURS,
-    PAIR_NAMES,
-    level,
-    new_figure,
-    panel_title,
-    picture,
-    time_axis,
 )
 
 Array = np.ndarray
@@ -60,57 +42,61 @@ _PAIRS = ("lm-lEE", "lm-l3")
 _MOTION = ("base_displacement_m", "base_yaw_rad", "contacts", "ee_error_final_m")
 
 
-@picture(
+@style.picture(
     "fig11", "Figure 11: the hand tracks a line towards the base", TRACKING, TRACKING_REPULSIVE
 )
-def figure_11(sources: Sources) -> Drawing:
+def figure_11(sources: Sources) -> drawing.Drawing:
     """With the proposed method a force moves the base back, and the hand reaches its target without
     a collision. The repulsive method pushes the arm away from the base: it avoids the collision,
     but the hand cannot reach the target.
     """
     strips = [
-        Strip(name, METHOD_NAMES[name], sources.runs[e], _TIMES, _VIEWS[LATERAL], e.aim())
+        drawing.Strip(
+            name, style.METHOD_NAMES[name], sources.runs[e], _TIMES, _VIEWS[LATERAL], e.aim()
+        )
         for name, e in _TRACKED.items()
     ]
-    return Drawing(
-        snapshot_figure(sources.model, strips, aim="target and desired motion"),
-        {"": stacked({strip.name: strip.paths() for strip in strips}, "controller")},
+    return drawing.Drawing(
+        drawing.snapshot_figure(sources.model, strips, aim="target and desired motion"),
+        {"": drawing.stacked({strip.name: strip.paths() for strip in strips}, "controller")},
         sources.figures(_TRACKED, _MOTION),
     )
 
 
-@picture("fig12", "Figure 12: distances and error while tracking", TRACKING, TRACKING_REPULSIVE)
-def figure_12(sources: Sources) -> Drawing:
+@style.picture(
+    "fig12", "Figure 12: distances and error while tracking", TRACKING, TRACKING_REPULSIVE
+)
+def figure_12(sources: Sources) -> drawing.Drawing:
     """(a) The distances fall below the buffer distance of 0.15 m, so that the avoidance task of
     each method is inserted continuously with top priority. (b) The repulsive method has a position
     error, the proposed one does not.
     """
     distances = [f"d_{pair}_m" for pair in _PAIRS]
     parts = _columns(sources, _TRACKED, "t_s", *distances, "ee_error_m")
-    table = stacked(parts, "controller")
-    figure = new_figure(6.4)
+    table = drawing.stacked(parts, "controller")
+    figure = style.new_figure(6.4)
     grid = figure.subplots(2, 2, sharex=True)
     grid[0][0].sharey(grid[0][1])
     for k, (ax, column) in enumerate(zip(grid[0], distances, strict=True)):
-        method_lines(ax, parts, column)
-        _distance_panel(ax, sources, f"a{k + 1}", PAIR_NAMES[_PAIRS[k]])
+        drawing.method_lines(ax, parts, column)
+        _distance_panel(ax, sources, f"a{k + 1}", style.PAIR_NAMES[_PAIRS[k]])
     shown = np.concatenate([table[column] for column in distances])
     grid[0][0].set_ylim(min(0.0, float(shown.min())), 1.1 * float(shown.max()))
     error, detail = grid[1]
     for k, ax in enumerate((error, detail)):
-        method_lines(ax, parts, "ee_error_m")
+        drawing.method_lines(ax, parts, "ee_error_m")
         ax.set_ylabel("position error [m]")
         text = ("norm of the position error", "the same on a logarithmic scale")[k]
-        panel_title(ax, f"b{k + 1}", text)
+        style.panel_title(ax, f"b{k + 1}", text)
     error.set_ylim(-0.02 * error.get_ylim()[1], None)  # a line at 0 stands clear of the axis
     detail.set_yscale("log")
     detail.set_ylim(max(1e-9, detail.get_ylim()[0]), None)
     for ax in grid.flat:
-        time_axis(ax, TRACKING.full().duration)
+        style.time_axis(ax, TRACKING.full().duration)
     for ax in grid[0]:
         ax.set_xlabel("")
     grid[0][0].legend(loc="lower left")
-    return Drawing(
+    return drawing.Drawing(
         figure,
         {"": table},
         sources.figures(_TRACKED, ("min_clearance_m", "ee_error_max_m", "ee_error_final_m")),
@@ -121,8 +107,8 @@ def figure_12(sources: Sources) -> Drawing:
     )
 
 
-@picture("fig13", "Figure 13: a person leads the hand towards the base", LATERAL, FRONT)
-def figure_13(sources: Sources) -> Drawing:
+@style.picture("fig13", "Figure 13: a person leads the hand towards the base", LATERAL, FRONT)
+def figure_13(sources: Sources) -> drawing.Drawing:
     """(a) From the lateral direction the collision is avoided by a force on the base. (b) From the
     front the base moves back as the arm approaches.
     """
@@ -130,59 +116,59 @@ def figure_13(sources: Sources) -> Drawing:
     for name, e in DIRECTIONS.items():
         times = [round(share * e.full().duration, 1) for share in _SHARES]
         text = f"guided from the {name} direction"
-        strips.append(Strip(name, text, sources.runs[e], times, _VIEWS[e], e.aim()))
-    return Drawing(
-        snapshot_figure(sources.model, strips, aim="guiding direction and its end"),
-        {"": stacked({strip.name: strip.paths() for strip in strips}, "direction")},
+        strips.append(drawing.Strip(name, text, sources.runs[e], times, _VIEWS[e], e.aim()))
+    return drawing.Drawing(
+        drawing.snapshot_figure(sources.model, strips, aim="guiding direction and its end"),
+        {"": drawing.stacked({strip.name: strip.paths() for strip in strips}, "direction")},
         sources.figures(DIRECTIONS, _MOTION),
     )
 
 
-@picture("fig14", "Figure 14: distances and activation while guiding", LATERAL, FRONT)
-def figure_14(sources: Sources) -> Drawing:
+@style.picture("fig14", "Figure 14: distances and activation while guiding", LATERAL, FRONT)
+def figure_14(sources: Sources) -> drawing.Drawing:
     """As a distance falls below the buffer distance of 0.15 m its activation rises, and the
     avoidance task is inserted continuously.
     """
     columns = ("t_s", *(f"d_{p}_m" for p in _PAIRS), *(f"beta_{p}" for p in _PAIRS))
     parts = _columns(sources, DIRECTIONS, *columns)
-    figure = new_figure(6.2)
+    figure = style.new_figure(6.2)
     grid = figure.subplots(2, 2, sharex="col", sharey="row")
     for k, (name, part) in enumerate(parts.items()):
         distance, activation = grid[:, k]
         for pair in _PAIRS:
-            style = {"color": PAIR_COLOURS[pair], "label": PAIR_NAMES[pair]}
-            distance.plot(part["t_s"], part[f"d_{pair}_m"], **style)
-            activation.plot(part["t_s"], part[f"beta_{pair}"], **style)
+            line = {"color": style.PAIR_COLOURS[pair], "label": style.PAIR_NAMES[pair]}
+            distance.plot(part["t_s"], part[f"d_{pair}_m"], **line)
+            activation.plot(part["t_s"], part[f"beta_{pair}"], **line)
         _distance_panel(distance, sources, f"a{k + 1}", f"distances, {name} direction")
-        panel_title(activation, f"b{k + 1}", f"activation, {name} direction")
-        time_axis(activation, DIRECTIONS[name].full().duration)
+        style.panel_title(activation, f"b{k + 1}", f"activation, {name} direction")
+        style.time_axis(activation, DIRECTIONS[name].full().duration)
     grid[0][1].set_ylabel("")
     grid[0][0].set_ylim(0.0, None)
     grid[1][0].set_ylabel(r"activation $\beta$ [–]")
     grid[1][0].set_ylim(-0.02, 1.02)
     _legend_below(figure, grid[0][0])
     keys = ("min_clearance_m", "contacts", "activation_max", "ee_error_final_m")
-    return Drawing(
+    return drawing.Drawing(
         figure,
-        {"": stacked(parts, "direction")},
+        {"": drawing.stacked(parts, "direction")},
         sources.figures(DIRECTIONS, keys),
     )
 
 
-@picture("fig15", "Figure 15: desired accelerations of the base while guiding", *COMPARED)
-def figure_15(sources: Sources) -> Drawing:
+@style.picture("fig15", "Figure 15: desired accelerations of the base while guiding", *COMPARED)
+def figure_15(sources: Sources) -> drawing.Drawing:
     """The desired linear (a) and angular (b) accelerations of the base, times the activation, are
     smooth: no chattering or vibration, because the task transition is continuous.
     """
-    figure = new_figure(6.2)
+    figure = style.new_figure(6.2)
     grid = figure.subplots(2, 2, sharex="col", sharey="row")
     for k, name in enumerate(DIRECTIONS):
         parts = {m: _asked(sources.runs[GUIDING[m][name]], m) for m in reversed(GUIDING)}
         for ax, letter, kind in zip(grid[:, k], "ab", ("linear", "angular"), strict=True):
             unit = "mps2" if kind == "linear" else "radps2"
-            method_lines(ax, parts, f"{kind}_{unit}", linewidth=1.6)
-            panel_title(ax, f"{letter}{k + 1}", f"{kind}, {name} direction")
-        time_axis(grid[1][k], DIRECTIONS[name].full().duration)
+            drawing.method_lines(ax, parts, f"{kind}_{unit}", linewidth=1.6)
+            style.panel_title(ax, f"{letter}{k + 1}", f"{kind}, {name} direction")
+        style.time_axis(grid[1][k], DIRECTIONS[name].full().duration)
     grid[0][0].set_ylabel(r"$\beta_m\,\dot v_d$ [m/s²]")
     grid[1][0].set_ylabel(r"$\beta_m\,\dot\omega_d$ [rad/s²]")
     _legend_below(figure, grid[0][0])
@@ -191,9 +177,13 @@ def figure_15(sources: Sources) -> Drawing:
         for method, by_direction in GUIDING.items()
         for name, experiment in by_direction.items()
     }
-    return Drawing(
+    return drawing.Drawing(
         figure,
-        {"": stacked({n: _asked(*run) for n, run in runs.items()}, "direction and controller")},
+        {
+            "": drawing.stacked(
+                {n: _asked(*run) for n, run in runs.items()}, "direction and controller"
+            )
+        },
         {name: _smoothness(*run) for name, run in runs.items()},
         [
             "With the border as the paper's points the acting point jumps from point to point, "
@@ -219,7 +209,7 @@ def _smoothness(run: RunResult, method: str) -> dict[str, object]:
     return {key: run.figures[key] for key in keys}
 
 
-def _asked(run: RunResult, method: str) -> Table:
+def _asked(run: RunResult, method: str) -> drawing.Table:
     """What avoidance asks of the base; for the repulsive method, all that is asked of it."""
     kind = "base" if method == "repulsive" else "avoidance"
     return {
@@ -231,9 +221,9 @@ def _asked(run: RunResult, method: str) -> Table:
 
 def _distance_panel(ax: Axes, sources: Sources, letter: str, title: str) -> None:
     """What each panel of distances [m] has."""
-    level(ax, sources.config.border.d_b, "buffer distance $d_b$")
+    style.level(ax, sources.config.border.d_b, "buffer distance $d_b$")
     ax.set_ylabel("distance [m]")
-    panel_title(ax, letter, title)
+    style.panel_title(ax, letter, title)
 
 
 def _legend_below(figure: Figure, ax: Axes) -> None:
@@ -241,7 +231,9 @@ def _legend_below(figure: Figure, ax: Axes) -> None:
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
 
 
-def _columns(sources: Sources, by_name: dict[str, Experiment], *columns: str) -> dict[str, Table]:
+def _columns(
+    sources: Sources, by_name: dict[str, Experiment], *columns: str
+) -> dict[str, drawing.Table]:
     return {name: {c: sources.runs[e].trace[c] for c in columns} for name, e in by_name.items()}
 
 
@@ -250,7 +242,6 @@ _DOORS = {"dbb": DOOR, "none": DOOR_NONE}
 _DOOR_TIMES = (0.0, 20.0, 30.0, 40.0)  # [s] of the snapshots: when the paper says something
 _DOOR_VIEW = 2.35  # [rad] from the closed door's direction to the camera, on its free edge's side
 _DOOR_PITCH = 0.55  # [rad]
-_DEPTH = 0.60  # [m] of the refrigerator's body
 _BODY_COLOUR: Rgba = (0.82, 0.85, 0.88, 1.0)
 _DOOR_COLOUR: Rgba = (0.93, 0.95, 0.97, 1.0)
 _HANDLE_COLOUR: Rgba = (0.35, 0.38, 0.42, 1.0)
@@ -269,8 +260,8 @@ _OF_DOOR = (
 )
 
 
-@picture("fig16", "Figure 16: the refrigerator", DOOR)
-def figure_16(sources: Sources) -> Drawing:
+@style.picture("fig16", "Figure 16: the refrigerator", DOOR)
+def figure_16(sources: Sources) -> drawing.Drawing:
     """The end-effector holds the door without any relative motion; the door, modelled by a
     hyper-ellipsoid, can collide with the mobile robot.
     """
@@ -279,9 +270,9 @@ def figure_16(sources: Sources) -> Drawing:
     solids = refrigerator(run, 0)
     shapes = collision_shapes(sources, run)
     start = Camera(np.zeros(3), 6.0, *_door_view(door), 780, 640)
-    bodies = placed_meshes(sources.model, pose, q_m)
-    camera = framed(start, [mesh for _, mesh in bodies] + [solid.mesh for solid in solids])
-    figure = new_figure(4.9)
+    bodies = drawing.placed_meshes(sources.model, pose, q_m)
+    camera = drawing.framed(start, [mesh for _, mesh in bodies] + [solid.mesh for solid in solids])
+    figure = style.new_figure(4.9)
     grid = figure.subplots(1, 2)
     with closing(Photographer(sources.model)) as photographer:
         pictures = (
@@ -292,14 +283,14 @@ def figure_16(sources: Sources) -> Drawing:
     for ax, letter, text, shot in zip(grid, "ab", texts, pictures, strict=True):
         ax.imshow(shot.rgb)
         ax.set_axis_off()
-        panel_title(ax, letter, text)
+        style.panel_title(ax, letter, text)
     superquadric = door.superquadric(pin.SE3.Identity())
     table = {
         "axis": np.array(["thickness", "width", "height"]),
         "door_m": np.array(door.size),
         "semi_axis_m": np.array(superquadric.semi_axes_m),
     }
-    return Drawing(
+    return drawing.Drawing(
         figure,
         {"": table},
         {
@@ -313,8 +304,8 @@ def figure_16(sources: Sources) -> Drawing:
     )
 
 
-@picture("fig17", "Figure 17: opening a refrigerator", DOOR, DOOR_NONE)
-def figure_17(sources: Sources) -> Drawing:
+@style.picture("fig17", "Figure 17: opening a refrigerator", DOOR, DOOR_NONE)
+def figure_17(sources: Sources) -> drawing.Drawing:
     """(a) With obstacle avoidance the mobile robot moves back and turns clockwise as the door comes
     closer. (b) Without it the door collides with the mobile robot at 30 s.
     """
@@ -322,35 +313,35 @@ def figure_17(sources: Sources) -> Drawing:
     for name, experiment in _DOORS.items():
         run = sources.runs[experiment]
         look = {"solids": partial(refrigerator, run), "marks": arc(run)}
-        strips.append(Strip(name, METHOD_NAMES[name], run, _DOOR_TIMES, view, **look))
+        strips.append(drawing.Strip(name, style.METHOD_NAMES[name], run, _DOOR_TIMES, view, **look))
     paths = {strip.name: strip.paths("door_angle_rad") for strip in strips}
-    return Drawing(
-        snapshot_figure(sources.model, strips, marks="arc of the door's edge"),
-        {"": stacked(paths, "controller")},
+    return drawing.Drawing(
+        drawing.snapshot_figure(sources.model, strips, marks="arc of the door's edge"),
+        {"": drawing.stacked(paths, "controller")},
         sources.figures(_DOORS, _OF_DOOR),
     )
 
 
-@picture("fig18", "Figure 18: distance of the door and activation", DOOR, DOOR_NONE)
-def figure_18(sources: Sources) -> Drawing:
+@style.picture("fig18", "Figure 18: distance of the door and activation", DOOR, DOOR_NONE)
+def figure_18(sources: Sources) -> drawing.Drawing:
     """As the distance between door and mobile robot falls below the buffer distance, the avoidance
     task is inserted continuously.
     """
     columns = ("t_s", f"d_lm-{BODY}_m", f"beta_lm-{BODY}")
     parts = _columns(sources, _DOORS, *columns)
-    figure = new_figure(3.6)
+    figure = style.new_figure(3.6)
     distance, activation = figure.subplots(1, 2)
     for ax, column in zip((distance, activation), columns[1:], strict=True):
-        method_lines(ax, dict(reversed(parts.items())), column)
-        time_axis(ax, DOOR.full().duration)
+        drawing.method_lines(ax, dict(reversed(parts.items())), column)
+        style.time_axis(ax, DOOR.full().duration)
     _distance_panel(distance, sources, "a", "distance between door and base")
-    level(distance, 0.0, "contact")
+    style.level(distance, 0.0, "contact")
     activation.set_ylabel(r"activation $\beta$ [–]")
-    panel_title(activation, "b", "activation")
+    style.panel_title(activation, "b", "activation")
     distance.legend(loc="upper right")
-    return Drawing(
+    return drawing.Drawing(
         figure,
-        {"": stacked(parts, "controller")},
+        {"": drawing.stacked(parts, "controller")},
         sources.figures(_DOORS, _OF_DOOR),
         ["Without avoidance the activation is computed but nothing is inserted."],
     )
@@ -359,8 +350,7 @@ def figure_18(sources: Sources) -> Drawing:
 def refrigerator(run: RunResult, k: int) -> list[Solid]:
     """The refrigerator's body, its door and handle, as they stand in a row of the log."""
     door = _door()
-    closed, opened = door.pose(0.0), door.pose(float(run.trace["door_angle_rad"][k]))
-    behind = door.centre + np.array([(door.thickness + _DEPTH) / 2 + 0.005, 0.0, 0.0])
+    cabinet, opened = Cabinet(door), door.pose(float(run.trace["door_angle_rad"][k]))
     handle = np.array(
         [
             -door.thickness / 2 - door.handle_reach / 2,
@@ -369,14 +359,11 @@ def refrigerator(run: RunResult, k: int) -> list[Solid]:
         ]
     )
     parts = (
-        ((_DEPTH, door.width, door.height), closed, behind, _BODY_COLOUR),
-        (door.size, opened, door.centre, _DOOR_COLOUR),
-        ((door.handle_reach, 0.025, 0.24), opened, handle, _HANDLE_COLOUR),
+        (cabinet.size, cabinet.T_world, _BODY_COLOUR),
+        (door.size, opened * cabinet.T_centre, _DOOR_COLOUR),
+        ((door.handle_reach, 0.025, 0.24), opened * pin.SE3(np.eye(3), handle), _HANDLE_COLOUR),
     )
-    return [
-        Solid(trimesh.creation.box(size, (pose * pin.SE3(np.eye(3), at)).homogeneous), colour)
-        for size, pose, at, colour in parts
-    ]
+    return [Solid(trimesh.creation.box(size, T.homogeneous), colour) for size, T, colour in parts]
 
 
 def collision_shapes(sources: Sources, run: RunResult) -> list[Solid]:
@@ -394,7 +381,7 @@ def collision_shapes(sources: Sources, run: RunResult) -> list[Solid]:
     holding, _ = with_door(model, sources.data, door, T_door)
     return [
         Solid(mesh, _MAGENTA if name == BODY else _SHAPE_COLOUR)
-        for name, mesh in placed_meshes(holding, pose, q_m)
+        for name, mesh in drawing.placed_meshes(holding, pose, q_m)
     ]
 
 

@@ -103,12 +103,7 @@ def held(
 ) -> Finding:
     """A number against its bounds; one that is missing does not hold.
 
-    Args:
-        text: What it is.
-        key: Its name among the values, with its unit.
-        value: The number.
-        least: What it may not be smaller than.
-        most: What it may not be larger than.
+    The key is its name among the values and ends in its unit.
     """
     limits = tuple(limit for limit in (least, most) if limit is not None)
     if least is not None and most is not None:

@@ -17,24 +17,9 @@ from app.border.surface import BorderPoints, BorderSurface
 from app.robot.link_pairs import Closest
 from app.simulation.run import run_planned
 from app.simulation.session import DT
-from app.studies.paper.drawing import (
-    Drawing,
-    Table,
-    base_in_plan,
-    points_table,
-    square_around,
-    stacked,
-    table_of,
-)
+from app.studies import style
+from app.studies.paper import drawing
 from app.studies.paper.experiments import GUIDING, LATERAL, Sources
-from app.studies.style import (
-    METHOD_COLOURS,
-    PAIR_COLOURS,
-    level,
-    new_figure,
-    panel_title,
-    picture,
-)
 
 Array = np.ndarray
 
@@ -46,7 +31,7 @@ FINER = 10
 """[-] how much finer the path is sampled for the ratio that tells a jump from a motion."""
 LONGEST = 4.0
 """[s] of the path on which points and surface are compared."""
-_COLOURS = {"points": "#D55E00", "surface": METHOD_COLOURS["dbb"]}
+_COLOURS = {"points": "#D55E00", "surface": style.METHOD_COLOURS["dbb"]}
 _NAMES = {"points": f"border of {PAPERS_COUNT:,} points", "surface": "border as a surface"}
 _LEAST = 1e-9  # [m] where the logarithmic axis ends; smaller steps are drawn there
 _ZOOM = 0.03  # [m] around what is drawn in plan
@@ -57,15 +42,15 @@ _SHAPES = {"points": BorderPoints, "surface": BorderSurface}
 _MEASURED = ("jump_max_m", "jump_p99_m", "find_p50_us")
 
 
-@picture("density", "§4.3: density of the border", LATERAL)
-def figure_density(sources: Sources) -> Drawing:
+@style.picture("density", "§4.3: density of the border", LATERAL)
+def figure_density(sources: Sources) -> drawing.Drawing:
     """The denser the border, the costlier the search and the smaller the jumps of the acting point;
     about 50,000 points suit a control rate of 1 kHz.
     """
     table = trade_off(sources)
-    figure = new_figure(3.6)
+    figure = style.new_figure(3.6)
     jump, cost = figure.subplots(1, 2)
-    look = {"color": METHOD_COLOURS["points"]}
+    look = {"color": style.METHOD_COLOURS["points"]}
     for ax, column, label in (
         (jump, "jump_max_m", "largest jump in a control step [m]"),
         (cost, "find_p50_us", "median time of a search [µs]"),
@@ -77,7 +62,7 @@ def figure_density(sources: Sources) -> Drawing:
         )
         surface, name = float(values["surface"][0]), "as a continuous surface (used here)"
         if ax is jump:
-            level(ax, surface, name)
+            style.level(ax, surface, name)
         else:
             ax.axhline(surface, color="grey", linestyle=":", label=name)
         ax.set_xscale("log")
@@ -85,8 +70,8 @@ def figure_density(sources: Sources) -> Drawing:
         ax.set(xlabel="points of the border [–]", ylabel=label)
         ax.set_xticks(counts, [f"{n / 1000:.0f}k" for n in counts])
         ax.minorticks_off()
-    panel_title(jump, "", "jumps of the acting point")
-    panel_title(cost, "", "cost of the acting point")
+    style.panel_title(jump, "", "jumps of the acting point")
+    style.panel_title(cost, "", "cost of the acting point")
     jump.legend(loc="upper right")
     cost.legend(loc="upper left")
     rows = {
@@ -95,7 +80,7 @@ def figure_density(sources: Sources) -> Drawing:
         }
         for k, (kind, n) in enumerate(zip(table["border"], table["points"].tolist(), strict=True))
     }
-    return Drawing(
+    return drawing.Drawing(
         figure,
         {"": table},
         rows,
@@ -104,7 +89,7 @@ def figure_density(sources: Sources) -> Drawing:
 
 
 @cache
-def trade_off(sources: Sources) -> Table:
+def trade_off(sources: Sources) -> drawing.Table:
     """For each number of points, and for the surface: the jumps of p_act, the time of a search."""
     path, whole = hand_in_buffer(sources), len(sources.border)
     counts = [n for n in COUNTS if n < whole] + [whole]
@@ -113,7 +98,7 @@ def trade_off(sources: Sources) -> Table:
         for count in [whole] if kind == "surface" else counts:
             finder = sources.finder(shape, thinned(sources.border, count))
             rows.append((kind, count, *jump_and_cost(sources, finder, path)))
-    return table_of(("border", "points", *_MEASURED), rows)
+    return drawing.table_of(("border", "points", *_MEASURED), rows)
 
 
 @cache
@@ -170,8 +155,8 @@ def jump_and_cost(
     return float(jumps.max()), float(np.percentile(jumps, 99)), 1e6 * float(np.median(times))
 
 
-@picture("continuity", "§4.3: a continuous border", LATERAL)
-def figure_continuity(sources: Sources) -> Drawing:
+@style.picture("continuity", "§4.3: a continuous border", LATERAL)
+def figure_continuity(sources: Sources) -> drawing.Drawing:
     """Among points the acting point jumps from one to the next as the hand moves, a trade-off
     against the cost of more points.
     """
@@ -183,15 +168,15 @@ def figure_continuity(sources: Sources) -> Drawing:
     coarse, fine = (hand_path_in_buffer(sources, dt) for dt in (DT, DT / FINER))
     found = {kind: acting_path(sources, finder, *coarse) for kind, finder in finders.items()}
     finer = {kind: acting_path(sources, finder, *fine) for kind, finder in finders.items()}
-    figure = new_figure(4.6)
+    figure = style.new_figure(4.6)
     plan, steps = figure.subplots(1, 2, width_ratios=(1, 1.35))
-    panel_title(plan, "", "the acting point in plan")
-    panel_title(steps, "", "its motion in each control step")
+    style.panel_title(plan, "", "the acting point in plan")
+    style.panel_title(steps, "", "its motion in each control step")
     for kind, along in found.items():
-        style = "." if kind == "points" else "-"
+        mark = "." if kind == "points" else "-"
         look: dict[str, Any] = {"color": _COLOURS[kind], "label": _NAMES[kind]}
         place = along["p_act_x_m"], along["p_act_y_m"]
-        plan.plot(*place, style, markersize=4, linewidth=2.2, **look)
+        plan.plot(*place, mark, markersize=4, linewidth=2.2, **look)
         change = np.maximum(along["p_act_step_m"][1:], _LEAST)
         steps.plot(along["t_s"][1:], change, linewidth=0.9, **look)
     _base_and_hand(plan, sources, found["surface"])
@@ -200,9 +185,9 @@ def figure_continuity(sources: Sources) -> Drawing:
     steps.set(xlabel="time [s]", ylabel="change of the acting point in 1 ms [m]")
     steps.set_xlim(float(coarse[0][0]), float(coarse[0][-1]))
     steps.legend(loc="lower right", fontsize=9)
-    return Drawing(
+    return drawing.Drawing(
         figure,
-        {"": stacked(found, "border")},
+        {"": drawing.stacked(found, "border")},
         _measured(found, finer),
         [
             "The same hand path each time, that of the lateral guiding while the hand is in its "
@@ -237,7 +222,7 @@ def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Closes
 
 def acting_path(
     sources: Sources, finder: ActingPointFinder, t: Array, path: list[Closest]
-) -> Table:
+) -> drawing.Table:
     """The acting point along the hand's path, and the acceleration that its force asks of the base.
 
     Each has its time t (N,) [s], the closest point p_b on the hand, the acting point, and how far
@@ -250,8 +235,8 @@ def acting_path(
     linear, angular = np.array(xdd_m).T
     return {
         "t_s": t,
-        **points_table(np.array([closest.p_b for closest in path]), "p_b_"),
-        **points_table(p_act, "p_act_"),
+        **drawing.points_table(np.array([closest.p_b for closest in path]), "p_b_"),
+        **drawing.points_table(p_act, "p_act_"),
         "p_act_step_m": np.concatenate([[np.nan], step_sizes(p_act)]),
         "base_a_mps2": linear,
         "base_aw_radps2": angular,
@@ -263,7 +248,7 @@ def step_sizes(values: Array) -> Array:
     return np.linalg.norm(np.diff(values, axis=0), axis=1)
 
 
-def _measured(found: dict[str, Table], finer: dict[str, Table]) -> dict[str, Any]:
+def _measured(found: dict[str, drawing.Table], finer: dict[str, drawing.Table]) -> dict[str, Any]:
     """Largest steps of the acting point, how they shrink on the finer path, and accelerations."""
     result: dict[str, Any] = {}
     for kind, along in found.items():
@@ -289,16 +274,16 @@ def _measured(found: dict[str, Table], finer: dict[str, Table]) -> dict[str, Any
     return result
 
 
-def _base_and_hand(ax: Axes, sources: Sources, along: Table) -> None:
+def _base_and_hand(ax: Axes, sources: Sources, along: drawing.Table) -> None:
     """The base's outline, the closest point's path, and the window around both paths."""
-    base_in_plan(ax, sources.model)
+    drawing.base_in_plan(ax, sources.model)
     ax.plot(
         along["p_b_x_m"],
         along["p_b_y_m"],
-        color=PAIR_COLOURS["lm-lEE"],
+        color=style.PAIR_COLOURS["lm-lEE"],
         linewidth=1.6,
         linestyle=(0, (3, 2)),
         label="closest point of the hand",
     )
     x, y = (np.concatenate([along[f"{p}_{axis}_m"] for p in ("p_b", "p_act")]) for axis in "xy")
-    square_around(ax, np.column_stack([x, y]), _ZOOM)
+    drawing.square_around(ax, np.column_stack([x, y]), _ZOOM)

@@ -23,19 +23,8 @@ from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
 from app.simulation.run import RunResult
 from app.simulation.snapshots import Camera, Photographer, Picture, Solid
+from app.studies import style
 from app.studies.runs import write_table
-from app.studies.style import (
-    HAND,
-    METHOD_COLOURS,
-    METHOD_NAMES,
-    PATH,
-    SOFT,
-    TARGET,
-    WIDTH,
-    marker_style,
-    new_figure,
-    png_of,
-)
 from app.system import write_whole
 
 Array = np.ndarray
@@ -68,7 +57,7 @@ class Drawing:
         """Write PNG and CSVs into a folder; returns their paths, the PNG first."""
         picture = folder / f"{name}.png"
         self.figure.suptitle(title, x=0.01, ha="left", fontsize=13)
-        write_whole(picture, png_of(self.figure))
+        write_whole(picture, style.png_of(self.figure))
         paths = [picture]
         for suffix, table in self.tables.items():
             paths.append(folder / (f"{name}_{suffix}.csv" if suffix else f"{name}.csv"))
@@ -96,7 +85,7 @@ def table_of(names: Sequence[str], rows: Iterable[Sequence[Any]]) -> Table:
 def method_lines(ax: Axes, parts: dict[str, Table], column: str, **line: Any) -> None:
     """A column over time for each method."""
     for name, part in parts.items():
-        look = {"color": METHOD_COLOURS[name], "label": METHOD_NAMES[name], **line}
+        look = {"color": style.METHOD_COLOURS[name], "label": style.METHOD_NAMES[name], **line}
         ax.plot(part["t_s"], part[column], **look)
 
 
@@ -116,8 +105,8 @@ def plan_axes(ax: Axes) -> None:
 
 def base_in_plan(ax: Axes, model: RobotModel) -> None:
     """The base from above, in its own frame, with its wheel axis."""
-    ax.add_patch(Polygon(base_corners(model)[:4, :2], facecolor="#EEF1F4", edgecolor=SOFT))
-    ax.axvline(0.0, color=SOFT, linewidth=1.0, linestyle=(0, (1, 2)), zorder=1)
+    ax.add_patch(Polygon(base_corners(model)[:4, :2], facecolor="#EEF1F4", edgecolor=style.SOFT))
+    ax.axvline(0.0, color=style.SOFT, linewidth=1.0, linestyle=(0, (1, 2)), zorder=1)
     plan_axes(ax)
 
 
@@ -191,8 +180,8 @@ def snapshot_figure(
     model: RobotModel, strips: Sequence[Strip], *, aim: str = "", marks: str = ""
 ) -> Figure:
     """Rows of snapshots, (a), (b) and so on; what arrows and lines on the floor are, if any."""
-    height = len(strips) * (WIDTH / COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
-    figure = new_figure(height)
+    height = len(strips) * (style.WIDTH / COLUMNS * _PIXELS[1] / _PIXELS[0] + 0.5) + 0.35
+    figure = style.new_figure(height)
     rows = figure.subfigures(len(strips), 1, squeeze=False)[:, 0]
     cameras = {s.view: _camera(model, [x for x in strips if x.view == s.view]) for s in strips}
     with closing(Photographer(model)) as photographer:
@@ -201,14 +190,14 @@ def snapshot_figure(
             for ax, t in zip(part.subplots(1, COLUMNS), strip.times, strict=True):
                 _panel(ax, model, strip, cameras[strip.view], photographer, t)
     keys = [
-        Line2D([], [], color=SOFT, linestyle="--", label="where the base began"),
-        Line2D([], [], color=PATH, label="path of the base's centre"),
-        Line2D([], [], color=HAND, label="path of the hand"),
+        Line2D([], [], color=style.SOFT, linestyle="--", label="where the base began"),
+        Line2D([], [], color=style.PATH, label="path of the base's centre"),
+        Line2D([], [], color=style.HAND, label="path of the hand"),
     ]
     if aim:
-        keys.append(Line2D([], [], label=aim, **marker_style(TARGET)))
+        keys.append(Line2D([], [], label=aim, **style.marker_style(style.TARGET)))
     if marks:
-        keys.append(Line2D([], [], color=TARGET, linestyle=":", label=marks))
+        keys.append(Line2D([], [], color=style.TARGET, linestyle=":", label=marks))
     place = {"loc": "outside lower center", "ncols": len(keys), "handlelength": 2.2}
     figure.legend(handles=keys, fontsize=10, **place)
     return figure
@@ -239,16 +228,16 @@ def _panel(
     begin = corners[[0, 1, 2, 3, 0]] @ pin.utils.rotate("z", yaw).T + [x, y, 0.0]
     _on_floor(ax, picture, begin, color="#616E7C", linewidth=1.2, linestyle="--")
     if strip.marks is not None:
-        _on_floor(ax, picture, strip.marks, color=TARGET, linewidth=1.6, linestyle=":")
+        _on_floor(ax, picture, strip.marks, color=style.TARGET, linewidth=1.6, linestyle=":")
     centre = np.column_stack([poses[past, :2], np.full(past.sum(), corners[:, 2].max())])
-    for points, colour in ((centre, PATH), (log.of("p_ee")[past], HAND)):
+    for points, colour in ((centre, style.PATH), (log.of("p_ee")[past], style.HAND)):
         line = {"color": colour, "linewidth": 2.2, "path_effects": _CASING, "zorder": 4}
         ax.plot(*picture.pixels(points).T, **line)
-    ax.plot(*picture.pixels(centre[-1:]).T, **marker_style(PATH, size=5))
+    ax.plot(*picture.pixels(centre[-1:]).T, **style.marker_style(style.PATH, size=5))
     if strip.aim is not None:
         start, end = picture.pixels(strip.aim)
-        arrow(ax, start, end, TARGET, linewidth=1.6, shrinkB=3, mutation_scale=11)
-        ax.plot(*end, **marker_style(TARGET, size=7))
+        arrow(ax, start, end, style.TARGET, linewidth=1.6, shrinkB=3, mutation_scale=11)
+        ax.plot(*end, **style.marker_style(style.TARGET, size=7))
     ax.set_xlim(-0.5, _PIXELS[0] - 0.5)
     ax.set_ylim(_PIXELS[1] - 0.5, -0.5)
 

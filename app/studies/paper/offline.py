@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,26 +14,12 @@ from scipy import ndimage
 from app.border.reach.map import PEAK, ReachMap, load_reach_map
 from app.border.score import fit_reachability, radial_profile
 from app.robot.model import RobotModel
-from app.studies.paper.drawing import (
-    Drawing,
-    Table,
-    base_corners,
-    plan_axes,
-    points_table,
-    stacked,
-)
+from app.studies import style
+from app.studies.paper import drawing
 from app.studies.paper.experiments import Sources
-from app.studies.style import (
-    METHOD_COLOURS,
-    PAIR_COLOURS,
-    PAIR_NAMES,
-    SCORE_MAP,
-    new_figure,
-    panel_title,
-    picture,
-)
 
 Array = np.ndarray
+_Reach = Callable[[Array], Array]
 
 _SHOWN = 12_000  # [-] points of a cloud in a picture; more would only cover each other
 _FACES = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
@@ -40,31 +27,31 @@ _LEVELS = 25.0, 50.0, 75.0  # [-] of the reachability whose shells are drawn
 _SMOOTH = 1.0  # [-] steps of the lattice over which the counts of few poses are averaged
 
 
-@picture("fig3", "Figure 3: sampled points and distance buffer borders")
-def figure_3(sources: Sources) -> Drawing:
+@style.picture("fig3", "Figure 3: sampled points and distance buffer borders")
+def figure_3(sources: Sources) -> drawing.Drawing:
     """(a) The sampled points of the arm's links lie around the mobile robot. (b) Those at the
     buffer distance of 0.15 m, within 0.01 m, are the distance buffer borders.
     """
     rng = np.random.default_rng(0)
-    parts: dict[str, Table] = {}
+    parts: dict[str, drawing.Table] = {}
     counts: dict[str, object] = {}
     for pair in sources.data.pairs.mobile:
         cloud, border = sources.data.clouds[pair.name], sources.border_of(pair)
-        parts[f"P {pair.name}"] = points_table(cloud.points_m_at(_some(len(cloud), rng)))
-        parts[f"DBB {pair.name}"] = points_table(border.points[_some(len(border), rng)])
+        parts[f"P {pair.name}"] = drawing.points_table(cloud.points_m_at(_some(len(cloud), rng)))
+        parts[f"DBB {pair.name}"] = drawing.points_table(border.points[_some(len(border), rng)])
         counts[pair.name] = {"points_P": len(cloud), "points_DBB": len(border)}
-    figure = new_figure(7.6)
+    figure = style.new_figure(7.6)
     for k, (name, part) in enumerate(parts.items()):
         kind, pair_name = name.split()
         place = 2, 2, 1 + 2 * (k % 2) + k // 2
         ax = figure.add_subplot(*place, projection="3d")
         _view(ax, sources.model, parts["P lm-lEE"], 1.05)
-        _scatter(ax, part, color=PAIR_COLOURS[pair_name], alpha=0.25 if kind == "P" else 0.5)
+        _scatter(ax, part, color=style.PAIR_COLOURS[pair_name], alpha=0.25 if kind == "P" else 0.5)
         letter, symbol = {"P": ("a", r"$\mathcal{P}_i$"), "DBB": ("b", r"$\mathcal{DBB}_i$")}[kind]
-        panel_title(ax, f"{letter}{k // 2 + 1}", f"{symbol} of {PAIR_NAMES[pair_name]}")
-    return Drawing(
+        style.panel_title(ax, f"{letter}{k // 2 + 1}", f"{symbol} of {style.PAIR_NAMES[pair_name]}")
+    return drawing.Drawing(
         figure,
-        {"": stacked(parts, "set")},
+        {"": drawing.stacked(parts, "set")},
         {
             "buffer_distance_m": sources.config.border.d_b,
             "tolerance_m": sources.config.border.eps,
@@ -74,8 +61,8 @@ def figure_3(sources: Sources) -> Drawing:
     )
 
 
-@picture("fig5", "Figure 5: score of the border of the hand")
-def figure_5(sources: Sources) -> Drawing:
+@style.picture("fig5", "Figure 5: score of the border of the hand")
+def figure_5(sources: Sources) -> drawing.Drawing:
     """(a) The determinant is symmetric about the X-axis and vanishes on the wheel axis. (b) The
     reachability depends on the distance from the arm's mount alone. (c) Their product, signed by x,
     has one global maximum, in front.
@@ -87,18 +74,18 @@ def figure_5(sources: Sources) -> Drawing:
         "reachability": field.reachability(points),
         "score_m4prad4": field.score(points),
     }
-    table = points_table(points) | values
+    table = drawing.points_table(points) | values
     labels = (r"$\det(J_c J_c^T)$ [m⁴/rad⁴]", r"$\mathcal{R}$ [–]", r"$\mathcal{S}$ [m⁴/rad⁴]")
-    figure = new_figure(4.8)
+    figure = style.new_figure(4.8)
     for k, (column, label) in enumerate(zip(values, labels, strict=True)):
         ax = figure.add_subplot(1, 3, k + 1, projection="3d")
         _view(ax, sources.model, table, 0.9)
-        shown = _scatter(ax, table, c=table[column], cmap=SCORE_MAP)
-        panel_title(ax, "abc"[k], ("determinant", "reachability", "score")[k])
+        shown = _scatter(ax, table, c=table[column], cmap=style.SCORE_MAP)
+        style.panel_title(ax, "abc"[k], ("determinant", "reachability", "score")[k])
         bar = figure.colorbar(shown, ax=ax, label=label, orientation="horizontal", shrink=0.75)
         bar.ax.locator_params(nbins=4)
     best = points[int(values["score_m4prad4"].argmax())]
-    return Drawing(
+    return drawing.Drawing(
         figure,
         {"": table},
         {
@@ -110,23 +97,23 @@ def figure_5(sources: Sources) -> Drawing:
     )
 
 
-@picture("fig6", "Figure 6: reachability of the hand")
-def figure_6(sources: Sources) -> Drawing:
+@style.picture("fig6", "Figure 6: reachability of the hand")
+def figure_6(sources: Sources) -> drawing.Drawing:
     """The density of inverse kinematics solutions rises and then falls with the distance from the
     arm's mount. It is described by a parabola with A = 525.9 /m², B = 0.575 m, C = 100.
     """
     reach_map = load_reach_map(sources.model, sources.pair.b, progress=False)
     fit, field = fit_reachability(reach_map), sources.field
-    figure = new_figure(4.2)
+    figure = style.new_figure(4.2)
     shells = figure.add_subplot(1, 3, 1, projection="3d")
-    grid = _Grid(reach_map)
-    shell_table = _draw_shells(shells, sources.model, reach_map, grid)
+    reach = _smoothed(reach_map)
+    shell_table = _draw_shells(shells, sources.model, reach_map, reach)
     cut, curve = figure.add_subplot(1, 3, 2), figure.add_subplot(1, 3, 3)
-    cut_table = _cut(reach_map, grid)
-    look: dict[str, Any] = {"cmap": SCORE_MAP, "s": 36, "marker": "s", "linewidth": 0}
+    cut_table = _cut(reach_map, reach)
+    look: dict[str, Any] = {"cmap": style.SCORE_MAP, "s": 36, "marker": "s", "linewidth": 0}
     shown = cut.scatter(cut_table["x_m"], cut_table["y_m"], c=cut_table["reachability"], **look)
-    plan_axes(cut)
-    panel_title(cut, "b", "cut at the mount's height")
+    drawing.plan_axes(cut)
+    style.panel_title(cut, "b", "cut at the mount's height")
     figure.colorbar(shown, ax=cut, orientation="horizontal", label="reachability [–]", shrink=0.8)
     profile = radial_profile(reach_map.rho, reach_map.reach)
     rho = profile.rho_m
@@ -138,7 +125,7 @@ def figure_6(sources: Sources) -> Drawing:
         "paper": field.C - field.A * (rho - field.B) ** 2,
     }
     _draw_fit(curve, fit_table, fit.rho_min_m, fit.rho_max_m)
-    return Drawing(
+    return drawing.Drawing(
         figure,
         {"": fit_table, "cut": cut_table, "shells": shell_table},
         {
@@ -158,47 +145,45 @@ def figure_6(sources: Sources) -> Drawing:
     )
 
 
-class _Grid:
-    """A reachability map as a smooth function of the place."""
+def _smoothed(reach_map: ReachMap) -> _Reach:
+    """(…) the reachability at points (…, 3) [m] of the base's frame, zero outside of the map."""
+    h, p_base = reach_map.spacing_m, reach_map.p_base
+    steps = np.rint((reach_map.points - p_base) / h).astype(int)
+    low, shape = steps.min(axis=0), np.ptp(steps, axis=0) + 1
+    values, inside = np.zeros(shape), np.zeros(shape)
+    at = tuple((steps - low).T)
+    values[at], inside[at] = reach_map.reach, 1.0
+    weight = ndimage.gaussian_filter(inside, _SMOOTH)
+    values = ndimage.gaussian_filter(values, _SMOOTH) / np.maximum(weight, 1e-6)
 
-    def __init__(self, reach_map: ReachMap) -> None:
-        h, self._p_base = reach_map.spacing_m, reach_map.p_base
-        steps = np.rint((reach_map.points - self._p_base) / h).astype(int)
-        self.low, self.spacing = steps.min(axis=0), h
-        shape = np.ptp(steps, axis=0) + 1
-        values, inside = np.zeros(shape), np.zeros(shape)
-        at = tuple((steps - self.low).T)
-        values[at], inside[at] = reach_map.reach, 1.0
-        weight = ndimage.gaussian_filter(inside, _SMOOTH)
-        self.values = ndimage.gaussian_filter(values, _SMOOTH) / np.maximum(weight, 1e-6)
+    def reach(points: Array) -> Array:
+        index = (points - p_base) / h - low
+        return ndimage.map_coordinates(values, np.moveaxis(index, -1, 0), order=1)
 
-    def at(self, points: Array) -> Array:
-        """(…) reachability at points (…, 3) [m] of the base's frame, zero outside of the map."""
-        index = (points - self._p_base) / self.spacing - self.low
-        return ndimage.map_coordinates(self.values, np.moveaxis(index, -1, 0), order=1)
+    return reach
 
 
-def _draw_shells(ax: Any, model: RobotModel, reach_map: ReachMap, grid: _Grid) -> Table:
+def _draw_shells(ax: Any, model: RobotModel, reach_map: ReachMap, reach: _Reach) -> drawing.Table:
     """The far half of the outermost shells at some levels, seen from the open side."""
     azimuth, height = np.meshgrid(np.linspace(0, np.pi, 49), np.linspace(-np.pi / 2, np.pi / 2, 49))
     rays = np.stack(
         [np.cos(height) * np.cos(azimuth), np.cos(height) * np.sin(azimuth), np.sin(height)], -1
     )
     along = np.linspace(0.0, float(reach_map.rho.max()), 200)
-    values = grid.at(reach_map.p_base + along[:, None, None, None] * rays)
+    values = reach(reach_map.p_base + along[:, None, None, None] * rays)
     parts = {}
     for level, alpha in zip(_LEVELS, (0.22, 0.4, 1.0), strict=True):
         # The outermost place of that level on each ray; the mount where there is none.
         last = len(along) - 1 - (values[::-1] >= level).argmax(axis=0)
         radius = np.where((values >= level).any(axis=0), along[last], np.nan)
         places = reach_map.p_base + radius[..., None] * rays
-        colour = colormaps[SCORE_MAP](level / PEAK)
+        colour = colormaps[style.SCORE_MAP](level / PEAK)
         look = {"color": colour, "alpha": alpha, "linewidth": 0, "rstride": 1, "cstride": 1}
         ax.plot_surface(*np.moveaxis(places, -1, 0), shade=False, **look)
         ax.plot([], [], [], "s", color=colour, alpha=alpha, label=f"{level:g}")
-        parts[f"{level:g}"] = points_table(places.reshape(-1, 3))
-    table = stacked(parts, "reachability")
-    panel_title(ax, "a", "outer shells, cut open")
+        parts[f"{level:g}"] = drawing.points_table(places.reshape(-1, 3))
+    table = drawing.stacked(parts, "reachability")
+    style.panel_title(ax, "a", "outer shells, cut open")
     known = np.isfinite(table["x_m"])
     _view(ax, model, {name: column[known] for name, column in table.items()}, 0.9)
     ax.view_init(16, -68)
@@ -207,26 +192,30 @@ def _draw_shells(ax: Any, model: RobotModel, reach_map: ReachMap, grid: _Grid) -
     return table
 
 
-def _cut(reach_map: ReachMap, grid: _Grid) -> Table:
+def _cut(reach_map: ReachMap, reach: _Reach) -> drawing.Table:
     """The lattice's layer at the mount's height, where anything is reached."""
     height = np.abs(reach_map.points[:, 2] - reach_map.p_base[2])
     points = reach_map.points[height < reach_map.spacing_m / 2]
-    values = grid.at(points)
+    values = reach(points)
     shown = values > 0.02 * PEAK
-    return points_table(points[shown], reachability=values[shown])
+    return drawing.points_table(points[shown], reachability=values[shown])
 
 
-def _draw_fit(ax: Any, table: Table, low: float, high: float) -> None:
+def _draw_fit(ax: Any, table: drawing.Table, low: float, high: float) -> None:
     mean, rho = table["reachability_mean"], table["rho_m"]
     ax.plot(rho, mean, "o", color="#52606D", markersize=4, label="mean over shells")
     inside = (rho >= low) & (rho <= high)
-    ax.plot(rho[inside], table["fit"][inside], color=METHOD_COLOURS["dbb"], label="fit of (9)")
-    ax.plot(rho, table["paper"], "--", color=METHOD_COLOURS["repulsive"], label="the paper's (9)")
+    ax.plot(
+        rho[inside], table["fit"][inside], color=style.METHOD_COLOURS["dbb"], label="fit of (9)"
+    )
+    ax.plot(
+        rho, table["paper"], "--", color=style.METHOD_COLOURS["repulsive"], label="the paper's (9)"
+    )
     ax.set(xlabel=r"distance from the mount $\rho$ [m]", ylabel="reachability [–]")
     ax.set_ylim(0.0, 1.25 * float(np.nanmax(mean)))
     ax.set_xlim(0.0, None)
     ax.legend(fontsize=8, loc="upper right")
-    panel_title(ax, "", "by distance from the mount")
+    style.panel_title(ax, "", "by distance from the mount")
 
 
 def _some(count: int, rng: np.random.Generator) -> Array:
@@ -234,14 +223,14 @@ def _some(count: int, rng: np.random.Generator) -> Array:
     return np.sort(rng.choice(count, min(count, _SHOWN), replace=False))
 
 
-def _scatter(ax: Any, points: dict[str, Array], **style: Any) -> PathCollection:
-    style = {"s": 2, "linewidth": 0, "depthshade": False, **style}
-    return ax.scatter(points["x_m"], points["y_m"], points["z_m"], **style)
+def _scatter(ax: Any, points: dict[str, Array], **look: Any) -> PathCollection:
+    look = {"s": 2, "linewidth": 0, "depthshade": False, **look}
+    return ax.scatter(points["x_m"], points["y_m"], points["z_m"], **look)
 
 
-def _view(ax: Any, model: RobotModel, points: Table, zoom: float) -> None:
+def _view(ax: Any, model: RobotModel, points: drawing.Table, zoom: float) -> None:
     """The box around l_m; equal metres on all axes, around the points and the floor's origin."""
-    faces = base_corners(model)[list(_FACES)]
+    faces = drawing.base_corners(model)[list(_FACES)]
     look: dict[str, Any] = {"facecolor": "#CBD2D9", "edgecolor": "#616E7C", "linewidth": 0.6}
     ax.add_collection3d(Poly3DCollection(list(faces), **look, alpha=0.5))
     sides = []

@@ -170,11 +170,9 @@ class Journal:
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
-        """Open the journal of a folder, or begin one; use it in a `with`.
+        """Open the journal of an existing folder, or begin one; use it in a `with`.
 
-        Args:
-            folder: An existing folder.
-            identity: What the study's cases follow from, as JSON has it.
+        The identity is what the study's cases follow from, as JSON has it.
 
         Raises:
             StudyError: The folder holds another study, or somebody works on this one, or a row

@@ -74,13 +74,7 @@ class StartFinder:
         self._flaws: Counter[str] = Counter()
 
     def find(self, approach: Approach, distance: float, *, seed: int = 0) -> Start:
-        """The start of a path with the arm at a distance from the base.
-
-        Args:
-            approach: The path.
-            distance: [m] between arm and base at the start, as near to it as the arm can be.
-            seed: Of the search for postures.
-        """
+        """The start of a path with the arm at a distance [m] from the base, or nearly."""
         refused: Counter[str] = Counter()
         for posture in islice(self._postures(approach, seed), _MOST_POSTURES):
             try:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache, partial
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -145,11 +146,8 @@ def sweep(
 
 def _groups(approaches: list[Approach]) -> list[tuple[Approach, ...]]:
     """Paths that begin with the same search for a posture: those along the wheel axis."""
-
-    def key(approach: Approach) -> tuple[object, ...]:
-        return approach.kind, approach.height, approach.direction_deg, approach.place
-
-    return [tuple(group) for _, group in groupby(approaches, key)]
+    same = attrgetter("kind", "height", "direction_deg", "place")
+    return [tuple(group) for _, group in groupby(approaches, same)]
 
 
 def _find_starts(plan: SweepPlan, finder: StartFinder, group: tuple[Approach, ...]) -> list[Start]:
