@@ -10,9 +10,10 @@ from app.avoidance.self_collision import Avoidance, SelfCollisionAvoidance
 from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
 from app.border.score import ScoreField
-from app.config import Config, TaskConfig, slowed
+from app.config import Config, slowed
 from app.control import CONTROLLERS
 from app.control.admittance import response
+from app.control.kernels import minimum
 from app.control.limits import PushObserver, base_limits, robot_limits
 from app.control.methods import METHODS, Inserted
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
@@ -108,8 +109,8 @@ class Controller:
 
     The base obeys velocity commands at a slow rate, so its acceleration is not the one that (29)
     asks for. The arm's torques are therefore solved with the acceleration that the base really has;
-    the one asked for goes to the admittance law. What the base is asked to correct besides T_sca's
-    own rows is asked with gains that its rate can follow, else it and the arm would fight.
+    the one asked for goes to the admittance law. What the base is asked besides T_sca's own rows is
+    asked with gains that its rate can follow, else it and the arm would fight.
 
     Attributes:
         state: The robot's state at the last good measurement.
@@ -144,9 +145,8 @@ class Controller:
         self.use(name)
         self.state = RobotState(model)
         self._model = model
-        self._config = config
-        self._answers(config)
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
+        self.configure(config)
         self._solver = TaskQP()
         self._observer = PushObserver(model.n_m)
         self._dt = dt
@@ -179,12 +179,8 @@ class Controller:
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on."""
         self._config = config
-        self._answers(config)
         self._avoidance.configure(config)
-
-    def _answers(self, config: Config) -> None:
-        """How slow the base is, and how it answers what it is asked."""
-        self._slow = slowed(config.task, config.repulsion)
+        self._slow = slowed(config)
         self._response = response(self._model.description.base, config.admittance)
 
     def step(
@@ -229,10 +225,11 @@ class Controller:
         try:
             if not good:
                 raise NoSolutionError("the measurement is not finite")
-            wanted, asked = self._base_part(inserted, reference)
+            stack = self._stack(inserted, reference)
+            wanted, asked = self._base_part(inserted, reference, stack)
             asked = _clipped(asked, self._model.base_acceleration_max)
             given = asked if base_acceleration is None else base_acceleration
-            workings = self._arm_part(wanted, given, inserted, reference, torque)
+            workings = self._arm_part(wanted, given, inserted, stack, torque)
             n_b = self._model.n_b
             u_a = self.state.M[n_b:] @ workings.qdd + self.state.h[n_b:]
         except NoSolutionError:
@@ -249,38 +246,61 @@ class Controller:
         """The score by which a pair of L_m chooses its acting points, by the pair's name."""
         return self._avoidance.field(pair)
 
-    def _base_part(self, inserted: Inserted, reference: Reference | None) -> tuple[Array, Array]:
+    def _base_part(
+        self, inserted: Inserted, reference: Reference | None, stack: Stack
+    ) -> tuple[Array, Array]:
         """The base's acceleration of (29), (n_b,), and what of it does not take the hand along.
 
-        The rows fix it once the solution without them is known.
+        The rows fix it once the solution without them is known. Its loops are as slow as it is.
 
         Paper: Eq. (29), the base's rows.
         """
-        rows_m, free = inserted.rows_m, self._free_base(inserted, reference)
-        if rows_m is None:
-            return free, free
-        wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
-        # What the hand needs of the base, said so that the admittance law answers with it.
+        T_ee = None
+        if reference is not None:
+            T_ee = end_effector_task(self.state, reference, self._slow.task)
+        wanted = asked = self._free_base(inserted, T_ee, stack.lowest)
+        # What the hand needs of the base is said so that the admittance law answers with it.
         gain, drag = self._response
-        held = free / gain + drag * self.state.measurement.base_velocity
-        holding, most = self._config.holding, self._model.base_acceleration_max
-        taken = carried(self.state, holding.speed) * gain
-        weight = rows_m.beta * holding.weight
-        return wanted, base_with_hand(self.state, _clipped(wanted, most), held, weight, taken)
+        lost, rows_m = drag * self.state.measurement.base_velocity, inserted.rows_m
+        if rows_m is not None:
+            holding, most = self._config.holding, self._model.base_acceleration_max
+            taken, weight = carried(self.state, holding.speed) * gain, rows_m.beta * holding.weight
+            held = wanted / gain + lost
+            wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * wanted
+            asked = base_with_hand(self.state, _clipped(wanted, most), held, weight, taken)
+        if T_ee is not None:
+            asked = self._within_limits(gain * (asked - lost), T_ee, stack.lowest) / gain + lost
+        return wanted, asked
 
-    def _free_base(self, inserted: Inserted, reference: Reference | None) -> Array:
+    def _within_limits(self, base: Array, T_ee: EqualityTask, posture: Objective) -> Array:
+        """The base's acceleration nearest to (n_b,) with which the arm's limits let it hold T_ee.
+
+        It is the least change of what base and arm would do without limits, T_ee being far
+        costlier. The limits are as slow as the base, so that it looks ahead as far as it takes to
+        answer: a wrist that comes to its limit while the base makes room turns the base in time.
+        """
+        n_b, (task, limit) = self._model.n_b, (self._slow.task, self._slow.limit)
+        tasks = tracking_objective(posture, T_ee, task.base_weight * task.ee_weight)
+        qdd_b = self._model.J_m_inv @ base
+        free = np.concatenate([qdd_b, minimum(*tasks.of_arm(qdd_b))[0]])
+        limits = robot_limits(self.state, limit, softness=task.softness)
+        qdd = self._solver.solve(Objective(tasks.H, -tasks.H @ free), limits)
+        return self._model.J_m @ qdd[:n_b]
+
+    def _free_base(self, inserted: Inserted, T_ee: EqualityTask | None, lowest: Objective) -> Array:
         """The base's acceleration in the solution of (29) without its rows, (n_b,).
 
-        The loops are as slow as the base is. The arm's own rows against the base have no part in
-        it: there the base's rows say how it helps.
+        The arm's own rows against the base have no part in it: there the base's rows say how it
+        helps. An error that is left damps nothing: the base drives there.
         """
         state, n_b = self.state, self._model.n_b
-        if reference is None and not inserted.base_too:
+        if T_ee is None and not inserted.base_too:
             return base_rest_acceleration(state, self._config.task)
-        task, repulsion = self._slow
-        objective, _, _ = self._stack(task, inserted, reference, give=False)
-        if reference is None:
-            objective = with_base_at_rest(state, objective, task)
+        task, repulsion = self._slow.task, self._slow.repulsion
+        if T_ee is None:
+            objective = with_base_at_rest(state, lowest, task)
+        else:
+            objective = tracking_objective(lowest, T_ee._replace(give=0.0), task.ee_weight)
         rows = [
             row._replace(xdd=repulsion.k_p - repulsion.k_v * (row.J @ state.qd))
             for row in inserted.rows_links
@@ -300,7 +320,7 @@ class Controller:
         wanted: Array,
         given: Array,
         inserted: Inserted,
-        reference: Reference | None,
+        stack: Stack,
         torque: tuple[Array, Array],
     ) -> Workings:
         """The arm's part of (29) for the acceleration that the base really has.
@@ -310,7 +330,6 @@ class Controller:
         """
         config, softness = self._config, self._config.task.softness
         rows = (*inserted.rows_arm, *inserted.rows_links)
-        stack = self._stack(config.task, inserted, reference)
         limits = robot_limits(
             self.state,
             config.limit,
@@ -326,24 +345,16 @@ class Controller:
         qdd = np.concatenate([qdd_b, self._solver.solve(whole, limits.of_arm(qdd_b))])
         return Workings(wanted, given, rows, stack, limits, torque, qdd)
 
-    def _stack(
-        self,
-        task: TaskConfig,
-        inserted: Inserted,
-        reference: Reference | None,
-        *,
-        give: bool = True,
-    ) -> Stack:
-        """The tasks of base and arm; `give` lets T_ee be damped where it is far."""
+    def _stack(self, inserted: Inserted, reference: Reference | None) -> Stack:
+        """The tasks of base and arm."""
         if reference is None:
             u_0 = free_arm_torque(self.state) + inserted.u_a
             guided = guided_objective(self.state, u_0)
             return Stack(guided, guided, None)
         assert self.q_posture is not None
+        task = self._config.task
         posture = posture_objective(self.state, self.q_posture, task)
         T_ee = end_effector_task(self.state, reference, task)
-        if not give:  # the base drives there
-            T_ee = T_ee._replace(give=0.0)
         return Stack(tracking_objective(posture, T_ee, task.ee_weight), posture, T_ee)
 
     def _torque_range(self, last: Array) -> tuple[Array, Array]:
