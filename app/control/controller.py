@@ -255,9 +255,8 @@ class Controller:
 
         Paper: Eq. (29), the base's rows.
         """
-        T_ee = None
-        if reference is not None:
-            T_ee = end_effector_task(self.state, reference, self._slow.task)
+        slow = self._slow.task
+        T_ee = None if reference is None else end_effector_task(self.state, reference, slow)
         wanted = asked = self._free_base(inserted, T_ee, stack.lowest)
         # What the hand needs of the base is said so that the admittance law answers with it.
         gain, drag = self._response
@@ -330,13 +329,9 @@ class Controller:
         """
         config, softness = self._config, self._config.task.softness
         rows = (*inserted.rows_arm, *inserted.rows_links)
+        state, barriers, r = self.state, inserted.barriers, self._observer.r
         limits = robot_limits(
-            self.state,
-            config.limit,
-            inserted.barriers,
-            softness=softness,
-            torque=torque,
-            pushed=self._observer.r,
+            state, config.limit, barriers, softness=softness, torque=torque, pushed=r
         )
         qdd_b = self._model.J_m_inv @ given
         whole = insert_rows(
@@ -348,8 +343,7 @@ class Controller:
     def _stack(self, inserted: Inserted, reference: Reference | None) -> Stack:
         """The tasks of base and arm."""
         if reference is None:
-            u_0 = free_arm_torque(self.state) + inserted.u_a
-            guided = guided_objective(self.state, u_0)
+            guided = guided_objective(self.state, free_arm_torque(self.state) + inserted.u_a)
             return Stack(guided, guided, None)
         assert self.q_posture is not None
         task = self._config.task
