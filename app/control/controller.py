@@ -249,70 +249,76 @@ class Controller:
     def _base_part(
         self, inserted: Inserted, reference: Reference | None, stack: Stack
     ) -> tuple[Array, Array]:
-        """The base's acceleration of (29), (n_b,), and what of it does not take the hand along.
+        """The base's acceleration of (29), (n_b,), and what of it the arm can make up for.
 
-        The rows fix it once the solution without them is known. Its loops are as slow as it is.
+        The rows fix it once the solution without them is known, in which the arm's own rows against
+        the base have no part: there the base's rows say how it helps. Loops are as slow as the base
+        is; it is braked where there is no solution.
 
         Paper: Eq. (29), the base's rows.
         """
-        slow = self._slow.task
-        T_ee = None if reference is None else end_effector_task(self.state, reference, slow)
-        wanted = asked = self._free_base(inserted, T_ee, stack.lowest)
-        # What the hand needs of the base is said so that the admittance law answers with it.
-        gain, drag = self._response
-        lost, rows_m = drag * self.state.measurement.base_velocity, inserted.rows_m
-        if rows_m is not None:
-            holding, most = self._config.holding, self._model.base_acceleration_max
-            taken, weight = carried(self.state, holding.speed) * gain, rows_m.beta * holding.weight
-            held = wanted / gain + lost
-            wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * wanted
-            asked = base_with_hand(self.state, _clipped(wanted, most), held, weight, taken)
-        if T_ee is not None:
-            asked = self._within_limits(gain * (asked - lost), T_ee, stack.lowest) / gain + lost
-        return wanted, asked
-
-    def _within_limits(self, base: Array, T_ee: EqualityTask, posture: Objective) -> Array:
-        """The base's acceleration nearest to (n_b,) with which the arm's limits let it hold T_ee.
-
-        It is the least change of what base and arm would do without limits, T_ee being far
-        costlier. The limits are as slow as the base, so that it looks ahead as far as it takes to
-        answer: a wrist that comes to its limit while the base makes room turns the base in time.
-        """
-        n_b, (task, limit) = self._model.n_b, (self._slow.task, self._slow.limit)
-        tasks = tracking_objective(posture, T_ee, task.base_weight * task.ee_weight)
-        qdd_b = self._model.J_m_inv @ base
-        free = np.concatenate([qdd_b, minimum(*tasks.of_arm(qdd_b))[0]])
-        limits = robot_limits(self.state, limit, softness=task.softness)
-        qdd = self._solver.solve(Objective(tasks.H, -tasks.H @ free), limits)
-        return self._model.J_m @ qdd[:n_b]
-
-    def _free_base(self, inserted: Inserted, T_ee: EqualityTask | None, lowest: Objective) -> Array:
-        """The base's acceleration in the solution of (29) without its rows, (n_b,).
-
-        The arm's own rows against the base have no part in it: there the base's rows say how it
-        helps. An error that is left damps nothing: the base drives there.
-        """
-        state, n_b = self.state, self._model.n_b
-        if T_ee is None and not inserted.base_too:
-            return base_rest_acceleration(state, self._config.task)
-        task, repulsion = self._slow.task, self._slow.repulsion
-        if T_ee is None:
-            objective = with_base_at_rest(state, lowest, task)
-        else:
-            objective = tracking_objective(lowest, T_ee._replace(give=0.0), task.ee_weight)
-        rows = [
-            row._replace(xdd=repulsion.k_p - repulsion.k_v * (row.J @ state.qd))
-            for row in inserted.rows_links
-        ]
+        state, slow, lowest = self.state, self._slow, stack.lowest
+        rest = base_rest_acceleration(state, slow.task)
+        if reference is None and not inserted.base_too:
+            return self._by_rows(rest, inserted.rows_m)
+        k_p, k_v, softness = slow.repulsion.k_p, slow.repulsion.k_v, slow.task.softness
+        links = [row._replace(xdd=k_p - k_v * (row.J @ state.qd)) for row in inserted.rows_links]
         barriers = inserted.barriers if inserted.base_too else ()
-        limits = robot_limits(state, self._config.limit, barriers, softness=task.softness)
+        limits = robot_limits(state, self._config.limit, barriers, softness=softness)
+        if reference is None:
+            T_ee, objective = None, with_base_at_rest(state, lowest, slow.task)
+        else:  # an error that is left damps nothing here: the base drives there
+            T_ee = end_effector_task(state, reference, slow.task)
+            objective = tracking_objective(lowest, T_ee._replace(give=0.0), slow.task.ee_weight)
         try:
-            whole = insert_rows(objective, rows, task.softness)
-            qdd = self._solver.solve(whole, limits.and_also(base_limits(state)))
+            whole = insert_rows(objective, links, softness)
+            free = self._of_base(whole, limits.and_also(base_limits(state)))
+            wanted, asked = self._by_rows(free, inserted.rows_m)
+            if T_ee is None:
+                return wanted, asked
+            return wanted, asked + self._relief(asked, T_ee, lowest, inserted.rows_m)
         except NoSolutionError:
             self.given_up += 1
-            return base_rest_acceleration(state, self._config.task)
-        return self._model.J_m @ qdd[:n_b]
+            return rest, rest
+
+    def _by_rows(self, free: Array, rows_m: TaskRows | None) -> tuple[Array, Array]:
+        """The blend of (29) for the base, (n_b,), and what of it does not take the hand along."""
+        if rows_m is None:
+            return free, free
+        gain, lost = self._answer()
+        holding, most = self._config.holding, self._model.base_acceleration_max
+        taken, weight = carried(self.state, holding.speed) * gain, rows_m.beta * holding.weight
+        wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
+        return wanted, base_with_hand(
+            self.state, _clipped(wanted, most), free / gain + lost, weight, taken
+        )
+
+    def _relief(
+        self, asked: Array, T_ee: EqualityTask, posture: Objective, rows_m: TaskRows | None
+    ) -> Array:
+        """The least change of what the base is asked, (n_b,), with which the arm holds T_ee.
+
+        That is, of what base and arm would do if the arm had no limits, T_ee being far costlier,
+        and the base's rows as far as they are active. Limits are approached as slowly as the base
+        answers, so that it looks ahead as far as it needs: a wrist that comes to its limit while
+        the base makes room turns the base in time.
+        """
+        task, (gain, lost) = self._slow.task, self._answer()
+        tasks = tracking_objective(posture, T_ee, task.base_weight * task.ee_weight)
+        tasks = insert_rows(tasks, [] if rows_m is None else [rows_m], task.softness)
+        qdd_b = self._model.J_m_inv @ (gain * (asked - lost))
+        free = np.concatenate([qdd_b, minimum(*tasks.of_arm(qdd_b))[0]])
+        limits = robot_limits(self.state, self._slow.limit, softness=task.softness).beyond(free)
+        return self._of_base(Objective(tasks.H, np.zeros(len(free))), limits) / gain
+
+    def _of_base(self, objective: Objective, limits: Limits) -> Array:
+        """(n_b,) [m/s² or rad/s²] of the base in the least of an objective over base and arm."""
+        return self._model.J_m @ self._solver.solve(objective, limits)[: self._model.n_b]
+
+    def _answer(self) -> tuple[Array, Array]:
+        """The admittance law makes gain (a - lost) of an acceleration a; both (n_b,)."""
+        gain, drag = self._response
+        return gain, drag * self.state.measurement.base_velocity
 
     def _arm_part(
         self,
