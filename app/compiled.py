@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TypeVar, cast
 
 import numba
@@ -25,7 +25,8 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
 
     So a control loop never waits for a compiler, and an array of another dtype is refused. A kernel
     may call kernels of its own module only: what numba keeps for it is compiled anew when its own
-    file changes, not when another one does (so still with numba 0.68).
+    file changes, not when another one does (so still with numba 0.68). Where nothing can be kept,
+    neither beside the source nor in the user's cache, each process compiles what it imports.
 
     Args:
         signatures: As numba writes them, such as ``f8[:](f8[:,:], i8)``. Without any it is a part
@@ -34,9 +35,14 @@ def compiled(*signatures: str) -> Callable[[Function], Function]:
 
     def compile_(function: Function) -> Function:
         known = [_any_array(signature) for signature in signatures]
-        kernel = numba.njit(known or None, cache=bool(known), error_model="numpy")(function)
+        compile_now = partial(numba.njit, known or None, error_model="numpy")
+        try:
+            kernel = compile_now(cache=bool(known))(function)
+        except RuntimeError:  # numba has found no folder that it can write to
+            _tell_once("each time: set NUMBA_CACHE_DIR to a folder that can be written")
+            return cast("Function", compile_now()(function))
         if signatures and not config.DISABLE_JIT and kernel.stats.cache_misses:
-            _tell_once()
+            _tell_once("once on this machine")
         return cast("Function", kernel)
 
     return compile_
@@ -60,6 +66,6 @@ def _any_array(signature: str) -> Signature:
 
 
 @lru_cache(maxsize=1)
-def _tell_once() -> None:
+def _tell_once(how_often: str) -> None:
     """Say why nothing happens for a while: another kernel was not kept yet."""
-    print("dbb: compiling kernels, once on this machine: half a minute", file=sys.stderr)
+    print(f"dbb: compiling kernels, {how_often}: half a minute", file=sys.stderr)

@@ -97,6 +97,17 @@ def wake_without_parent() -> None:
         prctl(_PARENT_DEATH, signal.SIGCONT)
 
 
+def wake_children() -> None:
+    """Processes that this one has started and that are stopped go on, where the system lists them.
+
+    A foreign one, as a browser's driver, could not learn otherwise that it has to end.
+    """
+    for listed in Path("/proc/self/task").glob("*/children"):
+        with suppress(OSError):  # the thread has just ended, or the process
+            for child in listed.read_text().split():
+                os.kill(int(child), signal.SIGCONT)
+
+
 def end_group(leader: int, *, at_once: bool) -> None:
     """End the group of a process and all that it has started; 0 is this process's own.
 

@@ -104,6 +104,34 @@ def test_a_child_that_still_imports_or_is_stopped_ends_with_its_killed_parent(
     assert alive == []
 
 
+DRIVER = """
+import subprocess, sys, time
+from app.jobs.progress import ending_signals_raised
+with ending_signals_raised():
+    command = [sys.executable, "-c", "import sys; sys.stdin.read()"]  # ends when its parent does
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
+    print("started", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only there are a process's children listed")
+def test_a_foreign_process_that_is_stopped_ends_with_the_command_that_began_it(tmp_path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(DRIVER)
+    process = start(script, tmp_path)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "started\n"
+    (child,) = psutil.Process(process.pid).children()
+    child.suspend()
+    process.terminate()
+    process.wait(timeout=30)
+    _, alive = psutil.wait_procs([child], timeout=10)
+    for each in alive:
+        each.kill()
+    assert alive == []
+
+
 FOREIGN = "raise SystemExit('a foreign module was imported')"
 CHILD = """
 import threading

@@ -12,7 +12,7 @@ from time import monotonic, sleep
 from types import FrameType
 
 from app.errors import DbbError
-from app.system import ENDING
+from app.system import ENDING, wake_children
 
 _EVERY = 20.0  # [s] between two plain lines; shorter work says nothing
 _LONGEST = 2.0  # [s] for a command to end after such a signal; its children take 2.5 s more
@@ -96,6 +96,8 @@ def ending_signals_raised() -> Iterator[None]:
             raise _exception() from error
         raise
     finally:
+        if _received:
+            wake_children()
         _received.clear()
         for number, handler in before.items():
             signal.signal(number, handler)
@@ -138,6 +140,7 @@ def _end_late(heard: int, numbers: Sequence[int], longest: float) -> None:
     with os.fdopen(heard, "rb", buffering=0) as signals:
         while number := signals.read(1):
             if number[0] in numbers:
+                wake_children()
                 sleep(longest)
                 os._exit(128 + number[0])
 
