@@ -104,7 +104,7 @@ class TaskConfig(Strict):
     base_damping: Annotated[float, Shown("base rest k")] = Field(default=3.0, ge=0.0, le=20.0)
     """[1/s] k of the base's rest acceleration −k q̇_b."""
     base_slowness: Annotated[float, Shown(advanced=True)] = Field(default=4.0, ge=1.0, le=100.0)
-    """[-] how much slower the base corrects errors than the arm; its commands come at 10 Hz."""
+    """[-] how much slower the base corrects errors and nears limits than the arm; it has 10 Hz."""
     base_weight: float = Field(default=1000.0, ge=1.0, le=1e6)
     """[-] how much costlier the base's acceleration is than the arm's, in the posture task."""
     ee_weight: Annotated[float, Shown(advanced=True)] = Field(default=1e5, ge=1.0, le=1e7)
@@ -173,20 +173,6 @@ class DisturbanceConfig(Strict):
     """[-] share of the base's commanded motion that is lost at the ground."""
 
 
-def slowed(task: TaskConfig, repulsion: RepulsionConfig) -> tuple[TaskConfig, RepulsionConfig]:
-    """The gains of the same closed loops, `base_slowness` times slower.
-
-    Stretching time by a factor divides stiffnesses by its square and damping by itself.
-    """
-    s = task.base_slowness
-    return (
-        task.model_copy(
-            update={"ee_stiffness": task.ee_stiffness / s**2, "ee_damping": task.ee_damping / s}
-        ),
-        repulsion.model_copy(update={"k_p": repulsion.k_p / s**2, "k_v": repulsion.k_v / s}),
-    )
-
-
 class Config(Strict):
     """Everything that can be tuned; below each section stands its title."""
 
@@ -236,6 +222,28 @@ class Config(Strict):
         """
         section, _, name = tunable(path).path.partition(".")
         return getattr(getattr(self, section), name)
+
+
+def slowed(config: Config) -> Config:
+    """The gains of the same closed loops, `base_slowness` times slower.
+
+    Stretching time by a factor divides stiffnesses by its square, damping and rates by itself.
+    """
+    task, repulsion, limit = config.task, config.repulsion, config.limit
+    s = task.base_slowness
+    slow = {
+        "task": {"ee_stiffness": task.ee_stiffness / s**2, "ee_damping": task.ee_damping / s},
+        "repulsion": {"k_p": repulsion.k_p / s**2, "k_v": repulsion.k_v / s},
+        "limit": {
+            "position_rate": limit.position_rate / s,
+            "velocity_rate": limit.velocity_rate / s,
+        },
+    }
+    return config.model_copy(
+        update={
+            name: getattr(config, name).model_copy(update=gains) for name, gains in slow.items()
+        }
+    )
 
 
 def make_config(data: dict[str, Any]) -> Config:

@@ -92,13 +92,17 @@ def test_records_are_frozen():
 def test_slowed_gains_are_the_same_closed_loop_in_slower_time():
     """Damping ratios stay, natural frequencies fall by the factor."""
     config = Config()
-    task, repulsion = slowed(config.task, config.repulsion)
+    slow = slowed(config)
+    task, repulsion, limit = slow.task, slow.repulsion, slow.limit
     s = config.task.base_slowness
     fast = config.task.ee_damping / (2 * config.task.ee_stiffness**0.5)
     assert task.ee_damping / (2 * task.ee_stiffness**0.5) == pytest.approx(fast)
     assert (task.ee_stiffness / config.task.ee_stiffness) ** 0.5 == pytest.approx(1 / s)
     assert repulsion.k_p * s**2 == pytest.approx(config.repulsion.k_p)
     assert repulsion.k_v * s == pytest.approx(config.repulsion.k_v)
+    assert limit.position_rate * s == pytest.approx(config.limit.position_rate)
+    assert limit.velocity_rate * s == pytest.approx(config.limit.velocity_rate)
+    assert limit.push_rate == config.limit.push_rate
 
 
 def test_the_kind_of_border_is_one_of_two() -> None:

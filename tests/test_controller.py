@@ -5,12 +5,14 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.optimize import lsq_linear
 
 from app.border.cache import BorderData
-from app.config import Config
+from app.config import Config, slowed
+from app.control.admittance import response
 from app.control.controller import Controller, ControlOutput
-from app.control.limits import base_limits, robot_limits
-from app.control.qp import NoSolutionError, TaskQP, insert_rows
+from app.control.limits import base_limits, joint_bounds, robot_limits
+from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
 from app.control.tasks import (
     Reference,
     end_effector_task,
@@ -147,6 +149,87 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     whole = TaskQP().solve(objective, limits)
     asked = output.base_acceleration
     np.testing.assert_allclose(robot.J_m @ whole[:2], asked, atol=2e-2, rtol=2e-2)
+
+
+@pytest.mark.parametrize("seed", [6, 10, 13, 20, 28])
+def test_a_tracking_base_turns_in_time_where_joints_come_to_their_limits(
+    robot: RobotModel, controller: Controller, seed: int
+) -> None:
+    """What the rows alone ask of it no arm could make up for; what it does an arm can."""
+    m = near_limits(robot, controller, seed)
+    controller.configure(UNHELD)
+    output = controller.step(m, reference_at(robot, m))
+    controller.configure(AT_ONCE)
+    assert output.workings is not None
+    by_rows, asked = output.workings.base_wanted, output.base_acceleration
+    assert missing(controller.state, by_rows) > 5e-3
+    assert missing(controller.state, asked) < 0.05 * missing(controller.state, by_rows)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_limits_that_are_far_ask_nothing_of_a_tracking_base(
+    robot: RobotModel, controller: Controller, seed: int
+) -> None:
+    m = in_buffer(robot, controller, seed, "lm-lEE")
+    controller.configure(UNHELD)
+    output = controller.step(m, reference_at(robot, m))
+    controller.configure(AT_ONCE)
+    assert output.workings is not None
+    np.testing.assert_allclose(output.base_acceleration, output.workings.base_wanted, rtol=1e-3)
+
+
+def near_limits(robot: RobotModel, controller: Controller, seed: int) -> Measurement:
+    """In the buffer, two joints 0.01 rad from a limit, the base on its way."""
+    rng = np.random.default_rng(seed)
+    reader = PairDistances(robot, candidate_pairs(robot))
+    while True:
+        q_m = rng.uniform(robot.q_lower + 0.3, robot.q_upper - 0.3)
+        for i in rng.choice(robot.n_m, 2, replace=False):
+            q_m[i] = rng.choice([robot.q_lower[i] + 0.01, robot.q_upper[i] - 0.01])
+        reader.update(robot.configuration(ZERO, q_m))
+        if min(reader.distance(i) for i in range(len(reader.pairs))) < 0.04:
+            continue
+        m = measured(robot, q_m, base_velocity=rng.uniform(-0.2, 0.2, 2))
+        controller.reset()
+        if controller.step(m).avoidance.beta_m > 0.1:
+            return m
+
+
+def missing(state: RobotState, base: np.ndarray) -> float:
+    """[m/s²] of a hand held in place: what no arm within limits as slow as the base makes up for.
+
+    Args:
+        state: The robot's.
+        base: (2,) what the base is asked; the admittance law answers it.
+    """
+    gain, drag = response(state.model.description.base, UNHELD.admittance)
+    moved = state.model.J_m_inv @ (gain * (base - drag * state.measurement.base_velocity))
+    slow = slowed(UNHELD)
+    hold = Reference(state.T_world_ee, np.zeros(6), np.zeros(6))
+    task = end_effector_task(state, hold, slow.task)
+    wanted = task.b - task.J[:, :2] @ moved
+    return float(
+        np.linalg.norm(lsq_linear(task.J[:, 2:], wanted, joint_bounds(state, slow.limit)).fun)
+    )
+
+
+def test_a_base_without_an_answer_costs_the_arm_nothing_and_is_counted(
+    robot: RobotModel, border_data: BorderData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only the QPs over base and arm fail."""
+    controller, solve = Controller(robot, border_data, Config()), TaskQP.solve
+
+    def fail(self: TaskQP, objective: Objective, limits: Limits) -> np.ndarray:
+        if len(objective.c) == robot.n:
+            raise NoSolutionError("test")
+        return solve(self, objective, limits)
+
+    monkeypatch.setattr(TaskQP, "solve", fail)
+    m = measured(robot, np.array(robot.description.arm.ready_position))
+    output = controller.step(m, reference_at(robot, m))
+    assert output.solved
+    assert (controller.failures, controller.given_up) == (0, 1)
+    np.testing.assert_array_equal(output.base_acceleration, np.zeros(2))
 
 
 @pytest.mark.parametrize("seed", range(5))

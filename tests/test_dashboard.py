@@ -41,7 +41,7 @@ from app.dashboard.scene.canvas import (
     set_apart,
 )
 from app.dashboard.scene.colours import css, viridis
-from app.dashboard.scene.layers import draw_motion, segments
+from app.dashboard.scene.layers import draw_distances, draw_motion, segments
 from app.dashboard.scene.legend import Legend, legend_html, tick_texts
 from app.dashboard.scene.robot import (
     GREY,
@@ -52,12 +52,13 @@ from app.dashboard.scene.robot import (
     load_visuals,
     read_mesh,
 )
+from app.dashboard.scene.scene import SceneData
 from app.dashboard.server import check_address, serve_dashboard
 from app.dashboard.verdict import COLOURS, judge
 from app.dashboard.view import View
 from app.errors import AssetError, ConfigError, DescriptionError, ServerError
 from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf
-from app.simulation.loop.commands import Pull, Release
+from app.simulation.loop.commands import Pause, Pull, Release, Reset
 from app.simulation.people import PullReading
 from app.simulation.trace.snapshot import PairReading
 from tests.dashboards import parts
@@ -261,6 +262,21 @@ def test_each_viewer_has_a_page_that_ends_with_the_connection(dashboard):
             assert first.timeline.live
         wait_for(lambda: list(dashboard.pages.values()) == [first])
     wait_for(lambda: dashboard.pages == {})
+    assert dashboard.error is None
+
+
+@pytest.mark.slow
+def test_where_time_begins_anew_nobody_holds_the_robot(dashboard, loop):
+    with RawClient(dashboard.address):
+        grip = page_of(dashboard).grip
+        grip.take(Hold())
+        grip.pull(loop.latest().p_ee + np.array([0.1, 0.0, 0.0]), None)
+        drawn = dashboard.pictures
+        wait_for(lambda: dashboard.pictures > drawn + 1, 20.0)
+        assert loop.latest().pulls
+        loop.send(Pause(True))
+        loop.send(Reset())
+        wait_for(lambda: not grip.holds_anything)
     assert dashboard.error is None
 
 
@@ -484,6 +500,15 @@ def test_a_label_at_an_edge_stands_inside_the_picture(u, anchor, v, side):
     free = (-100.0, -50.0, 100.0, 50.0)
     spots = set_apart({"a": (u, v, "hand – base")}, {}, free)
     assert spots == {"a": (f"{side}-{anchor}", 0.0)}
+
+
+def test_a_door_that_comes_near_is_named_though_it_was_not_there_at_first(scene, loop, clouds):
+    data = SceneData(loop, husky_panda(), clouds, parts())
+    door = loop.latest().pairs[0]._replace(name="lm-door", d=0.1)
+    shown, canvas = replace(loop.latest(), pairs=(door,)), Canvas(scene)
+    with canvas.picture(texts=True):
+        draw_distances(canvas, shown, judge(shown), View.first([], []), data.spoken)
+    assert canvas._handles["/distances/label_lm-door"].text == "door – base  100 mm"
 
 
 def test_an_unreadable_mesh_is_named(tmp_path):

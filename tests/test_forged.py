@@ -60,6 +60,11 @@ def widgets(page):
     return list(page._client.gui._gui_input_handle_from_uuid.values())
 
 
+def labelled(page, label):
+    """The widget with a label."""
+    return next(each for each in widgets(page) if getattr(each, "label", None) == label)
+
+
 def test_no_widget_takes_what_is_not_of_its_kind_or_out_of_its_range(served, caplog):
     first = served.loop.latest().config
     with visitor(served) as (client, page):
@@ -102,7 +107,7 @@ def test_a_page_that_answers_with_another_picture_than_it_was_asked_for_is_told_
     told, small = [], png(Image.new("RGBA", (8, 4)))
     with visitor(served) as (client, page):
         monkeypatch.setattr(page._notifier, "warn", lambda _, text: told.append(text))
-        button = next(each for each in widgets(page) if each.label == "Picture (PNG)")
+        button = labelled(page, "Picture (PNG)")
         client.set_widget(button, True)
 
         def answer() -> bool:
@@ -120,7 +125,7 @@ def test_the_card_of_a_challenge_that_nobody_has_tried_is_refused(served, monkey
     with visitor(served) as (client, page):
         monkeypatch.setattr(page._notifier, "warn", lambda _, text: told.append(text))
         monkeypatch.setattr(FilePanel, "scene", lambda self, *size: Image.new("RGB", size))
-        button = next(each for each in widgets(page) if each.label == "Card (PNG)")
+        button = labelled(page, "Card (PNG)")
         client.set_widget(button, True)
         wait_for(lambda: told or caplog.records, what="a word on the card")
     assert told == ["nobody has tried yet"]

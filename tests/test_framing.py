@@ -270,6 +270,17 @@ def test_a_ghost_whose_hand_leaves_the_picture_is_found(
     assert not np.array_equal(eye.position, before)
 
 
+def test_a_viewer_who_comes_while_a_door_is_opened_looks_at_it(
+    looking: tuple[Camera, Eye, ScriptedLoop],
+) -> None:
+    camera, _, loop = looking
+    camera.begin(loop.latest())
+    assert camera.preset == "iso"
+    view = DoorView(RefrigeratorScenario().door, 0.5, np.zeros(3))
+    camera.begin(replace(loop.latest(), door=view))
+    assert camera.preset == "door"
+
+
 @pytest.mark.parametrize("hinge", ["left", "right"])
 def test_the_view_of_a_door_shows_all_of_it_open_or_closed(hinge: Any) -> None:
     door = RefrigeratorScenario(hinge=hinge).door
@@ -280,8 +291,8 @@ def test_the_view_of_a_door_shows_all_of_it_open_or_closed(hinge: Any) -> None:
     _, width, height = door.size
     corners = [np.array([0.0, -door.side * u, v]) for u in (0.0, width) for v in (0.0, height)]
     points = [door.pose(angle).act(c) for angle in (0.0, view.angle) for c in corners]
-    seen = on_picture(np.array(points), eye, target, window)
-    assert (np.abs(seen) < 1.0).all()
+    seen = on_picture(np.array([*points, *parts().extent]), eye, target, window)
+    assert (np.abs(seen) < 1.0).all(), "the door, and the base that has to give way"
     assert (eye - door.pose(0.0).translation) @ door.pose(0.0).rotation[:, 0] < 0.0, (
         "from its front"
     )

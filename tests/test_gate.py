@@ -218,14 +218,12 @@ def test_what_a_page_sends_passes_unchanged():
     )
     pass_on(
         {
-            "type": "SceneNodeClickMessage",
-            "name": "/a",
-            "instance_index": None,
+            "type": "ScenePointerMessage",
+            "event_type": "click",
             "ray_origin": [0, 0, 0],
             "ray_direction": [0, 0, 1.0],
-            "screen_pos": [0.5, 0.5],
+            "screen_pos": [[0.5, 0.5]],
             "modifier": None,
-            "owner": "",
         }
     )
 
@@ -310,7 +308,7 @@ def test_of_all_kinds_that_viser_obeys_some_are_taken_and_the_others_are_known()
         _messages.GuiButtonHoldMessage,
         _messages.GuiFormDirtyMessage,
         _messages.GuiFormSubmitMessage,
-        _messages.ScenePointerMessage,
+        _messages.SceneNodeClickMessage,
         _messages.ShareUrlDisconnect,
         _messages.ShareUrlRequest,
     }

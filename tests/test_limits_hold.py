@@ -10,6 +10,9 @@ from app.config import Config
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
 from app.simulation.session import DT, Session
+from benchmarks.law.curves import Curve
+from benchmarks.law.options import Options
+from benchmarks.law.paths import follow
 
 pytestmark = pytest.mark.slow
 
@@ -44,3 +47,13 @@ def test_no_joint_leaves_its_velocity_or_position_limit_on_an_ordinary_arc(
         last = u_a
     session.close()
     assert 0.05 < fastest <= 1.01
+
+
+def test_a_wrist_that_comes_to_its_limit_while_the_base_makes_room_keeps_to_its_target() -> None:
+    """A curve around the base's corner (`python -m benchmarks.law paths --first 10 --count 1`)."""
+    begin, end = (0.330713, 0.721916, 0.195174), (0.716204, 0.370628, 0.1)
+    q_m = 1.544053, 1.588897, -0.028581, -0.811761, 0.042323, 2.400219, 0.0
+    row = follow(Options(), Curve("arc", begin, end, (0.0, 0.0), 4.368467), q_m)
+    assert row["error_max_mm"] < 1.0  # 8.7 if the base looks at its rows alone
+    assert row["least_distance_m"] > 0.05
+    assert row["contact_steps"] == row["failures"] == 0

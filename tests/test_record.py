@@ -133,6 +133,15 @@ def test_a_scenario_has_a_course_and_ends_with_its_figures(snapshot, d, result):
         assert part in text, part
 
 
+@pytest.mark.parametrize("name", ["make-it-collide", "of-a-case"])
+def test_a_scenario_that_is_in_no_list_says_what_it_is_or_nothing(snapshot, name):
+    course = Course()
+    Past(snapshot, course).extend([led(snapshot, 1.0, name)])
+    text = course_html(course, "")
+    assert ("Pull the robot into itself, if you can." in text) == (name == "make-it-collide")
+    assert ">.<" not in text
+
+
 def test_who_takes_the_hand_ends_a_scenario_early_and_a_beginning_forgets_it(snapshot):
     course = Course()
     past = Past(snapshot, course)

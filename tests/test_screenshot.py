@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,7 @@ import pytest
 from PIL import Image
 
 from app.config import Config
-from app.dashboard.export.browser import VARIABLE, browser_path
+from app.dashboard.export.browser import VARIABLE, browser_path, chromium
 from app.dashboard.export.offscreen import Look, RecordedLoop
 from app.dashboard.export.screenshot import strip, take_pictures
 from app.errors import BrowserError
@@ -185,3 +187,14 @@ def _line(process: psutil.Process) -> list[str]:
         return process.cmdline()
     except psutil.Error:
         return []
+
+
+def test_what_a_browser_has_put_beside_goes_with_it_even_if_it_was_killed(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with suppress(Exception), chromium():  # playwright's, of any kind: its browser has gone
+        assert any(tmp_path.rglob("*hromium*"))
+        for process in psutil.Process().children(recursive=True):
+            if "--headless" in " ".join(process.cmdline()):
+                process.kill()
+    assert list(tmp_path.rglob("org.chromium*")) == []

@@ -29,7 +29,7 @@ COMMANDS = {
     "The method": {
         "pairs": "method",
         "border": "method",
-        "reach": "reach",
+        "reach": "method",
         "config": "method",
         "bench": "method",
     },

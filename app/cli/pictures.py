@@ -90,24 +90,20 @@ def screenshot(
     drawn = io.BytesIO()
     whole.save(drawn, "PNG", optimize=True)
     write_whole(out, drawn.getvalue())
-    if json:
-        print_json(
-            {
-                "picture": str(out),
-                "scenario": asked.scenario.name,
-                "controller": asked.controller,
-                "robot": asked.robot,
-                "seed": asked.seed,
-                "at_s": list(at),
-                "width_px": whole.width,
-                "height_px": whole.height,
-                "layer": shown.layer,
-                "view": shown.view,
-                "page": shown.page,
-            }
-        )
-    else:
-        print(out)
+    told = {
+        "picture": str(out),
+        "scenario": asked.scenario.name,
+        "controller": asked.controller,
+        "robot": asked.robot,
+        "seed": asked.seed,
+        "at_s": list(at),
+        "width_px": whole.width,
+        "height_px": whole.height,
+        "layer": shown.layer,
+        "view": shown.view,
+        "page": shown.page,
+    }
+    print_json(told) if json else print(out)
 
 
 def _draw(asked: Planned, at: tuple[float, ...], shown: Picture, *, dark: bool) -> Image.Image:
@@ -181,13 +177,9 @@ def film(
     options.check_name(f"--codec of {out.suffix}", codec, codecs)
     look = Look(shown.width, shown.height, shown.layer, shown.view, is_dark(dark=dark, light=light))
     asked = wanted(scenario, setup, config)
-    told = _film(asked, beside, how, codec, look, out)
-    if json:
-        print_json(
-            {"film": str(out), "scenario": asked.scenario.name, "beside": list(beside), **told}
-        )
-    else:
-        print(out)
+    told = {"film": str(out), "scenario": asked.scenario.name, "beside": list(beside)}
+    told |= _film(asked, beside, how, codec, look, out)
+    print_json(told) if json else print(out)
 
 
 def _film(
@@ -264,18 +256,14 @@ def replay(
             on_progress=on_progress,
         )
     write_whole(out, page)
-    if json:
-        print_json(
-            {
-                "page": str(out),
-                "scenario": read.meta.scenario,
-                "robot": read.meta.robot,
-                "duration_s": duration,
-                "size_bytes": out.stat().st_size,
-            }
-        )
-    else:
-        print(out)
+    told = {
+        "page": str(out),
+        "scenario": read.meta.scenario,
+        "robot": read.meta.robot,
+        "duration_s": duration,
+        "size_bytes": out.stat().st_size,
+    }
+    print_json(told) if json else print(out)
 
 
 def report(

@@ -10,9 +10,10 @@ from app.avoidance.self_collision import Avoidance, SelfCollisionAvoidance
 from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
 from app.border.score import ScoreField
-from app.config import Config, TaskConfig, slowed
+from app.config import Config, slowed
 from app.control import CONTROLLERS
 from app.control.admittance import response
+from app.control.kernels import minimum
 from app.control.limits import PushObserver, base_limits, robot_limits
 from app.control.methods import METHODS, Inserted
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
@@ -108,8 +109,8 @@ class Controller:
 
     The base obeys velocity commands at a slow rate, so its acceleration is not the one that (29)
     asks for. The arm's torques are therefore solved with the acceleration that the base really has;
-    the one asked for goes to the admittance law. What the base is asked to correct besides T_sca's
-    own rows is asked with gains that its rate can follow, else it and the arm would fight.
+    the one asked for goes to the admittance law. What the base is asked besides T_sca's own rows is
+    asked with gains that its rate can follow, else it and the arm would fight.
 
     Attributes:
         state: The robot's state at the last good measurement.
@@ -144,9 +145,8 @@ class Controller:
         self.use(name)
         self.state = RobotState(model)
         self._model = model
-        self._config = config
-        self._answers(config)
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
+        self.configure(config)
         self._solver = TaskQP()
         self._observer = PushObserver(model.n_m)
         self._dt = dt
@@ -179,12 +179,8 @@ class Controller:
     def configure(self, config: Config) -> None:
         """Use other parameters from the next step on."""
         self._config = config
-        self._answers(config)
         self._avoidance.configure(config)
-
-    def _answers(self, config: Config) -> None:
-        """How slow the base is, and how it answers what it is asked."""
-        self._slow = slowed(config.task, config.repulsion)
+        self._slow = slowed(config)
         self._response = response(self._model.description.base, config.admittance)
 
     def step(
@@ -229,10 +225,11 @@ class Controller:
         try:
             if not good:
                 raise NoSolutionError("the measurement is not finite")
-            wanted, asked = self._base_part(inserted, reference)
+            stack = self._stack(inserted, reference)
+            wanted, asked = self._base_part(inserted, reference, stack)
             asked = _clipped(asked, self._model.base_acceleration_max)
             given = asked if base_acceleration is None else base_acceleration
-            workings = self._arm_part(wanted, given, inserted, reference, torque)
+            workings = self._arm_part(wanted, given, inserted, stack, torque)
             n_b = self._model.n_b
             u_a = self.state.M[n_b:] @ workings.qdd + self.state.h[n_b:]
         except NoSolutionError:
@@ -249,58 +246,86 @@ class Controller:
         """The score by which a pair of L_m chooses its acting points, by the pair's name."""
         return self._avoidance.field(pair)
 
-    def _base_part(self, inserted: Inserted, reference: Reference | None) -> tuple[Array, Array]:
-        """The base's acceleration of (29), (n_b,), and what of it does not take the hand along.
+    def _base_part(
+        self, inserted: Inserted, reference: Reference | None, stack: Stack
+    ) -> tuple[Array, Array]:
+        """The base's acceleration of (29), (n_b,), and what of it the arm can make up for.
 
-        The rows fix it once the solution without them is known.
+        The rows fix it once the solution without them is known, in which the arm's own rows against
+        the base have no part: there the base's rows say how it helps. Loops are as slow as the base
+        is; it is braked where there is no solution.
 
         Paper: Eq. (29), the base's rows.
         """
-        rows_m, free = inserted.rows_m, self._free_base(inserted, reference)
-        if rows_m is None:
-            return free, free
-        wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
-        # What the hand needs of the base, said so that the admittance law answers with it.
-        gain, drag = self._response
-        held = free / gain + drag * self.state.measurement.base_velocity
-        holding, most = self._config.holding, self._model.base_acceleration_max
-        taken = carried(self.state, holding.speed) * gain
-        weight = rows_m.beta * holding.weight
-        return wanted, base_with_hand(self.state, _clipped(wanted, most), held, weight, taken)
-
-    def _free_base(self, inserted: Inserted, reference: Reference | None) -> Array:
-        """The base's acceleration in the solution of (29) without its rows, (n_b,).
-
-        The loops are as slow as the base is. The arm's own rows against the base have no part in
-        it: there the base's rows say how it helps.
-        """
-        state, n_b = self.state, self._model.n_b
+        state, slow, lowest = self.state, self._slow, stack.lowest
+        rest = base_rest_acceleration(state, slow.task)
         if reference is None and not inserted.base_too:
-            return base_rest_acceleration(state, self._config.task)
-        task, repulsion = self._slow
-        objective, _, _ = self._stack(task, inserted, reference, give=False)
-        if reference is None:
-            objective = with_base_at_rest(state, objective, task)
-        rows = [
-            row._replace(xdd=repulsion.k_p - repulsion.k_v * (row.J @ state.qd))
-            for row in inserted.rows_links
-        ]
+            return self._by_rows(rest, inserted.rows_m)
+        k_p, k_v, softness = slow.repulsion.k_p, slow.repulsion.k_v, slow.task.softness
+        links = [row._replace(xdd=k_p - k_v * (row.J @ state.qd)) for row in inserted.rows_links]
         barriers = inserted.barriers if inserted.base_too else ()
-        limits = robot_limits(state, self._config.limit, barriers, softness=task.softness)
+        limits = robot_limits(state, self._config.limit, barriers, softness=softness)
+        if reference is None:
+            T_ee, objective = None, with_base_at_rest(state, lowest, slow.task)
+        else:  # an error that is left damps nothing here: the base drives there
+            T_ee = end_effector_task(state, reference, slow.task)
+            objective = tracking_objective(lowest, T_ee._replace(give=0.0), slow.task.ee_weight)
         try:
-            whole = insert_rows(objective, rows, task.softness)
-            qdd = self._solver.solve(whole, limits.and_also(base_limits(state)))
+            whole = insert_rows(objective, links, softness)
+            free = self._of_base(whole, limits.and_also(base_limits(state)))
+            wanted, asked = self._by_rows(free, inserted.rows_m)
+            if T_ee is None:
+                return wanted, asked
+            return wanted, asked + self._relief(asked, T_ee, lowest, inserted.rows_m)
         except NoSolutionError:
             self.given_up += 1
-            return base_rest_acceleration(state, self._config.task)
-        return self._model.J_m @ qdd[:n_b]
+            return rest, rest
+
+    def _by_rows(self, free: Array, rows_m: TaskRows | None) -> tuple[Array, Array]:
+        """The blend of (29) for the base, (n_b,), and what of it does not take the hand along."""
+        if rows_m is None:
+            return free, free
+        gain, lost = self._answer()
+        holding, most = self._config.holding, self._model.base_acceleration_max
+        taken, weight = carried(self.state, holding.speed) * gain, rows_m.beta * holding.weight
+        wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
+        return wanted, base_with_hand(
+            self.state, _clipped(wanted, most), free / gain + lost, weight, taken
+        )
+
+    def _relief(
+        self, asked: Array, T_ee: EqualityTask, posture: Objective, rows_m: TaskRows | None
+    ) -> Array:
+        """The least change of what the base is asked, (n_b,), with which the arm holds T_ee.
+
+        That is, of what base and arm would do if the arm had no limits, T_ee being far costlier,
+        and the base's rows as far as they are active. Limits are approached as slowly as the base
+        answers, so that it looks ahead as far as it needs: a wrist that comes to its limit while
+        the base makes room turns the base in time.
+        """
+        task, (gain, lost) = self._slow.task, self._answer()
+        tasks = tracking_objective(posture, T_ee, task.base_weight * task.ee_weight)
+        tasks = insert_rows(tasks, [] if rows_m is None else [rows_m], task.softness)
+        qdd_b = self._model.J_m_inv @ (gain * (asked - lost))
+        free = np.concatenate([qdd_b, minimum(*tasks.of_arm(qdd_b))[0]])
+        limits = robot_limits(self.state, self._slow.limit, softness=task.softness).beyond(free)
+        return self._of_base(Objective(tasks.H, np.zeros(len(free))), limits) / gain
+
+    def _of_base(self, objective: Objective, limits: Limits) -> Array:
+        """(n_b,) [m/s² or rad/s²] of the base in the least of an objective over base and arm."""
+        return self._model.J_m @ self._solver.solve(objective, limits)[: self._model.n_b]
+
+    def _answer(self) -> tuple[Array, Array]:
+        """The admittance law makes gain (a - lost) of an acceleration a; both (n_b,)."""
+        gain, drag = self._response
+        return gain, drag * self.state.measurement.base_velocity
 
     def _arm_part(
         self,
         wanted: Array,
         given: Array,
         inserted: Inserted,
-        reference: Reference | None,
+        stack: Stack,
         torque: tuple[Array, Array],
     ) -> Workings:
         """The arm's part of (29) for the acceleration that the base really has.
@@ -310,14 +335,9 @@ class Controller:
         """
         config, softness = self._config, self._config.task.softness
         rows = (*inserted.rows_arm, *inserted.rows_links)
-        stack = self._stack(config.task, inserted, reference)
+        state, barriers, r = self.state, inserted.barriers, self._observer.r
         limits = robot_limits(
-            self.state,
-            config.limit,
-            inserted.barriers,
-            softness=softness,
-            torque=torque,
-            pushed=self._observer.r,
+            state, config.limit, barriers, softness=softness, torque=torque, pushed=r
         )
         qdd_b = self._model.J_m_inv @ given
         whole = insert_rows(
@@ -326,24 +346,15 @@ class Controller:
         qdd = np.concatenate([qdd_b, self._solver.solve(whole, limits.of_arm(qdd_b))])
         return Workings(wanted, given, rows, stack, limits, torque, qdd)
 
-    def _stack(
-        self,
-        task: TaskConfig,
-        inserted: Inserted,
-        reference: Reference | None,
-        *,
-        give: bool = True,
-    ) -> Stack:
-        """The tasks of base and arm; `give` lets T_ee be damped where it is far."""
+    def _stack(self, inserted: Inserted, reference: Reference | None) -> Stack:
+        """The tasks of base and arm."""
         if reference is None:
-            u_0 = free_arm_torque(self.state) + inserted.u_a
-            guided = guided_objective(self.state, u_0)
+            guided = guided_objective(self.state, free_arm_torque(self.state) + inserted.u_a)
             return Stack(guided, guided, None)
         assert self.q_posture is not None
+        task = self._config.task
         posture = posture_objective(self.state, self.q_posture, task)
         T_ee = end_effector_task(self.state, reference, task)
-        if not give:  # the base drives there
-            T_ee = T_ee._replace(give=0.0)
         return Stack(tracking_objective(posture, T_ee, task.ee_weight), posture, T_ee)
 
     def _torque_range(self, last: Array) -> tuple[Array, Array]:

@@ -60,6 +60,11 @@ class Limits(NamedTuple):
         there = self.C[:, :n_b] @ qdd_b
         return Limits(self.C[:, n_b:], self.l - there, self.u - there, self.softness)
 
+    def beyond(self, qdd: Array) -> Limits:
+        """The same over the change from some q̈ (n,)."""
+        there = self.C @ qdd
+        return self._replace(l=self.l - there, u=self.u - there)
+
     def and_also(self, others: Limits) -> Limits:
         """These and others."""
         return Limits(*map(np.concatenate, zip(self, others, strict=True)))

@@ -74,8 +74,7 @@ def tracking_objective(posture: Objective, task: EqualityTask, weight: float) ->
     nearly dependent; this one gives in there, and is off by 1/w of what the posture pulls.
 
     An error that is left damps it, λ ‖q̈ + k_v q̇‖² in the posture's weights with λ its square
-    (Levenberg and Marquardt, by Sugihara 2011): an arm at full stretch comes to rest. In the base's
-    own part nothing is damped, so that it drives to where the arm reaches the target.
+    (Levenberg and Marquardt, by Sugihara 2011): an arm at full stretch comes to rest.
 
     Paper: Eq. (26).
 

@@ -318,6 +318,9 @@ window.dbbControls = (box, ranges) => {
     for (const input of [...typed.keys()]) if (input !== e.target) take(input);
   }, { capture: true });
 
+  // ---- a list from which a person has chosen lets go of the keys, which are the page's again
+  listen(window, "click", (e) => e.target.closest?.("[role=option]") && document.activeElement?.blur());
+
   // ---- what stands for what in the plots, under the pointer
   let hints = {};
   listen(window, "pointerover", (e) => {

@@ -77,7 +77,7 @@ _TAKEN = (
     _messages.ViewerCameraMessage,
     _messages.GuiUpdateMessage,
     _messages.CommandTriggerMessage,
-    _messages.SceneNodeClickMessage,
+    _messages.ScenePointerMessage,
     _messages.SceneNodeDragMessage,
     _messages.TransformControlsUpdateMessage,
     _messages.TransformControlsDragStartMessage,

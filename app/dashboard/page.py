@@ -104,6 +104,7 @@ class Page:
         self.closed, self._is_new = False, True
         refusal = shared.loop.latest().refusal
         self._refusals = 0 if refusal is None else refusal.number  # of before this viewer came
+        self._newest = shared.loop.latest().t
         self._dark, self._light = self.view.dark, self.view.light
         set_theme(client.gui, dark=self.view.dark)
         client.gui.set_panel_label(shared.parts.title)
@@ -122,13 +123,16 @@ class Page:
         add_shortcuts(client.gui, self._shortcuts(), notifier)
         self.tour = self._add(before.tour if before else Tour(self.viewer))
         self.tour.lead(self.channel, self._acts(), self._places)
-        self.viewer.look("iso")
+        self._camera.begin(self.timeline.shown())
         self.share_panel.resume(before.share_panel.waiting if before else Link())
 
     def draw(self, *, texts: bool) -> None:
         """Draw the instant at which the viewer is; panels, plots and labels only if `texts`."""
         texts, self._is_new = texts or self._is_new, False  # nobody waits for the first ones
         newest, shown = self._shared.loop.latest(), self.timeline.shown()
+        if newest.t < self._newest:
+            self.grip.release()  # time has begun anew, and the simulation has forgotten all pulls
+        self._newest = newest.t
         if self.grip.holds_anything and not self.timeline.live:
             self.timeline.go_live()  # nobody pulls in the past
         shown = self.explorer_panel.shown(newest, shown)

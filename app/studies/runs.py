@@ -50,23 +50,15 @@ def rounded(value: object) -> object:
 
 
 def write_table(path: Path, columns: Mapping[str, Any]) -> None:
-    """Write columns of equal length, whole or not at all, as Parquet or CSV by the file's ending.
-
-    Numbers keep all their digits; None and NaN are null, or an empty cell. The same columns give
-    the same bytes.
-    """
+    """Write columns of equal length whole or not at all, by the ending; None and NaN are empty."""
     # Imported here: it is not needed before all runs are done.
     import pyarrow as pa
-    from pyarrow import csv, parquet
+
+    from app.simulation.trace.log_file import write_arrow
 
     arrays = {name: pa.array(column, from_pandas=True) for name, column in columns.items()}
     empty = {name: a.cast(pa.float64()) for name, a in arrays.items() if a.type == pa.null()}
-    table, sink = pa.table(arrays | empty), pa.BufferOutputStream()
-    if path.suffix == ".csv":
-        csv.write_csv(table, sink, csv.WriteOptions(quoting_style="needed"))
-    else:
-        parquet.write_table(table, sink, compression="zstd")
-    write_whole(path, sink.getvalue().to_pybytes())
+    write_arrow(path, pa.table(arrays | empty))
 
 
 def write_json(path: Path, content: object) -> None:

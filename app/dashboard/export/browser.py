@@ -6,6 +6,7 @@ import logging
 import os
 import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -84,7 +85,7 @@ def browser_path(bundled: str) -> str | None:
 
 @contextmanager
 def chromium() -> Iterator[Browser]:
-    """A headless browser with WebGL, ended at the end.
+    """A headless browser with WebGL, ended at the end, with all that it has put into `/tmp`.
 
     Raises:
         BrowserError: There is none, it cannot draw, or it fails where it is used.
@@ -93,8 +94,12 @@ def chromium() -> Iterator[Browser]:
     from playwright.sync_api import Error, sync_playwright
 
     try:
-        with sync_playwright() as playwright:
-            browser = _launch(playwright, browser_path(playwright.chromium.executable_path))
+        with (  # Ctrl-C from a terminal reaches the browser, too, which leaves its files then
+            tempfile.TemporaryDirectory(prefix="dbb-", ignore_cleanup_errors=True) as folder,
+            sync_playwright() as playwright,
+        ):
+            path = browser_path(playwright.chromium.executable_path)
+            browser = _launch(playwright, path, folder)
             try:
                 yield browser
             except Error as error:
@@ -124,13 +129,17 @@ def new_context(
     return context
 
 
-def _launch(playwright: Playwright, path: str | None) -> Browser:
+def _launch(playwright: Playwright, path: str | None, folder: str) -> Browser:
     from playwright.sync_api import Error
 
     name = path or "playwright's own browser"
     for flags in (_MESA, _SWIFTSHADER):
         try:
-            browser = playwright.chromium.launch(executable_path=path, args=[*flags, *_QUIET])
+            browser = playwright.chromium.launch(
+                executable_path=path,
+                args=[*flags, *_QUIET],
+                env={**os.environ, "TMPDIR": folder},
+            )
         except Error as error:
             reason = str(error).strip().splitlines()[0]
             raise BrowserError(f"{name} does not start: {reason}") from None

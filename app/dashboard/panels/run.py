@@ -34,6 +34,7 @@ from app.dashboard.scene.colours import GHOSTS, SERIES, css
 from app.dashboard.verdict import COLOURS, State, Verdict
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Pause, Play, Reset, Restart, Speed
 from app.simulation.scenarios import SCENARIOS, own_line
+from app.simulation.scenarios.pulled import CHALLENGE
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
 
 FREE = "free: drag the hand"
@@ -41,6 +42,7 @@ FREE = "free: drag the hand"
 TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
 """What is in the list of scenarios, by their names."""
 _NAMES = {title: name for name, title in TITLES.items()}
+_ABOUT = {each.name: each.about for each in (*SCENARIOS.values(), CHALLENGE)}
 NOBODY = "nobody"
 """Choice of no further robot."""
 INPUTS = {"the hand's path": "path", "the person's force": "force"}
@@ -246,17 +248,17 @@ def course_html(course: Course, busy: str) -> str:
         return banner("notice", f"{busy.capitalize()} …", "time stands still until it begins")
     if not course.name:
         return ""
-    about = SCENARIOS[course.name].about if course.name in SCENARIOS else ""
+    about = f"{capital(_ABOUT[course.name])}." if course.name in _ABOUT else ""
     if course.running:
         share = min(course.until / max(course.duration, STEP), 1.0)
         title = f"{course.until:.1f} of {course.duration:.0f} s"
-        return small(f"{capital(about)}.{bar(share)}{title}")
+        return small(f"{about}{bar(share)}{title}")
     early = course.until < course.duration - ENDED
     title = f"{course.name} {f'left at {course.until:.1f} s' if early else 'ended'}"
     result = "contact" if course.touched else "no contact"
     figures = course_figures(course) | {"way of the base": f"{course.path:.2f} m"}
     return framed(
-        f"<b>{title}: {result}</b><br>{capital(about)}.{readings(figures)}",
+        f"<b>{title}: {result}</b><br>{about}{readings(figures)}",
         css(COLOURS["contact" if course.touched else "clear"]),
     )
 

@@ -180,7 +180,7 @@ class DrawnBorders:
         self._nodes: dict[str, viser.PointCloudHandle | viser.GlbHandle] = {}
         self._legends: dict[str, Legend] = {}
         self._meshes: dict[str, trimesh.Trimesh] = {}
-        self._clicked: tuple[str, Array, Array] | None = None
+        self._clicked: tuple[Array, Array] | None = None
         self._probed: tuple[str, Probe] | None = None
 
     @property
@@ -241,20 +241,21 @@ class DrawnBorders:
         with io.BytesIO() as file:
             mesh.export(file, file_type="glb")
             data = file.getvalue()
-        body = self._nodes[pair] = self._scene.add_glb(
+        self._nodes[pair] = self._scene.add_glb(
             f"{ROOT}/shell_{pair}", data, cast_shadow=False, receive_shadow=False
         )
+        # Of the scene: one of the body's own would outline it, and keep the mouse from the arm.
+        self._scene.remove_click_callback()
+        self._scene.on_click()(self._click)
 
-        @body.on_click
-        async def _(event: viser.SceneNodePointerEvent[viser.GlbHandle]) -> None:
-            self._clicked = pair, np.array(event.ray_origin), np.array(event.ray_direction)
+    def _click(self, event: viser.SceneClickEvent) -> None:
+        self._clicked = np.array(event.ray_origin), np.array(event.ray_direction)
 
     def draw_probe(self, canvas: Canvas, snapshot: Snapshot, top: float) -> None:
         """Draw what was clicked: the place, its numbers, and which way the base would go."""
         if self._clicked is not None:
-            pair, origin, direction = self._clicked
-            self._clicked = None
-            self._probed = self._look(pair, snapshot, origin, direction) or self._probed
+            found, self._clicked = self._look(snapshot, *self._clicked), None
+            self._probed = found or self._probed
         if self._probed is None:
             return
         _, probe = self._probed
@@ -275,18 +276,17 @@ class DrawnBorders:
         draw_acceleration(canvas, f"{ROOT}/probe", probe.acceleration, base.axes, top)
 
     def _look(
-        self, pair: str, snapshot: Snapshot, origin: Array, direction: Array
+        self, snapshot: Snapshot, origin: Array, direction: Array
     ) -> tuple[str, Probe] | None:
-        """The probe of the pair's body where a ray from the world meets it first."""
-        mesh = self._meshes.get(pair)
-        if mesh is None:
-            return None
+        """The pair whose body a ray from the world meets first, and the probe of that place."""
         x, y, phi = snapshot.base_pose
         R = pin.utils.rotate("z", -phi)  # from the world to the base
-        hit = first_hit(mesh, R @ (origin - np.array([x, y, 0.0])), R @ direction)
-        if hit is None:
+        origin, direction = R @ (origin - np.array([x, y, 0.0])), R @ direction
+        hits = [(pair, first_hit(mesh, origin, direction)) for pair, mesh in self._meshes.items()]
+        met = [(float(np.linalg.norm(hit[0] - origin)), pair, hit) for pair, hit in hits if hit]
+        if not met:
             return None
-        p, n = hit
+        _, pair, (p, n) = min(met, key=lambda each: each[0])
         return pair, probe_at(self._borders, pair, snapshot, p, n)
 
 

@@ -35,6 +35,7 @@ _NEAR_HAND = 0.22 * _CORNERS  # [m] the same if the hand alone is looked at
 _NEAR_PAIR = 0.30 * _CORNERS  # [m] the same around closest points
 _FAR = 1.5  # [m] from the robot that is led; a ghost that is farther away is left behind
 _OPEN = np.deg2rad(90.0)  # [rad] of a door for whose way there is room in the picture
+_OVER_DOOR = 0.15  # [m] where its angle is written
 _BACK = 1e-3  # [s] that time goes back where a run begins anew
 
 
@@ -76,7 +77,7 @@ class Preset(NamedTuple):
     Attributes:
         away: (3,) from what is looked at towards the camera.
         of: What is looked at: the whole robot, the hand alone, the closest points of the nearest
-            pair, or a door with its hinge and the hand, from where a person stands who opens it.
+            pair, or the robot and a door with its hinge, from where a person stands who opens it.
     """
 
     away: Array
@@ -94,8 +95,7 @@ PRESETS = {
     "door": Preset(np.array([-1.3, -0.8, 1.5]), "door"),
 }
 """Views by name."""
-OF_SCENARIOS = {"refrigerator": "door", "way-out": "pair"}
-"""Views that scenarios have of their own."""
+_OF_SCENARIOS = {"way-out": "pair"}  # views that scenarios have of their own, besides doors
 
 
 class _Look(NamedTuple):
@@ -170,6 +170,10 @@ class Camera:
         if name == "door" and snapshot.door is None:
             raise TargetError("there is no door here; the scenario refrigerator has one")
         self.use(name, snapshot)
+
+    def begin(self, snapshot: Snapshot) -> None:
+        """Look from where one looks at first: at a door, or from the scenario's own view."""
+        self.use(_first_view(snapshot), snapshot)
 
     def use(self, name: str, snapshot: Snapshot) -> None:
         """Look from a key of `PRESETS` at the robot as it is in a snapshot."""
@@ -254,11 +258,8 @@ class Camera:
             snapshot.t < before.t - _BACK or (snapshot.scenario not in ("", before.scenario))
         )
         self._begun = self._begun or begun
-        own = OF_SCENARIOS.get(snapshot.scenario)
-        if begun and own is not None:
-            self.use(own, snapshot)
-        elif begun and self._preset in OF_SCENARIOS.values():
-            self.use("iso", snapshot)
+        if begun and {_first_view(snapshot), self._preset} & {"door", *_OF_SCENARIOS.values()}:
+            self.begin(snapshot)
         if busy or self._waits():
             return
         camera, base_pose = self._client.camera, np.array(snapshot.base_pose)
@@ -295,6 +296,11 @@ class Camera:
             self._set = None
 
 
+def _first_view(snapshot: Snapshot) -> str:
+    own = _OF_SCENARIOS.get(snapshot.scenario, "iso")
+    return own if snapshot.door is None else "door"
+
+
 def placed(
     preset: Preset, shown: Sequence[Snapshot], extent: Array, window: Window = ANY_WINDOW
 ) -> tuple[Array, Array]:
@@ -323,9 +329,10 @@ def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
         seen = [nearest.p_a + _NEAR_PAIR, nearest.p_b + _NEAR_PAIR]
     elif of == "door" and snapshot.door is not None:
         door, (_, width, height) = snapshot.door.door, snapshot.door.door.size
-        corners = [(0.0, -door.side * u, v) for u in (0.0, width) for v in (0.0, height)]
+        top = height + _OVER_DOOR
+        corners = [(0.0, -door.side * u, v) for u in (0.0, width) for v in (0.0, top)]
         poses = (door.pose(0.0), door.pose(snapshot.door.angle), door.pose(_OPEN))
-        return np.array([*(T.act(np.array(c)) for T in poses for c in corners), *(hand + _HAND)])
+        seen.append(np.array([T.act(np.array(c)) for T in poses for c in corners]))
     return np.vstack([*seen, hand + SCALE * np.eye(3)])  # and the gizmo's tips
 
 

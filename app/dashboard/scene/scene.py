@@ -28,6 +28,7 @@ from app.dashboard.verdict import judge
 from app.dashboard.view import View
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
+from app.simulation.plants.door import BODY as DOOR
 from app.simulation.trace.snapshot import Snapshot
 
 Array = np.ndarray
@@ -65,7 +66,8 @@ class SceneData:
         self.loop, self.model, self.clouds = loop, model, clouds
         self.pairs = [pair.name for pair in first.pairs]
         self.mobile = [pair.name for pair in first.pairs if pair.mobile]
-        self.spoken = {name: words.spoken(name, model.body_names) for name in self.pairs}
+        named = (*self.pairs, f"{model.body_names[0]}-{DOOR}")  # that pair comes with its scenario
+        self.spoken = {name: words.spoken(name, model.body_names) for name in named}
         self.parts = parts or RobotParts(model)
         self.borders = Borders(model, clouds)
         self.tracks = {

@@ -15,22 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from app.errors import DbbError, LoopError
-from app.simulation.loop.commands import (
-    Choose,
-    Command,
-    Compare,
-    Configure,
-    Mailbox,
-    Pause,
-    Play,
-    Pull,
-    Release,
-    Reset,
-    Restart,
-    Speed,
-    StepOnce,
-    Watch,
-)
+from app.simulation.loop import commands
 from app.simulation.loop.ensemble import Ensemble
 from app.simulation.loop.pacing import Pacer
 from app.simulation.people import held_links
@@ -56,7 +41,7 @@ class LoopHandle(Protocol):
         """[s] since its last sign of life; one that hangs gives none, one that is paused does."""
         ...
 
-    def send(self, command: Command) -> None:
+    def send(self, command: commands.Command) -> None:
         """Leave a command; it is obeyed before one of the next control steps.
 
         Of commands that replace one another, such as two pulls, only the newest is obeyed.
@@ -86,7 +71,7 @@ class LiveLoop(LoopHandle):
 
     def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
         """Nothing has been sent or published; `kept` snapshots will be remembered."""
-        self._mailbox, self._history = Mailbox(), History(kept)
+        self._mailbox, self._history = commands.Mailbox(), History(kept)
         self._ready = threading.Event()
         self._begun = False
         self._alive = monotonic()  # [s] last sign of life
@@ -111,7 +96,7 @@ class LiveLoop(LoopHandle):
     def silence(self) -> float:
         return monotonic() - self._alive
 
-    def send(self, command: Command) -> None:
+    def send(self, command: commands.Command) -> None:
         self._mailbox.put(command, self.links)
 
     def latest(self) -> Snapshot:
@@ -216,34 +201,34 @@ class SimulationLoop(LiveLoop):
         }
 
     def _obey(self, ensemble: Ensemble) -> None:
-        commands = self._mailbox.take()
-        for command in commands:
+        waiting = self._mailbox.take()
+        for command in waiting:
             try:
                 self._carry_out(command, ensemble)
             except DbbError as error:
                 number = 1 if self._refusal is None else self._refusal.number + 1
                 self._refusal = Refusal(number, str(error))
-        if commands:
+        if waiting:
             self._refresh(ensemble)
 
-    def _carry_out(self, command: Command, ensemble: Ensemble) -> None:
-        if isinstance(command, Pull):
+    def _carry_out(self, command: commands.Command, ensemble: Ensemble) -> None:
+        if isinstance(command, commands.Pull):
             ensemble.pull(command)
-        elif isinstance(command, Release):
+        elif isinstance(command, commands.Release):
             ensemble.release(command.who)
-        elif isinstance(command, Configure):
+        elif isinstance(command, commands.Configure):
             ensemble.configure(command.config)
-        elif isinstance(command, Choose):
+        elif isinstance(command, commands.Choose):
             ensemble.choose(command.controller)
-        elif isinstance(command, Pause):
+        elif isinstance(command, commands.Pause):
             self._paused = command.paused
             self._pacer.restart()
-        elif isinstance(command, Watch):
+        elif isinstance(command, commands.Watch):
             self._watched = command.watched
             self._pacer.restart()
-        elif isinstance(command, Speed):
+        elif isinstance(command, commands.Speed):
             self._pacer.speed = self._speed = command.factor
-        elif isinstance(command, StepOnce):
+        elif isinstance(command, commands.StepOnce):
             self._step_once(command.seconds, ensemble)
         else:
             self._begin_anew(command, ensemble)
@@ -257,22 +242,22 @@ class SimulationLoop(LiveLoop):
             step = ensemble.step()
         self._publish(ensemble, step)
 
-    def _begin_anew(self, command: Command, ensemble: Ensemble) -> None:
-        if isinstance(command, Play):
+    def _begin_anew(self, command: commands.Command, ensemble: Ensemble) -> None:
+        if isinstance(command, commands.Play):
             self._say_busy(f"preparing {command.scenario.name}")
             ensemble.play(command.scenario)
             self._until = command.until
             self._paused = self._paused and not command.until
-        elif isinstance(command, Compare):
+        elif isinstance(command, commands.Compare):
             self._say_busy("preparing the comparison")
             ensemble.compare(command)
             if not ensemble.ghosts:
                 return
-        elif isinstance(command, Restart):
+        elif isinstance(command, commands.Restart):
             if ensemble.scenario is not None:
                 self._say_busy(f"preparing {ensemble.scenario.name}")
             ensemble.restart()
-        elif isinstance(command, Reset):
+        elif isinstance(command, commands.Reset):
             ensemble.reset(command.q_m, command.base_pose)
         self._publish_first(ensemble)
 

@@ -70,7 +70,7 @@ def write_trace(path: Path, trace: Trace) -> None:
                 cells[column][k] = cell
     header = LogHeader(dbb_log=trace.meta, rows=rows).model_dump_json()
     table = pa.table({column.name: _array(column, values) for column, values in cells.items()})
-    write_whole(path, _csv(header, table) if path.suffix == ".csv" else _parquet(header, table))
+    write_arrow(path, table, header)
 
 
 def read_trace(path: Path) -> Trace:
@@ -195,11 +195,19 @@ def _array(column: Column, values: Sequence[Any] | np.ndarray) -> pa.Array:
     return pa.array(values, kind, mask=nothing)
 
 
-def _csv(header: str, table: pa.Table) -> bytes:
+def write_arrow(path: Path, table: pa.Table, header: str = "") -> None:
+    """Write columns whole or not at all, as CSV or Parquet by the file's ending.
+
+    The header is a comment on the first line, or metadata. The same columns give the same bytes.
+    """
     sink = io.BytesIO()
-    sink.write(f"{_COMMENT}{header}\n".encode())
-    pyarrow.csv.write_csv(table, sink)
-    return sink.getvalue()
+    if path.suffix == ".csv":
+        sink.write(f"{_COMMENT}{header}\n".encode() if header else b"")
+        pyarrow.csv.write_csv(table, sink)
+    else:
+        table = table.replace_schema_metadata({_KEY: header.encode()} if header else None)
+        pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
+    write_whole(path, sink.getvalue())
 
 
 def _read_csv(path: Path) -> tuple[str, pa.Table]:
@@ -212,13 +220,6 @@ def _read_csv(path: Path) -> tuple[str, pa.Table]:
     options = pyarrow.csv.ConvertOptions(null_values=[""], strings_can_be_null=False)
     table = pyarrow.csv.read_csv(io.BytesIO(rest), convert_options=options)
     return text.removeprefix(_COMMENT).rstrip("\r"), table
-
-
-def _parquet(header: str, table: pa.Table) -> bytes:
-    sink = pa.BufferOutputStream()
-    table = table.replace_schema_metadata({_KEY: header.encode()})
-    pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
-    return sink.getvalue().to_pybytes()
 
 
 def _read_parquet(path: Path) -> tuple[str, pa.Table]:

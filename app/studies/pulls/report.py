@@ -39,6 +39,8 @@ _FAILURES: dict[str, Callable[[Row], object]] = {
     "error": lambda row: row["error"],
 }
 _EVENTS = {**_FAILURES, "failed": failed, "entered_buffer": entered_buffer}
+_BY_FORCE = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
+_BY_KIND = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
 _MOST_FAILURES = 200  # rows of the table of failures
 
 _COLUMNS = {
@@ -81,7 +83,7 @@ def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[s
         **{column: _quantiles(rows, column) for column in _SPREAD},
         "by_force": [_of_force(rows, low, high) for low, high in pairwise(_FORCES)],
         "by_kind": {
-            kind: _of_kind([row for row in rows if row["kind"] == kind])
+            kind: _fared([row for row in rows if row["kind"] == kind], *_BY_KIND)
             for kind in sorted({row["kind"] for row in rows})
         },
         "envelope": {
@@ -102,24 +104,18 @@ def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[s
 def _of_force(rows: Sequence[Row], low: float, high: float) -> dict[str, Any]:
     """How cases fared by the force [N] that was exerted before two bodies were near."""
     here = [row for row in rows if low <= exerted(row) < high]
-    counted = ("failed", "entered_buffer", "bodies_overlap", "contact", "arm_bodies_overlap")
     return {
         "from_n": low,
         "to_n": high if math.isfinite(high) else None,
-        "cases": len(here),
-        **_counts(here, *counted),
-        "least_clearance_m": min(_known(here, "min_clearance_m"), default=None),
+        **_fared(here, *_BY_FORCE),
         "hand_speed_max_mps": max(_known(here, "hand_speed_max_mps"), default=None),
     }
 
 
-def _of_kind(rows: Sequence[Row]) -> dict[str, Any]:
-    counted = ("failed", "bodies_overlap", "arm_bodies_overlap", "solver_failure")
-    return {
-        "cases": len(rows),
-        **_counts(rows, *counted),
-        "least_clearance_m": min(_known(rows, "min_clearance_m"), default=None),
-    }
+def _fared(rows: Sequence[Row], *events: str) -> dict[str, Any]:
+    """How many cases there are, how often what happened, and the least distance."""
+    least = min(_known(rows, "min_clearance_m"), default=None)
+    return {"cases": len(rows), **_counts(rows, *events), "least_clearance_m": least}
 
 
 def _counts(rows: Sequence[Row], *events: str) -> dict[str, int]:
