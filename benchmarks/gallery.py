@@ -145,7 +145,7 @@ ROBOTS: dict[str, dict[str, Any]] = {
         kind="holonomic",
         **_ON_FRANKIE,
     ),
-    "racecar_wx250s": _on("racecar", *_WX, at=(0.2, 0.0, 0.2)),
+    "racecar_wx250s": _on("racecar", *_WX, at=(0.4, 0.0, 0.35)),
 }
 """What is given to `dbb new-robot` beside `--out`, by the robot's name."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import re
 import shutil
+from dataclasses import replace
 from importlib.util import find_spec
 from itertools import combinations
 from pathlib import Path
@@ -37,6 +38,7 @@ from app.onboarding.fit.collision_sampling import Meetings, Poses, make_units, s
 from app.onboarding.fit.grouping import Grouping, find_grouping
 from app.onboarding.new_robot import NewRobot, compiled, description, finish, parse
 from app.onboarding.read.source import mesh_address
+from app.onboarding.report import report_html
 from app.onboarding.request import Request
 from app.onboarding.warn import Carried
 from app.onboarding.write import mesh_name
@@ -333,6 +335,17 @@ def test_the_report_shows_bodies_pairs_and_warnings(
         assert pair.name in page
     for warning in made.warnings:
         assert warning.split("'")[0][:40] in page
+
+
+def test_a_flat_link_seen_from_its_side_is_drawn(finished: tuple[NewRobot, BorderData]) -> None:
+    """A sheet with a printed mark: its outline is a line there."""
+    made, data = finished
+    base, *others = made.meetings.units
+    part = base.parts[0]
+    sheet = part._replace(corners=part.corners * [1.0, 1.0, 0.0] + [0.0, 0.0, 0.1])
+    meetings = replace(made.meetings, units=(base._replace(parts=(sheet,)), *others))
+    page = report_html(replace(made, meetings=meetings), data)
+    assert page.count("data:image/png") >= 2
 
 
 def test_each_line_starts_outside_and_leads_to_the_base(made: NewRobot) -> None:

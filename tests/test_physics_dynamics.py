@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 
 from app.robot.assets import resolved_urdf
 from app.robot.model import RobotModel
@@ -131,3 +132,17 @@ def test_links_that_are_fixed_take_no_room_in_the_engine(tmp_path):
         plant.close()
     np.testing.assert_allclose(M, state.M, **TOLERANCE)
     np.testing.assert_allclose(nle, state.h, **TOLERANCE)
+
+
+def test_a_link_that_is_a_flat_sheet_loads_in_mujoco(tmp_path):
+    """A printed mark on the base, whose mesh has no thickness."""
+    corners = np.array([[0.0, 0.0, 0.2], [0.1, 0.0, 0.2], [0.1, 0.1, 0.2], [0.0, 0.1, 0.2]])
+    sheet = tmp_path / "mark.stl"
+    trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]], process=False).export(sheet)
+    known, path = husky_panda().description, tmp_path / "robot.urdf"
+    mesh = f'<collision><geometry><mesh filename="{sheet}"/></geometry></collision></link>'
+    head, link, rest = resolved_urdf(known).partition('<link name="base_link">')
+    first, _, others = rest.partition("</link>")
+    path.write_text(head + link + first + mesh + others, encoding="utf-8")
+    model = RobotModel(known.model_copy(update={"urdf": str(path)}))
+    planar_plant("mujoco", model).close()

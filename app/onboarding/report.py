@@ -241,7 +241,7 @@ def _fill(
 ) -> None:
     """The outline of a convex body seen along an axis."""
     flat = points[:, [x, y]]
-    ring = flat[ConvexHull(flat).vertices]
+    ring = flat[ConvexHull(flat, qhull_options="QJ").vertices]  # a plate is a line from its side
     style: dict[str, Any] = {"facecolor": colour, "edgecolor": colour, "alpha": alpha}
     axes.add_collection(PolyCollection([ring], label=label, linewidth=1.0, **style))
 

@@ -28,6 +28,8 @@ FIRM = (0.004, 1.0)
 IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]
 """Of both, as MuJoCo has it."""
 
+_FLAT = 1e-6  # [-] of a mesh's thickness over its length
+_SHEET = 0.0002  # [m] that a flat one is made thick
 _STIFFEST = 0.9999  # [-] MuJoCo's greatest impedance
 _FRICTION = 0.25  # [-] of two links
 _ROUND = 100.0  # [-] firmness of friction over that of contacts
@@ -224,8 +226,16 @@ class RobotSpec:
             self.add_geom(body, name, kind, size_of(shape.geometry), shape.T)
         else:
             convex = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
-            self.spec.add_mesh(name=name, uservert=points.ravel(), inertia=convex)
+            self.spec.add_mesh(name=name, uservert=_solid(points).ravel(), inertia=convex)
             self.add_geom(body, name, _GEOM.mjGEOM_MESH, T=shape.T, mesh=name)
+
+
+def _solid(points: Array) -> Array:
+    """(N, 3) [m] the points; of a flat sheet, which has no hull in MuJoCo, those of a thin one."""
+    extents, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[1:]
+    if extents[2] > _FLAT * extents[0]:
+        return points
+    return np.vstack([points + _SHEET / 2 * axes[2], points - _SHEET / 2 * axes[2]])
 
 
 def _in_order(named: tuple[tuple[str, str], str]) -> tuple[int, tuple[str, str]]:
