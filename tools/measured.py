@@ -20,7 +20,7 @@ PLANTS = {"planar": "pybullet", "mujoco": "MuJoCo", "mujoco-contact": "MuJoCo, w
 ENGINE_RUNS = {
     "husky_panda": (*LINES, "refrigerator"),
     "husky_ur5": ("guiding-lateral", "guiding-front", "tracking"),
-    "tiago": ("guiding-lateral", "guiding-front", "tracking"),
+    "frankie": ("guiding-lateral", "guiding-front", "tracking"),
 }
 """Scenarios by robot; other robots than the paper's need the extra `robots`."""
 DISTURBANCES = {
@@ -258,6 +258,18 @@ def performance_table(found: Figures) -> str:
     if start := found.get("startup"):
         rows.append(["from `dbb serve` to the page's answer", number(start["page_answers_s"], "s")])
         rows.append(["to its first whole picture", number(start["first_picture_s"], "s")])
+    if page := found.get("page"):
+        for state, what in (
+            ("idle", "nothing moves"),
+            ("playing", "a scenario runs"),
+            ("dragging", "the end-effector is dragged"),
+            ("plots", "its plots are open"),
+        ):
+            drawn, sent = page[f"{state}_pictures_per_s"], page[f"{state}_kB_per_s"]
+            told = f"{number(drawn)} pictures/s, {number(sent)} kB/s"
+            rows.append([f"a page that draws in software, 1280 x 720, {what}", told])
+        told = f"{number(page['gizmo_follows_ms'])} ms, {number(page['hand_follows_ms'])} ms"
+        rows.append(["from the mouse to the gizmo's picture, to the end-effector's", told])
     return grid(["what", "measured"], rows)
 
 
@@ -518,6 +530,7 @@ SETS: dict[str, ResultSet] = {
             "websocket": ("benchmarks.realtime", "--client", "websocket", "--drag", "--json"),
             "browser": ("benchmarks.realtime", "--client", "browser", "--drag", "--json"),
             "startup": ("benchmarks.startup",),
+            "page": ("benchmarks.page", "--json"),
         },
         keep_all,
         performance_table,
