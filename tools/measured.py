@@ -41,7 +41,7 @@ ROBOTS = (
     "racecar_panda",
 )
 PULLS = (
-    *("--cases", "100", "--seed", "17", "--hand-stiffness", "300", "2000", "--hand-mass", "0", "0"),
+    *("--cases", "690", "--seed", "17", "--hand-stiffness", "300", "2000", "--hand-mass", "0", "0"),
     *("--base-delay", "0", "0", "--encoder-noise", "0", "0", "--mass-error", "0", "0"),
     *("--slip", "0", "0", "--v-max", "0.5", "0.5", "--speed", "0.3", "1.2"),
 )
