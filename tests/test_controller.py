@@ -63,6 +63,16 @@ def in_buffer(robot: RobotModel, controller: Controller, seed: int, pair: str) -
             return m
 
 
+def unheld_step(
+    controller: Controller, m: Measurement, reference: Reference | None = None
+) -> ControlOutput:
+    """A step in which the hand weighs nothing."""
+    controller.configure(UNHELD)
+    output = controller.step(m, reference)
+    controller.configure(AT_ONCE)
+    return output
+
+
 def at_a_limit(output: ControlOutput) -> bool:
     """Whether the guided answer meets a limit of torque or joint acceleration."""
     assert output.workings is not None
@@ -114,9 +124,7 @@ def test_guided_the_base_is_asked_for_beta_times_the_desired_acceleration_less_i
     robot: RobotModel, controller: Controller, seed: int
 ) -> None:
     m = in_buffer(robot, controller, seed, "lm-lEE")
-    controller.configure(UNHELD)
-    output = controller.step(m)
-    controller.configure(AT_ONCE)
+    output = unheld_step(controller, m)
     beta, rest = output.avoidance.beta_m, -Config().task.base_damping * m.base_velocity
     base = robot.description.base
     limit = [base.max_linear_acceleration_mps2, base.max_angular_acceleration_radps2]
@@ -157,9 +165,7 @@ def test_a_tracking_base_turns_in_time_where_joints_come_to_their_limits(
 ) -> None:
     """What the rows alone ask of it no arm could make up for; what it does an arm can."""
     m = near_limits(robot, controller, seed)
-    controller.configure(UNHELD)
-    output = controller.step(m, reference_at(robot, m))
-    controller.configure(AT_ONCE)
+    output = unheld_step(controller, m, reference_at(robot, m))
     assert output.workings is not None
     by_rows, asked = output.workings.base_wanted, output.base_acceleration
     assert missing(controller.state, by_rows) > 5e-3
@@ -171,9 +177,7 @@ def test_limits_that_are_far_ask_nothing_of_a_tracking_base(
     robot: RobotModel, controller: Controller, seed: int
 ) -> None:
     m = in_buffer(robot, controller, seed, "lm-lEE")
-    controller.configure(UNHELD)
-    output = controller.step(m, reference_at(robot, m))
-    controller.configure(AT_ONCE)
+    output = unheld_step(controller, m, reference_at(robot, m))
     assert output.workings is not None
     np.testing.assert_allclose(output.base_acceleration, output.workings.base_wanted, rtol=1e-3)
 
