@@ -265,8 +265,8 @@ def test_a_ghost_whose_hand_leaves_the_picture_is_found(
     np.testing.assert_array_equal(eye.position, before)
     shown = beside(loop.latest(), 1.2)
     camera.find(shown, on=True)
-    hand = shown.ghosts[0].p_ee[None]
-    assert camera_module.sees(eye.position, eye.look_at, hand, camera.window, 0.0)
+    lens = camera_module.lens_of(eye.position, eye.look_at, 1.0, camera.window)
+    assert lens.has(lens.pixel(shown.ghosts[0].p_ee))
     assert not np.array_equal(eye.position, before)
 
 

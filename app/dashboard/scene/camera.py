@@ -267,7 +267,8 @@ class Camera:
         eye, target, window = camera.position, camera.look_at, self.window
         seen = sees(eye, target, _in_world(base_pose, self._extent), window)
         around = np.concatenate([robot.p_ee + _HAND for robot in _robots(snapshot)])
-        hands = [sees(eye, target, corner[None], window, 0.0) for corner in around]
+        lens = lens_of(eye, target, 1.0, window)
+        hands = [lens.has(lens.pixel(corner)) for corner in around]
         if self._seen_at is None or seen:
             self._seen_at, self._begun = base, False
         elif self._begun or (on and np.linalg.norm(base - self._seen_at) > _MOVED):
@@ -343,22 +344,12 @@ def lens_of(eye: Array, target: Array, height: float, window: Window) -> Lens:
     return Lens(eye, _axes(target - eye), half / np.tan(FIELD_OF_VIEW / 2), free)
 
 
-def sees(
-    eye: Array, target: Array, points: Array, window: Window, least: float = _LEAST_SHARE
-) -> bool:
-    """Whether the middle of points (N, 3) [m] is in the free part of a picture.
-
-    They have to fill `least` [-] of its height.
-    """
-    axes = _axes(target - eye)
-    middle = points.mean(axis=0)
-    u, v, depth = axes @ (middle - eye)
-    high = np.tan(FIELD_OF_VIEW / 2) * depth
+def sees(eye: Array, target: Array, points: Array, window: Window) -> bool:
+    """Whether the middle of points (N, 3) [m] is in the free part of a picture, large enough."""
+    lens, middle = lens_of(eye, target, 1.0, window), points.mean(axis=0)
+    pixel = lens.pixel(middle)
     size = float(np.linalg.norm(points - middle, axis=1).max())
-    low, top = window.edges
-    return bool(depth > 0.0 and abs(u) < high * window.aspect and low * high < v < top * high) and (
-        size >= least * high
-    )
+    return lens.has(pixel) and size >= _LEAST_SHARE * np.tan(FIELD_OF_VIEW / 2) * pixel[2]
 
 
 def _robots(snapshot: Snapshot) -> list[Snapshot | GhostReading]:
