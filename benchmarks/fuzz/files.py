@@ -31,7 +31,7 @@ import pyarrow.parquet as pq
 import trimesh
 from PIL import Image
 
-from app.border.cache import Content, DamagedFileError, pack, read, unpack, write
+from app.border.cache import BorderData, DamagedFileError, pack, read, unpack, write
 from app.border.dbb import make_cloud
 from app.cli.common import as_json
 from app.config import Config
@@ -223,7 +223,7 @@ def _border(path: Path) -> None:
     pair = Pair("lm", "lEE")
     distances = np.arange(60, dtype=np.uint16)
     pairs = LinkPairs((pair,), (), (), {pair.name: 0.1}, {pair.name: 0.0}, 10, 0)
-    content = Content(pairs, {pair.name: make_cloud(pair.name, points, distances)})
+    content = BorderData(pairs, {pair.name: make_cloud(pair.name, points, distances)}, "sampled")
     write(path, *pack(content, "0" * 32))
 
 

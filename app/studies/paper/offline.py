@@ -11,7 +11,13 @@ from matplotlib.collections import PathCollection
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from scipy import ndimage
 
-from app.border.reach.map import PEAK, ReachMap, load_reach_map
+from app.border.reach.map import (
+    FINE_SAMPLES,
+    FINE_SPACING,
+    PEAK,
+    ReachMap,
+    sample_reach_map,
+)
 from app.border.score import fit_reachability, radial_profile
 from app.robot.model import RobotModel
 from app.studies import style
@@ -24,7 +30,7 @@ _Reach = Callable[[Array], Array]
 _SHOWN = 12_000  # [-] points of a cloud in a picture; more would only cover each other
 _FACES = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
 _LEVELS = 25.0, 50.0, 75.0  # [-] of the reachability whose shells are drawn
-_SMOOTH = 1.0  # [-] steps of the lattice over which the counts of few poses are averaged
+_SMOOTH = 1.0  # [-] steps of the lattice over which few joint positions a place are averaged
 
 
 @style.picture("fig3", "Figure 3: sampled points and distance buffer borders")
@@ -102,7 +108,9 @@ def figure_6(sources: Sources) -> drawing.Drawing:
     """The density of inverse kinematics solutions rises and then falls with the distance from the
     arm's mount. It is described by a parabola with A = 525.9 /m², B = 0.575 m, C = 100.
     """
-    reach_map = load_reach_map(sources.model, sources.pair.b, progress=False)
+    reach_map = sample_reach_map(
+        sources.model, sources.pair.b, samples=FINE_SAMPLES, spacing=FINE_SPACING
+    )
     fit, field = fit_reachability(reach_map), sources.field
     figure = style.new_figure(4.2)
     shells = figure.add_subplot(1, 3, 1, projection="3d")
@@ -134,13 +142,13 @@ def figure_6(sources: Sources) -> drawing.Drawing:
             "C": fit.C,
             "r_squared": fit.r_squared,
             "rms": fit.rms,
-            "poses": reach_map.poses,
+            "samples": reach_map.samples,
             "positions": len(reach_map.points),
         },
         [
             "The controller scores with the paper's coefficients.",
-            f"(a) and (b) are averaged over {_SMOOTH * reach_map.spacing_m:g} m, as few poses are "
-            "solved at each place.",
+            f"(a) and (b) are averaged over {_SMOOTH * reach_map.spacing_m:g} m, as few joint "
+            "positions lead to each place.",
         ],
     )
 
