@@ -15,7 +15,6 @@ from app.border.score import fit_reachability
 from app.cli.main import main
 from app.robot.model import RobotModel
 
-
 FEW = 20_000
 
 

@@ -55,8 +55,8 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope, *_: object) -> Figur
     known = [row for row in rows if row.get("min_clearance_m") is not None]
     low = min([0.0] + [row["min_clearance_m"] for row in known])
     bins = np.arange(np.floor(low / 0.01) * 0.01, 0.3 + 0.01, 0.01)
-    inside = [row["min_clearance_m"] for row in known if envelope.holds_row(row)]
-    outside = [row["min_clearance_m"] for row in known if not envelope.holds_row(row)]
+    inside = [row["min_clearance_m"] for row in known if envelope.holds(row)]
+    outside = [row["min_clearance_m"] for row in known if not envelope.holds(row)]
     left.hist(
         [np.clip(part, bins[0], bins[-1]) for part in (inside, outside)],
         bins=list(bins),
