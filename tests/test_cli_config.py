@@ -82,13 +82,10 @@ def test_a_run_uses_the_parameters_of_its_file_and_options_come_before_it(handed
     assert handed_on(*QUICK) == Config()
 
 
-def test_a_sweep_uses_the_parameters_of_its_file(handed_on, mine, tmp_path, capsys):
+def test_a_sweep_uses_the_parameters_of_its_file(handed_on, mine, tmp_path):
     args = ["sweep", "--out", str(tmp_path / "out"), "--config", str(mine)]
     assert handed_on(*args) == CONFIG
     assert handed_on(*args, "--base-weight", "7") == CONFIG.replace("task.base_weight", 7.0)
-    both = tmp_path / "p.json"
-    both.write_text("{}")
-    assert "leave one of them" in refused(capsys, *args, "--parameters", str(both))
 
 
 @pytest.mark.slow

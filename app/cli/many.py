@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_reader
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -15,10 +14,8 @@ import tyro
 from app.cli import options
 from app.cli.common import print_json, print_part, print_table
 from app.cli.records import Given, from_record
-from app.config import Config, make_config
-from app.errors import ConfigError
 from app.jobs.progress import progress_bar
-from app.strict import check_range, parsed
+from app.strict import check_range
 from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.sweep.plan import OPTIONS, SweepPlan
 
@@ -82,7 +79,6 @@ def sweep(
     plan: Annotated[Given, from_record(SweepPlan, leave=("config",), names=OPTIONS)],
     parameter: Annotated[Given, options.parameter_options(_OF_SWEEP)],
     config: options.ConfigOption = None,
-    parameters: Annotated[Path | None, options.NO_DEFAULT] = None,
     processes: options.Processes = None,
     out: Path = Path("out/sweep"),
     json: options.Json = False,
@@ -95,19 +91,15 @@ def sweep(
     at x = 0, ±1, ±10 and ±50 mm. `dbb sweep robots` leads every robot's hand on a few such paths.
 
     Args:
-        parameters: As --config, but JSON, by section and name.
         out: Folder for `sweep.json`, `sweep.csv` and a PNG for each height and speed.
     """
-    if config is not None and parameters is not None:
-        raise ConfigError("--parameters: --config gives them already; leave one of them")
-    tuned = options.configured(config) if parameters is None else _read_parameters(parameters)
     if "controllers" in plan:
         plan["controllers"] = [
             name for text in plan["controllers"] for name in text.split(",") if name
         ]
     for name in OPTIONS.keys() & plan.keys():
         plan[name] = tuple(dict.fromkeys(plan[name]))
-    made = SweepPlan(**plan, config=options.changed(tuned, parameter, _OF_SWEEP))
+    made = SweepPlan(**plan, config=options.configured(config, parameter, _OF_SWEEP))
     options.check_seed(made.seed)
     side_by_side = options.check_processes(processes)
     # Imported here: matplotlib and scipy would make every other command start later.
@@ -169,21 +161,6 @@ def compare_robots(
         print_json(result)
     else:
         _print_robots(result["rows"])
-
-
-def _read_parameters(path: Path) -> Config:
-    """The parameters of a JSON file, over the defaults.
-
-    Raises:
-        ConfigError: It is not there, no JSON object, or holds what is no parameter.
-    """
-    try:
-        given = parsed(json_reader.loads, path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"--parameters: cannot read {path}: {error}") from None
-    if not isinstance(given, dict):
-        raise ConfigError(f"--parameters: {path} must hold a JSON object of sections")
-    return make_config(given)
 
 
 def _print_sweep(result: dict[str, Any], out: Path) -> None:
