@@ -281,8 +281,7 @@ def figure_16(sources: Sources) -> drawing.Drawing:
         )
     texts = ("opening a refrigerator", "collision models; the door's in magenta")
     for ax, letter, text, shot in zip(grid, "ab", texts, pictures, strict=True):
-        ax.imshow(shot.rgb)
-        ax.set_axis_off()
+        drawing.show_picture(ax, shot, camera)
         style.panel_title(ax, letter, text)
     superquadric = door.superquadric(pin.SE3.Identity())
     table = {
