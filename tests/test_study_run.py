@@ -135,9 +135,9 @@ def test_one_row_a_case_with_its_inputs_and_figures_and_none_of_the_machine(undi
 
 def test_the_report_stands_alone_and_holds_its_figures(undisturbed):
     page = (undisturbed / "report.html").read_text(encoding="utf-8")
-    assert page.count('src="data:image/png;base64,') == 4
+    assert page.count('src="data:image/png;base64,') == 3
     assert "http" not in page
-    for name in ("envelope", "clearance", "errors", "places"):
+    for name in ("envelope", "clearance", "errors"):
         assert f'id="{name}"' in page
         assert (undisturbed / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     fitted = tomllib.loads((undisturbed / "envelope.toml").read_text(encoding="utf-8"))

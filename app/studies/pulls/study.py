@@ -116,9 +116,8 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
     from app.studies.style import png_of, styled
 
     summary, envelope = summary_of(rows, parameters)
-    drawn = rows, envelope, load_sources(parameters.robot)
     with styled():
-        pictures = {name: png_of(each.draw(*drawn)) for name, each in PICTURES.items()}
+        pictures = {name: png_of(each.draw(rows, envelope)) for name, each in PICTURES.items()}
     names = dict.fromkeys(name for row in rows for name in row)
     table = {name: [row.get(name) for row in rows] for name in names}
     write_table(out / "results.parquet", table)
