@@ -111,7 +111,7 @@ EXTRAS = {
         "viser",
         "websockets",
     ),
-    "onboarding": ("eaik", "xacrodoc"),
+    "onboarding": ("xacrodoc",),
     "studies": ("dask", "distributed", "jinja2", "matplotlib", "mpl_toolkits"),
     "sim": ("mcap", "mujoco", "pyarrow", "pybullet", "pybullet_data", "scipy", "trimesh"),
 }

@@ -1,6 +1,5 @@
 """The challenge: what a visitor pulls is kept, played again by others, and told as it was."""
 
-import json
 from functools import partial
 from pathlib import Path
 
@@ -100,7 +99,7 @@ def test_a_visitor_tries_and_gets_the_proof(
         with tab.page.expect_download() as download:
             tab.click("Case of it (JSON)")
         download.value.save_as(tmp_path / "case.json")
-        case = RunCase.read(json.loads((tmp_path / "case.json").read_text()), "case.json")
+        case = RunCase.read((tmp_path / "case.json").read_text(), "case.json")
         with tab.page.expect_download() as download:
             tab.click("Card (PNG)")
         download.value.save_as(tmp_path / "card.png")

@@ -12,7 +12,8 @@ from app.cli.main import main
 from app.cli.options import configured
 from app.config import Config, sections
 from app.config_file import decode_config, read_config, save_config
-from app.studies.pulls.case import Case
+from app.simulation.case import RunCase
+from app.simulation.scenarios import SCENARIOS
 
 QUICK = ["run", "guiding-lateral", "--physics", "kinematic", "--duration", "0.01", "--json"]
 
@@ -81,13 +82,10 @@ def test_a_run_uses_the_parameters_of_its_file_and_options_come_before_it(handed
     assert handed_on(*QUICK) == Config()
 
 
-def test_a_sweep_uses_the_parameters_of_its_file(handed_on, mine, tmp_path, capsys):
+def test_a_sweep_uses_the_parameters_of_its_file(handed_on, mine, tmp_path):
     args = ["sweep", "--out", str(tmp_path / "out"), "--config", str(mine)]
     assert handed_on(*args) == CONFIG
     assert handed_on(*args, "--base-weight", "7") == CONFIG.replace("task.base_weight", 7.0)
-    both = tmp_path / "p.json"
-    both.write_text("{}")
-    assert "leave one of them" in refused(capsys, *args, "--parameters", str(both))
 
 
 @pytest.mark.slow
@@ -112,34 +110,10 @@ def test_a_mistake_in_the_file_is_one_line_that_names_it(capsys, tmp_path, comma
 
 
 def test_a_replayed_case_has_its_own_parameters(capsys, mine, tmp_path):
-    case = Case(
-        study_seed=0,
-        number=0,
-        kind="front",
-        redraws=0,
-        robot="husky_panda",
-        controller="dbb",
-        physics="planar",
-        start=(0.9, 0.0, 0.3),
-        move=(-0.2, 0.0, 0.0),
-        speed=0.1,
-        duration=1.0,
-        moving=1.0,
-        q_m=(0.0,) * 7,
-        base_delay=0.0,
-        encoder_noise=0.0,
-        mass_error=0.0,
-        slip=0.0,
-        v_max=0.5,
-        hand_f_max=40.0,
-        hand_stiffness=300.0,
-        hand_mass=0.0,
-        release_at=None,
-        regrasp_at=None,
-        seed=0,
-    )
+    played = SCENARIOS["guiding-front"]
+    case = RunCase.of(played, Config(), robot="husky_panda", controller="dbb", physics="planar")
     path = tmp_path / "case.json"
-    path.write_text(case.model_dump_json())
+    path.write_text(case.text())
     for command in ("run", "serve"):
         told = refused(capsys, command, "--replay-case", str(path), "--config", str(mine))
         assert "--config" in told

@@ -32,8 +32,8 @@ from app.errors import (
 )
 from app.robot.assets import ASSETS, refuse_entities
 from app.robot.description import load_description
+from app.simulation.case import read_case
 from app.simulation.trace.log_file import read_trace, write_trace
-from app.studies.pulls.case import read_case
 from app.studies.run_report import key_numbers
 from app.system import write_whole
 from tests.logs import random_snapshots, trace_of
@@ -55,7 +55,7 @@ def test_a_description_a_case_and_a_configuration_of_hostile_values_are_one_line
     path.write_text(good.replace("mass_kg = 60.0", f"mass_kg = {value}"), encoding="utf-8")
     with pytest.raises(DescriptionError, match=str(path)):
         load_description(path)
-    path.write_text(f'{{"case": {{"seed": {value}}}}}', encoding="utf-8")
+    path.write_text(f'{{"dbb_case": 1, "seed": {value}}}', encoding="utf-8")
     with pytest.raises(CaseError, match=str(path)):
         read_case(path)
     with pytest.raises(ConfigError):

@@ -19,7 +19,6 @@ from app.robot.model import RobotModel
 from app.simulation.run import run_scenario
 from app.simulation.scenarios import scenario_by_name
 from app.simulation.trace.log_file import read_trace, write_trace
-from app.simulation.trace.metrics import metrics
 from app.simulation.trace.snapshot import QUANTITIES, Snapshot
 from tests.logs import difference, random_snapshots, trace_of
 
@@ -96,29 +95,6 @@ def test_a_run_is_logged_each_step_drawn_fifty_times_a_second_and_comes_back(
 def test_the_snapshots_of_a_run_say_which_scenario_leads_the_hand(taken):
     assert {(s.scenario, s.scenario_ends) for s in taken.snapshots} == {("guiding-front", 1.0)}
     assert np.isnan([s.step_time_us for s in taken.snapshots]).all()
-
-
-def test_a_file_written_before_there_was_a_row_for_each_step_is_read(tmp_path):
-    """Format 1: rows at 50 Hz, without the quantities that came later."""
-    snapshots = [replace(s, qd_m=None, activation=0.0) for s in random_snapshots(7, 3)]
-    path, trace = tmp_path / "log.parquet", trace_of(snapshots)
-    write_trace(path, trace)
-    table = pq.read_table(path)
-    header = json.loads(table.schema.metadata[b"dbb_log"])
-    header["dbb_log"]["format"] = 1
-    del header["dbb_log"]["joint_speeds"], header["dbb_log"]["stuck"]
-    columns = [c for q in QUANTITIES.values() for c in q.columns(trace.meta)]
-    table = table.drop_columns([c.name for c in columns if c.since > 1])
-    pq.write_table(
-        table.replace_schema_metadata({b"dbb_log": json.dumps(header)}),
-        path,
-        write_page_checksum=True,
-    )
-    log = read_trace(path)
-    for one, other in zip(log.snapshots, snapshots, strict=True):
-        assert difference(one.pairs, other.pairs) == ""
-        assert (one.qd_m, one.given_up, one.floor_contact) == (None, 0, False)
-    assert metrics(log)["joint_speed_share_max"] is None
 
 
 def test_snapshots_out_of_order_of_other_pairs_or_none_at_all_are_refused():

@@ -13,16 +13,11 @@ from zipfile import ZipFile
 import pytest
 
 from app.border.cache import border_key
-from app.border.config import ReachConfig, SamplingConfig
-from app.border.reach.map import reach_key
+from app.border.config import SamplingConfig
 from tests.robots import husky_panda
 
 PROJECT = Path(__file__).resolve().parent.parent
 PIP = (sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check")
-MAPS = [
-    f"husky_panda-reach-{body}-{reach_key(husky_panda().description, body, ReachConfig())}.npz"
-    for body in ("l3", "lEE")
-]
 SHIPPED = f"husky_panda-{border_key(husky_panda().description, SamplingConfig())}.npz"
 FOREIGN = ("husky_panda-" + "0" * 32 + ".npz", "other_robot-" + "1" * 32 + ".npz")
 
@@ -59,17 +54,13 @@ def elsewhere(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_the_wheel_holds_descriptions_and_of_borders_and_maps_the_shipped_ones_alone(
-    wheel: Path,
-) -> None:
+def test_the_wheel_holds_descriptions_and_of_borders_the_shipped_one_alone(wheel: Path) -> None:
     with ZipFile(wheel) as archive:
         names = archive.namelist()
     robots = sorted(path.parent.name for path in (PROJECT / "robot_assets").glob("*/robot.toml"))
     packed = sorted(name.split("/")[2] for name in names if name.endswith("/robot.toml"))
     assert packed == robots
-    assert sorted(name for name in names if name.endswith(".npz")) == [
-        f"app/dbb_cache/{name}" for name in sorted([SHIPPED, *MAPS])
-    ]
+    assert [name for name in names if name.endswith(".npz")] == [f"app/dbb_cache/{SHIPPED}"]
     assert "app/studies/page.html.j2" in names
     outside = {name for name in names if not name.startswith(("app/", "dbb_mobile_manipulator-"))}
     assert outside == set()

@@ -43,9 +43,6 @@ def test_dbb_replay_of_no_log_is_one_clear_line(tmp_path, capsys):
         out, err = capsys.readouterr()
         assert (out, err.count("\n")) == ("", 1)
         assert words in err
-    with pytest.raises(SystemExit):
-        main(["replay", str(tmp_path / "log.csv"), "--dark", "--light"])
-    assert "only one of them" in capsys.readouterr().err
 
 
 @pytest.mark.browser

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import pytest
+import tyro
 
 from app.border.mobile import MobileBody
 from app.cli.common import print_table
-from app.cli.main import main
+from app.errors import UnknownNameError
 from app.robot import assets
-from app.studies.sweep import sweep as table
-from app.studies.sweep.sweep import CASES, Case
+from benchmarks import robots as table
+from benchmarks.robots import CASES, Case
 from tests.robots import husky_panda
 
 SHORT = Case("short", "guiding", (10.0,), length=0.04, speed=0.1)
@@ -46,11 +47,9 @@ def test_a_robot_that_cannot_be_loaded_has_a_row_that_says_why(monkeypatch: pyte
 
 
 @pytest.mark.parametrize("words", [["--robots", "r2d2"], ["--case", "dancing"]])
-def test_a_name_that_does_not_exist_is_refused(words: list[str], capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["compare-robots", *words])
-    assert end.value.code == 2
-    assert words[1] in capsys.readouterr().err
+def test_a_name_that_does_not_exist_is_refused(words: list[str]):
+    with pytest.raises(UnknownNameError, match=words[1]):
+        tyro.cli(table.main, args=words)
 
 
 def test_a_printed_table_shows_its_texts_as_they_are(capsys):

@@ -38,12 +38,13 @@ def red(picture: Picture) -> np.ndarray:
     return (r - g > 60) & (r - b > 60)
 
 
-def test_the_robot_is_in_the_picture_and_the_floor_around_it(photographer, ready):
+def test_the_robot_is_in_the_picture_and_nothing_around_it(photographer, ready):
     picture = photographer.take(ORIGIN, ready, CAMERA)
     assert picture.rgb.shape == (180, 200, 3)
     share = np.mean(~picture.floor)
     assert 0.05 < share < 0.8
     assert picture.rgb[~picture.floor].std() > 30 > picture.rgb[picture.floor].std()
+    assert np.median(picture.rgb[picture.floor]) == 255
 
 
 def test_the_picture_moves_with_the_base_as_the_projection_says(photographer, ready):

@@ -101,7 +101,7 @@ cases = st.builds(
 @given(st.lists(cases, max_size=40))
 def test_no_failed_case_is_inside(rows):
     fitted = fit_envelope(rows, RANGES)
-    assert not [r for r in rows if r["contacts"] and fitted.holds_row(r)]
+    assert not [r for r in rows if r["contacts"] and fitted.holds(r)]
 
 
 @settings(max_examples=100, deadline=None)
@@ -113,9 +113,9 @@ def test_a_further_failure_never_widens_the_envelope_and_a_success_never_narrows
 
 def test_a_case_that_came_too_near_bounds_the_envelope_too():
     near = {**row(0, 50.0, 0.5, 0.1, 0), "min_clearance_m": RESERVE - 1e-6}
-    assert not fit_envelope([near], RANGES).holds_row(near)
+    assert not fit_envelope([near], RANGES).holds(near)
     clear = {**near, "min_clearance_m": RESERVE}
-    assert fit_envelope([clear], RANGES).holds_row({**clear, "hand_force_clear_max_n": 49.0})
+    assert fit_envelope([clear], RANGES).holds({**clear, "hand_force_clear_max_n": 49.0})
 
 
 def test_what_was_exerted_counts_and_not_what_the_spring_would_have_allowed():
@@ -136,29 +136,19 @@ def test_a_run_that_broke_off_counts_with_the_force_of_its_spring():
 def test_beyond_what_was_drawn_nothing_is_inside():
     hardest = row(0, STRONGEST, RANGES.speed[1], RANGES.base_delay[1], 0)
     fitted = fit_envelope([hardest], RANGES)
-    good = {
-        "speed": 0.4,
-        "base_delay": 0.1,
-        "v_max": 0.5,
-        "encoder_noise": 0.0,
-        "mass_error": 0.0,
-        "slip": 0.0,
-        "hand_stiffness": 400.0,
-        "hand_mass": 1.0,
-    }
-    assert fitted.holds(good, force=99.0)
-    assert not fitted.holds(good, force=101.0)
-    for name, value in {
-        "speed": 1.3,
-        "base_delay": 0.5,
-        "v_max": 0.2,
-        "encoder_noise": 0.004,
+    assert fitted.holds(row(1, 99.0, 0.4, 0.1, 0))
+    assert not fitted.holds(row(1, 101.0, 0.4, 0.1, 0))
+    for column, value in {
+        "speed_mps": 1.3,
+        "base_delay_s": 0.5,
+        "v_max_mps": 0.2,
+        "encoder_noise_rad": 0.004,
         "mass_error": 0.25,
         "slip": 0.4,
-        "hand_stiffness": 250.0,
-        "hand_mass": 3.0,
+        "hand_stiffness_npm": 250.0,
+        "hand_mass_kg": 3.0,
     }.items():
-        assert not fitted.holds({**good, name: value}, force=1.0), name
+        assert not fitted.holds({**row(1, 1.0, 0.4, 0.1, 0), column: value}), column
 
 
 def test_the_bound_of_a_rate_is_that_of_the_binomial_and_three_over_n_without_a_failure():

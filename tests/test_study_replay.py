@@ -15,13 +15,15 @@ from app.cli.main import main
 from app.dashboard.notifications import Notifier
 from app.dashboard.panels.run import RunPanel
 from app.dashboard.server import serve_dashboard
+from app.simulation.case import RunCase
 from app.simulation.loop.commands import Play, Pull, Reset
 from app.simulation.loop.loop import SimulationLoop
 from app.simulation.run import run_planned
 from app.simulation.session import Session
-from app.studies.pulls.case import Case, play_case
+from app.studies.pulls.case import planned_of, play_case
 from app.studies.pulls.draw import draw_case, load_sources
 from app.studies.pulls.parameters import StudyParameters, StudyRange
+from app.studies.runs import Row
 from tests.browser import wait_for
 from tests.fakes import ScriptedLoop
 from tests.raw_client import RawClient
@@ -47,23 +49,29 @@ def sources():
 
 
 @pytest.fixture(scope="module")
-def case(sources) -> Case:
+def drawn(sources) -> Row:
     return draw_case(FAST, 0, sources)
+
+
+@pytest.fixture(scope="module")
+def case(drawn) -> RunCase:
+    run = planned_of(drawn, FAST)
+    return RunCase.of(run.scenario, run.config, robot=run.robot, **run.driven)
 
 
 @pytest.fixture
 def file(case, tmp_path):
     path = tmp_path / "case.json"
-    path.write_text(json.dumps({"case": case.model_dump(mode="json"), "figures": {}}))
+    path.write_text(case.text())
     return path
 
 
 @pytest.mark.slow
-def test_the_command_gives_the_figures_of_the_study(sources, case, file, capfd):
-    row = play_case(case, sources.model, sources.data)
+def test_the_command_gives_the_figures_of_the_study(sources, drawn, case, file, capfd):
+    row = play_case(drawn, FAST, sources.model, sources.data)
     main(["run", "--replay-case", str(file), "--json"])
     played = json.loads(capfd.readouterr().out)
-    assert (played["scenario"], played["controller"]) == (case.name, "none")
+    assert (played["scenario"], played["controller"]) == ("random-pull", "none")
     assert (played["physics"], played["seed"]) == ("kinematic", case.seed)
     for name in ("min_clearance_m", "contacts", "ee_error_final_m", "torque_jump_max_nm"):
         assert played[name] == pytest.approx(row[name], abs=2e-9), name
@@ -103,7 +111,7 @@ def test_the_dashboard_refuses_a_file_that_is_no_case(tmp_path, capfd):
 
 def test_the_dashboard_checks_what_a_case_names_before_it_loads_anything(file, capfd):
     content = json.loads(file.read_text())
-    content["case"]["controller"] = "dbx"
+    content["controller"] = "dbx"
     file.write_text(json.dumps(content))
     with pytest.raises(SystemExit) as end:
         main(["serve", "--replay-case", str(file), "--port", "0"])
@@ -123,7 +131,7 @@ def loop(sources, case):
             seed=case.seed,
         )
 
-    loop = SimulationLoop(make_session, np.array(case.q_m))
+    loop = SimulationLoop(make_session, np.array(case.options["q_m"]))
     loop.start()
     yield loop
     loop.stop()
@@ -137,14 +145,14 @@ def begun(loop: SimulationLoop) -> None:
         time.sleep(0.002)
 
 
-def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, case, loop):
+def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, drawn, case, loop):
     """Each snapshot is a row of the run's log, to the last digit, noise included."""
-    trace = run_planned(case.planned(), sources.model, sources.data).trace
+    trace = run_planned(planned_of(drawn, FAST), sources.model, sources.data).trace
     log = {round(t, 3): k for k, t in enumerate(trace.t)}
     loop.send(Play(case.scenario()))
     begun(loop)
     end, seen = time.monotonic() + 60, {}
-    while time.monotonic() < end and loop.latest().t < case.duration + 0.1:
+    while time.monotonic() < end and loop.latest().t < case.options["duration"] + 0.1:
         seen |= {s.t: s for s in loop.history(-1.0) if s.hand_target is not None}
         time.sleep(0.01)
     assert loop.error is None
@@ -154,7 +162,7 @@ def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, case, loop)
         k = log[round(s.t, 3)]
         assert trace.of("q_m")[k].tolist() == s.q_m.tolist()
         assert trace.of("ee_error")[k] == s.ee_error
-    assert max(s.t for s in seen.values()) < case.duration
+    assert max(s.t for s in seen.values()) < case.options["duration"]
     assert loop.latest().hand_target is None
 
 

@@ -135,9 +135,9 @@ def test_one_row_a_case_with_its_inputs_and_figures_and_none_of_the_machine(undi
 
 def test_the_report_stands_alone_and_holds_its_figures(undisturbed):
     page = (undisturbed / "report.html").read_text(encoding="utf-8")
-    assert page.count('src="data:image/png;base64,') == 4
+    assert page.count('src="data:image/png;base64,') == 3
     assert "http" not in page
-    for name in ("envelope", "clearance", "errors", "places"):
+    for name in ("envelope", "clearance", "errors"):
         assert f'id="{name}"' in page
         assert (undisturbed / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     fitted = tomllib.loads((undisturbed / "envelope.toml").read_text(encoding="utf-8"))
@@ -270,7 +270,8 @@ def test_a_failure_is_kept_and_played_again_with_the_same_figures(tmp_path):
     assert result["contact"] >= 1 <= result["bodies_overlap"]
     files = sorted((tmp_path / "failures").iterdir())
     assert [path.name for path in files] == [f"case-{n:05d}.json" for n in result["failures"]]
-    kept = json.loads(files[0].read_text(encoding="utf-8"))["figures"]
+    rows = map(json.loads, (tmp_path / "cases.jsonl").read_text(encoding="utf-8").splitlines())
+    kept = next(row for row in rows if row["case"] == result["failures"][0])
     played = json.loads(printed_here("run", "--replay-case", str(files[0]), "--json"))
     assert played["contacts"] == kept["contacts"]
     for name in ("min_clearance_m", "ee_error_final_m", "base_path_m", "torque_jump_max_nm"):

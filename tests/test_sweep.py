@@ -15,7 +15,8 @@ from app.robot.model import RobotModel
 from app.simulation.run import run_planned
 from app.studies.sweep.plan import Approach, SweepPlan, Trial
 from app.studies.sweep.starts import Start, StartFinder
-from app.studies.sweep.sweep import GUIDED_LIMIT, arrival, passes, sweep
+from app.studies.sweep.sweep import arrival, passes, sweep
+from benchmarks.robots import GUIDED_LIMIT
 
 pytestmark = pytest.mark.slow
 

@@ -14,8 +14,8 @@ from app.cli import main
 def test_one_object_on_standard_output_and_the_files_that_it_names(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    parameters = tmp_path / "parameters.json"
-    parameters.write_text('{"border": {"d_b": 0.14}}', encoding="utf-8")
+    parameters = tmp_path / "parameters.toml"
+    parameters.write_text("[border]\nd_b = 0.14\n", encoding="utf-8")
     out = tmp_path / "made" / "on demand"
     args = [
         "--controller",
@@ -36,7 +36,7 @@ def test_one_object_on_standard_output_and_the_files_that_it_names(
         "1",
         "--base-weight",
         "7",
-        "--parameters",
+        "--config",
         str(parameters),
         "--out",
         str(out),
@@ -71,7 +71,7 @@ def test_one_object_on_standard_output_and_the_files_that_it_names(
         (["--robot", "husky"], ["husky", "husky_panda"]),
         (["--processes", "0"], ["--processes", "0"]),
         (["--seed", "-1"], ["--seed", "-1"]),
-        (["--parameters", "nowhere.json"], ["--parameters", "nowhere.json"]),
+        (["--config", "nowhere.toml"], ["--config", "nowhere.toml"]),
     ],
 )
 def test_bad_options_are_refused_in_one_line_before_any_work(
@@ -84,15 +84,3 @@ def test_bad_options_are_refused_in_one_line_before_any_work(
     (line,) = told.err.splitlines()
     assert all(word in line for word in words), line
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("text", ["[1]", '{"border": {"d_b": 9}}', '{"no": {}}', "{"])
-def test_a_file_of_parameters_must_hold_parameters(
-    text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "given.json"
-    path.write_text(text, encoding="utf-8")
-    with pytest.raises(SystemExit) as ended:
-        main(["sweep", "--parameters", str(path), "--out", str(tmp_path / "out")])
-    assert ended.value.code == 2
-    assert len(capsys.readouterr().err.splitlines()) == 1

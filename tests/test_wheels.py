@@ -50,11 +50,10 @@ def test_never_pybullet_and_its_fork_and_everywhere_one_mujoco(outcomes) -> None
 
 
 @pytest.mark.slow
-def test_only_pybullet_and_eaik_are_left_out_and_only_where_the_markers_say(outcomes) -> None:
+def test_only_pybullet_is_left_out_and_only_where_the_markers_say(outcomes) -> None:
     """On the platforms of the promise, for which `requires-python` has no upper hole."""
     for platform, python in PROMISED:
         names = outcomes[platform, python]
-        assert ("eaik" in names) == (python != "3.14")
         assert bool({"pybullet", "pybullet-arm64"} & names) == (python != "3.14")
         assert names >= direct() - set(OPTIONAL) - {"tomli"}
 
@@ -85,13 +84,13 @@ def test_an_index_that_does_not_answer_is_no_missing_wheel(tmp_path, monkeypatch
 
 def test_the_table_says_no_where_something_has_no_wheel() -> None:
     outcomes: dict[tuple[str, str], Outcome] = {
-        (platform, python): frozenset({"pin", "eaik"})
+        (platform, python): frozenset({"pin", "mujoco"})
         for platform in PLATFORMS
         for python in PYTHONS
     }
     outcomes["macOS arm64", "3.14"] = "pin has no wheels"
     last = table(outcomes).splitlines()[-1]
-    assert last == "| macOS arm64 | EAIK | EAIK | EAIK | EAIK | no |"
+    assert last == "| macOS arm64 | MuJoCo | MuJoCo | MuJoCo | MuJoCo | no |"
 
 
 def test_the_promise_is_for_every_python_that_the_package_takes() -> None:

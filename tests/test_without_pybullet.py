@@ -1,4 +1,4 @@
-"""Where pybullet, its meshes and EAIK are not installed, all but what needs them works."""
+"""Where pybullet and its meshes are not installed, all but what needs them works."""
 
 from __future__ import annotations
 
@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.border.reach import chain as reach_solver
-from app.border.reach.chain import Chain, make_solver
 from app.dashboard.scene.robot import RobotParts
 from app.errors import AssetError
 from app.robot.assets import resolve_package_uri
@@ -21,7 +19,7 @@ from app.robot.model import RobotModel
 PROJECT = Path(__file__).resolve().parent.parent
 WITHOUT = """
 import sys
-for name in ("pybullet", "pybullet_data", "eaik"):
+for name in ("pybullet", "pybullet_data"):
     sys.modules[name] = None  # as if it were not installed
 """
 
@@ -64,23 +62,6 @@ def test_the_dynamics_do_not_depend_on_meshes(robot) -> None:
     bare = RobotModel(load_robot("husky_panda")).pin
     assert bare.inertias.tolist() == robot.pin.inertias.tolist()
     assert bare == robot.pin
-
-
-def test_without_eaik_the_restarts_find_inverse_kinematics(robot, monkeypatch) -> None:
-    pytest.importorskip("eaik")
-    chain = Chain(robot, "lEE")
-    assert make_solver(chain, restarts=8).method == "analytic"
-    monkeypatch.setattr(reach_solver, "HPRobot", None)
-    solver = make_solver(chain, restarts=8)
-    assert solver.method == "restarts"
-    rng = np.random.default_rng(0)
-    q = chain.random(rng)
-    found = solver.solve(chain.pose(q).copy(), q[list(solver.free)], rng)
-    assert len(found)
-    for each in found:
-        np.testing.assert_allclose(
-            chain.pose(each).homogeneous, chain.pose(q).homogeneous, atol=1e-5
-        )
 
 
 @pytest.mark.slow

@@ -497,7 +497,7 @@ SETS: dict[str, ResultSet] = {
         {"times": ("benchmarks.engines", "--study", "20", "--json")}, keep_all, plants_table
     ),
     "robots": ResultSet(
-        {name: ("app", "sweep", "robots", "--robots", name, "--json") for name in ROBOTS},
+        {name: ("benchmarks.robots", "--robots", name, "--json") for name in ROBOTS},
         keep_robots,
         robots_table,
     ),

@@ -114,8 +114,7 @@ def commands() -> str:
 
 def command_names() -> list[str]:
     """The commands in the order of `dbb --help`."""
-    names = list(dict.fromkeys(COMMAND.findall(help_of())))
-    return [*names[: names.index("sweep") + 1], "sweep robots", *names[names.index("sweep") + 1 :]]
+    return list(dict.fromkeys(COMMAND.findall(help_of())))
 
 
 def help_of(*words: str) -> str:

@@ -51,7 +51,7 @@ while read -r python <&3; do
     fi
     engines=$("$venv/bin/python" -c '
 from importlib.metadata import distributions
-names = ("pybullet", "pybullet-arm64", "mujoco", "mujoco-core", "eaik")
+names = ("pybullet", "pybullet-arm64", "mujoco", "mujoco-core")
 print(", ".join(f"{d.name} {d.version}" for d in distributions() if d.name in names))' 2>/dev/null)
     rows+=("| $full | $engines | $installed s | $result | $((SECONDS - began)) s |")
     rm -rf "$venv"

@@ -36,7 +36,6 @@ OPTIONAL = {
     "pybullet-arm64": "pybullet's fork",
     "mujoco": "MuJoCo",
     "mujoco-core": "MuJoCo",
-    "eaik": "EAIK",
 }
 """What is not the same everywhere, and how the table calls it."""
 _MACOS = "14.0"  # the oldest one of the promise

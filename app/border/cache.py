@@ -1,4 +1,4 @@
-"""Files of what is made offline for a robot, and of the border: its pairs and clouds.
+"""Files of what is made offline for a robot: its link pairs, and the clouds of their borders.
 
 A file is found by its key and checked before it is believed, or else its content is made once and
 kept. It is one `.npz` without pickles, written as a whole. Its key is a hash of all that its
@@ -38,7 +38,6 @@ from app.system import write_whole
 Array = np.ndarray
 Arrays = dict[str, Array]
 Read = TypeVar("Read")
-Origin = Literal["cache", "shipped"]
 
 FORMAT = 2
 """Number of the file's layout and of the way of sampling; a new one outdates all files."""
@@ -63,49 +62,21 @@ class DamagedFileError(Exception):
     """A file that is not what its name says; the reason is its message."""
 
 
-class Header(Strict):
+class _Header(Strict):
     """What a file says of itself, beside its arrays."""
 
     key: str
+    format: int
+    mobile: tuple[tuple[str, str], ...]
+    manipulator: tuple[tuple[str, str], ...]
+    never: tuple[tuple[str, str], ...]
+    rates: dict[str, NonNegative]
+    least_distance_m: dict[str, Finite]
+    samples: int
+    seed: int
 
 
-def find_kept(name: str, key: str, unpack: Callable[[Arrays], Read]) -> tuple[Read, Origin] | None:
-    """What the user's cache, or the project itself, has of a name and a key; None if neither.
-
-    A file that is damaged or of another robot is never believed, with a warning.
-
-    Args:
-        name: Of the file, without the key.
-        key: As of `digest`.
-        unpack: Makes the content of a file's arrays.
-    """
-    folders: dict[Path, Origin] = {assets.cache_folder(): "cache"}
-    folders.setdefault(assets.SHIPPED_CACHE, "shipped")
-    for folder, origin in folders.items():
-        path = _path(folder, name, key)
-        try:
-            return read(path, unpack), origin
-        except FileNotFoundError:
-            continue
-        except DamagedFileError as error:
-            _log.warning("%s is not used: %s", path, error)
-    return None
-
-
-def keep(name: str, header: Header, arrays: Arrays) -> None:
-    """Write to the user's cache; one that cannot be written costs only a warning."""
-    path = _path(assets.cache_folder(), name, header.key)
-    try:
-        write(path, header, arrays)
-    except (OSError, OutputError) as error:
-        _log.warning("%s cannot be kept (%s); it will be made again", path, error)
-
-
-def _path(folder: Path, name: str, key: str) -> Path:
-    return folder / f"{name}-{key}.npz"
-
-
-def write(path: Path, header: Header, arrays: Arrays) -> None:
+def write(path: Path, header: _Header, arrays: Arrays) -> None:
     """Write a file as a whole or not at all, with a checksum.
 
     Raises:
@@ -142,21 +113,6 @@ def read(path: Path, unpack: Callable[[Arrays], Read]) -> Read:
         raise DamagedFileError(f"it cannot be read ({type(error).__name__})") from error
 
 
-Kind = TypeVar("Kind", bound=Header)
-
-
-def header_of(arrays: Arrays, kind: type[Kind], **expected: object) -> Kind:
-    """The header of a file.
-
-    Raises:
-        DamagedFileError: A field of it is not what is expected.
-    """
-    header = kind.model_validate_json(arrays["header"].tobytes())
-    if any(getattr(header, field) != value for field, value in expected.items()):
-        raise DamagedFileError("it belongs to another robot, sampling or version")
-    return header
-
-
 def _checksum(arrays: Mapping[str, Array]) -> Array:
     """(32,) uint8 over names, types, shapes and bytes."""
     total = hashlib.blake2b(digest_size=32)
@@ -165,12 +121,6 @@ def _checksum(arrays: Mapping[str, Array]) -> Array:
         total.update(f"{name} {array.dtype.str} {array.shape};".encode())
         total.update(array.data)
     return np.frombuffer(total.digest(), dtype=np.uint8)
-
-
-def digest(content: dict[str, object]) -> str:
-    """32 hexadecimal digits of what can be written as JSON."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def robot_content(description: RobotDescription) -> dict[str, object]:
@@ -255,7 +205,12 @@ def load_border_data(
         on_progress=on_progress,
     )
     data = BorderData(pairs, clouds, "sampled")
-    keep(model.description.name, *pack(data, border_key(model.description, sampling)))
+    key = border_key(model.description, sampling)
+    path = _path(assets.cache_folder(), model, key)
+    try:
+        write(path, *pack(data, key))
+    except (OSError, OutputError) as error:
+        _log.warning("%s cannot be kept (%s); it will be made again", path, error)
     return data
 
 
@@ -264,12 +219,28 @@ def kept_border_data(
 ) -> BorderData | None:
     """Pairs and clouds of a robot if they need not be sampled, else None.
 
+    The user's cache comes before what the project ships. A file that is damaged or of another robot
+    is never believed, with a warning.
+
     Raises:
         AssetError: The URDF or a mesh is not there.
     """
     key = border_key(model.description, sampling or SamplingConfig())
-    found = find_kept(model.description.name, key, partial(unpack, key=key))
-    return found and replace(found[0], origin=found[1])
+    folders: dict[Path, Literal["cache", "shipped"]] = {assets.cache_folder(): "cache"}
+    folders.setdefault(assets.SHIPPED_CACHE, "shipped")
+    for folder, origin in folders.items():
+        path = _path(folder, model, key)
+        try:
+            return replace(read(path, partial(unpack, key=key)), origin=origin)
+        except FileNotFoundError:
+            continue
+        except DamagedFileError as error:
+            _log.warning("%s is not used: %s", path, error)
+    return None
+
+
+def _path(folder: Path, model: RobotModel, key: str) -> Path:
+    return folder / f"{model.description.name}-{key}.npz"
 
 
 def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
@@ -278,23 +249,12 @@ def border_key(description: RobotDescription, sampling: SamplingConfig) -> str:
     Raises:
         AssetError: The URDF or a mesh is not there.
     """
-    return digest(
-        {"format": FORMAT, **robot_content(description), "sampling": sampling.model_dump()}
-    )
+    content = {"format": FORMAT, **robot_content(description), "sampling": sampling.model_dump()}
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-class _Header(Header):
-    format: int
-    mobile: tuple[tuple[str, str], ...]
-    manipulator: tuple[tuple[str, str], ...]
-    never: tuple[tuple[str, str], ...]
-    rates: dict[str, NonNegative]
-    least_distance_m: dict[str, Finite]
-    samples: int
-    seed: int
-
-
-def pack(data: BorderData, key: str) -> tuple[Header, Arrays]:
+def pack(data: BorderData, key: str) -> tuple[_Header, Arrays]:
     """Header and arrays of a file."""
     arrays = {}
     for i, pair in enumerate(data.pairs.mobile):
@@ -309,7 +269,9 @@ def unpack(arrays: Arrays, key: str) -> BorderData:
     Raises:
         DamagedFileError: The file is of another key or format, or not as it was written.
     """
-    header = header_of(arrays, _Header, key=key, format=FORMAT)
+    header = _Header.model_validate_json(arrays["header"].tobytes())
+    if (header.key, header.format) != (key, FORMAT):
+        raise DamagedFileError("it belongs to another robot, sampling or version")
     mobile, manipulator, never = (
         tuple(Pair(*names) for names in group)
         for group in (header.mobile, header.manipulator, header.never)

@@ -38,7 +38,6 @@ COMMANDS = {
 }
 """The commands, by what they are about, and the module in which each stands as a function."""
 _MODULES = {name: module for group in COMMANDS.values() for name, module in group.items()}
-_FORMERLY = {"compare-robots": ("sweep", "robots")}
 _ABOUT = "Reactive self-collision avoidance for a mobile manipulator."
 
 
@@ -94,7 +93,7 @@ def _run(words: list[str]) -> None:
     elif words[0] == "--version":
         print(f"dbb {metadata.version('dbb-mobile-manipulator')}")
     else:
-        _run_command(*_FORMERLY.get(words[0], words[:1]), *words[1:])
+        _run_command(*words)
 
 
 def _run_command(name: str, *words: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_reader
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,12 +12,10 @@ from typing import Annotated, Any
 import tyro
 
 from app.cli import options
-from app.cli.common import print_json, print_part, print_table
+from app.cli.common import print_json, print_part
 from app.cli.records import Given, from_record
-from app.config import Config, make_config
-from app.errors import ConfigError
 from app.jobs.progress import progress_bar
-from app.strict import check_range, parsed
+from app.strict import check_range
 from app.studies.pulls.parameters import StudyParameters, StudyRange
 from app.studies.sweep.plan import OPTIONS, SweepPlan
 
@@ -71,18 +68,10 @@ def _print_reproduction(result: dict[str, Any], out: Path) -> None:
     print(f"{out / result['page']}")
 
 
-def choose_sweep(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
-    """A sweep, or `sweep robots`: every robot through the same few paths."""
-    if words[:1] == ["robots"]:
-        return "robots", compare_robots, words[1:]
-    return "", sweep, words
-
-
 def sweep(
     plan: Annotated[Given, from_record(SweepPlan, leave=("config",), names=OPTIONS)],
     parameter: Annotated[Given, options.parameter_options(_OF_SWEEP)],
     config: options.ConfigOption = None,
-    parameters: Annotated[Path | None, options.NO_DEFAULT] = None,
     processes: options.Processes = None,
     out: Path = Path("out/sweep"),
     json: options.Json = False,
@@ -92,22 +81,18 @@ def sweep(
     Each path begins at a clear posture with the arm at the same
     distance from the base, and leads straight towards the base's centre. Directions without such a
     posture are listed as unreachable. Paths along the wheel axis begin with the arm's closest point
-    at x = 0, ±1, ±10 and ±50 mm. `dbb sweep robots` leads every robot's hand on a few such paths.
+    at x = 0, ±1, ±10 and ±50 mm.
 
     Args:
-        parameters: As --config, but JSON, by section and name.
         out: Folder for `sweep.json`, `sweep.csv` and a PNG for each height and speed.
     """
-    if config is not None and parameters is not None:
-        raise ConfigError("--parameters: --config gives them already; leave one of them")
-    tuned = options.configured(config) if parameters is None else _read_parameters(parameters)
     if "controllers" in plan:
         plan["controllers"] = [
             name for text in plan["controllers"] for name in text.split(",") if name
         ]
     for name in OPTIONS.keys() & plan.keys():
         plan[name] = tuple(dict.fromkeys(plan[name]))
-    made = SweepPlan(**plan, config=options.changed(tuned, parameter, _OF_SWEEP))
+    made = SweepPlan(**plan, config=options.configured(config, parameter, _OF_SWEEP))
     options.check_seed(made.seed)
     side_by_side = options.check_processes(processes)
     # Imported here: matplotlib and scipy would make every other command start later.
@@ -125,65 +110,6 @@ def sweep(
         print_json(result)
     else:
         _print_sweep(result, out)
-
-
-def compare_robots(
-    robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME …")] = (),
-    case: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME …")] = (),
-    processes: options.Processes = None,
-    seed: int = 0,
-    json: options.Json = False,
-) -> None:
-    """Lead each robot's hand towards its own base, without avoidance and with it.
-
-    Each robot is pulled by its hand from the side and from the front, and tracks a path of 0.2 m at
-    its side and one along its wheel axis, p_b at x = 0. The starts are searched, 0.02 m outside of
-    the buffer; a robot whose hand cannot come there has a row that says so.
-
-    Args:
-        robots: Names of the robots, all without any; `dbb robots` lists them.
-        case: Some of guiding-lateral, guiding-front, tracking and wheel-axis; all without any.
-        seed: Seed of everything random.
-    """
-    # Imported here: pybullet and scipy would make every other command start later.
-    from app.robot.assets import robot_names
-
-    for name in robots:
-        options.check_name("robot", name, robot_names())
-    options.check_seed(seed)
-    side_by_side = options.check_processes(processes)
-    from app.studies.sweep.sweep import CASES, robot_table
-
-    known = {each.name: each for each in CASES}
-    for name in case:
-        options.check_name("case", name, known)
-    with progress_bar("robots", 1.0) as on_progress:
-        result = robot_table(
-            robots or robot_names(),
-            cases=[known[name] for name in case] or CASES,
-            seed=seed,
-            processes=side_by_side,
-            on_progress=on_progress,
-        )
-    if json:
-        print_json(result)
-    else:
-        _print_robots(result["rows"])
-
-
-def _read_parameters(path: Path) -> Config:
-    """The parameters of a JSON file, over the defaults.
-
-    Raises:
-        ConfigError: It is not there, no JSON object, or holds what is no parameter.
-    """
-    try:
-        given = parsed(json_reader.loads, path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"--parameters: cannot read {path}: {error}") from None
-    if not isinstance(given, dict):
-        raise ConfigError(f"--parameters: {path} must hold a JSON object of sections")
-    return make_config(given)
 
 
 def _print_sweep(result: dict[str, Any], out: Path) -> None:
@@ -204,30 +130,6 @@ def _print_sweep(result: dict[str, Any], out: Path) -> None:
         print(f"unreachable: {row['kind'].replace('_', ' ')}, {where}: {row['reason']}")
     for name in result["files"]:
         print(out / name)
-
-
-def _print_robots(rows: list[dict[str, Any]]) -> None:
-    head = "robot", "case", "from", "controller", "clearance", "hand off", "base drove", "contacts"
-    shown = []
-    for row in rows:
-        if "reason" in row:
-            shown.append([row["title"], row["case"], "", "", row["reason"]])
-            continue
-        clearance = row["clearance_m"]
-        shown.append(
-            [
-                row["title"],
-                row["case"],
-                f"{row['direction_deg']:g}°, {row['height_m']:.2f} m",
-                row["controller"],
-                "–" if clearance is None else f"{clearance:.3f} m",
-                f"{1000 * row['hand_error_m']:.3g} mm",
-                f"{row['base_path_m']:.2f} m",
-                str(row["contacts"]),
-                "✓" if row["passed"] else "✗",
-            ]
-        )
-    print_table((*head, ""), shown)
 
 
 def study(

@@ -164,30 +164,27 @@ def reach(
     robot: str = "husky_panda",
     body: str = "all",
     seed: int = 0,
-    recompute: bool = False,
     out: Annotated[Path | None, options.NO_DEFAULT] = None,
     json: options.Json = False,
 ) -> None:
     """Count the arm's reachability and fit (9) to it (§2.3.2).
 
-    Positions stand on a lattice around the arm's mount, each with random orientations. For the
-    hand, p is the end-effector's origin and the pose is its whole pose; for another body, p is the
-    middle of its first shape and the pose is that point with the direction of its axis. Solutions
-    within the joint limits and without self-collision count. R is scaled so that its mean over the
-    best shell of ρ = ‖p − p_base‖ is 100; (9) is fitted where that mean is at least 5. The paper
-    leaves the end-effector's frame, the scale and the range of the fit open; A depends on them.
+    Positions stand on a lattice around the arm's mount. For the hand, p is the end-effector's
+    origin and the pose is its whole pose; for another body, p is the middle of its first shape and
+    the pose is that point with the direction of its axis. The density of a pose's solutions within
+    the joint limits and without self-collision follows from random joint positions: by the area
+    formula it is |det J| over what leads there. R is scaled so that its mean over the best shell of
+    ρ = ‖p − p_base‖ is 100; (9) is fitted where that mean is at least 5. The paper leaves the
+    end-effector's frame, the scale and the range of the fit open; A depends on them.
 
     Args:
         robot: Name of the robot; `dbb robots` lists them.
         body: lEE, l3 or another body that at least three joints move; all for each of those.
-        seed: Seed of the poses; another one is another map.
-        recompute: Count anew even if there is a file of it.
+        seed: Seed of the joint positions; another one is another map.
         out: Folder for two CSV per body: the map, and its means over shells with the fit.
     """
-    # Imported here: scipy and the solver would make every other command start later.
-    from app.border.config import ReachConfig
     from app.border.reach.chain import reach_bodies
-    from app.border.reach.map import load_reach_map
+    from app.border.reach.map import FINE_SAMPLES, FINE_SPACING, sample_reach_map
     from app.border.score import fit_reachability
 
     options.check_seed(seed)
@@ -198,14 +195,15 @@ def reach(
     begin = perf_counter()
     bodies: dict[str, Any] = {}
     for name in names if body == "all" else [body]:
-        reach_map = load_reach_map(
-            model, name, config=ReachConfig(seed=seed), recompute=recompute, processes=None
+        say(f"counting the solutions of {name}")
+        reach_map = sample_reach_map(
+            model, name, samples=FINE_SAMPLES, spacing=FINE_SPACING, seed=seed
         )
         fit = fit_reachability(reach_map)
         bodies[name] = _of_reach(model, reach_map, fit)
         if out is not None:
             _write_reach(out, reach_map, fit)
-    result = {"robot": robot, "seed": seed, "load_s": perf_counter() - begin, "bodies": bodies}
+    result = {"robot": robot, "seed": seed, "elapsed_s": perf_counter() - begin, "bodies": bodies}
     if json:
         print_json(result)
         return
@@ -225,11 +223,9 @@ def _of_reach(model: RobotModel, reach_map: ReachMap, fit: ReachFit) -> dict[str
         "paper": _PAPERS_FIT if carries else None,
         "description": used.model_dump(include=set(_PAPERS_FIT)) if used else None,
         "positions": len(reach_map.found),
-        "poses": reach_map.poses,
-        "solutions": int(reach_map.found.sum()),
-        "method": reach_map.method,
+        "samples": reach_map.samples,
+        "solutions": float(reach_map.found.mean()),
         "free_joints": list(reach_map.free_joints),
-        "origin": reach_map.origin,
     }
 
 
@@ -246,17 +242,16 @@ def _write_reach(out: Path, reach_map: ReachMap, fit: ReachFit) -> None:
         (f"reach-{reach_map.body}.csv", "x_m,y_m,z_m,rho_m,reach,solutions", positions),
         (f"reach-{reach_map.body}-radial.csv", "rho_m,mean,spread,fit,positions", shells),
     ):
-        formats = ["%.4f"] * (rows.shape[1] - 1) + ["%d"]
         filled = rows[~np.isnan(rows).any(axis=1)]
-        np.savetxt(out / name, filled, formats, ",", header=header, comments="")
+        np.savetxt(out / name, filled, "%.6g", ",", header=header, comments="")
 
 
 def _print_reach(robot: str, name: str, figures: dict[str, Any]) -> None:
     free = ", ".join(figures["free_joints"])
     print(
-        f"{robot} {name}, from {figures['origin']}: {figures['solutions']:,} solutions of "
-        f"{figures['poses']:,} poses at {figures['positions']:,} positions "
-        f"({figures['method']}{f'; held at random: {free}' if free else ''})"
+        f"{robot} {name}: {figures['solutions']:.3g} solutions a pose, as a mean over "
+        f"{figures['positions']:,} positions; from {figures['samples']:,} joint positions"
+        f"{f'; held at random: {free}' if free else ''}"
     )
     columns = {"counted": figures, "paper": figures["paper"], "description": figures["description"]}
     shown = {title: column for title, column in columns.items() if column}

@@ -17,7 +17,6 @@ from app.cli.common import load_robot_and_border, print_json
 from app.cli.records import Given, from_record
 from app.cli.wanted import filmed, is_case, trace_of, wanted
 from app.control import CONTROLLERS
-from app.errors import ConfigError
 from app.jobs.progress import progress_bar
 from app.simulation.case import Planned
 from app.strict import check_range
@@ -30,9 +29,6 @@ if TYPE_CHECKING:
 
 _MOST_PICTURES = 12
 _SIZES = 64, 8192  # [px]
-
-DarkOption = Annotated[options.Flag, tyro.conf.arg(help="A dark ground, the default.")]
-LightOption = Annotated[options.Flag, tyro.conf.arg(help="A light ground.")]
 
 
 @dataclass(frozen=True)
@@ -49,17 +45,12 @@ class Picture:
     """[px] of each picture."""
     page: bool = False
     """The whole dashboard, not the scene alone."""
+    light: bool = False
+    """A light ground, not a dark one."""
 
     def __post_init__(self) -> None:
         check_range("--width", self.width, *_SIZES, "px")
         check_range("--height", self.height, *_SIZES, "px")
-
-
-def is_dark(*, dark: bool, light: bool) -> bool:
-    """Whether the ground is dark: it is, unless `--light` is given."""
-    if dark and light:
-        raise ConfigError("--dark and --light: only one of them")
-    return not light
 
 
 def screenshot(
@@ -69,8 +60,6 @@ def screenshot(
     out: Path,
     picture: Annotated[Given, from_record(Picture)],
     setup: options.SetupOptions,
-    dark: DarkOption = False,
-    light: LightOption = False,
     config: options.ConfigOption = None,
     json: options.Json = False,
 ) -> None:
@@ -86,7 +75,7 @@ def screenshot(
     check_range("--at", len(at), 1, _MOST_PICTURES, "times")
     options.check_file("--out", out, (".png",))
     asked = wanted(scenario, setup, config)
-    whole = _draw(asked, at, shown, dark=is_dark(dark=dark, light=light))
+    whole = _draw(asked, at, shown)
     drawn = io.BytesIO()
     whole.save(drawn, "PNG", optimize=True)
     write_whole(out, drawn.getvalue())
@@ -106,7 +95,7 @@ def screenshot(
     print_json(told) if json else print(out)
 
 
-def _draw(asked: Planned, at: tuple[float, ...], shown: Picture, *, dark: bool) -> Image.Image:
+def _draw(asked: Planned, at: tuple[float, ...], shown: Picture) -> Image.Image:
     """Run the scenario and draw it at these times [s]."""
     # Imported here: viser and scipy would make every other command start later.
     from app.dashboard.export.browser import chromium
@@ -115,12 +104,12 @@ def _draw(asked: Planned, at: tuple[float, ...], shown: Picture, *, dark: bool) 
 
     for t in at:
         check_range("--at", t, 0.0, asked.scenario.duration, "s")
-    look = Look(shown.width, shown.height, shown.layer, shown.view, dark, shown.page)
+    look = Look(shown.width, shown.height, shown.layer, shown.view, not shown.light, shown.page)
     with chromium() as browser:  # first of all: without one the rest is in vain
         model, data = load_robot_and_border(asked.robot)
         snapshots = filmed(asked, model, data, at)
         pictures = take_pictures(browser, snapshots, at, model, data.clouds, look)
-    return pictures[0] if len(pictures) == 1 else strip(pictures, at, dark=dark)
+    return pictures[0] if len(pictures) == 1 else strip(pictures, at, dark=look.dark)
 
 
 @dataclass(frozen=True)
@@ -152,8 +141,6 @@ def film(
     filming: Annotated[Given, from_record(Filming)],
     picture: Annotated[Given, from_record(Picture, leave=("page",))],
     setup: options.SetupOptions,
-    dark: DarkOption = False,
-    light: LightOption = False,
     config: options.ConfigOption = None,
     json: options.Json = False,
 ) -> None:
@@ -175,7 +162,7 @@ def film(
     codecs = CODECS[out.suffix.lower()]
     codec = how.codec or next(iter(codecs))
     options.check_name(f"--codec of {out.suffix}", codec, codecs)
-    look = Look(shown.width, shown.height, shown.layer, shown.view, is_dark(dark=dark, light=light))
+    look = Look(shown.width, shown.height, shown.layer, shown.view, not shown.light)
     asked = wanted(scenario, setup, config)
     told = {"film": str(out), "scenario": asked.scenario.name, "beside": list(beside)}
     told |= _film(asked, beside, how, codec, look, out)
@@ -225,9 +212,7 @@ def replay(
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")],
     *,
     out: Path = Path("out/replay.html"),
-    looks: Annotated[Given, from_record(Picture, only=("layer", "view"))],
-    dark: DarkOption = False,
-    light: LightOption = False,
+    looks: Annotated[Given, from_record(Picture, only=("layer", "view", "light"))],
     json: options.Json = False,
 ) -> None:
     """Make one HTML file of a log that plays the run in any browser.
@@ -242,7 +227,6 @@ def replay(
     from app.dashboard.export.offscreen import Look, replay_html
 
     shown = Picture(**looks)
-    ground = is_dark(dark=dark, light=light)
     options.check_file("--out", out, (".html",))
     read = trace_of(log)
     model, data = load_robot_and_border(read.meta.robot)
@@ -252,7 +236,7 @@ def replay(
             read,
             model,
             data.clouds,
-            Look(layer=shown.layer, view=shown.view, dark=ground),
+            Look(layer=shown.layer, view=shown.view, dark=not shown.light),
             on_progress=on_progress,
         )
     write_whole(out, page)

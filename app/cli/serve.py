@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from app.simulation.case import RunCase
     from app.simulation.loop.loop import SimulationLoop
     from app.simulation.loop.process_loop import ProcessLoop
-    from app.studies.pulls.case import Case
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ class _First(NamedTuple):
     setup: options.Setup
     config: Config
     asked: Serving
-    case: Case | RunCase | None
+    case: RunCase | None
     child: Child | None
 
     def q_start(self, model: RobotModel, data: BorderData) -> np.ndarray:

@@ -13,18 +13,16 @@ from app.cli.records import Given
 from app.config import Config
 from app.errors import ConfigError
 from app.jobs.progress import progress_bar
-from app.simulation.case import Planned
+from app.simulation.case import Planned, RunCase, read_case
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.robot.model import RobotModel
-    from app.simulation.case import RunCase
     from app.simulation.run import RunResult
     from app.simulation.trace.snapshot import Snapshot
     from app.simulation.trace.trace import Trace
-    from app.studies.pulls.case import Case
 
 _CASE = ".json"
 
@@ -51,7 +49,7 @@ def planned(setup: Setup, scenario: Scenario, config: Config) -> Planned:
     return Planned(scenario=scenario, config=config, **asdict(setup))
 
 
-def of_case(case: Case | RunCase, setup: Given) -> Planned:
+def of_case(case: RunCase, setup: Given) -> Planned:
     """The run of a case, with another controller or plant if they are given."""
     own = {name: getattr(case, name) for name in ("robot", "controller", "physics", "seed")}
     return planned(Setup(**(own | setup)), case.scenario(), case.config())
@@ -90,14 +88,12 @@ def is_case(word: str) -> bool:
     return True
 
 
-def read(path: Path) -> Case | RunCase:
+def read(path: Path) -> RunCase:
     """The case of a file; what differs since it was written is said.
 
     Raises:
         DbbError: It is none.
     """
-    from app.studies.pulls.case import read_case
-
     case = read_case(path)
     for difference in case.differences():
         say(difference)

@@ -7,7 +7,6 @@ what a function of such work needs, it imports.
 from __future__ import annotations
 
 import gc
-import json
 import logging
 import math
 import os
@@ -340,7 +339,7 @@ def _read_case(text: str) -> tuple[RunCase, RobotModel, BorderData]:
     """A challenge's case, its robot, and the robot's border."""
     from app.simulation.case import RunCase
 
-    case = RunCase.read(json.loads(text), "the challenge")
+    case = RunCase.read(text, "the challenge")
     return case, *_loaded(case.robot, progress=False)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
@@ -13,10 +14,11 @@ from app.control import CONTROLLERS
 from app.errors import CaseError, DbbError, UnknownNameError
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
+from app.simulation.scenarios.line import RANDOM_PULL
 from app.simulation.scenarios.pulled import CHALLENGE
-from app.strict import MOST_SEEDS, Finite, Strict, explain
+from app.strict import MOST_SEEDS, Finite, Strict, explain, parsed
 
-_PLAYED: dict[str, Scenario] = {**SCENARIOS, CHALLENGE.name: CHALLENGE}
+_PLAYED: dict[str, Scenario] = SCENARIOS | {each.name: each for each in (CHALLENGE, RANDOM_PULL)}
 _FIELDS = {path for section in sections() for path in (t.path for t in section.tunables)}
 _MOST = 1000  # [-] options, parameters or figures of a case; there are about a hundred
 FORMAT = "dbb_case"
@@ -75,16 +77,6 @@ class RunCase(Strict):
         parameters = {path: config.value(path) for path in sorted(_FIELDS)}
         return cls(played=scenario.name, options=options, parameters=parameters, **run)
 
-    @staticmethod
-    def knows(name: str) -> bool:
-        """Whether a scenario of that name can be in a case."""
-        return name in _PLAYED
-
-    @property
-    def name(self) -> str:
-        """Of the scenario."""
-        return self.played
-
     def scenario(self) -> Scenario:
         """What is played.
 
@@ -136,12 +128,23 @@ class RunCase(Strict):
         return json.dumps(self.model_dump(mode="json"), indent=1) + "\n"
 
     @classmethod
-    def read(cls, content: Any, where: object) -> RunCase:
-        """The case of a JSON object that has the key `FORMAT`, from a file.
+    def read(cls, text: str, where: object) -> RunCase:
+        """The case of a file's text.
 
         Raises:
-            DbbError: It is none; says what is wrong. Names and options are checked too.
+            CaseError: It is none; says what is wrong. Names and options are checked too.
         """
+        try:
+            content = parsed(json.loads, text)
+        except ValueError as error:
+            raise CaseError(f"{where} is no case: not JSON ({error})") from None
+        if not isinstance(content, dict) or FORMAT not in content:
+            why = (
+                ""
+                if not isinstance(content, dict) or "case" not in content
+                else ("; it is of an older version of dbb study, draw such cases anew")
+            )
+            raise CaseError(f"{where} is no case: it has no {FORMAT!r}{why}")
         try:
             case = cls.model_validate_json(json.dumps(content))
             if case.controller not in CONTROLLERS:
@@ -153,6 +156,20 @@ class RunCase(Strict):
         except DbbError as error:
             raise CaseError(f"{where} is no case of today: {error}") from None
         return case
+
+
+def read_case(path: Path) -> RunCase:
+    """The case of a file.
+
+    Raises:
+        CaseError: There is no such file, or it holds no case; says what is wrong.
+    """
+    try:
+        return RunCase.read(path.read_text(encoding="utf-8"), path)
+    except OSError as error:
+        raise CaseError(f"cannot read the case {path}: {error.strerror}") from None
+    except ValueError as error:
+        raise CaseError(f"{path} is no case: not JSON ({error})") from None
 
 
 def _tuples(value: Any) -> Any:

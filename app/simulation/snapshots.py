@@ -1,7 +1,7 @@
 """Pictures of the robot without display, browser or graphics card: pybullet's software renderer.
 
-The renderer gives the bodies; the floor, its fine grid and soft shadows are painted analytically,
-as a texture would blur. What a figure draws over a picture it places with `Picture.pixels`.
+The renderer gives the bodies alone. What a figure draws over them, such as lines on the floor, it
+places with `Picture.pixels`.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 import trimesh
-from scipy import ndimage
 
 from app.robot.assets import PLANAR_JOINTS, planar_urdf
 from app.robot.model import RobotModel
@@ -24,16 +23,7 @@ Rgba = tuple[float, float, float, float]
 
 _FINER = 2  # [-] rendered pixels per pixel and direction
 _NEAR, _FAR = 0.1, 30.0  # [m] what is drawn of the depth
-_LIGHT = (2.0, -2.5, 5.0)  # [m] turned with the camera, so that shadows fall to one side
-_FLOOR = np.array([243.0, 245.0, 247.0])
-_LINE = np.array([221.0, 225.0, 230.0])
-_GRID = 0.25  # [m] between two lines of the floor
-_FADE = 1.8, 4.0  # [m] from the target: where the grid begins and ends to fade
-_SUN = 20.0  # [m] from the light to the target
-_SHADOW_SIZE = 2.5  # [m] around the target in which shadows fall
-_SHADOW_PIXELS = 400
-_SOFTNESS = 2.0  # [px] of a shadow's edge
-_SHADOW = 0.20  # [-] how much darker a shadow is
+_LIGHT = (2.0, -2.5, 5.0)  # [m] turned with the camera
 
 
 class Camera(NamedTuple):
@@ -110,7 +100,7 @@ class Picture(NamedTuple):
 
     Attributes:
         rgb: (height, width, 3) uint8.
-        floor: (height, width) bool, where nothing stands before the floor or the background.
+        floor: (height, width) bool, where no body is.
         view: (4, 4) from the world to the camera.
         projection: (4, 4) from the camera to the clip space.
     """
@@ -145,7 +135,7 @@ class Photographer:
         """
         self._world = BulletWorld(planar_urdf(model.description), DT)
         self._client = self._world.client
-        self._client.removeBody(self._world.floor)  # it is painted
+        self._client.removeBody(self._world.floor)
         names = (*PLANAR_JOINTS, *model.description.arm.joints)
         self._joints = [self._world.joints[name] for name in names]
 
@@ -183,44 +173,13 @@ class Photographer:
                 self._client.removeBody(body)
 
     def _render(self, camera: Camera) -> Picture:
-        fine = camera._replace(width=_FINER * camera.width, height=_FINER * camera.height)
-        rgb, seen = self._shoot(fine)
-        background = seen < 0
-        floor = _floor_points(fine)
-        lit = _painted_floor(fine, floor) * self._sunlight(fine, floor)[..., None]
-        rgb = np.where(background[..., None], lit, rgb)
-        return Picture(
-            _smaller(rgb).round().astype(np.uint8),
-            _smaller(background[..., None].astype(float))[..., 0] > 0.5,
-            *camera.matrices(),
-        )
-
-    def _sunlight(self, camera: Camera, floor: Array) -> Array:
-        """(height, width) how bright the floor is: what the light does not see lies in shadow."""
-        x, y, z = _LIGHT
-        sun = Camera(
-            camera.target,
-            _SUN,
-            camera.yaw + math.atan2(y, x),
-            math.atan2(z, math.hypot(x, y)),
-            _SHADOW_PIXELS,
-            _SHADOW_PIXELS,
-            2 * math.atan(_SHADOW_SIZE / _SUN),
-        )
-        covered = ndimage.gaussian_filter((self._shoot(sun)[1] >= 0).astype(float), _SOFTNESS)
-        at = _project(floor.reshape(-1, 3), *sun.matrices())
-        row, column = (1 - at[:, 1]) / 2 * _SHADOW_PIXELS, (at[:, 0] + 1) / 2 * _SHADOW_PIXELS
-        shadow = ndimage.map_coordinates(covered, [row - 0.5, column - 0.5], order=1, cval=0.0)
-        return 1.0 - _SHADOW * shadow.reshape(floor.shape[:2])
-
-    def _shoot(self, camera: Camera) -> tuple[Array, Array]:
-        """(height, width, 3) colours and (height, width) bodies, -1 where there is none."""
         view, projection = camera.matrices()
         c, s = math.cos(camera.yaw), math.sin(camera.yaw)
         x, y, z = _LIGHT
+        width, height = _FINER * camera.width, _FINER * camera.height
         image = self._client.getCameraImage(
-            camera.width,
-            camera.height,
+            width,
+            height,
             view.T.ravel().tolist(),
             projection.T.ravel().tolist(),
             lightDirection=[c * x - s * y, s * x + c * y, z],
@@ -232,9 +191,10 @@ class Photographer:
             lightSpecularCoeff=0.08,
             renderer=pybullet.ER_TINY_RENDERER,
         )
-        shape = camera.height, camera.width
-        rgb = np.reshape(image[2], (*shape, 4))[..., :3].astype(float)
-        return rgb, np.reshape(image[4], shape)
+        empty = np.reshape(image[4], (height, width, 1)) < 0
+        rgb = np.where(empty, 255.0, np.reshape(image[2], (height, width, 4))[..., :3])
+        floor = _smaller(empty.astype(float))[..., 0] > 0.5
+        return Picture(_smaller(rgb).round().astype(np.uint8), floor, view, projection)
 
     def _add(self, solid: Solid) -> int:
         """Show a solid; its body."""
@@ -249,34 +209,6 @@ class Photographer:
             rgbaColor=list(solid.rgba),
         )
         return self._client.createMultiBody(0, -1, shape)
-
-
-def _floor_points(camera: Camera) -> Array:
-    """(height, width, 3) [m] where the camera's rays meet the floor; NaN above the horizon."""
-    view, projection = camera.matrices()
-    column = (np.arange(camera.width) + 0.5) / camera.width * 2 - 1
-    row = 1 - (np.arange(camera.height) + 0.5) / camera.height * 2
-    x, y = np.meshgrid(column / projection[0, 0], row / projection[1, 1])
-    rays = np.stack([x, y, -np.ones_like(x)], axis=-1) @ view[:3, :3]
-    eye = camera.eye
-    way = -eye[2] / np.where(rays[..., 2] < 0, rays[..., 2], np.nan)
-    return (eye + way[..., None] * rays) * [1.0, 1.0, 0.0]
-
-
-def _painted_floor(camera: Camera, floor: Array) -> Array:
-    """(height, width, 3) colours of the floor with its grid, white from where the grid has faded.
-
-    `floor` (height, width, 3) [m] is its place in each pixel.
-    """
-    pixel = np.gradient(floor[..., :2], axis=0), np.gradient(floor[..., :2], axis=1)
-    size = np.hypot(*pixel)  # [m] a pixel's reach along x and along y
-    off = np.abs((floor[..., :2] / _GRID + 0.5) % 1 - 0.5) * _GRID  # [m] from the next line
-    line = (1.2 - off / np.maximum(size, 1e-9)).clip(0, 1).max(axis=-1)
-    far = np.hypot(*np.moveaxis(floor[..., :2] - np.asarray(camera.target)[:2], -1, 0))
-    fade = ((_FADE[1] - far) / (_FADE[1] - _FADE[0])).clip(0, 1)
-    colour = _FLOOR + line[..., None] * (_LINE - _FLOOR)
-    painted = 255 + (colour - 255) * fade[..., None]
-    return np.where(np.isnan(painted), 255.0, painted)
 
 
 def _smaller(image: Array) -> Array:

@@ -31,7 +31,7 @@ import pyarrow.parquet as pq
 import trimesh
 from PIL import Image
 
-from app.border.cache import Content, DamagedFileError, pack, read, unpack, write
+from app.border.cache import BorderData, DamagedFileError, pack, read, unpack, write
 from app.border.dbb import make_cloud
 from app.cli.common import as_json
 from app.config import Config
@@ -44,10 +44,9 @@ from app.robot.assets import ASSETS, planar_urdf
 from app.robot.description import load_description, load_robot
 from app.robot.link_pairs import LinkPairs, Pair
 from app.robot.model import RobotModel
-from app.simulation.case import RunCase
+from app.simulation.case import RunCase, read_case
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.trace.log_file import read_trace, write_trace
-from app.studies.pulls.case import Case, read_case
 from app.studies.pulls.study import Journal
 from app.studies.run_report import key_numbers
 from app.studies.sweep.sweep import read_map
@@ -223,7 +222,7 @@ def _border(path: Path) -> None:
     pair = Pair("lm", "lEE")
     distances = np.arange(60, dtype=np.uint16)
     pairs = LinkPairs((pair,), (), (), {pair.name: 0.1}, {pair.name: 0.0}, 10, 0)
-    content = Content(pairs, {pair.name: make_cloud(pair.name, points, distances)})
+    content = BorderData(pairs, {pair.name: make_cloud(pair.name, points, distances)}, "sampled")
     write(path, *pack(content, "0" * 32))
 
 
@@ -235,38 +234,8 @@ def _figures(path: Path) -> None:
     as_json(key_numbers(read_trace(path)))
 
 
-def _case(path: Path) -> None:
-    case = Case(
-        study_seed=0,
-        number=1,
-        kind="front",
-        redraws=0,
-        robot="husky_panda",
-        controller="dbb",
-        physics="kinematic",
-        start=(0.9, 0.0, 0.8),
-        move=(-0.4, 0.0, 0.0),
-        q_m=(0.0, -0.5, 0.0, -2.0, 0.0, 1.5, 0.7),
-        moving=0.5,
-        release_at=None,
-        regrasp_at=None,
-        base_delay=0.01,
-        encoder_noise=0.0,
-        seed=3,
-        speed=0.2,
-        duration=2.0,
-        mass_error=0.0,
-        slip=0.0,
-        v_max=0.5,
-        hand_f_max=40.0,
-        hand_stiffness=300.0,
-        hand_mass=2.0,
-    )
-    path.write_text(case.model_dump_json(), encoding="utf-8")
-
-
 def _played(path: Path) -> None:
-    """A case of the page."""
+    """A case."""
     scenario = SCENARIOS["guiding-lateral"]
     case = RunCase.of(scenario, Config(), robot="husky_panda", controller="dbb", physics="planar")
     path.write_text(case.text(), encoding="utf-8")
@@ -338,13 +307,7 @@ KINDS = {
         read_config,
         _mutate_bytes,
     ),
-    "case": Kind(
-        "case.json",
-        _case,
-        lambda path: (lambda case: (case.scenario(), case.config()))(read_case(path)),
-        _mutate_json,
-    ),
-    "page's case": Kind("played.json", _played, _play, _mutate_json),
+    "case": Kind("played.json", _played, _play, _mutate_json),
     "journal": Kind("cases.jsonl", _journal, _go_on, _mutate_bytes),
     "urdf": Kind(
         "robot.urdf",

@@ -5,7 +5,6 @@ A link is a page's address that carries scenario, controller, robot, parameters,
 
 from __future__ import annotations
 
-import json
 import math
 from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -23,10 +22,10 @@ from app.dashboard.viser_compat import address_of, taken_upload
 from app.errors import CaseError, ConfigError, UnknownNameError
 from app.parameters import Parameter
 from app.robot.assets import robot_names
-from app.simulation.case import FORMAT, RunCase
+from app.simulation.case import RunCase
 from app.simulation.loop.commands import Choose, Pause, Play
 from app.simulation.scenarios import SCENARIOS, own_line
-from app.strict import check_range, parsed
+from app.strict import check_range
 
 if TYPE_CHECKING:
     from app.dashboard.shared import SharedState
@@ -268,13 +267,8 @@ class SharePanel(Panel):
         file = taken_upload(event.target)
         if len(file.content) > LARGEST:
             raise CaseError(f"{file.name}: {len(file.content) / 1e6:.0f} MB is no case")
-        try:
-            content = parsed(json.loads, file.content.decode())
-        except ValueError:
-            raise CaseError(f"{file.name} is no case: not JSON") from None
-        if not isinstance(content, dict) or FORMAT not in content:
-            raise CaseError(f"{file.name} is no case: it has no {FORMAT!r}")
-        self._notifier.tell(event.client, "Case", play_case(self._shared, content, file.name))
+        text = file.content.decode(errors="replace")
+        self._notifier.tell(event.client, "Case", play_case(self._shared, text, file.name))
 
 
 def parameters_of(case: RunCase, config: Any) -> dict[str, Any]:
@@ -283,13 +277,13 @@ def parameters_of(case: RunCase, config: Any) -> dict[str, Any]:
     return {"parameters": now | dict(changed_parameters(config))}
 
 
-def play_case(shared: SharedState, content: dict[str, Any], name: str) -> str:
+def play_case(shared: SharedState, text: str, name: str) -> str:
     """Play a case for all viewers; what differs from when it was made, in words.
 
     Raises:
         DbbError: It is none, or of another robot; then nothing has changed.
     """
-    case = RunCase.read(content, name)
+    case = RunCase.read(text, name)
     robot = shared.model.description
     if case.robot != robot.name:
         raise CaseError(f"{name} is of the robot {case.robot}: choose it in the tab Robot first")

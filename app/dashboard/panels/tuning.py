@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import re
-import time
 from collections.abc import Callable, Iterable
 from functools import partial
 from typing import Any, NamedTuple
@@ -22,10 +21,6 @@ from app.errors import ConfigError
 from app.parameters import Choice, Parameter
 from app.robot.description import RobotDescription
 
-PATIENCE = 2.0
-"""[s] a refused value stands before it is set back: typing 0.2 begins with 0."""
-LONGEST = 6.0
-"""[s] of refused values on end, such as a flood, after which they are answered all the same."""
 DECIMALS = 6
 """[-] that a number box takes."""
 MARK = "\N{NO-BREAK SPACE}•"
@@ -50,23 +45,16 @@ class TuningPanel(Panel):
         widgets: The widgets of each parameter, by its path.
     """
 
-    def __init__(
-        self,
-        viewer: Viewer,
-        paths: Iterable[str] | None = None,
-        *,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, viewer: Viewer, paths: Iterable[str] | None = None) -> None:
         """Build the panel.
 
         Args:
             viewer: All viewers share the configuration.
             paths: Parameters of a single folder without files, steps and resets of others; None
                 is all of them, with those.
-            clock: [s] for what waits for the end of typing.
         """
         super().__init__(viewer)
-        self._viewer, self._tuning, self._clock = viewer, viewer.shared.tuning, clock
+        self._viewer, self._tuning = viewer, viewer.shared.tuning
         self.widgets: dict[str, ParameterWidgets] = {}
         self._folders: list[_Folder] = []
         self._all: viser.GuiCheckboxHandle | None = None
@@ -121,7 +109,7 @@ class TuningPanel(Panel):
         handle = self._gui.add_folder(title, expand_by_default=expand)
         with handle:
             for path in paths:
-                self.widgets[path] = ParameterWidgets(self._viewer, path, self._clock)
+                self.widgets[path] = ParameterWidgets(self._viewer, path)
             reset = self.button(
                 "Defaults",
                 lambda _: self._tuning.reset(paths),
@@ -186,20 +174,20 @@ def score_html(robot: RobotDescription) -> str:
 class ParameterWidgets(Panel):
     """Widgets of one parameter.
 
-    A value that is refused changes nothing, is reported to its sender, and is set back.
+    A value that is refused changes nothing, is reported to its sender, and is set back; what is
+    typed comes once it is typed to its end.
 
     Attributes:
         about: The parameter.
         is_marked: Whether it was not at its default at the last update.
     """
 
-    def __init__(self, viewer: Viewer, path: str, clock: Callable[[], float]) -> None:
+    def __init__(self, viewer: Viewer, path: str) -> None:
         """Add the widgets of the parameter at a path; see `TuningPanel`."""
         super().__init__(viewer)
         self.about, self.is_marked = tunable(path), False
-        self._tuning, self._clock = viewer.shared.tuning, clock
+        self._tuning = viewer.shared.tuning
         self._shown = self._tuning.value(path)
-        self._refused: _Refused | None = None
         self._faces = _faces(self._gui, self.about, self._shown)
         for face in self._faces:
             self.on_update(face.handle, partial(self._set, face))
@@ -210,16 +198,12 @@ class ParameterWidgets(Panel):
         return [face.handle for face in self._faces]
 
     def update(self, moment: Moment) -> None:
-        """Show what holds by now; answer a refused value that has stood long enough.
+        """Show what holds by now.
 
         Called by one thread only, not by the one that brings what people set. Should both write a
         widget at once, the next update mends it.
         """
-        value, refused = self._tuning.value(self.about.path), self._refused
-        if refused is not None and refused.is_due(self._clock()):
-            self._refused = None
-            self._put(value)
-            self._notifier.warn(refused.client, str(refused.error))
+        value = self._tuning.value(self.about.path)
         if value != self._shown:
             self._put(value)
         self.is_marked = value != self.about.default
@@ -230,31 +214,16 @@ class ParameterWidgets(Panel):
         try:
             value = face.read(event.target.value)
             self._tuning.set(self.about.path, value)
-        except ConfigError as error:
-            now = self._clock()
-            since = now if self._refused is None else self._refused.since
-            self._refused = _Refused(event.client, error, since, now)
-        else:
-            self._refused = None
-            self._put(value, but=face)
+        except ConfigError:
+            self._put(self._tuning.value(self.about.path))
+            raise
+        self._put(value, but=face)
 
     def _put(self, value: float | str, but: _Face | None = None) -> None:
         self._shown = value
         for face in self._faces:
             if face is not but and face.read(face.handle.value) != value:
                 face.handle.value = face.write(value)
-
-
-class _Refused(NamedTuple):
-    """A value that a widget holds and that no parameter may have."""
-
-    client: Any
-    error: ConfigError
-    since: float
-    last: float
-
-    def is_due(self, now: float) -> bool:
-        return now - self.last > PATIENCE or now - self.since > LONGEST
 
 
 class _Face(NamedTuple):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-import pinocchio as pin
 
 from app.dashboard.panels import phrases as words
 from app.dashboard.scene.canvas import (
@@ -27,6 +26,7 @@ from app.dashboard.scene.colours import (
 from app.dashboard.verdict import COLOURS, Verdict
 from app.dashboard.view import View
 from app.robot.bases.kind import Axis, planar
+from app.simulation.plants.door import drawn_parts
 from app.simulation.trace.metrics import OPENED
 from app.simulation.trace.snapshot import ActingReading, DoorView, PairReading, Snapshot
 
@@ -46,12 +46,12 @@ _RADIUS = 0.22  # [m] of the arc
 _MOTION_LIFT = 0.06  # [m] of the arrows of the base's acceleration over its top
 _ARC_POINTS = 24
 
-_BOARD: Rgb = (225, 228, 232)
-_CASE: Rgb = (190, 196, 204)
 _HANDLE: Rgb = (70, 76, 84)
-_DEPTH = 0.55  # [m] of the case behind the door
-_WALL = 0.01  # [m] between door and case
-_BAR = 0.30  # [m] length of the handle
+_DOOR_COLOURS: dict[str, tuple[Rgb, float | None]] = {
+    "case": ((190, 196, 204), 0.5),
+    "board": ((225, 228, 232), None),
+    "handle": (_HANDLE, None),
+}
 _DOOR_LIFT = 0.05  # [m] of the angle over the door
 _NAME_HEIGHT = 0.02  # [m] of the names of robots that are compared
 _DOOR_ARC = 0.30  # [m] radius of the angle
@@ -183,13 +183,10 @@ def draw_names(canvas: Canvas, snapshot: Snapshot) -> None:
 
 def draw_door(canvas: Canvas, view: DoorView) -> None:
     """Refrigerator: case, door and handle."""
-    door, leaf = view.door, view.door.pose(view.angle)
-    canvas.box("/door/board", leaf * _at(door.centre), door.size, _BOARD, None)
-    handle = door.pose(0.0).actInv(door.handle(0.0))
-    canvas.box("/door/handle", leaf * _at(handle.translation), (0.02, 0.02, _BAR), _HANDLE, None)
-    depth = door.thickness / 2 + _WALL + _DEPTH / 2
-    case = door.pose(0.0) * _at(door.centre + np.array([depth, 0.0, 0.0]))
-    canvas.box("/door/case", case, (_DEPTH, door.width, door.height), _CASE, 0.5)
+    door = view.door
+    for name, (size, T) in drawn_parts(door, view.angle).items():
+        colour, opacity = _DOOR_COLOURS[name]
+        canvas.box(f"/door/{name}", T, size, colour, opacity)
     # Over the door: its hinge, how far it is open, and the angle to which it is opened.
     top = np.array([0.0, 0.0, door.bottom + door.height + _DOOR_LIFT])
     hinge, closed = door.pose(0.0).translation, door.pose(0.0)
@@ -201,7 +198,3 @@ def draw_door(canvas: Canvas, view: DoorView) -> None:
         canvas.lines(f"/door/{name}", [np.array([*arc_points, hinge + top])], colour, 3.0)
     text = f"{np.degrees(view.angle):.0f}° of {np.degrees(OPENED):.0f}°"
     canvas.label("/door/angle", door.pose(view.angle / 2).act(top + 1.3 * radius), text)
-
-
-def _at(place: Array) -> pin.SE3:
-    return pin.SE3(np.eye(3), np.asarray(place, float))

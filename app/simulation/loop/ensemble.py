@@ -234,8 +234,6 @@ class Ensemble:
                 self._pulled.append(Pulled(step, who, (x, y, z), held.link, held.point))
 
     def _keep_case(self, scenario: Scenario) -> None:
-        if not RunCase.knows(scenario.name):  # of a study, whose file it has
-            return
         main = self.main
         of_run = {"controller": main.controller.name, "physics": main.kind, "seed": main.seed}
         robot = self._free.model.description.name

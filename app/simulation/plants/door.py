@@ -26,6 +26,7 @@ _E2 = 0.2  # [-] in plan
 _MASS = 60.0  # [kg] of the refrigerator without its door
 _DEPTH = 0.60  # [m]
 _GAP = 0.005  # [m] between its body and the closed door
+_HANDLE = 0.03, 0.025, 0.24  # [m] as it is drawn: depth, width and height
 _SINKING = 1e-5  # [m] of its body into the floor, where the engines let it rest
 
 
@@ -150,6 +151,17 @@ class Cabinet:
         self.T_hinge = self.T_world.inverse() * door.pose(0.0)
         self.T_centre = pin.SE3(np.eye(3), door.centre)
         self.door_inertia = self.T_centre.act(pin.Inertia.FromBox(door.mass, *door.size))
+
+
+def drawn_parts(door: Door, angle: float) -> dict[str, tuple[tuple[float, float, float], pin.SE3]]:
+    """Size [m] and pose of the boxes that a refrigerator is drawn as, at an opening angle [rad]."""
+    cabinet, opened = Cabinet(door), door.pose(angle)
+    handle = door.pose(0.0).actInv(door.handle(0.0)).translation
+    return {
+        "case": (cabinet.size, cabinet.T_world),
+        "board": (door.size, opened * cabinet.T_centre),
+        "handle": (_HANDLE, opened * pin.SE3(np.eye(3), handle)),
+    }
 
 
 def with_door(

@@ -162,6 +162,10 @@ class StartedLine(LineScenario):
     q_m: tuple[float, ...]
     """(n_m,) [rad or m] the arm's joints at the start."""
 
+    @property
+    def options(self) -> tuple[str, ...]:
+        return (*super().options, "moving", "q_m")
+
     def _posture(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Array:
         del data, config, seed
         if len(self.q_m) != model.n_m:
@@ -170,3 +174,9 @@ class StartedLine(LineScenario):
                 f"{model.description.name} has {model.n_m}"
             )
         return np.array(self.q_m)
+
+
+RANDOM_PULL = StartedLine(
+    "random-pull", 8.0, "a pull that a study drew", "guiding", (0, 0, 0), (0, 0, 0), 1.0, ()
+)
+"""What a study's cases are changed from."""

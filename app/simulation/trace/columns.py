@@ -36,8 +36,8 @@ _CASTS: dict[Kind, Callable[[Any], Any]] = {"float": float, "int": int, "bool": 
 class TraceMeta(Strict):
     """The run that a trace is about: what stays the same, and what its columns are named from."""
 
-    format: Literal[1, 2] = 2
-    """[-] of the file; another one is refused. A file of 1 has 50 rows a second."""
+    format: Literal[2] = 2
+    """[-] of the file; another one is refused."""
     robot: str
     """Name of the robot, as `dbb robots` lists it."""
     joints: tuple[str, ...]
@@ -152,14 +152,12 @@ class Column(NamedTuple):
         kind: What its cells are.
         optional: Whether a cell may be empty, which is not-a-number in memory.
         often: Whether it has a number at each control step, not only where a snapshot is taken.
-        since: Format of the files that have it first.
     """
 
     name: str
     kind: Kind = "float"
     optional: bool = False
     often: bool = False
-    since: int = 1
 
 
 class Quantity(NamedTuple):
@@ -203,10 +201,9 @@ def number(
     *,
     often: bool = True,
     optional: bool = False,
-    since: int = 1,
 ) -> Quantity:
     """A number that is kept at each control step; one that is not may be a text, or None."""
-    column = Column(name, kind, optional, often, since)
+    column = Column(name, kind, optional, often)
 
     def value(cells: Sequence[Any], _: TraceMeta) -> Any:
         return None if optional and np.isnan(cells[0]) else _CASTS[kind](cells[0])
@@ -217,20 +214,17 @@ def number(
     return Quantity(lambda _: (column,), cells, value, take, single=True)
 
 
-def numbers(
-    template: str, take: Take, *, often: bool = True, optional: bool = False, since: int = 1
-) -> Quantity:
+def numbers(template: str, take: Take, *, often: bool = True, optional: bool = False) -> Quantity:
     """An array (k,) that is kept at each control step; `template` as `column_names` takes it."""
-    empty = optional or since > 1
 
     def columns(meta: TraceMeta) -> Sequence[Column]:
-        return [Column(n, "float", empty, often, since) for n in column_names(template, meta)]
+        return [Column(n, "float", optional, often) for n in column_names(template, meta)]
 
     def cells(value: Array | None, meta: TraceMeta) -> Sequence[Cell]:
         return [NAN] * len(columns(meta)) if value is None else value.tolist()
 
     def value(cells: Sequence[float], _: TraceMeta) -> Array | None:
-        return None if empty and np.isnan(cells).all() else frozen(cells)
+        return None if optional and np.isnan(cells).all() else frozen(cells)
 
     return Quantity(columns, cells, value, take)
 

@@ -102,20 +102,14 @@ def _trace(text: str, found: pa.Table) -> Trace:
     header = LogHeader.read(text)
     meta, rows = header.dbb_log, header.rows
     known = columns_of(meta)
-    _check_names(found.column_names, known, meta.format)
+    _check_names(found.column_names, known)
     modes = _cells(Column("mode", "text"), found["mode"])
     drawn = [k for k, mode in enumerate(modes) if mode]
     if len(modes) != rows:
         raise LogError(f"it has {len(modes)} rows, and its meta data say {rows}")
     if not drawn:
         raise LogError("no row of it can be drawn: the column mode is empty")
-    given = set(found.column_names)
-    cells = {
-        c: _cells(c, found[c.name], None if c.often else len(drawn))
-        if c.name in given
-        else [NAN if c.kind == "float" else 0] * rows
-        for c in known
-    }
+    cells = {c: _cells(c, found[c.name], None if c.often else len(drawn)) for c in known}
     layout = Layout.of(meta)
     _check_times(cells[layout.columns[0]])
     table = np.column_stack([np.asarray(cells[c], dtype=float) for c in layout.columns])
@@ -162,7 +156,7 @@ def _check_suffix(path: Path) -> None:
         raise LogError(f"{path}: a log ends in {' or '.join(SUFFIXES)}")
 
 
-def _check_names(found: Sequence[str], known: Sequence[Column], since: int) -> None:
+def _check_names(found: Sequence[str], known: Sequence[Column]) -> None:
     if twice := sorted({name for name in found if found.count(name) > 1}):
         raise LogError(f"column {twice[0]!r} is there twice")
     wanted = [column.name for column in known]
@@ -171,7 +165,7 @@ def _check_names(found: Sequence[str], known: Sequence[Column], since: int) -> N
     for name in found:
         if name not in wanted:
             raise LogError(f"unknown column {name!r}{did_you_mean(name, wanted)}")
-    missing = [c.name for c in known if c.name not in found and c.since <= since]
+    missing = [c.name for c in known if c.name not in found]
     if missing:
         more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
         raise LogError(f"column {missing[0]!r} is missing{more}")

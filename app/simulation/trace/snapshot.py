@@ -229,12 +229,12 @@ def _buffer() -> Quantity:
 
 def _door() -> Quantity:
     """The door's geometry as JSON, empty without one, and how its opening goes."""
-    names = ("door_angle_rad", *(f"door_force_{axis}_n" for axis in "xyz"))
+    names = [f"door_force_{axis}_n" for axis in "xyz"]
+    names = ["door_angle_rad", *names, "radial_force_n", "radial_error_rad"]
     columns = (
         Column("door", "text"),
         *(Column(name, "float", True, True) for name in names),
-        *(Column(name, "float", True, True, 2) for name in ("radial_force_n", "radial_error_rad")),
-        Column("door_contact", "bool", True, True, 2),
+        Column("door_contact", "bool", True, True),
     )
 
     def take(session: Session, step: Step) -> DoorView | None:
@@ -269,7 +269,7 @@ def _force_bound() -> Quantity:
     def row(session: Session, step: Step) -> Sequence[float]:
         return (NAN if round(step.t / DT) % EVERY else _least_force_bound(session, step),)
 
-    return number("force_bound_n", "float", _least_force_bound, since=2)._replace(row=row)
+    return number("force_bound_n", "float", _least_force_bound)._replace(row=row)
 
 
 def _least_force_bound(session: Session, step: Step) -> float:
@@ -378,30 +378,28 @@ class Snapshot:
     speed: Annotated[float, drawn("speed", "float")] = 1.0
     """[-] the wanted `realtime_factor`."""
     qd_m: Annotated[
-        Array | None, numbers("qd_{joint}_{speed}", lambda s, o: o.truth.qd_m, since=2)
+        Array | None, numbers("qd_{joint}_{speed}", lambda s, o: o.truth.qd_m, optional=True)
     ] = None
-    """(n_m,) [rad/s or m/s] speeds of the arm's joints; from here on None or 0 in older files."""
+    """(n_m,) [rad/s or m/s] speeds of the arm's joints, if they are known."""
     activation: Annotated[
-        float, number("activation", "float", lambda s, o: o.output.activation, since=2)
+        float, number("activation", "float", lambda s, o: o.output.activation)
     ] = 0.0
     """[-] the largest activation of the rows that the controller inserted, 0 if none was."""
     floor_contact: Annotated[
-        bool, number("floor_contact", "bool", lambda s, o: o.contacts.arm_floor, since=2)
+        bool, number("floor_contact", "bool", lambda s, o: o.contacts.arm_floor)
     ] = False
     """Arm and floor touch."""
     given_up: Annotated[
-        int, number("solver_given_up", "int", lambda s, o: s.controller.given_up, since=2)
+        int, number("solver_given_up", "int", lambda s, o: s.controller.given_up)
     ] = 0
     """Steps since the last reset in which the base's own part had no solution."""
-    hand_speed: Annotated[
-        float, number("hand_speed_mps", "float", lambda s, o: o.hand_speed, since=2)
-    ] = 0.0
+    hand_speed: Annotated[float, number("hand_speed_mps", "float", lambda s, o: o.hand_speed)] = 0.0
     """[m/s] true speed of the end-effector."""
-    people: Annotated[int, number("people", "int", lambda s, o: len(o.pulls), since=2)] = 0
+    people: Annotated[int, number("people", "int", lambda s, o: len(o.pulls))] = 0
     """How many hold the robot."""
-    duration_us: Annotated[
-        float, number("duration_us", "float", lambda s, o: 1e6 * o.duration, since=2)
-    ] = NAN
+    duration_us: Annotated[float, number("duration_us", "float", lambda s, o: 1e6 * o.duration)] = (
+        NAN
+    )
     """[µs] real time that the controller took in this step."""
     force_bound: Annotated[float, _force_bound()] = NAN
     """[N] of a person that the arm's torques can bear, where somebody holds it inside a buffer."""

@@ -11,7 +11,7 @@ import trimesh
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from app.simulation.plants.door import BODY, Cabinet, Door, with_door
+from app.simulation.plants.door import BODY, Door, drawn_parts, with_door
 from app.simulation.run import RunResult
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
 from app.simulation.snapshots import Camera, Photographer, Rgba, Solid
@@ -242,9 +242,11 @@ _DOORS = {"dbb": DOOR, "none": DOOR_NONE}
 _DOOR_TIMES = (0.0, 20.0, 30.0, 40.0)  # [s] of the snapshots: when the paper says something
 _DOOR_VIEW = 2.35  # [rad] from the closed door's direction to the camera, on its free edge's side
 _DOOR_PITCH = 0.55  # [rad]
-_BODY_COLOUR: Rgba = (0.82, 0.85, 0.88, 1.0)
-_DOOR_COLOUR: Rgba = (0.93, 0.95, 0.97, 1.0)
-_HANDLE_COLOUR: Rgba = (0.35, 0.38, 0.42, 1.0)
+_COLOURS: dict[str, Rgba] = {
+    "case": (0.82, 0.85, 0.88, 1.0),
+    "board": (0.93, 0.95, 0.97, 1.0),
+    "handle": (0.35, 0.38, 0.42, 1.0),
+}
 _MAGENTA: Rgba = (0.83, 0.20, 0.62, 1.0)
 _SHAPE_COLOUR: Rgba = (0.36, 0.62, 0.80, 1.0)
 _OF_DOOR = (
@@ -281,8 +283,7 @@ def figure_16(sources: Sources) -> drawing.Drawing:
         )
     texts = ("opening a refrigerator", "collision models; the door's in magenta")
     for ax, letter, text, shot in zip(grid, "ab", texts, pictures, strict=True):
-        ax.imshow(shot.rgb)
-        ax.set_axis_off()
+        drawing.show_picture(ax, shot, camera)
         style.panel_title(ax, letter, text)
     superquadric = door.superquadric(pin.SE3.Identity())
     table = {
@@ -349,21 +350,11 @@ def figure_18(sources: Sources) -> drawing.Drawing:
 
 def refrigerator(run: RunResult, k: int) -> list[Solid]:
     """The refrigerator's body, its door and handle, as they stand in a row of the log."""
-    door = _door()
-    cabinet, opened = Cabinet(door), door.pose(float(run.trace["door_angle_rad"][k]))
-    handle = np.array(
-        [
-            -door.thickness / 2 - door.handle_reach / 2,
-            -door.side * (door.width - door.handle_inset),
-            door.handle_height,
-        ]
-    )
-    parts = (
-        (cabinet.size, cabinet.T_world, _BODY_COLOUR),
-        (door.size, opened * cabinet.T_centre, _DOOR_COLOUR),
-        ((door.handle_reach, 0.025, 0.24), opened * pin.SE3(np.eye(3), handle), _HANDLE_COLOUR),
-    )
-    return [Solid(trimesh.creation.box(size, T.homogeneous), colour) for size, T, colour in parts]
+    parts = drawn_parts(_door(), float(run.trace["door_angle_rad"][k]))
+    return [
+        Solid(trimesh.creation.box(size, T.homogeneous), _COLOURS[name])
+        for name, (size, T) in parts.items()
+    ]
 
 
 def collision_shapes(sources: Sources, run: RunResult) -> list[Solid]:

@@ -34,6 +34,7 @@ Table = dict[str, Array]
 COLUMNS = 4
 _PIXELS = 460, 420
 _TALL = 1.35  # [m] what stands higher than the arm may be cut off: the robot would be small
+_GRID, _AROUND = 0.25, 2.0  # [m] between two lines on the floor, and how far they go
 _CASING = [patheffects.withStroke(linewidth=3.6, foreground="white")]
 
 
@@ -221,8 +222,7 @@ def _panel(
     log, poses = strip.run.trace, strip.run.trace.of("base_pose")
     k, past = log.row_at(t), log.t <= t + 1e-6
     picture = photographer.take(poses[k], log.of("q_m")[k], camera, strip.solids(k))
-    ax.imshow(picture.rgb, interpolation="antialiased")
-    ax.set_axis_off()
+    show_picture(ax, picture, camera)
     ax.set_title(f"t = {t:g} s", fontsize=11, weight="normal", loc="center", pad=3)
     corners, (x, y, yaw) = base_corners(model), poses[0]
     begin = corners[[0, 1, 2, 3, 0]] @ pin.utils.rotate("z", yaw).T + [x, y, 0.0]
@@ -238,8 +238,18 @@ def _panel(
         start, end = picture.pixels(strip.aim)
         arrow(ax, start, end, style.TARGET, linewidth=1.6, shrinkB=3, mutation_scale=11)
         ax.plot(*end, **style.marker_style(style.TARGET, size=7))
-    ax.set_xlim(-0.5, _PIXELS[0] - 0.5)
-    ax.set_ylim(_PIXELS[1] - 0.5, -0.5)
+
+
+def show_picture(ax: Axes, picture: Picture, camera: Camera) -> None:
+    """A picture that fills the axes, with a grid on the floor around what it looks at."""
+    ax.imshow(picture.rgb, interpolation="antialiased")
+    ax.set(xlim=(-0.5, camera.width - 0.5), ylim=(camera.height - 0.5, -0.5))
+    ax.set_axis_off()
+    x, y = _GRID * np.round(camera.target[:2] / _GRID)
+    for at in np.arange(-_AROUND, _AROUND + _GRID / 2, _GRID):
+        for ends in (((at, -_AROUND), (at, _AROUND)), ((-_AROUND, at), (_AROUND, at))):
+            line = np.array([[x + u, y + v, 0.0] for u, v in ends])
+            _on_floor(ax, picture, line, color="#DDE1E6", linewidth=0.6)
 
 
 def arrow(ax: Axes, start: Array, end: Array, colour: str, **look: float) -> None:
@@ -252,7 +262,7 @@ def arrow(ax: Axes, start: Array, end: Array, colour: str, **look: float) -> Non
 
 def _on_floor(ax: Axes, picture: Picture, corners: Array, **line: Any) -> None:
     """A line on the floor, hidden by what stands before it."""
-    share = np.linspace(0.0, len(corners) - 1.0, 40 * len(corners))
+    share = np.linspace(0.0, len(corners) - 1.0, 60 * len(corners))
     at = np.arange(len(corners))
     points = np.column_stack([np.interp(share, at, column) for column in corners.T])
     pixels = picture.pixels(points)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.collections import PathCollection
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from scipy import ndimage
 
-from app.border.reach.map import PEAK, ReachMap, load_reach_map
+from app.border.reach.map import (
+    FINE_SAMPLES,
+    FINE_SPACING,
+    PEAK,
+    ReachMap,
+    sample_reach_map,
+)
 from app.border.score import fit_reachability, radial_profile
 from app.robot.model import RobotModel
 from app.studies import style
@@ -19,12 +23,11 @@ from app.studies.paper import drawing
 from app.studies.paper.experiments import Sources
 
 Array = np.ndarray
-_Reach = Callable[[Array], Array]
 
 _SHOWN = 12_000  # [-] points of a cloud in a picture; more would only cover each other
 _FACES = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))
-_LEVELS = 25.0, 50.0, 75.0  # [-] of the reachability whose shells are drawn
-_SMOOTH = 1.0  # [-] steps of the lattice over which the counts of few poses are averaged
+_LEAST = 0.02  # [-] of the peak that counts as reached
+_SMOOTH = 1.0  # [-] steps of the lattice over which few joint positions a place are averaged
 
 
 @style.picture("fig3", "Figure 3: sampled points and distance buffer borders")
@@ -102,14 +105,23 @@ def figure_6(sources: Sources) -> drawing.Drawing:
     """The density of inverse kinematics solutions rises and then falls with the distance from the
     arm's mount. It is described by a parabola with A = 525.9 /m², B = 0.575 m, C = 100.
     """
-    reach_map = load_reach_map(sources.model, sources.pair.b, progress=False)
+    reach_map = sample_reach_map(
+        sources.model, sources.pair.b, samples=FINE_SAMPLES, spacing=FINE_SPACING
+    )
     fit, field = fit_reachability(reach_map), sources.field
     figure = style.new_figure(4.2)
-    shells = figure.add_subplot(1, 3, 1, projection="3d")
-    reach = _smoothed(reach_map)
-    shell_table = _draw_shells(shells, sources.model, reach_map, reach)
+    half = figure.add_subplot(1, 3, 1, projection="3d")
     cut, curve = figure.add_subplot(1, 3, 2), figure.add_subplot(1, 3, 3)
-    cut_table = _cut(reach_map, reach)
+    reach, off = _smoothed(reach_map), reach_map.points - reach_map.p_base
+    reached = reach > _LEAST * PEAK
+    half_table, cut_table = (
+        drawing.points_table(reach_map.points[shown], reachability=reach[shown])
+        for shown in (reached & (off[:, 1] >= 0), reached & (np.abs(off[:, 2]) < 1e-9))
+    )
+    _view(half, sources.model, half_table, 0.9)
+    _scatter(half, half_table, c=half_table["reachability"], cmap=style.SCORE_MAP, s=6)
+    half.view_init(16, -68)
+    style.panel_title(half, "a", "its left half")
     look: dict[str, Any] = {"cmap": style.SCORE_MAP, "s": 36, "marker": "s", "linewidth": 0}
     shown = cut.scatter(cut_table["x_m"], cut_table["y_m"], c=cut_table["reachability"], **look)
     drawing.plan_axes(cut)
@@ -127,78 +139,33 @@ def figure_6(sources: Sources) -> drawing.Drawing:
     _draw_fit(curve, fit_table, fit.rho_min_m, fit.rho_max_m)
     return drawing.Drawing(
         figure,
-        {"": fit_table, "cut": cut_table, "shells": shell_table},
+        {"": fit_table, "half": half_table, "cut": cut_table},
         {
             "A_per_m2": fit.A_per_m2,
             "B_m": fit.B_m,
             "C": fit.C,
             "r_squared": fit.r_squared,
             "rms": fit.rms,
-            "poses": reach_map.poses,
+            "samples": reach_map.samples,
             "positions": len(reach_map.points),
         },
         [
             "The controller scores with the paper's coefficients.",
-            f"(a) and (b) are averaged over {_SMOOTH * reach_map.spacing_m:g} m, as few poses are "
-            "solved at each place.",
+            f"(a) and (b) are averaged over {_SMOOTH * reach_map.spacing_m:g} m, as few joint "
+            "positions lead to each place.",
         ],
     )
 
 
-def _smoothed(reach_map: ReachMap) -> _Reach:
-    """(…) the reachability at points (…, 3) [m] of the base's frame, zero outside of the map."""
-    h, p_base = reach_map.spacing_m, reach_map.p_base
-    steps = np.rint((reach_map.points - p_base) / h).astype(int)
-    low, shape = steps.min(axis=0), np.ptp(steps, axis=0) + 1
-    values, inside = np.zeros(shape), np.zeros(shape)
-    at = tuple((steps - low).T)
+def _smoothed(reach_map: ReachMap) -> Array:
+    """(N,) the reachability at the map's positions, as a mean over those beside each."""
+    steps = np.rint((reach_map.points - reach_map.p_base) / reach_map.spacing_m).astype(int)
+    at = tuple((steps - steps.min(axis=0)).T)
+    values = np.zeros(np.ptp(steps, axis=0) + 1)
+    inside = np.zeros_like(values)
     values[at], inside[at] = reach_map.reach, 1.0
-    weight = ndimage.gaussian_filter(inside, _SMOOTH)
-    values = ndimage.gaussian_filter(values, _SMOOTH) / np.maximum(weight, 1e-6)
-
-    def reach(points: Array) -> Array:
-        index = (points - p_base) / h - low
-        return ndimage.map_coordinates(values, np.moveaxis(index, -1, 0), order=1)
-
-    return reach
-
-
-def _draw_shells(ax: Any, model: RobotModel, reach_map: ReachMap, reach: _Reach) -> drawing.Table:
-    """The far half of the outermost shells at some levels, seen from the open side."""
-    azimuth, height = np.meshgrid(np.linspace(0, np.pi, 49), np.linspace(-np.pi / 2, np.pi / 2, 49))
-    rays = np.stack(
-        [np.cos(height) * np.cos(azimuth), np.cos(height) * np.sin(azimuth), np.sin(height)], -1
-    )
-    along = np.linspace(0.0, float(reach_map.rho.max()), 200)
-    values = reach(reach_map.p_base + along[:, None, None, None] * rays)
-    parts = {}
-    for level, alpha in zip(_LEVELS, (0.22, 0.4, 1.0), strict=True):
-        # The outermost place of that level on each ray; the mount where there is none.
-        last = len(along) - 1 - (values[::-1] >= level).argmax(axis=0)
-        radius = np.where((values >= level).any(axis=0), along[last], np.nan)
-        places = reach_map.p_base + radius[..., None] * rays
-        colour = colormaps[style.SCORE_MAP](level / PEAK)
-        look = {"color": colour, "alpha": alpha, "linewidth": 0, "rstride": 1, "cstride": 1}
-        ax.plot_surface(*np.moveaxis(places, -1, 0), shade=False, **look)
-        ax.plot([], [], [], "s", color=colour, alpha=alpha, label=f"{level:g}")
-        parts[f"{level:g}"] = drawing.points_table(places.reshape(-1, 3))
-    table = drawing.stacked(parts, "reachability")
-    style.panel_title(ax, "a", "outer shells, cut open")
-    known = np.isfinite(table["x_m"])
-    _view(ax, model, {name: column[known] for name, column in table.items()}, 0.9)
-    ax.view_init(16, -68)
-    place = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.02), "ncols": 3}
-    ax.legend(title="reachability [–]", fontsize=9, handletextpad=0.1, **place)
-    return table
-
-
-def _cut(reach_map: ReachMap, reach: _Reach) -> drawing.Table:
-    """The lattice's layer at the mount's height, where anything is reached."""
-    height = np.abs(reach_map.points[:, 2] - reach_map.p_base[2])
-    points = reach_map.points[height < reach_map.spacing_m / 2]
-    values = reach(points)
-    shown = values > 0.02 * PEAK
-    return drawing.points_table(points[shown], reachability=values[shown])
+    values, inside = (ndimage.gaussian_filter(each, _SMOOTH) for each in (values, inside))
+    return values[at] / inside[at]
 
 
 def _draw_fit(ax: Any, table: drawing.Table, low: float, high: float) -> None:

@@ -19,7 +19,7 @@ from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 from app.simulation.scenarios.start import StartSolver
-from app.studies.pulls.case import Case
+from app.studies.pulls.case import COLUMNS
 from app.studies.pulls.parameters import (
     LOGARITHMIC,
     PARAMETERS,
@@ -27,6 +27,7 @@ from app.studies.pulls.parameters import (
     StudyParameters,
     StudyRange,
 )
+from app.studies.runs import Row
 from app.studies.sweep.plan import point_of, way_out
 
 Array = np.ndarray
@@ -189,8 +190,8 @@ def _measure_reach(model: RobotModel) -> tuple[Array, float, float]:
     return shoulder, float(near), float(far)
 
 
-def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -> Case:
-    """The case of that number.
+def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -> Row:
+    """What is drawn for the case of that number, by the columns of the study's table.
 
     Its random numbers come from a stream of its own, so it depends on the study and its number
     alone, not on who draws it or when. A start that the arm does not reach with all of its pairs
@@ -201,33 +202,28 @@ def draw_case(parameters: StudyParameters, number: int, sources: StudySources) -
     """
     rng = np.random.default_rng(np.random.SeedSequence(parameters.seed, spawn_key=(number,)))
     ranges = parameters.ranges
-    drawn = {name: draw_value(name, ranges, rng) for name in ("speed", *PARAMETERS)}
+    speed = draw_value("speed", ranges, rng)
+    drawn: dict[str, float | None] = {n: draw_value(n, ranges, rng) for n in PARAMETERS}
     start, q_m, redraws = draw_start(sources, ranges.height, rng)
     move, along = _draw_move(start, rng)
-    move, duration, moving = _timed(move, drawn["speed"], ranges.duration)
+    move, duration, moving = _timed(move, speed, ranges.duration)
     release_at, regrasp_at = _draw_release(ranges, duration, moving, rng)
-    return Case(
-        study_seed=parameters.seed,
-        number=number,
-        kind=f"{start.sector}, along" if along else start.sector,
-        redraws=redraws,
-        robot=parameters.robot,
-        controller=parameters.controller,
-        physics=parameters.physics,
-        start=point_of(start.p),
-        move=point_of(move),
-        duration=duration,
-        moving=moving,
-        release_at=release_at,
-        regrasp_at=regrasp_at,
-        q_m=tuple(q_m.tolist()),
-        seed=int(rng.integers(2**32)),
-        **drawn,
-    )
+    drawn |= {"speed": speed, "duration": duration, "moving": moving}
+    drawn |= {"release_at": release_at, "regrasp_at": regrasp_at}
+    return {
+        "case": number,
+        "kind": f"{start.sector}, along" if along else start.sector,
+        "redraws": redraws,
+        "seed": int(rng.integers(2**32)),
+        **{f"start_{axis}_m": x for axis, x in zip("xyz", start.p.tolist(), strict=True)},
+        **{f"move_{axis}_m": x for axis, x in zip("xyz", move.tolist(), strict=True)},
+        **{column: drawn[name] for name, column in COLUMNS.items()},
+        **{f"q{i}_rad": q for i, q in enumerate(q_m.tolist(), start=1)},
+    }
 
 
 def draw_value(name: str, ranges: StudyRange, rng: np.random.Generator) -> float:
-    """One that changes from case to case, by its name in `Case`."""
+    """One that changes from case to case, by its name in `StudyRange`."""
     low, high = getattr(ranges, name)
     if name not in LOGARITHMIC:
         return float(rng.uniform(low, high))

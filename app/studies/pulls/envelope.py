@@ -9,14 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import tomlkit
-from pydantic import ValidationError
+from pydantic import ValidationError, create_model
 from typing_extensions import Self
 
 from app.errors import StudyError
 from app.simulation.trace.metrics import NEAR
-from app.strict import NonNegative, explain
+from app.strict import NonNegative, Strict, explain
 from app.studies.pulls.case import COLUMNS, failed
-from app.studies.pulls.parameters import Interval, StudyRange, one_of_each
+from app.studies.pulls.parameters import PARAMETERS, Interval, StudyRange
 from app.studies.runs import Row
 
 if sys.version_info >= (3, 11):
@@ -35,7 +35,10 @@ FORCE = "hand_force_clear_max_n"
 _CONFIDENCE = 0.95  # [-] of the bound of a rate
 
 
-class Envelope(one_of_each(Interval, leave="hand_f_max")):
+_drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name != "hand_f_max"}
+
+
+class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
     """Forces that a person exerts up to F* are inside, if all else is within its interval.
 
     The intervals are of what a `StudyRange` has by the same names. A force is the largest that
@@ -80,20 +83,11 @@ class Envelope(one_of_each(Interval, leave="hand_f_max")):
                 )
         return ranges.model_copy(update=found)
 
-    def holds(self, values: Mapping[str, float], *, force: float) -> bool:
-        """Whether a case is inside.
-
-        Args:
-            values: Speed, person and disturbances by their names in `Case`.
-            force: [N] the largest that is exerted.
-        """
-        intervals = ((name, getattr(self, name)) for name in _INTERVALS)
-        within = all(low <= values[name] <= high for name, (low, high) in intervals)
-        return within and force <= self.force and self.force > 0.0
-
-    def holds_row(self, row: Row) -> bool:
-        """The same of a row of the study's table, by the force that was exerted."""
-        return self.holds({name: row[COLUMNS[name]] for name in _INTERVALS}, force=exerted(row))
+    def holds(self, row: Row) -> bool:
+        """Whether a case is inside, by its row and the force that was exerted in it."""
+        intervals = ((row[COLUMNS[name]], *getattr(self, name)) for name in _INTERVALS)
+        within = all(low <= value <= high for value, low, high in intervals)
+        return within and exerted(row) <= self.force and self.force > 0.0
 
 
 _INTERVALS = tuple(name for name in Envelope.model_fields if name != "force")
@@ -142,7 +136,7 @@ def tally_by_halves(rows: Sequence[Row], ranges: StudyRange) -> dict[str, Any]:
     inside: list[Row] = []
     for fitted, held in (halves, halves[::-1]):
         envelope = fit_envelope(fitted, ranges)
-        inside += filter(envelope.holds_row, held)
+        inside += filter(envelope.holds, held)
     return tally(inside)
 
 

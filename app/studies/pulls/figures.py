@@ -9,11 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 
 from app.config import Config
 from app.studies.pulls.case import failed, met_base, met_itself
-from app.studies.pulls.draw import StudySources
 from app.studies.pulls.envelope import FORCE, Envelope
 from app.studies.runs import Row
 from app.studies.style import INK, SOFT, TARGET, new_figure, picture, pictures_in
@@ -27,7 +25,7 @@ _BEYOND = 1.15  # [-] of the largest speed, where the picture ends
 
 
 @picture("envelope", "Where safety ends")
-def draw_envelope(rows: Sequence[Row], envelope: Envelope, *_: object) -> Figure:
+def draw_envelope(rows: Sequence[Row], envelope: Envelope) -> Figure:
     """Each point is a case. Below the black line lies the envelope that these cases give: 0.9 of
     the force exerted in the weakest case that failed, or came nearer than 10 mm.
     """
@@ -48,15 +46,15 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope, *_: object) -> Figure
 
 
 @picture("clearance", "How near the arm came to the base")
-def draw_clearance(rows: Sequence[Row], envelope: Envelope, *_: object) -> Figure:
+def draw_clearance(rows: Sequence[Row], envelope: Envelope) -> Figure:
     """The least true distance of each run; at the red line they touch. The grey line is d_b."""
     figure = new_figure(4.2)
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     known = [row for row in rows if row.get("min_clearance_m") is not None]
     low = min([0.0] + [row["min_clearance_m"] for row in known])
     bins = np.arange(np.floor(low / 0.01) * 0.01, 0.3 + 0.01, 0.01)
-    inside = [row["min_clearance_m"] for row in known if envelope.holds_row(row)]
-    outside = [row["min_clearance_m"] for row in known if not envelope.holds_row(row)]
+    inside = [row["min_clearance_m"] for row in known if envelope.holds(row)]
+    outside = [row["min_clearance_m"] for row in known if not envelope.holds(row)]
     left.hist(
         [np.clip(part, bins[0], bins[-1]) for part in (inside, outside)],
         bins=list(bins),
@@ -77,7 +75,7 @@ def draw_clearance(rows: Sequence[Row], envelope: Envelope, *_: object) -> Figur
 
 
 @picture("errors", "Where the hand ended")
-def draw_errors(rows: Sequence[Row], *_: object) -> Figure:
+def draw_errors(rows: Sequence[Row], _: Envelope) -> Figure:
     """A pull that leads to where the base cannot give way, such as down onto its top, is resisted,
     and the hand ends far from its target: that is meant.
     """
@@ -93,42 +91,6 @@ def draw_errors(rows: Sequence[Row], *_: object) -> Figure:
     right.set_xscale("log")
     right.set_xlim(1e-5, 1.0)
     right.set_xlabel("the same [m]")
-    return figure
-
-
-@picture("places", "Starts and pulls in plan")
-def draw_places(rows: Sequence[Row], _: Envelope, sources: StudySources) -> Figure:
-    """Lines lead from the start to where the hand is pulled to; the base begins in the grey box.
-    What failed is red.
-    """
-    figure = new_figure(5.6)
-    plan, behind = figure.subplots(1, 2, width_ratios=(5, 4))
-    (x, y, z), (length, width, height) = sources.lower, sources.upper - sources.lower
-    views = (
-        (plan, "x", "y", Rectangle((x, y), length, width)),
-        (behind, "y", "z", Rectangle((y, z), width, height)),
-    )
-    points = None
-    for axes, across, up, base in views:
-        base.set(facecolor="#EEF1F4", edgecolor=SOFT, zorder=0)
-        axes.add_patch(base)
-        for row in sorted(rows, key=failed):
-            begin = np.array([row[f"start_{across}_m"], row[f"start_{up}_m"]])
-            end = np.add(begin, [row[f"move_{across}_m"], row[f"move_{up}_m"]])
-            bad = failed(row)
-            axes.plot(
-                *np.column_stack([begin, end]),
-                color=TARGET if bad else SOFT,
-                linewidth=0.8,
-                alpha=0.9 if bad else 0.4,
-            )
-        points = _scatter(axes, rows, f"start_{across}_m", f"start_{up}_m") or points
-        axes.set_aspect("equal")
-        axes.set_xlabel(f"{across} [m]")
-        axes.set_ylabel(f"{up} [m]")
-    behind.invert_xaxis()  # the left is left for who stands behind
-    _clearance_scale(figure, points, [plan, behind])
-    _legend(figure)
     return figure
 
 
@@ -194,4 +156,4 @@ def _strips(axes: Axes, rows: Sequence[Row], column: str) -> None:
 
 
 PICTURES = pictures_in(globals())
-"""Each is drawn of the cases, the envelope that they give and the study's sources."""
+"""Each is drawn of the cases and the envelope that they give."""

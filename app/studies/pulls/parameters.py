@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 from functools import cache
 from pathlib import Path
-from typing import Any
 
-from pydantic import Field, create_model, model_validator
+from pydantic import Field, model_validator
 from typing_extensions import Self
 
 from app.config import parameter
@@ -42,12 +41,6 @@ _OWN = {
 }
 _ROOMS = ("robot", "border", "avoidance", "control", "simulation")
 _MODULES = ("case", "draw", "parameters")
-
-
-def one_of_each(kind: Any, leave: str = "") -> type[Strict]:
-    """A record with a field of that kind for each of `PARAMETERS`, but for one that is left out."""
-    fields: dict[str, Any] = {name: (kind, ...) for name in PARAMETERS if name != leave}
-    return create_model("OneOfEach", __base__=Strict, **fields)
 
 
 class StudyRange(Strict):

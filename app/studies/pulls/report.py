@@ -69,7 +69,7 @@ _COLUMNS = {
 def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[str, Any], Envelope]:
     """Figures of the cases, at least one, and the envelope that fits; keys end in their unit."""
     stated, fitted = Envelope.stated(), fit_envelope(rows, parameters.ranges)
-    within = [row for row in rows if stated.holds_row(row)]
+    within = [row for row in rows if stated.holds(row)]
     whole = tally(rows)
     summary = {
         "cases": len(rows),
@@ -88,13 +88,13 @@ def summary_of(rows: Sequence[Row], parameters: StudyParameters) -> tuple[dict[s
         },
         "envelope": {
             **fitted.model_dump(mode="json"),
-            "inside": tally([row for row in rows if fitted.holds_row(row)]),
+            "inside": tally([row for row in rows if fitted.holds(row)]),
             "inside_by_halves": tally_by_halves(rows, parameters.ranges),
         },
         "stated_envelope": {
             "inside": tally(within),
             **{f"inside_{key}": value for key, value in _counts(within, *_FAILURES).items()},
-            "outside": tally([row for row in rows if not stated.holds_row(row)]),
+            "outside": tally([row for row in rows if not stated.holds(row)]),
         },
         "failures": [row["case"] for row in rows if failed(row)],
     }

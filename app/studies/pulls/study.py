@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 from app.errors import StudyError
 from app.jobs.pool import Workers
+from app.simulation.case import RunCase
 from app.strict import parsed
-from app.studies.pulls.case import case_of, failed, play_case
+from app.studies.pulls.case import failed, planned_of, play_case
 from app.studies.pulls.draw import StudySources, draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
@@ -104,8 +105,8 @@ def _do(
 
 def _row(parameters: StudyParameters, sources: StudySources, number: int) -> Row:
     """Draw a case and play it."""
-    case = draw_case(parameters, number, sources)
-    return play_case(case, sources.model, sources.data)
+    drawn = draw_case(parameters, number, sources)
+    return play_case(drawn, parameters, sources.model, sources.data)
 
 
 def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str, Any]:
@@ -115,9 +116,8 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
     from app.studies.style import png_of, styled
 
     summary, envelope = summary_of(rows, parameters)
-    drawn = rows, envelope, load_sources(parameters.robot)
     with styled():
-        pictures = {name: png_of(each.draw(*drawn)) for name, each in PICTURES.items()}
+        pictures = {name: png_of(each.draw(rows, envelope)) for name, each in PICTURES.items()}
     names = dict.fromkeys(name for row in rows for name in row)
     table = {name: [row.get(name) for row in rows] for name in names}
     write_table(out / "results.parquet", table)
@@ -143,18 +143,17 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
 
 
 def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) -> None:
-    """One file a failed case, with all that it takes to play it again; older ones are removed."""
+    """The file of each failed case, to be played again; older ones are removed."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:
         raise StudyError(f"--out: cannot write to {folder}: {error.strerror}") from None
     kept = set()
     for row in filter(failed, rows):
-        case = case_of(row, parameters)
-        kept.add(folder / f"{case.name}.json")
-        write_json(
-            folder / f"{case.name}.json", {"case": case.model_dump(mode="json"), "figures": row}
-        )
+        run, path = planned_of(row, parameters), folder / f"case-{row['case']:05d}.json"
+        case = RunCase.of(run.scenario, run.config, robot=run.robot, **run.driven)
+        write_whole(path, case.text())
+        kept.add(path)
     for path in set(folder.glob("case-*.json")) - kept:
         path.unlink()
 

@@ -1,4 +1,4 @@
-"""Hand paths towards the base: from everywhere with each controller, or a few by every robot.
+"""Hand paths towards the base, from everywhere, with each controller.
 
 Its files are `sweep.json`, `sweep.csv`, and a map for each height and speed.
 """
@@ -7,21 +7,19 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache, partial
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from app.border.cache import load_border_data
-from app.border.mobile import MobileBody
-from app.config import Config
-from app.errors import DbbError, StudyError
+from app.errors import StudyError
 from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
@@ -33,7 +31,6 @@ from app.studies.sweep.plan import (
     KINDS,
     Approach,
     Kind,
-    Mode,
     SweepPlan,
     Trial,
 )
@@ -73,15 +70,6 @@ _FIRST = (
     "passed",
 )
 """Columns of `sweep.csv` that come first."""
-COMPARED = ("none", "dbb")
-"""Without avoidance and with it."""
-GUIDED_LIMIT = 0.02
-"""[m] farthest that a guided hand may be from the person's at the end."""
-_TOUCHED = ("contacts", "arm_contacts", "floor_contacts")
-_HEIGHTS = (0.8, 0.65, 0.5, 0.9, 1.0)  # [-] of l_m's top, best first
-_LEFT_RIGHT = (90.0, 270.0)  # [deg]
-_SIDES = (60.0, 300.0, 75.0, 285.0, 45.0, 315.0, 90.0, 270.0, 105.0, 255.0, 120.0, 240.0)  # [deg]
-_FRONTS = (10.0, 350.0, 0.0, 20.0, 340.0, 30.0, 330.0)  # [deg]
 
 
 @lru_cache(maxsize=1)
@@ -286,122 +274,3 @@ def _csv(rows: list[Row]) -> str:
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
-
-
-class Case(NamedTuple):
-    """One row of the comparison, without numbers of any robot's own.
-
-    Attributes:
-        name: As it is told.
-        mode: Whether the arm tracks the path, its orientation held, or a person pulls it there.
-        directions: [deg] from which the hand may come, counter-clockwise from the front, best
-            first.
-        on_axis: Whether p_b begins on the wheel axis, x = 0, and moves along it.
-        length: [m] of the path, which begins 0.02 m outside of the buffer.
-        speed: [m/s] mean speed of the hand.
-    """
-
-    name: str
-    mode: Mode
-    directions: tuple[float, ...]
-    on_axis: bool = False
-    length: float = 0.2
-    speed: float = 0.025
-
-    def approaches(self, model: RobotModel) -> Iterator[Approach]:
-        """Paths that would do, best first: heights beside l_m from each direction."""
-        top = float(MobileBody(model).upper[2])
-        for direction in self.directions:
-            for share in _HEIGHTS:
-                height = round(share * top, 3)
-                yield Approach("wheel_axis" if self.on_axis else "side", height, direction)
-
-
-CASES = (
-    Case("guiding-lateral", "guiding", _SIDES, length=0.3, speed=0.05),
-    Case("guiding-front", "guiding", _FRONTS, length=0.3, speed=0.05),
-    Case("tracking", "tracking", _SIDES),
-    Case("wheel-axis", "tracking", _LEFT_RIGHT, on_axis=True),
-)
-"""The rows of each robot."""
-
-
-def robot_table(
-    robots: Sequence[str],
-    *,
-    cases: Sequence[Case] = CASES,
-    seed: int = 0,
-    processes: int = 1,
-    on_progress: Callable[[float], None] = lambda _: None,
-) -> Row:
-    """Lead each robot's hand towards its base from the side, the front and along the wheel axis.
-
-    The start of each path is searched: the first height and direction from which the arm can begin
-    clear of its buffers. A robot that cannot, or cannot be loaded, has a row that says why.
-
-    `on_progress` is called now and then with the share of the work that is done, 0 to 1.
-
-    Returns:
-        `rows`, and the limits by which they passed; keys end in their unit. A robot that cannot be
-        loaded has its name as `title`.
-    """
-    jobs = [
-        (SweepPlan(robot=robot, mode=case.mode, length=case.length, seed=seed), case)
-        for robot in robots
-        for case in cases
-    ]
-    rows: list[Row] = []
-    with Workers(tuple, processes) as workers:  # the jobs share nothing
-        for k, found in enumerate(workers.map(_compared, jobs), start=1):
-            rows += found
-            on_progress(k / len(jobs))
-    limits = {
-        "clearance_limit_m": CLEARANCE_LIMIT,
-        "hand_error_limit_m": ERROR_LIMIT,
-        "guided_hand_error_limit_m": GUIDED_LIMIT,
-    }
-    return {"seed": seed, "d_b_m": Config().border.d_b, **limits, "rows": rows}
-
-
-def _compared(_: object, job: tuple[SweepPlan, Case]) -> list[Row]:
-    plan, case = job
-    told: Row = {"robot": plan.robot, "title": plan.robot, "case": case.name}
-    try:
-        finder = load(plan.robot, plan.config.border.d_b)
-        told["title"] = finder.model.description.title
-        start = _first_start(finder, plan, case)
-        if start.reason:
-            return [told | {"reason": f"no start clear of the buffers: {start.reason}"}]
-        return [told | _of_robot(finder, plan, case, start, name) for name in COMPARED]
-    except DbbError as error:
-        return [told | {"reason": str(error)}]
-
-
-def _first_start(finder: StartFinder, plan: SweepPlan, case: Case) -> Start:
-    """The first path that can begin, or the last one tried with why it cannot."""
-    start: Start | None = None
-    for approach in case.approaches(finder.model):
-        start = finder.find(approach, plan.distance, seed=plan.seed)
-        if not start.reason:
-            break
-    assert start is not None, "a case has directions"
-    return start
-
-
-def _of_robot(
-    finder: StartFinder, plan: SweepPlan, case: Case, start: Start, controller: str
-) -> Row:
-    planned = plan.planned(Trial(start, controller, case.speed))
-    figures: Row = run_planned(planned, finder.model, finder.data).figures
-    row: Row = {
-        "controller": controller,
-        **start.approach.where(),
-        "clearance_m": figures["min_clearance_m"],
-        "hand_error_m": figures["ee_error_final_m"],
-        "base_path_m": figures["base_path_m"],
-        "contacts": sum(figures[key] for key in _TOUCHED),
-        "solver_failures": figures["solver_failures"],
-    }
-    limit = GUIDED_LIMIT if case.mode == "guiding" else ERROR_LIMIT
-    row["passed"] = passes(figures, limit) and not row["contacts"]
-    return {key: rounded(value) for key, value in row.items()}

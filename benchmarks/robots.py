@@ -1,0 +1,227 @@
+"""Every delivered robot on the same few hand paths: `python -m benchmarks.robots [--json]`.
+
+Each is pulled by its hand from the side and from the front, and tracks a path of 0.2 m at its side
+and one along its wheel axis, p_b at x = 0, without avoidance and with it. The starts are searched,
+0.02 m outside of the buffer; a robot whose hand cannot come there has a row that says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Annotated, Any, NamedTuple
+
+import tyro
+
+from app.border.mobile import MobileBody
+from app.cli import options
+from app.cli.common import print_json, print_table
+from app.config import Config
+from app.errors import DbbError
+from app.jobs.pool import Workers
+from app.jobs.progress import progress_bar
+from app.robot.assets import robot_names
+from app.robot.model import RobotModel
+from app.simulation.run import run_planned
+from app.studies.runs import Row, rounded
+from app.studies.sweep.plan import (
+    CLEARANCE_LIMIT,
+    ERROR_LIMIT,
+    Approach,
+    Mode,
+    SweepPlan,
+    Trial,
+)
+from app.studies.sweep.starts import Start, StartFinder
+from app.studies.sweep.sweep import load, passes
+
+COMPARED = ("none", "dbb")
+"""Without avoidance and with it."""
+GUIDED_LIMIT = 0.02
+"""[m] farthest that a guided hand may be from the person's at the end."""
+_TOUCHED = ("contacts", "arm_contacts", "floor_contacts")
+_HEIGHTS = (0.8, 0.65, 0.5, 0.9, 1.0)  # [-] of l_m's top, best first
+_LEFT_RIGHT = (90.0, 270.0)  # [deg]
+_SIDES = (60.0, 300.0, 75.0, 285.0, 45.0, 315.0, 90.0, 270.0, 105.0, 255.0, 120.0, 240.0)  # [deg]
+_FRONTS = (10.0, 350.0, 0.0, 20.0, 340.0, 30.0, 330.0)  # [deg]
+
+
+class Case(NamedTuple):
+    """One row of the comparison, without numbers of any robot's own.
+
+    Attributes:
+        name: As it is told.
+        mode: Whether the arm tracks the path, its orientation held, or a person pulls it there.
+        directions: [deg] from which the hand may come, counter-clockwise from the front, best
+            first.
+        on_axis: Whether p_b begins on the wheel axis, x = 0, and moves along it.
+        length: [m] of the path, which begins 0.02 m outside of the buffer.
+        speed: [m/s] mean speed of the hand.
+    """
+
+    name: str
+    mode: Mode
+    directions: tuple[float, ...]
+    on_axis: bool = False
+    length: float = 0.2
+    speed: float = 0.025
+
+    def approaches(self, model: RobotModel) -> Iterator[Approach]:
+        """Paths that would do, best first: heights beside l_m from each direction."""
+        top = float(MobileBody(model).upper[2])
+        for direction in self.directions:
+            for share in _HEIGHTS:
+                height = round(share * top, 3)
+                yield Approach("wheel_axis" if self.on_axis else "side", height, direction)
+
+
+CASES = (
+    Case("guiding-lateral", "guiding", _SIDES, length=0.3, speed=0.05),
+    Case("guiding-front", "guiding", _FRONTS, length=0.3, speed=0.05),
+    Case("tracking", "tracking", _SIDES),
+    Case("wheel-axis", "tracking", _LEFT_RIGHT, on_axis=True),
+)
+"""The rows of each robot."""
+
+
+def robot_table(
+    robots: Sequence[str],
+    *,
+    cases: Sequence[Case] = CASES,
+    seed: int = 0,
+    processes: int = 1,
+    on_progress: Callable[[float], None] = lambda _: None,
+) -> Row:
+    """Lead each robot's hand towards its base from the side, the front and along the wheel axis.
+
+    The start of each path is searched: the first height and direction from which the arm can begin
+    clear of its buffers. A robot that cannot, or cannot be loaded, has a row that says why.
+
+    `on_progress` is called now and then with the share of the work that is done, 0 to 1.
+
+    Returns:
+        `rows`, and the limits by which they passed; keys end in their unit. A robot that cannot be
+        loaded has its name as `title`.
+    """
+    jobs = [
+        (SweepPlan(robot=robot, mode=case.mode, length=case.length, seed=seed), case)
+        for robot in robots
+        for case in cases
+    ]
+    rows: list[Row] = []
+    with Workers(tuple, processes) as workers:  # the jobs share nothing
+        for k, found in enumerate(workers.map(_compared, jobs), start=1):
+            rows += found
+            on_progress(k / len(jobs))
+    limits = {
+        "clearance_limit_m": CLEARANCE_LIMIT,
+        "hand_error_limit_m": ERROR_LIMIT,
+        "guided_hand_error_limit_m": GUIDED_LIMIT,
+    }
+    return {"seed": seed, "d_b_m": Config().border.d_b, **limits, "rows": rows}
+
+
+def _compared(_: object, job: tuple[SweepPlan, Case]) -> list[Row]:
+    plan, case = job
+    told: Row = {"robot": plan.robot, "title": plan.robot, "case": case.name}
+    try:
+        finder = load(plan.robot, plan.config.border.d_b)
+        told["title"] = finder.model.description.title
+        start = _first_start(finder, plan, case)
+        if start.reason:
+            return [told | {"reason": f"no start clear of the buffers: {start.reason}"}]
+        return [told | _of_robot(finder, plan, case, start, name) for name in COMPARED]
+    except DbbError as error:
+        return [told | {"reason": str(error)}]
+
+
+def _first_start(finder: StartFinder, plan: SweepPlan, case: Case) -> Start:
+    """The first path that can begin, or the last one tried with why it cannot."""
+    start: Start | None = None
+    for approach in case.approaches(finder.model):
+        start = finder.find(approach, plan.distance, seed=plan.seed)
+        if not start.reason:
+            break
+    assert start is not None, "a case has directions"
+    return start
+
+
+def _of_robot(
+    finder: StartFinder, plan: SweepPlan, case: Case, start: Start, controller: str
+) -> Row:
+    planned = plan.planned(Trial(start, controller, case.speed))
+    figures: Row = run_planned(planned, finder.model, finder.data).figures
+    row: Row = {
+        "controller": controller,
+        **start.approach.where(),
+        "clearance_m": figures["min_clearance_m"],
+        "hand_error_m": figures["ee_error_final_m"],
+        "base_path_m": figures["base_path_m"],
+        "contacts": sum(figures[key] for key in _TOUCHED),
+        "solver_failures": figures["solver_failures"],
+    }
+    limit = GUIDED_LIMIT if case.mode == "guiding" else ERROR_LIMIT
+    row["passed"] = passes(figures, limit) and not row["contacts"]
+    return {key: rounded(value) for key, value in row.items()}
+
+
+def _print_robots(rows: list[dict[str, Any]]) -> None:
+    head = "robot", "case", "from", "controller", "clearance", "hand off", "base drove", "contacts"
+    shown = []
+    for row in rows:
+        if "reason" in row:
+            shown.append([row["title"], row["case"], "", "", row["reason"]])
+            continue
+        clearance = row["clearance_m"]
+        shown.append(
+            [
+                row["title"],
+                row["case"],
+                f"{row['direction_deg']:g}°, {row['height_m']:.2f} m",
+                row["controller"],
+                "–" if clearance is None else f"{clearance:.3f} m",
+                f"{1000 * row['hand_error_m']:.3g} mm",
+                f"{row['base_path_m']:.2f} m",
+                str(row["contacts"]),
+                "✓" if row["passed"] else "✗",
+            ]
+        )
+    print_table((*head, ""), shown)
+
+
+def main(
+    robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME …")] = (),
+    case: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME …")] = (),
+    processes: options.Processes = None,
+    seed: int = 0,
+    json: options.Json = False,
+) -> None:
+    """Lead each robot's hand towards its own base, without avoidance and with it.
+
+    Args:
+        robots: Names of the robots, all without any; `dbb robots` lists them.
+        case: Some of guiding-lateral, guiding-front, tracking and wheel-axis; all without any.
+        processes: How many to do side by side.
+        seed: Seed of everything random.
+        json: Print one JSON object.
+    """
+    known = {each.name: each for each in CASES}
+    for name in robots:
+        options.check_name("robot", name, robot_names())
+    for name in case:
+        options.check_name("case", name, known)
+    with progress_bar("robots", 1.0) as on_progress:
+        result = robot_table(
+            robots or robot_names(),
+            cases=[known[name] for name in case] or CASES,
+            seed=seed,
+            processes=options.check_processes(processes),
+            on_progress=on_progress,
+        )
+    if json:
+        print_json(result)
+    else:
+        _print_robots(result["rows"])
+
+
+if __name__ == "__main__":
+    tyro.cli(main, prog="python -m benchmarks.robots")
