@@ -68,11 +68,6 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
     The pair of base and `door` has a plot of its own, that comes with it.
     """
     axes = model.description.base.axes
-    of_door, *distances = (
-        Curve(words.spoken(name, model.body_names), lambda s, name=name: distance(s, name))
-        for name in (door, *names)
-    )
-    d_b = Curve("d_b", lambda s: s.config.border.d_b)
     torques = [
         Curve(f"{i + 1}", lambda s, i=i, most=float(most): s.u_a[i] / most)
         for i, most in enumerate(model.tau_max)
@@ -82,27 +77,9 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
     of_axes = (*_series(len(axes) - 2), css(PERSON), css(ACTING))[-len(axes) :]
     error = Curve("error", lambda s: 1000.0 * s.ee_error)
     step = Curve("mean of 1 s", lambda s: s.step_time_us)
-    about_pairs, about_torques = _about(model, [door, *names])
-    of_pairs, of_joints = (*_series(len(names)), _THRESHOLD), _series(len(torques))
     return [
-        PlotPlan(
-            "distance [m]",
-            [*distances, d_b],
-            of_pairs,
-            _soft(0.0, 0.4),
-            160,
-            dashed=1,
-            hints=about_pairs[1:],
-        ),
-        PlotPlan(
-            "distance of the door [m]",
-            [of_door, d_b],
-            (SERIES[-1], _THRESHOLD),
-            _soft(0.0, 0.4),
-            100,
-            dashed=1,
-            hints=(about_pairs[0], about_pairs[-1]),
-        ),
+        _distances("distance [m]", model, names, 160),
+        _distances("distance of the door [m]", model, [door], 100),
         PlotPlan(
             "activation β_m", [beta], (_BETA,), (-0.02, 1.05), 100, fill=True, hints=(_ACTIVATION,)
         ),
@@ -117,10 +94,10 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
         PlotPlan(
             "torque of joint / its limit",
             torques,
-            of_joints,
+            _series(len(torques)),
             (-1.05, 1.05),
             140,
-            hints=about_torques,
+            hints=_about_torques(model),
         ),
         PlotPlan(
             "hand off its target [mm]",
@@ -141,19 +118,34 @@ def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]
     ]
 
 
-def _about(model: RobotModel, names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """What is said of the lines of the pairs, with d_b, and of the joints' torques."""
+def _distances(title: str, model: RobotModel, names: list[str], height: int) -> PlotPlan:
+    """Distances of some pairs beside d_b, so many pixels high."""
     apart = "signed distance d [m] of its bodies, below 0 inside; β begins at d_b, Figure 10"
     d_b = tunable("border.d_b")
-    pairs = (
-        *(f"{name}: {apart}" for name in names),
-        f"d_b, {d_b.help[:-1]}: {d_b.allowed}, (3)",
+    curves = [
+        Curve(words.spoken(name, model.body_names), lambda s, name=name: distance(s, name))
+        for name in names
+    ]
+    return PlotPlan(
+        title,
+        [*curves, Curve("d_b", lambda s: s.config.border.d_b)],
+        (*_series(len(names)), _THRESHOLD),
+        _soft(0.0, 0.4),
+        height,
+        dashed=1,
+        hints=(
+            *(f"{name}: {apart}" for name in names),
+            f"d_b, {d_b.help[:-1]}: {d_b.allowed}, (3)",
+        ),
     )
-    torques = tuple(
+
+
+def _about_torques(model: RobotModel) -> tuple[str, ...]:
+    """What is said of the lines of the joints' torques."""
+    return tuple(
         f"{name}: u_a over its limit of {most:g} N m, −1 to 1, (26)"
         for name, most in zip(model.description.arm.joints, model.tau_max, strict=True)
     )
-    return pairs, torques
 
 
 class Plots(Panel):
