@@ -110,7 +110,7 @@ class TaskConfig(Strict):
     ee_weight: Annotated[float, Shown(advanced=True)] = Field(default=1e5, ge=1.0, le=1e7)
     """[-] of the end-effector's task against the posture: how strictly it comes first."""
     softness: Annotated[float, Shown(advanced=True)] = Field(default=1e-3, ge=1e-4, le=0.1)
-    """[-] ε by which a row in full force gives in to tasks; a joint's limit ε², a distance ε³."""
+    """[-] ε by which a row in full force gives in to tasks; a limit of the arm ε²."""
 
 
 class LimitConfig(Strict):

@@ -24,7 +24,7 @@ from app.border.surface import BorderSurface
 from app.config import Config, LimitConfig, TaskConfig
 from app.control import controller as controller_module
 from app.control.controller import Controller
-from app.control.limits import BarrierRow
+from app.control.limits import ArmNow, BarrierRow
 from app.control.qp import Limits, Objective, TaskQP
 from app.control.tasks import EqualityTask
 from app.robot.model import RobotModel
@@ -155,7 +155,7 @@ class PlainQP(TaskQP):
         self.limited += 1
         L, inverse = np.linalg.cholesky(H), np.linalg.inv(H)
         own = np.diag(C @ inverse @ C.T)
-        own = np.array([own[softness == epsilon].min() for epsilon in softness])
+        own = min(own[softness > 0.0].min(initial=np.inf), 1e9)
         A = np.hstack([C @ np.linalg.inv(L).T, np.diag(np.sqrt(softness * own))[:, softness > 0.0]])
         G, h = np.vstack([A, -A]), np.concatenate([l - C @ free, C @ free - u])
         length = np.linalg.norm(G, axis=1)
@@ -186,18 +186,21 @@ def plain_limits(
     barriers: Sequence[BarrierRow] = (),
     *,
     softness: float,
-    torque: tuple[Array, Array] | None = None,
-    pushed: Array | None = None,
+    arm: ArmNow | None = None,
 ) -> Limits:
     """Rows of torques, of joints, of barriers, as `robot_limits` says."""
     M, h_a, m, model = state.M, state.h[2:], state.measurement, state.model
-    low, high = (-model.tau_max, model.tau_max) if torque is None else torque
+    low, high = (-model.tau_max, model.tau_max) if arm is None else arm.torque
     rate = config.position_rate
     position = rate**2 * (model.q_limits - m.q_m) - 2 * rate * m.qd_m
     velocity = config.velocity_rate * (model.qd_limits - m.qd_m)
     both = np.maximum(position[0], velocity[0]), np.minimum(position[1], velocity[1])
     lower, upper = np.sort(both, axis=0)
-    extra = np.zeros(model.n_m) if pushed is None else np.linalg.inv(M[2:, 2:]) @ pushed
+    extra, inverse = np.zeros(model.n_m), np.linalg.inv(M[2:, 2:])
+    if arm is not None:  # no joint asks for more than its own torque gives
+        extra, own = inverse @ arm.pushed, np.diag(inverse) * (high - low) / 2
+        there = inverse @ ((low + high) / 2 - M[2:, :2] @ arm.qdd_b - h_a) + extra
+        lower, upper = np.minimum(lower, there + own), np.maximum(upper, there - own)
     n = model.n_m
     most = model.qd_max  # joints' rows are in shares of it
     C = np.vstack([M[2:], np.eye(n + 2)[2:] / most[:, None], *(row.J for row in barriers)])
@@ -206,7 +209,7 @@ def plain_limits(
         C,
         np.concatenate([low - h_a, (lower - extra) / most, least]),
         np.concatenate([high - h_a, (upper - extra) / most, np.full(len(least), np.inf)]),
-        np.concatenate([np.zeros(n), np.full(n, softness**2), np.full(len(least), softness**3)]),
+        np.repeat([0.0, softness**2], [n, n + len(least)]),
     )
 
 

@@ -14,7 +14,7 @@ from app.config import Config, slowed
 from app.control import CONTROLLERS
 from app.control.admittance import response
 from app.control.kernels import minimum
-from app.control.limits import PushObserver, base_limits, robot_limits
+from app.control.limits import ArmNow, PushObserver, base_limits, robot_limits
 from app.control.methods import METHODS, Inserted
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
 from app.control.tasks import (
@@ -335,11 +335,10 @@ class Controller:
         """
         config, softness = self._config, self._config.task.softness
         rows = (*inserted.rows_arm, *inserted.rows_links)
-        state, barriers, r = self.state, inserted.barriers, self._observer.r
-        limits = robot_limits(
-            state, config.limit, barriers, softness=softness, torque=torque, pushed=r
-        )
+        state, barriers = self.state, inserted.barriers
         qdd_b = self._model.J_m_inv @ given
+        now = ArmNow(qdd_b, torque, self._observer.r)
+        limits = robot_limits(state, config.limit, barriers, softness=softness, arm=now)
         whole = insert_rows(
             stack.objective.of_arm(qdd_b), [row.of_arm(qdd_b) for row in rows], softness
         )

@@ -54,6 +54,17 @@ def minimum(H: Array, c: Array) -> tuple[Array, Array]:
     return _backward(L, _forward(L, -c)), L
 
 
+@compiled("Tuple((f8[::1], f8[::1]))(f8[:,:], f8[:])")
+def accelerations(M: Array, torque: Array) -> tuple[Array, Array]:
+    """M⁻¹ τ (n,), and (n,) the diagonal of M⁻¹: what a joint's own torque adds to its own."""
+    L, own = _cholesky(M), np.empty(len(M))
+    for i in range(len(M)):
+        unit = np.zeros(len(M))
+        unit[i] = 1.0
+        own[i] = (_forward(L, unit) ** 2).sum()
+    return _backward(L, _forward(L, torque)), own
+
+
 @compiled("b1(f8[:,:], f8[:], f8[:], f8[:], f8)")
 def holds(C: Array, l: Array, u: Array, x: Array, tolerance: float) -> bool:
     """Whether l ≤ C x ≤ u within a tolerance; never for what is not a number."""
@@ -114,7 +125,7 @@ def _bring(
 
 @compiled("f8[::1](f8[:], f8[:])")
 def compliances(softness: Array, length: Array) -> Array:
-    """(m,) those of rows of length one: of rows that are alike soft, each as for the stiffest.
+    """(m,) those of rows of length one: of all that are soft, each as for the stiffest.
 
     A slack s then costs s² times the same for all of them. If each cost what its own row weighs, a
     light wrist would be thrown about to brake a heavy shoulder.
@@ -123,13 +134,14 @@ def compliances(softness: Array, length: Array) -> Array:
         softness: (m,) [-] ε.
         length: (m,) √(C_i H⁻¹ C_iᵀ).
     """
+    least = np.inf
+    for i in range(len(softness)):
+        if softness[i] > 0.0:
+            least = min(least, length[i])
     found = np.zeros(len(softness))
     for i in range(len(softness)):
-        least = length[i]
-        for j in range(len(softness)):
-            if softness[j] == softness[i]:
-                least = min(least, length[j])
-        found[i] = softness[i] * (least / length[i]) ** 2
+        if softness[i] > 0.0:
+            found[i] = softness[i] * (least / length[i]) ** 2
     return found
 
 

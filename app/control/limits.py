@@ -17,7 +17,7 @@ import numpy as np
 from app.avoidance.closest_points import ClosestPoints
 from app.avoidance.task import distance_jacobian
 from app.config import BarrierConfig, LimitConfig
-from app.control.kernels import minimum
+from app.control.kernels import accelerations
 from app.control.qp import Limits
 from app.robot.state import RobotState
 
@@ -76,47 +76,78 @@ def joint_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Array]:
     return np.minimum(lower, upper), np.maximum(lower, upper)
 
 
+class ArmNow(NamedTuple):
+    """What bounds the arm's part of a step, beside the robot's state.
+
+    Attributes:
+        qdd_b: (n_b,) q̈ of the base.
+        torque: (n_m,) the smallest and (n_m,) the largest torque [N m or N] of this step.
+        pushed: (n_m,) [N m or N] r, torques that others exert on the arm: they add (0, M_aa⁻¹ r) to
+            q̈.
+    """
+
+    qdd_b: Array
+    torque: tuple[Array, Array]
+    pushed: Array
+
+
+def bounds_in_reach(state: RobotState, config: LimitConfig, arm: ArmNow) -> tuple[Array, Array]:
+    """(n_m,) lower and (n_m,) upper bound on q̈_m, in reach of each joint's own torque.
+
+    No joint asks for more than its own torque gives in this step while the others' are in the
+    middle of what they may be. If it asked for all at once, the torques of all others would swing
+    from end to end for it, each too late, and throw an arm that is overpowered about.
+    """
+    (low, high), n_b, (lower, upper) = arm.torque, state.model.n_b, joint_bounds(state, config)
+    M, h_a = state.M[n_b:], state.h[n_b:]
+    acting = 0.5 * (low + high) + arm.pushed - h_a - M[:, :n_b] @ arm.qdd_b
+    qdd, share = accelerations(M[:, n_b:], acting)
+    own = 0.5 * share * (high - low)
+    return np.minimum(lower, qdd + own), np.maximum(upper, qdd - own)
+
+
 def robot_limits(
     state: RobotState,
     config: LimitConfig,
     barriers: Iterable[BarrierRow] = (),
     *,
     softness: float,
-    torque: tuple[Array, Array] | None = None,
-    pushed: Array | None = None,
+    arm: ArmNow | None = None,
 ) -> Limits:
     """Limits on q̈ of base and arm: torques, then joints, then barriers.
 
-    With ε of a row of T_sca each kind gives way to the next: tasks to rows, rows (ε) to the joints'
-    limits (ε²), and these, where torques do not suffice for both, to a distance (ε³).
+    With ε of a row of T_sca each kind gives way to the next: tasks to rows, rows (ε) to joints'
+    limits and distances (ε²), and these to torques. Where torques do not suffice for both, joints
+    and distances share what is missed: neither is bought by throwing the other away.
 
     Args:
         state: The robot's state.
         config: How fast limits may be approached.
         barriers: Distances that are kept.
         softness: [-] ε.
-        torque: (n_m,) the smallest and (n_m,) the largest torque [N m or N] of this step; the
-            joints' own, if not given.
-        pushed: (n_m,) [N m or N] r, torques that others exert on the arm: they add (0, M_aa⁻¹ r) to
-            q̈. Nobody does, if not given.
+        arm: For the arm's part; else any torque up to the joints' own may act in this step, and
+            nobody pushes.
     """
     model, n, n_b, n_m = state.model, state.model.n, state.model.n_b, state.model.n_m
     rows = tuple(barriers)
     m, h_a = 2 * n_m + len(rows), state.h[n_b:]
     C, l, u = np.empty((m, n)), np.empty(m), np.full(m, np.inf)
     C[:n_m], C[n_m : 2 * n_m] = state.M[n_b:], _joint_rows(n, n_b) / model.qd_max[:, None]
-    l[:n_m], u[:n_m] = (-model.tau_max, model.tau_max) if torque is None else torque
+    l[:n_m], u[:n_m] = (-model.tau_max, model.tau_max) if arm is None else arm.torque
     l[:n_m] -= h_a
     u[:n_m] -= h_a
-    lower, upper = joint_bounds(state, config)
+    if arm is None:
+        lower, upper = joint_bounds(state, config)
+    else:
+        lower, upper = bounds_in_reach(state, config, arm)
     l[n_m : 2 * n_m], u[n_m : 2 * n_m] = lower / model.qd_max, upper / model.qd_max
     for i, row in enumerate(rows, 2 * n_m):
         C[i], l[i] = row.J, row.l
-    if pushed is not None:
-        moved = C[n_m:, n_b:] @ -minimum(state.M[n_b:, n_b:], pushed)[0]
+    if arm is not None:
+        moved = C[n_m:, n_b:] @ accelerations(state.M[n_b:, n_b:], arm.pushed)[0]
         l[n_m:] -= moved
         u[n_m:] -= moved
-    return Limits(C, l, u, _softness(n_m, len(rows), softness))
+    return Limits(C, l, u, _softness(n_m, m, softness))
 
 
 @lru_cache(maxsize=8)
@@ -126,9 +157,9 @@ def _joint_rows(n: int, n_b: int) -> Array:
 
 
 @lru_cache(maxsize=32)
-def _softness(n_m: int, barriers: int, softness: float) -> Array:
-    """(2 n_m + barriers,) [-] of torques, joints and barriers, not to be written to."""
-    return np.repeat([0.0, softness**2, softness**3], [n_m, n_m, barriers])
+def _softness(n_m: int, m: int, softness: float) -> Array:
+    """(m,) [-] of torques, joints and barriers, not to be written to."""
+    return np.repeat([0.0, softness**2], [n_m, m - n_m])
 
 
 def base_limits(state: RobotState) -> Limits:

@@ -45,8 +45,8 @@ class Limits(NamedTuple):
         C: (m, n).
         l: (m,) lower bounds.
         u: (m,) upper bounds.
-        softness: (m,) [-] ε of each row; one of 0 holds whatever the others ask, and those of the
-            same ε are in the same unit.
+        softness: (m,) [-] ε of each row; one of 0 holds whatever the others ask, and all others are
+            in one unit.
     """
 
     C: Array
@@ -106,7 +106,7 @@ class TaskQP:
 
     Where no limit is met the least is known in closed form. Else, with H = L Lᵀ and z = Lᵀ (q̈ -
     q̈*) from the free optimum q̈*, the answer is the z nearest to 0 that keeps the limits. A soft
-    limit has a slack that costs 1/(ε c), with c the least C_j H⁻¹ C_jᵀ of those with its ε: so it
+    limit has a slack that costs 1/(ε c), with c the least C_j H⁻¹ C_jᵀ of the soft ones: so it
     gives in by ε at most of what the tasks alone would have asked beyond it, and no soft limit, nor
     two that contradict each other, can leave the problem without an answer. Where active sets do
     not settle on it, ProxQP finds it.
