@@ -135,23 +135,31 @@ def claim(file: BinaryIO) -> bool:
 def whole_file(path: Path) -> Iterator[Path]:
     """A file beside the wanted one, of the same ending, that takes its place if all went well.
 
-    So nobody who reads it ever sees half of it.
+    So nobody who reads it ever sees half of it. A link stays one, and leads to the new file.
 
     Raises:
         OutputError: It cannot be written, as on a full disk; what was there before is still there.
     """
+    real = Path(os.path.realpath(path))
     # The name is of one thread: two that write the same file do not write into each other's.
-    beside = path.with_name(f".new-{threading.get_native_id()}-{path.name}")
+    beside = real.with_name(f".new-{threading.get_native_id()}-{path.name}")
     try:
+        if is_no_file(path):
+            raise OutputError(f"cannot write {path}: it is no file")
         try:
             yield beside
             with beside.open("rb") as file:
                 os.fsync(file.fileno())
-            beside.replace(path)
+            beside.replace(real)
         finally:
             beside.unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write {path}: {error.strerror or error}") from None
+
+
+def is_no_file(path: Path) -> bool:
+    """Whether a folder, a device or a pipe is there, which no file may replace."""
+    return path.exists() and not path.is_file()
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
@@ -194,6 +202,13 @@ def open_standard_files() -> None:
             setattr(sys, name, os.fdopen(number, "w" if number else "r"))
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def forget_missing_temporary_folder() -> None:
+    """Programs that this one starts take the usual folder, as it does, if `TMPDIR` is none."""
+    named = os.environ.get("TMPDIR", "")
+    if not os.access(named, os.W_OK | os.X_OK):
+        os.environ.pop("TMPDIR", None)
 
 
 def flush_c_output() -> None:

@@ -91,7 +91,7 @@ def test_a_visitor_tries_and_gets_the_proof(
         tab.drag_gizmo(GIZMO, 2, -0.25, SCALE)
         shared = served.server.shared
         wait_for(lambda: len(shared.challenge.tried) == 2, seconds=120, what="the card")
-        tab.page.get_by_text("The same pull, each controller").wait_for()
+        tab.page.get_by_text("Pulled to the same places, each controller").wait_for()
         loop.send(Pause(True))
         first = shared.challenge.tried[0]
         assert first.controller == "dbb"

@@ -11,7 +11,7 @@ from contextlib import suppress
 import pytest
 
 from app.cli import main
-from app.errors import LoopError
+from app.errors import BrowserError, LoopError
 from app.jobs.progress import progress_bar
 
 ENTRY = sys.modules["app.cli.main"]
@@ -157,6 +157,18 @@ def test_what_a_command_says_after_it_was_interrupted_is_heard(monkeypatch, caps
         main(["serve"])
     assert end.value.code == 2
     assert "the simulation had ended" in capsys.readouterr().err
+
+
+def test_a_browser_that_the_same_signal_has_ended_does_not_change_the_status(monkeypatch):
+    def hung_up(_: object) -> None:
+        with suppress(SystemExit):
+            signal.raise_signal(signal.SIGHUP)
+        raise BrowserError("the browser has failed: connection closed")
+
+    monkeypatch.setattr(ENTRY, "_run", hung_up)
+    with pytest.raises(SystemExit) as end:
+        main(["film"])
+    assert end.value.code == 128 + signal.SIGHUP
 
 
 def test_an_error_that_no_interrupt_caused_stays_what_it_is(monkeypatch):

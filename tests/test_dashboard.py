@@ -29,6 +29,7 @@ from app.dashboard.drag import Grip, Hold
 from app.dashboard.markup import DEFECT
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
+from app.dashboard.panels.plots import plot_plans
 from app.dashboard.panels.run import machine_html, pairs_html, status_html
 from app.dashboard.panels.why import why_html
 from app.dashboard.scene.borders import MAX_POINTS, Borders, DrawnBorders, subsample
@@ -702,6 +703,17 @@ def test_plots_are_fed_from_the_loop(dashboard, loop):
         wait_for(lambda: (np.array(plot.data[-1]) == 1.0).sum() == 1)
 
 
+def test_a_door_has_a_plot_that_comes_with_it(loop, robot):
+    data, snapshot = SceneData(loop, robot, {}), loop.latest()
+    first, *others = snapshot.pairs
+    opened = (first, *others, first._replace(name=data.of_door, d=0.42))
+    plan = plot_plans(robot, data.pairs, data.of_door)[1]
+    assert [curve.label for curve in plan.curves] == ["door – base", "d_b"]
+    assert len(plan.colours) == len(plan.hints) == len(plan.curves)
+    assert plan.curves[0].value(replace(snapshot, pairs=opened)) == 0.42
+    assert np.isnan(plan.curves[0].value(snapshot))
+
+
 def test_plots_that_are_not_shown_are_not_sent(dashboard):
     with RawClient(dashboard.address) as client:
         page = page_of(dashboard)
@@ -709,6 +721,7 @@ def test_plots_that_are_not_shown_are_not_sent(dashboard):
         plots = page._plots._plots
         hidden = [title for title in plots if title not in page.view.plots]
         assert hidden
+        hidden.append("distance of the door [m]")  # there is none
         wait_for(lambda: not any(plots[title].visible for title in hidden))
         assert all(len(plots[title].data[0]) == 1 for title in hidden)
         page.view.plots |= {hidden[0]}

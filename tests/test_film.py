@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -83,6 +84,18 @@ def test_what_ffmpeg_cannot_write_is_one_line_and_leaves_the_old_file(
         write_film(path, grey(200), RATE, "h264")
     assert path.read_bytes() == b"old"
     assert sorted(tmp_path.iterdir()) == [full, path]
+
+
+def test_a_film_larger_than_a_file_may_be_is_one_line(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (30, 240, 320, 3), dtype=np.uint8)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, hard))
+    try:
+        with pytest.raises(OutputError, match=r"film\.mp4: .*File too large"):
+            write_film(tmp_path / "film.mp4", map(Image.fromarray, noise), RATE, "h264")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_ctrl_c_leaves_nothing(tmp_path: Path) -> None:

@@ -119,6 +119,15 @@ def test_a_page_that_answers_with_another_picture_than_it_was_asked_for_is_told_
     assert [record for record in caplog.records if record.levelname == "ERROR"] == []
 
 
+def test_who_cancels_a_picture_that_does_not_come_has_not_to_wait_for_it(served):
+    with visitor(served) as (client, page):
+        files = page.viewer.files
+        client.set_widget(labelled(page, "Picture (PNG)"), True)
+        wait_for(lambda: files.progress is not None, what="the picture's begin")
+        files.cancel()
+        wait_for(lambda: files.progress is None, seconds=5.0, what="its end")
+
+
 def test_the_card_of_a_challenge_that_nobody_has_tried_is_refused(served, monkeypatch, caplog):
     """Its button is not shown then, and pressed all the same."""
     told = []

@@ -270,6 +270,19 @@ def test_a_ghost_whose_hand_leaves_the_picture_is_found(
     assert not np.array_equal(eye.position, before)
 
 
+def test_who_looks_at_the_nearest_pair_sees_the_hand_and_where_it_goes(
+    looking: tuple[Camera, Eye, ScriptedLoop],
+) -> None:
+    camera, eye, loop = looking
+    camera.use("pair", loop.latest())
+    raised = replace(loop.latest(), p_ee=loop.latest().p_ee + np.array([0.0, 0.8, 0.8]))
+    for shown in (loop.latest(), raised):
+        eye.answer()
+        camera.find(shown, on=True)
+        lens = camera_module.lens_of(eye.position, eye.look_at, 1.0, camera.window)
+        assert lens.has(lens.pixel(shown.p_ee))
+
+
 def test_a_viewer_who_comes_while_a_door_is_opened_looks_at_it(
     looking: tuple[Camera, Eye, ScriptedLoop],
 ) -> None:

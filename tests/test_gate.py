@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+import logging
 import math
 import socket
 import urllib.error
@@ -159,9 +160,33 @@ def test_a_request_that_cannot_be_read_is_refused_without_a_word_in_the_log(head
     assert caplog.records == []
 
 
+def test_who_only_knocks_is_told_of_in_a_line_a_minute(caplog, monkeypatch):
+    monkeypatch.setattr("app.dashboard.viser_compat._Knocks._said", {})
+    with served() as server:
+        here = "127.0.0.1", server.get_port()
+        request = b"GET /x HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"
+        for knock in (b"", b"", 2 * request, 2 * request):
+            with socket.create_connection(here) as raw:
+                raw.sendall(knock)
+                raw.shutdown(socket.SHUT_WR)
+                raw.makefile("rb").read()
+        assert get(server, "/")[0] == 200
+        for _ in range(2):
+            logging.getLogger("asyncio").error("socket.accept() out of system resource\nsocket: x")
+    told = [record for record in caplog.records if record.levelno >= logging.ERROR]
+    assert 1 <= len(told) == len({record.getMessage() for record in told}) <= 3
+    assert all("\n" not in record.getMessage() and not record.exc_info for record in told)
+    assert "a connection: socket.accept() out of system resource" in caplog.text
+
+
 def test_every_answer_forbids_frames_and_connections_to_others():
     with served() as server:
-        for path, expected in (("/", 200), ("/nothing", 404), ("/?websocket=x", 400)):
+        for path, expected in (
+            ("/", 200),
+            ("/nothing", 404),
+            ("/?websocket=x", 400),
+            (f"/{'a' * 300}", 414),
+        ):
             status, headers, _ = get(server, path)
             assert status == expected
             policy = headers["Content-Security-Policy"]

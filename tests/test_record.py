@@ -133,6 +133,22 @@ def test_a_scenario_has_a_course_and_ends_with_its_figures(snapshot, d, result):
         assert part in text, part
 
 
+@pytest.mark.parametrize(
+    ("distances", "result"),
+    [
+        ((-0.02, -0.01), "contact"),
+        ((-0.02, 0.3), "left the contact it began in"),
+        ((-0.02, 0.3, -0.01, 0.3), "contact"),
+        ((0.3, -0.01, 0.3), "contact"),
+    ],
+)
+def test_who_begins_in_contact_and_leaves_it_has_not_met_anything(snapshot, distances, result):
+    course = Course()
+    shown = [led(snapshot, float(t), "way-out", d=d) for t, d in enumerate(distances)]
+    Past(snapshot, course).extend([*shown, led(snapshot, 8.0, "")])
+    assert f": {result}<" in course_html(course, "")
+
+
 @pytest.mark.parametrize("name", ["make-it-collide", "of-a-case"])
 def test_a_scenario_that_is_in_no_list_says_what_it_is_or_nothing(snapshot, name):
     course = Course()

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import pytest
 
 from app import system
+from app.errors import OutputError
 
 PROJECT = Path(__file__).resolve().parent.parent
 THE_PLACE = PROJECT / "app" / "system.py"
@@ -218,6 +219,31 @@ def test_a_group_is_ended_with_all_that_its_leader_has_started(at_once: bool) ->
     assert time.monotonic() - begin < 50  # not by their own end
     assert leader.wait() == -(signal.SIGKILL if at_once else signal.SIGTERM)
     system.end_group(leader.pid, at_once=at_once)  # there is none any more
+
+
+def test_a_link_that_is_written_to_stays_one_and_no_device_is_replaced(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    link, pipe = tmp_path / "newest.csv", tmp_path / "pipe.csv"
+    link.symlink_to("data/today.csv")
+    for text in ("one", "two"):  # there is nothing yet, and then there is
+        system.write_whole(link, text)
+        assert link.is_symlink()
+        assert (tmp_path / "data" / "today.csv").read_text() == text
+    os.mkfifo(pipe)
+    with pytest.raises(OutputError, match=r"pipe\.csv: it is no file"):
+        system.write_whole(pipe, "three")
+    assert pipe.is_fifo()
+    left = {path.name for path in tmp_path.rglob("*")}
+    assert left == {"data", "newest.csv", "pipe.csv", "today.csv"}
+
+
+def test_a_temporary_folder_that_is_none_is_forgotten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for folder, kept in ((tmp_path, True), (tmp_path / "nothing", False)):
+        monkeypatch.setenv("TMPDIR", str(folder))
+        system.forget_missing_temporary_folder()
+        assert ("TMPDIR" in os.environ) is kept
 
 
 def test_a_file_is_claimed_by_one_at_a_time(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from app.errors import ConfigError, OutputError, UnknownNameError
 from app.parameters import Parameter
 from app.simulation.plants import chosen_plant, default_plant
 from app.strict import MOST_SEEDS, check_range
+from app.system import is_no_file
 
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 """Given or not."""
@@ -194,9 +195,9 @@ def check_file(option: str, path: Path | None, suffixes: tuple[str, ...]) -> Non
         return
     if path.suffix.lower() not in suffixes:
         raise OutputError(f"{option}: {path} should end in {' or '.join(suffixes)}")
-    if path.is_dir():
-        raise OutputError(f"{option}: {path} is a folder")
-    make_folder(path.parent, option)
+    if is_no_file(path):
+        raise OutputError(f"{option}: {path} is a folder or a device")
+    make_folder(Path(os.path.realpath(path)).parent, option)
 
 
 def make_folder(out: Path | None, option: str = "--out") -> None:

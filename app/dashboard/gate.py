@@ -43,6 +43,7 @@ _PARAMETERS = ("fixedDpr", "scenario", "controller", "robot", "look", "at")
 """Names that the page's address may carry, beside those with a dot, as border.d_b, which viser has
 none of: its own one for the density of the picture is harmless, others would tell the page whom to
 obey. The rest the page itself tells `SharePanel`, which checks it."""
+_LONGEST_PATH = 255  # [characters] of an address, beyond which no file can be looked for
 _MOST_UPLOADS = 2  # [-] unfinished ones of a viewer
 _LONGEST_NAME = 1000  # [characters] of an element, a file or a scene node
 _LONGEST_VALUE = 2**16  # [characters] of what a widget is set to
@@ -201,6 +202,9 @@ class Gate:
                 return None
             status = http.HTTPStatus.SERVICE_UNAVAILABLE
             why = f"{self._viewers} pages are open, which is the most that this server serves"
+        elif len(request.path.partition("?")[0]) > _LONGEST_PATH:
+            status = http.HTTPStatus.REQUEST_URI_TOO_LONG
+            why = "there is no file of so long a name"
         elif unknown:
             status = http.HTTPStatus.BAD_REQUEST
             known = ", ".join(_PARAMETERS)

@@ -129,7 +129,9 @@ class Course:
         pull: [N] the hardest pull.
         speed: [m/s] of the fastest hand.
         path: [m] the way of the base.
-        touched: Whether anything has touched, or was inside something else.
+        touched: Whether anything has come to touch, or into something else.
+        inside: Whether something did so at the beginning, and has not stopped since.
+        left: Whether something did so at the beginning, and has stopped.
         case: What it takes to play again what was played last, or None.
     """
 
@@ -141,7 +143,7 @@ class Course:
         self.case: RunCase | None = None
         self.name, self.running = "", False
         self.duration = self.until = self.pull = self.speed = self.path = 0.0
-        self.least, self.touched = np.inf, False
+        self.least, self.touched, self.inside, self.left = np.inf, False, False, False
         self._place: Array | None = None
 
     def add(self, snapshot: Snapshot) -> None:
@@ -149,15 +151,19 @@ class Course:
         self.running, self.case = bool(snapshot.scenario), snapshot.case or self.case
         if not self.running:
             return
-        place = np.array(snapshot.base_pose[:2])
-        if self._place is not None:
+        place, touches = np.array(snapshot.base_pose[:2]), judge(snapshot).state == "contact"
+        if self._place is None:
+            self.inside = touches
+        else:
             self.path += float(np.linalg.norm(place - self._place))
         self._place, self.name, self.until = place, snapshot.scenario, snapshot.t
         self.duration = snapshot.scenario_ends or snapshot.t
         self.least = min(self.least, least(snapshot))
         self.pull = max(self.pull, pulled(snapshot))
         self.speed = max(self.speed, snapshot.hand_speed)
-        self.touched = self.touched or judge(snapshot).state == "contact"
+        self.left = self.left or (self.inside and not touches)
+        self.inside = self.inside and touches
+        self.touched = self.touched or (touches and not self.inside)
 
 
 class Event(NamedTuple):

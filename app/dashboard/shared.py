@@ -168,7 +168,7 @@ class SharedState(SceneData):
         self.tuning = before.tuning if before else Tuning(loop, loop.latest().config)
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)
         self.robot_build = before.robot_build if before else RobotBuild(self.robot_switch)
-        self.plans = plot_plans(model, self.pairs)
+        self.plans = plot_plans(model, self.pairs, self.of_door)
         self.record = Record(curve for plan in self.plans for curve in plan.curves)
         self.course = Course()
         self.strip = Strip(model.body_names)

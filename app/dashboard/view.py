@@ -108,11 +108,11 @@ class View:
 
     @classmethod
     def first(cls, pairs: list[str], plots: list[str]) -> View:
-        """What a new viewer sees: the score of the first border, and the first three plots."""
+        """What a new viewer sees: the score of the first border, and the first plots."""
         borders = dict.fromkeys(pairs, HIDDEN)
         if pairs:
             borders[pairs[0]] = "score"
-        return cls(borders, plots=set(plots[:3]))
+        return cls(borders, plots=set(plots[:4]))
 
 
 class Viewpoint(NamedTuple):

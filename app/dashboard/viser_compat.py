@@ -10,8 +10,10 @@ import contextlib
 import io
 import json
 import logging
+import math
+import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import viser
 from viser import _messages
@@ -28,7 +30,36 @@ logger = logging.getLogger(__name__)
 _ENDING = 10.0  # [s] for viser's thread, on a busy machine
 LOOK = 0.5  # [s] between two looks at the connections
 SILENT = 3  # [looks] without an answer, after which a viewer may sleep
+_MINUTE = 60.0  # [s]
+_KNOCKS = (
+    "opening handshake failed",
+    "unexpected internal error",  # of websockets, where requests come one behind the other
+    "socket.accept() out of system resource",
+)
 STUCK = 20  # [looks] without anything delivered, after which a connection is closed
+
+
+class _Knocks(logging.Filter):
+    """Of strangers who connect and speak otherwise, or too many at once, a line a minute is enough.
+
+    Their library would write the whole way to each one, a hundred times a second.
+    """
+
+    _said: ClassVar[dict[str, float]] = {}
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Whether it is written, in one line."""
+        text = record.getMessage().partition("\n")[0]
+        if text not in _KNOCKS:
+            return True
+        record.msg, record.args, record.exc_info = f"a connection: {text}", (), None
+        due = self._said.get(text, -math.inf) <= time.monotonic() - _MINUTE
+        if due:
+            self._said[text] = time.monotonic()
+        return due
+
+
+_knocks = _Knocks()
 
 
 def open_server(host: str, port: int, largest_upload: int = 0) -> viser.ViserServer:
@@ -43,6 +74,8 @@ def open_server(host: str, port: int, largest_upload: int = 0) -> viser.ViserSer
         ServerError: viser starts in a way that is not known.
     """
     logging.getLogger("websockets").setLevel(logging.WARNING)  # every viewer's coming and going
+    for name in ("websockets.server", "asyncio"):
+        logging.getLogger(name).addFilter(_knocks)  # the same one is added once
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private
     gate = Gate(host, largest_upload)
     with _silence(), gate.closed():

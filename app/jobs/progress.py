@@ -11,7 +11,7 @@ from contextlib import contextmanager, nullcontext
 from time import monotonic, sleep
 from types import FrameType
 
-from app.errors import DbbError
+from app.errors import BrowserError, DbbError
 from app.system import ENDING, wake_children
 
 _EVERY = 20.0  # [s] between two plain lines; shorter work says nothing
@@ -92,7 +92,8 @@ def ending_signals_raised() -> Iterator[None]:
         with _deadline(tuple(before)):
             yield
     except Exception as error:
-        if _received and not isinstance(error, DbbError):  # ours says what it is
+        # Ours says what it is; a browser's is that the same signal has ended the browser.
+        if _received and (isinstance(error, BrowserError) or not isinstance(error, DbbError)):
             raise _exception() from error
         raise
     finally:

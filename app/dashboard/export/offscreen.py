@@ -351,9 +351,14 @@ def write_film(
     words = f"-y -loglevel error -f rawvideo -pix_fmt rgb24 -s {size} -r {rate} -i -".split()
     with whole_file(path) as beside, tempfile.TemporaryFile() as said:
         command = [get_ffmpeg_exe(), *words, "-an", "-c:v", name, *more, str(beside)]
-        # In a group of its own: Ctrl-C is for this process, which ends the other one.
+        # In a group of its own: Ctrl-C is for this process, which ends the other one. As here, a
+        # file that gets too large is an error that it tells, and no signal.
         process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stderr=said, start_new_session=True
+            command,
+            stdin=subprocess.PIPE,
+            stderr=said,
+            start_new_session=True,
+            restore_signals=False,
         )
         try:
             assert process.stdin is not None

@@ -99,7 +99,7 @@ def challenge_html(challenge: Challenge, course: Course) -> str:
     if case is None:
         return small(
             "30 s to pull the robot into itself, however you like; then the other controllers "
-            "show what they would have done under the same pull."
+            "show what they would have done where you pulled to."
         )
     if not challenge.tried:
         told = state and f"{going}Who has won is looked at step by step: {state}"
@@ -111,10 +111,8 @@ def challenge_html(challenge: Challenge, course: Course) -> str:
         loud = [mark(text, css(_WON)) if each.met else text for text in texts]
         rows.append((each.controller, *loud))
     table = grid(("", "least", "pull", "hand"), rows)
-    return framed(
-        f"<b>{text}.</b><br>The same pull, each controller:{table}{state}{challenge.problem}",
-        css(colour),
-    )
+    same = "Pulled to the same places, each controller:"
+    return framed(f"<b>{text}.</b><br>{same}{table}{state}{challenge.problem}", css(colour))
 
 
 def card(scene: Image.Image, tried: tuple[Tried, ...], *, dark: bool) -> Image.Image:
@@ -122,7 +120,7 @@ def card(scene: Image.Image, tried: tuple[Tried, ...], *, dark: bool) -> Image.I
     lines: list[str | tuple[str, Rgb]] = ["Make it collide", verdict_text(tried[0])]
     lines.append(f"hardest pull {tried[0].pull:.0f} N, fastest hand {tried[0].speed:.2f} m/s")
     for each in tried[1:]:
-        text = f"the same pull with {each.controller}: "
+        text = f"{each.controller}, pulled to the same places: "
         text += "contact" if each.met else f"{_mm(each.least)}, no contact"
         lines.append((text, _WON) if each.met else text)
     return label(scene, lines, dark=dark)

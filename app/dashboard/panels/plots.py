@@ -62,14 +62,12 @@ class PlotPlan(NamedTuple):
     hints: tuple[str, ...] = ()
 
 
-def plot_plans(model: RobotModel, names: list[str]) -> list[PlotPlan]:
-    """All plots of a robot; `names` are its link pairs, in the order of the snapshots."""
+def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]:
+    """All plots of a robot; `names` are its link pairs, in the order of the snapshots.
+
+    The pair of base and `door` has a plot of its own, that comes with it.
+    """
     axes = model.description.base.axes
-    distances = [
-        Curve(words.spoken(name, model.body_names), lambda s, name=name: distance(s, name))
-        for name in names
-    ]
-    distances.append(Curve("d_b", lambda s: s.config.border.d_b))
     torques = [
         Curve(f"{i + 1}", lambda s, i=i, most=float(most): s.u_a[i] / most)
         for i, most in enumerate(model.tau_max)
@@ -79,12 +77,9 @@ def plot_plans(model: RobotModel, names: list[str]) -> list[PlotPlan]:
     of_axes = (*_series(len(axes) - 2), css(PERSON), css(ACTING))[-len(axes) :]
     error = Curve("error", lambda s: 1000.0 * s.ee_error)
     step = Curve("mean of 1 s", lambda s: s.step_time_us)
-    about_pairs, about_torques = _about(model, names)
-    of_pairs, of_joints = (*_series(len(names)), _THRESHOLD), _series(len(torques))
     return [
-        PlotPlan(
-            "distance [m]", distances, of_pairs, _soft(0.0, 0.4), 160, dashed=1, hints=about_pairs
-        ),
+        _distances("distance [m]", model, names, 160),
+        _distances("distance of the door [m]", model, [door], 100),
         PlotPlan(
             "activation β_m", [beta], (_BETA,), (-0.02, 1.05), 100, fill=True, hints=(_ACTIVATION,)
         ),
@@ -99,10 +94,10 @@ def plot_plans(model: RobotModel, names: list[str]) -> list[PlotPlan]:
         PlotPlan(
             "torque of joint / its limit",
             torques,
-            of_joints,
+            _series(len(torques)),
             (-1.05, 1.05),
             140,
-            hints=about_torques,
+            hints=_about_torques(model),
         ),
         PlotPlan(
             "hand off its target [mm]",
@@ -123,19 +118,34 @@ def plot_plans(model: RobotModel, names: list[str]) -> list[PlotPlan]:
     ]
 
 
-def _about(model: RobotModel, names: list[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """What is said of the lines of the pairs, with d_b, and of the joints' torques."""
+def _distances(title: str, model: RobotModel, names: list[str], height: int) -> PlotPlan:
+    """Distances of some pairs beside d_b, so many pixels high."""
     apart = "signed distance d [m] of its bodies, below 0 inside; β begins at d_b, Figure 10"
     d_b = tunable("border.d_b")
-    pairs = (
-        *(f"{name}: {apart}" for name in names),
-        f"d_b, {d_b.help[:-1]}: {d_b.allowed}, (3)",
+    curves = [
+        Curve(words.spoken(name, model.body_names), lambda s, name=name: distance(s, name))
+        for name in names
+    ]
+    return PlotPlan(
+        title,
+        [*curves, Curve("d_b", lambda s: s.config.border.d_b)],
+        (*_series(len(names)), _THRESHOLD),
+        _soft(0.0, 0.4),
+        height,
+        dashed=1,
+        hints=(
+            *(f"{name}: {apart}" for name in names),
+            f"d_b, {d_b.help[:-1]}: {d_b.allowed}, (3)",
+        ),
     )
-    torques = tuple(
+
+
+def _about_torques(model: RobotModel) -> tuple[str, ...]:
+    """What is said of the lines of the joints' torques."""
+    return tuple(
         f"{name}: u_a over its limit of {most:g} N m, −1 to 1, (26)"
         for name, most in zip(model.description.arm.joints, model.tau_max, strict=True)
     )
-    return pairs, torques
 
 
 class Plots(Panel):
@@ -172,9 +182,14 @@ class Plots(Panel):
         shown, view, timeline = moment.shown, self._viewer.view, self._viewer.timeline
         newest = self._viewer.shared.last
         record, seen = self._viewer.shared.record, SIGHT in self._viewer.channel.seen
+        here = {
+            plan.title
+            for plan in self._viewer.shared.plans
+            if plan.title in view.plots and not math.isnan(plan.curves[0].value(shown))
+        }
         for title, plot in self._plots.items():
-            plot.visible = title in view.plots
-        asked = (record, timeline.live, frozenset(view.plots))
+            plot.visible = title in here
+        asked = (record, timeline.live, here)
         drawn = (*asked, newest, shown.t)
         soon = timeline.live and asked == self._drawn[:3] and time.monotonic() < self._due
         if not seen or soon or drawn == self._drawn:
@@ -183,14 +198,14 @@ class Plots(Panel):
         until = newest if timeline.live else min(newest, shown.t + AHEAD)
         table = record.columns(until, LENGTH)
         table = table[:, np.diff(np.floor(table[0] / SPACING), prepend=-1.0) > 0.0]
-        now = [table[self._columns[title], -RESTING:] for title in view.plots]
+        now = [table[self._columns[title], -RESTING:] for title in here]
         rests = all(np.ptp(lines, axis=1).max() < STILL for lines in now)
         period = PERIOD_REST if rests else PERIOD_LIGHT if view.light else PERIOD
         self._due = time.monotonic() + period
         cursor = np.full(table.shape[1], OFF)
         if not timeline.live:
             cursor[int(np.abs(table[0] - shown.t).argmin())] = 1.0
-        for title in tuple(view.plots):
+        for title in here:
             self._plots[title].data = (table[0], *table[self._columns[title]], cursor)
 
 

@@ -62,7 +62,7 @@ _SCORES = (
     ("largest jump of v̇", "acceleration_jump", lambda a: f"{a:.3f} m/s²", min),
     ("largest jump of ω̇", "angular_jump", lambda a: f"{a:.3f} rad/s²", min),
     ("… of a torque", "torque_jump", lambda u: f"{u:.2f} N m", min),
-    ("steps in contact", "contacts", lambda n: f"{n}", min),
+    ("steps in contact, plant", "contacts", lambda n: f"{n}", min),
 )
 """Label, field of `Score`, its text, and which of them is the best; a way is neither."""
 
@@ -255,11 +255,12 @@ def course_html(course: Course, busy: str) -> str:
         return small(f"{about}{bar(share)}{title}")
     early = course.until < course.duration - ENDED
     title = f"{course.name} {f'left at {course.until:.1f} s' if early else 'ended'}"
-    result = "contact" if course.touched else "no contact"
+    met = course.touched or course.inside
+    result = "contact" if met else "left the contact it began in" if course.left else "no contact"
     figures = course_figures(course) | {"way of the base": f"{course.path:.2f} m"}
     return framed(
         f"<b>{title}: {result}</b><br>{about}{readings(figures)}",
-        css(COLOURS["contact" if course.touched else "clear"]),
+        css(COLOURS["contact" if met else "clear"]),
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import suppress
 from functools import partial
 from html import escape
@@ -42,6 +43,7 @@ STEP = 15.0
 SWEEPS = Path("out/sweep")
 """Where `dbb sweep` writes by default."""
 _LOOK_EVERY = 20  # updates between two looks into the folder of maps
+_CANCEL_EVERY = 0.1  # [s] between two looks at the wish to cancel
 _PATIENCE = 30.0  # [s] for a browser to draw a picture
 
 
@@ -86,11 +88,16 @@ class FilePanel(Panel):
         """The scene as the viewer's browser has it, so many [px] wide and high.
 
         Raises:
+            Cancelled: The viewer does not want it any more.
             BrowserError: The browser gives no picture.
         """
-        client = self._viewer.client
+        asker, ask = ThreadPoolExecutor(1), self._viewer.client.get_render
+        asked = asker.submit(ask, height, width, transport_format="png", timeout=_PATIENCE)
+        asker.shutdown(wait=False)
+        while not wait([asked], _CANCEL_EVERY).done:
+            self._job.check()
         try:
-            pixels = client.get_render(height, width, transport_format="png", timeout=_PATIENCE)
+            pixels = asked.result()
         except (RuntimeError, TimeoutError) as error:
             raise BrowserError(f"the browser gave no picture: {error}") from None
         if pixels.shape != (height, width, 4):

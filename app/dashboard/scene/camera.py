@@ -76,8 +76,9 @@ class Preset(NamedTuple):
 
     Attributes:
         away: (3,) from what is looked at towards the camera.
-        of: What is looked at: the whole robot, the hand alone, the closest points of the nearest
-            pair, or the robot and a door with its hinge, from where a person stands who opens it.
+        of: What is looked at: the whole robot, the hand alone, the hand and the closest points of
+            the nearest pair, or the robot and a door with its hinge, from where a person stands
+            who opens it.
     """
 
     away: Array
@@ -273,7 +274,8 @@ class Camera:
             self._seen_at, self._begun = base, False
         elif self._begun or (on and np.linalg.norm(base - self._seen_at) > _MOVED):
             self.use(self._preset, snapshot)
-        if on and self.preset and PRESETS[self.preset].of == "robot" and not all(hands):
+        led = self.preset and PRESETS[self.preset].of in ("robot", "pair")
+        if on and led and not all(hands):
             self.use(self._preset, snapshot)
 
     def _waits(self) -> bool:
@@ -327,7 +329,7 @@ def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
         seen = [hand + _NEAR_HAND]
     elif of == "pair":
         nearest = min(snapshot.pairs, key=lambda pair: pair.d)
-        seen = [nearest.p_a + _NEAR_PAIR, nearest.p_b + _NEAR_PAIR]
+        seen = [p + _NEAR_PAIR for p in (nearest.p_a, nearest.p_b)] + seen[len(robots) :]
     elif of == "door" and snapshot.door is not None:
         door, (_, width, height) = snapshot.door.door, snapshot.door.door.size
         top = height + _OVER_DOOR

@@ -48,6 +48,7 @@ class SceneData:
         loop: Gives the snapshots.
         clouds: P_i of every pair of L_m, by the pair's name.
         pairs, mobile: Names of all link pairs, in the order of the snapshots, and of those of L_m.
+        of_door: Name of the pair of base and door, which comes with its scenario.
         spoken: The pairs in words, by their names.
         tracks: Where "base" and "hand" have been.
         keepers: All that keep something of the snapshots, in order of time.
@@ -66,7 +67,8 @@ class SceneData:
         self.loop, self.model, self.clouds = loop, model, clouds
         self.pairs = [pair.name for pair in first.pairs]
         self.mobile = [pair.name for pair in first.pairs if pair.mobile]
-        named = (*self.pairs, f"{model.body_names[0]}-{DOOR}")  # that pair comes with its scenario
+        self.of_door = f"{model.body_names[0]}-{DOOR}"
+        named = (*self.pairs, self.of_door)
         self.spoken = {name: words.spoken(name, model.body_names) for name in named}
         self.parts = parts or RobotParts(model)
         self.borders = Borders(model, clouds)

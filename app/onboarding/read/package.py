@@ -87,7 +87,7 @@ def _check_size(archive: Path) -> None:
         tail = file.read()
     at = tail.rfind(b"PK\x05\x06")
     if at < 0 or len(tail) < at + 22:
-        raise RobotFileError(f"{archive.name}: not a zip: it has no list of files at its end")
+        raise RobotFileError(f"{archive.name}: not a zip; zip the URDF together with its meshes")
     if tail[:at][-20:].startswith(b"PK\x06\x07"):  # it would stand in for the record that is read
         raise RobotFileError(
             f"{archive.name}: a ZIP64, the form for archives of over 4 GB; zip it as a plain zip"

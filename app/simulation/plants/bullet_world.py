@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 from itertools import combinations
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -107,6 +106,8 @@ class BulletWorld:
             AssetError: pybullet cannot load the URDF.
         """
         self.client, self._open = Client(), True
+        # What is loaded has no name, only a number that another file may have had before.
+        self.client.setPhysicsEngineParameter(enableFileCaching=0)
         try:
             self.robot = self.load(urdf, self_collision=True)
         except pybullet.error as error:
@@ -137,11 +138,15 @@ class BulletWorld:
         if self_collision:
             flags |= pybullet.URDF_USE_SELF_COLLISION
             flags |= pybullet.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT
-        with tempfile.TemporaryDirectory(prefix="dbb-") as folder, silence(1):  # of its warnings
-            path = Path(folder) / "body.urdf"
-            path.write_text(urdf, encoding="utf-8")
+        # Of a file without a name nothing is left wherever this process is ended.
+        with tempfile.TemporaryFile() as file, silence(1):  # of its warnings
+            file.write(urdf.encode())
+            file.seek(0)
             body = self.client.loadURDF(
-                str(path), basePosition=place, useFixedBase=self_collision, flags=flags
+                f"/dev/fd/{file.fileno()}",
+                basePosition=place,
+                useFixedBase=self_collision,
+                flags=flags,
             )
         for i in range(-1, self.client.getNumJoints(body)):
             self.client.changeDynamics(body, i, **_UNDAMPED)
