@@ -46,7 +46,7 @@ from app.robot import assets
 from app.robot.assets import ASSETS, package_roots, resolve_package_uri, resolved_urdf, robot_names
 from app.robot.bases.kind import FORWARD
 from app.robot.description import RobotDescription, load_description, load_robot
-from app.robot.link_pairs import find_link_pairs
+from app.robot.link_pairs import candidate_pairs, find_link_pairs
 from app.robot.model import RobotModel
 from app.simulation.plants.collision_shapes import body_contact_pairs
 from app.simulation.scenarios import scenario_by_name, scenario_of
@@ -204,9 +204,27 @@ def test_a_hand_that_its_body_does_not_hold_fails(
 
 def test_new_robot_and_check_robot_tell_one_figure_of_unseen_collisions(made: NewRobot) -> None:
     row = arm_row(written(made))
-    assert row.numbers["collisions"] > 100
+    assert row.numbers["colliding_poses"] > 100
     assert row.numbers["unseen_share"] == pytest.approx(made.unseen.share, abs=2e-3)
+    assert row.numbers["colliding_poses"] == pytest.approx(made.unseen.poses, rel=5e-3)
     assert row.numbers["collisions"] == pytest.approx(made.unseen.watched, rel=5e-3)
+
+
+def test_a_pose_in_collision_is_unseen_where_no_pair_of_bodies_meets(
+    made: NewRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a pair that is not watched too, unless another one meets; without pairs all of them."""
+    monkeypatch.setattr(grouping, "UNSEEN_POSES", 1000)
+    pairs = [pair.name for pair in candidate_pairs(written(made))]
+    rows = [
+        arm_row(written(made, unwatched=dict.fromkeys(names, "test")))
+        for names in ([], *([each] for each in pairs), pairs)
+    ]
+    none, *one, every = [row.numbers["unseen_share"] for row in rows]
+    assert none <= min(one)
+    assert none < max(one) < every == 1.0
+    assert rows[-1].outcome == "warned"
+    assert rows[-1].numbers["missed"] == 0
 
 
 def test_an_arm_that_meets_nothing_has_nothing_to_show(made: NewRobot) -> None:
@@ -384,10 +402,14 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     return compiled(description(request, parsed, found.bodies), path)
 
 
-def test_from_its_urdf_alone_the_papers_robot_gets_the_pairs_of_1(husky: RobotModel) -> None:
+def test_from_its_urdf_alone_the_papers_robot_sees_its_collisions(husky: RobotModel) -> None:
+    """By the pairs of (1); l_2 and l_EE, whose bodies fit closely, can never meet."""
     pairs = find_link_pairs(husky, samples=10_000, seed=2)
     assert {pair.name for pair in pairs.mobile} == {"lm-lEE", "lm-l3"}
-    assert {pair.name for pair in pairs.manipulator} == {"l1-lEE", "l1-l3", "l2-lEE"}
+    assert {pair.name for pair in pairs.manipulator} == {"l1-lEE", "l1-l3"}
+    row = arm_row(husky)
+    assert row.numbers["colliding_poses"] > 100
+    assert row.numbers["unseen_share"] <= 0.01, row
 
 
 def test_an_upper_arm_that_is_near_the_base_as_built_keeps_its_own_body(tmp_path: Path) -> None:
@@ -437,7 +459,7 @@ def grouped(units: list[list[int]]) -> grouping.Grouping:
         FittedBody(name, "base_link", (), tuple(each), (), np.zeros((0, 3)))
         for name, each in zip(names, units, strict=True)
     ]
-    return grouping.Grouping(bodies, grouping.Verdict(0.0, 0.0, (), (), (), {}, {}, 0.0))
+    return grouping.Grouping(bodies, grouping.Verdict(0.0, 0.0, (), (), (), {}, 0.0))
 
 
 def test_a_coarse_border_serves_at_once_and_is_refined(

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 
-_MISSED = 0.02  # [-] share of collisions that no pair sees
+_MISSED = 0.01  # [-] share of collisions that no pair sees
 _OVER = 2.0  # [-] volume of a body over that of what it holds
 _FITTED = 0.6  # [-] R² of (9) over the counted reachability; of the paper's arm above 0.9
 _POSES, _SAMPLES = 100, 2000
@@ -79,9 +79,9 @@ def _bodies(robot: NewRobot) -> list[str]:
     verdict, meetings = robot.verdict, robot.meetings
     if robot.unseen.share > _MISSED:
         told.append(
-            f"no pair sees {robot.unseen.share:.1%} of the collisions of links in random poses; "
+            f"no pair sees {robot.unseen.share:.1%} of the random poses in which links collide; "
             f"mostly {robot.unseen.worst}: bodies that are neighbours or near as built are no "
-            "pair, so limit the joints between them"
+            "pair, so try another number of --bodies, or limit the joints between them"
         )
     hits = (meetings.random.distances <= 0).mean(axis=0)
     for pair, rate in zip(meetings.pairs, hits, strict=True):
