@@ -41,9 +41,8 @@ _BODY_COST = 0.03  # [-] of one body more
 _MISSED_COST = 20.0  # [-] of collisions that no pair sees
 _FALSE_COST = 2.0  # [-] of free poses in which a task is on for nothing
 _SPURIOUS_COST = 0.25  # [-] of a pair that can only meet as bodies, not as links
-_APART_COST = 0.1  # [-] of links of the arm that are close as they are built, and no neighbours
 _ALWAYS_COST = 1.0  # [-] of a pair that is always near
-_UNWATCHED_COST = 0.1  # [-] of one that is so as built
+_UNWATCHED_COST = 0.05  # [-] of one that is so as built
 
 
 class Verdict(NamedTuple):
@@ -81,8 +80,8 @@ def find_grouping(
 ) -> Grouping:
     """The best grouping of the robot's units into bodies.
 
-    What is fixed to the base below the arm belongs to l_1 as the paper's link 0 does; where its
-    body is no pair with one of a link that it can meet, as around a mast, it belongs to l_m.
+    What is fixed to the base below the arm belongs to l_1 as the paper's link 0 does; where it can
+    meet a link without any pair of bodies that sees it, as around a mast, it belongs to l_m.
 
     Args:
         model: The robot.
@@ -102,19 +101,20 @@ def find_grouping(
 
 
 def _sees(grouping: Grouping, meetings: Meetings, unit: int) -> bool:
-    """Whether the body of a unit is a pair with that of each one that it meets, however rarely."""
+    """Whether pairs of bodies see the poses in which a unit meets another, however rare those."""
     owner = {u: k for k, body in enumerate(grouping.bodies) for u in body.units}
     names = [body.name for body in grouping.bodies]
-    rare = (meetings.rare.distances <= 0.0) & meetings.rare.possible[:, None]
-    hits = meetings.collides[meetings.random.possible]
+    rare = np.logical_and(meetings.rare.distances <= 0.0, meetings.rare.possible[:, None])
+    hits = np.vstack([meetings.collides[meetings.random.possible], rare])
+    own, watched = [], []
     for k, (u, v) in enumerate(meetings.pairs):
-        if unit not in (u, v) or (u, v) in meetings.close:
-            continue
         i, j = sorted((owner[u], owner[v]))
-        watched = j - i > 1 and f"{names[i]}-{names[j]}" not in grouping.verdict.unwatched
-        if not watched and (hits[:, k].any() or rare[:, k].any()):
-            return False
-    return True
+        if j - i > 1 and f"{names[i]}-{names[j]}" not in grouping.verdict.unwatched:
+            watched.append(k)
+        if unit in (u, v) and (u, v) not in meetings.close:
+            own.append(k)
+    hits = hits[hits[:, own].any(axis=1)]
+    return bool((~hits[:, watched].any(axis=1)).sum() <= _MISSED * len(hits))
 
 
 def _arm_grouping(
@@ -185,7 +185,6 @@ def judge(
     seen = (distances <= 0).any(axis=1)
     missed = float((real & ~seen).sum() / max(1, real.sum()))
     false = float((seen & ~real).sum() / max(1, (~real).sum()))
-    apart = _apart(meetings, owner)
     cost = (
         _MISSED_COST * missed
         + _FALSE_COST * false
@@ -193,7 +192,6 @@ def judge(
         + _SPURIOUS_COST * len(spurious)
         + _ALWAYS_COST * len(always)
         + _UNWATCHED_COST * len(unwatched)
-        + _APART_COST * apart
     )
     return Verdict(missed, false, spurious, always, unwatched, near, cost)
 
@@ -281,11 +279,6 @@ def _body_distances(
     return shape_distances(model, shapes, pairs, q_m)
 
 
-def _apart(meetings: Meetings, owner: Mapping[int, int]) -> int:
-    """How many pairs of the arm's units that are close as built stand in bodies that are a pair."""
-    return sum(u > 1 and abs(owner[u] - owner[v]) > 1 for u, v in meetings.close)
-
-
 def _ranked(
     units: Sequence[int], counts: Sequence[int], meetings: Meetings, mobile: Sequence[int]
 ) -> list[tuple[float, list[list[int]]]]:
@@ -304,6 +297,6 @@ def _ranked(
             watched = [abs(owner[u] - owner[v]) > 1 for u, v in meetings.pairs]
             missed = (~hits[:, watched].any(axis=1)).sum() / max(1, len(hits))
             uneven = sum(len(group) ** 2 for group in groups)
-            least = _BODY_COST * (count + 1) + _APART_COST * _apart(meetings, owner)
+            least = _BODY_COST * (count + 1)
             ranked.append((least + _MISSED_COST * float(missed), uneven, groups, least))
     return [(least, groups) for _, _, groups, least in sorted(ranked)]
