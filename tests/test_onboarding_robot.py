@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 from pydantic import ValidationError
 
 from app.border import cache
@@ -34,7 +35,14 @@ from app.onboarding.check import (
 )
 from app.onboarding.fit import grouping
 from app.onboarding.fit.bodies import FittedBody
-from app.onboarding.fit.collision_sampling import Meetings, Poses, make_units, sample_meetings
+from app.onboarding.fit.collision_sampling import (
+    Meetings,
+    Poses,
+    make_units,
+    meshes_meet,
+    sample_meetings,
+    units_of_links,
+)
 from app.onboarding.fit.grouping import Grouping, find_grouping
 from app.onboarding.new_robot import NewRobot, compiled, description, finish, parse
 from app.onboarding.read.source import mesh_address
@@ -225,6 +233,27 @@ def test_a_pose_in_collision_is_unseen_where_no_pair_of_bodies_meets(
     assert none < max(one) < every == 1.0
     assert rows[-1].outcome == "warned"
     assert rows[-1].numbers["missed"] == 0
+
+
+def test_meshes_meet_where_their_hulls_do_but_not_within_a_hollow_one(made: NewRobot) -> None:
+    """The toy's shapes are their own hulls; of a base without its top and sides little is left."""
+    model, geometry = written(made), made.parsed.geometry
+    units = tuple(u for each in units_of_links(model, geometry).values() for u in each)
+    base, hand = units[0], units[-1]
+    met = sample_meetings(model, units, samples=300, seed=5, d_b=0.15, points=False)
+    pose = met.random.q_m
+    hulls = met.random.distances[:, met.pairs.index((base.index, hand.index))] <= 0.0
+    meshes = meshes_meet(model, base, hand, geometry, pose)
+    assert hulls.sum() > 10
+    assert not (meshes & ~hulls).any()
+    assert meshes.sum() > 0.7 * hulls.sum()  # the others are within the base
+    flat = trimesh.Trimesh([[0, 0, -1], [1e-3, 0, -1], [0, 1e-3, -1]], [[0, 1, 2]])
+    hollow = {
+        link: each._replace(shapes=tuple(shape._replace(mesh=flat) for shape in each.shapes))
+        for link, each in geometry.items()
+    }
+    hollow |= {link: geometry[link] for link in hand.links}
+    assert not meshes_meet(model, base, hand, hollow, pose).any()
 
 
 def test_an_arm_that_meets_nothing_has_nothing_to_show(made: NewRobot) -> None:

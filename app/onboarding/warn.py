@@ -36,10 +36,9 @@ _OFTEN = 0.25  # [-] share of poses from which on it is warned of
 
 def warnings_of(robot: NewRobot) -> list[str]:
     """One sentence each, the gravest first."""
-    held = holding_warning(carried_hand(robot.model, seed=robot.request.seed))
     return [
         *_poses(robot),
-        *filter(None, [held]),
+        *filter(None, [robot.held]),
         *_bodies(robot),
         *_reaches(robot),
         *_joints(robot),
@@ -216,7 +215,7 @@ class Carried(NamedTuple):
         return f"moves {self.axis.way} at {self.speed:g} m/s"
 
 
-def carried_hand(model: RobotModel, *, seed: int = 0) -> tuple[Carried, ...]:
+def carried_hand(model: RobotModel) -> tuple[Carried, ...]:
     """How often the arm is too slow, or lacks a joint, to hold its hand where it is.
 
     At random poses near the base, clear of it, for each of the base's axes at the largest speed
@@ -224,7 +223,7 @@ def carried_hand(model: RobotModel, *, seed: int = 0) -> tuple[Carried, ...]:
     """
     base, state, n_b = model.description.base, RobotState(model), model.n_b
     speeds = largest_command(base, AdmittanceConfig())
-    poses = _near_poses(model, np.random.default_rng(seed))
+    poses = _near_poses(model, np.random.default_rng(0))
     lost = np.zeros((len(poses), n_b, 2))
     for k, q_m in enumerate(poses):
         state.update_kinematics(at_rest(model, q_m))
