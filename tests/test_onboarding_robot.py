@@ -22,7 +22,7 @@ from app.border.cache import BorderData
 from app.border.config import QUICK, SamplingConfig
 from app.cli import serve
 from app.dashboard import job
-from app.errors import AssetError, RobotFileError
+from app.errors import AssetError, RobotFileError, UnreachableError
 from app.onboarding import check as checks
 from app.onboarding import new_robot
 from app.onboarding.check import (
@@ -536,3 +536,15 @@ def test_packages_of_a_wheels_share_are_found(
     for wrong in ("package://some-robot/../x", "package://../some-robot/meshes/a.stl"):
         with pytest.raises(assets.AssetError):
             resolve_package_uri(wrong)
+
+
+def test_a_robot_without_a_line_says_which_it_has() -> None:
+    racecar = load_description(ASSETS / "racecar_panda" / "robot.toml")
+    with pytest.raises(
+        UnreachableError, match=r"no line for guiding-front.*guiding-lateral, track"
+    ):
+        scenario_of(racecar, "guiding-front")
+    start = (1.2, 0.1, 0.3)
+    given = scenario_of(racecar, "guiding-front", start=start)
+    assert (given.start, given.move) == (start, scenario_by_name("guiding-front").move)
+    assert scenario_of(racecar, "guiding-above") == scenario_by_name("guiding-above")
