@@ -48,7 +48,7 @@ from app.onboarding.new_robot import NewRobot, compiled, description, finish, pa
 from app.onboarding.read.source import mesh_address
 from app.onboarding.report import report_html
 from app.onboarding.request import Request
-from app.onboarding.warn import Carried
+from app.onboarding.warn import Carried, warnings_of
 from app.onboarding.write import mesh_name
 from app.robot import assets
 from app.robot.assets import ASSETS, package_roots, resolve_package_uri, resolved_urdf, robot_names
@@ -548,3 +548,16 @@ def test_a_robot_without_a_line_says_which_it_has() -> None:
     given = scenario_of(racecar, "guiding-front", start=start)
     assert (given.start, given.move) == (start, scenario_by_name("guiding-front").move)
     assert scenario_of(racecar, "guiding-above") == scenario_by_name("guiding-above")
+
+
+def test_an_arm_with_meshes_of_another_scale_than_its_joints_is_warned_of(made: NewRobot) -> None:
+    def scaled(factor: float) -> NewRobot:
+        geometry = dict(made.parsed.geometry)
+        for link, each in geometry.items():
+            hulls = [s.hull.copy().apply_scale(factor) for s in each.shapes]
+            shapes = (s._replace(hull=h) for s, h in zip(each.shapes, hulls, strict=True))
+            geometry[link] = each._replace(shapes=tuple(shapes))
+        return replace(made, parsed=replace(made.parsed, geometry=geometry))
+
+    assert not any("meshes are too large" in told for told in warnings_of(scaled(1.0)))
+    assert any("meshes are too large" in told for told in warnings_of(scaled(8.0)))

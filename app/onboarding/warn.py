@@ -25,6 +25,7 @@ Array = np.ndarray
 
 _MISSED = 0.01  # [-] share of collisions that no pair sees
 _OVER = 2.0  # [-] volume of a body over that of what it holds
+_TOO_LARGE = 5.0  # [-] length of an arm's links over the distances of its joints; a telescope's 3
 _FITTED = 0.6  # [-] R² of (9) over the counted reachability; of the paper's arm above 0.9
 _POSES, _SAMPLES = 100, 2000
 _NEAR = 0.30  # [m] from the base within which a pose counts
@@ -37,6 +38,7 @@ _OFTEN = 0.25  # [-] share of poses from which on it is warned of
 def warnings_of(robot: NewRobot) -> list[str]:
     """One sentence each, the gravest first."""
     return [
+        *_scale(robot),
         *_poses(robot),
         *filter(None, [robot.held]),
         *_bodies(robot),
@@ -118,6 +120,24 @@ def _reaches(robot: NewRobot) -> list[str]:
     if bare:
         told.append(f"no shape, so no body stands for them: {', '.join(bare)}")
     return told
+
+
+def _scale(robot: NewRobot) -> list[str]:
+    """Shapes of another scale than the joints, as of a mesh that is not in metres."""
+    arm, shapes = robot.parsed.arm, robot.parsed.geometry
+    sizes = [
+        max((float(s.hull.extents.max()) for link in links for s in shapes[link].shapes), default=0)
+        for links in arm.segments[1:]
+    ]
+    pin = robot.model.pin
+    apart = sum(float(np.linalg.norm(T.translation)) for T in pin.jointPlacements[3:])
+    if sum(sizes) <= _TOO_LARGE * apart:
+        return []
+    return [
+        f"the arm's links are {sum(sizes):.2g} m long one after the other, its joints {apart:.2g} "
+        'm apart: look in the report whether meshes are too large, and give those scale="..." in '
+        "the URDF"
+    ]
 
 
 def _joints(robot: NewRobot) -> list[str]:
