@@ -240,14 +240,21 @@ def outcome(name: str, quick: bool) -> dict[str, Any]:
     if found is None:
         return took | row
     checks = {each.pop("name"): each for each in found["checks"]}
-    outcomes = {each["outcome"] for each in checks.values()}
-    guided = {checks[name]["outcome"] for name in checks if name.startswith("guiding")}
-    verdict = "passed" if "passed" in guided else "warned"
     return row | {
-        "verdict": "failed" if outcomes & {"failed", "nothing to show"} else verdict,
+        "verdict": verdict(checks),
         "check_cpu_s": took["cpu_s"],
         "checks": checks,
     }
+
+
+def verdict(checks: Mapping[str, Mapping[str, Any]]) -> str:
+    """Of all checks: failed; nothing to show, where no run was there to judge; passed or warned."""
+    ends = {name: each["outcome"] for name, each in checks.items()}
+    if "failed" in (outcome for name, outcome in ends.items() if name != "guiding"):
+        return "failed"
+    if "guiding" in ends or "nothing to show" in ends.values():
+        return "nothing to show"
+    return "passed" if "passed" in (ends[name] for name in ends if "guiding-" in name) else "warned"
 
 
 _FIGURES = ("pairs", "ready_position", "lines", "border_points", "warnings")

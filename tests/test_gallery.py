@@ -48,3 +48,15 @@ def test_a_native_crash_is_a_row_that_says_where(
     row = gallery.outcome("pr2", quick=True)
     assert row["verdict"] == "crashed"
     assert row["refusal"] == "dbb new-robot ended by SIGSEGV at: … fitting bodies"
+
+
+def test_the_verdict_is_that_of_the_worst_check() -> None:
+    def of(**ends: str) -> str:
+        return gallery.verdict({k.replace("_", "-"): {"outcome": v} for k, v in ends.items()})
+
+    assert of(limits="warned", guiding_lateral="warned", guiding_front="passed") == "passed"
+    assert of(limits="passed", guiding_lateral="warned", guiding_front="warned") == "warned"
+    assert of(guiding_lateral="passed", guiding_front="nothing to show") == "nothing to show"
+    assert of(guiding_lateral="warned", guiding="failed") == "nothing to show"
+    assert of(limits="failed", guiding_lateral="passed") == "failed"
+    assert of(guiding_lateral="failed", guiding_front="passed") == "failed"

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 from pydantic import ValidationError
 
 from app.border import cache
@@ -21,7 +22,7 @@ from app.border.cache import BorderData
 from app.border.config import QUICK, SamplingConfig
 from app.cli import serve
 from app.dashboard import job
-from app.errors import AssetError, RobotFileError
+from app.errors import AssetError, RobotFileError, UnreachableError
 from app.onboarding import check as checks
 from app.onboarding import new_robot
 from app.onboarding.check import (
@@ -34,19 +35,26 @@ from app.onboarding.check import (
 )
 from app.onboarding.fit import grouping
 from app.onboarding.fit.bodies import FittedBody
-from app.onboarding.fit.collision_sampling import Meetings, Poses, make_units, sample_meetings
+from app.onboarding.fit.collision_sampling import (
+    Meetings,
+    Poses,
+    make_units,
+    meshes_meet,
+    sample_meetings,
+    units_of_links,
+)
 from app.onboarding.fit.grouping import Grouping, find_grouping
 from app.onboarding.new_robot import NewRobot, compiled, description, finish, parse
 from app.onboarding.read.source import mesh_address
 from app.onboarding.report import report_html
 from app.onboarding.request import Request
-from app.onboarding.warn import Carried
+from app.onboarding.warn import Carried, warnings_of
 from app.onboarding.write import mesh_name
 from app.robot import assets
 from app.robot.assets import ASSETS, package_roots, resolve_package_uri, resolved_urdf, robot_names
 from app.robot.bases.kind import FORWARD
 from app.robot.description import RobotDescription, load_description, load_robot
-from app.robot.link_pairs import find_link_pairs
+from app.robot.link_pairs import candidate_pairs, find_link_pairs
 from app.robot.model import RobotModel
 from app.simulation.plants.collision_shapes import body_contact_pairs
 from app.simulation.scenarios import scenario_by_name, scenario_of
@@ -204,9 +212,48 @@ def test_a_hand_that_its_body_does_not_hold_fails(
 
 def test_new_robot_and_check_robot_tell_one_figure_of_unseen_collisions(made: NewRobot) -> None:
     row = arm_row(written(made))
-    assert row.numbers["collisions"] > 100
+    assert row.numbers["colliding_poses"] > 100
     assert row.numbers["unseen_share"] == pytest.approx(made.unseen.share, abs=2e-3)
+    assert row.numbers["colliding_poses"] == pytest.approx(made.unseen.poses, rel=5e-3)
     assert row.numbers["collisions"] == pytest.approx(made.unseen.watched, rel=5e-3)
+
+
+def test_a_pose_in_collision_is_unseen_where_no_pair_of_bodies_meets(
+    made: NewRobot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a pair that is not watched too, unless another one meets; without pairs all of them."""
+    monkeypatch.setattr(grouping, "UNSEEN_POSES", 1000)
+    pairs = [pair.name for pair in candidate_pairs(written(made))]
+    rows = [
+        arm_row(written(made, unwatched=dict.fromkeys(names, "test")))
+        for names in ([], *([each] for each in pairs), pairs)
+    ]
+    none, *one, every = [row.numbers["unseen_share"] for row in rows]
+    assert none <= min(one)
+    assert none < max(one) < every == 1.0
+    assert rows[-1].outcome == "warned"
+    assert rows[-1].numbers["missed"] == 0
+
+
+def test_meshes_meet_where_their_hulls_do_but_not_within_a_hollow_one(made: NewRobot) -> None:
+    """The toy's shapes are their own hulls; of a base without its top and sides little is left."""
+    model, geometry = written(made), made.parsed.geometry
+    units = tuple(u for each in units_of_links(model, geometry).values() for u in each)
+    base, hand = units[0], units[-1]
+    met = sample_meetings(model, units, samples=300, seed=5, d_b=0.15, points=False)
+    pose = met.random.q_m
+    hulls = met.random.distances[:, met.pairs.index((base.index, hand.index))] <= 0.0
+    meshes = meshes_meet(model, base, hand, geometry, pose)
+    assert hulls.sum() > 10
+    assert not (meshes & ~hulls).any()
+    assert meshes.sum() > 0.7 * hulls.sum()  # the others are within the base
+    flat = trimesh.Trimesh([[0, 0, -1], [1e-3, 0, -1], [0, 1e-3, -1]], [[0, 1, 2]])
+    hollow = {
+        link: each._replace(shapes=tuple(shape._replace(mesh=flat) for shape in each.shapes))
+        for link, each in geometry.items()
+    }
+    hollow |= {link: geometry[link] for link in hand.links}
+    assert not meshes_meet(model, base, hand, hollow, pose).any()
 
 
 def test_an_arm_that_meets_nothing_has_nothing_to_show(made: NewRobot) -> None:
@@ -384,10 +431,14 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     return compiled(description(request, parsed, found.bodies), path)
 
 
-def test_from_its_urdf_alone_the_papers_robot_gets_the_pairs_of_1(husky: RobotModel) -> None:
+def test_from_its_urdf_alone_the_papers_robot_sees_its_collisions(husky: RobotModel) -> None:
+    """By the pairs of (1); l_2 and l_EE, whose bodies fit closely, can never meet."""
     pairs = find_link_pairs(husky, samples=10_000, seed=2)
     assert {pair.name for pair in pairs.mobile} == {"lm-lEE", "lm-l3"}
-    assert {pair.name for pair in pairs.manipulator} == {"l1-lEE", "l1-l3", "l2-lEE"}
+    assert {pair.name for pair in pairs.manipulator} == {"l1-lEE", "l1-l3"}
+    row = arm_row(husky)
+    assert row.numbers["colliding_poses"] > 100
+    assert row.numbers["unseen_share"] <= 0.01, row
 
 
 def test_an_upper_arm_that_is_near_the_base_as_built_keeps_its_own_body(tmp_path: Path) -> None:
@@ -437,7 +488,7 @@ def grouped(units: list[list[int]]) -> grouping.Grouping:
         FittedBody(name, "base_link", (), tuple(each), (), np.zeros((0, 3)))
         for name, each in zip(names, units, strict=True)
     ]
-    return grouping.Grouping(bodies, grouping.Verdict(0.0, 0.0, (), (), (), {}, {}, 0.0))
+    return grouping.Grouping(bodies, grouping.Verdict(0.0, 0.0, (), (), (), {}, 0.0))
 
 
 def test_a_coarse_border_serves_at_once_and_is_refined(
@@ -485,3 +536,28 @@ def test_packages_of_a_wheels_share_are_found(
     for wrong in ("package://some-robot/../x", "package://../some-robot/meshes/a.stl"):
         with pytest.raises(assets.AssetError):
             resolve_package_uri(wrong)
+
+
+def test_a_robot_without_a_line_says_which_it_has() -> None:
+    racecar = load_description(ASSETS / "racecar_panda" / "robot.toml")
+    with pytest.raises(
+        UnreachableError, match=r"no line for guiding-front.*guiding-lateral, track"
+    ):
+        scenario_of(racecar, "guiding-front")
+    start = (1.2, 0.1, 0.3)
+    given = scenario_of(racecar, "guiding-front", start=start)
+    assert (given.start, given.move) == (start, scenario_by_name("guiding-front").move)
+    assert scenario_of(racecar, "guiding-above") == scenario_by_name("guiding-above")
+
+
+def test_an_arm_with_meshes_of_another_scale_than_its_joints_is_warned_of(made: NewRobot) -> None:
+    def scaled(factor: float) -> NewRobot:
+        geometry = dict(made.parsed.geometry)
+        for link, each in geometry.items():
+            hulls = [s.hull.copy().apply_scale(factor) for s in each.shapes]
+            shapes = (s._replace(hull=h) for s, h in zip(each.shapes, hulls, strict=True))
+            geometry[link] = each._replace(shapes=tuple(shapes))
+        return replace(made, parsed=replace(made.parsed, geometry=geometry))
+
+    assert not any("meshes are too large" in told for told in warnings_of(scaled(1.0)))
+    assert any("meshes are too large" in told for told in warnings_of(scaled(8.0)))

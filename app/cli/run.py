@@ -117,7 +117,7 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
         # Imported here: it takes longer than to find a mistake in what was asked.
         from app.robot.description import load_robot
 
-        own = scenario_of(load_robot(chosen.robot), scenario.name).changed(**scenario_options)
+        own = scenario_of(load_robot(chosen.robot), scenario.name, **scenario_options)
         figures = _run(planned(chosen, own, tuned), _Files(out, log, json))
         _end(figures, fail_on_contact=fail_on_contact)
 

@@ -42,7 +42,7 @@ _FASTEST = 20.0  # [rad/s or m/s] of a joint
 _STRONGEST, _LIFTS = 2000.0, 20_000.0  # [N m] of a joint, [N] of one that slides
 _MARGIN = 0.02  # [-] share of a joint's range between the ready pose and a limit
 _OUT_OF_BASE = 0.01  # [m] by which a base's mesh may stick out of its body; a buffer has 0.1 m
-_MISSED = 0.01  # [-] share of collisions that the pairs of their bodies may not see
+_MISSED = 0.01  # [-] share of collisions that no pair may see, or that its own may not
 _LAYER = 0.05  # [m]
 _NEAR_POSES = 1000
 _MANY = 500  # [-] points nearer than the border by which a layer counts as reached
@@ -236,29 +236,31 @@ def base_row(model: RobotModel) -> Row:
 
 
 def arm_row(model: RobotModel) -> Row:
-    """Where the hulls of links of two bodies of a pair collide, the bodies do too."""
+    """Where the hulls of links collide, bodies of a pair meet; and those that hold the links do."""
     found = unseen_collisions(model, _geometry(model), Config().border.d_b)
     numbers = {
+        "colliding_poses": float(found.poses),
+        "unseen_poses": float(found.unseen),
         "collisions": float(found.watched),
         "missed": float(found.missed),
         "missed_distance_m": found.deepest,
-        "unwatched": float(found.unwatched),
         "unseen_share": found.share,
     }
     text = (
-        f"of {found.watched} collisions of links in {UNSEEN_POSES:,} random poses the pairs of "
-        f"their bodies see all but {found.missed}"
+        f"of {found.poses} poses, of {UNSEEN_POSES:,} random ones, in which links collide, bodies "
+        f"of a pair meet in all but {found.unseen}"
     )
+    if found.unseen:
+        text += f", mostly {found.worst}"
     if found.missed:
-        text += f", {found.deepest:.3f} m outside at most"
-    if found.unwatched:
-        text += f"; {found.unwatched} more are of bodies that are no pair, mostly {found.worst}"
+        text += f"; bodies do not hold their links in {found.missed} of {found.watched} collisions"
+        text += f", {found.deepest:.3f} m at most"
     if found.blind:
         text += f"; {', '.join(found.blind)} does not hold the links with which it meets"
         return Row("arm's bodies", "failed", text, numbers)
-    if not found.watched:
+    if not found.poses:
         return Row("arm's bodies", "nothing to show", text, numbers)
-    good = "passed" if not found.missed and found.share <= _MISSED else "warned"
+    good = "passed" if found.share <= _MISSED else "warned"
     outcome = good if found.missed <= _MISSED * found.watched else "failed"
     return Row("arm's bodies", outcome, text, numbers)
 
@@ -360,11 +362,9 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     from app.simulation.run import run_scenario
     from app.simulation.scenarios import scenario_of
 
-    if (lines := model.description.lines) and name not in lines:
-        return Row(name, "warned", "not done: the description has no line for it", {})
-    scenario, config = scenario_of(model.description, name), Config()
-    run = partial(run_scenario, model, data, scenario, config)
+    config = Config()
     try:
+        run = partial(run_scenario, model, data, scenario_of(model.description, name), config)
         figures, bare = run().figures, run(controller="none", physics="kinematic").figures
     except UnreachableError as error:
         return Row(name, "warned", f"not done: {error}", {})

@@ -88,6 +88,7 @@ class NewRobot:
         verdict: Of the grouping.
         reach: By the name of the body.
         places: By the name of the scenario.
+        held: A warning where the arm cannot hold its hand, or nothing.
         warnings: One sentence each.
     """
 
@@ -103,6 +104,7 @@ class NewRobot:
     ready: Ready
     reach: dict[str, Reach]
     places: dict[str, Place]
+    held: str
     warnings: list[str]
 
 
@@ -223,18 +225,19 @@ def make_robot(
     content["reachability"] = {name: each.content() for name, each in reach.items()}
     tell("looking for places to guide the hand")
     model = compiled(content, path)
+    held = holding_warning(carried_hand(model))
     places = find_places(
         model,
         pairs,
         d_b,
         shows=partial(gives_way, model, data),
-        anyway=bool(holding_warning(carried_hand(model))),  # the arm then avoids by itself
+        anyway=bool(held),  # the arm then avoids by itself
         on_progress=on_progress,
     )
     content["lines"] = {name: place.content() for name, place in places.items()}
     model = compiled(content, path)
     fitted = meetings, bodies, verdict, unseen
-    robot = NewRobot(request, parsed, urdf, content, model, *fitted, ready, reach, places, [])
+    robot = NewRobot(request, parsed, urdf, content, model, *fitted, ready, reach, places, held, [])
     return replace(robot, warnings=warnings_of(robot)), data
 
 

@@ -94,7 +94,7 @@ def _pairs(robot: NewRobot, data: BorderData) -> Grid:
 def _verdict(robot: NewRobot) -> list[str]:
     verdict, ready, share = robot.verdict, robot.ready, robot.unseen.share
     return [
-        f"collisions of links that no pair sees: {share:.1%} of those in random poses",
+        f"poses with a collision of links that no pair sees: {share:.1%} of the random ones",
         f"random poses without a collision in which bodies meet: {verdict.false:.1%}",
         f"ready pose: {ready.nearest} is nearest, {ready.clearance:+.3f} m from its buffer",
     ]

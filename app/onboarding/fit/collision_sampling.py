@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations
+from itertools import combinations, product
 from typing import NamedTuple
 
 import coal
 import numpy as np
 import pinocchio as pin
+import trimesh
 
 from app.onboarding.fit.convex import directions, hull_corners
 from app.onboarding.read.links import LinkGeometry
@@ -218,6 +219,41 @@ def group_distances(
                 nearest = min(nearest, pin.computeDistance(geometry, placed, int(i)).min_distance)
             row[k] = nearest
     return found
+
+
+def meshes_meet(
+    model: RobotModel, a: Unit, b: Unit, geometry: Mapping[str, LinkGeometry], q_m: Array
+) -> Array:
+    """(N,) whether the meshes of two units' links touch at poses (N, n_m), by their triangles."""
+    data, request = model.pin.createData(), coal.CollisionRequest()
+    first, second = (
+        [(model.pin.getFrameId(k), _triangles(s.mesh)) for k in u.links for s in geometry[k].shapes]
+        for u in (a, b)
+    )
+    found = np.zeros(len(q_m), dtype=bool)
+    for row, pose in enumerate(q_m):
+        q = model.configuration((0.0, 0.0, 0.0), pose)
+        pin.framesForwardKinematics(model.pin, data, q)
+        for (i, shape), (j, other) in product(first, second):
+            T = data.oMf[i].actInv(data.oMf[j])
+            at = coal.Transform3s(T.rotation, T.translation)
+            met = coal.collide(
+                shape, coal.Transform3s(), other, at, request, coal.CollisionResult()
+            )
+            if met:
+                found[row] = True
+                break
+    return found
+
+
+def _triangles(mesh: trimesh.Trimesh) -> coal.BVHModelOBBRSS:
+    """A mesh as coal takes it."""
+    made = coal.BVHModelOBBRSS()
+    made.beginModel(len(mesh.faces), len(mesh.vertices))
+    made.addVertices(np.asarray(mesh.vertices, dtype=float))
+    made.addTriangles(np.asarray(mesh.faces, dtype=np.int64))
+    made.endModel()
+    return made
 
 
 def _spheres(geometry: pin.GeometryModel) -> tuple[Array, Array, Array]:

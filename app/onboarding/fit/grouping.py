@@ -1,15 +1,15 @@
 """Which links form a body together: the grouping that sees collisions and lets go of free poses.
 
 The paper's l_1 … l_EE join neighbouring links of a chain. Every way to cut the chain is judged by
-the share of real collisions that its pairs do not see, the share of free poses in which they see
-one, and whether a pair stays inside its buffer for good. A pair that does because of how its links
-are built is not watched, as neighbours are not.
+the share of poses in collision that its pairs do not see, the share of free ones that they do, and
+whether a pair stays inside its buffer for good. A pair that does because of how its links are built
+is not watched, as neighbours are not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import combinations, combinations_with_replacement, compress, pairwise
+from itertools import combinations, compress, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,43 +19,44 @@ from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import (
     ALWAYS,
     Meetings,
-    group_distances,
+    meshes_meet,
     sample_meetings,
     shape_distances,
     units_of_links,
 )
 from app.onboarding.read.links import LinkGeometry
+from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 
 Array = np.ndarray
 
 _PAPER = 4  # [-] bodies of the paper's arm; others are tried only if that many do not do
 _MOST = 5  # [-] bodies
-_MISSED = 0.1  # [-] share of collisions that a good grouping may miss
-_MOST_JUDGED = 40  # [-] groupings that are fitted, those that can cost least
-_JUDGED = 1200  # [-] poses in which a fitted grouping is judged
+_MISSED = 0.005  # [-] share of collisions that a good grouping may miss: half of what a check lets
+_MOST_JUDGED = 60  # [-] groupings that are fitted, those that are expected to cost least
+_JUDGED = 600  # [-] poses with a collision, and without, in which a fitted grouping is judged
 UNSEEN_POSES = 4000
 """[-] in which the bodies are tried that were chosen."""
 _UNSEEN_SEED = 2**31  # [-] of them; the fit has others
 _BODY_COST = 0.03  # [-] of one body more
+_MISSED_COST = 20.0  # [-] of more collisions than that
 _FALSE_COST = 2.0  # [-] of free poses in which a task is on for nothing
 _SPURIOUS_COST = 0.25  # [-] of a pair that can only meet as bodies, not as links
-_APART_COST = 0.1  # [-] of links of the arm that are close as they are built, and no neighbours
 _ALWAYS_COST = 1.0  # [-] of a pair that is always near
-_UNWATCHED_COST = 0.1  # [-] of one that is so as built
+_UNWATCHED_COST = 0.05  # [-] of one that is so as built
 
 
 class Verdict(NamedTuple):
     """How good a grouping is.
 
     Attributes:
-        missed: [-] share of the collisions of links that the pair of their bodies does not see.
+        missed: [-] share of the poses in which links collide in which no pair of bodies does.
         false: [-] share of the poses without any in which one does.
         spurious: Pairs of bodies that meet though their links never do.
         always: Pairs that are inside their buffer nearly always.
         unwatched: Those that would be, by links that are close as built: they are no pair.
-        rates, near: [-] share of the poses in collision, and of the poses without a collision of
-            links inside the buffer, by the pair's name.
+        near: [-] share of the poses without a collision of links inside the buffer, by the pair's
+            name.
         cost: The sum that the best grouping has least of.
     """
 
@@ -64,7 +65,6 @@ class Verdict(NamedTuple):
     spurious: tuple[str, ...]
     always: tuple[str, ...]
     unwatched: tuple[str, ...]
-    rates: dict[str, float]
     near: dict[str, float]
     cost: float
 
@@ -81,15 +81,15 @@ def find_grouping(
 ) -> Grouping:
     """The best grouping of the robot's units into bodies.
 
-    What is fixed to the base below the arm belongs to l_1 as the paper's link 0 does; where its
-    body is no pair with one of a link that it can meet, as around a mast, it belongs to l_m.
+    What is fixed to the base below the arm belongs to l_1 as the paper's link 0 does; where it can
+    meet a link without any pair of bodies that sees it, as around a mast, it belongs to l_m.
 
     Args:
         model: The robot.
         meetings: Of its links.
         d_b: [m] buffer distance.
         count: How many bodies; by default four as the paper has, or two to five where four do not
-            do: a pair always near, one that only the bodies make, a tenth of collisions missed.
+            do: a pair always near, one that only the bodies make, too many collisions missed.
 
     Raises:
         RobotFileError: The arm has fewer parts than `count`, or none of a shape.
@@ -102,19 +102,20 @@ def find_grouping(
 
 
 def _sees(grouping: Grouping, meetings: Meetings, unit: int) -> bool:
-    """Whether the body of a unit is a pair with that of each one that it meets, however rarely."""
+    """Whether pairs of bodies see the poses in which a unit meets another, however rare those."""
     owner = {u: k for k, body in enumerate(grouping.bodies) for u in body.units}
     names = [body.name for body in grouping.bodies]
-    rare = (meetings.rare.distances <= 0.0) & meetings.rare.possible[:, None]
-    hits = meetings.collides[meetings.random.possible]
+    rare = np.logical_and(meetings.rare.distances <= 0.0, meetings.rare.possible[:, None])
+    hits = np.vstack([meetings.collides[meetings.random.possible], rare])
+    own, watched = [], []
     for k, (u, v) in enumerate(meetings.pairs):
-        if unit not in (u, v) or (u, v) in meetings.close:
-            continue
         i, j = sorted((owner[u], owner[v]))
-        watched = j - i > 1 and f"{names[i]}-{names[j]}" not in grouping.verdict.unwatched
-        if not watched and (hits[:, k].any() or rare[:, k].any()):
-            return False
-    return True
+        if j - i > 1 and f"{names[i]}-{names[j]}" not in grouping.verdict.unwatched:
+            watched.append(k)
+        if unit in (u, v) and (u, v) not in meetings.close:
+            own.append(k)
+    hits = hits[hits[:, own].any(axis=1)]
+    return bool((~hits[:, watched].any(axis=1)).sum() <= _MISSED * len(hits))
 
 
 def _arm_grouping(
@@ -125,12 +126,12 @@ def _arm_grouping(
     units = [u.index for u in meetings.units if u.index not in mobile and (u.index > 1 or u.links)]
 
     def best(*counts: int) -> Grouping | None:
-        """That of the least cost; those that can have it are judged first."""
+        """That of the least cost of those that are expected to have it."""
         found: Grouping | None = None
         judged: set[tuple[int, ...]] = set()
         for at_least, grouping in _ranked(units, counts, meetings, mobile)[:_MOST_JUDGED]:
             if found is not None and at_least >= found.verdict.cost:
-                break
+                continue
             bodies = [base, *fitter.bodies(grouping)]
             shapes = tuple(id(body.fits[0]) for body in bodies)
             if shapes in judged:  # it differs only in links that meet nobody
@@ -150,17 +151,19 @@ def _arm_grouping(
 
 
 def _good(verdict: Verdict) -> bool:
-    return not verdict.always and not verdict.spurious and verdict.missed < _MISSED
+    return not verdict.always and not verdict.spurious and verdict.missed <= _MISSED
 
 
 def judge(
     model: RobotModel, bodies: Sequence[FittedBody], meetings: Meetings, d_b: float
 ) -> Verdict:
     """How good bodies are, in poses of the meetings."""
-    chosen = np.flatnonzero(meetings.random.possible)[:_JUDGED]
-    q_m, hits = meetings.random.q_m[chosen], meetings.collides[chosen]
-    free = (meetings.random.distances[chosen] > 0).all(axis=1)
-    free = free if free.any() else ~free
+    possible, collides = meetings.random.possible, meetings.collides
+    real = np.asarray(collides.any(axis=1))
+    parts = (np.logical_and(possible, real), np.logical_and(possible, ~real))
+    chosen = np.concatenate([np.flatnonzero(part)[:_JUDGED] for part in parts])
+    q_m, hits, real = meetings.random.q_m[chosen], collides[chosen], real[chosen]
+    free = real if real.all() else ~real
     pairs = [(i, j) for i, j in combinations(range(len(bodies)), 2) if j - i > 1]
     distances = _body_distances(model, bodies, pairs, q_m)
     names = [f"{bodies[i].name}-{bodies[j].name}" for i, j in pairs]
@@ -173,56 +176,55 @@ def judge(
     kept = np.logical_not(given_up)
     pairs, names = list(compress(pairs, kept)), list(compress(names, kept))
     distances, near = distances[:, kept], dict(zip(names, near[kept].tolist(), strict=True))
-    real, seen = hits.any(axis=1), (distances <= 0).any(axis=1)
-    columns = [pairs.index(each) if each in pairs else -1 for each in owners]
-    none = np.zeros((len(distances), 1), dtype=bool)
-    unseen = hits & ~np.hstack([distances <= 0, none])[:, columns]
-    rates = dict(zip(names, (distances <= 0).mean(axis=0).tolist(), strict=True))
+    meet = dict(zip(names, np.any(distances <= 0, axis=0).tolist(), strict=True))
     truly = {
         name: hits[:, [each == pair for each in owners]].any()
         for name, pair in zip(names, pairs, strict=True)
     }
-    spurious = tuple(n for n in names if rates[n] > 0 and not truly[n])
-    always = tuple(n for n in names if rates[n] > 0 and near[n] > ALWAYS)
-    missed = float(unseen.sum() / max(1, hits.sum()))
+    spurious = tuple(n for n in names if meet[n] and not truly[n])
+    always = tuple(n for n in names if meet[n] and near[n] > ALWAYS)
+    seen = (distances <= 0).any(axis=1)
+    missed = float((real & ~seen).sum() / max(1, real.sum()))
     false = float((seen & ~real).sum() / max(1, (~real).sum()))
-    apart = _apart(meetings, owner)
     cost = (
-        missed
+        _MISSED_COST * max(0.0, missed - _MISSED)
         + _FALSE_COST * false
         + _BODY_COST * len(bodies)
         + _SPURIOUS_COST * len(spurious)
         + _ALWAYS_COST * len(always)
         + _UNWATCHED_COST * len(unwatched)
-        + _APART_COST * apart
     )
-    return Verdict(missed, false, spurious, always, unwatched, rates, near, cost)
+    return Verdict(missed, false, spurious, always, unwatched, near, cost)
 
 
 class Unseen(NamedTuple):
-    """Collisions of links in poses that no step of the fit has seen, one a pose and pair of bodies.
+    """Collisions of links in poses that no step of the fit has seen.
+
+    A pose is seen if the bodies of any pair meet: who keeps all pairs apart never comes there.
 
     Attributes:
-        watched: How many of links whose bodies are a pair.
-        missed: How many of those in which the bodies do not meet.
+        poses: How many have a collision of links, by their hulls.
+        unseen: In how many of those no pair of bodies meets, but the links' own meshes do.
+        watched: Collisions of links whose bodies are a pair, one a pose and pair.
+        missed: How many of those in which these bodies do not meet.
         deepest: [m] the largest distance of bodies in one of those.
-        unwatched: How many of links of bodies that are no pair, such as neighbours.
         blind: Pairs of bodies that see less than half of their links' collisions, also of those
             that random poses hardly ever bring about.
-        worst: The links that meet most often without being seen.
+        worst: The links that meet most often in the unseen poses.
     """
 
+    poses: int
+    unseen: int
     watched: int
     missed: int
     deepest: float
-    unwatched: int
     blind: tuple[str, ...]
     worst: str
 
     @property
     def share(self) -> float:
-        """[-] of all collisions, those that no pair sees."""
-        return (self.missed + self.unwatched) / max(1, self.watched + self.unwatched)
+        """[-] of the poses with a collision, those that no pair sees."""
+        return self.unseen / max(1, self.poses)
 
 
 def unseen_collisions(
@@ -232,44 +234,43 @@ def unseen_collisions(
 
     Links that may touch by design do not count, nor those that are within d_b [m] as built.
     """
-    names = model.body_names
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)
     met = sample_meetings(
         model, units, samples=UNSEEN_POSES, seed=_UNSEEN_SEED, d_b=d_b, points=False
     )
-    owner = {unit.index: names.index(name) for name, each in by_body.items() for unit in each}
-    shapes, groups = model.geometry.copy(), [model.shape_ids[name] for name in names]
-    hits = met.collides & met.random.possible[:, None]
-    blame = np.zeros(len(met.pairs))
-    watched = missed = unwatched = 0
+    owner = {unit.index: name for name, each in by_body.items() for unit in each}
+    random = met.random.possible & met.collides.any(axis=1)
+    hits, count = met.collides[random], int(random.sum())
+    rare = np.logical_and(met.rare.distances <= 0.0, met.rare.possible[:, None])
+    pairs = candidate_pairs(model)
+    q_m = np.vstack([met.random.q_m[random], met.rare.q_m])
+    gaps = PairDistances(model, pairs).sampled(q_m)
+    unseen = np.all(gaps[:count] > 0.0, axis=1)
+    for k in np.flatnonzero(hits[unseen].any(axis=0)):  # few: there the meshes themselves are asked
+        rows = np.flatnonzero(unseen & hits[:, k])
+        a, b = (units[u] for u in met.pairs[k])
+        hits[rows, k] = meshes_meet(model, a, b, geometry, q_m[rows])
+    unseen &= hits.any(axis=1)
+    watched = missed = 0
     deepest, blind = 0.0, []
-    for i, j in combinations_with_replacement(range(len(names)), 2):
+    for pair, gap in zip(pairs, gaps.T, strict=True):
         columns = [
             k
             for k, (u, v) in enumerate(met.pairs)
-            if sorted((owner[u], owner[v])) == [i, j] and (u, v) not in met.close
+            if {owner[u], owner[v]} == set(pair) and (u, v) not in met.close
         ]
-        random = hits[:, columns].any(axis=1)
-        rare = (met.rare.distances[:, columns] <= 0.0).any(axis=1) & met.rare.possible
-        if j - i <= 1 or f"{names[i]}-{names[j]}" in model.description.unwatched:
-            unwatched += int(random.sum())
-            blame[columns] = hits[:, columns].mean(axis=0)
-            continue
-        shapes.removeAllCollisionPairs()
-        q_m = np.vstack([met.random.q_m[random], met.rare.q_m[rare]])
-        gaps = group_distances(model, shapes, groups, [(i, j)], q_m)[:, 0]
-        unseen = gaps[: random.sum()] > 0.0
-        blame[columns] = hits[random][unseen][:, columns].sum(axis=0) / len(hits)
-        watched, missed = watched + len(unseen), missed + int(unseen.sum())
-        deepest = max(deepest, float(gaps[: len(unseen)].max(initial=0.0)))
-        if (gaps > 0.0).sum() > 0.5 * len(gaps):
-            blind.append(f"{names[i]}-{names[j]}")
-    worst = "none"
+        there = np.any(np.vstack([hits, rare])[:, columns], axis=1)
+        late = there & (gap > 0.0)
+        watched, missed = watched + int(there[:count].sum()), missed + int(late[:count].sum())
+        deepest = max(deepest, float(gap[:count][late[:count]].max(initial=0.0)))
+        if late.sum() > 0.5 * there.sum():
+            blind.append(pair.name)
+    worst, blame = "none", hits[unseen].sum(axis=0) / UNSEEN_POSES
     if blame.any():
         a, b = (units[k].links[0] for k in met.pairs[int(blame.argmax())])
-        worst = f"{a} and {b} ({blame.max():.1%} of the poses)"
-    return Unseen(watched, missed, deepest, unwatched, tuple(blind), worst)
+        worst = f"{a} and {b} ({blame.max():.2%} of the poses)"
+    return Unseen(count, int(unseen.sum()), watched, missed, deepest, tuple(blind), worst)
 
 
 def _body_distances(
@@ -284,17 +285,15 @@ def _body_distances(
     return shape_distances(model, shapes, pairs, q_m)
 
 
-def _apart(meetings: Meetings, owner: Mapping[int, int]) -> int:
-    """How many pairs of the arm's units that are close as built stand in bodies that are a pair."""
-    return sum(u > 1 and abs(owner[u] - owner[v]) > 1 for u, v in meetings.close)
-
-
 def _ranked(
     units: Sequence[int], counts: Sequence[int], meetings: Meetings, mobile: Sequence[int]
 ) -> list[tuple[float, list[list[int]]]]:
-    """All cuts of the chain, with the least cost that each can have, the least one first."""
+    """All cuts of the chain, the one of the least cost first if bodies meet where links do.
+
+    With each comes the least cost that it can have.
+    """
     hits = meetings.collides[meetings.random.possible]
-    often = hits.sum(axis=0)
+    hits = hits[hits.any(axis=1)]
     ranked = []
     for count in counts:
         for cuts in combinations(range(1, len(units)), count - 1):
@@ -302,8 +301,8 @@ def _ranked(
             owner = {unit: k + 1 for k, group in enumerate(groups) for unit in group}
             owner |= dict.fromkeys(mobile, 0)
             watched = [abs(owner[u] - owner[v]) > 1 for u, v in meetings.pairs]
-            missed = 1.0 - often[watched].sum() / max(1, often.sum())
+            missed = (~hits[:, watched].any(axis=1)).sum() / max(1, len(hits))
             uneven = sum(len(group) ** 2 for group in groups)
-            apart = _APART_COST * _apart(meetings, owner)
-            ranked.append((float(missed) + _BODY_COST * (count + 1) + apart, uneven, groups))
-    return [(cost, groups) for cost, _, groups in sorted(ranked)]
+            least = _BODY_COST * (count + 1)
+            ranked.append((least + _MISSED_COST * float(missed), uneven, groups, least))
+    return [(least, groups) for _, _, groups, least in sorted(ranked)]

@@ -33,12 +33,14 @@ class LinkShape(NamedTuple):
     """One shape of a link.
 
     Attributes:
+        mesh: As it is, in the link's frame [m].
         hull: Its convex hull, in the link's frame [m].
         surface: (N, 3) [m] points spread over the hull, its corners included.
         kind: box, cylinder, sphere or mesh.
         radius: [m] of a cylinder or sphere, else None.
     """
 
+    mesh: trimesh.Trimesh
     hull: trimesh.Trimesh
     surface: Array
     kind: str
@@ -107,7 +109,7 @@ def _shape(element: Element, where: str) -> LinkShape:
             f"{where}: its {shape.tag} is {size:.4g} m long: lengths of a URDF are in metres, this "
             'looks like millimetres; give the mesh scale="0.001 0.001 0.001"'
         )
-    return LinkShape(hull, _surface(hull), shape.tag, radius)
+    return LinkShape(mesh.apply_transform(T), hull, _surface(hull), shape.tag, radius)
 
 
 def _mesh_of(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from app.errors import UnknownNameError
+from app.errors import UnknownNameError, UnreachableError
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import LineScenario, Point
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
@@ -42,6 +42,8 @@ SCENARIOS: dict[str, Scenario] = {
 }
 
 
+_OWN = ("guiding-lateral", "guiding-front", "tracking")
+"""Scenarios that lead the hand towards the base's sides, where a robot needs a line of its own."""
 _SAME_LINE = {"tracking": "guiding-lateral"}
 """Scenarios that take another one's line of a robot that has none for them."""
 
@@ -57,9 +59,26 @@ def scenario_by_name(name: str) -> Scenario:
     return SCENARIOS[name]
 
 
-def scenario_of(description: RobotDescription, name: str) -> Scenario:
-    """The scenario of that name, on the line that suits the robot if its description has one."""
-    return scenario_by_name(name).changed(**own_line(description, name))
+def scenario_of(description: RobotDescription, name: str, **changes: object) -> Scenario:
+    """The scenario of that name, on the line that suits the robot if its description has one.
+
+    Args:
+        description: Of the robot.
+        name: Of the scenario.
+        changes: As `Scenario.changed` takes them; they go before the robot's own.
+
+    Raises:
+        UnknownNameError: There is no such scenario.
+        UnreachableError: The robot has other lines, and no start is given.
+    """
+    scenario, own = scenario_by_name(name), own_line(description, name)
+    if name in _OWN and description.lines and not own and changes.get("start") is None:
+        there = ", ".join(each for each in _OWN if own_line(description, each))
+        raise UnreachableError(
+            f"{description.name} has no line for {name}: none is known on which its base gives way "
+            f"there; it has {there}; --start X Y Z and --move X Y Z give another"
+        )
+    return scenario.changed(**own).changed(**changes)
 
 
 def own_line(description: RobotDescription, name: str) -> dict[str, object]:
