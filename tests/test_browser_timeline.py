@@ -77,7 +77,7 @@ def test_the_cursor_of_every_plot_stands_where_the_viewer_looks_and_goes_with_no
     then = page.timeline.shown().t
 
     def cursors() -> list[float]:
-        plots = [tab.plot(title) for title in sorted(page.view.plots)]
+        plots = [tab.plot(title) for title in sorted(page.view.plots) if "door" not in title]
         return [t for plot in plots for t, c in zip(plot[0], plot[-1], strict=True) if c == 1.0]
 
     wait_for(lambda: len(cursors()) == 3, what="a cursor in each of the three plots")

@@ -463,6 +463,11 @@ def test_with_avoidance_the_door_opens_and_the_base_backs_off_clockwise(
         assert step.door is not None
         assert step.t < 5.0 or abs(step.door.radial_error) < math.radians(5)
         assert step.t > 7.5 or np.abs(step.measurement.base_pose - setting.base_pose).max() < 0.01
+        door = next(p for p in step.output.avoidance.pairs if p.closest.pair.b == BODY)
+        apart = np.linalg.norm(door.closest.p_b - door.closest.p_a)
+        assert door.acting is None or abs(apart - door.closest.d) < 0.005  # [m] of a flat face
+    back = [step.measurement.base_pose[0] for step in trace]
+    assert np.diff(back).max() < 1e-3  # [m] it never turns round
     moved = trace[-1].measurement.base_pose - setting.base_pose
     assert moved[0] < -0.1  # [m] back, along the closed door's x axis
     assert moved[2] < math.radians(-1)

@@ -94,18 +94,25 @@ class SmoothPoint:
     The library's closest point is one of many where a capsule lies along a face, and leaps from one
     end to the other as it turns. Weights exp((min d - d_k)/τ) over some nodes of the core make a
     motion of that, for every d_k is continuous. Where one point is clearly nearest it is that one.
+
+    A flat face may be nearest anywhere: there the points nearest to the corners of `a` are nodes.
     """
 
     def __init__(self, model: RobotModel, pair: Pair) -> None:
         """Prepare for the body `b` of a pair against its body `a`."""
         self._joint_a, self._joint_b = model.body_joints[pair.a], model.body_joints[pair.b]
-        objects = model.geometry.geometryObjects
-        placed = (objects[i] for i in model.shape_ids[pair.a])
-        self._parts = [ConvexPart(each.geometry, each.placement) for each in placed]
-        shapes = zip(model.description.body(pair.b).shapes, model.shape_ids[pair.b], strict=True)
-        cores = [_core(shape, objects[i]) for shape, i in shapes]
+        a, b = _shapes(model, pair.a), _shapes(model, pair.b)
+        self._parts = [ConvexPart(each.geometry, each.placement) for _, each in a]
+        self._corners = np.vstack([_core(*shape)[0] for shape in a])
+        self._faces = [
+            ConvexPart(each.geometry, each.placement)
+            for shape, each in b
+            if not isinstance(shape, Capsule | Sphere)
+        ]
+        cores = [_core(*shape) for shape in b]
         self._nodes = np.vstack([nodes for nodes, _ in cores])
-        self._radii = np.concatenate([np.full(len(nodes), radius) for nodes, radius in cores])
+        radii = [np.full(len(nodes), radius) for nodes, radius in cores]
+        self._radii = np.concatenate([*radii, np.zeros(len(self._faces) * len(self._corners))])
 
     def find(self, data: pin.Data, blend: float) -> tuple[Array, Array, Array, Array]:
         """The closest points of the pair.
@@ -120,7 +127,12 @@ class SmoothPoint:
         """
         placed = data.oMi[self._joint_a]
         relative = placed.actInv(data.oMi[self._joint_b])
-        nodes = self._nodes @ relative.rotation.T + relative.translation
+        nodes = self._nodes
+        if self._faces:
+            corners = (self._corners - relative.translation) @ relative.rotation
+            faced = [face.nearest(corner) for face in self._faces for corner in corners]
+            nodes = np.vstack([nodes, *faced])
+        nodes = nodes @ relative.rotation.T + relative.translation
         d = self._parts[0].distances(nodes)
         for part in self._parts[1:]:
             d = np.minimum(d, part.distances(nodes))
@@ -129,6 +141,13 @@ class SmoothPoint:
         n = placed.rotation @ n
         core = placed.act(core)
         return core - d_core * n, core - radius * n, core, n
+
+
+def _shapes(model: RobotModel, body: str) -> list[tuple[Shape, pin.GeometryObject]]:
+    """What a body is made of, each shape with where it is."""
+    objects = model.geometry.geometryObjects
+    placed = (objects[i] for i in model.shape_ids[body])
+    return list(zip(model.description.body(body).shapes, placed, strict=True))
 
 
 @compiled("Tuple((f8[::1], f8))(f8[:,:], f8[:], f8[:], f8)")
