@@ -10,7 +10,7 @@ import pytest
 from app.avoidance.closest_points import DistanceMonitor
 from app.cli.wanted import of_case
 from app.config import Config
-from app.errors import CaseError, ConfigError, StudyError
+from app.errors import AssetError, CaseError, ConfigError, StudyError
 from app.robot.state import Measurement, RobotState
 from app.simulation.case import RunCase, read_case
 from app.simulation.run import run_planned
@@ -250,3 +250,14 @@ def test_inside_of_an_envelope_every_case_lies_in_it(sources):
     empty = envelope.model_copy(update={"force": 0.0})
     with pytest.raises(StudyError, match="--hand-f-max: nothing is stated from 30 to 100, only"):
         empty.narrowed(RANGES)
+
+
+def test_files_that_are_not_there_end_a_study_instead_of_being_a_row_of_it(
+    sources, cases, monkeypatch
+):
+    def missing(*_: object) -> None:
+        raise AssetError("no such mesh")
+
+    monkeypatch.setattr("app.simulation.run.run_planned", missing)
+    with pytest.raises(AssetError, match="no such mesh"):
+        play_case(cases[0], PARAMETERS, sources.model, sources.data)

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from app.config import Config
-from app.errors import DbbError
+from app.errors import AssetError, DbbError
 from app.simulation.case import Planned
 from app.simulation.scenarios.line import RANDOM_PULL
 from app.studies.pulls.parameters import PARAMETERS, StudyParameters
@@ -67,12 +67,17 @@ def play_case(drawn: Row, parameters: StudyParameters, model: RobotModel, data: 
     """The row of a case: what was drawn, and what came of it.
 
     A run that breaks off is a row too: `error` says why, and its figures are missing.
+
+    Raises:
+        AssetError: The robot's files are not there, for this case as for any other.
     """
     # Imported here: cases are drawn where nothing is run.
     from app.simulation.run import run_planned
 
     try:
         result = run_planned(planned_of(drawn, parameters), model, data)
+    except AssetError:
+        raise
     except (DbbError, ValueError, ArithmeticError) as error:
         return {**drawn, "nan": False, "error": f"{type(error).__name__}: {error}"}
     figures = flat(result.figures)
