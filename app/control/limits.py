@@ -17,7 +17,7 @@ import numpy as np
 from app.avoidance.closest_points import ClosestPoints
 from app.avoidance.task import distance_jacobian
 from app.config import BarrierConfig, LimitConfig
-from app.control.kernels import accelerations
+from app.control.kernels import accelerations, minimum
 from app.control.qp import Limits
 from app.robot.state import RobotState
 
@@ -144,7 +144,7 @@ def robot_limits(
     for i, row in enumerate(rows, 2 * n_m):
         C[i], l[i] = row.J, row.l
     if arm is not None:
-        moved = C[n_m:, n_b:] @ accelerations(state.M[n_b:, n_b:], arm.pushed)[0]
+        moved = C[n_m:, n_b:] @ -minimum(state.M[n_b:, n_b:], arm.pushed)[0]
         l[n_m:] -= moved
         u[n_m:] -= moved
     return Limits(C, l, u, _softness(n_m, m, softness))
