@@ -18,7 +18,7 @@ from app.border.mobile import MobileBody
 from app.config import Config
 from app.errors import DbbError, UnreachableError
 from app.onboarding.fit.collision_sampling import ALWAYS, units_of_links
-from app.onboarding.fit.grouping import UNSEEN_POSES, unseen_collisions
+from app.onboarding.fit.grouping import MOST_UNSEEN, UNSEEN_POSES, unseen_collisions
 from app.onboarding.fit.postures import CLEARANCE, GIVES_WAY, judge_ready
 from app.onboarding.numbers import gravity_load, largest_of_poses
 from app.onboarding.read.links import LinkGeometry, read_geometry
@@ -42,7 +42,6 @@ _FASTEST = 20.0  # [rad/s or m/s] of a joint
 _STRONGEST, _LIFTS = 2000.0, 20_000.0  # [N m] of a joint, [N] of one that slides
 _MARGIN = 0.02  # [-] share of a joint's range between the ready pose and a limit
 _OUT_OF_BASE = 0.01  # [m] by which a base's mesh may stick out of its body; a buffer has 0.1 m
-_MISSED = 0.01  # [-] share of collisions that no pair may see, or that its own may not
 _LAYER = 0.05  # [m]
 _NEAR_POSES = 1000
 _MANY = 500  # [-] points nearer than the border by which a layer counts as reached
@@ -260,8 +259,8 @@ def arm_row(model: RobotModel) -> Row:
         return Row("arm's bodies", "failed", text, numbers)
     if not found.poses:
         return Row("arm's bodies", "nothing to show", text, numbers)
-    good = "passed" if found.share <= _MISSED else "warned"
-    outcome = good if found.missed <= _MISSED * found.watched else "failed"
+    good = "passed" if found.share <= MOST_UNSEEN else "warned"
+    outcome = good if found.missed <= MOST_UNSEEN * found.watched else "failed"
     return Row("arm's bodies", outcome, text, numbers)
 
 

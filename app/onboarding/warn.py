@@ -12,6 +12,7 @@ import numpy as np
 from app.config import AdmittanceConfig
 from app.control.admittance import largest_command
 from app.onboarding.fit.collision_sampling import ALWAYS
+from app.onboarding.fit.grouping import MOST_UNSEEN
 from app.onboarding.fit.postures import GIVES_WAY, INNER
 from app.robot.bases.kind import Axis
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 
-_MISSED = 0.01  # [-] share of collisions that no pair sees
 _OVER = 2.0  # [-] volume of a body over that of what it holds
 _TOO_LARGE = 5.0  # [-] length of an arm's links over the distances of its joints; a telescope's 3
 _FITTED = 0.6  # [-] R² of (9) over the counted reachability; of the paper's arm above 0.9
@@ -78,7 +78,7 @@ def _poses(robot: NewRobot) -> list[str]:
 def _bodies(robot: NewRobot) -> list[str]:
     told = []
     verdict, meetings = robot.verdict, robot.meetings
-    if robot.unseen.share > _MISSED:
+    if robot.unseen.share > MOST_UNSEEN:
         told.append(
             f"no pair sees {robot.unseen.share:.1%} of the random poses in which links collide; "
             f"mostly {robot.unseen.worst}: bodies that are neighbours or near as built are no "

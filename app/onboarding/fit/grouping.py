@@ -32,12 +32,14 @@ Array = np.ndarray
 
 _PAPER = 4  # [-] bodies of the paper's arm; others are tried only if that many do not do
 _MOST = 5  # [-] bodies
-_MISSED = 0.005  # [-] share of collisions that a good grouping may miss: half of what a check lets
 _MOST_JUDGED = 60  # [-] groupings that are fitted, those that are expected to cost least
 _JUDGED = 600  # [-] poses with a collision, and without, in which a fitted grouping is judged
+MOST_UNSEEN = 0.01
+"""[-] share of the poses with a collision of links that no pair may see."""
 UNSEEN_POSES = 4000
 """[-] in which the bodies are tried that were chosen."""
 _UNSEEN_SEED = 2**31  # [-] of them; the fit has others
+_MISSED = 0.5 * MOST_UNSEEN  # [-] that a good grouping may miss
 _BODY_COST = 0.03  # [-] of one body more
 _MISSED_COST = 20.0  # [-] of more collisions than that
 _FALSE_COST = 2.0  # [-] of free poses in which a task is on for nothing
