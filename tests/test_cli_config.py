@@ -94,7 +94,7 @@ def test_the_dashboard_begins_with_the_parameters_of_its_file(mine, monkeypatch)
         raise SeenError(loop.latest().config)
 
     monkeypatch.setattr(app.dashboard.server, "serve_dashboard", stop)
-    args = ["serve", "--config", str(mine), "--loop", "thread", "--physics", "kinematic"]
+    args = ["serve", "--config", str(mine), "--physics", "kinematic"]
     with pytest.raises(SeenError) as caught:
         main([*args, "--port", "0", "--slip", "0.2"])
     assert caught.value.args[0] == CONFIG.replace("disturbance.slip", 0.2)
