@@ -25,7 +25,7 @@ from app.system import give_freed_memory_back, write_whole
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
-    from app.dashboard.export.offscreen import Look
+    from app.dashboard.export import Look
     from app.onboarding.read.package import Contents
     from app.onboarding.request import Request
     from app.robot.model import RobotModel
@@ -351,26 +351,21 @@ def _play(
     data: BorderData,
     **more: Any,
 ) -> RunResult:
-    from app.simulation.run import run_scenario
+    from app.simulation.run import run_planned
 
-    scenario = case.scenario()
-    return run_scenario(
-        model,
-        data,
-        scenario,
-        case.config(),
-        controller=controller,
-        physics=case.physics,
-        seed=case.seed,
-        on_progress=lambda t: report(f"{controller} plays it again", t / scenario.duration),
-        **more,
-    )
+    run = case.planned()._replace(controller=controller)
+
+    def on_progress(t: float) -> None:
+        report(f"{controller} plays it again", t / run.scenario.duration)
+
+    return run_planned(run, model, data, on_progress=on_progress, **more)
 
 
 def _write_replay(
     report: Report, trace: Trace, model: RobotModel, data: BorderData, page: Path
 ) -> None:
-    from app.dashboard.export.offscreen import Look, replay_html
+    from app.dashboard.export import Look
+    from app.dashboard.export.offscreen import replay_html
 
     duration = max(trace.snapshots[-1].t - trace.snapshots[0].t, 1e-9)
 
