@@ -93,12 +93,7 @@ class RunCase(Strict):
         if self.played not in _PLAYED:
             raise UnknownNameError("scenario", self.played, _PLAYED)
         options = {name: _tuples(value) for name, value in self.options.items()}
-        try:
-            return _PLAYED[self.played].changed(**options)
-        except DbbError:
-            raise
-        except (TypeError, ValueError) as error:  # a text for a number, a point of two numbers
-            raise CaseError(f"options of {self.played}: {error}") from None
+        return _PLAYED[self.played].changed(**options)
 
     def config(self) -> Config:
         """The parameters, as far as there are such ones by now.

@@ -15,7 +15,7 @@ from typing import Any
 
 from app.config import Config
 from app.control.controller import CONTROLLERS
-from app.errors import ConfigError, DbbError, LoopError, TargetError, UnknownNameError
+from app.errors import ConfigError, LoopError, TargetError, UnknownNameError
 from app.simulation.people import checked_hold, checked_target
 from app.simulation.scenarios import scenario_by_name
 from app.simulation.scenarios.leading import Scenario
@@ -170,13 +170,7 @@ class Play(Beginning):
             UnknownNameError: No scenario has that name.
             ConfigError: It has no such option, or a value is out of its range.
         """
-        scenario = scenario_by_name(name)
-        try:
-            return cls(scenario.changed(**(options or {})))
-        except DbbError:
-            raise
-        except (TypeError, ValueError) as error:  # a text for a number, a point of two numbers
-            raise ConfigError(f"options of the scenario {name}: {error}") from None
+        return cls(scenario_by_name(name).changed(**(options or {})))
 
 
 @dataclass(frozen=True)
