@@ -178,10 +178,6 @@ class BulletDoor(HeldDoor):
         R = self._hand_pose().rotation
         return Wrench(-np.array(rows[:3]), -R @ np.array(rows[3:]))
 
-    def place(self) -> Array:
-        """(3,) [m] the middle of the refrigerator's body."""
-        return np.array(self._client.getBasePositionAndOrientation(self.body)[0])
-
     def touches_base(self) -> bool:
         """Whether the door touched the mobile robot in the last step."""
         contacts = self._client.getContactPoints(self._robot, self.body, linkIndexB=_DOOR)

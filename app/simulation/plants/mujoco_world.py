@@ -216,10 +216,6 @@ class MujocoDoor(HeldDoor):
     def angle(self) -> float:
         return -self.door.side * float(self._data.joint(_HINGE).qpos[0])
 
-    def place(self) -> Array:
-        """(3,) [m] the middle of the refrigerator's body."""
-        return self._data.joint(_BODY).qpos[:3].copy()
-
     def wrench(self) -> Wrench:
         R = self._data.site(_GRIP).xmat.reshape(3, 3)
         read = self._data.sensordata  # of the door on what holds it
