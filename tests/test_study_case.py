@@ -195,7 +195,6 @@ def test_a_case_from_a_file_gives_the_same_figures(sources, cases, tmp_path):
         ("[1]", ["is no case"]),
         ('{"speed": 1}', ["is no case", "dbb_case"]),
         ('{"dbb_case": 1, "sped": 1}', ["sped"]),
-        ('{"case": {"strength": 1}, "figures": {}}', ["older version of dbb study", "draw such"]),
     ],
 )
 def test_a_file_that_is_no_case_is_refused_by_name(tmp_path, content, words):

@@ -141,12 +141,7 @@ class RunCase(Strict):
         except ValueError as error:
             raise CaseError(f"{where} is no case: not JSON ({error})") from None
         if not isinstance(content, dict) or FORMAT not in content:
-            why = (
-                ""
-                if not isinstance(content, dict) or "case" not in content
-                else ("; it is of an older version of dbb study, draw such cases anew")
-            )
-            raise CaseError(f"{where} is no case: it has no {FORMAT!r}{why}")
+            raise CaseError(f"{where} is no case: it has no {FORMAT!r}")
         try:
             case = cls.model_validate_json(json.dumps(content))
             if case.controller not in CONTROLLERS:
