@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from app.border.cache import BorderData
+from app.border.mobile import MobileBody
 from app.config import Config
 from app.onboarding.fit import postures
 from app.onboarding.fit.postures import Place, chosen, find_places
@@ -88,6 +89,16 @@ def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
     np.testing.assert_allclose(found["guiding-lateral"].move, (0.0, -0.325, 0.0), atol=1e-9)
     assert found.keys() == {"guiding-lateral"}
     assert shares == [0.0]
+
+
+def test_where_no_other_height_has_a_line_one_just_over_the_base_is_tried(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As of an arm whose hand cannot start as low as its small base."""
+    monkeypatch.setattr(postures, "_heights", lambda tops: [3.0])  # out of reach
+    found = find_places(husky_panda(), find_link_pairs(husky_panda(), samples=2000), D_B)
+    top = float(MobileBody(husky_panda()).upper[2])
+    assert found["guiding-lateral"].start[2] == pytest.approx(top + 0.025, abs=1e-3)
 
 
 def test_a_line_leads_to_what_there_is_of_the_base_at_its_height(

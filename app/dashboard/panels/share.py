@@ -24,7 +24,7 @@ from app.parameters import Parameter
 from app.robot.assets import robot_names
 from app.simulation.case import RunCase
 from app.simulation.loop.commands import Choose, Pause, Play
-from app.simulation.scenarios import SCENARIOS, own_line
+from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.strict import check_range
 
 if TYPE_CHECKING:
@@ -225,8 +225,7 @@ class SharePanel(Panel):
         if link.controller:
             commands.append(Choose(link.controller))
         if link.scenario:
-            description = shared.model.description
-            scenario = Play.named(link.scenario, own_line(description, link.scenario)).scenario
+            scenario = scenario_of(shared.model.description, link.scenario)
             commands += [Pause(False), Play(scenario, link.at or 0.0)]
         shared.tuning.load(link.configured(shared.tuning.config))
         for command in commands:

@@ -123,6 +123,7 @@ _OUT = (0.425, 0.375, 0.35, 0.325, 0.30, 0.275, 0.25)  # [m] from the base's sid
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
 _STEP = 0.0125  # [m] along the line
 _OVER_MOUNT = 0.4  # [m] above which no part of l_m is approached
+_JUST_OVER = 0.025  # [m] over a part of l_m, where no other height has a line
 _SAME_TOP = 0.1  # [m] less between the tops of two parts is the same height
 _SHARES = np.linspace(0.1, 1.0, 10)  # [-] of the way from a posture nearby
 _NEAR = 0.15  # [m] from a place to the hand in some posture that is clear of the buffers
@@ -180,11 +181,14 @@ def find_places(
         return {}
     guide, mount = _Guide(model, pairs, d_b), model.p_base()
     body = guide.body
-    heights = [round(h, 3) for h in _heights(_tops(body, float(mount[2]) + _OVER_MOUNT))]
+    tops = _tops(body, float(mount[2]) + _OVER_MOUNT)
+    heights = [round(h, 3) for h in _heights(tops)]
+    last = [round(top + _JUST_OVER, 3) for top in tops]
     ways = {"guiding-lateral": _lateral(body, mount), "guiding-front": _front(body, mount)}
     found: dict[str, Place] = {}
     for k, (name, starts) in enumerate(ways.items()):
-        tried = list(product(starts, heights))
+        starts = list(starts)
+        tried = [*product(starts, heights), *product(starts, last)]
         shares = np.linspace(k, k + 1, len(tried), endpoint=False) / len(ways)
         lines = guide.lines(tried, shares, on_progress)
         place = chosen(lines, d_b, partial(shows, name), anyway=anyway)

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Collection, Hashable, Mapping
+from collections.abc import Collection, Hashable
 from dataclasses import dataclass
-from typing import Any
 
 from app.config import Config
 from app.control.controller import CONTROLLERS
-from app.errors import ConfigError, DbbError, LoopError, TargetError, UnknownNameError
+from app.errors import ConfigError, LoopError, TargetError, UnknownNameError
 from app.simulation.people import checked_hold, checked_target
-from app.simulation.scenarios import scenario_by_name
 from app.simulation.scenarios.leading import Scenario
 from app.strict import check_range
 
@@ -161,22 +159,6 @@ class Play(Beginning):
 
     def __post_init__(self) -> None:
         check_range("the time to stop at", self.until, 0.0, self.scenario.duration, "s")
-
-    @classmethod
-    def named(cls, name: str, options: Mapping[str, Any] | None = None) -> Play:
-        """Play a scenario by its name, with options as `Scenario.changed` takes them.
-
-        Raises:
-            UnknownNameError: No scenario has that name.
-            ConfigError: It has no such option, or a value is out of its range.
-        """
-        scenario = scenario_by_name(name)
-        try:
-            return cls(scenario.changed(**(options or {})))
-        except DbbError:
-            raise
-        except (TypeError, ValueError) as error:  # a text for a number, a point of two numbers
-            raise ConfigError(f"options of the scenario {name}: {error}") from None
 
 
 @dataclass(frozen=True)
