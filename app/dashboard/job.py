@@ -393,10 +393,12 @@ def _write_replay(
     report: Report, trace: Trace, model: RobotModel, data: BorderData, page: Path
 ) -> None:
     from app.dashboard.export.offscreen import Look, replay_html
+    from app.dashboard.scene.camera import first_view
 
     duration = max(trace.snapshots[-1].t - trace.snapshots[0].t, 1e-9)
 
     def on_progress(t: float) -> None:
         report("drawing the pictures", min(t / duration, 1.0))
 
-    write_whole(page, replay_html(trace, model, data.clouds, Look(), on_progress=on_progress))
+    look = Look(view=first_view(trace.snapshots[0]))
+    write_whole(page, replay_html(trace, model, data.clouds, look, on_progress=on_progress))

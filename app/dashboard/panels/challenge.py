@@ -18,7 +18,7 @@ from app.dashboard.record import Course
 from app.dashboard.scene.colours import Rgb, css
 from app.dashboard.verdict import COLOURS
 from app.errors import CaseError
-from app.simulation.loop.commands import Pause, Play
+from app.simulation.loop.commands import Play
 from app.simulation.scenarios.pulled import CHALLENGE
 
 SIZE = 1280, 720  # [px] of the card's picture
@@ -34,7 +34,10 @@ class ChallengePanel(FilePanel):
         self._shared, name = viewer.shared, CHALLENGE.name
         with self._gui.add_folder("Make it collide", expand_by_default=False):
             self._text = self._gui.add_html("")
-            self._begin = self.button("Begin, 30 s", lambda _: self._play(), viser.Icon.SWORDS)
+            loop = viewer.shared.loop
+            self._begin = self.button(
+                "Begin, 30 s", lambda _: loop.send(Play(CHALLENGE)), viser.Icon.SWORDS
+            )
             self._files = [
                 self.file(label, icon, f"{name}{ending}", make, visible=False)
                 for label, icon, ending, make in (
@@ -56,10 +59,6 @@ class ChallengePanel(FilePanel):
         whole = challenge.case is not None and (challenge.case.figures or not challenge.progress)
         for handle in self._files:
             handle.visible = bool(challenge.tried and whole) and not under_way
-
-    def _play(self) -> None:
-        for command in (Pause(False), Play(CHALLENGE)):
-            self._shared.loop.send(command)
 
     def _picture(self) -> bytes:
         tried = self._shared.challenge.tried  # while the scene is drawn another one may begin
