@@ -315,6 +315,13 @@ def test_an_unknown_controller_is_refused_and_changes_nothing(loop: SimulationLo
     assert until(loop, lambda s: s.t > 0.1).controller == "dbb"
 
 
+def test_a_scenario_that_is_played_goes_on_also_where_time_stood_still(loop):
+    loop.send(Pause(True))
+    until(loop, lambda s: s.paused)
+    loop.send(Play.named("tracking"))
+    assert until(loop, lambda s: s.scenario == "tracking" and s.t > 0.1).paused is False
+
+
 def test_any_scenario_is_played_by_its_name_and_a_reset_ends_it(loop: SimulationLoop) -> None:
     loop.send(Play(LINES["tracking"].changed(duration=2.0)))
     led = until(loop, lambda s: s.mode == "tracking" and s.t > 0.1)

@@ -23,7 +23,7 @@ from app.errors import CaseError, ConfigError, UnknownNameError
 from app.parameters import Parameter
 from app.robot.assets import robot_names
 from app.simulation.case import RunCase
-from app.simulation.loop.commands import Choose, Pause, Play
+from app.simulation.loop.commands import Choose, Play
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.strict import check_range
 
@@ -226,7 +226,7 @@ class SharePanel(Panel):
             commands.append(Choose(link.controller))
         if link.scenario:
             scenario = scenario_of(shared.model.description, link.scenario)
-            commands += [Pause(False), Play(scenario, link.at or 0.0)]
+            commands.append(Play(scenario, link.at or 0.0))
         shared.tuning.load(link.configured(shared.tuning.config))
         for command in commands:
             shared.loop.send(command)
@@ -288,7 +288,7 @@ def play_case(shared: SharedState, text: str, name: str) -> str:
         raise CaseError(f"{name} is of the robot {case.robot}: choose it in the tab Robot first")
     play = Play(case.scenario())
     shared.tuning.load(case.config())
-    for command in (Choose(case.controller), Pause(False), play):
+    for command in (Choose(case.controller), play):
         shared.loop.send(command)
     return "; ".join([f"{case.played} plays again", *case.differences()])
 

@@ -151,7 +151,7 @@ class Restart(Beginning):
 
 @dataclass(frozen=True)
 class Play(Beginning):
-    """Begin anew at a scenario's start, and let it lead the hand until its end or a pull."""
+    """Begin anew at a scenario's start, go on, and let it lead the hand to its end or a pull."""
 
     scenario: Scenario
     until: float = 0.0
