@@ -318,7 +318,7 @@ def test_an_unknown_controller_is_refused_and_changes_nothing(loop: SimulationLo
 def test_a_scenario_that_is_played_goes_on_also_where_time_stood_still(loop):
     loop.send(Pause(True))
     until(loop, lambda s: s.paused)
-    loop.send(Play.named("tracking"))
+    loop.send(Play(LINES["tracking"]))
     assert until(loop, lambda s: s.scenario == "tracking" and s.t > 0.1).paused is False
 
 
