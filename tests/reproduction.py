@@ -21,8 +21,10 @@ def short_run(
     physics: str = "kinematic",
 ) -> RunResult:
     """An experiment, cut short."""
-    scenario = experiment.full().changed(duration=duration)
-    return thinned(run_planned(experiment.planned(scenario=scenario, physics=physics), robot, data))
+    scenario = experiment.scenario.changed(duration=duration)
+    return thinned(
+        run_planned(experiment._replace(scenario=scenario, physics=physics), robot, data)
+    )
 
 
 def sources_of(robot: RobotModel, data: BorderData, runs: dict[Experiment, RunResult]) -> Sources:

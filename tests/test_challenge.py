@@ -14,10 +14,10 @@ from app.dashboard.drag import GIZMO, SCALE
 from app.dashboard.job import Challenge, Tried, try_again
 from app.dashboard.panels.challenge import card, challenge_html
 from app.dashboard.record import Course
-from app.simulation.case import RunCase
+from app.simulation.case import Planned, RunCase
 from app.simulation.loop.commands import Pause
 from app.simulation.loop.loop import SimulationLoop
-from app.simulation.run import run_scenario
+from app.simulation.run import run_planned, run_scenario
 from app.simulation.scenarios.pulled import CHALLENGE
 from app.simulation.session import Session
 from tests.browser import DashboardTab, wait_for
@@ -32,9 +32,7 @@ def tried(controller, least, *, met):
 
 def html(*found):
     challenge = Challenge()
-    challenge.case = RunCase.of(
-        CHALLENGE, Config(), robot="husky_panda", controller="dbb", physics="planar"
-    )
+    challenge.case = RunCase.of(Planned("husky_panda", CHALLENGE, Config(), "dbb", "planar"))
     challenge.tried = found
     return challenge_html(challenge, Course())
 
@@ -87,9 +85,7 @@ def test_the_card_shows_what_came_of_it():
 def test_what_is_tried_again_is_what_a_run_of_the_case_gives(robot, border_data):
     pulls = ((20, 0, (0.5, 0.0, 0.3)), (80, 1, (0.4, 0.4, 0.6), "panda_joint4", (0.0, 0.0, 0.0)))
     scenario = CHALLENGE.changed(duration=0.3, q_m=Q_START, pulls=pulls)
-    case = RunCase.of(
-        scenario, Config(), robot="husky_panda", controller="dbb", physics="kinematic"
-    )
+    case = RunCase.of(Planned("husky_panda", scenario, Config(), "dbb", "kinematic"))
     found = try_again(lambda *_: None, case.text(), "none")
     run = run_scenario(
         robot, border_data, scenario, Config(), controller="none", physics="kinematic"
@@ -132,7 +128,6 @@ def test_a_visitor_tries_and_gets_the_proof(
         download.value.save_as(tmp_path / "card.png")
         tab.picture(tmp_path / "page.png")
         assert tab.errors == []
-    run = {"controller": case.controller, "physics": case.physics, "seed": case.seed}
-    again = run_scenario(robot, border_data, case.scenario(), case.config(), **run)
+    again = run_planned(case.planned(), robot, border_data)
     assert case.figures
     assert case.changes(again.figures) == []

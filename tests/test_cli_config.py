@@ -12,7 +12,7 @@ from app.cli.main import main
 from app.cli.options import configured
 from app.config import Config, sections
 from app.config_file import decode_config, read_config, save_config
-from app.simulation.case import RunCase
+from app.simulation.case import Planned, RunCase
 from app.simulation.scenarios import SCENARIOS
 
 QUICK = ["run", "guiding-lateral", "--physics", "kinematic", "--duration", "0.01", "--json"]
@@ -26,13 +26,13 @@ class SeenError(Exception):
 def handed_on(monkeypatch):
     """The configuration that `dbb run` or `dbb sweep` would work with."""
 
-    def stop(*args, **given):
-        raise SeenError(next(each for each in (*args, *given.values()) if isinstance(each, Config)))
+    def stop(run, *_, **__):
+        raise SeenError(run.config)
 
     def stop_sweep(plan, **_):
         raise SeenError(plan.config)
 
-    monkeypatch.setattr("app.simulation.run.run_scenario", stop)
+    monkeypatch.setattr("app.simulation.run.run_planned", stop)
     monkeypatch.setattr("app.studies.sweep.sweep.sweep", stop_sweep)
 
     def of(*args: str) -> Config:
@@ -94,7 +94,7 @@ def test_the_dashboard_begins_with_the_parameters_of_its_file(mine, monkeypatch)
         raise SeenError(loop.latest().config)
 
     monkeypatch.setattr(app.dashboard.server, "serve_dashboard", stop)
-    args = ["serve", "--config", str(mine), "--loop", "thread", "--physics", "kinematic"]
+    args = ["serve", "--config", str(mine), "--physics", "kinematic"]
     with pytest.raises(SeenError) as caught:
         main([*args, "--port", "0", "--slip", "0.2"])
     assert caught.value.args[0] == CONFIG.replace("disturbance.slip", 0.2)
@@ -111,7 +111,7 @@ def test_a_mistake_in_the_file_is_one_line_that_names_it(capsys, tmp_path, comma
 
 def test_a_replayed_case_has_its_own_parameters(capsys, mine, tmp_path):
     played = SCENARIOS["guiding-front"]
-    case = RunCase.of(played, Config(), robot="husky_panda", controller="dbb", physics="planar")
+    case = RunCase.of(Planned("husky_panda", played, Config(), "dbb", "planar"))
     path = tmp_path / "case.json"
     path.write_text(case.text())
     for command in ("run", "serve"):

@@ -15,9 +15,9 @@ from PIL import Image
 from app.border.cache import BorderData
 from app.cli.main import main
 from app.config import Config
+from app.dashboard.export import Look
 from app.dashboard.export.offscreen import (
     CODECS,
-    Look,
     captioned,
     film_pictures,
     with_ghosts,
@@ -25,7 +25,8 @@ from app.dashboard.export.offscreen import (
 )
 from app.errors import OutputError
 from app.robot.model import RobotModel
-from app.simulation.run import filmed, steps_of
+from app.simulation.case import Planned
+from app.simulation.run import filmed
 from app.simulation.scenarios import scenario_of
 from app.simulation.trace.snapshot import Snapshot
 
@@ -139,11 +140,7 @@ def run(robot: RobotModel, border_data: BorderData) -> list[Snapshot]:
     """The first 0.1 s of a scenario, with a ghost."""
     scenario = scenario_of(robot.description, "guiding-front")
     both = [
-        filmed(
-            steps_of(robot, border_data, scenario, Config(), controller=name),
-            scenario,
-            [0.0, 0.1],
-        )
+        filmed(Planned("husky_panda", scenario, Config(), name), robot, border_data, [0.0, 0.1])
         for name in ("dbb", "none")
     ]
     return with_ghosts(both[0], both[1:])

@@ -9,7 +9,7 @@ import pytest
 from app.config import Config
 from app.dashboard.panels.share import Link, camera_text, changed_parameters
 from app.errors import DbbError
-from app.simulation.case import RunCase
+from app.simulation.case import Planned, RunCase
 from app.simulation.loop.commands import Choose, Configure, Play
 from app.simulation.scenarios import SCENARIOS
 from tests.browser import DashboardTab, wait_for
@@ -107,11 +107,13 @@ def test_a_page_follows_its_link_copies_it_and_refuses_a_wrong_one(browser):
         assert not any(isinstance(c, (Play, Configure)) for c in served.loop.commands[count:])
 
         case = RunCase.of(
-            SCENARIOS["tracking"],
-            Config().replace("border.d_b", 0.12),
-            robot="husky_panda",
-            controller="dbb",
-            physics="kinematic",
+            Planned(
+                "husky_panda",
+                SCENARIOS["tracking"],
+                Config().replace("border.d_b", 0.12),
+                "dbb",
+                "kinematic",
+            )
         )
         content = json.loads(case.text()) | {"version": "0.1"}
         upload(tab, json.dumps(content))

@@ -14,7 +14,7 @@ from app.onboarding.fit import postures
 from app.onboarding.fit.postures import Place, chosen, find_places
 from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.shapes import Box
-from app.simulation.run import RunOptions, run_scenario
+from app.simulation.run import run_scenario
 from app.simulation.scenarios import LINES
 from tests.robots import husky_panda, with_mobile_shapes
 
@@ -120,7 +120,7 @@ def test_a_line_leads_as_near_as_a_run_without_avoidance(border_data: BorderData
     model, config = husky_panda(), Config()
     found = find_places(model, border_data.pairs, config.border.d_b)
     assert found.keys() == {"guiding-lateral", "guiding-front"}
-    without = RunOptions(controller="none", physics="kinematic")
+    without = {"controller": "none", "physics": "kinematic"}
     for name, place in found.items():
         line = LINES[name].changed(start=place.start, move=place.move)
         run = run_scenario(model, border_data, line, config, **without)

@@ -120,7 +120,7 @@ def test_with_good_figures_every_claim_holds(claim: Claim, robot, border_data):
         *(
             (e, {"ee_error_final_m": 0.055}, claims.from_any_direction)
             for e in DIRECTIONS.values()
-            if e.scenario == "tracking"
+            if e.scenario.name == "tracking"
         ),
         (DOOR_NONE, {"door_met_base_s": 36.0}, claims.door_met),
         (DOOR_NONE, {"door_met_base_s": 24.0}, claims.door_met),

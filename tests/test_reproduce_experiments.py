@@ -11,7 +11,6 @@ import pytest
 from app.border.cache import BorderData
 from app.config import Config
 from app.robot.model import RobotModel
-from app.simulation import scenarios
 from app.simulation.run import run_scenario
 from app.studies.paper import experiments, report
 from app.studies.paper.experiments import LATERAL, Experiment, run_experiments
@@ -20,17 +19,15 @@ from app.studies.paper.report import FIGURES, chosen
 TIMES = {"step_p50_us", "step_p99_us", "realtime_factor"}
 
 
-@pytest.fixture
-def short(monkeypatch) -> None:
-    """Scenarios of a twentieth of a second; only in this process."""
-    cut = {k: replace(s, duration=0.05) for k, s in scenarios.SCENARIOS.items()}
-    monkeypatch.setattr(scenarios, "SCENARIOS", cut)
+def short(experiment: Experiment) -> Experiment:
+    """It for a twentieth of a second."""
+    return experiment._replace(scenario=replace(experiment.scenario, duration=0.05))
 
 
-@pytest.mark.usefixtures("short")
 def test_a_run_is_the_run_of_dbb_run(robot: RobotModel, border_data: BorderData):
-    run = run_experiments([LATERAL], seed=3)[LATERAL]
-    result = run_scenario(robot, border_data, LATERAL.full(), Config(), seed=3)
+    lateral = short(LATERAL)
+    run = run_experiments([lateral], seed=3)[lateral]
+    result = run_scenario(robot, border_data, lateral.scenario, Config(), seed=3)
     assert {k: v for k, v in run.figures.items() if k not in TIMES} == {
         k: v for k, v in result.figures.items() if k not in TIMES
     }
@@ -41,17 +38,15 @@ def test_a_run_is_the_run_of_dbb_run(robot: RobotModel, border_data: BorderData)
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("short")
 def test_repeated_experiments_are_run_once_and_the_clock_reaches_their_sum():
     seen: list[float] = []
-    others = [LATERAL, Experiment("guiding-front", "none"), LATERAL]
+    others = [*map(short, (LATERAL, Experiment.of("guiding-front", "none"), LATERAL))]
     runs = run_experiments(others, on_progress=seen.append)
     assert set(runs) == set(others)
     assert seen == sorted(seen)
     assert seen[-1] == pytest.approx(experiments.duration(others)) == pytest.approx(0.1)
 
 
-@pytest.mark.usefixtures("short")
 def test_nothing_to_run_is_no_run():
     assert run_experiments([]) == {}
 
@@ -64,10 +59,10 @@ def test_a_run_comes_through_a_pickle_as_it_was():
 
 
 def test_the_kind_of_border_and_the_start_are_the_experiments():
-    plain = Experiment("tracking", "dbb")
-    other = plain._replace(start=(0.0, 0.68, 0.3), points=True)
-    assert plain.config() == Config()
-    assert other.config().border.kind == "points"
+    plain = Experiment.of("tracking", "dbb")
+    other = Experiment.of("tracking", "dbb", start=(0.0, 0.68, 0.3), points=True)
+    assert plain.config == Config()
+    assert other.config.border.kind == "points"
     np.testing.assert_allclose(other.aim(), [(0.0, 0.68, 0.3), (0.0, 0.48, 0.3)])
     assert len({plain.name, other.name}) == 2
 
@@ -76,7 +71,7 @@ def test_each_figure_brings_what_it_and_its_claims_need_and_no_more():
     assert report.experiments_for(["fig10"]) == []
     twelve = report.experiments_for(["fig12"])
     assert {e.controller for e in twelve} == {"dbb", "repulsive", "none"}
-    assert {e.scenario for e in twelve} == {"tracking"}
+    assert {e.scenario.name for e in twelve} == {"tracking"}
     everything = report.experiments_for(list(FIGURES))
     assert len(everything) == len(set(everything))
     assert {e for name in FIGURES for e in report.experiments_for([name])} == set(everything)

@@ -17,11 +17,13 @@ import pytest
 from PIL import Image
 
 from app.config import Config
+from app.dashboard.export import Look
 from app.dashboard.export.browser import VARIABLE, browser_path, chromium
-from app.dashboard.export.offscreen import Look, RecordedLoop
+from app.dashboard.export.offscreen import RecordedLoop
 from app.dashboard.export.screenshot import strip, take_pictures
 from app.errors import BrowserError
-from app.simulation.run import filmed, steps_of
+from app.simulation.case import Planned
+from app.simulation.run import filmed
 from app.simulation.scenarios import scenario_by_name
 from tests.logs import random_snapshots
 
@@ -33,8 +35,8 @@ LOOK = Look(width=400, height=300)
 def snapshots(robot, border_data):
     """A fast pull, on the plant that costs least."""
     scenario = scenario_by_name("guiding-front").changed(duration=1.5)
-    steps = steps_of(robot, border_data, scenario, Config(), physics="kinematic")
-    return filmed(steps, scenario, [0.333, 1.0])
+    run = Planned("husky_panda", scenario, Config(), physics="kinematic")
+    return filmed(run, robot, border_data, [0.333, 1.0])
 
 
 @pytest.fixture(scope="module")

@@ -176,7 +176,7 @@ def test_a_case_from_a_file_gives_the_same_figures(sources, cases, tmp_path):
     row = play_case(cases[3], PARAMETERS, sources.model, sources.data)
     run = planned_of(cases[3], PARAMETERS)
     file = tmp_path / "case.json"
-    file.write_text(RunCase.of(run.scenario, run.config, robot=run.robot, **run.driven).text())
+    file.write_text(RunCase.of(run).text())
     play_case(cases[4], PARAMETERS, sources.model, sources.data)
     again = of_case(read_case(file), {})
     assert again == run

@@ -55,8 +55,7 @@ def drawn(sources) -> Row:
 
 @pytest.fixture(scope="module")
 def case(drawn) -> RunCase:
-    run = planned_of(drawn, FAST)
-    return RunCase.of(run.scenario, run.config, robot=run.robot, **run.driven)
+    return RunCase.of(planned_of(drawn, FAST))
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from rich.progress import track
@@ -23,9 +23,8 @@ from app.cli.common import load_robot_and_border
 from app.cli.main import main as dbb
 from app.config import BorderConfig, Config
 from app.control import CONTROLLERS
+from app.dashboard.export import Layer, Look
 from app.dashboard.export.offscreen import (
-    LAYERS,
-    Look,
     OffscreenScene,
     RecordedLoop,
     own_server,
@@ -37,7 +36,8 @@ from app.dashboard.scene.camera import first_view
 from app.errors import DbbError
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
-from app.simulation.run import filmed, run_scenario, steps_of
+from app.simulation.case import Planned
+from app.simulation.run import filmed, run_scenario
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.trace.metrics import touches, verdict
@@ -82,7 +82,7 @@ def make_site(
     out: Path,
     scenarios: Sequence[Scenario],
     controllers: Sequence[str],
-    layers: Sequence[str],
+    layers: Sequence[Layer],
 ) -> None:
     """Replays, borders and the page that leads to them; `docs` and `maps` are linked if there.
 
@@ -90,7 +90,7 @@ def make_site(
         out: Folder, which is made.
         scenarios: One row of replays each.
         controllers: One column each.
-        layers: What borders are coloured by, of `app.dashboard.export.offscreen.LAYERS`.
+        layers: What borders are coloured by, of `app.dashboard.export.Layer`.
 
     Raises:
         DbbError: A page is larger than `LARGEST`.
@@ -101,7 +101,7 @@ def make_site(
         (scenario.name, name): _replay(out, model, data, scenario, name)
         for scenario, name in track(asked, "replays")
     }
-    looks = [(pair, layer) for pair in data.clouds for layer in layers]
+    looks: list[tuple[str, Layer]] = [(pair, layer) for pair in data.clouds for layer in layers]
     snapshots = [_at_rest(model, data, k * HOLD, d_b) for k, d_b in enumerate(DISTANCES)]
     borders = [
         _border(out, model, data, snapshots, pair, layer) for pair, layer in track(looks, "borders")
@@ -139,8 +139,8 @@ def _at_rest(model: RobotModel, data: BorderData, t: float, d_b: float) -> Snaps
     """The robot before anybody pulls, with a buffer distance [m], as if it were a time [s]."""
     scenario = scenario_of(model.description, "guiding-front")
     config = Config(border=BorderConfig(d_b=d_b))
-    steps = steps_of(model, data, scenario, config, physics="kinematic")
-    return replace(filmed(steps, scenario, [0.0])[0], t=t)
+    run = Planned(model.description.name, scenario, config, physics="kinematic")
+    return replace(filmed(run, model, data, [0.0])[0], t=t)
 
 
 def _border(
@@ -149,7 +149,7 @@ def _border(
     data: BorderData,
     snapshots: Sequence[Snapshot],
     pair: str,
-    layer: str,
+    layer: Layer,
 ) -> Bordered:
     """A page whose time line goes over d_b."""
     with own_server() as server:
@@ -186,7 +186,7 @@ def main() -> None:
     dbb(["sweep", "--controller", "dbb,none", "--step", "15", "--out", str(out / "maps")])
     description = load_robot(ROBOT)
     scenarios = [scenario_of(description, name) for name in SCENARIOS]
-    make_site(out, scenarios, CONTROLLERS, [each for each in LAYERS if each != "none"])
+    make_site(out, scenarios, CONTROLLERS, [each for each in get_args(Layer) if each != "none"])
     (out / ".nojekyll").touch()
     print(out / "index.html")
 

@@ -8,7 +8,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -17,6 +17,7 @@ from app.cli.common import load_robot_and_border, print_json
 from app.cli.records import Given, from_record
 from app.cli.wanted import filmed, is_case, trace_of, wanted
 from app.control import CONTROLLERS
+from app.dashboard.export import Look
 from app.jobs.progress import progress_bar
 from app.simulation.case import Planned
 from app.strict import check_range
@@ -25,32 +26,7 @@ from app.system import write_whole
 if TYPE_CHECKING:
     from PIL import Image
 
-    from app.dashboard.export.offscreen import Look
-
 _MOST_PICTURES = 12
-_SIZES = 64, 8192  # [px]
-
-
-@dataclass(frozen=True)
-class Picture:
-    """What a picture shows, and how large it is."""
-
-    layer: Literal["determinant", "reachability", "score", "none"] = "score"
-    """What the border is coloured by; none hides it."""
-    view: Literal["iso", "top", "front", "side", "hand"] = "iso"
-    """Where the scene is looked at from."""
-    width: int = 1280
-    """[px] of each picture."""
-    height: int = 720
-    """[px] of each picture."""
-    page: bool = False
-    """The whole dashboard, not the scene alone."""
-    light: bool = False
-    """A light ground, not a dark one."""
-
-    def __post_init__(self) -> None:
-        check_range("--width", self.width, *_SIZES, "px")
-        check_range("--height", self.height, *_SIZES, "px")
 
 
 def screenshot(
@@ -58,7 +34,7 @@ def screenshot(
     *,
     at: Annotated[tuple[float, ...], tyro.conf.arg(metavar="SECONDS")],
     out: Path,
-    picture: Annotated[Given, from_record(Picture)],
+    picture: Annotated[Given, from_record(Look, leave=("pair",))],
     setup: options.SetupOptions,
     config: options.ConfigOption = None,
     json: options.Json = False,
@@ -71,11 +47,11 @@ def screenshot(
         out: The picture, PNG.
     """
     is_case(scenario)
-    shown = Picture(**picture)
+    look = Look(**picture)
     check_range("--at", len(at), 1, _MOST_PICTURES, "times")
     options.check_file("--out", out, (".png",))
     asked = wanted(scenario, setup, config)
-    whole = _draw(asked, at, shown)
+    whole = _draw(asked, at, look)
     drawn = io.BytesIO()
     whole.save(drawn, "PNG", optimize=True)
     write_whole(out, drawn.getvalue())
@@ -88,23 +64,21 @@ def screenshot(
         "at_s": list(at),
         "width_px": whole.width,
         "height_px": whole.height,
-        "layer": shown.layer,
-        "view": shown.view,
-        "page": shown.page,
+        "layer": look.layer,
+        "view": look.view,
+        "page": look.page,
     }
     print_json(told) if json else print(out)
 
 
-def _draw(asked: Planned, at: tuple[float, ...], shown: Picture) -> Image.Image:
+def _draw(asked: Planned, at: tuple[float, ...], look: Look) -> Image.Image:
     """Run the scenario and draw it at these times [s]."""
     # Imported here: viser and scipy would make every other command start later.
     from app.dashboard.export.browser import chromium
-    from app.dashboard.export.offscreen import Look
     from app.dashboard.export.screenshot import strip, take_pictures
 
     for t in at:
         check_range("--at", t, 0.0, asked.scenario.duration, "s")
-    look = Look(shown.width, shown.height, shown.layer, shown.view, not shown.light, shown.page)
     with chromium() as browser:  # first of all: without one the rest is in vain
         model, data = load_robot_and_border(asked.robot)
         snapshots = filmed(asked, model, data, at)
@@ -139,7 +113,7 @@ def film(
     out: Path,
     beside: Annotated[tuple[str, ...], tyro.conf.arg(metavar="CONTROLLER")] = (),
     filming: Annotated[Given, from_record(Filming)],
-    picture: Annotated[Given, from_record(Picture, leave=("page",))],
+    picture: Annotated[Given, from_record(Look, leave=("page", "pair"))],
     setup: options.SetupOptions,
     config: options.ConfigOption = None,
     json: options.Json = False,
@@ -152,17 +126,16 @@ def film(
         beside: Other controllers, whose robots are seen as ghosts.
     """
     # Imported here: viser and scipy would make every other command start later.
-    from app.dashboard.export.offscreen import CODECS, Look
+    from app.dashboard.export.offscreen import CODECS
 
     is_case(scenario)
     for name in beside:
         options.check_name("controller of --beside", name, CONTROLLERS)
-    shown, how = Picture(**picture), Filming(**filming)
+    look, how = Look(**picture), Filming(**filming)
     options.check_file("--out", out, tuple(CODECS))
     codecs = CODECS[out.suffix.lower()]
     codec = how.codec or next(iter(codecs))
     options.check_name(f"--codec of {out.suffix}", codec, codecs)
-    look = Look(shown.width, shown.height, shown.layer, shown.view, not shown.light)
     asked = wanted(scenario, setup, config)
     told = {"film": str(out), "scenario": asked.scenario.name, "beside": list(beside)}
     told |= _film(asked, beside, how, codec, look, out)
@@ -212,7 +185,7 @@ def replay(
     log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")],
     *,
     out: Path = Path("out/replay.html"),
-    looks: Annotated[Given, from_record(Picture, only=("layer", "view", "light"))],
+    looks: Annotated[Given, from_record(Look, only=("layer", "view", "light"))],
     json: options.Json = False,
 ) -> None:
     """Make one HTML file of a log that plays the run in any browser.
@@ -224,21 +197,15 @@ def replay(
         out: The HTML file.
     """
     # Imported here: viser and pyarrow would make every other command start later.
-    from app.dashboard.export.offscreen import Look, replay_html
+    from app.dashboard.export.offscreen import replay_html
 
-    shown = Picture(**looks)
+    look = Look(**looks)
     options.check_file("--out", out, (".html",))
     read = trace_of(log)
     model, data = load_robot_and_border(read.meta.robot)
     duration = read.snapshots[-1].t - read.snapshots[0].t
     with progress_bar(out.name, duration) as on_progress:
-        page = replay_html(
-            read,
-            model,
-            data.clouds,
-            Look(layer=shown.layer, view=shown.view, dark=not shown.light),
-            on_progress=on_progress,
-        )
+        page = replay_html(read, model, data.clouds, look, on_progress=on_progress)
     write_whole(out, page)
     told = {
         "page": str(out),

@@ -2,8 +2,9 @@
 
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
@@ -23,31 +24,26 @@ if TYPE_CHECKING:
 _OF_A_CASE = {name: options.PARAMETERS[name] for name in ("buffer_distance", "border")}
 _OF_SCENARIOS = {name for each in SCENARIOS.values() for name in each.options}
 
-OutOption = Annotated[
-    Path | None,
-    tyro.conf.arg(help="Folder for `log.csv` and `metrics.json`.", help_behavior_hint=""),
-]
-LogOption = Annotated[
-    Path | None,
-    tyro.conf.arg(
-        help="File ending in .csv or .parquet for 50 rows a second with all that the dashboard "
-        "draws, which `dbb report` and `dbb replay` take; or in .mcap for Foxglove and ROS tools.",
-        help_behavior_hint="",
-    ),
-]
+
+@dataclass(frozen=True)
+class Files:
+    """Where the results of a run go."""
+
+    out: Path | None = None
+    """Folder for `log.csv` and `metrics.json`."""
+    log: Path | None = None
+    """File ending in .csv or .parquet for 50 rows a second with all that the dashboard draws, which
+    `dbb report` and `dbb replay` take; or in .mcap for Foxglove and ROS tools."""
+
+    def __post_init__(self) -> None:
+        options.make_folder(self.out)
+        options.check_file("--log", self.log, (".csv", ".parquet", ".mcap"))
 
 
+FilesOptions = Annotated[Given, from_record(Files)]
 ContactOption = Annotated[
     options.Flag, tyro.conf.arg(help="End with status 1 if the arm touched anything.")
 ]
-
-
-class _Files(NamedTuple):
-    """Where results go: a folder, a log, and whether standard output is JSON."""
-
-    out: Path | None
-    log: Path | None
-    json: bool
 
 
 def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
@@ -77,14 +73,13 @@ def _field(word: str) -> str:
 def run(
     setup: options.SetupOptions,
     parameters: options.ParameterOptions,
+    files: FilesOptions,
     config: options.ConfigOption = None,
-    out: OutOption = None,
-    log: LogOption = None,
     fail_on_contact: ContactOption = False,
     json: options.Json = False,
 ) -> None:
     """Run a scenario, or a case of a study again; print its figures."""
-    del setup, parameters, config, out, log, fail_on_contact, json
+    del setup, parameters, files, config, fail_on_contact, json
     print(f"usage: dbb run SCENARIO …\n\n{_LIST}", file=sys.stderr)
     sys.exit(2)
 
@@ -106,9 +101,8 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
         scenario_options: Annotated[Given, from_record(scenario, only=scenario.options)],
         setup: options.SetupOptions,
         parameters: options.ParameterOptions,
+        files: FilesOptions,
         config: options.ConfigOption = None,
-        out: OutOption = None,
-        log: LogOption = None,
         fail_on_contact: ContactOption = False,
         json: options.Json = False,
     ) -> None:
@@ -118,7 +112,7 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
         from app.robot.description import load_robot
 
         own = scenario_of(load_robot(chosen.robot), scenario.name, **scenario_options)
-        figures = _run(planned(chosen, own, tuned), _Files(out, log, json))
+        figures = _run(planned(chosen, own, tuned), Files(**files), json=json)
         _end(figures, fail_on_contact=fail_on_contact)
 
     command.__doc__ = f"Run {scenario.name}: {scenario.about}."
@@ -129,8 +123,7 @@ def run_case(
     case: Path,
     setup: Annotated[Given, from_record(options.Setup, only=("controller", "physics"))],
     parameters: Annotated[Given, options.parameter_options(_OF_A_CASE)],
-    out: OutOption = None,
-    log: LogOption = None,
+    files: FilesOptions,
     fail_on_contact: ContactOption = False,
     json: options.Json = False,
 ) -> None:
@@ -142,7 +135,7 @@ def run_case(
     played = read(case)
     again = of_case(played, setup)
     again = again._replace(config=options.changed(again.config, parameters))
-    figures = _run(again, _Files(out, log, json))
+    figures = _run(again, Files(**files), json=json)
     if not setup and not parameters:
         for change in played.changes(figures):
             say(f"not as it was: {change}")
@@ -156,10 +149,8 @@ def _check_replay(words: list[str]) -> None:
     check_no_others(dict.fromkeys(sorted(own & set(given)), True))
 
 
-def _run(asked: Planned, files: _Files) -> dict[str, Any]:
+def _run(asked: Planned, files: Files, *, json: bool) -> dict[str, Any]:
     """Run it, write what is asked for, and say how it went; its figures."""
-    options.make_folder(files.out)
-    options.check_file("--log", files.log, (".csv", ".parquet", ".mcap"))
     # Imported here: it takes longer than to find a mistake in what was asked.
     from app.control.buffer_watch import buffer_warning
     from app.simulation.trace.metrics import verdict
@@ -167,17 +158,17 @@ def _run(asked: Planned, files: _Files) -> dict[str, Any]:
     model, data = load_robot_and_border(asked.robot)
     drawn = files.out is not None or files.log is not None
     result = result_of(asked, model, data, drawn=drawn)
-    written = _write(result, files.out, files.log, model)
+    written = _write(result, files, model)
     if warning := buffer_warning(result.trace.buffer, asked.config):
         print(f"warning: {warning}", file=sys.stderr)
-    if files.json:
+    if json:
         print_json(result.figures)
     else:
         print(verdict(result.figures))
         for key, value in result.figures.items():
             print(f"  {key:34} {rounded_text(value)}")
     for path in written:
-        print(f"wrote {path}", file=sys.stderr if files.json else None)
+        print(f"wrote {path}", file=sys.stderr if json else None)
     return result.figures
 
 
@@ -189,13 +180,11 @@ def _end(figures: dict[str, Any], *, fail_on_contact: bool) -> None:
         sys.exit(1)
 
 
-def _write(
-    result: "RunResult", out: Path | None, log: Path | None, model: "RobotModel"
-) -> list[Path]:
+def _write(result: "RunResult", files: Files, model: "RobotModel") -> list[Path]:
     """Write what was asked for; returns what was written."""
     from app.simulation.trace.log_file import write_trace
 
-    written = []
+    written, out, log = [], files.out, files.log
     if out is not None:
         written += [out / "log.csv", out / "metrics.json"]
         write_trace(written[0], result.trace)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from app.jobs.process import Child
     from app.robot.model import RobotModel
     from app.simulation.case import RunCase
-    from app.simulation.loop.loop import SimulationLoop
     from app.simulation.loop.process_loop import ProcessLoop
 
 
@@ -39,9 +37,6 @@ class Serving:
     """Port to listen at; 0 takes a free one."""
     start: Point | None = None
     """[m] where the hand starts, in the world; by default in front of the base."""
-    loop: str = "process"
-    """process, or thread for the simulation inside the server's process, where drawing disturbs its
-    real time."""
     case: Path | None = None
     """File of a case, the page's or one of `failures` of a study: the robot, its start and its
     disturbances are the case's, and a button plays the pull."""
@@ -49,7 +44,6 @@ class Serving:
     """Folder of `dbb sweep` whose newest map is shown, and where a button writes new ones."""
 
     def __post_init__(self) -> None:
-        options.check_name("loop", self.loop, ("process", "thread"))
         if self.start is not None:
             check_point("--start", self.start)
 
@@ -81,7 +75,7 @@ def serve(
     from app.simulation.loop.process_loop import loop_child
 
     # The simulation's process imports as much as this one: both at once.
-    with loop_child() if asked.loop == "process" else nullcontext() as child:
+    with loop_child() as child:
         _serve(_First(chosen, tuned, asked, case, child))
 
 
@@ -92,7 +86,7 @@ class _First(NamedTuple):
     config: Config
     asked: Serving
     case: RunCase | None
-    child: Child | None
+    child: Child
 
     def q_start(self, model: RobotModel, data: BorderData) -> np.ndarray:
         """(n_m,) arm configuration."""
@@ -108,9 +102,8 @@ class _First(NamedTuple):
         controller: str,
         q_start: np.ndarray | None = None,
         waiting: Child | None = None,
-    ) -> ProcessLoop | SimulationLoop:
+    ) -> ProcessLoop:
         """The simulation of a robot; without a start of the arm, at that of a new robot's."""
-        from app.simulation.loop.loop import SimulationLoop
         from app.simulation.loop.process_loop import ProcessLoop
         from app.simulation.session import Session
 
@@ -126,17 +119,13 @@ class _First(NamedTuple):
             physics=setup.physics,
             seed=setup.seed,
         )
-        made = (
-            ProcessLoop(make_session, q_start, waiting)
-            if self.child is not None
-            else SimulationLoop(make_session, q_start)
-        )
+        made = ProcessLoop(make_session, q_start, waiting)
         made.begin()
         return made
 
 
 def _serve(first: _First) -> None:
-    """Show it until Ctrl-C; without a process for the simulation in a thread of this one."""
+    """Show it until Ctrl-C."""
     # Imported here: viser and scipy would make every other command start later.
     from app.dashboard.scene.robot import RobotParts
     from app.dashboard.server import check_address, serve_dashboard

@@ -56,7 +56,7 @@ def of_case(case: RunCase, setup: Given) -> Planned:
 
 
 def result_of(run: Planned, model: RobotModel, data: BorderData, *, drawn: bool) -> RunResult:
-    """All of a run, under a bar of progress; see `run_scenario`."""
+    """All of a run, under a bar of progress; see `run_planned`."""
     # Imported here: what is asked for is checked before anything is loaded.
     from app.simulation.run import run_planned
 
@@ -72,8 +72,7 @@ def filmed(
     from app.simulation import run as simulation
 
     with progress_bar(f"{run.scenario.name}, {run.controller}", max(times)) as on_progress:
-        steps = simulation.steps_of(model, data, run.scenario, run.config, **run.driven)
-        return simulation.filmed(steps, run.scenario, times, on_progress)
+        return simulation.filmed(run, model, data, times, on_progress)
 
 
 def is_case(word: str) -> bool:

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from app.control import CONTROLLERS
 from app.dashboard.markup import plain
@@ -26,7 +26,7 @@ from app.system import give_freed_memory_back, write_whole
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
-    from app.dashboard.export.offscreen import Look
+    from app.dashboard.export import Look, Side
     from app.dashboard.record import Course
     from app.onboarding.read.package import Contents
     from app.onboarding.request import Request
@@ -373,26 +373,21 @@ def _play(
     data: BorderData,
     **more: Any,
 ) -> RunResult:
-    from app.simulation.run import run_scenario
+    from app.simulation.run import run_planned
 
-    scenario = case.scenario()
-    return run_scenario(
-        model,
-        data,
-        scenario,
-        case.config(),
-        controller=controller,
-        physics=case.physics,
-        seed=case.seed,
-        on_progress=lambda t: report(f"{controller} plays it again", t / scenario.duration),
-        **more,
-    )
+    run = case.planned()._replace(controller=controller)
+
+    def on_progress(t: float) -> None:
+        report(f"{controller} plays it again", t / run.scenario.duration)
+
+    return run_planned(run, model, data, on_progress=on_progress, **more)
 
 
 def _write_replay(
     report: Report, trace: Trace, model: RobotModel, data: BorderData, page: Path
 ) -> None:
-    from app.dashboard.export.offscreen import Look, replay_html
+    from app.dashboard.export import Look
+    from app.dashboard.export.offscreen import replay_html
     from app.dashboard.scene.camera import first_view
 
     duration = max(trace.snapshots[-1].t - trace.snapshots[0].t, 1e-9)
@@ -400,5 +395,5 @@ def _write_replay(
     def on_progress(t: float) -> None:
         report("drawing the pictures", min(t / duration, 1.0))
 
-    look = Look(view=first_view(trace.snapshots[0]))
+    look = Look(view=cast("Side", first_view(trace.snapshots[0])))
     write_whole(page, replay_html(trace, model, data.clouds, look, on_progress=on_progress))

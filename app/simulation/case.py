@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError
 from app.config import Config, sections
 from app.control import CONTROLLERS
 from app.errors import CaseError, DbbError, UnknownNameError
+from app.simulation.plants import chosen_plant
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import RANDOM_PULL
@@ -40,14 +41,9 @@ class Planned(NamedTuple):
     robot: str
     scenario: Scenario
     config: Config
-    controller: str
+    controller: str = "dbb"
     physics: str | None = None
     seed: int = 0
-
-    @property
-    def driven(self) -> dict[str, Any]:
-        """Controller, plant and seed, as `run_scenario` and `steps_of` take them."""
-        return {"controller": self.controller, "physics": self.physics, "seed": self.seed}
 
 
 class RunCase(Strict):
@@ -71,11 +67,22 @@ class RunCase(Strict):
     """What came of it, by the names of `dbb run`'s figures."""
 
     @classmethod
-    def of(cls, scenario: Scenario, config: Config, **run: Any) -> RunCase:
-        """The case of a scenario with these parameters; `run` are the other fields."""
-        options = {name: getattr(scenario, name) for name in scenario.options}
-        parameters = {path: config.value(path) for path in sorted(_FIELDS)}
-        return cls(played=scenario.name, options=options, parameters=parameters, **run)
+    def of(cls, run: Planned) -> RunCase:
+        """The case of a run."""
+        return cls(
+            robot=run.robot,
+            played=run.scenario.name,
+            options={name: getattr(run.scenario, name) for name in run.scenario.options},
+            controller=run.controller,
+            physics=chosen_plant(run.physics),
+            seed=run.seed,
+            parameters={path: run.config.value(path) for path in sorted(_FIELDS)},
+        )
+
+    def planned(self) -> Planned:
+        """The run; raises what `scenario` and `config` do."""
+        run = self.controller, self.physics, self.seed
+        return Planned(self.robot, self.scenario(), self.config(), *run)
 
     def scenario(self) -> Scenario:
         """What is played.
@@ -86,12 +93,7 @@ class RunCase(Strict):
         if self.played not in _PLAYED:
             raise UnknownNameError("scenario", self.played, _PLAYED)
         options = {name: _tuples(value) for name, value in self.options.items()}
-        try:
-            return _PLAYED[self.played].changed(**options)
-        except DbbError:
-            raise
-        except (TypeError, ValueError) as error:  # a text for a number, a point of two numbers
-            raise CaseError(f"options of {self.played}: {error}") from None
+        return _PLAYED[self.played].changed(**options)
 
     def config(self) -> Config:
         """The parameters, as far as there are such ones by now.

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from time import perf_counter
-from typing import Any, NamedTuple, TypedDict
-
-from typing_extensions import Unpack
+from typing import Any, NamedTuple
 
 from app.border.cache import BorderData
 from app.config import Config
@@ -28,18 +26,9 @@ class RunResult(NamedTuple):
     trace: Trace
 
 
-class RunOptions(TypedDict, total=False):
-    """What a scenario is run with; the defaults are those of `Session`."""
-
-    controller: str
-    """One of `app.control.CONTROLLERS`."""
-    physics: str | None
-    """Kind of plant; None is the default one."""
-    seed: int
-    """Of everything random in the run."""
-
-
-def begin(setting: Setting, robot: RobotModel, **options: Unpack[RunOptions]) -> Session:
+def begin(
+    setting: Setting, robot: RobotModel, controller: str, physics: str | None, seed: int
+) -> Session:
     """A new session at the beginning of a setting; `robot` is without the door that it may hold.
 
     Raises:
@@ -47,20 +36,23 @@ def begin(setting: Setting, robot: RobotModel, **options: Unpack[RunOptions]) ->
         UnknownNameError: No such controller or plant.
     """
     session = Session(
-        setting.model, setting.data, setting.config, plant=robot, door=setting.door, **options
+        setting.model,
+        setting.data,
+        setting.config,
+        controller=controller,
+        physics=physics,
+        seed=seed,
+        plant=robot,
+        door=setting.door,
     )
     session.reset(setting.q_m, setting.base_pose)
     return session
 
 
 def steps_of(
-    model: RobotModel,
-    data: BorderData,
-    scenario: Scenario,
-    config: Config,
-    **options: Unpack[RunOptions],
+    run: Planned, model: RobotModel, data: BorderData
 ) -> Generator[tuple[Session, Step], None, None]:
-    """The control steps of a scenario, one by one, with the session after each.
+    """The control steps of a run, one by one, with the session after each.
 
     The session is closed when the last step has been taken, or the iterator is.
 
@@ -70,8 +62,9 @@ def steps_of(
         ConfigError: The plant has no doors, and the scenario has one.
         UnknownNameError: No such controller or plant.
     """
-    setting = scenario.setting(model, data, config, options.get("seed", 0))
-    session = begin(setting, model, **options)
+    scenario = run.scenario
+    setting = scenario.setting(model, data, run.config, run.seed)
+    session = begin(setting, model, run.controller, run.physics, run.seed)
     try:
         leader = scenario.leader(session)
         for _ in range(round(scenario.duration / DT)):
@@ -80,26 +73,24 @@ def steps_of(
         session.close()
 
 
-def run_scenario(
+def run_planned(
+    run: Planned,
     model: RobotModel,
     data: BorderData,
-    scenario: Scenario,
-    config: Config,
     *,
     on_progress: Callable[[float], None] = lambda _: None,
     on_step: Callable[[Session, Step], None] | None = None,
     drawn: bool = False,
-    **options: Unpack[RunOptions],
 ) -> RunResult:
-    """Run a scenario and take its figures.
+    """Do a run and take its figures; it raises what `steps_of` does.
 
-    Arguments and errors are those of `steps_of`. `on_progress` is called now and then with the
-    simulated time [s], `on_step` after each control step. A trace that is `drawn` has snapshots, to
-    be written and replayed.
+    `on_progress` is called now and then with the simulated time [s], `on_step` after each control
+    step. A trace that is `drawn` has snapshots, to be written and replayed.
     """
+    scenario = run.scenario
     recorder = Recorder(scenario, drawn=drawn)
     begun: float | None = None
-    steps = steps_of(model, data, scenario, config, **options)
+    steps = steps_of(run, model, data)
     with settled(), closing(steps):
         for k, (session, step) in enumerate(steps):
             begun = begun or perf_counter() - step.duration
@@ -113,7 +104,7 @@ def run_scenario(
     trace = recorder.trace()
     figures = {
         "scenario": scenario.name,
-        "controller": options.get("controller", "dbb"),
+        "controller": run.controller,
         "robot": model.description.name,
         "seed": trace.meta.seed,
         "duration_s": scenario.duration,
@@ -124,26 +115,37 @@ def run_scenario(
     return RunResult(figures, trace)
 
 
-def run_planned(planned: Planned, model: RobotModel, data: BorderData, **how: Any) -> RunResult:
-    """Do a run; what else it takes and what it raises stands at `run_scenario`."""
-    return run_scenario(model, data, planned.scenario, planned.config, **planned.driven, **how)
+def run_scenario(
+    model: RobotModel,
+    data: BorderData,
+    scenario: Scenario,
+    config: Config,
+    *,
+    controller: str = "dbb",
+    physics: str | None = None,
+    seed: int = 0,
+    **how: Any,
+) -> RunResult:
+    """Run a scenario of a robot; what else it takes and what it raises stands at `run_planned`."""
+    planned = Planned(model.description.name, scenario, config, controller, physics, seed)
+    return run_planned(planned, model, data, **how)
 
 
 def filmed(
-    steps: Generator[tuple[Session, Step], None, None],
-    scenario: Scenario,
+    run: Planned,
+    model: RobotModel,
+    data: BorderData,
     times: Sequence[float],
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> list[Snapshot]:
     """Snapshots of a run up to the last of some times [s], those at the times themselves included.
 
-    The steps, as `steps_of` gives them, are ended here. `on_progress` is called now and then with
-    the simulated time [s].
+    `on_progress` is called now and then with the simulated time [s].
     """
-    last = round(scenario.duration / DT) - 1
+    last = round(run.scenario.duration / DT) - 1
     wanted = {min(round(t / DT), last) for t in times}
-    recorder = Recorder(scenario, quantities=(), drawn=True, also=wanted)
-    with closing(steps):
+    recorder = Recorder(run.scenario, quantities=(), drawn=True, also=wanted)
+    with closing(steps_of(run, model, data)) as steps:
         for k, (session, step) in enumerate(steps):
             recorder.add(session, step)
             if k % 100 == 0:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from dataclasses import replace
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -22,6 +22,7 @@ import viser
 from PIL import Image, ImageDraw, ImageFont
 
 from app.border.dbb import Cloud
+from app.dashboard.export import Look
 from app.dashboard.export.browser import new_context
 from app.dashboard.scene.camera import PRESETS, Window, lens_of, placed, set_first_look
 from app.dashboard.scene.canvas import Lens
@@ -44,8 +45,6 @@ BARRIER = "/sent"
 """Scene node whose place tells the page how much has been sent."""
 ONLY_SCENE = "body * { visibility: hidden !important; } canvas { visibility: visible !important; }"
 TIMEOUT = 60.0  # [s] for a page to open or a picture to arrive
-LAYERS = ("determinant", "reachability", "score", "none")
-"""What a border may be coloured by; without a border, none."""
 RATE = 25.0  # [Hz] pictures of a second of a replay
 _TEXTS_EVERY = 5  # pictures between two renewals of labels and trails
 INK: dict[bool, Rgb] = {True: (240, 240, 245), False: (25, 30, 38)}
@@ -66,27 +65,6 @@ CODECS = {
 """By the ending of a file: its codecs, the usual one first, each with what ffmpeg needs."""
 _EVEN = "crop=trunc(iw/2)*2:trunc(ih/2)*2"
 """Both have two chroma samples a pixel row and column."""
-
-
-class Look(NamedTuple):
-    """What a picture shows.
-
-    Attributes:
-        width, height: [px].
-        layer: What the border is coloured by, one of `LAYERS`.
-        pair: Name of the pair of L_m whose border it is; the first one by default.
-        view: Where from, a key of `app.dashboard.scene.camera.PRESETS`.
-        dark: A dark ground, else a light one.
-        page: The whole dashboard, else the scene alone.
-    """
-
-    width: int = 1280
-    height: int = 720
-    layer: str = "score"
-    view: str = "iso"
-    dark: bool = True
-    page: bool = False
-    pair: str = ""
 
 
 class RecordedLoop:
@@ -168,7 +146,7 @@ class OffscreenScene:
 
 
 def choose_layer(view: View, layer: str, pair: str = "") -> None:
-    """Colour the border that is drawn, or that of the pair named, by one of `LAYERS`."""
+    """Colour the border that is drawn, or that of the pair named, by a `Look.layer`."""
     for each, quantity in view.borders.items():
         if each == pair or (not pair and quantity != HIDDEN):
             view.borders[each] = HIDDEN if layer == "none" else layer

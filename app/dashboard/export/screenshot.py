@@ -12,13 +12,13 @@ import viser
 from PIL import Image, ImageDraw
 
 from app.border.dbb import Cloud
+from app.dashboard.export import Look
 from app.dashboard.export.browser import chromium
 from app.dashboard.export.offscreen import (
     BARRIER,
     INK,
     ONLY_SCENE,
     TIMEOUT,
-    Look,
     OffscreenScene,
     RecordedLoop,
     choose_layer,
@@ -103,7 +103,7 @@ def page_picture(
     Raises:
         BrowserError: There is no browser, or it fails.
     """
-    look = Look(*size, dark=viewpoint.view.dark, page=True)
+    look = Look(*size, page=True, light=not viewpoint.view.dark)
     times = [snapshots[-1].t]
     with chromium() as browser:
         [picture] = take_pictures(

@@ -10,12 +10,13 @@ from functools import partial
 from html import escape
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import viser
 from PIL import Image
 
-from app.dashboard.export.offscreen import CODECS, Look
+from app.dashboard.export import Look, Side
+from app.dashboard.export.offscreen import CODECS
 from app.dashboard.job import (
     FILM_RATE,
     Job,
@@ -177,7 +178,8 @@ class SavePanel(FilePanel):
 
     def _film(self) -> bytes:
         """A film of the log, by a process that has a browser."""
-        look = Look(*self._size(), view=self._film_from.value, dark=self._viewer.view.dark)
+        view = cast("Side", self._film_from.value)
+        look = Look(*self._size(), view=view, light=not self._viewer.view.dark)
         return self._of_log(f"film{self._film_as.value}", write_film_of, look)
 
     def _write(self, path: Path) -> Path:

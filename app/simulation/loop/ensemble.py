@@ -9,7 +9,7 @@ import numpy as np
 
 from app.config import Config
 from app.errors import TargetError
-from app.simulation.case import RunCase
+from app.simulation.case import Planned, RunCase
 from app.simulation.loop.commands import Compare, Pull
 from app.simulation.people import Hold, PersonForces
 from app.simulation.run import begin
@@ -234,10 +234,9 @@ class Ensemble:
                 self._pulled.append(Pulled(step, who, (x, y, z), held.link, held.point))
 
     def _keep_case(self, scenario: Scenario) -> None:
-        main = self.main
-        of_run = {"controller": main.controller.name, "physics": main.kind, "seed": main.seed}
-        robot = self._free.model.description.name
-        self._case = main.t, RunCase.of(scenario, self._config, robot=robot, **of_run)
+        main, robot = self.main, self._free.model.description.name
+        run = robot, scenario, self._config, main.controller.name, main.kind, main.seed
+        self._case = main.t, RunCase.of(Planned(*run))
 
     def _let_go(self) -> None:
         if self._pulled is not None and self.scenario is not None:
@@ -313,7 +312,7 @@ class Ensemble:
 
     def _new_session(self, setting: Setting, controller: str) -> Session:
         free = self._free
-        return begin(setting, free.model, controller=controller, physics=free.kind, seed=free.seed)
+        return begin(setting, free.model, controller, free.kind, free.seed)
 
 
 class Runner:

@@ -15,12 +15,11 @@ from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
 from time import monotonic
-from typing import NamedTuple
 
 import numpy as np
 
 from app.errors import LoopError
-from app.jobs.process import Child, portable
+from app.jobs.process import Child, Outcome, portable
 from app.simulation.loop.loop import LiveLoop, SimulationLoop
 from app.simulation.loop.pacing import settled
 from app.simulation.session import Session
@@ -37,36 +36,13 @@ _SWITCH = 2e-4  # [s] after which the loop's thread gets its turn from the one t
 _NICENESS = -10  # [-] wished for; browsers give their drawing -8 where they may
 
 
-class RemoteTraceback(Exception):  # noqa: N818 - the text of one, not an error by itself
-    """Cause of an error that comes from another process: its traceback there."""
-
-    def __str__(self) -> str:
-        """The text on lines of its own."""
-        return f"\n{self.args[0]}"
-
-
-class _Started(NamedTuple):
-    """The loop has begun."""
-
-    links: tuple[str, ...]
-    """Where the arm can be held."""
-
-
-class _Failure(NamedTuple):
-    """The loop has ended with an error."""
-
-    error: BaseException
-    traceback: str
-    """As it would have been printed."""
-
-
 def loop_child() -> Child:
     """A process that waits for a session to simulate; it does so once.
 
     Its imports take a second or two. Whoever knows early that there will be a simulation begins the
     process before anything else, and gives it to the `ProcessLoop` later. It takes how to make the
-    session and the arm's start, then commands; it gives `_Started`, then snapshots, None in between
-    as a sign of life, and a `_Failure` if it came to one.
+    session and the arm's start, then commands; it gives the outcome of starting, which is where the
+    arm can be held, then snapshots, None in between as a sign of life, and the outcome at the end.
     """
     return Child(_run_loop)
 
@@ -141,14 +117,13 @@ class ProcessLoop(LiveLoop):
         while True:
             received = snapshots.recv()
             self._alive = monotonic()
-            if isinstance(received, _Failure):
-                received.error.__cause__ = RemoteTraceback(received.traceback)
-                self.error = received.error
-                return
-            if isinstance(received, _Started):
-                self.links = received.links
-                continue
-            if received is not None:
+            if isinstance(received, Outcome):
+                try:
+                    self.links = received.value()
+                except BaseException as error:  # handed to the user by whoever holds the loop
+                    self.error = error
+                    return
+            elif received is not None:
                 if self._ready.is_set() and received.config == self.latest().config:
                     # One configuration in memory, not one with each snapshot.
                     received = replace(received, config=self.latest().config)
@@ -168,7 +143,7 @@ def _run_loop(commands: Connection, snapshots: Connection) -> None:
     try:
         with suppress(LoopError):  # posted below
             loop.start()
-            snapshots.send(_Started(loop.links))
+            snapshots.send(Outcome(loop.links))
         gc.collect()  # what is garbage already would stay with the rest
         with settled(), suppress(EOFError, OSError):
             _post(loop, commands, snapshots)
@@ -196,4 +171,4 @@ def _post(loop: SimulationLoop, commands: Connection, snapshots: Connection) -> 
             with suppress(LoopError):  # too many at once, on top of those that the parent held
                 loop.send(commands.recv())
     trace = "".join(traceback.format_exception(loop.error))
-    snapshots.send(_Failure(portable(loop.error), trace))
+    snapshots.send(Outcome((), portable(loop.error), trace))

@@ -129,14 +129,17 @@ class Scenario(ABC):
         """A copy with some fields changed; None keeps what is.
 
         Raises:
-            ConfigError: This scenario has no such field.
+            ConfigError: This scenario has no such field, or it cannot have that value.
         """
         given = {name: value for name, value in changes.items() if value is not None}
         known = {field.name for field in fields(self)} - {"name", "about"}
         for name in given:
             if name not in known:
                 raise self.without(name)
-        return replace(self, **given)
+        try:
+            return replace(self, **given)
+        except (TypeError, ValueError) as error:  # a text for a number, a point of two numbers
+            raise ConfigError(f"options of {self.name}: {error}") from None
 
     def without(self, name: str) -> ConfigError:
         """The refusal of an option that this scenario does not have."""

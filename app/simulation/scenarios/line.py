@@ -104,7 +104,7 @@ class LineScenario(Scenario):
         """
         duration, release = changes.get("duration"), changes.get("release_at")
         released = (self.release_at if release is None else release) is not None
-        if released and duration is not None and math.isfinite(duration) and duration > 0.0:
+        if released and isinstance(duration, int | float) and 0.0 < duration < math.inf:
             changes.setdefault("moving", self.moving * self.duration / duration)
         return super().changed(**changes)
 

@@ -92,7 +92,7 @@ def figure_12(sources: Sources) -> drawing.Drawing:
     detail.set_yscale("log")
     detail.set_ylim(max(1e-9, detail.get_ylim()[0]), None)
     for ax in grid.flat:
-        style.time_axis(ax, TRACKING.full().duration)
+        style.time_axis(ax, TRACKING.scenario.duration)
     for ax in grid[0]:
         ax.set_xlabel("")
     grid[0][0].legend(loc="lower left")
@@ -114,7 +114,7 @@ def figure_13(sources: Sources) -> drawing.Drawing:
     """
     strips = []
     for name, e in DIRECTIONS.items():
-        times = [round(share * e.full().duration, 1) for share in _SHARES]
+        times = [round(share * e.scenario.duration, 1) for share in _SHARES]
         text = f"guided from the {name} direction"
         strips.append(drawing.Strip(name, text, sources.runs[e], times, _VIEWS[e], e.aim()))
     return drawing.Drawing(
@@ -141,7 +141,7 @@ def figure_14(sources: Sources) -> drawing.Drawing:
             activation.plot(part["t_s"], part[f"beta_{pair}"], **line)
         _distance_panel(distance, sources, f"a{k + 1}", f"distances, {name} direction")
         style.panel_title(activation, f"b{k + 1}", f"activation, {name} direction")
-        style.time_axis(activation, DIRECTIONS[name].full().duration)
+        style.time_axis(activation, DIRECTIONS[name].scenario.duration)
     grid[0][1].set_ylabel("")
     grid[0][0].set_ylim(0.0, None)
     grid[1][0].set_ylabel(r"activation $\beta$ [–]")
@@ -168,7 +168,7 @@ def figure_15(sources: Sources) -> drawing.Drawing:
             unit = "mps2" if kind == "linear" else "radps2"
             drawing.method_lines(ax, parts, f"{kind}_{unit}", linewidth=1.6)
             style.panel_title(ax, f"{letter}{k + 1}", f"{kind}, {name} direction")
-        style.time_axis(grid[1][k], DIRECTIONS[name].full().duration)
+        style.time_axis(grid[1][k], DIRECTIONS[name].scenario.duration)
     grid[0][0].set_ylabel(r"$\beta_m\,\dot v_d$ [m/s²]")
     grid[1][0].set_ylabel(r"$\beta_m\,\dot\omega_d$ [rad/s²]")
     _legend_below(figure, grid[0][0])
@@ -334,7 +334,7 @@ def figure_18(sources: Sources) -> drawing.Drawing:
     distance, activation = figure.subplots(1, 2)
     for ax, column in zip((distance, activation), columns[1:], strict=True):
         drawing.method_lines(ax, dict(reversed(parts.items())), column)
-        style.time_axis(ax, DOOR.full().duration)
+        style.time_axis(ax, DOOR.scenario.duration)
     _distance_panel(distance, sources, "a", "distance between door and base")
     style.level(distance, 0.0, "contact")
     activation.set_ylabel(r"activation $\beta$ [–]")
@@ -385,7 +385,7 @@ def arc(run: RunResult) -> Array:
 
 
 def _door() -> Door:
-    scenario = DOOR.full()
+    scenario = DOOR.scenario
     assert isinstance(scenario, RefrigeratorScenario)
     return scenario.door
 

@@ -289,7 +289,7 @@ def from_any_direction(s: Sources) -> Findings:
         run, of = s.runs[experiment], name.replace(", ", "_").replace(" ", "_") + "_"
         yield _moved(run, f"{name}: base moves", of)
         yield _clear(run, of=of)
-        if experiment.scenario == "tracking":  # nobody leads the hand
+        if experiment.scenario.name == "tracking":  # nobody leads the hand
             yield _error(run, of, most=REACHED)
 
 

@@ -112,7 +112,7 @@ def run_at_50_000(sources: Sources) -> dict[str, Any]:
         for pair in sources.data.pairs.mobile
     }
     data = replace(sources.data, clouds=clouds)
-    return run_planned(experiment.planned(), sources.model, data).figures
+    return run_planned(experiment, sources.model, data).figures
 
 
 def thinned_cloud(cloud: Cloud, share: float) -> Cloud:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
+from typing_extensions import Self
 
 from app.avoidance.mobile_acceleration import ActingPoint, ActingPointFinder, avoidance_force
 from app.border.cache import BorderData, load_border_data
@@ -23,8 +24,7 @@ from app.robot.link_pairs import Closest, Pair, PairDistances
 from app.robot.model import RobotModel
 from app.simulation.case import Planned
 from app.simulation.run import RunResult, run_planned
-from app.simulation.scenarios import scenario_by_name
-from app.simulation.scenarios.leading import Scenario
+from app.simulation.scenarios import LINES, scenario_by_name
 from app.simulation.scenarios.line import LineScenario, Point
 from app.studies.runs import thinned
 
@@ -34,60 +34,54 @@ ROBOT = "husky_panda"
 """The paper's robot."""
 
 
-class Experiment(NamedTuple):
-    """A scenario with a controller, as `dbb run` takes them.
+class Experiment(Planned):
+    """A run of the paper's robot, as `dbb run` does it."""
 
-    Attributes:
-        scenario: Name of the scenario.
-        controller: Name of the controller.
-        start: [m] where the hand starts, if not where the scenario says.
-        points: Whether the border is the paper's cloud of points and not the surface through it.
-        move: [m] how far it is led, if not as far as the scenario says.
-    """
+    __slots__ = ()
 
-    scenario: str
-    controller: str
-    start: Point | None = None
-    points: bool = False
-    move: Point | None = None
+    @classmethod
+    def of(cls, scenario: str, controller: str, *, points: bool = False, **line: Point) -> Self:
+        """The run of a scenario by its name.
+
+        Args:
+            scenario: Name of the scenario.
+            controller: Name of the controller.
+            points: Whether the border is the paper's points and not the surface through them.
+            line: `start` and `move` [m] of the hand, if not those of the scenario.
+        """
+        config = Config().replace("border.kind", "points") if points else Config()
+        return cls(ROBOT, scenario_by_name(scenario).changed(**line), config, controller)
 
     @property
     def name(self) -> str:
         """As in `tracking, dbb`."""
-        start = "" if self.start is None else " from ({:g}, {:g}, {:g}) m".format(*self.start)
-        border = ", border of points" if self.points else ""
-        return f"{self.scenario}{start}, {self.controller}{border}"
-
-    def full(self) -> Scenario:
-        """The scenario with its start and its way."""
-        return scenario_by_name(self.scenario).changed(start=self.start, move=self.move)
-
-    def config(self) -> Config:
-        """The parameters: the defaults, but for the kind of border."""
-        return Config().replace("border.kind", "points") if self.points else Config()
-
-    def planned(self, **changes: Any) -> Planned:
-        """The run, with some of its parts changed."""
-        return Planned(ROBOT, self.full(), self.config(), self.controller)._replace(**changes)
+        scenario, start = self.scenario, ""
+        if isinstance(scenario, LineScenario) and scenario.start != LINES[scenario.name].start:
+            start = " from ({:g}, {:g}, {:g}) m".format(*scenario.start)
+        border = ", border of points" if self.config.border.kind == "points" else ""
+        return f"{scenario.name}{start}, {self.controller}{border}"
 
     def aim(self) -> Array:
         """(2, 3) [m] where the hand is led from and to, in the world."""
-        scenario = self.full()
-        assert isinstance(scenario, LineScenario), f"{self.scenario} leads along no line"
+        scenario = self.scenario
+        assert isinstance(scenario, LineScenario), f"{scenario.name} leads along no line"
         return np.array([scenario.start, np.add(scenario.start, scenario.move)])
 
 
-TRACKING = Experiment("tracking", "dbb")
-TRACKING_REPULSIVE = Experiment("tracking", "repulsive")
-TRACKING_NONE = Experiment("tracking", "none")
-WHEEL_AXIS = Experiment("tracking", "dbb", start=(0.0, 0.68, 0.30))
+TRACKING = Experiment.of("tracking", "dbb")
+TRACKING_REPULSIVE = Experiment.of("tracking", "repulsive")
+TRACKING_NONE = Experiment.of("tracking", "none")
+WHEEL_AXIS = Experiment.of("tracking", "dbb", start=(0.0, 0.68, 0.30))
 """The hand comes along the wheel axis, along which the base cannot move at once."""
-WHEEL_AXIS_RIGHT = Experiment("tracking", "dbb", (0.0, -0.68, 0.30), move=(0.0, 0.2, 0.0))
-LATERAL = Experiment("guiding-lateral", "dbb")
-FRONT = Experiment("guiding-front", "dbb")
+WHEEL_AXIS_RIGHT = Experiment.of("tracking", "dbb", start=(0.0, -0.68, 0.30), move=(0.0, 0.2, 0.0))
+LATERAL = Experiment.of("guiding-lateral", "dbb")
+FRONT = Experiment.of("guiding-front", "dbb")
 GUIDING = {
     "dbb": {"lateral": LATERAL, "front": FRONT},
-    "points": {"lateral": LATERAL._replace(points=True), "front": FRONT._replace(points=True)},
+    "points": {
+        "lateral": Experiment.of("guiding-lateral", "dbb", points=True),
+        "front": Experiment.of("guiding-front", "dbb", points=True),
+    },
     "repulsive": {
         "lateral": LATERAL._replace(controller="repulsive"),
         "front": FRONT._replace(controller="repulsive"),
@@ -96,8 +90,8 @@ GUIDING = {
 """By the method's name and the direction from which the hand is led."""
 COMPARED = tuple(each for by_direction in GUIDING.values() for each in by_direction.values())
 """Figure 15's experiments."""
-DOOR = Experiment("refrigerator", "dbb")
-DOOR_NONE = Experiment("refrigerator", "none")
+DOOR = Experiment.of("refrigerator", "dbb")
+DOOR_NONE = Experiment.of("refrigerator", "none")
 
 
 Runs = dict[Experiment, RunResult]
@@ -208,7 +202,7 @@ def run_experiments(
         UnreachableError: No start of the arm for one of them.
     """
     # The longest ones first: so the processes end together.
-    todo = sorted(set(experiments), key=lambda e: (-e.full().duration, e.name))
+    todo = sorted(set(experiments), key=lambda e: (-e.scenario.duration, e.name))
     runs: Runs = {}
     with Workers(load_sources, min(processes, max(len(todo), 1))) as workers:
         for experiment, run in zip(todo, workers.map(partial(_run, seed), todo), strict=True):
@@ -219,8 +213,8 @@ def run_experiments(
 
 def duration(experiments: Iterable[Experiment]) -> float:
     """[s] simulated time of all of them together."""
-    return sum(e.full().duration for e in set(experiments))
+    return sum(e.scenario.duration for e in set(experiments))
 
 
 def _run(seed: int, sources: Sources, experiment: Experiment) -> RunResult:
-    return thinned(run_planned(experiment.planned(seed=seed), sources.model, sources.data))
+    return thinned(run_planned(experiment._replace(seed=seed), sources.model, sources.data))

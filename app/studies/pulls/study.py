@@ -151,8 +151,7 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
     kept = set()
     for row in filter(failed, rows):
         run, path = planned_of(row, parameters), folder / f"case-{row['case']:05d}.json"
-        case = RunCase.of(run.scenario, run.config, robot=run.robot, **run.driven)
-        write_whole(path, case.text())
+        write_whole(path, RunCase.of(run).text())
         kept.add(path)
     for path in set(folder.glob("case-*.json")) - kept:
         path.unlink()
