@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
 from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
@@ -15,7 +16,7 @@ from app.config import Config
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.simulation.run import run_scenario
+from app.simulation.run import steps_of
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.posture import PostureSearch, manipulability
 from app.simulation.scenarios.start import StartSolver
@@ -246,12 +247,16 @@ def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> b
     would take the hand along.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
+    moved = 0.0
     try:
-        figures = run_scenario(model, data, line, Config(), physics="kinematic").figures
+        with closing(steps_of(model, data, line, Config(), physics="kinematic")) as steps:
+            for _, step in steps:
+                if min(step.distances[: len(data.pairs.mobile)]) < CLEARANCE:
+                    return False  # the rest of the run cannot mend it
+                moved = float(np.hypot(*step.truth.base_pose[:2]))
     except UnreachableError:
         return False
-    moved, near = figures["base_displacement_m"], figures["min_clearance_m"]
-    return bool(moved >= GIVES_WAY and near >= CLEARANCE)
+    return moved >= GIVES_WAY
 
 
 class _Guide:
