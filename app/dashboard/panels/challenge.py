@@ -49,6 +49,7 @@ class ChallengePanel(FilePanel):
 
     def update(self, moment: Moment) -> None:
         """Renew the texts; look at a challenge that has ended."""
+        super().update(moment)
         challenge, course = self._shared.challenge, self._shared.course
         under_way = course.running and course.name == CHALLENGE.name
         if not under_way and course.case is not None and course.case.played == CHALLENGE.name:
