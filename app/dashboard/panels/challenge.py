@@ -113,7 +113,7 @@ def challenge_html(challenge: Challenge, course: Course) -> str:
         known = {each.controller for each in challenge.tried if each.figures}
         shares = {name: f"{100 * share:.0f} %" for name, share in challenge.shares.items()}
         far = (f"{name} {share}" for name, share in shares.items() if name not in known)
-        state = f"Played again, step by step: {', '.join(far)}"
+        state = f"Played again, step by step: {', '.join(far) or 'begins'}"
     table = grid(("", "least", "pull", "hand"), rows)
     same = "Pulled to the same places, each controller:"
     return framed(f"<b>{text}.</b><br>{same}{table}{state}{challenge.problem}", css(colour))
