@@ -49,6 +49,7 @@ class ChallengePanel(FilePanel):
 
     def update(self, moment: Moment) -> None:
         """Renew the texts; look at a challenge that has ended."""
+        super().update(moment)
         challenge, course = self._shared.challenge, self._shared.course
         under_way = course.running and course.name == CHALLENGE.name
         if not under_way and course.case is not None and course.case.played == CHALLENGE.name:
@@ -112,7 +113,7 @@ def challenge_html(challenge: Challenge, course: Course) -> str:
         known = {each.controller for each in challenge.tried if each.figures}
         shares = {name: f"{100 * share:.0f} %" for name, share in challenge.shares.items()}
         far = (f"{name} {share}" for name, share in shares.items() if name not in known)
-        state = f"Played again, step by step: {', '.join(far)}"
+        state = f"Played again, step by step: {', '.join(far) or 'begins'}"
     table = grid(("", "least", "pull", "hand"), rows)
     same = "Pulled to the same places, each controller:"
     return framed(f"<b>{text}.</b><br>{same}{table}{state}{challenge.problem}", css(colour))
