@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import secrets
 import signal
 import sys
 import threading
@@ -141,8 +142,8 @@ def whole_file(path: Path) -> Iterator[Path]:
         OutputError: It cannot be written, as on a full disk; what was there before is still there.
     """
     real = Path(os.path.realpath(path))
-    # The name is of one thread: two that write the same file do not write into each other's.
-    beside = real.with_name(f".new-{threading.get_native_id()}-{path.name}")
+    # Two that write the same file, be it from two machines, do not write into each other's.
+    beside = real.with_name(f".new-{secrets.token_hex(4)}-{path.name}")
     try:
         if is_no_file(path):
             raise OutputError(f"cannot write {path}: it is no file")

@@ -237,6 +237,15 @@ def test_a_link_that_is_written_to_stays_one_and_no_device_is_replaced(tmp_path:
     assert left == {"data", "newest.csv", "pipe.csv", "today.csv"}
 
 
+def test_two_who_write_one_file_at_once_do_not_write_into_each_others(tmp_path: Path) -> None:
+    """As two containers that share a cache, in each of which the first thread has number 1."""
+    with system.whole_file(tmp_path / "a") as one, system.whole_file(tmp_path / "a") as other:
+        one.write_text("whole")
+        other.write_text("hal")
+    assert (tmp_path / "a").read_text() == "whole"
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
 def test_a_temporary_folder_that_is_none_is_forgotten(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
