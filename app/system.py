@@ -99,14 +99,18 @@ def wake_without_parent() -> None:
 
 
 def wake_children() -> None:
-    """Processes that this one has started and that are stopped go on, where the system lists them.
+    """All that this process has started and that is stopped goes on, where the system lists it.
 
-    A foreign one, as a browser's driver, could not learn otherwise that it has to end.
+    What is foreign, as a browser and its driver, could not learn otherwise that it has to end.
     """
-    for listed in Path("/proc/self/task").glob("*/children"):
-        with suppress(OSError):  # the thread has just ended, or the process
-            for child in listed.read_text().split():
-                os.kill(int(child), signal.SIGCONT)
+    found = [os.getpid()]
+    for parent in found:
+        for listed in Path(f"/proc/{parent}/task").glob("*/children"):
+            with suppress(OSError):  # the thread has just ended
+                found += map(int, listed.read_text().split())
+    for child in found[1:]:
+        with suppress(OSError):  # it has just ended
+            os.kill(child, signal.SIGCONT)
 
 
 def end_group(leader: int, *, at_once: bool) -> None:
