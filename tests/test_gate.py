@@ -10,6 +10,7 @@ import math
 import socket
 import urllib.error
 import urllib.request
+import warnings
 from contextlib import contextmanager, suppress
 from types import SimpleNamespace
 from typing import get_type_hints
@@ -545,6 +546,16 @@ def test_whatever_a_camera_message_holds_it_is_whole_and_finite_or_refused(chang
     numbers = [*read.wxyz, *read.position, *read.look_at, *read.up_direction, read.fov]
     assert len(numbers) == 14
     assert all(map(math.isfinite, numbers))
+
+
+def test_what_is_still_said_to_a_viewer_who_has_gone_is_lost_without_a_word():
+    with warnings.catch_warnings(record=True) as told, served() as server:
+        with RawClient(f"http://127.0.0.1:{server.get_port()}"):
+            wait_for(server.get_clients, what="the client")
+            [client] = server.get_clients().values()
+        wait_for(lambda: not server.get_clients(), what="he has gone")
+        client.gui.add_text("x", "")
+    assert [str(each.message) for each in told] == []
 
 
 def sent_by_nobody(kind, server, client):

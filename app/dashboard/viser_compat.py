@@ -12,6 +12,7 @@ import json
 import logging
 import math
 import time
+import warnings
 from collections.abc import Callable
 from types import NoneType
 from typing import Any, ClassVar, NamedTuple
@@ -94,6 +95,7 @@ def open_server(host: str, port: int, largest_upload: int = 0) -> viser.ViserSer
     logging.getLogger("websockets").setLevel(logging.WARNING)  # every viewer's coming and going
     for name in ("websockets.server", "asyncio"):
         logging.getLogger(name).addFilter(_knocks)  # the same one is added once
+    warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # who has just gone
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private
     gate = Gate(host, largest_upload)
     with _silence(), gate.closed():
