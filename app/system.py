@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import secrets
 import signal
 import sys
 import threading
@@ -98,14 +99,18 @@ def wake_without_parent() -> None:
 
 
 def wake_children() -> None:
-    """Processes that this one has started and that are stopped go on, where the system lists them.
+    """All that this process has started and that is stopped goes on, where the system lists it.
 
-    A foreign one, as a browser's driver, could not learn otherwise that it has to end.
+    What is foreign, as a browser and its driver, could not learn otherwise that it has to end.
     """
-    for listed in Path("/proc/self/task").glob("*/children"):
-        with suppress(OSError):  # the thread has just ended, or the process
-            for child in listed.read_text().split():
-                os.kill(int(child), signal.SIGCONT)
+    found = [os.getpid()]
+    for parent in found:
+        for listed in Path(f"/proc/{parent}/task").glob("*/children"):
+            with suppress(OSError):  # the thread has just ended
+                found += map(int, listed.read_text().split())
+    for child in found[1:]:
+        with suppress(OSError):  # it has just ended
+            os.kill(child, signal.SIGCONT)
 
 
 def end_group(leader: int, *, at_once: bool) -> None:
@@ -141,8 +146,8 @@ def whole_file(path: Path) -> Iterator[Path]:
         OutputError: It cannot be written, as on a full disk; what was there before is still there.
     """
     real = Path(os.path.realpath(path))
-    # The name is of one thread: two that write the same file do not write into each other's.
-    beside = real.with_name(f".new-{threading.get_native_id()}-{path.name}")
+    # Two that write the same file, be it from two machines, do not write into each other's.
+    beside = real.with_name(f".new-{secrets.token_hex(4)}-{path.name}")
     try:
         if is_no_file(path):
             raise OutputError(f"cannot write {path}: it is no file")

@@ -136,7 +136,7 @@ class _Measurement:
         result |= {"first_megabytes": self._sent / 1e6}
         result |= {f"idle_{k}": v for k, v in self._over(tab, lambda: None).items()}
         result["picture_ms"] = self._picture(tab)
-        self._loop.send(Play.named("guiding-front"))
+        self._loop.send(Play(scenario_by_name("guiding-front")))
         time.sleep(1.0)
         result |= {f"playing_{k}": v for k, v in self._over(tab, lambda: None).items()}
         result |= self._drag(tab)
@@ -144,7 +144,7 @@ class _Measurement:
         tab = self._open(LARGE)
         tab.open_tab("Plots")
         time.sleep(SETTLED)
-        self._loop.send(Play.named("guiding-front"))
+        self._loop.send(Play(scenario_by_name("guiding-front")))
         result |= {f"plots_{k}": v for k, v in self._over(tab, lambda: None).items()}
         tab.close()
         return result | {"page_errors": tab.errors}

@@ -47,7 +47,8 @@ def download(tab: DashboardTab, button: str, folder: Path) -> Path:
         tab.click(button)
     path = folder / coming.value.suggested_filename
     coming.value.save_as(path)
-    tab.page.get_by_text("is being made …").wait_for(state="hidden", timeout=PATIENCE)
+    job = next(iter(tab.pages.values())).viewer.files
+    wait_for(lambda: job.progress is None, what="the end of the work")
     return path
 
 
@@ -111,10 +112,17 @@ def test_a_replay_moves_the_robot_from_a_file_with_the_network_off(tab, tmp_path
 
 
 def test_a_film_is_made_with_progress_and_can_be_cancelled(tab, tmp_path):
-    job = next(iter(tab.pages.values())).viewer.files
+    page = next(iter(tab.pages.values()))
+    job = page.viewer.files
+    page.timeline.go_to(END)
+    tab.page.locator("#dbb-past").wait_for()
     tab.choose("Film as", ".gif")
     tab.click("Film")
     tab.page.get_by_text("Film: ").filter(visible=True).first.wait_for(timeout=PATIENCE)
+    tab.page.keyboard.press("Escape")
+    wait_for(
+        lambda: page.timeline.live, what="now: nothing lies over the scene that it would close"
+    )
     tab.click("Cancel")
     wait_for(lambda: job.progress is None, what="the end of the work")
     tab.page.get_by_role("button", name="Cancel").wait_for(state="hidden", timeout=PATIENCE)

@@ -126,4 +126,10 @@ def test_a_visitor_explores_postures_and_clicks_the_border(browser):
         wait_for(lambda: Pause(False) in served.loop.commands, what="the start")
         [reset] = [c for c in served.loop.commands if isinstance(c, Reset) and c.q_m]
         assert reset.q_m[3] != pytest.approx(before[3])
+        tab.click("Stop and explore")
+        wait_for(lambda: page.explorer_panel.posture is not None, what="a posture")
+        wait_for(lambda: served.loop.latest().paused, what="a pause")
+        served.loop.send(Reset())
+        assert served.loop.latest().paused
+        wait_for(lambda: page.explorer_panel.posture is None, what="the robot, which begins anew")
         assert tab.errors == []

@@ -1,5 +1,6 @@
 """The challenge: what a visitor pulls is kept, played again by others, and told as it was."""
 
+import threading
 from functools import partial
 from pathlib import Path
 
@@ -43,6 +44,32 @@ def test_it_says_honestly_who_has_won():
     assert "31 mm" in kept
     assert "−10 mm" in kept
     assert "Nobody pulled" in html()
+
+
+def test_what_was_seen_is_told_at_once_and_each_controller_when_it_is_known(monkeypatch):
+    """`none` is played again before the others, and the seen figures are replaced by exact ones."""
+    course, gate, asked = Course(), threading.Event(), []
+    course.least, course.pull = 0.04, 38.0
+
+    def again(_, work, text, name):
+        asked.append(name)
+        gate.wait(10.0)
+        return tried(name, 0.039 if name == "dbb" else -0.01, met=name == "none")
+
+    monkeypatch.setattr(Challenge, "run", again)
+    challenge = Challenge()
+    scenario = CHALLENGE.changed(pulls=((20, 0, (0.5, 0.0, 0.3)),))
+    case = RunCase.of(scenario, Config(), robot="husky_panda", controller="dbb", physics="planar")
+    challenge.take(case, course)
+    assert [each.controller for each in challenge.tried] == ["dbb"]
+    assert "kept 40 mm" in challenge_html(challenge, Course())
+    gate.set()
+    wait_for(lambda: challenge.progress is None, 10.0)
+    assert asked[0] == "none"
+    assert [each.controller for each in challenge.tried] == ["dbb", "none", "repulsive", "barrier"]
+    assert "kept 39 mm" in challenge_html(challenge, Course())
+    assert challenge.case is not None
+    assert challenge.case.figures
 
 
 def test_the_card_shows_what_came_of_it():

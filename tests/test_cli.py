@@ -600,3 +600,33 @@ def wait_for(stream, text: str) -> None:
         character = stream.read(1)
         assert character, f"ended before {text!r}: {seen}"
         seen += character
+
+
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (MemoryError("of 9 GB"), "too little memory: of 9 GB"),
+        (ImportError("a.so: failed to map segment", path="/x/a.so"), "a.so: failed to map segment"),
+    ],
+    ids=["memory", "library"],
+)  # as under `ulimit -v`, or where a system's library is missing
+def test_what_the_system_does_not_give_is_one_line(error, told, monkeypatch, capsys):
+    def fails(_):
+        raise error
+
+    monkeypatch.setattr(sys.modules[main.__module__], "_run", fails)
+    with pytest.raises(SystemExit) as end:
+        main(["run"])
+    said = capsys.readouterr().err
+    assert end.value.code == 2
+    assert said.startswith("dbb: error: ")
+    assert said.endswith(f"{told}\n")
+
+
+def test_a_mistake_in_an_import_keeps_its_way(monkeypatch):
+    def fails(_):
+        raise ImportError("cannot import name 'x'", path="/x/app/a.py")
+
+    monkeypatch.setattr(sys.modules[main.__module__], "_run", fails)
+    with pytest.raises(ImportError):
+        main(["run"])

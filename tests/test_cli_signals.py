@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -103,8 +104,9 @@ def test_a_second_signal_does_not_interrupt_what_is_tidied_up(monkeypatch, capsy
 
 
 DEAF = r"""
-import ctypes, os
+import ctypes, os, tempfile
 from app.jobs.progress import ending_signals_raised
+kept = tempfile.TemporaryDirectory()
 lock = ctypes.create_string_buffer(256)
 ctypes.CDLL(None).pthread_mutex_init(lock, None)
 with ending_signals_raised():
@@ -118,12 +120,16 @@ with ending_signals_raised():
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
-def test_a_command_ends_by_its_signal_whatever_holds_its_main_thread(number):
-    process = subprocess.Popen([sys.executable, "-c", DEAF], stdout=subprocess.PIPE)
+def test_a_command_ends_by_its_signal_whatever_holds_its_main_thread(number, tmp_path):
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    process = subprocess.Popen(
+        [sys.executable, "-c", DEAF], stdout=subprocess.PIPE, env=environment
+    )
     assert process.stdout is not None
     assert process.stdout.readline() == b"started\n"
     process.send_signal(number)
     assert process.wait(timeout=30) == 128 + number
+    assert list(tmp_path.iterdir()) == [], "temporary folders go"
 
 
 LATE = r"""

@@ -310,7 +310,7 @@ def test_a_page_that_fails_ends_alone(dashboard, step, monkeypatch, caplog):
                 wait_for(lambda: "a defect of one page" in caplog.text)
                 before = dashboard.pictures
                 wait_for(lambda: dashboard.pictures > before + 3)
-                assert len(dashboard.pages) == (2 if step == "draw" else 1)
+                wait_for(lambda: len(dashboard.pages) == (2 if step == "draw" else 1))
                 assert first.closed is (step == "draw")
                 assert dashboard.error is None
         wait_for(lambda: len(dashboard.pages) == 1)

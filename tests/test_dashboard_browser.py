@@ -20,6 +20,7 @@ from app.simulation.loop.commands import (
     Restart,
     Speed,
 )
+from app.simulation.scenarios import SCENARIOS
 from tests.browser import DashboardTab, around, wait_for
 from tests.dashboards import served_dashboard
 from tests.robots import needs_pybullet
@@ -173,7 +174,7 @@ def test_scenario_speed_and_controller_are_chosen_by_name_and_told_to_the_loop(t
     wait_for(lambda: served.loop.latest().speed == 2.5)
     tab.choose("Controller", "none")
     wait_for(lambda: served.loop.latest().controller == "none")
-    wanted = [Play.named("guiding-front"), Speed(2.5), Choose("none")]
+    wanted = [Play(SCENARIOS["guiding-front"]), Speed(2.5), Choose("none")]
     assert served.loop.commands == wanted, "each once"
     tab.choose("Controller", "dbb")
     wait_for(lambda: served.loop.latest().controller == "dbb")

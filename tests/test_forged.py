@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import pytest
 from PIL import Image
 from viser import _messages, _viser
 
+from app.dashboard.page import Page
 from app.dashboard.panels.save import FilePanel, png
 from app.simulation.loop.commands import Configure, Pause, Speed, StepOnce
 from tests.browser import wait_for
@@ -153,3 +154,29 @@ def test_thousands_of_messages_at_once_hold_nobody_up_and_the_last_value_counts(
         assert served.loop.latest().t - before > 0.25 * passed, "the loop has gone on meanwhile"
         assert goes_on(served)
     served.loop.send(Configure(type(served.loop.latest().config)()))
+
+
+def test_many_who_come_at_once_hold_nobody_up_and_who_has_gone_gets_no_page(served, monkeypatch):
+    """Each page is built between two pictures of the others."""
+    built = []
+
+    class Slow(Page):
+        def __init__(self, *args):
+            built.append(served.server.pictures)
+            time.sleep(0.3)
+            super().__init__(*args)
+
+    monkeypatch.setattr("app.dashboard.server.Page", Slow)
+    with visitor(served), ExitStack() as stack:
+        built.clear()
+        for _ in range(4):
+            stack.enter_context(RawClient(served.server.address))
+        wait_for(lambda: len(built) == 4, what="their pages")
+        assert len(set(built)) == 4
+        built.clear()
+        for _ in range(8):
+            RawClient(served.server.address).close()
+        wait_for(lambda: len(served.server.viser.get_clients()) == 5, what="all have gone")
+        end = served.server.pictures + 5
+        wait_for(lambda: served.server.pictures > end, what="the next pictures")
+        assert len(built) < 8

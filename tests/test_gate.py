@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import io
 import logging
 import math
 import socket
 import urllib.error
 import urllib.request
+import warnings
 from contextlib import contextmanager, suppress
 from types import SimpleNamespace
+from typing import get_type_hints
 
 import msgspec
 import pytest
 import viser
 import websockets
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 from viser import _messages
@@ -177,6 +180,47 @@ def test_who_only_knocks_is_told_of_in_a_line_a_minute(caplog, monkeypatch):
     assert 1 <= len(told) == len({record.getMessage() for record in told}) <= 3
     assert all("\n" not in record.getMessage() and not record.exc_info for record in told)
     assert "a connection: socket.accept() out of system resource" in caplog.text
+
+
+def test_a_mistake_in_answering_is_no_knock_and_is_written_with_its_way(caplog, monkeypatch):
+    """Viser itself hides whatever fails before a connection is open."""
+    with served() as server:
+        assert get(server, "/")[0] == 200  # from here on it does
+        with monkeypatch.context() as patched:
+            patched.setattr("app.dashboard.gate.is_allowed", lambda *_: {}["a mistake"])
+            assert get(server, "/")[0] == 500
+    [told] = [record for record in caplog.records if record.levelno >= logging.ERROR]
+    assert "a mistake" in told.getMessage()
+    assert isinstance(told.exc_info[1], KeyError)
+
+
+def test_an_error_within_an_open_connection_is_no_knock(caplog):
+    with served() as server, RawClient(f"http://127.0.0.1:{server.get_port()}"):
+        wait_for(server.get_clients, what="the client")
+        [connection] = server._websock_server._live_connections.values()
+        try:
+            raise AssertionError("a mistake")
+        except AssertionError:
+            connection.logger.exception("unexpected internal error")
+    [told] = [record for record in caplog.records if record.levelno >= logging.ERROR]
+    assert "a mistake" in caplog.text
+    assert told.exc_info
+
+
+def test_pages_of_another_version_are_sent_away_without_a_word(capfd):
+    async def reason(server, protocols):
+        address = f"ws://127.0.0.1:{server.get_port()}"
+        async with connect(address, subprotocols=protocols) as connection:
+            with pytest.raises(websockets.ConnectionClosed) as closed:
+                await asyncio.wait_for(connection.recv(), 10.0)
+        return closed.value.rcvd
+
+    with served() as server:
+        for protocols in (None, ["viser-v0.0.1"]):
+            told = asyncio.run(reason(server, protocols))
+            assert told.code == 1002  # by which a page knows that it need not try again
+            assert "another version" in told.reason
+    assert "ersion" not in capfd.readouterr().out
 
 
 def test_every_answer_forbids_frames_and_connections_to_others():
@@ -408,11 +452,12 @@ def part(content, transfer="a", index=0):
     }
 
 
-def test_an_upload_takes_what_was_announced_and_no_more():
+def test_an_upload_takes_what_was_announced_no_more_and_no_less():
     uploads = Uploads(1000)
     pass_on(announced(900, 2), uploads=uploads)
     pass_on(part(b"x" * 500), uploads=uploads)
-    for wrong in (part(b"x" * 401, index=1), part(b"x", index=0), part(b"x", index=2)):
+    for wrong in (401, 1), (399, 1), (1, 0), (1, 2):
+        wrong = part(b"x" * wrong[0], index=wrong[1])
         with pytest.raises(RefusedError, match="not what was announced"):
             pass_on(wrong, uploads=uploads)
     pass_on(part(b"x" * 400, index=1), uploads=uploads)
@@ -449,6 +494,17 @@ def test_uploads_are_bounded_in_size_and_number():
         pass_on(announced(900, transfer="c"), uploads=uploads)
     pass_on(part(b"x" * 900), uploads=uploads)
     pass_on(announced(900, transfer="c"), uploads=uploads)
+
+
+def test_no_widget_takes_a_file_but_one_for_uploads():
+    """Viser makes the file the value of whatever is named, in each of the two messages."""
+    slider, button = (SimpleNamespace(value=value) for value in (0.3, viser.UploadedFile("", b"")))
+    uploads = Uploads(1000)
+    pass_on(announced(9), uploads=uploads, widget=button)
+    for message in (announced(0, 0, "b"), part(b"x" * 9)):
+        with pytest.raises(RefusedError, match="nothing to upload to"):
+            pass_on(message, uploads=uploads, widget=slider)
+    pass_on(part(b"x" * 9), uploads=uploads, widget=button)
 
 
 values = st.recursive(
@@ -490,6 +546,75 @@ def test_whatever_a_camera_message_holds_it_is_whole_and_finite_or_refused(chang
     numbers = [*read.wxyz, *read.position, *read.look_at, *read.up_direction, read.fov]
     assert len(numbers) == 14
     assert all(map(math.isfinite, numbers))
+
+
+def test_what_is_still_said_to_a_viewer_who_has_gone_is_lost_without_a_word():
+    with warnings.catch_warnings(record=True) as told, served() as server:
+        with RawClient(f"http://127.0.0.1:{server.get_port()}"):
+            wait_for(server.get_clients, what="the client")
+            [client] = server.get_clients().values()
+        wait_for(lambda: not server.get_clients(), what="he has gone")
+        client.gui.add_text("x", "")
+    assert [str(each.message) for each in told] == []
+
+
+def sent_by_nobody(kind, server, client):
+    """Messages of a kind of whatever viser's own annotations allow, about what there is."""
+    known = {
+        "uuid": list(client.gui._gui_input_handle_from_uuid),
+        "source_component_uuid": list(client.gui._gui_input_handle_from_uuid),
+        "name": [*client.scene._handle_from_node_name],
+    }
+    hints = get_type_hints(kind)
+    fields = {
+        field.name: st.sampled_from(known[field.name])
+        if field.name in known
+        else st.just({"value": 0.7})
+        if field.name == "updates"
+        else st.from_type(hints[field.name])
+        for field in dataclasses.fields(kind)
+        if field.init
+    }
+    return st.fixed_dictionaries({"type": st.just(kind.__name__), **fields})
+
+
+@pytest.fixture(scope="module")
+def visited():
+    """A server and a viewer with a widget of each kind of message's."""
+    with served() as server, RawClient(f"http://127.0.0.1:{server.get_port()}"):
+        wait_for(server.get_clients, what="the client")
+        [client] = server.get_clients().values()
+        client.gui.add_slider("x", min=0.0, max=1.0, step=0.1, initial_value=0.3)
+        client.gui.add_checkbox("y", False)
+        client.gui.add_upload_button("z")
+        client.scene.add_transform_controls("/gizmo")
+        client.scene.add_box("/box").on_drag()(lambda _: None)
+        client.scene.on_click()(lambda _: None)
+        yield server, client
+
+
+@pytest.mark.parametrize("kind", _TAKEN, ids=lambda kind: kind.__name__)
+def test_whatever_of_viser_s_own_types_passes_its_handlers_bear(kind, visited):
+    """What they do not is to be narrowed in the gate: no case has to be known beforehand."""
+    server, client = visited
+    loop = server._websock_server._background_event_loop
+
+    async def handled(message):
+        for place in (server._websock_server, client._websock_connection):
+            await place._handle_incoming_message(client.client_id, message)
+
+    @settings(max_examples=100, deadline=None, database=None)
+    @given(sent_by_nobody(kind, server, client))
+    def bears(content):
+        widgets = client.gui._gui_input_handle_from_uuid
+        try:
+            data = checked(msgspec.msgpack.encode(content), Uploads(1000), widgets.get)
+        except (RefusedError, OverflowError):  # no message holds such a number
+            return
+        message = _messages.Message.deserialize(data)
+        asyncio.run_coroutine_threadsafe(handled(message), loop).result(10.0)
+
+    bears()
 
 
 async def _set_between_look_and_wait(event: asyncio.Event) -> bool:

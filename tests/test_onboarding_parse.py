@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +10,9 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import trimesh
 
+from app.border.mobile import bounds
 from app.errors import DbbError, RobotFileError
 from app.onboarding import new_robot
 from app.onboarding.new_robot import finish, parse
@@ -17,8 +20,11 @@ from app.onboarding.read.tree import make_tree
 from app.onboarding.request import Request
 from app.onboarding.write import rebased_urdf
 from app.robot.model import RobotModel
+from app.simulation.plants.collision_shapes import collision_shapes
+from app.simulation.plants.engines import SAME_PICTURE, compare_engines
 from tests.onboarding import (
     ARM_JOINTS,
+    BOX,
     arm,
     cart,
     cube,
@@ -200,6 +206,73 @@ def test_a_long_chain_is_checked_in_time_that_grows_with_its_length_only() -> No
     assert len(tree.joint_of) == count - 1
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("</robot>", "<xacro:arm/></robot>", "<xacro:arm> is xacro that nobody expanded; rename"),
+        ('xyz="0.15 0 0.1"', 'xyz="${x} 0 0.1"', "${x} 0 0.1 is xacro that nobody expanded"),
+        (BOX, '<mesh filename="$(find a)/m.stl"/>', "$(find a)/m.stl is xacro"),
+        (BOX, '<mesh filename="m.glb"/>', "m.glb: simulators read .stl, .dae, .obj; convert it"),
+        (BOX, "<mesh/>", "a mesh has no filename"),
+        ('"shoulder"', '"floor_point"', "'floor_point' has the name of one that every robot"),
+        ('lower="-2.5"', 'lower="-inf"', "lower='-inf' should be a finite number; leave it out"),
+        (
+            '<child link="fore"/>',
+            '<child link="fore"/><mimic joint="lift"/>',
+            "--tip: the joint 'elbow' of the arm follows another one (<mimic>)",
+        ),
+        ('type="continuous"', 'type="fixed"', "(no joint turns without end); give --wheels"),
+        ('0.05 -0.2 -0.05"', '0.3 -0.2 -0.05"', "left_axle, right_axle: no two across from each"),
+    ],
+)
+def test_what_others_leave_in_a_urdf_is_refused_with_what_helps(
+    tmp_path: Path, old: str, new: str, why: str
+) -> None:
+    assert old in TOY
+    text = TOY.replace('name="toy"', 'name="toy" xmlns:xacro="http://www.ros.org/wiki/xacro"')
+    assert why in refused(tmp_path, text.replace(old, new))
+
+
+def test_a_mesh_of_another_case_or_scale_is_told(tmp_path: Path) -> None:
+    (tmp_path / "m.stl").write_bytes(cube())
+    for mesh, why in (("M.stl", "(did you mean 'm.stl'?)"), ('m.stl" scale="1 0 1', "is zero")):
+        with pytest.raises(RobotFileError, match=re.escape(why)):
+            parse(request(tmp_path, with_mesh(TOY, mesh)))
+    mirrored = parse(request(tmp_path, with_mesh(TOY, 'm.stl" scale="1 -1 1')))
+    plain = parse(request(tmp_path, with_mesh(TOY, "m.stl")))
+    sizes = [made.geometry["hand"].volume for made in (mirrored, plain)]
+    assert sizes[0] == pytest.approx(sizes[1]) == pytest.approx(0.08 * 0.12 * 0.08)
+
+
+def test_what_stands_beside_the_links_and_joints_does_not_count(tmp_path: Path) -> None:
+    """Gazebo's and ros2_control's parts may hold anything."""
+    beside = '<gazebo reference="hand"><visual><geometry><mesh/></geometry></visual></gazebo>'
+    parsed = parse(request(tmp_path, TOY.replace("</robot>", f"{beside}</robot>")))
+    assert tuple(j.name for j in parsed.arm.joints) == ARM_JOINTS
+
+
+def test_joints_may_have_the_names_of_libraries(tmp_path: Path) -> None:
+    """MuJoCo has a world, pinocchio a universe, and our own root a planar_x."""
+    text = TOY
+    for old, new in (("pan", "world"), ("lift", "universe"), ("elbow", "planar_x")):
+        text = text.replace(f'joint name="{old}"', f'joint name="{new}"')
+    arm = robot_model(tmp_path, request(tmp_path, text)).description.arm
+    assert arm.joints[:3] == ("world_joint", "universe_joint", "planar_x_joint")
+
+
+def test_the_tip_is_a_link_of_the_arms_own_file(tmp_path: Path) -> None:
+    alone = robot([part for part in arm() if 'name="mount"' not in part])
+    asked = Request(
+        urdf=str(write(tmp_path, robot(cart()))),
+        base="base",
+        tip="left_wheel",
+        out=tmp_path / "made",
+        arm_urdf=str(write(tmp_path, alone, "arm.urdf")),
+    )
+    with pytest.raises(RobotFileError, match="--tip: the URDF has no link 'left_wheel'"):
+        parse(asked)
+
+
 def test_a_missing_mesh_is_named(tmp_path: Path) -> None:
     pytest.importorskip("pybullet_data")
     for file, why in (
@@ -214,8 +287,6 @@ def test_a_missing_mesh_is_named(tmp_path: Path) -> None:
 
 
 def test_no_inertia_at_all_is_refused_unless_it_may_be_assumed(tmp_path: Path) -> None:
-    import re
-
     bare = re.sub(r"<inertial>.*?</inertial>", "", TOY)
     assert "--assume-inertia" in refused(tmp_path, bare)
     parsed = parse(request(tmp_path, bare, assume_inertia=True))
@@ -460,3 +531,21 @@ def test_a_package_that_is_nowhere_names_what_would_help_and_no_wheel(meshed: Pa
 @pytest.mark.parametrize("given", ["hand_support", "=x", "hand_support=/none"])
 def test_a_package_without_a_folder_is_refused(tmp_path: Path, given: str) -> None:
     assert "--package: " in refused(tmp_path, TOY, package=(given,))
+
+
+def test_the_groups_of_an_obj_are_hulls_of_their_own(tmp_path: Path) -> None:
+    """As in pybullet: between two fingers of one mesh there is room."""
+    pytest.importorskip("pybullet")
+    finger = trimesh.creation.box(extents=(0.02, 0.02, 0.1))
+    lines = []
+    for k, (y, begin) in enumerate(((-0.06, "o left"), (0.06, "g right"))):
+        corners = np.round(np.add(finger.vertices, [0.0, y, 0.0]), 6)
+        lines += [f"v {' '.join(map(str, each))}" for each in corners]
+        first = -8 if k else 1  # of the second group they are counted from its end
+        lines += [begin, *(f"f {' '.join(str(i + first) for i in face)}" for face in finger.faces)]
+    write(tmp_path, "\n".join(lines), "m.obj")
+    model = robot_model(tmp_path, request(tmp_path, with_mesh(TOY, "m.obj")))
+    shapes = [shape for shape in collision_shapes(model).shapes if shape.part == "hand"]
+    middles = sorted(float(bounds(s.geometry, s.T)[0][1]) for s in shapes)
+    assert middles == pytest.approx([-0.07, 0.05])
+    assert compare_engines(model, poses=3).picture < SAME_PICTURE

@@ -410,7 +410,7 @@ def test_each_line_starts_outside_and_leads_to_the_base(made: NewRobot) -> None:
     assert (tracked.start, tracked.move) == (guided.start, guided.move)
     assert (tracked.mode, tracked.duration) == ("tracking", 30.0)
     paper = husky_panda().description
-    for name in ("guiding-front", "tracking"):
+    for name in ("guiding-lateral", "guiding-front", "tracking"):
         assert scenario_of(paper, name) == scenario_by_name(name)
 
 
@@ -548,6 +548,27 @@ def test_a_robot_without_a_line_says_which_it_has() -> None:
     given = scenario_of(racecar, "guiding-front", start=start)
     assert (given.start, given.move) == (start, scenario_by_name("guiding-front").move)
     assert scenario_of(racecar, "guiding-above") == scenario_by_name("guiding-above")
+    bare = racecar.model_copy(update={"lines": {}})
+    for name in ("guiding-lateral", "guiding-front", "tracking"):  # the paper's are no other's
+        with pytest.raises(UnreachableError, match=f"no line for {name}.*it has none; --start"):
+            scenario_of(bare, name)
+    assert scenario_of(bare, "guiding-front", start=start) == given
+
+
+def test_an_arm_that_stands_in_the_floor_or_in_the_base_is_warned_of(made: NewRobot) -> None:
+    def told(made: NewRobot) -> list[str]:
+        places = ("below the floor", "wholly inside of the base")
+        return [each for each in warnings_of(made) if any(place in each for place in places)]
+
+    assert told(made) == []
+    down = np.array([0.0, 2.5, 0.5, 0.0, 0.0, 0.0])  # beside the base, past the floor
+    [hand] = told(replace(made, ready=made.ready._replace(q_m=down)))[-1:]
+    assert re.match(r"hand is 0\.\d+ m below the floor in the ready pose: look at --mount", hand)
+    bodies = [body.model_dump() for body in made.model.description.bodies]
+    size = bodies[0]["shapes"][0]["size_m"]
+    bodies[0]["shapes"][0]["size_m"] = (size[0], size[1], 1.2)  # up to above the column
+    column = told(replace(made, model=written(made, bodies=bodies)))
+    assert [each.partition(" is ")[0] for each in column] == ["column", "shoulder"]
 
 
 def test_an_arm_with_meshes_of_another_scale_than_its_joints_is_warned_of(made: NewRobot) -> None:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from app.border.cache import BorderData
+from app.border.mobile import MobileBody
 from app.config import Config
 from app.onboarding.fit import postures
-from app.onboarding.fit.postures import Place, chosen, find_places
+from app.onboarding.fit.postures import Place, chosen, find_places, gives_way
 from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.shapes import Box
 from app.simulation.run import run_scenario
@@ -88,6 +89,30 @@ def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
     np.testing.assert_allclose(found["guiding-lateral"].move, (0.0, -0.325, 0.0), atol=1e-9)
     assert found.keys() == {"guiding-lateral"}
     assert shares == [0.0]
+
+
+@pytest.mark.parametrize(("move", "least"), [(-0.25, 0.03), (-0.02, 0.03), (-0.25, 0.1)])
+def test_a_base_gives_way_where_it_moves_and_the_arm_keeps_away(
+    move: float, least: float, border_data: BorderData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The paper's line, one that ends outside of the buffer, and more distance than is kept."""
+    monkeypatch.setattr(postures, "CLEARANCE", least)
+    place = Place((0.3, 0.72, 0.3), (0.0, move, 0.0), 0.0, "")
+    line = LINES["guiding-lateral"].changed(start=place.start, move=place.move)
+    run = run_scenario(husky_panda(), border_data, line, Config(), physics="kinematic").figures
+    good = run["base_displacement_m"] >= 0.05 and run["min_clearance_m"] >= least
+    assert gives_way(husky_panda(), border_data, "guiding-lateral", place) == good
+    assert good == ((move, least) == (-0.25, 0.03))
+
+
+def test_where_no_other_height_has_a_line_one_just_over_the_base_is_tried(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As of an arm whose hand cannot start as low as its small base."""
+    monkeypatch.setattr(postures, "_heights", lambda tops: [3.0])  # out of reach
+    found = find_places(husky_panda(), find_link_pairs(husky_panda(), samples=2000), D_B)
+    top = float(MobileBody(husky_panda()).upper[2])
+    assert found["guiding-lateral"].start[2] == pytest.approx(top + 0.025, abs=1e-3)
 
 
 def test_a_line_leads_to_what_there_is_of_the_base_at_its_height(

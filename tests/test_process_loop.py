@@ -13,6 +13,7 @@ from app.config import Config
 from app.errors import LoopError, TargetError
 from app.simulation.loop.commands import Configure, Pause, Play, Pull, Reset
 from app.simulation.loop.process_loop import ProcessLoop, loop_child
+from app.simulation.scenarios import SCENARIOS
 from app.simulation.session import Session
 from app.simulation.trace.trace import History
 from tests.fakes import ScriptedLoop
@@ -85,10 +86,10 @@ def test_commands_go_out_and_snapshots_and_refusals_come_back(make_loop):
     stopped = loop.latest().t
     loop.send(Reset())
     wait_for(lambda: loop.latest().t < stopped)
-    loop.send(Play.named("guiding-lateral", {"move": (0.0, 0.0, -2.0)}))
+    loop.send(Play(SCENARIOS["guiding-lateral"].changed(move=(0.0, 0.0, -2.0))))
     wait_for(lambda: loop.latest().refusal is not None)
     assert loop.latest().refusal.number == 1
-    loop.send(Play.named("way-out"))
+    loop.send(Play(SCENARIOS["way-out"]))
     wait_for(lambda: loop.latest().scenario == "way-out")
     assert loop.error is None
 

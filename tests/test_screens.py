@@ -46,6 +46,7 @@ def test_a_browser_without_a_gpu_gets_a_light_drawing_until_it_asks_for_the_othe
     tab.check("Light drawing", on=False)
     wait_for(lambda: drawn(tab)["triangles"] > 8 * light["triangles"], what="the fine drawing")
     assert drawn(tab)["calls"] > 1.5 * light["calls"]
+    assert not tab.page.get_by_text("Software WebGL rendering").count(), "it is said once"
     tab.check("Light drawing", on=True)
     wait_for(lambda: drawn(tab)["triangles"] < 1.5 * light["triangles"], what="the light one")
     assert tab.errors == []
@@ -88,6 +89,9 @@ def test_on_a_phone_a_finger_pulls_the_hand_the_sentence_stands_above_and_panels
     tab.page.get_by_text("Why · Plots · Compare · Key", exact=True).tap()
     tab.page.get_by_role("tab", name="Plots").tap()
     wait_for(lambda: tab.plot("distance [m]") is not None, what="the plots")
+    tab.page.get_by_role("tab", name="Compare").tap()
+    chosen = tab.page.get_by_text("Second robot", exact=True).bounding_box()
+    assert opened < chosen["y"] < bar["y"], "it opens in sight"
     assert strip.is_visible()
     assert tab.errors == []
 

@@ -148,6 +148,8 @@ def test_the_page_is_taken_whole_with_panels_and_plots_and_the_same_each_time(ta
     assert share(a, b, least=0) <= 0.005
     for panel in (a[:, :300], a[:, -300:]):
         assert (panel.max(axis=-1) > 120).mean() > 0.01, "text"
+    scene = a[:, 340:660]
+    assert (scene.min(axis=-1) > 225).mean() > 0.006, "a white arm, which mirrors what is around"
 
 
 @pytest.mark.browser

@@ -12,10 +12,12 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import psutil
 import pytest
 
 from app import system
 from app.errors import OutputError
+from tests.browser import wait_for
 
 PROJECT = Path(__file__).resolve().parent.parent
 THE_PLACE = PROJECT / "app" / "system.py"
@@ -221,6 +223,23 @@ def test_a_group_is_ended_with_all_that_its_leader_has_started(at_once: bool) ->
     system.end_group(leader.pid, at_once=at_once)  # there is none any more
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="the system lists no children")
+def test_what_a_child_has_started_and_is_stopped_goes_on() -> None:
+    """As a process of a browser, for whose end its driver would wait for ever."""
+    with subprocess.Popen(
+        ["sh", "-c", "sleep 60 & echo $!; wait"], stdout=subprocess.PIPE, text=True
+    ) as shell:
+        assert shell.stdout is not None
+        grandchild = int(shell.stdout.readline())
+        try:
+            os.kill(grandchild, signal.SIGSTOP)
+            wait_for(lambda: psutil.Process(grandchild).status() == psutil.STATUS_STOPPED)
+            system.wake_children()
+            wait_for(lambda: psutil.Process(grandchild).status() == psutil.STATUS_SLEEPING)
+        finally:
+            os.kill(grandchild, signal.SIGKILL)
+
+
 def test_a_link_that_is_written_to_stays_one_and_no_device_is_replaced(tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     link, pipe = tmp_path / "newest.csv", tmp_path / "pipe.csv"
@@ -235,6 +254,15 @@ def test_a_link_that_is_written_to_stays_one_and_no_device_is_replaced(tmp_path:
     assert pipe.is_fifo()
     left = {path.name for path in tmp_path.rglob("*")}
     assert left == {"data", "newest.csv", "pipe.csv", "today.csv"}
+
+
+def test_two_who_write_one_file_at_once_do_not_write_into_each_others(tmp_path: Path) -> None:
+    """As two containers that share a cache, in each of which the first thread has number 1."""
+    with system.whole_file(tmp_path / "a") as one, system.whole_file(tmp_path / "a") as other:
+        one.write_text("whole")
+        other.write_text("hal")
+    assert (tmp_path / "a").read_text() == "whole"
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 def test_a_temporary_folder_that_is_none_is_forgotten(

@@ -30,7 +30,9 @@ from app.dashboard.export.offscreen import (
     own_server,
     replay_html,
 )
+from app.dashboard.markup import minus
 from app.dashboard.panels.phrases import spoken
+from app.dashboard.scene.camera import first_view
 from app.errors import DbbError
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
@@ -58,14 +60,14 @@ class Played(NamedTuple):
     Attributes:
         page: Its address.
         verdict: How it went.
-        touched: Whether the arm touched anything.
-        distance: [mm] least distance to the base; None if no pair is near it.
+        result: That the arm touched something, else the least distance to the base.
+        loud: Whether anything touched, or was inside of something else.
     """
 
     page: str
     verdict: str
-    touched: bool
-    distance: float | None
+    result: str
+    loud: bool
 
 
 class Bordered(NamedTuple):
@@ -124,10 +126,13 @@ def _replay(
 ) -> Played:
     result = run_scenario(model, data, scenario, Config(), controller=controller, drawn=True)
     name = f"replays/{scenario.name}-{controller}.html"
-    _write(out / name, replay_html(result.trace, model, data.clouds, Look()))
+    look = Look(view=first_view(result.trace.snapshots[0]))
+    _write(out / name, replay_html(result.trace, model, data.clouds, look))
     figures = result.figures
-    near = [figures["min_distance_m"][pair] for pair in result.trace.meta.mobile_pairs]
-    return Played(name, verdict(figures), bool(touches(figures)), 1e3 * min(near) if near else None)
+    near = [1e3 * figures["min_distance_m"][pair] for pair in result.trace.meta.mobile_pairs]
+    least = minus(f"{min(near):.0f} mm") if near else ""
+    loud = bool(touches(figures)) or min(near, default=0.0) < 0.0
+    return Played(name, verdict(figures), "contact" if touches(figures) else least, loud)
 
 
 def _at_rest(model: RobotModel, data: BorderData, t: float, d_b: float) -> Snapshot:

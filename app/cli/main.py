@@ -73,6 +73,14 @@ def main(args: list[str] | None = None) -> None:
     except DbbError as error:
         print(f"dbb: error: {error}", file=sys.stderr)
         sys.exit(2)
+    except MemoryError as error:
+        print(f"dbb: error: too little memory: {error}", file=sys.stderr)
+        sys.exit(2)
+    except ImportError as error:
+        if not str(error.path).endswith(".so"):  # a mistake in this program
+            raise
+        print(f"dbb: error: a library cannot be loaded: {error}", file=sys.stderr)
+        sys.exit(2)
     except OSError as error:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what is still held
         if error.errno == errno.EPIPE:  # whoever read the results has gone, as `head` does

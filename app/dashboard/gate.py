@@ -21,11 +21,11 @@ from contextlib import contextmanager
 from functools import lru_cache
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
-from typing import Any, Union, get_type_hints
+from typing import Any, Literal, Union, get_type_hints
 from urllib.parse import parse_qsl, urlsplit
 
 import msgspec
-from viser import _messages
+from viser import UploadedFile, __version__, _messages
 from websockets.asyncio import server as websockets_server
 from websockets.asyncio.server import ServerConnection
 from websockets.datastructures import Headers
@@ -91,6 +91,18 @@ _TAKEN = (
 )
 """What this program's page sends. viser has others: one opens a tunnel to this machine for anybody,
 and one of a form that nobody has is kept, and told to every viewer, for ever."""
+_Point = tuple[float, float, float]
+_NARROWER: dict[type, dict[str, Any]] = {
+    _messages.ScenePointerMessage: {
+        "event_type": Literal["click"],
+        "ray_origin": _Point,
+        "ray_direction": _Point,
+        "screen_pos": tuple[tuple[float, float]],
+    }
+}
+"""Where viser's annotations allow what its handlers do not bear: what this program's page sends."""
+_VERSION = f"viser-v{__version__}"
+"""The protocol that a page names."""
 
 
 class RefusedError(ValueError):
@@ -221,6 +233,8 @@ class Gate:
         """Wraps viser's handler of connections, which gets only messages that were checked."""
 
         async def handle(connection: ServerConnection) -> None:
+            if connection.subprotocol != _VERSION:  # viser would print each one
+                return await connection.close(1002, "this page is of another version; reload it")
             self._viewers += 1
             try:
                 await inner(_Checked(connection, self, Uploads(self._largest_upload)))
@@ -320,7 +334,7 @@ def _is_here(name: str | None, own_name: str) -> bool:
 
 def _record(message: type) -> type:
     """A record with the fields of a message of viser, whose types msgspec checks."""
-    hints = get_type_hints(message)
+    hints = get_type_hints(message) | _NARROWER.get(message, {})
     fields = [
         (f.name, hints[f.name], *([f.default] if f.default is not dataclasses.MISSING else []))
         for f in dataclasses.fields(message)
@@ -370,7 +384,7 @@ class Uploads:
             RefusedError: Nothing was announced of which it is the next part.
         """
         left, parts = self._left.get(transfer, (0, range(0)))
-        if part not in parts[:1] or size > left:
+        if part not in parts[:1] or size > left or (size < left and not parts[1:]):
             raise RefusedError("not what was announced")
         self._left[transfer] = left - size, parts[1:]
         if not parts[1:]:
@@ -416,7 +430,11 @@ def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> byt
             raise RefusedError("the value is not of the widget's kind", message)
         if value not in getattr(shown, "options", (value,)):
             raise RefusedError(f"there is no {str(value)[:60]!r} to choose", message)
-    elif isinstance(message, _RECORDS[_messages.FileTransferStartUpload]):
+    source = getattr(message, "source_component_uuid", None)
+    shown = None if source is None else widget(source)
+    if shown is not None and not isinstance(shown.value, UploadedFile):
+        raise RefusedError("there is nothing to upload to", message)  # it would become its value
+    if isinstance(message, _RECORDS[_messages.FileTransferStartUpload]):
         uploads.begin(message.transfer_uuid, message.size_bytes, message.part_count)
     elif isinstance(message, _RECORDS[_messages.FileTransferPart]):
         uploads.add(message.transfer_uuid, message.part_index, len(message.content))

@@ -13,9 +13,10 @@ import os
 import threading
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 from app.control import CONTROLLERS
 from app.dashboard.markup import plain
@@ -25,7 +26,8 @@ from app.system import give_freed_memory_back, write_whole
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
-    from app.dashboard.export import Look
+    from app.dashboard.export import Look, Side
+    from app.dashboard.record import Course
     from app.onboarding.read.package import Contents
     from app.onboarding.request import Request
     from app.robot.model import RobotModel
@@ -180,7 +182,9 @@ class Challenge(Job):
 
     Attributes:
         case: What was pulled, once it has ended; with its figures once it was played again.
-        tried: What controllers made of it so far, the one that was challenged first.
+        tried: What controllers made of it so far, the one that was challenged first: at once as it
+            was seen, then as it was at each step.
+        shares: How far each of those is, or was, that play it again, 0 to 1.
     """
 
     def __init__(self) -> None:
@@ -188,26 +192,42 @@ class Challenge(Job):
         super().__init__()
         self.case: RunCase | None = None
         self.tried: tuple[Tried, ...] = ()
+        self.shares: dict[str, float] = {}
         self._taken: RunCase | None = None
 
-    def take(self, case: RunCase | None) -> None:
-        """Look at a challenge that has ended, unless it is the same one."""
+    def take(self, case: RunCase | None, course: Course) -> None:
+        """Look at one that has ended, and at what was seen of it, unless it is the same one."""
         if case is None or case == self._taken:
             return
         if self.progress is not None:
             self.cancel()  # of the challenge before; this one begins when that has ended
             return
-        self._taken, self.case, self.tried = case, case, ()
+        self._taken, self.case, self.tried, self.shares = case, case, (), {}
         if case.options["pulls"]:
+            met = course.touched or course.inside
+            seen = Tried(case.controller, course.least, met, course.pull, course.speed, {})
+            self.tried = (seen,)
             self.start("Make it collide", "is played again", lambda: self._try_all(case))
 
     def _try_all(self, case: RunCase) -> None:
         """Each in a process of its own, so that viewers see each as soon as it is there."""
-        for name in (case.controller, *(c for c in CONTROLLERS if c != case.controller)):
-            found = self.run(try_again, case.text(), name)
-            if not self.tried:
-                self.case = case.model_copy(update={"figures": found.figures})
-            self.tried = (*self.tried, found)
+
+        def again(name: str) -> Tried:
+            return self.run(try_again, case.text(), name)
+
+        # What lets the arm collide says most; the one that was challenged is known but for details.
+        names = dict.fromkeys(("none", case.controller, *CONTROLLERS))
+        with ThreadPoolExecutor(_CORES) as pool:
+            for name, found in zip(names, pool.map(again, names), strict=True):
+                if name == case.controller:
+                    self.case = case.model_copy(update={"figures": found.figures})
+                    self.tried = (found, *self.tried[1:])
+                else:
+                    self.tried = (*self.tried, found)
+
+    def report(self, text: str, share: float = -1.0) -> None:
+        """Note how far the controller with the name `text` is."""
+        self.shares = {**self.shares, text: share}
 
 
 def _loaded(robot: str, **sampling: Any) -> tuple[RobotModel, BorderData]:
@@ -323,7 +343,9 @@ def try_again(report: Report, text: str, controller: str) -> Tried:
             hardest = max(hardest, math.hypot(*force.tolist()))
 
     case, model, data = _read_case(text)
-    figures = _play(report, case, controller, model, data, on_step=on_step).figures
+    figures = _play(
+        lambda _, share: report(controller, share), case, controller, model, data, on_step=on_step
+    ).figures
     distances = [figures[name] for name in FIGURES[:2] if figures[name] is not None]
     return Tried(
         controller,
@@ -366,10 +388,12 @@ def _write_replay(
 ) -> None:
     from app.dashboard.export import Look
     from app.dashboard.export.offscreen import replay_html
+    from app.dashboard.scene.camera import first_view
 
     duration = max(trace.snapshots[-1].t - trace.snapshots[0].t, 1e-9)
 
     def on_progress(t: float) -> None:
         report("drawing the pictures", min(t / duration, 1.0))
 
-    write_whole(page, replay_html(trace, model, data.clouds, Look(), on_progress=on_progress))
+    look = Look(view=cast("Side", first_view(trace.snapshots[0])))
+    write_whole(page, replay_html(trace, model, data.clouds, look, on_progress=on_progress))

@@ -7,6 +7,13 @@
   const software = /swiftshader|llvmpipe|softpipe|software|basic render/i.test(renderer);
   gl?.getExtension("WEBGL_lose_context")?.loseContext();
   document.cookie = `dbb-draws=${software ? "software" : "gpu"}; path=/; SameSite=Strict`;
+  // viser's client would say so in a box that stays over the scene; the server tells it for a while.
+  if (software) {
+    const { getParameter } = WebGL2RenderingContext.prototype;
+    WebGL2RenderingContext.prototype.getParameter = function (name) {
+      return name === info.UNMASKED_RENDERER_WEBGL ? "told" : getParameter.call(this, name);
+    };
+  }
 
   // A tablet held upright has no room for panels beside the scene: it gets the phone's drawer.
   const matches = window.matchMedia.bind(window);

@@ -41,7 +41,7 @@ from app.errors import DbbError
 from app.robot.description import RobotDescription
 from app.simulation.loop.commands import Compare, Play, Reset
 from app.simulation.loop.loop import LoopHandle
-from app.simulation.scenarios import SCENARIOS, own_line
+from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.trace.snapshot import Snapshot
 
 PanelType = TypeVar("PanelType", bound=Panel)
@@ -354,8 +354,9 @@ class Demonstration:
         elif monotonic() > self._due:
             self._due, self._plays = None, True
             try:
+                play = Play(scenario_of(robot, SHOWN))
                 loop.send(Compare(("none",)))
-                loop.send(Play.named(SHOWN, own_line(robot, SHOWN)))
+                loop.send(play)
             except DbbError:  # a robot that cannot play it
                 self._plays = False
                 loop.send(Compare())

@@ -99,11 +99,12 @@ class DashboardServer:
         if page is not None:
             page.end()
 
-    def _newcomers(self) -> list[viser.ClientHandle]:
-        """The viewers who have come since this was asked last."""
-        clients, before = self.viser.get_clients(), self._here
-        self._here = frozenset(clients)
-        return [client for number, client in clients.items() if number not in before]
+    def _newcomer(self) -> viser.ClientHandle | None:
+        """The first of the viewers who are here and have not been asked for yet."""
+        clients = self.viser.get_clients()
+        first = sorted(clients.keys() - self._here)[:1]
+        self._here = self._here & clients.keys() | {*first}
+        return clients[first[0]] if first else None
 
     def _silent(self, number: int) -> None:
         page = self.pages.get(number)
@@ -156,19 +157,23 @@ class DashboardServer:
                     page.fail(_PAGE_ENDED, error)
 
     def _open_and_close_pages(self) -> None:
-        for client in self._newcomers():
-            try:
-                page = self.pages[client.client_id] = Page(
-                    client, self.shared, self._notifier, page_picture
-                )
-            except Exception as error:  # of this viewer alone
-                logger.exception("a page could not be built")
-                show_failure(client.gui, _PAGE_ENDED, error)
-                continue
-            if self._failure is not None:
-                page.fail(*self._failure)
+        """A page takes long to build: one between two pictures, and none for who has gone."""
+        client = self._newcomer()
+        if client is not None:
+            self._open_page(client)
         for number in self.pages.keys() - self.viser.get_clients().keys():
             self.pages.pop(number).end()
+
+    def _open_page(self, client: viser.ClientHandle) -> None:
+        try:
+            page = Page(client, self.shared, self._notifier, page_picture)
+        except Exception as error:  # of this viewer alone
+            logger.exception("a page could not be built")
+            show_failure(client.gui, _PAGE_ENDED, error)
+            return
+        self.pages[client.client_id] = page
+        if self._failure is not None:
+            page.fail(*self._failure)
 
     def _switch_robot(self) -> None:
         """If another robot has become ready, give every viewer a page of it."""
@@ -198,9 +203,9 @@ class DashboardServer:
     def _show_to_late_viewers(self) -> None:
         """When nothing is drawn any more, still show it to new viewers."""
         while not self._stopping.wait(0.2):
-            for client in self._newcomers():
-                if self._failure is not None:
-                    show_failure(client.gui, *self._failure)
+            client = self._newcomer()
+            if client is not None and self._failure is not None:
+                show_failure(client.gui, *self._failure)
 
 
 def serve_dashboard(

@@ -12,14 +12,17 @@ import json
 import logging
 import math
 import time
+import warnings
 from collections.abc import Callable
+from types import NoneType
 from typing import Any, ClassVar, NamedTuple
 
 import viser
 from viser import _messages
 from viser.infra import _infra
 from viser.infra._async_message_buffer import AsyncMessageBuffer
-from websockets.exceptions import ConnectionClosed
+from websockets.exceptions import ConnectionClosed, WebSocketException
+from websockets.protocol import CONNECTING
 
 from app.dashboard.gate import Gate, RefusedError, draws_in_software
 from app.dashboard.notifications import Notifier
@@ -33,7 +36,7 @@ SILENT = 3  # [looks] without an answer, after which a viewer may sleep
 _MINUTE = 60.0  # [s]
 _KNOCKS = (
     "opening handshake failed",
-    "unexpected internal error",  # of websockets, where requests come one behind the other
+    "unexpected internal error",
     "socket.accept() out of system resource",
 )
 STUCK = 20  # [looks] without anything delivered, after which a connection is closed
@@ -42,21 +45,37 @@ STUCK = 20  # [looks] without anything delivered, after which a connection is cl
 class _Knocks(logging.Filter):
     """Of strangers who connect and speak otherwise, or too many at once, a line a minute is enough.
 
-    Their library would write the whole way to each one, a hundred times a second.
+    Their library would write the whole way to each one, a hundred times a second. An error that no
+    stranger's bytes explain is a mistake in this program or its libraries: it is written whole, by
+    another name, as viser hides what it takes for a knock.
     """
 
     _said: ClassVar[dict[str, float]] = {}
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether it is written, in one line."""
+        """Whether it is written, a knock in one line."""
         text = record.getMessage().partition("\n")[0]
         if text not in _KNOCKS:
             return True
-        record.msg, record.args, record.exc_info = f"a connection: {text}", (), None
+        error = record.exc_info[1] if record.exc_info else None
+        record.msg, record.args = f"a connection: {text}" + (f": {error!r}" if error else ""), ()
+        of_peer = isinstance(error, NoneType | WebSocketException | EOFError | OSError)
+        if not of_peer and not _broke_off(getattr(record, "websocket", None)):
+            return True
+        record.exc_info = None
         due = self._said.get(text, -math.inf) <= time.monotonic() - _MINUTE
         if due:
             self._said[text] = time.monotonic()
         return due
+
+
+def _broke_off(connection: Any) -> bool:
+    """Whether websockets could not read what came before a connection was open.
+
+    As with requests that come one behind the other: their answer then fails within websockets.
+    """
+    protocol = getattr(connection, "protocol", None)
+    return protocol is not None and protocol.state is CONNECTING and bool(protocol.parser_exc)
 
 
 _knocks = _Knocks()
@@ -76,6 +95,7 @@ def open_server(host: str, port: int, largest_upload: int = 0) -> viser.ViserSer
     logging.getLogger("websockets").setLevel(logging.WARNING)  # every viewer's coming and going
     for name in ("websockets.server", "asyncio"):
         logging.getLogger(name).addFilter(_knocks)  # the same one is added once
+    warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # who has just gone
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private
     gate = Gate(host, largest_upload)
     with _silence(), gate.closed():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import signal
 import sys
@@ -16,6 +17,7 @@ from app.system import ENDING, wake_children
 
 _EVERY = 20.0  # [s] between two plain lines; shorter work says nothing
 _LONGEST = 2.0  # [s] for a command to end after such a signal; its children take 2.5 s more
+_TIDYING = 1.0  # [s] for what is done at its exit, once it is late
 _received: list[int] = []
 
 
@@ -143,6 +145,10 @@ def _end_late(heard: int, numbers: Sequence[int], longest: float) -> None:
             if number[0] in numbers:
                 wake_children()
                 sleep(longest)
+                # Temporary folders go, as at any end; what hangs there does not hold the end up.
+                tidying = threading.Thread(target=atexit._run_exitfuncs, daemon=True)
+                tidying.start()
+                tidying.join(_TIDYING)
                 os._exit(128 + number[0])
 
 

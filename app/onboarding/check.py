@@ -259,9 +259,10 @@ def arm_row(model: RobotModel) -> Row:
         return Row("arm's bodies", "failed", text, numbers)
     if not found.poses:
         return Row("arm's bodies", "nothing to show", text, numbers)
-    good = "passed" if found.share <= MOST_UNSEEN else "warned"
-    outcome = good if found.missed <= MOST_UNSEEN * found.watched else "failed"
-    return Row("arm's bodies", outcome, text, numbers)
+    good = not found.missed and found.share <= MOST_UNSEEN
+    if found.missed > MOST_UNSEEN * found.watched:
+        return Row("arm's bodies", "failed", text, numbers)
+    return Row("arm's bodies", "passed" if good else "warned", text, numbers)
 
 
 def _geometry(model: RobotModel) -> dict[str, LinkGeometry]:

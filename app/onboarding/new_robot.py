@@ -53,7 +53,15 @@ from app.onboarding.read.wheels import (
 from app.onboarding.report import report_html
 from app.onboarding.request import Request, package_folders
 from app.onboarding.warn import carried_hand, holding_warning, warnings_of
-from app.onboarding.write import compiled, description, rebased_urdf, whole_folder, write_robot
+from app.onboarding.write import (
+    ROOT,
+    compiled,
+    description,
+    rebased_urdf,
+    whole_folder,
+    write_robot,
+)
+from app.robot.assets import PLANAR_JOINTS, PLANAR_LINKS
 from app.robot.model import RobotModel
 from app.system import write_whole
 
@@ -61,6 +69,8 @@ _log = logging.getLogger(__name__)
 
 MEETING_SAMPLES = 6000
 """[-] random poses in which the links' hulls are compared."""
+_OWN_LINKS = {ROOT, f"{ROOT}_joint", "universe", *PLANAR_LINKS}
+_OWN_JOINTS = {ROOT, f"{ROOT}_joint", "universe", "root_joint", "world", *PLANAR_JOINTS}
 PREFIX = "arm_"
 """Before the names of an arm's links and joints that the base has too."""
 
@@ -317,17 +327,26 @@ def _whole_robot(request: Request) -> tuple[Element, str]:
         return robot, tip
     arm = read_robot(locate(request.arm_urdf), packages)
     for part in (robot, arm):  # what is wrong with either is reported as its own
-        make_tree(part)
+        tree = make_tree(part)
+    tree.link(tip, "--tip")  # of the arm
     names = [{link.get("name") for link in part.findall("link")} for part in (robot, arm)]
     return _composed(robot, arm, request), PREFIX + tip if tip in names[0] & names[1] else tip
 
 
 def _with_distinct_joints(robot: Element) -> Element:
-    """The robot with `_joint` after the name of each joint that is a link's name too.
+    """The robot with `_joint` after the name of each joint that a link, or a library's own, has.
 
-    A URDF may name them so, but pinocchio then cannot tell their frames apart.
+    A URDF may name them so, but pinocchio and MuJoCo then cannot tell them apart.
+
+    Raises:
+        RobotFileError: A link has the name of one that stands below every robot.
     """
     links = {link.get("name") for link in robot.findall("link")}
+    if own := links & _OWN_LINKS:
+        raise RobotFileError(
+            f"the link {own.pop()!r} has the name of one that every robot is put on; rename it"
+        )
+    links |= _OWN_JOINTS
     taken = links | {joint.get("name") for joint in robot.findall("joint")}
     robot = deepcopy(robot)
     renamed: dict[str, str] = {}

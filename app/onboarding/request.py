@@ -149,6 +149,12 @@ def check_request(request: Request) -> None:
     for field in ("mount_xyz", "mount_rpy", "tip_xyz", "tip_rpy"):
         for coordinate in getattr(request, field):
             check_range(option(field), coordinate, -_FARTHEST, _FARTHEST)
+    for field in ("mount_xyz", "mount_rpy"):
+        if request.arm_urdf is None and any(getattr(request, field)):
+            raise ConfigError(
+                f"{option(field)}: is for an arm of a file of its own; give --arm-urdf, or leave "
+                "it out: in one URDF the joint of the arm's mount says where it stands"
+            )
     # Imported here: coal and pinocchio would make `dbb --help` start later.
     from app.robot.description import KINDS
 

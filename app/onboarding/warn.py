@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from app.border.mobile import MobileBody
 from app.config import AdmittanceConfig
 from app.control.admittance import largest_command
-from app.onboarding.fit.collision_sampling import ALWAYS
+from app.onboarding.fit.collision_sampling import ALWAYS, moved
 from app.onboarding.fit.grouping import MOST_UNSEEN
 from app.onboarding.fit.postures import GIVES_WAY, INNER
 from app.robot.bases.kind import Axis
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 
+_IN_FLOOR = 0.005  # [m] below the floor
 _OVER = 2.0  # [-] volume of a body over that of what it holds
 _TOO_LARGE = 5.0  # [-] length of an arm's links over the distances of its joints; a telescope's 3
 _FITTED = 0.6  # [-] R² of (9) over the counted reachability; of the paper's arm above 0.9
@@ -39,6 +41,7 @@ def warnings_of(robot: NewRobot) -> list[str]:
     """One sentence each, the gravest first."""
     return [
         *_scale(robot),
+        *_places(robot),
         *_poses(robot),
         *filter(None, [robot.held]),
         *_bodies(robot),
@@ -48,6 +51,24 @@ def warnings_of(robot: NewRobot) -> list[str]:
         *_held(robot),
         *_base(robot),
     ]
+
+
+def _places(robot: NewRobot) -> list[str]:
+    """Parts of the arm that stand where none can, in the ready pose: in the floor, in the base."""
+    base, told = MobileBody(robot.model), []
+    state = RobotState(robot.model)
+    state.update_kinematics(at_rest(robot.model, robot.ready.q_m))
+    for unit in robot.meetings.units:
+        if unit.index in robot.bodies[0].units or not unit.parts:
+            continue
+        T = state.data.oMi[unit.joint]
+        corners = np.vstack([moved(part.corners, T) for part in unit.parts])
+        names = ", ".join(dict.fromkeys(part.link for part in unit.parts))
+        if (deep := -float(corners[:, 2].min())) > _IN_FLOOR:
+            told.append(f"{names} is {deep:.3g} m below the floor in the ready pose")
+        elif (base.distance(corners) <= 0.0).all():
+            told.append(f"{names} is wholly inside of the base's body in the ready pose")
+    return [f"{each}: look at --mount-xyz, --mount-rpy and --ready" for each in told]
 
 
 def _poses(robot: NewRobot) -> list[str]:

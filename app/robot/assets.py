@@ -129,6 +129,8 @@ def urdf_path(description: RobotDescription) -> Path:
 
 PLANAR_JOINTS = ("planar_x", "planar_y", "planar_yaw")
 """Joints of the planar root that `planar_urdf` puts under the robot."""
+PLANAR_LINKS = ("planar_world", "planar_x_link", "planar_y_link")
+"""Its links."""
 
 _PLANAR_ROOT = """
   <link name="planar_world">{zero}</link>

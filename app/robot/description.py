@@ -132,7 +132,8 @@ class RobotDescription(Strict):
     reachability: dict[str, ReachabilityDescription]
     """By the name of the body; every body that may come near l_m needs one."""
     lines: dict[str, LinePlace] = Field(default_factory=dict)
-    """By the name of the scenario; the others keep the places that suit the paper's robot."""
+    """By the name of the scenario; one that leads to the base's sides is not run without its own,
+    or a start that is given."""
     unwatched: dict[str, str] = Field(default_factory=dict)
     """Why a pair of bodies is not watched, by its name such as `lm-l2`: as neighbours never are."""
 

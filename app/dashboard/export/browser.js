@@ -49,7 +49,7 @@
     canvas,
     node,
     ready: () => !!viewer()?.canvas && frame() > 0,
-    // What meshes mirror comes later, and is itself drawn into textures: it must not be held.
+    // What meshes mirror comes later.
     lit: () => {
       let root = viewer().nodeRefFromName[""];
       while (root?.parent) root = root.parent;
@@ -69,7 +69,7 @@
     // whoever waits for the browser to draw a frame may get two.
     // Eye and target are in the scene's frame, z up; three.js itself has y up.
     still: async ([name, n, eye, target, ground]) => {
-      held = true;
+      held = flat !== null; // all is drawn once: what meshes mirror is drawn into textures then
       await until(() => dbbPage.arrived(name) === n, 2);
       const inWorld = ([x, y, z]) =>
         node("").localToWorld(viewer().camera.position.clone().set(x, y, z)).toArray();

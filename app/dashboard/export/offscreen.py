@@ -227,10 +227,9 @@ def send_barrier(server: viser.ViserServer, number: int) -> None:
 
 
 def open_page(page: web.Page, server: viser.ViserServer) -> None:
-    """Open the page of a server and wait until it could draw; drawing is held until a picture."""
+    """Open the page of a server and wait until it could draw."""
     page.goto(f"http://{HOST}:{server.get_port()}/?fixedDpr=1")
     page.wait_for_function("() => dbbPage.ready() && dbbPage.lit()", timeout=1000 * TIMEOUT)
-    page.evaluate("() => dbbPage.hold(true)")
 
 
 def with_ghosts(led: Sequence[Snapshot], others: Iterable[Sequence[Snapshot]]) -> list[Snapshot]:

@@ -18,7 +18,7 @@ from app.dashboard.record import Course
 from app.dashboard.scene.colours import Rgb, css
 from app.dashboard.verdict import COLOURS
 from app.errors import CaseError
-from app.simulation.loop.commands import Pause, Play
+from app.simulation.loop.commands import Play
 from app.simulation.scenarios.pulled import CHALLENGE
 
 SIZE = 1280, 720  # [px] of the card's picture
@@ -34,7 +34,10 @@ class ChallengePanel(FilePanel):
         self._shared, name = viewer.shared, CHALLENGE.name
         with self._gui.add_folder("Make it collide", expand_by_default=False):
             self._text = self._gui.add_html("")
-            self._begin = self.button("Begin, 30 s", lambda _: self._play(), viser.Icon.SWORDS)
+            loop = viewer.shared.loop
+            self._begin = self.button(
+                "Begin, 30 s", lambda _: loop.send(Play(CHALLENGE)), viser.Icon.SWORDS
+            )
             self._files = [
                 self.file(label, icon, f"{name}{ending}", make, visible=False)
                 for label, icon, ending, make in (
@@ -46,18 +49,17 @@ class ChallengePanel(FilePanel):
 
     def update(self, moment: Moment) -> None:
         """Renew the texts; look at a challenge that has ended."""
+        super().update(moment)
         challenge, course = self._shared.challenge, self._shared.course
         under_way = course.running and course.name == CHALLENGE.name
         if not under_way and course.case is not None and course.case.played == CHALLENGE.name:
-            challenge.take(course.case)
+            challenge.take(course.case, course)
         self._text.content = challenge_html(challenge, course)
         self._begin.label = "Begin anew" if under_way else "Begin, 30 s"
+        # What is saved has its figures, and somebody to compare with: `none` comes before them.
+        whole = challenge.case is not None and (challenge.case.figures or not challenge.progress)
         for handle in self._files:
-            handle.visible = bool(challenge.tried) and not under_way
-
-    def _play(self) -> None:
-        for command in (Pause(False), Play(CHALLENGE)):
-            self._shared.loop.send(command)
+            handle.visible = bool(challenge.tried and whole) and not under_way
 
     def _picture(self) -> bytes:
         tried = self._shared.challenge.tried  # while the scene is drawn another one may begin
@@ -88,28 +90,30 @@ def verdict_text(tried: Tried) -> tuple[str, Rgb]:
 
 def challenge_html(challenge: Challenge, course: Course) -> str:
     """How the challenge goes while it is under way, else what came of the last one."""
-    progress, case = challenge.progress, challenge.case
-    going = ""
-    if course.name == CHALLENGE.name:
+    case = challenge.case
+    if course.name == CHALLENGE.name and course.running:
+        left = max(course.duration - course.until, 0.0)
         going = readings(course_figures(course))
-        if course.running:
-            left = max(course.duration - course.until, 0.0)
-            return small(f"<b>Pull the hand, or any link: {left:.0f} s left.</b>{going}")
-    state = f"{progress.text}, {100 * max(progress.share, 0):.0f} %" if progress else ""
+        return small(f"<b>Pull the hand, or any link: {left:.0f} s left.</b>{going}")
     if case is None:
         return small(
             "30 s to pull the robot into itself, however you like; then the other controllers "
             "show what they would have done where you pulled to."
         )
     if not challenge.tried:
-        told = state and f"{going}Who has won is looked at step by step: {state}"
-        return small(told or challenge.problem or "Nobody pulled, so nothing was tried.")
+        return small("Nobody pulled, so nothing was tried.")
     text, colour = verdict_text(challenge.tried[0])
     rows = []
     for each in challenge.tried:
         texts = (_mm(each.least), f"{each.pull:.0f} N", f"{each.speed:.2f} m/s")
         loud = [mark(text, css(_WON)) if each.met else text for text in texts]
         rows.append((each.controller, *loud))
+    state = ""
+    if challenge.progress is not None:
+        known = {each.controller for each in challenge.tried if each.figures}
+        shares = {name: f"{100 * share:.0f} %" for name, share in challenge.shares.items()}
+        far = (f"{name} {share}" for name, share in shares.items() if name not in known)
+        state = f"Played again, step by step: {', '.join(far) or 'begins'}"
     table = grid(("", "least", "pull", "hand"), rows)
     same = "Pulled to the same places, each controller:"
     return framed(f"<b>{text}.</b><br>{same}{table}{state}{challenge.problem}", css(colour))

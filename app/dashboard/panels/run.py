@@ -33,7 +33,7 @@ from app.dashboard.record import Course
 from app.dashboard.scene.colours import GHOSTS, SERIES, css
 from app.dashboard.verdict import COLOURS, State, Verdict
 from app.simulation.loop.commands import SPEEDS, Choose, Compare, Pause, Play, Reset, Restart, Speed
-from app.simulation.scenarios import SCENARIOS, own_line
+from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.pulled import CHALLENGE
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
 
@@ -130,9 +130,7 @@ class RunPanel(Panel):
         if scenario == FREE:
             self._sink.send(Reset())
         else:
-            self._sink.send(
-                Play.named(scenario, own_line(self._shared.model.description, scenario))
-            )
+            self._sink.send(Play(scenario_of(self._shared.model.description, scenario)))
 
     def update(self, moment: Moment) -> None:
         """Renew the choices, which stand for the newest snapshot, and the readings."""

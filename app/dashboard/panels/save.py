@@ -49,12 +49,20 @@ _PATIENCE = 30.0  # [s] for a browser to draw a picture
 
 
 class FilePanel(Panel):
-    """Buttons, each of which makes a file beside the simulation for the viewer who pressed it."""
+    """Buttons, each of which makes a file beside the simulation for the viewer who pressed it.
+
+    How far that is stands above them.
+    """
 
     def __init__(self, viewer: Viewer) -> None:
-        """Nothing in it yet."""
+        """No buttons yet."""
         super().__init__(viewer)
         self._viewer, self._job = viewer, viewer.files
+        self._status = JobStatus(viewer, viewer.files)
+
+    def update(self, moment: Moment) -> None:
+        """Show how far the work is."""
+        self._status.show("")
 
     def file(
         self,
@@ -73,15 +81,8 @@ class FilePanel(Panel):
                 self._job.check()
                 client.send_file_download(told, data, save_immediately=True)
 
-        def work() -> None:
-            note = client.add_notification(label, "is being made …", loading=True)
-            try:
-                self._notifier.attempt(client, send)
-            finally:
-                note.remove()
-
         def pressed(_: Any) -> None:
-            self._job.start(label, "is being made", work)
+            self._job.start(label, "is being made", lambda: self._notifier.attempt(client, send))
 
         return self.button(label, pressed, icon, **look)
 
@@ -116,7 +117,6 @@ class SavePanel(FilePanel):
         """Build the tab."""
         super().__init__(viewer)
         gui = self._gui
-        self._status = JobStatus(viewer, viewer.files)
         with gui.add_folder("Picture"):
             self._sizes = {
                 name: gui.add_number(f"{name} [px]", first, min=least, max=most, step=1)
@@ -144,10 +144,6 @@ class SavePanel(FilePanel):
                 "each takes about a quarter of a second to draw: mark a short interval",
             )
         gui.add_markdown("Parameters are saved in the tab *Tune*.")
-
-    def update(self, moment: Moment) -> None:
-        """Show how far the work is."""
-        self._status.show("")
 
     def _size(self) -> tuple[int, int]:
         """[px] the wanted width and height."""

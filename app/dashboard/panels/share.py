@@ -23,8 +23,8 @@ from app.errors import CaseError, ConfigError, UnknownNameError
 from app.parameters import Parameter
 from app.robot.assets import robot_names
 from app.simulation.case import RunCase
-from app.simulation.loop.commands import Choose, Pause, Play
-from app.simulation.scenarios import SCENARIOS, own_line
+from app.simulation.loop.commands import Choose, Play
+from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.strict import check_range
 
 if TYPE_CHECKING:
@@ -225,9 +225,8 @@ class SharePanel(Panel):
         if link.controller:
             commands.append(Choose(link.controller))
         if link.scenario:
-            description = shared.model.description
-            scenario = Play.named(link.scenario, own_line(description, link.scenario)).scenario
-            commands += [Pause(False), Play(scenario, link.at or 0.0)]
+            scenario = scenario_of(shared.model.description, link.scenario)
+            commands.append(Play(scenario, link.at or 0.0))
         shared.tuning.load(link.configured(shared.tuning.config))
         for command in commands:
             shared.loop.send(command)
@@ -289,7 +288,7 @@ def play_case(shared: SharedState, text: str, name: str) -> str:
         raise CaseError(f"{name} is of the robot {case.robot}: choose it in the tab Robot first")
     play = Play(case.scenario())
     shared.tuning.load(case.config())
-    for command in (Choose(case.controller), Pause(False), play):
+    for command in (Choose(case.controller), play):
         shared.loop.send(command)
     return "; ".join([f"{case.played} plays again", *case.differences()])
 

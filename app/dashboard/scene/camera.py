@@ -173,8 +173,8 @@ class Camera:
         self.use(name, snapshot)
 
     def begin(self, snapshot: Snapshot) -> None:
-        """Look from where one looks at first: at a door, or from the scenario's own view."""
-        self.use(_first_view(snapshot), snapshot)
+        """Look from where one looks at first."""
+        self.use(first_view(snapshot), snapshot)
 
     def use(self, name: str, snapshot: Snapshot) -> None:
         """Look from a key of `PRESETS` at the robot as it is in a snapshot."""
@@ -259,7 +259,7 @@ class Camera:
             snapshot.t < before.t - _BACK or (snapshot.scenario not in ("", before.scenario))
         )
         self._begun = self._begun or begun
-        if begun and {_first_view(snapshot), self._preset} & {"door", *_OF_SCENARIOS.values()}:
+        if begun and {first_view(snapshot), self._preset} & {"door", *_OF_SCENARIOS.values()}:
             self.begin(snapshot)
         if busy or self._waits():
             return
@@ -299,7 +299,8 @@ class Camera:
             self._set = None
 
 
-def _first_view(snapshot: Snapshot) -> str:
+def first_view(snapshot: Snapshot) -> str:
+    """Key of `PRESETS` where one looks from at first: a door's, or the scenario's own view."""
     own = _OF_SCENARIOS.get(snapshot.scenario, "iso")
     return own if snapshot.door is None else "door"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
 from functools import partial
 from itertools import product
 from typing import Any, NamedTuple
@@ -15,7 +16,7 @@ from app.config import Config
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
-from app.simulation.run import run_scenario
+from app.simulation.run import steps_of
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.posture import PostureSearch, manipulability
 from app.simulation.scenarios.start import StartSolver
@@ -123,6 +124,7 @@ _OUT = (0.425, 0.375, 0.35, 0.325, 0.30, 0.275, 0.25)  # [m] from the base's sid
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
 _STEP = 0.0125  # [m] along the line
 _OVER_MOUNT = 0.4  # [m] above which no part of l_m is approached
+_JUST_OVER = 0.025  # [m] over a part of l_m, where no other height has a line
 _SAME_TOP = 0.1  # [m] less between the tops of two parts is the same height
 _SHARES = np.linspace(0.1, 1.0, 10)  # [-] of the way from a posture nearby
 _NEAR = 0.15  # [m] from a place to the hand in some posture that is clear of the buffers
@@ -180,11 +182,14 @@ def find_places(
         return {}
     guide, mount = _Guide(model, pairs, d_b), model.p_base()
     body = guide.body
-    heights = [round(h, 3) for h in _heights(_tops(body, float(mount[2]) + _OVER_MOUNT))]
+    tops = _tops(body, float(mount[2]) + _OVER_MOUNT)
+    heights = [round(h, 3) for h in _heights(tops)]
+    last = [round(top + _JUST_OVER, 3) for top in tops]
     ways = {"guiding-lateral": _lateral(body, mount), "guiding-front": _front(body, mount)}
     found: dict[str, Place] = {}
     for k, (name, starts) in enumerate(ways.items()):
-        tried = list(product(starts, heights))
+        starts = list(starts)
+        tried = [*product(starts, heights), *product(starts, last)]
         shares = np.linspace(k, k + 1, len(tried), endpoint=False) / len(ways)
         lines = guide.lines(tried, shares, on_progress)
         place = chosen(lines, d_b, partial(shows, name), anyway=anyway)
@@ -242,12 +247,16 @@ def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> b
     would take the hand along.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
+    moved = 0.0
     try:
-        figures = run_scenario(model, data, line, Config(), physics="kinematic").figures
+        with closing(steps_of(model, data, line, Config(), physics="kinematic")) as steps:
+            for _, step in steps:
+                if min(step.distances[: len(data.pairs.mobile)]) < CLEARANCE:
+                    return False  # the rest of the run cannot mend it
+                moved = float(np.hypot(*step.truth.base_pose[:2]))
     except UnreachableError:
         return False
-    moved, near = figures["base_displacement_m"], figures["min_clearance_m"]
-    return bool(moved >= GIVES_WAY and near >= CLEARANCE)
+    return moved >= GIVES_WAY
 
 
 class _Guide:

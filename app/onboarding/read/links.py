@@ -125,7 +125,10 @@ def _mesh_of(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]
         return trimesh.creation.box(extents=sizes("size", 3)), None
     if shape.tag == "mesh":
         mesh = _load(mesh_path(str(shape.get("filename"))), where).copy()
-        mesh.apply_scale(numbers(shape, "scale", (1.0, 1.0, 1.0), where))
+        scale = numbers(shape, "scale", (1.0, 1.0, 1.0), where)
+        if not scale.all():
+            raise RobotFileError(f"{where}: a scale of its mesh is zero")
+        mesh.apply_scale(scale)
         return mesh, None
     if shape.tag not in ("sphere", "cylinder", "capsule"):
         raise RobotFileError(f"{where}: a <{shape.tag}> is no shape of a URDF")

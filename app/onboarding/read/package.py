@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from app.errors import RobotFileError
-from app.onboarding.read.source import read_source
+from app.onboarding.read.source import MESHES, read_source
 from app.onboarding.read.tree import make_tree
 from app.robot.assets import refuse_entities
 
@@ -33,7 +33,7 @@ LARGEST_CONTENT = 500_000_000
 """[bytes] of all its files, expanded."""
 MOST_FILES = 2000
 """[-] in it."""
-KEPT = (".urdf", ".xml", ".stl", ".dae", ".obj", ".ply")
+KEPT = (".urdf", ".xml", *MESHES)
 """Ends of the names of files that are written; others, such as programs, stay in the zip."""
 _NOTES = re.compile(r"(licen[cs]e|copying|notice)(\.[a-z]+)?", re.IGNORECASE)
 _LARGEST_DIRECTORY = 500 * MOST_FILES  # [bytes] of a zip's list of files; each takes 46 and a name

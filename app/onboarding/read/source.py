@@ -10,8 +10,11 @@ from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
-from app.errors import RobotFileError
+from app.errors import RobotFileError, did_you_mean
 from app.robot.assets import package_roots, refuse_entities, resolve_package_uri, share_folders
+
+MESHES = (".stl", ".dae", ".obj")
+"""Ends of the names of meshes that pybullet reads."""
 
 
 def locate(source: str) -> Path:
@@ -36,8 +39,8 @@ def read_robot(path: Path, packages: Mapping[str, Path] | None = None) -> Elemen
         RobotFileError: As `read_source`, or a mesh is not found.
     """
     robot = read_source(path, packages)
-    for mesh in robot.iter("mesh"):
-        mesh.set("filename", mesh_address(str(mesh.get("filename")), path.parent, packages))
+    for mesh in robot.iterfind("link//mesh"):
+        mesh.set("filename", mesh_address(mesh.get("filename", ""), path.parent, packages))
     return robot
 
 
@@ -56,12 +59,30 @@ def read_source(path: Path, packages: Mapping[str, Path] | None = None) -> Eleme
         is_xacro = path.suffix == ".xacro"
         text = _expanded(path, packages or {}) if is_xacro else path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
-        raise RobotFileError(f"{path}: not well-formed: {error}") from None
+        raise RobotFileError(f"{path}: {error}; save it as UTF-8") from None
     refuse_entities(text, path)
     robot = ElementTree.fromstring(text)
     if robot.tag != "robot":
         raise RobotFileError(f"{path}: its root is <{robot.tag}>, a URDF's is <robot>")
+    if left := _unexpanded(robot):
+        raise RobotFileError(
+            f"{path}: {left} is xacro that nobody expanded; rename it to .xacro, or: "
+            "xacro FILE -o robot.urdf"
+        )
     return robot
+
+
+def _unexpanded(robot: Element) -> str:
+    """The first of a xacro's macros or expressions among what a robot is made of, or nothing."""
+    for each in robot:
+        namespace, _, tag = str(each.tag).rpartition("}")
+        if namespace.endswith("xacro"):
+            return f"<xacro:{tag}>"
+        if tag in ("link", "joint"):
+            values = (value for part in each.iter() for value in part.attrib.values())
+            if left := next((value for value in values if "${" in value or "$(" in value), ""):
+                return left
+    return ""
 
 
 def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | None = None) -> str:
@@ -76,8 +97,14 @@ def mesh_address(reference: str, folder: Path, packages: Mapping[str, Path] | No
     else:
         path = Path(reference.removeprefix("file://"))
         path = path if path.is_absolute() else folder / path
+    if path.suffix.lower() not in (*MESHES, ""):
+        raise RobotFileError(
+            f"mesh {reference}: simulators read {', '.join(MESHES)}; convert it to one of them"
+        )
     if not isfile(path):
-        raise RobotFileError(f"mesh {reference}: there is no file {path}")
+        near = [each.name for each in path.parent.glob("*") if isfile(each)]
+        why = f"there is no file {path}{did_you_mean(path.name, near)}"
+        raise RobotFileError(f"mesh {reference}: {why}" if reference else "a mesh has no filename")
     return _installed_address(path) or str(path.resolve())
 
 

@@ -198,10 +198,13 @@ def _joint(element: Element, links: dict[str, Element]) -> Joint:
 
     def stated(key: str) -> float | None:
         word = None if limit is None else limit.get(key)
-        try:
-            return None if word is None else float(word)
-        except ValueError:
-            raise RobotFileError(f"joint {name!r}: {key}={word!r} should be a number") from None
+        value = None if word is None else floats(word, 1)
+        if word is not None and value is None:
+            raise RobotFileError(
+                f"joint {name!r}: {key}={word!r} should be a finite number; leave it out where "
+                "there is no limit"
+            )
+        return None if value is None else value[0]
 
     bounded = kind in ("revolute", "prismatic")
     return Joint(
@@ -279,6 +282,11 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
     chain = tree.chain(base, tip)
     _nothing_above(tree, base)
     joints = [joint for joint in chain if joint.moves]
+    if follower := next((each.name for each in chain if each.kind in MOVING and each.mimic), None):
+        raise RobotFileError(
+            f"--tip: the joint {follower!r} of the arm follows another one (<mimic>): each joint "
+            "needs a motor of its own; take the <mimic> away, or give a --tip before it"
+        )
     if not joints:
         raise RobotFileError(f"--tip: no joint moves {tip!r} against --base {base!r}")
     first = joints[0]

@@ -172,7 +172,9 @@ def _find_wheels(
             for name, side in zip(given, ("left", "right"), strict=True)
         )
     else:
-        why = "; ".join(reasons) or "no joint turns"
+        turn = ", ".join(wheel.joint.name for wheel in found)
+        why = f"{turn}: no two across from each other" if found else "no joint turns without end"
+        why = "; ".join([*reasons, why] if found else reasons or [why])
         left, right = _driven(_mirrored(found), f"{arm.base!r} ({why})")
     if abs(left.r - right.r) > _ALIKE * left.r:
         raise RobotFileError(

@@ -9,15 +9,13 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Collection, Hashable, Mapping
+from collections.abc import Collection, Hashable
 from dataclasses import dataclass
-from typing import Any
 
 from app.config import Config
 from app.control.controller import CONTROLLERS
 from app.errors import ConfigError, LoopError, TargetError, UnknownNameError
 from app.simulation.people import checked_hold, checked_target
-from app.simulation.scenarios import scenario_by_name
 from app.simulation.scenarios.leading import Scenario
 from app.strict import check_range
 
@@ -153,7 +151,7 @@ class Restart(Beginning):
 
 @dataclass(frozen=True)
 class Play(Beginning):
-    """Begin anew at a scenario's start, and let it lead the hand until its end or a pull."""
+    """Begin anew at a scenario's start, go on, and let it lead the hand to its end or a pull."""
 
     scenario: Scenario
     until: float = 0.0
@@ -161,16 +159,6 @@ class Play(Beginning):
 
     def __post_init__(self) -> None:
         check_range("the time to stop at", self.until, 0.0, self.scenario.duration, "s")
-
-    @classmethod
-    def named(cls, name: str, options: Mapping[str, Any] | None = None) -> Play:
-        """Play a scenario by its name, with options as `Scenario.changed` takes them.
-
-        Raises:
-            UnknownNameError: No scenario has that name.
-            ConfigError: It has no such option, or a value is out of its range.
-        """
-        return cls(scenario_by_name(name).changed(**(options or {})))
 
 
 @dataclass(frozen=True)

@@ -247,7 +247,7 @@ class SimulationLoop(LiveLoop):
             self._say_busy(f"preparing {command.scenario.name}")
             ensemble.play(command.scenario)
             self._until = command.until
-            self._paused = self._paused and not command.until
+            self._paused = False
         elif isinstance(command, commands.Compare):
             self._say_busy("preparing the comparison")
             ensemble.compare(command)

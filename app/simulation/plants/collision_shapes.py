@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 from itertools import product
+from pathlib import Path
 from typing import NamedTuple
 
 import coal
@@ -17,6 +18,7 @@ from app.errors import AssetError
 from app.robot.assets import resolved_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel, kept_per_model
+from app.robot.shapes import convex_hull
 
 Array = np.ndarray
 
@@ -39,7 +41,7 @@ class CollisionShape(NamedTuple):
         part: Name of the link, or of the body, whose shape it is.
         joint: Pinocchio's joint that carries it.
         T: Its pose in that joint's frame.
-        geometry: The shape; of a mesh, its convex hull is meant.
+        geometry: The shape; of a mesh, its convex hull is meant, or one of its several.
     """
 
     part: str
@@ -104,7 +106,9 @@ def collision_shapes(model: RobotModel) -> CollisionShapes:
     loaded = pin.buildGeomFromUrdfString(model.pin, text, pin.GeometryType.COLLISION)
     return CollisionShapes(
         tuple(
-            _shape(model.pin.frames[each.parentFrame].name, each) for each in loaded.geometryObjects
+            _shape(model.pin.frames[each.parentFrame].name, each)._replace(geometry=piece)
+            for each in loaded.geometryObjects
+            for piece in _pieces(each)
         ),
         link_contact_pairs(description),
         description.mobile_body.covers,
@@ -118,6 +122,28 @@ def vertices(geometry: coal.CollisionGeometry) -> Array | None:
     if isinstance(geometry, coal.ConvexBase):
         return np.array(geometry.points())
     return None
+
+
+def _pieces(placed: pin.GeometryObject) -> list[coal.CollisionGeometry]:
+    """A shape, or the hulls of an OBJ's named objects and groups, as pybullet has them."""
+    if not placed.meshPath.lower().endswith(".obj"):
+        return [placed.geometry]
+    points: list[list[float]] = []
+    groups: list[set[int]] = [set()]
+    for line in Path(placed.meshPath).read_text(encoding="utf-8", errors="replace").splitlines():
+        word, *rest = line.split() or [""]
+        if word == "v":
+            points.append([float(each) for each in rest[:3]])
+        elif word in ("o", "g") and rest:
+            groups.append(set())
+        elif word == "f":
+            corners = (int(each.partition("/")[0]) for each in rest)
+            groups[-1] |= {k - 1 if k > 0 else k + len(points) for k in corners}
+    groups = [group for group in groups if group]
+    if len(groups) < 2:
+        return [placed.geometry]
+    scaled = np.array(points) * placed.meshScale
+    return [convex_hull(scaled[sorted(group)]) for group in groups]
 
 
 def _shape(part: str, placed: pin.GeometryObject) -> CollisionShape:

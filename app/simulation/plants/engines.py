@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ SAME_PICTURE = 0.002
 """[-] share of a picture's rays below which it is the same."""
 _SAME_PLACE = 0.01  # [m] of what a ray meets: pybullet adds 1 mm to hulls, at a slant several
 _EDGE = 0.003  # [m] by which edges may differ
-_BESIDE = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1))
+_BESIDE = tuple(product((0, 1, -1), repeat=2))  # itself first; a corner may lie between two sides
 _HALF, _PIXELS = 1.0, 48  # [m] and rays of a picture's side
 _MIDDLE, _FAR = 0.6, 3.0  # [m] height that it looks at, and from how far
 _SIDES = ((1.0, 0.3, 0.4), (-0.6, 1.0, 0.3), (-0.5, -1.0, 1.0))  # where pictures are taken from

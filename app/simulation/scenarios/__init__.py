@@ -69,11 +69,11 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
 
     Raises:
         UnknownNameError: There is no such scenario.
-        UnreachableError: The robot has other lines, and no start is given.
+        UnreachableError: The robot has no line for it, and no start is given.
     """
-    scenario, own = scenario_by_name(name), own_line(description, name)
-    if name in _OWN and description.lines and not own and changes.get("start") is None:
-        there = ", ".join(each for each in _OWN if own_line(description, each))
+    scenario, own = scenario_by_name(name), _own_line(description, name)
+    if name in _OWN and not own and changes.get("start") is None:
+        there = ", ".join(each for each in _OWN if _own_line(description, each)) or "none"
         raise UnreachableError(
             f"{description.name} has no line for {name}: none is known on which its base gives way "
             f"there; it has {there}; --start X Y Z and --move X Y Z give another"
@@ -81,7 +81,7 @@ def scenario_of(description: RobotDescription, name: str, **changes: object) -> 
     return scenario.changed(**own).changed(**changes)
 
 
-def own_line(description: RobotDescription, name: str) -> dict[str, object]:
+def _own_line(description: RobotDescription, name: str) -> dict[str, object]:
     """Start and move of a robot's own line for a scenario, as `Scenario.changed` takes them.
 
     The hand is tracked, as it is guided, from the base's side.

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from app.errors import CaseError, DbbError
-from app.simulation.scenarios import LINES
 from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
 
 if TYPE_CHECKING:
@@ -105,11 +104,11 @@ def free_start(
     # Imported here: scipy would make every command start later.
     from app.simulation.scenarios.start import find_start
 
-    own = model.description.lines
-    place = own.get(BEGIN)
-    if start is None and own and place is None:  # a robot whose hand does not come there
+    place = model.description.lines.get(BEGIN)
+    at = place.start_m if start is None and place else start
+    if at is None:  # a robot whose hand does not come there
         return np.array(model.description.arm.ready_position)
-    x, y, z = start or (place.start_m if place else LINES[BEGIN].start)
+    x, y, z = at
     return find_start(model, data.pairs, config.border.d_b, (x, y, z), seed=seed)
 
 
