@@ -59,7 +59,7 @@ def test_what_was_seen_is_told_at_once_and_each_controller_when_it_is_known(monk
     monkeypatch.setattr(Challenge, "run", again)
     challenge = Challenge()
     scenario = CHALLENGE.changed(pulls=((20, 0, (0.5, 0.0, 0.3)),))
-    case = RunCase.of(scenario, Config(), robot="husky_panda", controller="dbb", physics="planar")
+    case = RunCase.of(Planned("husky_panda", scenario, Config(), physics="planar"))
     challenge.take(case, course)
     assert [each.controller for each in challenge.tried] == ["dbb"]
     assert "kept 40 mm" in challenge_html(challenge, Course())
