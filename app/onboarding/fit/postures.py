@@ -16,6 +16,7 @@ from app.config import Config
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
+from app.simulation.case import Planned
 from app.simulation.run import steps_of
 from app.simulation.scenarios import LINES
 from app.simulation.scenarios.posture import PostureSearch, manipulability
@@ -247,9 +248,10 @@ def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> b
     would take the hand along.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
+    run = Planned(model.description.name, line, Config(), physics="kinematic")
     moved = 0.0
     try:
-        with closing(steps_of(model, data, line, Config(), physics="kinematic")) as steps:
+        with closing(steps_of(run, model, data)) as steps:
             for _, step in steps:
                 if min(step.distances[: len(data.pairs.mobile)]) < CLEARANCE:
                     return False  # the rest of the run cannot mend it
