@@ -248,7 +248,8 @@ def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> b
     would take the hand along.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
-    run, moved = Planned(model.description.name, line, Config(), physics="kinematic"), 0.0
+    run = Planned(model.description.name, line, Config(), physics="kinematic")
+    moved = 0.0
     try:
         with closing(steps_of(run, model, data)) as steps:
             for _, step in steps:
