@@ -328,7 +328,7 @@ def _to_see(of: str, snapshot: Snapshot, extent: Array) -> Array:
     seen += [robot.p_ee + _HAND for robot in robots]
     if of == "hand":
         seen = [hand + _NEAR_HAND]
-    elif of == "pair":
+    elif of == "pair" and snapshot.pairs:
         nearest = min(snapshot.pairs, key=lambda pair: pair.d)
         seen = [p + _NEAR_PAIR for p in (nearest.p_a, nearest.p_b)] + seen[len(robots) :]
     elif of == "door" and snapshot.door is not None:
