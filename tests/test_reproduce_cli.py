@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from app.cli.main import main
-from app.simulation.scenarios import LINES, SCENARIOS
 from app.studies.paper.report import FIGURES
 
 PROJECT = Path(__file__).parent.parent
@@ -79,9 +78,7 @@ def test_other_commands_start_without_matplotlib():
 
 
 @pytest.mark.slow
-def test_a_figure_agrees_with_the_run_of_its_scenario(tmp_path, capfd, monkeypatch):
-    for name, each in LINES.items():  # twice as fast
-        monkeypatch.setitem(SCENARIOS, name, each.changed(duration=each.duration / 2))
+def test_a_figure_agrees_with_the_run_of_its_scenario(tmp_path, capfd):
     out = ["--out", str(tmp_path), "--seed", "1", "--json"]
     main(["reproduce", "fig14", "--processes", "1", *out])
     result = json.loads(capfd.readouterr().out)

@@ -37,13 +37,13 @@ def private(path: Path) -> set[str]:
     """Names with an underscore of other objects than `self`, and private modules of viser."""
     names = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Attribute) and node.attr.startswith("_"):
-            of_self = isinstance(node.value, ast.Name) and node.value.id in {"self", "before"}
-            if not of_self and not node.attr.startswith("__"):
+        if isinstance(node, ast.Attribute):
+            if not (isinstance(node.value, ast.Name) and node.value.id in {"self", "before"}):
                 names.add(node.attr)
         elif isinstance(node, ast.ImportFrom) and (node.module or "").startswith("viser"):
-            names |= {alias.name for alias in node.names if alias.name.startswith("_")}
-    return names - OURS
+            names |= {alias.name for alias in node.names}
+    # Those of Python's own, as __version__, are nobody's secret.
+    return {name for name in names if name[0] == "_" and name[:2] != "__"} - OURS
 
 
 @pytest.mark.parametrize("path", sorted(ROOM.rglob("*.py")), ids=lambda path: path.name)
