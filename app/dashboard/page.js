@@ -3,15 +3,16 @@
   // How it draws goes into a cookie, which comes with the connection that the client opens next.
   const gl = document.createElement("canvas").getContext("webgl2");
   const info = gl?.getExtension("WEBGL_debug_renderer_info");
-  const renderer = gl?.getParameter(info ? info.UNMASKED_RENDERER_WEBGL : gl.RENDERER) ?? "";
+  const name = info?.UNMASKED_RENDERER_WEBGL ?? gl?.RENDERER;
+  const renderer = gl?.getParameter(name) ?? "";
   const software = /swiftshader|llvmpipe|softpipe|software|basic render/i.test(renderer);
   gl?.getExtension("WEBGL_lose_context")?.loseContext();
   document.cookie = `dbb-draws=${software ? "software" : "gpu"}; path=/; SameSite=Strict`;
   // viser's client would say so in a box that stays over the scene; the server tells it for a while.
   if (software) {
     const { getParameter } = WebGL2RenderingContext.prototype;
-    WebGL2RenderingContext.prototype.getParameter = function (name) {
-      return name === info.UNMASKED_RENDERER_WEBGL ? "told" : getParameter.call(this, name);
+    WebGL2RenderingContext.prototype.getParameter = function (asked) {
+      return asked === name ? "told" : getParameter.call(this, asked);
     };
   }
 
