@@ -520,7 +520,7 @@ def masted(model: RobotModel, meeting: list[tuple[int, int]]) -> Meetings:
     touching = np.where([pair in meeting for pair in pairs], -0.01, 1.0)[None]
     rare = Poses(q_m[:1], touching, np.ones(1, dtype=bool))
     random = Poses(q_m, apart, np.ones(3, dtype=bool))
-    return Meetings((), pairs, frozenset(), random, rare)
+    return Meetings((), pairs, frozenset(), frozenset(), random, rare)
 
 
 def grouped(units: list[list[int]]) -> grouping.Grouping:

@@ -62,8 +62,8 @@ def with_stops(
             tried = np.repeat(poses[:, None], _VALUES, axis=1)
             tried[:, :, joint] = values
             found = hull_distances(model, (a, b), [(0, 1)], tried.reshape(-1, model.n_m))
-            clear = (found.reshape(_POSES, _VALUES) > MARGIN).all(axis=0)
-            for first, last in _runs(clear):
+            nearest = found.reshape(_POSES, _VALUES).min(axis=0)
+            for first, last in _runs(nearest > MARGIN):
                 low, high = values[first], values[last]
                 if ready is None or low <= ready[joint] <= high:
                     share = round((high - low) / (upper - lower)[joint] / _ALIKE)
