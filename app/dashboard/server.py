@@ -187,7 +187,7 @@ class DashboardServer:
         finally:
             switch.shown()  # even if drawing ends here: its thread waits for this
         note = f": {robot.note}" if robot.note else "; parameters stay as they were set"
-        self._notifier.inform(f"{robot.model.description.title} is here{note}.")
+        self._notifier.tell(None, "Robot", f"{robot.model.description.title} is here{note}.")
 
     def _show(self, robot: RunningRobot) -> None:
         self.shared = self.shared.followed_by(robot)
