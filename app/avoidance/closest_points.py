@@ -30,23 +30,20 @@ _SIGNS = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])  #
 
 
 class ClosestPoints(NamedTuple):
-    """The closest points of one link pair, in the world.
-
-    Attributes:
-        pair: The link pair; `a` is nearer to the base than `b`.
-        d: [m] signed distance, negative in penetration.
-        p_a: (3,) [m] closest point on `a`.
-        p_b: (3,) [m] closest point on `b`.
-        n: (3,) unit normal from `a` to `b`: moving `b` along it increases d, in penetration too.
-        core: (3,) [m] the point of the core of `b` behind p_b: its radius farther along n.
-    """
+    """The closest points of one link pair, in the world."""
 
     pair: Pair
+    """The link pair; `a` is nearer to the base than `b`."""
     d: float
+    """[m] signed distance, negative in penetration."""
     p_a: Array
+    """(3,) [m] closest point on `a`."""
     p_b: Array
+    """(3,) [m] closest point on `b`."""
     n: Array
+    """(3,) unit normal from `a` to `b`: moving `b` along it increases d, in penetration too."""
     core: Array
+    """(3,) [m] the point of the core of `b` behind p_b: its radius farther along n."""
 
 
 class DistanceMonitor:

@@ -31,15 +31,12 @@ Corner = tuple[complex, complex, bool]
 
 
 class Foot(NamedTuple):
-    """The point of a border nearest to a point at the same height, in the base's frame.
-
-    Attributes:
-        p: (3,) [m] the point of the border.
-        t: (3,) horizontal unit tangent there, with l_m on its left.
-    """
+    """The point of a border nearest to a point at the same height, in the base's frame."""
 
     p: Array
+    """(3,) [m] the point of the border."""
     t: Array
+    """(3,) horizontal unit tangent there, with l_m on its left."""
 
 
 class NearestBorder(Protocol):
@@ -51,25 +48,22 @@ class NearestBorder(Protocol):
 
 
 class Table(NamedTuple):
-    """The rings of all shapes. The first vertex of a row is repeated at its end.
-
-    Attributes:
-        firsts: (K + 1,) row of each shape's first ring, and the number of rows.
-        heights: (N,) [m] of the rings, ascending for each shape.
-        vertices: (N, R + 1) [m] as x + iy.
-        tangents: (N, R + 1) unit tangents at the vertices, as x + iy.
-        shown: (N, R + 1) [m] by how much the vertices lie outside of the other shapes.
-        reached: (N, R + 1) negative where the contours are open.
-        spans: (N, R / BLOCK) [m] from the middle vertex of a block of edges to its others, at most.
-    """
+    """The rings of all shapes. The first vertex of a row is repeated at its end."""
 
     firsts: Array
+    """(K + 1,) row of each shape's first ring, and the number of rows."""
     heights: Array
+    """(N,) [m] of the rings, ascending for each shape."""
     vertices: Array
+    """(N, R + 1) [m] as x + iy."""
     tangents: Array
+    """(N, R + 1) unit tangents at the vertices, as x + iy."""
     shown: Array
+    """(N, R + 1) [m] by how much the vertices lie outside of the other shapes."""
     reached: Array
+    """(N, R + 1) negative where the contours are open."""
     spans: Array
+    """(N, R / BLOCK) [m] from the middle vertex of a block of edges to its others, at most."""
 
 
 class Contours:

@@ -18,17 +18,14 @@ POINT_RANGE = 3.2
 
 @dataclass(frozen=True)
 class Cloud:
-    """P_i of one pair of L_m, sorted by height.
-
-    Attributes:
-        pair: Name of the pair, as in `lm-lEE`.
-        points: (N, 3) int16 in units of 0.1 mm, in the base's frame; column 2 ascends.
-        distances: (N,) uint16 in units of 10 µm, d_m of exactly these points.
-    """
+    """P_i of one pair of L_m, sorted by height."""
 
     pair: str
+    """Name of the pair, as in `lm-lEE`."""
     points: Array
+    """(N, 3) int16 in units of 0.1 mm, in the base's frame; column 2 ascends."""
     distances: Array
+    """(N,) uint16 in units of 10 µm, d_m of exactly these points."""
 
     def __len__(self) -> int:
         return len(self.distances)
@@ -78,21 +75,18 @@ SAME_HEIGHT = 0.005
 
 @dataclass(frozen=True)
 class Border:
-    """DBB_i of one pair of L_m, in the base's frame, sorted by height.
-
-    Attributes:
-        pair: Name of the pair, as in `lm-lEE`.
-        d_b: [m] buffer distance.
-        eps: [m] tolerance ε.
-        points: (N, 3) [m], column 2 ascends.
-        heights: (N,) [m] column 2 of the points, contiguous.
-    """
+    """DBB_i of one pair of L_m, in the base's frame, sorted by height."""
 
     pair: str
+    """Name of the pair, as in `lm-lEE`."""
     d_b: float
+    """[m] buffer distance."""
     eps: float
+    """[m] tolerance ε."""
     points: Array
+    """(N, 3) [m], column 2 ascends."""
     heights: Array
+    """(N,) [m] column 2 of the points, contiguous."""
 
     def __len__(self) -> int:
         return len(self.points)

@@ -167,21 +167,18 @@ class SeedJob(NamedTuple):
 
 
 class SectorJob(NamedTuple):
-    """The flood of one sector.
-
-    Attributes:
-        pair: The pair of L_m.
-        seed: Of the sector's random numbers.
-        sector: Its number.
-        sources: (N, n_m) float32, poses to start from.
-        taken: (M,) numbers of its voxels that are filled already.
-    """
+    """The flood of one sector."""
 
     pair: Pair
+    """The pair of L_m."""
     seed: np.random.SeedSequence
+    """Of the sector's random numbers."""
     sector: int
+    """Its number."""
     sources: Array
+    """(N, n_m) float32, poses to start from."""
     taken: Array
+    """(M,) numbers of its voxels that are filled already."""
 
 
 def sample_shell(context: Context, job: SeedJob) -> Kept:

@@ -82,15 +82,12 @@ class BorderPoints:
 
 
 class Gap(NamedTuple):
-    """A stretch of a closed contour that the arm never reaches, counted in its rays.
-
-    Attributes:
-        first: Where it begins.
-        last: Where it ends, more than `first` also where it goes beyond the last ray.
-    """
+    """A stretch of a closed contour that the arm never reaches, counted in its rays."""
 
     first: float
+    """Where it begins."""
     last: float
+    """Where it ends, more than `first` also where it goes beyond the last ray."""
 
 
 def gaps_between(stretches: Iterable[tuple[float, float]]) -> list[Gap]:

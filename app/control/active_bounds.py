@@ -32,17 +32,14 @@ TOLERANCE = 1e-5
 
 
 class Bound(NamedTuple):
-    """A limit that was met.
-
-    Attributes:
-        where: Name of a joint, "base", or a pair as in `lm-lEE`.
-        kind: What is limited.
-        upper: Whether it is the upper of the two bounds.
-    """
+    """A limit that was met."""
 
     where: str
+    """Name of a joint, "base", or a pair as in `lm-lEE`."""
     kind: BoundKind
+    """What is limited."""
     upper: bool
+    """Whether it is the upper of the two bounds."""
 
 
 def active_bounds(

@@ -71,15 +71,12 @@ class AdmittanceLaw:
 
 
 class Response(NamedTuple):
-    """How the law answers an acceleration a: the velocity changes by gain (a - drag ν) on average.
-
-    Attributes:
-        gain: (n_b,) [-]
-        drag: (n_b,) [1/s]
-    """
+    """Of an acceleration a the law makes gain (a - drag ν) on average, ν being the velocity."""
 
     gain: Array
+    """(n_b,) [-]"""
     drag: Array
+    """(n_b,) [1/s]"""
 
 
 def response(base: BaseKind, config: AdmittanceConfig) -> Response:

@@ -116,17 +116,14 @@ def _least_distance(
 
 
 class Approach(NamedTuple):
-    """How the arm comes towards the base.
-
-    Attributes:
-        v: [m/s] speed of the arm's closest point over the ground, along -n.
-        n: (3,) unit normal of the pair from the base to the arm, in the base's frame.
-        p_b: (3,) [m] closest point on the arm, in the base's frame.
-    """
+    """How the arm comes towards the base."""
 
     v: float
+    """[m/s] speed of the arm's closest point over the ground, along -n."""
     n: Array
+    """(3,) unit normal of the pair from the base to the arm, in the base's frame."""
     p_b: Array
+    """(3,) [m] closest point on the arm, in the base's frame."""
 
 
 def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:

@@ -27,107 +27,95 @@ LevelName = Literal["base", "arm", "links", "hand", "posture", "free"]
 
 
 class ForceSplit(NamedTuple):
-    """The force of one pair of L_m, split as in Figure 7; horizontal, forward and left.
-
-    Attributes:
-        f: [N] f_m,i of (14), the sum of the next two.
-        away: [N] its part along -n: it moves the base away from the arm.
-        turn: [N] its part across: what the step (12), (13) towards a better score adds.
-        away_acceleration: [m/s² or rad/s²] of (16) by `away` alone, times β_m.
-        turn_acceleration: The same by `turn`.
-        determinant: [m⁴/rad⁴] det(J_c J_cᵀ) of (7) at p_act.
-        reachability: [-] R of (9) at p_act.
-        score: [m⁴/rad⁴] S of (10) at p_act.
-        score_near: [m⁴/rad⁴] S at p_n, where the force would act without the step.
-    """
+    """The force of one pair of L_m, split as in Figure 7; horizontal, forward and left."""
 
     f: Planar
+    """[N] f_m,i of (14), the sum of the next two."""
     away: Planar
+    """[N] its part along -n: it moves the base away from the arm."""
     turn: Planar
+    """[N] its part across: what the step (12), (13) towards a better score adds."""
     away_acceleration: ByAxis
+    """[m/s² or rad/s²] of (16) by `away` alone, times β_m."""
     turn_acceleration: ByAxis
+    """The same by `turn`."""
     determinant: float
+    """[m⁴/rad⁴] det(J_c J_cᵀ) of (7) at p_act."""
     reachability: float
+    """[-] R of (9) at p_act."""
     score: float
+    """[m⁴/rad⁴] S of (10) at p_act."""
     score_near: float
+    """[m⁴/rad⁴] S at p_n, where the force would act without the step."""
 
 
 class NearPair(NamedTuple):
-    """One link pair that is inside a buffer, or held by its barrier.
-
-    Attributes:
-        a: Body nearer to the base, as in `lm`.
-        b: Body farther out, as in `lEE`.
-        mobile: Whether it belongs to L_m.
-        d: [m] signed distance, as the controller has it.
-        beta: [-] activation parameter.
-        n: Unit normal from `a` to `b`, in the base's frame.
-        above: [-] how far the pair meets from above, where no motion of the base helps; 0 to 1.
-        arm_beta: [-] activation of the arm's own rows against the base, 0 if there are none.
-        held: Whether the method's hard inequality for the pair is at its bound.
-        force: Of an active pair of L_m whose controller moves the base, else None.
-    """
+    """One link pair that is inside a buffer, or held by its barrier."""
 
     a: str
+    """Body nearer to the base, as in `lm`."""
     b: str
+    """Body farther out, as in `lEE`."""
     mobile: bool
+    """Whether it belongs to L_m."""
     d: float
+    """[m] signed distance, as the controller has it."""
     beta: float
+    """[-] activation parameter."""
     n: tuple[float, float, float]
+    """Unit normal from `a` to `b`, in the base's frame."""
     above: float
+    """[-] how far the pair meets from above, where no motion of the base helps; 0 to 1."""
     arm_beta: float
+    """[-] activation of the arm's own rows against the base, 0 if there are none."""
     held: bool
+    """Whether the method's hard inequality for the pair is at its bound."""
     force: ForceSplit | None
+    """Of an active pair of L_m whose controller moves the base, else None."""
 
 
 class Level(NamedTuple):
-    """The slack of one task: what it asked for less what it got.
-
-    Attributes:
-        name: "base": the base's rows of T_sca; "arm": the arm's rows against the base; "links":
-            rows between links; "hand": the end-effector's task; "posture": the lightest, or
-            "free" where a person leads the arm: what it would do by itself.
-        linear: [m/s²] norm of the slack, or its linear part; None if there is none. Of "base" v̇.
-        angular: [rad/s²] norm of the angular part, or of the joints'; None if there is none.
-    """
+    """The slack of one task: what it asked for less what it got."""
 
     name: LevelName
+    """"base": the base's rows of T_sca; "arm": the arm's rows against the base; "links": rows
+    between links; "hand": the end-effector's task; "posture": the lightest, or "free" where a
+    person leads the arm: what it would do by itself."""
     linear: float | None
+    """[m/s²] norm of the slack, or its linear part; None if there is none. Of "base" v̇."""
     angular: float | None
+    """[rad/s²] norm of the angular part, or of the joints'; None if there is none."""
 
 
 class Explanation(NamedTuple):
-    """One control step, explained.
-
-    Attributes:
-        controller: Name of the controller that acted.
-        mode: Whether the arm is led by hand or follows a reference.
-        solved: False if a QP had no solution and the safe command was given.
-        chain: Names of all bodies, the mobile robot first, then outwards.
-        near: Pairs inside a buffer, the most active first.
-        nearest: Body names and distance [m] of the nearest pair of L_m, near or not.
-        axes: The base's axes, along which its accelerations are.
-        base_avoidance: [m/s² or rad/s²] of (16), times β_m; 0 without the base's rows.
-        base_asked: The same that the step asks of the base.
-        base_given: The same that the base has.
-        levels: What each level of the hierarchy gave up, highest priority first.
-        bounds: What limited the step.
-        base_kind: Which kind of base it is, whose measure stands in the score.
-    """
+    """One control step, explained."""
 
     controller: str
+    """Name of the controller that acted."""
     mode: Controlled
+    """Whether the arm is led by hand or follows a reference."""
     solved: bool
+    """False if a QP had no solution and the safe command was given."""
     chain: tuple[str, ...]
+    """Names of all bodies, the mobile robot first, then outwards."""
     near: tuple[NearPair, ...]
+    """Pairs inside a buffer, the most active first."""
     nearest: tuple[str, str, float]
+    """Body names and distance [m] of the nearest pair of L_m, near or not."""
     axes: tuple[Axis, ...]
+    """The base's axes, along which its accelerations are."""
     base_avoidance: ByAxis
+    """[m/s² or rad/s²] of (16), times β_m; 0 without the base's rows."""
     base_asked: ByAxis
+    """The same that the step asks of the base."""
     base_given: ByAxis
+    """The same that the base has."""
     levels: tuple[Level, ...]
+    """What each level of the hierarchy gave up, highest priority first."""
     bounds: tuple[Bound, ...]
+    """What limited the step."""
     base_kind: str = "differential"
+    """Which kind of base it is, whose measure stands in the score."""
 
     @property
     def forces(self) -> tuple[ForceSplit, ...]:

@@ -25,15 +25,12 @@ Array = np.ndarray
 
 
 class BarrierRow(NamedTuple):
-    """J q̈ ≥ l.
-
-    Attributes:
-        J: (n,) Jacobian of the distance.
-        l: [m/s²] lower bound.
-    """
+    """J q̈ ≥ l."""
 
     J: Array
+    """(n,) Jacobian of the distance."""
     l: float
+    """[m/s²] lower bound."""
 
 
 def barrier_row(state: RobotState, closest: ClosestPoints, config: BarrierConfig) -> BarrierRow:
@@ -77,18 +74,14 @@ def joint_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Array]:
 
 
 class ArmNow(NamedTuple):
-    """What bounds the arm's part of a step, beside the robot's state.
-
-    Attributes:
-        qdd_b: (n_b,) q̈ of the base.
-        torque: (n_m,) the smallest and (n_m,) the largest torque [N m or N] of this step.
-        pushed: (n_m,) [N m or N] r, torques that others exert on the arm: they add (0, M_aa⁻¹ r) to
-            q̈.
-    """
+    """What bounds the arm's part of a step, beside the robot's state."""
 
     qdd_b: Array
+    """(n_b,) q̈ of the base."""
     torque: tuple[Array, Array]
+    """(n_m,) the smallest and (n_m,) the largest torque [N m or N] of this step."""
     pushed: Array
+    """(n_m,) [N m or N] r, torques that others exert on the arm: they add (0, M_aa⁻¹ r) to q̈."""
 
 
 def bounds_in_reach(state: RobotState, config: LimitConfig, arm: ArmNow) -> tuple[Array, Array]:

@@ -19,25 +19,22 @@ Array = np.ndarray
 
 
 class Inserted(NamedTuple):
-    """What a method adds to the stack in one control step.
-
-    Attributes:
-        rows_m: Rows that fix the base's acceleration, or None.
-        rows_arm: The arm's rows against the base.
-        rows_links: Rows between the arm's links.
-        barriers: Distances that the arm keeps while the other tasks give in.
-        base_too: Whether the base takes part in keeping them.
-        n_b: How many velocity axes the base has.
-        u_a: (n_m,) [N m or N] torques besides those of a guided arm by itself.
-    """
+    """What a method adds to the stack in one control step."""
 
     rows_m: TaskRows | None = None
+    """Rows that fix the base's acceleration, or None."""
     rows_arm: tuple[TaskRows, ...] = ()
+    """The arm's rows against the base."""
     rows_links: tuple[TaskRows, ...] = ()
+    """Rows between the arm's links."""
     barriers: tuple[BarrierRow, ...] = ()
+    """Distances that the arm keeps while the other tasks give in."""
     base_too: bool = False
+    """Whether the base takes part in keeping them."""
     n_b: int = 2
+    """How many velocity axes the base has."""
     u_a: Array | float = 0.0
+    """(n_m,) [N m or N] torques besides those of a guided arm by itself."""
 
     @property
     def rows(self) -> tuple[TaskRows, ...]:

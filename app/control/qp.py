@@ -22,15 +22,12 @@ _ENOUGH = 1e-6  # accuracy of ProxQP
 
 
 class Objective(NamedTuple):
-    """min ½ q̈ᵀ H q̈ + cᵀ q̈, strictly convex.
-
-    Attributes:
-        H: (n, n) symmetric positive definite.
-        c: (n,).
-    """
+    """min ½ q̈ᵀ H q̈ + cᵀ q̈, strictly convex."""
 
     H: Array
+    """(n, n) symmetric positive definite."""
     c: Array
+    """(n,)."""
 
     def of_arm(self, qdd_b: Array) -> Objective:
         """The same over q̈_m, the base's part (n_b,) given."""
@@ -39,20 +36,17 @@ class Objective(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """l ≤ C q̈ ≤ u.
-
-    Attributes:
-        C: (m, n).
-        l: (m,) lower bounds.
-        u: (m,) upper bounds.
-        softness: (m,) [-] ε of each row; one of 0 holds whatever the others ask, and all others are
-            in one unit.
-    """
+    """l ≤ C q̈ ≤ u."""
 
     C: Array
+    """(m, n)."""
     l: Array
+    """(m,) lower bounds."""
     u: Array
+    """(m,) upper bounds."""
     softness: Array
+    """(m,) [-] ε of each row; one of 0 holds whatever the others ask, and all others are in one
+    unit."""
 
     def of_arm(self, qdd_b: Array) -> Limits:
         """The same over q̈_m, the base's part (n_b,) given."""

@@ -18,33 +18,27 @@ Array = np.ndarray
 
 
 class Reference(NamedTuple):
-    """Where the end-effector shall be, in the world.
-
-    Attributes:
-        pose: T_world_ee.
-        velocity: (6,) linear [m/s] over angular [rad/s].
-        acceleration: (6,) linear [m/s²] over angular [rad/s²].
-    """
+    """Where the end-effector shall be, in the world."""
 
     pose: pin.SE3
+    """T_world_ee."""
     velocity: Array
+    """(6,) linear [m/s] over angular [rad/s]."""
     acceleration: Array
+    """(6,) linear [m/s²] over angular [rad/s²]."""
 
 
 class EqualityTask(NamedTuple):
-    """J q̈ + w = b, to be met as closely as what comes before it allows.
-
-    Attributes:
-        J: (k, n).
-        b: (k,) desired acceleration less J̇ q̇.
-        give: [m²] λ of `tracking_objective`.
-        drag: (n,) [rad/s² or m/s²] k_v q̇.
-    """
+    """J q̈ + w = b, to be met as closely as what comes before it allows."""
 
     J: Array
+    """(k, n)."""
     b: Array
+    """(k,) desired acceleration less J̇ q̇."""
     give: float
+    """[m²] λ of `tracking_objective`."""
     drag: Array
+    """(n,) [rad/s² or m/s²] k_v q̇."""
 
 
 def end_effector_task(state: RobotState, reference: Reference, config: TaskConfig) -> EqualityTask:

@@ -23,22 +23,19 @@ Array = np.ndarray
 
 
 class Measurement(NamedTuple):
-    """What the robot's sensors give, once a control step.
-
-    Attributes:
-        base_pose: (3,) x, y [m] and heading φ [rad] of the base's centre in the world.
-        base_velocity: (n_b,) [m/s or rad/s] along the base's axes: v and ω of a differential one.
-        q_m: (n_m,) [rad or m] the arm's joint positions.
-        qd_m: (n_m,) [rad/s or m/s] the arm's joint velocities.
-        drive: (n_d,) what the base's drive has besides, such as a steering angle [rad]; if it is
-            left out, it counts as at rest.
-    """
+    """What the robot's sensors give, once a control step."""
 
     base_pose: Array
+    """(3,) x, y [m] and heading φ [rad] of the base's centre in the world."""
     base_velocity: Array
+    """(n_b,) [m/s or rad/s] along the base's axes: v and ω of a differential one."""
     q_m: Array
+    """(n_m,) [rad or m] the arm's joint positions."""
     qd_m: Array
+    """(n_m,) [rad/s or m/s] the arm's joint velocities."""
     drive: Array = np.zeros(0)
+    """(n_d,) what the base's drive has besides, such as a steering angle [rad]; if it is left out,
+    it counts as at rest."""
 
 
 def checked(measurement: Measurement, model: RobotModel) -> Measurement:

@@ -31,20 +31,17 @@ _GRIP_DAMPING = 0.5  # [-] of that spring with the hand's mass on it, of the cri
 
 
 class Hold(NamedTuple):
-    """Where somebody holds the robot, and where to.
-
-    Attributes:
-        who: Number of the person.
-        target: (3,) [m] where the point is pulled, in the world.
-        link: Name of a frame of the arm, one of `held_links`; None is the end-effector.
-        point: (3,) [m] the point that is held, in the link's frame; without a link it is the
-            end-effector's origin.
-    """
+    """Where somebody holds the robot, and where to."""
 
     who: int
+    """Number of the person."""
     target: Array
+    """(3,) [m] where the point is pulled, in the world."""
     link: str | None = None
+    """Name of a frame of the arm, one of `held_links`; None is the end-effector."""
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """(3,) [m] the point that is held, in the link's frame; without a link it is the end-effector's
+    origin."""
 
 
 class PullReading(NamedTuple):
@@ -62,15 +59,12 @@ class PullReading(NamedTuple):
 
 
 class PersonForces(NamedTuple):
-    """What people do to the robot in one control step.
-
-    Attributes:
-        hand: (3,) [N] sum of the forces on the end-effector's origin, in the world.
-        pushes: Those on other points of the arm.
-    """
+    """What people do to the robot in one control step."""
 
     hand: Array
+    """(3,) [N] sum of the forces on the end-effector's origin, in the world."""
     pushes: tuple[Push, ...] = ()
+    """Those on other points of the arm."""
 
 
 class People:

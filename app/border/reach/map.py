@@ -30,31 +30,28 @@ _ORIENTATIONS = {6: 8 * np.pi**2, 5: 4 * np.pi, 3: 1.0}
 
 @dataclass(frozen=True)
 class ReachMap:
-    """Reachability of one body on a lattice around the arm's mount.
-
-    Attributes:
-        body: Name of the body.
-        points: (N, 3) [m] positions in the base's frame: of the end-effector for the body that
-            carries it, else of the middle of the body's first shape.
-        found: (N,) [-] mean number of solutions of a pose there, within the joint limits and
-            without self-collision, over random orientations and held joints.
-        samples: Joint positions that it was made of.
-        reach: (N,) [-] the same, scaled so that its mean over the best shell is 100.
-        p_base: (3,) [m] the arm's mount in the base's frame.
-        spacing_m: [m] of the lattice.
-        seed: Of the joint positions.
-        free_joints: Joints held at random, as the arm has more than the pose has numbers.
-    """
+    """Reachability of one body on a lattice around the arm's mount."""
 
     body: str
+    """Name of the body."""
     points: Array
+    """(N, 3) [m] positions in the base's frame: of the end-effector for the body that carries it,
+    else of the middle of the body's first shape."""
     found: Array
+    """(N,) [-] mean number of solutions of a pose there, within the joint limits and without
+    self-collision, over random orientations and held joints."""
     samples: int
+    """Joint positions that it was made of."""
     reach: Array
+    """(N,) [-] the same, scaled so that its mean over the best shell is 100."""
     p_base: Array
+    """(3,) [m] the arm's mount in the base's frame."""
     spacing_m: float
+    """[m] of the lattice."""
     seed: int
+    """Of the joint positions."""
     free_joints: tuple[str, ...]
+    """Joints held at random, as the arm has more than the pose has numbers."""
 
     @property
     def rho(self) -> Array:

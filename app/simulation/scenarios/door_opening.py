@@ -56,19 +56,16 @@ class DoorOpeningGains:
 
 
 class HandReading(NamedTuple):
-    """What the robot senses of its hand; all in the world.
-
-    Attributes:
-        T_world_ee: Pose of the end-effector.
-        velocity: (3,) [m/s] of its origin.
-        force: (3,) [N] that the hand exerts on the door.
-        torque: (3,) [N m] that it exerts there about the end-effector's origin.
-    """
+    """What the robot senses of its hand; all in the world."""
 
     T_world_ee: pin.SE3
+    """Pose of the end-effector."""
     velocity: Array
+    """(3,) [m/s] of its origin."""
     force: Array
+    """(3,) [N] that the hand exerts on the door."""
     torque: Array
+    """(3,) [N m] that it exerts there about the end-effector's origin."""
 
 
 def tangent(radial: Array, sense: float) -> Array:

@@ -25,15 +25,12 @@ _TOUCHED = {"contacts": "the base", "arm_contacts": "itself", "floor_contacts": 
 
 
 class Figure(NamedTuple):
-    """A figure of a run.
-
-    Attributes:
-        about: What it is, in a sentence.
-        of: How it follows from a trace.
-    """
+    """A figure of a run."""
 
     about: str
+    """What it is, in a sentence."""
     of: Callable[[Trace], Any]
+    """How it follows from a trace."""
 
 
 def metrics(run: Trace) -> dict[str, Any]:
