@@ -87,17 +87,12 @@ class Contours:
         return level(self.table.firsts, self.table.heights, z)
 
     def nearest(self, p: Array) -> Foot | None:
-        """The point of the contours at p's height that is nearest to p.
+        """The point of the contours nearest to p, (3,) [m] in the base's frame, at its height.
 
         It moves continuously with p, but where p has two nearest points (the medial axis). Heights
         beyond the contours are taken as their lowest or highest. In a gap it is the end of a
-        contour; where all of a height is open, it is as if nothing were.
-
-        Args:
-            p: (3,) [m] in the base's frame.
-
-        Returns:
-            None only if there is no ring at all.
+        contour; where all of a height is open, it is as if nothing were. None only if there is no
+        ring at all.
         """
         if not len(self.table.heights):
             return None
@@ -107,10 +102,9 @@ class Contours:
         return Foot(np.array([x, y, p[2]]), np.array([t_x, t_y, 0.0]))
 
     def contours(self, z: float) -> list[Array]:
-        """(K, 2) [m] each, the polygons at a height: closed ones, or the open pieces of each ring.
+        """(K, 2) [m] each, the polygons at a height z [m], or the open pieces of each ring.
 
-        Args:
-            z: [m] height; there is none beyond the lowest and the highest ring.
+        There is none beyond the lowest and the highest ring.
         """
         table, found = self.table, []
         for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):

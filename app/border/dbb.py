@@ -92,14 +92,9 @@ class Border:
         return len(self.points)
 
     def same_height(self, z: float, half_thickness: float = SAME_HEIGHT) -> Array:
-        """DBB_xy: FindSameHeight of Algorithm 3, in O(log N) and without a copy.
+        """(M, 3) [m] DBB_xy: FindSameHeight of Algorithm 3, in O(log N) and without a copy.
 
-        Args:
-            z: [m] height above the floor.
-            half_thickness: [m] half of the slice's thickness.
-
-        Returns:
-            (M, 3) [m] a view of the points whose height is within `half_thickness` of z.
+        A view of the points within a half thickness [m] of a height z [m].
         """
         first = self.heights.searchsorted(z - half_thickness, "left")
         last = self.heights.searchsorted(z + half_thickness, "right")
@@ -107,20 +102,12 @@ class Border:
 
 
 def construct_dbb(cloud: Cloud, d_b: float, eps: float) -> Border:
-    """ConstructDBB: the points of P_i whose distance to l_m is d_b within ε.
+    """ConstructDBB: the points of P_i whose distance to l_m is d_b within ε, both [m].
 
     Paper: Eq. (3).
 
     Kept distances are rounded, so the selection is narrower by half of their resolution: each point
-    is within ε of d_b when measured again.
-
-    Args:
-        cloud: P_i with its distances d_m.
-        d_b: [m] buffer distance.
-        eps: [m] tolerance ε.
-
-    Returns:
-        The border, empty where P_i has no such points.
+    is within ε of d_b when measured again. The border is empty where P_i has no such points.
     """
     slack = eps - DISTANCE_UNIT / 2
     low = int(np.ceil((d_b - slack) / DISTANCE_UNIT))

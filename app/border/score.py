@@ -175,13 +175,7 @@ class RadialProfile:
 
 
 def radial_profile(rho: Array, reach: Array, shell: float = SHELL) -> RadialProfile:
-    """Means over shells.
-
-    Args:
-        rho: (N,) [m] distances from the mount.
-        reach: (N,) values there.
-        shell: [m] thickness of a shell.
-    """
+    """Means of values (N,) at distances rho (N,) [m] from the mount, over shells [m] thick."""
     # Positions of a lattice may stand on the border of two shells: rounding must not decide.
     index = np.floor(np.asarray(rho) / shell + ROUNDING).astype(int)
     size = int(index.max(initial=-1)) + 1
@@ -238,13 +232,9 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
 
     Paper: Eq. (9).
     It is fitted where it is meaningful: over the unbroken range of distances around the peak in
-    which the mean is at least a share of the peak's: 0.05, below which `ScoreField.reachability`
-    bends (9), unless another is asked for.
-
-    Args:
-        rho: (N,) [m] distances from the arm's mount.
-        reach: (N,) [-] values there, those of zero included.
-        share: [-] of the peak above which the mean over a shell has to be.
+    which the mean is at least a share [-] of the peak's: 0.05, below which
+    `ScoreField.reachability` bends (9), unless another is asked for. The values (N,) [-] at
+    distances rho (N,) [m] from the arm's mount include those of zero.
 
     Raises:
         ValueError: There are too few values, or they are not concave.

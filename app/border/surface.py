@@ -51,18 +51,13 @@ class BorderPoints:
         self._border, self._offset = border, offset
 
     def nearest(self, p: Array) -> Foot | None:
-        """FindSameHeight and FindMinDistancePoint: the point nearest to p at p's height.
+        """FindSameHeight and FindMinDistancePoint: the point nearest to p, (3,) [m], at its height.
 
         The tangent is at right angles to the way from p to that point. Where p lies on the border,
         which is known to within ε, that way has no direction: there it is the offset's tangent.
+        None only if l_m has no border at all.
 
         Paper: Algorithm 3, lines 1 to 4.
-
-        Args:
-            p: (3,) [m] in the base's frame.
-
-        Returns:
-            None only if l_m has no border at all.
         """
         exact = None
         points = self._border.same_height(float(p[2]))
@@ -105,15 +100,11 @@ def gaps_between(stretches: Iterable[tuple[float, float]]) -> list[Gap]:
 def without_leaps(
     contours: Sequence[list[Gap] | None], heights: Array, rays: int
 ) -> list[list[Gap]]:
-    """Gaps narrowed until none leaps from height to height.
+    """Gaps narrowed until none leaps from height to height, (H,) [m] ascending.
 
-    Else one would open within a single height where the border begins, and the foot race.
-
-    Args:
-        contours: (H,) the gaps of each; None where nothing is told. Between contours that tell
-            something such a one has the gaps of the next lower of them, else it has none.
-        heights: (H,) [m] ascending.
-        rays: Of a contour.
+    Else one would open within a single height where the border begins, and the foot race. A contour
+    that tells nothing is None: between contours that tell something it has the gaps of the next
+    lower of them, else it has none.
     """
     told = [k for k, gaps in enumerate(contours) if gaps is not None]
     found: list[list[Gap]] = [[] for _ in contours]

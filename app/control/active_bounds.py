@@ -45,14 +45,7 @@ class Bound(NamedTuple):
 def active_bounds(
     state: RobotState, output: ControlOutput, workings: Workings, config: Config
 ) -> list[Bound]:
-    """The limits that the controller met in a step, those of the arm first.
-
-    Args:
-        state: The robot's state in the step.
-        output: What the controller answered.
-        workings: How it came about.
-        config: The parameters of the step.
-    """
+    """The limits that the controller met in a step, those of the arm first."""
     n_m = state.model.n_m
     low, high = met(workings.limits, workings.qdd)
     joints = state.model.description.arm.joints
@@ -72,13 +65,7 @@ def active_bounds(
 
 
 def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list[Bound]:
-    """Whether the base's velocity command is as large as it may be.
-
-    Args:
-        model: The robot.
-        config: v_max and ω_max.
-        command: (n_b,) [m/s or rad/s].
-    """
+    """Whether the base's velocity command (n_b,) [m/s or rad/s] is as large as it may be."""
     base = model.description.base
     largest = largest_command(base, config.admittance)
     return [

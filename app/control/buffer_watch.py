@@ -66,13 +66,9 @@ class BufferWatch:
     def update(
         self, state: RobotState, pairs: Sequence[ClosestPoints], dt: float, *, gives_way: bool
     ) -> BufferReading:
-        """Take one control step.
+        """Take one control step of dt [s] with the pairs of L_m at the robot's state.
 
-        Args:
-            state: The robot's state.
-            pairs: The pairs of L_m at it.
-            dt: [s] control step.
-            gives_way: Whether the controller lets the base give way.
+        `gives_way` says whether the controller lets the base give way.
         """
         if self._steps % _SAMPLE == 0:
             look = self._steps % _EVERY == 0

@@ -134,13 +134,9 @@ class Explanation(NamedTuple):
 def explain(
     controller: Controller, output: ControlOutput, config: Config, base_command: Array
 ) -> Explanation:
-    """Explain the controller's last step.
+    """Explain the controller's last step, in the state of which it still is.
 
-    Args:
-        controller: Still in the state of that step.
-        output: What it answered.
-        config: The parameters of the step.
-        base_command: (n_b,) [m/s or rad/s] the admittance law's command in force.
+    `base_command` (n_b,) [m/s or rad/s] is the admittance law's in force.
     """
     state, avoidance, workings = controller.state, output.avoidance, output.workings
     bounds = [] if workings is None else active_bounds(state, output, workings, config)
@@ -169,15 +165,7 @@ def explain(
 
 
 def level_readings(base: BaseKind, output: ControlOutput, workings: Workings) -> tuple[Level, ...]:
-    """The tasks of a step, what weighs most first.
-
-    They are w_sca* and w_2 of (29).
-
-    Args:
-        base: The robot's base.
-        output: What the controller answered.
-        workings: How it came about.
-    """
+    """The tasks of a step, what weighs most first: w_sca* and w_2 of (29)."""
     stack, inserted, qdd = workings.stack, output.inserted, workings.qdd
     levels = []
     if inserted.rows_m is not None:
@@ -228,14 +216,9 @@ def _norm(*vectors: Array) -> float:
 
 
 def split(f: Array, n: Array) -> tuple[Array, Array]:
-    """A horizontal force along -n and across it.
+    """A horizontal force f (3,) [N] along -n and across it: two horizontal ones whose sum is f.
 
-    Args:
-        f: (3,) [N], horizontal.
-        n: (3,) unit normal from the base to the arm; where it is vertical, all of f is across.
-
-    Returns:
-        (3,) along and (3,) across, whose sum is f; both horizontal.
+    Where the unit normal n (3,) from the base to the arm is vertical, all of f is across.
     """
     along = np.array([n[0], n[1], 0.0])
     length = float(np.linalg.norm(along))

@@ -38,13 +38,8 @@ def barrier_row(state: RobotState, closest: ClosestPoints, config: BarrierConfig
 
     With h = d - d_min it asks for ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that begins with ḣ + λ h ≥ 0 never
     comes nearer than d_min, and one that begins nearer, in penetration too, leaves at the rate λ,
-    at `barrier.leaving` at most: h counts down to that speed over λ.
-    It is the second-order form of the barriers ḣ + λ h ≥ 0 that libraries for velocities use.
-
-    Args:
-        state: The robot's state.
-        closest: Closest points of the pair.
-        config: d_min, λ and the speed.
+    at `barrier.leaving` at most: h counts down to that speed over λ. It is the second-order form of
+    the barriers ḣ + λ h ≥ 0 that libraries for velocities use.
     """
     row = distance_jacobian(state, closest)
     h = max(closest.d - config.d_min, -config.leaving / config.rate)
@@ -190,13 +185,9 @@ class PushObserver:
         self._qd = None
 
     def update(self, state: RobotState, u_a: Array, rate: float, dt: float) -> None:
-        """Learn from one period.
+        """Learn with k = `rate` [1/s] from a period of dt [s] that has ended in this state.
 
-        Args:
-            state: The robot's state at its end.
-            u_a: (n_m,) [N m or N] torques given within it.
-            rate: [1/s] k.
-            dt: [s] the period.
+        `u_a` (n_m,) [N m or N] are the torques given within it.
         """
         if self._qd is not None:
             n_b = state.model.n_b
@@ -215,14 +206,8 @@ def force_bound(state: RobotState, closest: ClosestPoints) -> float:
         F = min_i (τ_i - g_i sgn J_i) / |J_i|,
 
     of which a pair that comes nearer at the speed v needs v²/(2 d) / (J M⁻¹ Jᵀ) to stop within d.
-    Beyond it the arm holds for a moment by its inertia, and joints may exceed their speeds.
-
-    Args:
-        state: The robot's state.
-        closest: Closest points of a pair.
-
-    Returns:
-        0 where it cannot stop in time even if nobody pushes, and at contact.
+    Beyond it the arm holds for a moment by its inertia, and joints may exceed their speeds. It is 0
+    where it cannot stop in time even if nobody pushes, and at contact.
     """
     n_b, row = state.model.n_b, distance_jacobian(state, closest)
     J, g = row.J[n_b:], state.g[n_b:]

@@ -93,17 +93,9 @@ def generate_rep_force_acc(
 ) -> TaskRows:
     """T_rep ∈ ℝ³, the compared method: the arm's closest point is pushed away from the base.
 
-    ẍ_rep = k_p u - k_v (ṗ_b - ṗ_a), realised by the arm alone: the base's columns are zero.
-    §4.2.1 names the method; its force on the closest point and its damping are Dietrich's.
-
-    Args:
-        state: The robot's state.
-        closest: Closest points of a pair of L_m.
-        config: Gains k_p and k_v.
-        beta: [-] activation parameter of the pair.
-
-    Returns:
-        Three rows, in axes of the world.
+    ẍ_rep = k_p u - k_v (ṗ_b - ṗ_a), realised by the arm alone: the base's columns are zero. §4.2.1
+    names the method; its force on the closest point and its damping are Dietrich's. `closest` is of
+    a pair of L_m with the activation β [-]; the rows are in axes of the world.
     """
     joint = state.model.body_joints[closest.pair.b]
     J = state.point_jacobian(joint, closest.p_b)

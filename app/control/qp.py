@@ -77,16 +77,11 @@ def insert_rows(objective: Objective, rows: Sequence[TaskRows], softness: float)
         J_i q̈ = β_i b_i + (1 - β_i) J_i q̈_2*,
 
     the blend of (29). With others, at β_i = 0 it is not there, whatever the others do, and at
-    β_i = 1 it holds but for the softness: the printed blend of all rows with the one solution
-    without any of them jumps where a row enters beside another one. A row costs the same whether
-    it is the first or the tenth.
+    β_i = 1 it holds but for the softness [-], the least share of a row's compliance: the printed
+    blend of all rows with the one solution without any of them jumps where a row enters beside
+    another one. A row costs the same whether it is the first or the tenth.
 
     Paper: Eq. (29).
-
-    Args:
-        objective: The tasks below.
-        rows: Rows of T_sca; those with β = 0 do nothing.
-        softness: [-] least share of a row's compliance, in full force.
     """
     active = [row for row in rows if row.beta > 0.0]
     if not active:
@@ -107,11 +102,7 @@ class TaskQP:
     """
 
     def solve(self, objective: Objective, limits: Limits) -> Array:
-        """The optimum q̈, (n,).
-
-        Args:
-            objective: What is to be least.
-            limits: Of q̈.
+        """The q̈ (n,) of the least objective within limits.
 
         Raises:
             NoSolutionError: The data are not finite, or the hard limits contradict each other.

@@ -57,13 +57,7 @@ class Child:
     def __init__(
         self, work: Callable[..., object], *args: object, leads_group: bool = False
     ) -> None:
-        """Begin it.
-
-        Args:
-            work: What it does.
-            args: Its arguments after the two connections.
-            leads_group: Whether all processes that it starts end with it.
-        """
+        """Begin it; if it leads a group, all processes that it starts end with it."""
         task = pickle.dumps((work, args))
         theirs_in, self.sender = _pipe()
         self.receiver, theirs_out = _pipe()

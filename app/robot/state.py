@@ -277,11 +277,9 @@ class RobotState:
     def scale_arm_inertias(self, factor: float) -> None:
         """Compute with other masses and inertias of the arm from the next update on.
 
-        What is fixed to the base, the arm's first link too, keeps its own. The model that others
-        share is not changed.
-
-        Args:
-            factor: [-] of each mass and inertia about the same centre of mass; 1 is the model's.
+        The factor [-] is of each mass, and of each inertia about the same centre of mass; 1 is the
+        model's. What is fixed to the base, the arm's first link too, keeps its own. The model that
+        others share is not changed.
         """
         if factor == 1.0:
             self._pin = self.model.pin

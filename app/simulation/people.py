@@ -131,15 +131,10 @@ class PersonHand:
         self._mass: Array | None = None  # (2, 3) the same of the mass in the hand
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array | None) -> Array:
-        """The person's force on the end-effector for one period.
+        """(3,) [N] the person's force on the end-effector for one period, in the world.
 
-        Args:
-            p_ee: (3,) [m] the end-effector in the world.
-            v_ee: (3,) [m/s] its velocity.
-            target: (3,) [m] where the person pulls it, in the world; None lets go.
-
-        Returns:
-            (3,) [N] in the world.
+        The end-effector is at p_ee (3,) [m] with a velocity (3,) [m/s]; without a target (3,) [m]
+        the person lets go.
 
         Raises:
             TargetError: The target lies below the floor, or is not three finite numbers.

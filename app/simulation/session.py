@@ -130,11 +130,9 @@ class Session:
         self.reset(np.array(model.description.arm.ready_position))
 
     def reset(self, q_m: Array, base_pose: Array | None = None) -> None:
-        """Put the robot at rest with the arm at `q_m`; nobody pulls.
+        """Put the robot at rest with the arm at `q_m` (n_m,) [rad or m]; nobody pulls.
 
-        Args:
-            q_m: (n_m,) [rad or m] the arm's joints.
-            base_pose: (3,) x, y [m] and heading [rad] of the base; the origin if not given.
+        The base stands at x, y [m] and heading [rad], (3,), or else at the origin.
 
         Raises:
             TargetError: A joint is beyond its limits.
@@ -313,12 +311,8 @@ class VelocityTracking:
     """
 
     def __init__(self, q: Array, qd: Array, dt: float) -> None:
-        """A loop that has settled.
-
-        Args:
-            q: (n,) [rad or m] positions at the first update.
-            qd: (n,) [rad/s or m/s] velocities.
-            dt: [s] between two updates.
+        """A settled loop at positions q (n,) [rad or m] and velocities; `dt` [s] is between two
+        updates.
         """
         pole = math.exp(-_BANDWIDTH * dt)  # twice: critically damped
         self._gain_q, self._gain_v = 1.0 - pole**2, (1.0 - pole) ** 2 / dt

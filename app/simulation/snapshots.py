@@ -143,14 +143,10 @@ class Photographer:
         *,
         robot: bool = True,
     ) -> Picture:
-        """A picture of the robot.
+        """A picture of the robot at a base's pose (3,) [m, rad] and the arm's joints (n_m,) [rad or
+        m].
 
-        Args:
-            base_pose: (3,) x, y [m] and heading [rad] of the base.
-            q_m: (n_m,) [rad or m] the arm's joints.
-            camera: Where from.
-            solids: What else is to be seen.
-            robot: Whether the robot itself is; without it only the solids are.
+        Solids are seen too; without `robot` they alone are.
         """
         away = 0.0 if robot else 1000.0  # [m] far outside of any picture
         pose = [base_pose[0] + away, *base_pose[1:], *q_m]

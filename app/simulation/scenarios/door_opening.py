@@ -116,13 +116,11 @@ class DoorOpening:
     def __init__(
         self, T_world_ee: pin.SE3, radial_guess: Array, gains: DoorOpeningGains, dt: float
     ) -> None:
-        """Take hold of a door that opens towards where the hand comes from.
+        """Take hold of a door that opens towards where the hand comes from, whose z axis is into
+        the door.
 
-        Args:
-            T_world_ee: The hand at the start, its z axis into the door.
-            radial_guess: (2,) first guess of the direction towards the hinge, in plan.
-            gains: The gains.
-            dt: [s] between two calls of `step`.
+        `radial_guess` (2,) is the first guess of the direction towards the hinge, in plan; `dt` [s]
+        is between two calls of `step`.
         """
         self._gains, self._dt = gains, dt
         self._R_start = T_world_ee.rotation.copy()
@@ -195,13 +193,10 @@ class Opener:
     """The adaptive controller at the sensors of a session."""
 
     def __init__(self, door: Door, session: Session, *, rate: float, guess: float) -> None:
-        """Begin with the hand at the handle.
+        """Begin with the hand of a session at the handle of the door that it holds.
 
-        Args:
-            door: That the hand holds.
-            session: At its start.
-            rate: [deg/s] of the door's turning that the hand's speed gives.
-            guess: [deg] by how much the first guess of the direction to the hinge is wrong.
+        `rate` [deg/s] is the door's turning that the hand's speed gives, and `guess` [deg] by how
+        much the first guess of the direction to the hinge is wrong.
         """
         self._door = door
         T_ee = session.T_world_ee

@@ -119,11 +119,10 @@ class StartSolver:
         return self._search.best(guesses, lambda q: self._judge(q, target, along), target=target)
 
     def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
-        """(n_m,) the posture near another, the hand pointing as there, its origin at `p_ee` [m].
+        """(n_m,) the posture near another, the hand pointing as there, its origin at `p_ee` (3,)
+        [m].
 
-        Args:
-            p_ee: (3,) in the world.
-            q_m: (n_m,) a posture from which the place can be reached without a change of branch.
+        From q_m (n_m,) the place can be reached without a change of branch.
 
         Raises:
             UnreachableError: That posture cannot be used; says why.
