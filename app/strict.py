@@ -99,9 +99,9 @@ def _explain(
             return f"{path}: missing"
         return f"{path}: one of {told['expected_tags']} (was {told['tag']!r})"
     if problem["type"] == "extra_forbidden":
-        names = _siblings(model, problem["loc"])
+        names = sorted({n for c in _records_at(model, problem["loc"][:-1]) for n in c.model_fields})
         hint = did_you_mean(str(problem["loc"][-1]), names)
-        return f"{path}: unknown field{hint}; known: {', '.join(sorted(names))}"
+        return f"{path}: unknown field{hint}; known: {', '.join(names)}"
     right = wanted(problem["loc"], problem["type"]) or problem["msg"]
     return f"{path}: {right} (was {_short(problem['input'])})"
 
@@ -122,11 +122,6 @@ def _short(value: object) -> str:
 
 def _cut(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "…"
-
-
-def _siblings(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Field names of the record in which the last part of `loc` stands."""
-    return sorted({name for c in _records_at(model, loc[:-1]) for name in c.model_fields})
 
 
 def _records_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[type[BaseModel]]:

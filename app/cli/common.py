@@ -24,15 +24,10 @@ def load_model(robot: str) -> RobotModel:
     return RobotModel(load_robot(robot))
 
 
-def load_border_data(model: RobotModel) -> BorderData:
-    """The pairs and clouds of a robot, sampled if they are not in the cache."""
-    from app.border import cache
-
-    return cache.load_border_data(model)
-
-
 def load_robot_and_border(robot: str) -> tuple[RobotModel, BorderData]:
-    """A robot's model with its pairs and clouds."""
+    """A robot's model with its pairs and clouds, sampled if they are not in the cache."""
+    from app.border.cache import load_border_data
+
     model = load_model(robot)
     return model, load_border_data(model)
 

@@ -231,7 +231,9 @@ def config(
     """
     tuned = options.configured(config)
     if out is not None:
-        _write_new(out, save_config(tuned, out.stem))
+        if out.exists():
+            raise OutputError(f"--out: {out} exists; name another file or remove it")
+        write_whole(out, save_config(tuned, out.stem))
     if json:
         print_json(
             {"parameters": [_of_parameter(each, tuned) for s in sections() for each in s.tunables]}
@@ -240,12 +242,6 @@ def config(
         print(save_config(tuned), end="")
     else:
         print(out)
-
-
-def _write_new(out: Path, text: str) -> None:
-    if out.exists():
-        raise OutputError(f"--out: {out} exists; name another file or remove it")
-    write_whole(out, text)
 
 
 def _of_parameter(about: Tunable, tuned: Config) -> dict[str, Any]:

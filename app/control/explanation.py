@@ -236,7 +236,7 @@ def _near_pair(
     closest, state = pair.closest, controller.state
     mobile = closest.pair.a == state.model.body_names[0]
     n_z = float(closest.n[2])
-    arm_beta = _arm_beta(output, pair) if mobile else 0.0
+    arm_beta = pair.beta if mobile and output.inserted.rows_arm else 0.0
     if pair.beta == 0.0 and arm_beta == 0.0 and not held:
         return None
     return NearPair(
@@ -250,11 +250,6 @@ def _near_pair(
         held=held,
         force=_force_split(controller, output, pair),
     )
-
-
-def _arm_beta(output: ControlOutput, pair: PairState) -> float:
-    """Activation of the arm's rows against the base that the method has for a pair of L_m."""
-    return pair.beta if output.inserted.rows_arm else 0.0
 
 
 def _force_split(

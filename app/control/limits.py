@@ -119,8 +119,9 @@ def robot_limits(
     model, n, n_b, n_m = state.model, state.model.n, state.model.n_b, state.model.n_m
     rows = tuple(barriers)
     m, h_a = 2 * n_m + len(rows), state.h[n_b:]
-    C, l, u = np.empty((m, n)), np.empty(m), np.full(m, np.inf)
-    C[:n_m], C[n_m : 2 * n_m] = state.M[n_b:], _joint_rows(n, n_b) / model.qd_max[:, None]
+    C, l, u = np.zeros((m, n)), np.empty(m), np.full(m, np.inf)
+    C[:n_m] = state.M[n_b:]
+    np.fill_diagonal(C[n_m : 2 * n_m, n_b:], 1.0 / model.qd_max)
     l[:n_m], u[:n_m] = (-model.tau_max, model.tau_max) if arm is None else arm.torque
     l[:n_m] -= h_a
     u[:n_m] -= h_a
@@ -136,12 +137,6 @@ def robot_limits(
         l[n_m:] -= moved
         u[n_m:] -= moved
     return Limits(C, l, u, _softness(n_m, m, softness))
-
-
-@lru_cache(maxsize=8)
-def _joint_rows(n: int, n_b: int) -> Array:
-    """(n_m, n) that take q̈_m out of q̈, not to be written to."""
-    return np.eye(n)[n_b:]
 
 
 @lru_cache(maxsize=32)

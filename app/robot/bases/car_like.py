@@ -168,7 +168,8 @@ class CarLikeBase(BaseKind):
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
         """Straight, or along either of the tightest arcs once the wheels are steered."""
-        kappa, a, v = self.curvature_max, *self._along
+        kappa = self.curvature_max
+        a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         late = self.steering_limit_rad / self.steering_rate_radps
         arcs = ((Channel((1.0, 0.0, side), a, v, late),) for side in (kappa, -kappa))
         return ((Channel((1.0, 0.0, 0.0), a, v),), *arcs)
@@ -206,10 +207,6 @@ class CarLikeBase(BaseKind):
 
     def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:
         return np.array([angles[0] + qd_b[0] / self.wheel_radius_m * dt, drive[0]])
-
-    @property
-    def _along(self) -> tuple[float, float]:
-        return self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
 
     @property
     def _radius(self) -> float:

@@ -92,7 +92,10 @@ def sweep(
     """
     begin = perf_counter()
     make_context = partial(load, plan.robot, plan.config.border.d_b)
-    groups = _groups(plan.approaches(make_context().model))
+    # Paths along the wheel axis begin with the same search for a posture.
+    same = attrgetter("kind", "height", "direction_deg", "place")
+    approaches = plan.approaches(make_context().model)
+    groups = [tuple(group) for _, group in groupby(approaches, same)]
     starts: list[Start] = []
     rows: dict[Kind, list[Row]] = {kind: [] for kind in KINDS}
     with Workers(make_context, processes) as workers:
@@ -128,12 +131,6 @@ def sweep(
         ],
         "elapsed_s": perf_counter() - begin,
     }
-
-
-def _groups(approaches: list[Approach]) -> list[tuple[Approach, ...]]:
-    """Paths that begin with the same search for a posture: those along the wheel axis."""
-    same = attrgetter("kind", "height", "direction_deg", "place")
-    return [tuple(group) for _, group in groupby(approaches, same)]
 
 
 def _find_starts(plan: SweepPlan, finder: StartFinder, group: tuple[Approach, ...]) -> list[Start]:
