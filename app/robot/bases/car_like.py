@@ -43,22 +43,6 @@ _STEADY = 1.5
 _HELD = 0.005  # [m/s] of the front axle below which the steering stays where it is
 
 
-def control_point_jacobian(x: float, y: float, L: float) -> Array:
-    """J_c, from the front axle's velocity (w_x, w_y) to that of a point, in the base's frame.
-
-    It stands in the place of (6).
-
-    Args:
-        x: [m] of the point, ahead of the rear axle.
-        y: [m] of the point, to the left.
-        L: [m] wheelbase.
-
-    Returns:
-        (2, 2) [-].
-    """
-    return np.array([[1.0, -y / L], [0.0, x / L]])
-
-
 def nearest_in_cone(
     v: float, w: float, kappa: float, radius: float, before: float
 ) -> tuple[float, float]:
