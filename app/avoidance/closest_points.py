@@ -141,7 +141,6 @@ class SmoothPoint:
 
 
 def _shapes(model: RobotModel, body: str) -> list[tuple[Shape, pin.GeometryObject]]:
-    """What a body is made of, each shape with where it is."""
     objects = model.geometry.geometryObjects
     placed = (objects[i] for i in model.shape_ids[body])
     return list(zip(model.description.body(body).shapes, placed, strict=True))
@@ -180,7 +179,6 @@ def _core(shape: Shape, placed: pin.GeometryObject) -> tuple[Array, float]:
 
 
 def _corners(shape: Shape, geometry: coal.CollisionGeometry) -> Array:
-    """(N, 3) [m] in the shape's frame."""
     if isinstance(shape, Box):
         return 0.5 * np.array(shape.size_m) * _SIGNS[np.abs(_SIGNS).sum(axis=1) == 3]
     if isinstance(shape, Cylinder):

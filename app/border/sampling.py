@@ -91,7 +91,6 @@ class _Sampler:
     def _starts(
         self, pairs: Sequence[Pair], seeds: Sequence[np.random.SeedSequence]
     ) -> dict[Pair, Kept]:
-        """The poses of random sampling that lie in the shell."""
         count = -(-self._config.cloud_samples // _SEED_JOBS)
         jobs = [
             SeedJob(pair, child, count)

@@ -165,7 +165,6 @@ def _gaps(border: Border, z: float, centre: Array, ring: Array) -> list[Gap] | N
 
 
 def _shows(gap: Gap, shown: Array) -> bool:
-    """Whether any of a gap's rays is not hidden by other shapes."""
     return bool(shown[np.arange(int(gap.first), int(gap.last) + 1) % RAYS].any())
 
 

@@ -115,7 +115,6 @@ def border(
 
 
 def _of_border(model: RobotModel, data: BorderData, border: Border) -> dict[str, object]:
-    """Figures of one border; its distances measured again, point by point, by the library."""
     import numpy as np
 
     from app.border.mobile import MobileBody

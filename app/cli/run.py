@@ -150,7 +150,6 @@ def _check_replay(words: list[str]) -> None:
 
 
 def _run(asked: Planned, files: Files, *, json: bool) -> dict[str, Any]:
-    """Run it, write what is asked for, and say how it went; its figures."""
     # Imported here: it takes longer than to find a mistake in what was asked.
     from app.control.buffer_watch import buffer_warning
     from app.simulation.trace.metrics import verdict
@@ -173,7 +172,6 @@ def _run(asked: Planned, files: Files, *, json: bool) -> dict[str, Any]:
 
 
 def _end(figures: dict[str, Any], *, fail_on_contact: bool) -> None:
-    """End with the status that was asked for."""
     from app.simulation.trace.metrics import touches
 
     if fail_on_contact and touches(figures):
@@ -181,7 +179,6 @@ def _end(figures: dict[str, Any], *, fail_on_contact: bool) -> None:
 
 
 def _write(result: "RunResult", files: Files, model: "RobotModel") -> list[Path]:
-    """Write what was asked for; returns what was written."""
     from app.simulation.trace.log_file import write_trace
 
     written, out, log = [], files.out, files.log

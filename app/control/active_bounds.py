@@ -94,7 +94,6 @@ def _joint_kind(state: RobotState, config: Config, joint: int, upper: bool) -> B
 
 
 def _base_bounds(model: RobotModel, output: ControlOutput, workings: Workings) -> list[Bound]:
-    """Whether the base was asked for more acceleration than it is allowed."""
     asked, most = output.base_acceleration, model.base_acceleration_max
     missing = workings.base_wanted - asked  # may be missing for the hand's sake, too
     at_limit = np.sign(missing) * asked > most - TOLERANCE

@@ -337,7 +337,6 @@ class Controller:
         return Workings(wanted, given, rows, stack, limits, torque, qdd)
 
     def _stack(self, inserted: Inserted, reference: Reference | None) -> Stack:
-        """The tasks of base and arm."""
         if reference is None:
             guided = guided_objective(self.state, free_arm_torque(self.state) + inserted.u_a)
             return Stack(guided, guided, None)

@@ -97,7 +97,6 @@ def _coordinates(
 
 @compiled("b1(f8[:], f8[:], f8[:], f8[:], f8[:])")
 def _all_finite(a: Array, b: Array, c: Array, d: Array, e: Array) -> bool:
-    """Whether all numbers of five vectors are finite."""
     return np.isfinite(a.sum() + b.sum() + c.sum() + d.sum() + e.sum())
 
 
@@ -203,7 +202,6 @@ def _point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
 def _pair_motion(
     J: Array, B: Array, twists: Array, biases: Array, joint_a: int, joint_b: int, p: Array, n: Array
 ) -> tuple[Array, float, float]:
-    """As `RobotState.pair_motion`."""
     row = np.zeros(B.shape[1] + J.shape[1] - 3)
     relative = _point_jacobian(J, B, joint_b, p) - _point_jacobian(J, B, joint_a, p)
     for k in range(len(row)):
@@ -304,7 +302,6 @@ class RobotState:
         self._update_motion(v)
 
     def _take(self, measurement: Measurement) -> tuple[Array, Array]:
-        """Pinocchio's configuration and velocity."""
         self.measurement = measurement
         self.qd, q, v = _coordinates(*measurement[:4], self._B, self.model.J_m_inv)
         return q, v

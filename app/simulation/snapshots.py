@@ -184,7 +184,6 @@ class Photographer:
         return Picture(_smaller(rgb).round().astype(np.uint8), floor, view, projection)
 
     def _add(self, solid: Solid) -> int:
-        """Show a solid; its body."""
         # Corners of their own for each face: pybullet would round the edges of a box.
         flat = solid.mesh.copy()
         flat.unmerge_vertices()

@@ -68,7 +68,6 @@ def _finite(value: Any) -> Any:
 
 
 def _changes(run: Trace) -> Part:
-    """A table of the parameters that were not the defaults."""
     changes = config_changes([s.config for s in run.snapshots])
     rows = [(path, _unit(path), _value(default), _value(had)) for path, default, had in changes]
     if not rows:

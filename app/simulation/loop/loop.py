@@ -166,7 +166,6 @@ class SimulationLoop(LiveLoop):
                 owner.close()
 
     def _publish_first(self, ensemble: Ensemble) -> None:
-        """Publish the first step after a beginning."""
         self._pacer = Pacer(DT, self._speed)
         self._publish(ensemble, ensemble.step())
 

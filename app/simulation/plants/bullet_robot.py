@@ -251,7 +251,6 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
 
 
 def _ends(joint: Element) -> dict[str, str]:
-    """Names of the parent and the child of a joint."""
     return {end.tag: str(end.get("link")) for end in joint if end.get("link")}
 
 
@@ -264,7 +263,6 @@ def _origin(element: Element) -> pin.SE3:
 
 
 def _place(element: Element, T: pin.SE3) -> None:
-    """Write the `<origin>` of an element."""
     at = element.find("origin")
     at = SubElement(element, "origin") if at is None else at
     at.attrib |= {"xyz": _words(T.translation), "rpy": _words(pin.rpy.matrixToRpy(T.rotation))}
@@ -292,7 +290,6 @@ def _weigh(link: Element, inertia: pin.Inertia) -> None:
 
 
 def _part(element: Element, tag: str) -> Element:
-    """What an element has to hold."""
     found = element.find(tag)
     assert found is not None, tag
     return found

@@ -185,7 +185,6 @@ class RobotSpec:
         return compiled
 
     def _add_joints(self, free_root: pin.Inertia | None) -> list[Any]:
-        """The bodies by pinocchio's joints, on the world's."""
         source, bodies = self.model.pin, [self.spec.worldbody]
         base = self.model.description.base
         for i in range(1, source.njoints):

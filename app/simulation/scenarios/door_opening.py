@@ -208,7 +208,6 @@ class Opener:
         self._opening = DoorOpening(T_ee, radial, gains, session.physics.dt)
 
     def __call__(self, session: Session) -> Lead:
-        """What leads the hand in the next control step."""
         assert session.physics.door is not None
         wrench = session.physics.door.wrench()
         T_ee, velocity = session.T_world_ee, session.controller.state.v_ee[:3]

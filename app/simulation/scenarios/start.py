@@ -111,7 +111,6 @@ class StartSolver:
         )
 
     def _guesses(self, rng: np.random.Generator, tries: int) -> Iterator[Array]:
-        """The ready pose, then random ones."""
         for k, anywhere in enumerate(self._search.guesses(rng, tries)):
             yield np.array(self._model.description.arm.ready_position) if k == 0 else anywhere
 
@@ -339,7 +338,6 @@ def _frozen(q_m: Array) -> Array:
 
 
 def _rolled(pose: pin.SE3, roll: float) -> pin.SE3:
-    """A hand's pose turned about its own axis."""
     return pose * pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, roll), np.zeros(3))
 
 

@@ -101,7 +101,6 @@ class Trace:
         return cls(layout, np.array(rows), snapshots)
 
     def __len__(self) -> int:
-        """How many rows it has."""
         return len(self.table)
 
     def __getitem__(self, column: str) -> Array:
@@ -236,7 +235,6 @@ class Recorder:
         return Trace(self._layout, table)
 
     def __len__(self) -> int:
-        """How many rows there are."""
         return len(self._cells) // len(self._layout.columns) if self._layout else 0
 
     def _begin(self, session: Session, step: Step) -> None:

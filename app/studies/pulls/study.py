@@ -104,7 +104,6 @@ def _do(
 
 
 def _row(parameters: StudyParameters, sources: StudySources, number: int) -> Row:
-    """Draw a case and play it."""
     drawn = draw_case(parameters, number, sources)
     return play_case(drawn, parameters, sources.model, sources.data)
 

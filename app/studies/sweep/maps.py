@@ -222,7 +222,6 @@ def _panels(
 
 
 def _legend(figure: Figure, *, axis: bool) -> None:
-    """What the colours mean, below all panels."""
     handles: list[Patch | Line2D] = [
         Patch(facecolor=_WITHIN, label="within the limit"),
         Patch(facecolor=_BEYOND, label="beyond the limit"),

@@ -138,7 +138,6 @@ def _find_starts(plan: SweepPlan, finder: StartFinder, group: tuple[Approach, ..
 
 
 def _row(plan: SweepPlan, finder: StartFinder, trial: Trial) -> Row:
-    """Figures of one path; keys end in their unit."""
     planned, start = plan.planned(trial), trial.start
     run, scenario = thinned(run_planned(planned, finder.model, finder.data)), planned.scenario
     off = np.linalg.norm(run.trace.of("p_ee") - scenario.position(scenario.duration)[0], axis=1)
