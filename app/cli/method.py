@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 _MOST_SAMPLES = 10_000_000  # [-] about a minute and a gigabyte
 _OF_BORDER = {"buffer_distance": "border.d_b", "tolerance": "border.eps"}
-_FEWEST_POINTS, _MOST_POINTS = 1_000, 20_000_000
 _PAPERS_FIT = {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}  # §2.3.2, of the end-effector
 
 
@@ -250,7 +249,6 @@ def _of_parameter(about: Tunable, tuned: Config) -> dict[str, Any]:
 
 def bench(
     robot: str = "husky_panda",
-    points: tuple[int, ...] = (50_000, 500_000, 5_000_000),
     no_border: options.Flag = False,
     seed: int = 0,
     json: options.Json = False,
@@ -261,16 +259,10 @@ def bench(
 
     Args:
         robot: Name of the robot; `dbb robots` lists them.
-        points: Points of the synthetic borders whose cost is compared.
         no_border: Leave out the sampling of a border from nothing, which takes half a minute.
         seed: Of the plant and of the synthetic borders.
     """
     options.check_seed(seed)
-    for count in points:
-        if not _FEWEST_POINTS <= count <= _MOST_POINTS:
-            raise ConfigError(
-                f"--points: {count} is not between {_FEWEST_POINTS} and {_MOST_POINTS}"
-            )
     try:
         from benchmarks.step.bench import bench as measure
     except ModuleNotFoundError:
@@ -279,5 +271,5 @@ def bench(
             "clone the project, and call .venv/bin/dbb bench there after make run"
         ) from None
     model, data = load_robot_and_border(robot)
-    result = measure(model, data, seed=seed, points=points, border=not no_border, on_stage=say)
+    result = measure(model, data, seed=seed, border=not no_border, on_stage=say)
     print_result(result, json=json)

@@ -217,13 +217,6 @@ def _shortened(vector: Array, longest: float) -> Array:
     return vector * (longest / length) if length > longest else vector
 
 
-@compiled()
-def _moved(place: Array, velocity: Array) -> Array:
-    motion = np.empty((2, 3))
-    motion[0], motion[1] = place, velocity
-    return motion
-
-
 @compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8)")
 def _pull(
     hand: Array,
@@ -253,7 +246,7 @@ def _pull(
     a = _QUICKNESS**2 * (target - hand[0]) - 2 * _QUICKNESS * hand[1]
     v = _shortened(hand[1] + a * dt, _TOP_SPEED)
     p = hand[0] + v * dt
-    return _moved(p, v), _shortened(stiffness * (p - p_ee) - damping * v_ee, f_max)
+    return np.stack((p, v)), _shortened(stiffness * (p - p_ee) - damping * v_ee, f_max)
 
 
 @compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8, f8)")
@@ -299,4 +292,4 @@ def _push_mass(
     push = _shortened(pull - (damping + dt * K) * unlimited, f_max)
     v = (driven + dt * push) / alone
     x = held[0] + dt * v
-    return _moved(x, v), _GRIP * (x - grip) + grip_damping * (v - v_ee)
+    return np.stack((x, v)), _GRIP * (x - grip) + grip_damping * (v - v_ee)
