@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -148,7 +149,10 @@ def find_reached(border: Border, offset: OffsetContours) -> Array:
         seen = zip(rings.heights, rings.centres, rings.vertices, strict=True)
         found = [_gaps(border, z, centre, ring) for z, centre, ring in seen]
         for gaps in without_leaps(found, rings.heights, RAYS):
-            rows.append(_from_ends([gap for gap in gaps if _shows(gap, shown[len(rows)])]))
+            ring = shown[len(rows)]  # a gap all of whose rays other shapes hide is none
+            within = (np.arange(int(gap.first), int(gap.last) + 1) % RAYS for gap in gaps)
+            showing = [ring[rays].any() for rays in within]
+            rows.append(_from_ends(list(compress(gaps, showing))))
     reached = np.array(rows).reshape(-1, RAYS)
     return np.concatenate([reached, reached[:, :1]], axis=1)
 
@@ -162,10 +166,6 @@ def _gaps(border: Border, z: float, centre: Array, ring: Array) -> list[Gap] | N
         return None
     filled = np.unique(cell)
     return gaps_between(zip(filled, np.append(filled[1:], filled[0] + RAYS), strict=True))
-
-
-def _shows(gap: Gap, shown: Array) -> bool:
-    return bool(shown[np.arange(int(gap.first), int(gap.last) + 1) % RAYS].any())
 
 
 def _from_ends(gaps: list[Gap]) -> Array:

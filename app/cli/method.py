@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from app.cli import options
 from app.cli.common import load_model, load_robot_and_border, print_json, print_result, say
 from app.cli.records import Given
-from app.config import Config, sections
+from app.config import sections
 from app.config_file import save_config
 from app.errors import ConfigError, OutputError
-from app.parameters import Tunable
 from app.strict import check_range
 from app.system import write_whole
 
@@ -233,18 +232,17 @@ def config(
             raise OutputError(f"--out: {out} exists; name another file or remove it")
         write_whole(out, save_config(tuned, out.stem))
     if json:
-        print_json(
-            {"parameters": [_of_parameter(each, tuned) for s in sections() for each in s.tunables]}
-        )
+        hidden = {"path", "label", "advanced", "log"}
+        rows = [
+            {"path": each.path, "value": tuned.value(each.path), **each.model_dump(exclude=hidden)}
+            for section in sections()
+            for each in section.tunables
+        ]
+        print_json({"parameters": rows})
     elif out is None:
         print(save_config(tuned), end="")
     else:
         print(out)
-
-
-def _of_parameter(about: Tunable, tuned: Config) -> dict[str, Any]:
-    row = about.model_dump(exclude={"label", "advanced", "log"})
-    return {"path": row.pop("path"), "value": tuned.value(about.path), **row}
 
 
 def bench(

@@ -49,7 +49,9 @@ ContactOption = Annotated[
 def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
     """The scenario of a command line, the command that runs it, and the other words."""
     if any(word.partition("=")[0] == "--case" for word in words):
-        _check_replay(words)
+        own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *options.PARAMETERS}
+        given = {"scenario" if word in SCENARIOS else _field(word) for word in words}
+        check_no_others(dict.fromkeys(sorted(own & given), True))
         return "", run_case, words
     first = words[:1] if words and not words[0].startswith("-") else []
     named = first or [word for word in words if word in SCENARIOS][:1]
@@ -140,13 +142,6 @@ def run_case(
         for change in played.changes(figures):
             say(f"not as it was: {change}")
     _end(figures, fail_on_contact=fail_on_contact)
-
-
-def _check_replay(words: list[str]) -> None:
-    """Refuse what a replayed case answers itself."""
-    own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *options.PARAMETERS}
-    given = ("scenario" if word in SCENARIOS else _field(word) for word in words)
-    check_no_others(dict.fromkeys(sorted(own & set(given)), True))
 
 
 def _run(asked: Planned, files: Files, *, json: bool) -> dict[str, Any]:

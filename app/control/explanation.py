@@ -146,13 +146,15 @@ def explain(
         for pair in avoidance.pairs
     ]
     closest = min((pair.closest for pair in avoidance.mobile), key=lambda c: c.d)
+    known = [pair for pair in near if pair is not None]
+    known.sort(key=lambda p: (p.mobile, max(p.beta, p.arm_beta), -p.d), reverse=True)
     asked, base = output.base_acceleration, state.model.description.base
     return Explanation(
         controller=controller.name,
         mode="tracking" if output.tracking else "guiding",
         solved=output.solved,
         chain=tuple(state.model.body_names),
-        near=tuple(sorted((p for p in near if p is not None), key=_weight, reverse=True)),
+        near=tuple(known),
         nearest=(closest.pair.a, closest.pair.b, float(closest.d)),
         axes=base.axes,
         base_avoidance=_tuple_of(output.inserted.base_acceleration),
@@ -274,10 +276,6 @@ def _force_split(
         score=score,
         score_near=score_near,
     )
-
-
-def _weight(pair: NearPair) -> tuple[bool, float, float]:
-    return pair.mobile, max(pair.beta, pair.arm_beta), -pair.d
 
 
 def _pair_of(v: Array) -> Planar:

@@ -232,7 +232,7 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
     body_of = {link: body.name for body in description.bodies for link in body.covers}
     links = {str(link.get("name")): link for link in tree.iterfind("link")}
     for joint in [each for each in tree.iterfind("joint") if each.get("type") == "fixed"]:
-        parent, child = (_ends(joint)[role] for role in ("parent", "child"))
+        parent, child = (str(_part(joint, end).get("link")) for end in ("parent", "child"))
         link = links[child]
         alike = body_of.get(parent) == body_of.get(child) or link.find("collision") is None
         if child == description.arm.end_effector_link or not alike:
@@ -248,10 +248,6 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
                 _place(outer, T * _origin(outer))
         tree.remove(joint)
         tree.remove(link)
-
-
-def _ends(joint: Element) -> dict[str, str]:
-    return {end.tag: str(end.get("link")) for end in joint if end.get("link")}
 
 
 def _origin(element: Element) -> pin.SE3:

@@ -141,7 +141,9 @@ class DoorOpening:
     def step(self, hand: HandReading) -> Reference:
         """The reference of one control step; the estimates learn from the reading."""
         gains, dt = self._gains, self._dt
-        force, torque = self._smoothed(hand)
+        share = -math.expm1(-dt / gains.smoothing)  # of a filter of first order
+        self._felt += share * (np.concatenate([hand.force, hand.torque]) - self._felt)
+        force, torque = self._felt[:3], self._felt[3:]
         radial = self.radial(hand.T_world_ee)
         along = tangent(radial, self._sense)
         error = float(force @ radial) - gains.radial_force
@@ -159,12 +161,6 @@ class DoorOpening:
         self._lead(hand.T_world_ee, velocity, turning)
         self._t += dt
         return Reference(self._pose.copy(), np.concatenate([velocity, turning]), np.zeros(6))
-
-    def _smoothed(self, hand: HandReading) -> tuple[Array, Array]:
-        """(3,) [N] and (3,) [N m] what is felt, through a filter of first order."""
-        share = -math.expm1(-self._dt / self._gains.smoothing)
-        self._felt += share * (np.concatenate([hand.force, hand.torque]) - self._felt)
-        return self._felt[:3], self._felt[3:]
 
     def _turned(self, T_world_ee: pin.SE3) -> float:
         """[rad] how far the hand has turned about the vertical since the start."""
