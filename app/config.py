@@ -305,7 +305,6 @@ def parameter(path: str) -> Parameter:
 
 
 def _range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
-    """What would be right for a section or a parameter that exists."""
     if len(loc) == 1 and kind == "model_type":
         return "must be a section of parameters"
     known = _tunables().get(".".join(map(str, loc)))

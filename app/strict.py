@@ -74,10 +74,8 @@ def explain(
 ) -> str:
     """A validation error, one `field: what would be right` a problem, on one line.
 
-    Args:
-        error: The error.
-        model: The record that was validated.
-        wanted: What would be right, from a problem's place and kind; None for pydantic's own words.
+    `wanted` gives what would be right, from a problem's place and kind; None for pydantic's own
+    words.
     """
     problems = error.errors()
     told = [_explain(problem, model, wanted) for problem in problems[:_MOST_PROBLEMS]]
@@ -96,28 +94,16 @@ def _explain(
         return f"{path}: missing"
     if problem["type"] in ("union_tag_invalid", "union_tag_not_found"):
         told = problem.get("ctx", {})
-        name = str(told["discriminator"]).strip("'")
-        given = repr(told["tag"]) if "tag" in told else "missing"
-        return f"{path}.{name}: {_one_of(model, problem, name)} (was {given})"
+        path += "." + str(told["discriminator"]).strip("'")
+        if "tag" not in told:
+            return f"{path}: missing"
+        return f"{path}: one of {told['expected_tags']} (was {told['tag']!r})"
     if problem["type"] == "extra_forbidden":
-        names = _siblings(model, problem["loc"])
+        names = sorted({n for c in _records_at(model, problem["loc"][:-1]) for n in c.model_fields})
         hint = did_you_mean(str(problem["loc"][-1]), names)
-        return f"{path}: unknown field{hint}; known: {', '.join(sorted(names))}"
+        return f"{path}: unknown field{hint}; known: {', '.join(names)}"
     right = wanted(problem["loc"], problem["type"]) or problem["msg"]
     return f"{path}: {right} (was {_short(problem['input'])})"
-
-
-def _one_of(model: type[BaseModel], problem: ErrorDetails, name: str) -> str:
-    """The values that tell the records of a union apart."""
-    told = problem.get("ctx", {}).get("expected_tags")
-    if told is None:
-        records = _records_at(model, problem["loc"])
-        told = ", ".join(
-            repr(tag)
-            for r in records
-            for tag in getattr(r.model_fields[name].annotation, "__args__", ())
-        )
-    return f"one of {told}"
 
 
 def _path(loc: tuple[int | str, ...]) -> str:
@@ -136,11 +122,6 @@ def _short(value: object) -> str:
 
 def _cut(text: str) -> str:
     return text if len(text) <= 60 else text[:57] + "…"
-
-
-def _siblings(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Field names of the record in which the last part of `loc` stands."""
-    return sorted({name for c in _records_at(model, loc[:-1]) for name in c.model_fields})
 
 
 def _records_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[type[BaseModel]]:

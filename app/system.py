@@ -7,7 +7,9 @@ no `malloc_trim`; there the work is done without. Nothing here raises for want o
 from __future__ import annotations
 
 import ctypes
+import fcntl
 import os
+import resource
 import secrets
 import signal
 import sys
@@ -19,10 +21,6 @@ from pathlib import Path
 from typing import BinaryIO
 
 from app.errors import OutputError
-
-if sys.platform != "win32":
-    import fcntl
-    import resource
 
 _REAL_TIME = 1  # [-] the least priority of those that come before all others
 _SPARE = 3  # [-] cores from which on one that is never given up leaves enough to others
@@ -44,7 +42,7 @@ def come_first(niceness: int) -> None:
     would leave too little to the others; on more, one that does not pause within its budget loses
     the policy for good. To be called by the main thread, whose threads inherit it.
     """
-    with suppress(AttributeError, OSError):
+    with suppress(OSError):
         os.setpriority(os.PRIO_PROCESS, 0, niceness)
     if usable_cores() >= _SPARE:
         with suppress(AttributeError, OSError, ValueError):
@@ -62,22 +60,17 @@ def _queue_up(*_: object) -> None:
 
 def step_back(niceness: int) -> None:
     """Behind others, by 1 to 19."""
-    with suppress(AttributeError, OSError):
+    with suppress(OSError):
         os.nice(niceness)
 
 
-ENDING = tuple(
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-)
+ENDING = signal.SIGINT, signal.SIGTERM, signal.SIGHUP
 """Signals by which a user, a supervisor or a closed terminal ends a command."""
 
 
 @contextmanager
 def interrupt_blocked() -> Iterator[None]:
-    """Ctrl-C waits meanwhile, here and in processes that are started, where signals can wait."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
+    """Ctrl-C waits meanwhile, here and in processes that are started."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -87,7 +80,7 @@ def interrupt_blocked() -> Iterator[None]:
 
 def lead_group() -> None:
     """Make this process the leader of a group of its own, which `end_group` ends."""
-    with suppress(AttributeError, PermissionError):  # it leads one already
+    with suppress(PermissionError):  # it leads one already
         os.setsid()
 
 
@@ -114,21 +107,18 @@ def wake_children() -> None:
 
 
 def end_group(leader: int, *, at_once: bool) -> None:
-    """End the group of a process and all that it has started; 0 is this process's own.
+    """End the group of a process, by its number, and all that it has started; 0 is this process's
+    own.
 
-    Args:
-        leader: Its process number. There may be no such group, or no more.
-        at_once: Whether it is ended whatever it does, or asked to end.
+    It is asked to end, or ended at once whatever it does. There may be no such group, or no more.
     """
     # macOS answers with a PermissionError for a group of which only ended processes are left.
-    with suppress(AttributeError, ProcessLookupError, PermissionError):
+    with suppress(ProcessLookupError, PermissionError):
         os.killpg(leader, signal.SIGKILL if at_once else signal.SIGTERM)
 
 
 def claim(file: BinaryIO) -> bool:
     """Lock a file until it is closed; False if another process has it locked."""
-    if sys.platform == "win32":
-        return True
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -168,20 +158,13 @@ def is_no_file(path: Path) -> bool:
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
-    """Write a file whole or not at all, as `whole_file` does.
-
-    Args:
-        path: The file; one that is there is replaced.
-        content: Its bytes, or its text, which becomes UTF-8.
-    """
+    """Write bytes, or a text as UTF-8, whole or not at all, as `whole_file` does."""
     with whole_file(path) as beside:
         beside.write_bytes(content.encode() if isinstance(content, str) else content)
 
 
 def peak_memory() -> float:
-    """[MiB] most memory that this process has had; NaN where the system does not tell."""
-    if sys.platform == "win32":
-        return float("nan")
+    """[MiB] most memory that this process has had."""
     most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return most / 2**20 if sys.platform == "darwin" else most / 2**10  # bytes there, KiB here
 

@@ -12,7 +12,7 @@ from app.border.score import ScoreField
 from app.config import AdmittanceConfig
 from app.control.admittance import AdmittanceLaw, largest_command
 from app.control.drive import Drive
-from app.robot.bases.car_like import CarLikeBase, control_point_jacobian, nearest_in_cone
+from app.robot.bases.car_like import CarLikeBase, nearest_in_cone
 from app.robot.bases.kind import BaseForce, planar
 from app.robot.state import Measurement, RobotState
 from app.simulation.plants import make_physics
@@ -151,21 +151,11 @@ def test_nothing_asked_is_rest(kind: str) -> None:
         np.testing.assert_array_equal(law.update(np.zeros(base.n_b), 0.001), np.zeros(base.n_b))
 
 
-def test_a_cars_point_moves_by_its_jacobian() -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        (x, y), w_x, w_y, L = rng.uniform(-1, 1, 2), *rng.normal(size=2), rng.uniform(0.2, 2)
-        v, w = w_x, w_y / L
-        expected = [v - w * y, w * x]
-        np.testing.assert_allclose(control_point_jacobian(x, y, L) @ [w_x, w_y], expected)
-
-
 def test_a_cars_measure_is_the_square_of_the_area_between_its_tightest_arcs() -> None:
     base, rng = car(), np.random.default_rng(0)
     for x, y, z in rng.uniform(-1, 1, (50, 3)):
-        edge = math.tan(base.steering_limit_rad)
-        J = control_point_jacobian(x, y, base.wheelbase_m)
-        right, left = J @ [1.0, -edge], J @ [1.0, edge]
+        w = math.tan(base.steering_limit_rad) / base.wheelbase_m  # [rad/s] at 1 m/s
+        right, left = (1.0 + w * y, -w * x), (1.0 - w * y, w * x)
         area = right[0] * left[1] - right[1] * left[0]
         measure, _ = base.singularity(np.array([x, y, z]))
         assert measure == pytest.approx(np.sign(x) * area**2, rel=1e-9, abs=1e-15)

@@ -30,23 +30,20 @@ _SIGNS = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])  #
 
 
 class ClosestPoints(NamedTuple):
-    """The closest points of one link pair, in the world.
-
-    Attributes:
-        pair: The link pair; `a` is nearer to the base than `b`.
-        d: [m] signed distance, negative in penetration.
-        p_a: (3,) [m] closest point on `a`.
-        p_b: (3,) [m] closest point on `b`.
-        n: (3,) unit normal from `a` to `b`: moving `b` along it increases d, in penetration too.
-        core: (3,) [m] the point of the core of `b` behind p_b: its radius farther along n.
-    """
+    """The closest points of one link pair, in the world."""
 
     pair: Pair
+    """The link pair; `a` is nearer to the base than `b`."""
     d: float
+    """[m] signed distance, negative in penetration."""
     p_a: Array
+    """(3,) [m] closest point on `a`."""
     p_b: Array
+    """(3,) [m] closest point on `b`."""
     n: Array
+    """(3,) unit normal from `a` to `b`: moving `b` along it increases d, in penetration too."""
     core: Array
+    """(3,) [m] the point of the core of `b` behind p_b: its radius farther along n."""
 
 
 class DistanceMonitor:
@@ -144,7 +141,6 @@ class SmoothPoint:
 
 
 def _shapes(model: RobotModel, body: str) -> list[tuple[Shape, pin.GeometryObject]]:
-    """What a body is made of, each shape with where it is."""
     objects = model.geometry.geometryObjects
     placed = (objects[i] for i in model.shape_ids[body])
     return list(zip(model.description.body(body).shapes, placed, strict=True))
@@ -183,7 +179,6 @@ def _core(shape: Shape, placed: pin.GeometryObject) -> tuple[Array, float]:
 
 
 def _corners(shape: Shape, geometry: coal.CollisionGeometry) -> Array:
-    """(N, 3) [m] in the shape's frame."""
     if isinstance(shape, Box):
         return 0.5 * np.array(shape.size_m) * _SIGNS[np.abs(_SIGNS).sum(axis=1) == 3]
     if isinstance(shape, Cylinder):

@@ -22,21 +22,18 @@ Array = np.ndarray
 
 
 class ActingPoint(NamedTuple):
-    """Result of Algorithm 3, in the base's frame; all at the height of p_b.
-
-    Attributes:
-        p_n: (3,) [m] point of the border nearest to p_b at its height.
-        p_t: (3,) [m] p_n moved along the tangent towards a better score.
-        p_act: (3,) [m] acting point, the point of the border nearest to p_t.
-        t: (3,) unit tangent, horizontal.
-        alpha: [m] step size.
-    """
+    """Result of Algorithm 3, in the base's frame; all at the height of p_b."""
 
     p_n: Array
+    """(3,) [m] point of the border nearest to p_b at its height."""
     p_t: Array
+    """(3,) [m] p_n moved along the tangent towards a better score."""
     p_act: Array
+    """(3,) [m] acting point, the point of the border nearest to p_t."""
     t: Array
+    """(3,) unit tangent, horizontal."""
     alpha: float
+    """[m] step size."""
 
 
 def step_size(d: float, score: float, force: ForceConfig) -> float:
@@ -97,15 +94,12 @@ class ActingPointFinder:
 
 
 class PairForce(NamedTuple):
-    """The force of one pair of L_m, in the base's frame.
-
-    Attributes:
-        f: (3,) [N] f_m,i.
-        p_act: (3,) [m] where it acts.
-    """
+    """The force of one pair of L_m, in the base's frame."""
 
     f: Array
+    """(3,) [N] f_m,i."""
     p_act: Array
+    """(3,) [m] where it acts."""
 
 
 def avoidance_force(

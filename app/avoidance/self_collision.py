@@ -39,39 +39,33 @@ BORDERS = {"surface": BorderSurface, "points": BorderPoints}
 
 
 class PairState(NamedTuple):
-    """Distance and activation of one pair, and for an active pair of L_m where its force acts.
-
-    Attributes:
-        closest: Closest points, in the world.
-        beta: [-] activation parameter.
-        acting: Acting point in the base's frame, or None outside the buffer.
-        f: (3,) [N] force f_m,i in the base's frame.
-    """
+    """Distance and activation of one pair, and for an active pair of L_m where its force acts."""
 
     closest: ClosestPoints
+    """Closest points, in the world."""
     beta: float
+    """[-] activation parameter."""
     acting: ActingPoint | None
+    """Acting point in the base's frame, or None outside the buffer."""
     f: Array
+    """(3,) [N] force f_m,i in the base's frame."""
 
 
 class Avoidance(NamedTuple):
-    """The avoidance task of one control step.
-
-    Attributes:
-        pairs: All pairs, those of L_m first.
-        n_mobile: How many of them are of L_m.
-        xdd_m: (n_b,) [m/s² or rad/s²] of (16), v̇_d and ω̇_d, not yet multiplied by β_m.
-        beta_m: [-] activation of the base's rows, (28).
-        rows_m: The base's rows, or None while β_m = 0.
-        rows_links: The arm's active rows between its own links, (22) and (23).
-    """
+    """The avoidance task of one control step."""
 
     pairs: tuple[PairState, ...]
+    """All pairs, those of L_m first."""
     n_mobile: int
+    """How many of them are of L_m."""
     xdd_m: Array
+    """(n_b,) [m/s² or rad/s²] of (16), v̇_d and ω̇_d, not yet multiplied by β_m."""
     beta_m: float
+    """[-] activation of the base's rows, (28)."""
     rows_m: TaskRows | None
+    """The base's rows, or None while β_m = 0."""
     rows_links: tuple[TaskRows, ...]
+    """The arm's active rows between its own links, (22) and (23)."""
 
     @property
     def mobile(self) -> tuple[PairState, ...]:

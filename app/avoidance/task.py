@@ -45,17 +45,14 @@ def mobile_activation(betas: Sequence[float]) -> float:
 
 
 class DistanceJacobian(NamedTuple):
-    """How a pair's distance moves: ḋ = J q̇ and d̈ = J q̈ + J̇ q̇.
-
-    Attributes:
-        J: (n,) Jacobian of the distance.
-        Jdqd: [m/s²] J̇ q̇, with the turning of l_a.
-        speed: [m/s] ḋ.
-    """
+    """How a pair's distance moves: ḋ = J q̇ and d̈ = J q̈ + J̇ q̇."""
 
     J: Array
+    """(n,) Jacobian of the distance."""
     Jdqd: float
+    """[m/s²] J̇ q̇, with the turning of l_a."""
     speed: float
+    """[m/s] ḋ."""
 
 
 def distance_jacobian(state: RobotState, closest: ClosestPoints) -> DistanceJacobian:
@@ -77,18 +74,16 @@ class TaskRows(NamedTuple):
     """Rows that enter the stack together under one activation parameter.
 
     They ask for J q̈ + J̇ q̇ = ẍ.
-
-    Attributes:
-        J: (k, n) Jacobian.
-        Jdqd: (k,) J̇ q̇.
-        xdd: (k,) desired acceleration.
-        beta: [-] activation parameter in [0, 1].
     """
 
     J: Array
+    """(k, n) Jacobian."""
     Jdqd: Array
+    """(k,) J̇ q̇."""
     xdd: Array
+    """(k,) desired acceleration."""
     beta: float
+    """[-] activation parameter in [0, 1]."""
 
     @property
     def b(self) -> Array:

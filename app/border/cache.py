@@ -159,17 +159,14 @@ def robot_content(description: RobotDescription) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class BorderData:
-    """All that is made offline for one robot.
-
-    Attributes:
-        pairs: §2.1, the pairs of (1).
-        clouds: P_i of Algorithm 1, by the name of the pair of L_m.
-        origin: Where it came from: the cache, a file shipped with the project, or sampled now.
-    """
+    """All that is made offline for one robot."""
 
     pairs: LinkPairs
+    """§2.1, the pairs of (1)."""
     clouds: dict[str, Cloud]
+    """P_i of Algorithm 1, by the name of the pair of L_m."""
     origin: Literal["cache", "shipped", "sampled"]
+    """Where it came from: the cache, a file shipped with the project, or sampled now."""
 
 
 def load_border_data(

@@ -31,15 +31,12 @@ Corner = tuple[complex, complex, bool]
 
 
 class Foot(NamedTuple):
-    """The point of a border nearest to a point at the same height, in the base's frame.
-
-    Attributes:
-        p: (3,) [m] the point of the border.
-        t: (3,) horizontal unit tangent there, with l_m on its left.
-    """
+    """The point of a border nearest to a point at the same height, in the base's frame."""
 
     p: Array
+    """(3,) [m] the point of the border."""
     t: Array
+    """(3,) horizontal unit tangent there, with l_m on its left."""
 
 
 class NearestBorder(Protocol):
@@ -51,25 +48,22 @@ class NearestBorder(Protocol):
 
 
 class Table(NamedTuple):
-    """The rings of all shapes. The first vertex of a row is repeated at its end.
-
-    Attributes:
-        firsts: (K + 1,) row of each shape's first ring, and the number of rows.
-        heights: (N,) [m] of the rings, ascending for each shape.
-        vertices: (N, R + 1) [m] as x + iy.
-        tangents: (N, R + 1) unit tangents at the vertices, as x + iy.
-        shown: (N, R + 1) [m] by how much the vertices lie outside of the other shapes.
-        reached: (N, R + 1) negative where the contours are open.
-        spans: (N, R / BLOCK) [m] from the middle vertex of a block of edges to its others, at most.
-    """
+    """The rings of all shapes. The first vertex of a row is repeated at its end."""
 
     firsts: Array
+    """(K + 1,) row of each shape's first ring, and the number of rows."""
     heights: Array
+    """(N,) [m] of the rings, ascending for each shape."""
     vertices: Array
+    """(N, R + 1) [m] as x + iy."""
     tangents: Array
+    """(N, R + 1) unit tangents at the vertices, as x + iy."""
     shown: Array
+    """(N, R + 1) [m] by how much the vertices lie outside of the other shapes."""
     reached: Array
+    """(N, R + 1) negative where the contours are open."""
     spans: Array
+    """(N, R / BLOCK) [m] from the middle vertex of a block of edges to its others, at most."""
 
 
 class Contours:
@@ -93,17 +87,12 @@ class Contours:
         return level(self.table.firsts, self.table.heights, z)
 
     def nearest(self, p: Array) -> Foot | None:
-        """The point of the contours at p's height that is nearest to p.
+        """The point of the contours nearest to p, (3,) [m] in the base's frame, at its height.
 
         It moves continuously with p, but where p has two nearest points (the medial axis). Heights
         beyond the contours are taken as their lowest or highest. In a gap it is the end of a
-        contour; where all of a height is open, it is as if nothing were.
-
-        Args:
-            p: (3,) [m] in the base's frame.
-
-        Returns:
-            None only if there is no ring at all.
+        contour; where all of a height is open, it is as if nothing were. None only if there is no
+        ring at all.
         """
         if not len(self.table.heights):
             return None
@@ -113,10 +102,9 @@ class Contours:
         return Foot(np.array([x, y, p[2]]), np.array([t_x, t_y, 0.0]))
 
     def contours(self, z: float) -> list[Array]:
-        """(K, 2) [m] each, the polygons at a height: closed ones, or the open pieces of each ring.
+        """(K, 2) [m] each, the polygons at a height z [m], or the open pieces of each ring.
 
-        Args:
-            z: [m] height; there is none beyond the lowest and the highest ring.
+        There is none beyond the lowest and the highest ring.
         """
         table, found = self.table, []
         for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):

@@ -18,17 +18,14 @@ POINT_RANGE = 3.2
 
 @dataclass(frozen=True)
 class Cloud:
-    """P_i of one pair of L_m, sorted by height.
-
-    Attributes:
-        pair: Name of the pair, as in `lm-lEE`.
-        points: (N, 3) int16 in units of 0.1 mm, in the base's frame; column 2 ascends.
-        distances: (N,) uint16 in units of 10 µm, d_m of exactly these points.
-    """
+    """P_i of one pair of L_m, sorted by height."""
 
     pair: str
+    """Name of the pair, as in `lm-lEE`."""
     points: Array
+    """(N, 3) int16 in units of 0.1 mm, in the base's frame; column 2 ascends."""
     distances: Array
+    """(N,) uint16 in units of 10 µm, d_m of exactly these points."""
 
     def __len__(self) -> int:
         return len(self.distances)
@@ -78,34 +75,26 @@ SAME_HEIGHT = 0.005
 
 @dataclass(frozen=True)
 class Border:
-    """DBB_i of one pair of L_m, in the base's frame, sorted by height.
-
-    Attributes:
-        pair: Name of the pair, as in `lm-lEE`.
-        d_b: [m] buffer distance.
-        eps: [m] tolerance ε.
-        points: (N, 3) [m], column 2 ascends.
-        heights: (N,) [m] column 2 of the points, contiguous.
-    """
+    """DBB_i of one pair of L_m, in the base's frame, sorted by height."""
 
     pair: str
+    """Name of the pair, as in `lm-lEE`."""
     d_b: float
+    """[m] buffer distance."""
     eps: float
+    """[m] tolerance ε."""
     points: Array
+    """(N, 3) [m], column 2 ascends."""
     heights: Array
+    """(N,) [m] column 2 of the points, contiguous."""
 
     def __len__(self) -> int:
         return len(self.points)
 
     def same_height(self, z: float, half_thickness: float = SAME_HEIGHT) -> Array:
-        """DBB_xy: FindSameHeight of Algorithm 3, in O(log N) and without a copy.
+        """(M, 3) [m] DBB_xy: FindSameHeight of Algorithm 3, in O(log N) and without a copy.
 
-        Args:
-            z: [m] height above the floor.
-            half_thickness: [m] half of the slice's thickness.
-
-        Returns:
-            (M, 3) [m] a view of the points whose height is within `half_thickness` of z.
+        A view of the points within a half thickness [m] of a height z [m].
         """
         first = self.heights.searchsorted(z - half_thickness, "left")
         last = self.heights.searchsorted(z + half_thickness, "right")
@@ -113,20 +102,12 @@ class Border:
 
 
 def construct_dbb(cloud: Cloud, d_b: float, eps: float) -> Border:
-    """ConstructDBB: the points of P_i whose distance to l_m is d_b within ε.
+    """ConstructDBB: the points of P_i whose distance to l_m is d_b within ε, both [m].
 
     Paper: Eq. (3).
 
     Kept distances are rounded, so the selection is narrower by half of their resolution: each point
-    is within ε of d_b when measured again.
-
-    Args:
-        cloud: P_i with its distances d_m.
-        d_b: [m] buffer distance.
-        eps: [m] tolerance ε.
-
-    Returns:
-        The border, empty where P_i has no such points.
+    is within ε of d_b when measured again. The border is empty where P_i has no such points.
     """
     slack = eps - DISTANCE_UNIT / 2
     low = int(np.ceil((d_b - slack) / DISTANCE_UNIT))

@@ -21,17 +21,14 @@ _MAX_STEP = 0.25  # [rad] longest step of a joint: farther the Jacobian says not
 
 
 class Witnesses(NamedTuple):
-    """What many poses bring about.
-
-    Attributes:
-        d: (N,) [m] signed distance of the pair.
-        p_b: (N, 3) [m] closest point on the arm's body, in the base's frame.
-        normal: (N, 3) unit vector from l_m to the body.
-    """
+    """What many poses bring about."""
 
     d: Array
+    """(N,) [m] signed distance of the pair."""
     p_b: Array
+    """(N, 3) [m] closest point on the arm's body, in the base's frame."""
     normal: Array
+    """(N, 3) unit vector from l_m to the body."""
 
 
 class PairReader:

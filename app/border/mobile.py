@@ -179,14 +179,9 @@ def _signed_distance(
 
 @compiled("f8[:,::1](i8, f8[:], f8[:,:], f8[:], f8[:,:])")
 def distances_and_normals(kind: int, size: Array, R: Array, p: Array, points: Array) -> Array:
-    """(N, 4) signed distances [m] and their gradients, of a shape with axes R (3, 3) and origin p.
+    """(N, 4) signed distances [m] and their gradients, of points (N, 3) [m] to a shape.
 
-    Args:
-        kind: As of `_measures`.
-        size: As of `_measures`.
-        R: (3, 3) the shape's axes.
-        p: (3,) [m] the shape's origin.
-        points: (N, 3) [m].
+    Its kind and size are those of `_measures`, its axes are R (3, 3), its origin is p (3,) [m].
     """
     found = np.empty((len(points), 4))
     at = np.empty(3)  # in the shape's frame

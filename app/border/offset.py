@@ -107,19 +107,16 @@ def _table(rings: tuple[Rings, ...], shown: list[Array]) -> Table:
 
 
 class Rings(NamedTuple):
-    """Closed polygons around one convex shape, one a height, each vertex at the distance d_b.
-
-    Attributes:
-        heights: (H,) [m], ascending.
-        centres: (H, 2) [m] from which the rays of each height start, in the base's frame.
-        vertices: (H, RAYS + 1, 2) [m] in the base's frame, counter-clockwise, the first repeated.
-        tangents: (H, RAYS + 1) unit tangents at the vertices, as x + iy.
-    """
+    """Closed polygons around one convex shape, one a height, each vertex at the distance d_b."""
 
     heights: Array
+    """(H,) [m], ascending."""
     centres: Array
+    """(H, 2) [m] from which the rays of each height start, in the base's frame."""
     vertices: Array
+    """(H, RAYS + 1, 2) [m] in the base's frame, counter-clockwise, the first repeated."""
     tangents: Array
+    """(H, RAYS + 1) unit tangents at the vertices, as x + iy."""
 
 
 def trace_rings(part: ConvexPart, d_b: float) -> Rings:

@@ -91,7 +91,6 @@ class _Sampler:
     def _starts(
         self, pairs: Sequence[Pair], seeds: Sequence[np.random.SeedSequence]
     ) -> dict[Pair, Kept]:
-        """The poses of random sampling that lie in the shell."""
         count = -(-self._config.cloud_samples // _SEED_JOBS)
         jobs = [
             SeedJob(pair, child, count)
@@ -167,21 +166,18 @@ class SeedJob(NamedTuple):
 
 
 class SectorJob(NamedTuple):
-    """The flood of one sector.
-
-    Attributes:
-        pair: The pair of L_m.
-        seed: Of the sector's random numbers.
-        sector: Its number.
-        sources: (N, n_m) float32, poses to start from.
-        taken: (M,) numbers of its voxels that are filled already.
-    """
+    """The flood of one sector."""
 
     pair: Pair
+    """The pair of L_m."""
     seed: np.random.SeedSequence
+    """Of the sector's random numbers."""
     sector: int
+    """Its number."""
     sources: Array
+    """(N, n_m) float32, poses to start from."""
     taken: Array
+    """(M,) numbers of its voxels that are filled already."""
 
 
 def sample_shell(context: Context, job: SeedJob) -> Kept:

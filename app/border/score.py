@@ -33,21 +33,18 @@ _FEWEST = 20  # [-] values that a shell needs before its mean can be the peak
 
 @dataclass(frozen=True)
 class ScoreField:
-    """The score for one robot and one of its bodies; points are (…, 3) [m].
-
-    Attributes:
-        base: What stands in for the determinant of (7), with its sign.
-        p_base: (3,) [m] of (9), the arm's mount.
-        A: [1/m²] of (9), the curvature.
-        B: [m] of (9), the distance of the best reach.
-        C: [-] of (9), the best reach.
-    """
+    """The score for one robot and one of its bodies; points are (…, 3) [m]."""
 
     base: BaseKind
+    """What stands in for the determinant of (7), with its sign."""
     p_base: Array
+    """(3,) [m] of (9), the arm's mount."""
     A: float
+    """[1/m²] of (9), the curvature."""
     B: float
+    """[m] of (9), the distance of the best reach."""
     C: float
+    """[-] of (9), the best reach."""
 
     @classmethod
     def of(cls, model: RobotModel, body: str) -> ScoreField:
@@ -143,19 +140,16 @@ def _fields(points: Array, measures: Array, p_base: Array, A: float, B: float, C
 
 @dataclass(frozen=True)
 class RadialProfile:
-    """Reachability over the distance from the mount, shell by shell from the mount outwards.
-
-    Attributes:
-        rho_m: (K,) [m] middle of each shell.
-        mean: (K,) mean of the values in it, not a number where there is none.
-        spread: (K,) standard deviation of the values in it.
-        count: (K,) number of values in it.
-    """
+    """Reachability over the distance from the mount, shell by shell from the mount outwards."""
 
     rho_m: Array
+    """(K,) [m] middle of each shell."""
     mean: Array
+    """(K,) mean of the values in it, not a number where there is none."""
     spread: Array
+    """(K,) standard deviation of the values in it."""
     count: Array
+    """(K,) number of values in it."""
 
     def peak(self) -> int:
         """The shell with the largest mean; shells of few values do not compete.
@@ -181,13 +175,7 @@ class RadialProfile:
 
 
 def radial_profile(rho: Array, reach: Array, shell: float = SHELL) -> RadialProfile:
-    """Means over shells.
-
-    Args:
-        rho: (N,) [m] distances from the mount.
-        reach: (N,) values there.
-        shell: [m] thickness of a shell.
-    """
+    """Means of values (N,) at distances rho (N,) [m] from the mount, over shells [m] thick."""
     # Positions of a lattice may stand on the border of two shells: rounding must not decide.
     index = np.floor(np.asarray(rho) / shell + ROUNDING).astype(int)
     size = int(index.max(initial=-1)) + 1
@@ -199,28 +187,28 @@ def radial_profile(rho: Array, reach: Array, shell: float = SHELL) -> RadialProf
 
 
 class ReachFit(NamedTuple):
-    """A, B, C of (9) and how well they describe the map.
-
-    Attributes:
-        A_per_m2, B_m, C: The coefficients.
-        r_squared: Share of the variance that (9) explains, of the means over shells of ρ, each
-            weighted by its positions.
-        rms: Root mean square of what is left of those means, in units of the reachability.
-        r_squared_positions: The same share for the single positions, whose values scatter by the
-            counting and by direction, which (9) does not know.
-        rho_min_m, rho_max_m: [m] the distances fitted.
-        points: Positions fitted.
-    """
+    """A, B, C of (9) and how well they describe the map."""
 
     A_per_m2: float
+    """[1/m²] of (9), the curvature."""
     B_m: float
+    """[m] of (9), the distance of the best reach."""
     C: float
+    """[-] of (9), the best reach."""
     r_squared: float
+    """Share of the variance that (9) explains, of the means over shells of ρ, each weighted by its
+    positions."""
     rms: float
+    """Root mean square of what is left of those means, in units of the reachability."""
     r_squared_positions: float
+    """The same share for the single positions, whose values scatter by the counting and by
+    direction, which (9) does not know."""
     rho_min_m: float
+    """[m] the least distance fitted."""
     rho_max_m: float
+    """[m] the largest."""
     points: int
+    """Positions fitted."""
 
     def at(self, rho: Array) -> Array:
         """(9) at distances rho [m], as printed: it may be negative."""
@@ -244,13 +232,9 @@ def fit_parabola(rho: Array, reach: Array, share: float = FLOOR) -> ReachFit:
 
     Paper: Eq. (9).
     It is fitted where it is meaningful: over the unbroken range of distances around the peak in
-    which the mean is at least a share of the peak's: 0.05, below which `ScoreField.reachability`
-    bends (9), unless another is asked for.
-
-    Args:
-        rho: (N,) [m] distances from the arm's mount.
-        reach: (N,) [-] values there, those of zero included.
-        share: [-] of the peak above which the mean over a shell has to be.
+    which the mean is at least a share [-] of the peak's: 0.05, below which
+    `ScoreField.reachability` bends (9), unless another is asked for. The values (N,) [-] at
+    distances rho (N,) [m] from the arm's mount include those of zero.
 
     Raises:
         ValueError: There are too few values, or they are not concave.

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from itertools import compress
 from typing import NamedTuple
 
 import numpy as np
@@ -51,18 +52,13 @@ class BorderPoints:
         self._border, self._offset = border, offset
 
     def nearest(self, p: Array) -> Foot | None:
-        """FindSameHeight and FindMinDistancePoint: the point nearest to p at p's height.
+        """FindSameHeight and FindMinDistancePoint: the point nearest to p, (3,) [m], at its height.
 
         The tangent is at right angles to the way from p to that point. Where p lies on the border,
         which is known to within ε, that way has no direction: there it is the offset's tangent.
+        None only if l_m has no border at all.
 
         Paper: Algorithm 3, lines 1 to 4.
-
-        Args:
-            p: (3,) [m] in the base's frame.
-
-        Returns:
-            None only if l_m has no border at all.
         """
         exact = None
         points = self._border.same_height(float(p[2]))
@@ -82,15 +78,12 @@ class BorderPoints:
 
 
 class Gap(NamedTuple):
-    """A stretch of a closed contour that the arm never reaches, counted in its rays.
-
-    Attributes:
-        first: Where it begins.
-        last: Where it ends, more than `first` also where it goes beyond the last ray.
-    """
+    """A stretch of a closed contour that the arm never reaches, counted in its rays."""
 
     first: float
+    """Where it begins."""
     last: float
+    """Where it ends, more than `first` also where it goes beyond the last ray."""
 
 
 def gaps_between(stretches: Iterable[tuple[float, float]]) -> list[Gap]:
@@ -108,15 +101,11 @@ def gaps_between(stretches: Iterable[tuple[float, float]]) -> list[Gap]:
 def without_leaps(
     contours: Sequence[list[Gap] | None], heights: Array, rays: int
 ) -> list[list[Gap]]:
-    """Gaps narrowed until none leaps from height to height.
+    """Gaps narrowed until none leaps from height to height, (H,) [m] ascending.
 
-    Else one would open within a single height where the border begins, and the foot race.
-
-    Args:
-        contours: (H,) the gaps of each; None where nothing is told. Between contours that tell
-            something such a one has the gaps of the next lower of them, else it has none.
-        heights: (H,) [m] ascending.
-        rays: Of a contour.
+    Else one would open within a single height where the border begins, and the foot race. A contour
+    that tells nothing is None: between contours that tell something it has the gaps of the next
+    lower of them, else it has none.
     """
     told = [k for k, gaps in enumerate(contours) if gaps is not None]
     found: list[list[Gap]] = [[] for _ in contours]
@@ -160,7 +149,10 @@ def find_reached(border: Border, offset: OffsetContours) -> Array:
         seen = zip(rings.heights, rings.centres, rings.vertices, strict=True)
         found = [_gaps(border, z, centre, ring) for z, centre, ring in seen]
         for gaps in without_leaps(found, rings.heights, RAYS):
-            rows.append(_from_ends([gap for gap in gaps if _shows(gap, shown[len(rows)])]))
+            ring = shown[len(rows)]  # a gap all of whose rays other shapes hide is none
+            within = (np.arange(int(gap.first), int(gap.last) + 1) % RAYS for gap in gaps)
+            showing = [ring[rays].any() for rays in within]
+            rows.append(_from_ends(list(compress(gaps, showing))))
     reached = np.array(rows).reshape(-1, RAYS)
     return np.concatenate([reached, reached[:, :1]], axis=1)
 
@@ -174,11 +166,6 @@ def _gaps(border: Border, z: float, centre: Array, ring: Array) -> list[Gap] | N
         return None
     filled = np.unique(cell)
     return gaps_between(zip(filled, np.append(filled[1:], filled[0] + RAYS), strict=True))
-
-
-def _shows(gap: Gap, shown: Array) -> bool:
-    """Whether any of a gap's rays is not hidden by other shapes."""
-    return bool(shown[np.arange(int(gap.first), int(gap.last) + 1) % RAYS].any())
 
 
 def _from_ends(gaps: list[Gap]) -> Array:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -24,15 +24,10 @@ def load_model(robot: str) -> RobotModel:
     return RobotModel(load_robot(robot))
 
 
-def load_border_data(model: RobotModel) -> BorderData:
-    """The pairs and clouds of a robot, sampled if they are not in the cache."""
-    from app.border import cache
-
-    return cache.load_border_data(model)
-
-
 def load_robot_and_border(robot: str) -> tuple[RobotModel, BorderData]:
-    """A robot's model with its pairs and clouds."""
+    """A robot's model with its pairs and clouds, sampled if they are not in the cache."""
+    from app.border.cache import load_border_data
+
     model = load_model(robot)
     return model, load_border_data(model)
 
@@ -45,6 +40,21 @@ def say(text: str) -> None:
 def print_json(result: object) -> None:
     """One JSON object on standard output."""
     sys.stdout.write(as_json(result))
+
+
+def print_result(result: Mapping[str, Any], *, json: bool) -> None:
+    """A command's figures: one JSON object, or the same for people, a line a figure."""
+    print_json(result) if json else _print_lines(result)
+
+
+def _print_lines(result: Mapping[str, Any], indent: str = "") -> None:
+    for key, value in result.items():
+        if isinstance(value, dict):
+            print(f"{indent}{key}")
+            _print_lines(value, indent + "  ")
+        else:
+            text = f"{value:.4g}" if isinstance(value, float) else rounded_text(value)
+            print(f"{indent}{key:28} {text}".rstrip())
 
 
 def as_json(result: object) -> str:

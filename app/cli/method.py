@@ -7,12 +7,11 @@ from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 from app.cli import options
-from app.cli.common import load_model, load_robot_and_border, print_json, say
+from app.cli.common import load_model, load_robot_and_border, print_json, print_result, say
 from app.cli.records import Given
-from app.config import Config, sections
+from app.config import sections
 from app.config_file import save_config
 from app.errors import ConfigError, OutputError
-from app.parameters import Tunable
 from app.strict import check_range
 from app.system import write_whole
 
@@ -21,12 +20,10 @@ if TYPE_CHECKING:
     from app.border.dbb import Border
     from app.border.reach.map import ReachMap
     from app.border.score import ReachFit
-    from app.robot.link_pairs import LinkPairs
     from app.robot.model import RobotModel
 
 _MOST_SAMPLES = 10_000_000  # [-] about a minute and a gigabyte
 _OF_BORDER = {"buffer_distance": "border.d_b", "tolerance": "border.eps"}
-_FEWEST_POINTS, _MOST_POINTS = 1_000, 20_000_000
 _PAPERS_FIT = {"A_per_m2": 525.9, "B_m": 0.575, "C": 100.0}  # §2.3.2, of the end-effector
 
 
@@ -45,24 +42,7 @@ def pairs(
     from app.robot.link_pairs import find_link_pairs
 
     found = find_link_pairs(load_model(robot), samples=samples, seed=seed)
-    if json:
-        print_json(_of_pairs(robot, found))
-        return
-    for title, group in (
-        ("L_m   with the mobile robot", found.mobile),
-        ("L_m^c within the arm", found.manipulator),
-        ("never", found.never),
-    ):
-        print(title)
-        for pair in group:
-            print(
-                f"  {pair.name:10} in collision {found.rates[pair.name]:7.3%}, "
-                f"least distance {found.least_distance_m[pair.name]:+.3f} m"
-            )
-
-
-def _of_pairs(robot: str, found: LinkPairs) -> dict[str, object]:
-    return {
+    result = {
         "robot": robot,
         "samples": found.samples,
         "seed": found.seed,
@@ -76,6 +56,7 @@ def _of_pairs(robot: str, found: LinkPairs) -> dict[str, object]:
         ],
         "least_distance_m": found.least_distance_m,
     }
+    print_result(result, json=json)
 
 
 def border(
@@ -128,18 +109,10 @@ def border(
         "select_ms": 1e3 * (selected - loaded),
         "borders": {each.pair: _of_border(model, data, each) for each in borders},
     }
-    if json:
-        print_json(result)
-        return
-    print(f"{robot}, d_b {config.d_b:g} m ± {config.eps:g} m, from {data.origin}")
-    for pair, figures in result["borders"].items():
-        print(f"  {pair}")
-        for key, value in figures.items():
-            print(f"    {key:20} {value:.6g}" if value is not None else f"    {key:20} none")
+    print_result(result, json=json)
 
 
 def _of_border(model: RobotModel, data: BorderData, border: Border) -> dict[str, object]:
-    """Figures of one border; its distances measured again, point by point, by the library."""
     import numpy as np
 
     from app.border.mobile import MobileBody
@@ -204,15 +177,10 @@ def reach(
         if out is not None:
             _write_reach(out, reach_map, fit)
     result = {"robot": robot, "seed": seed, "elapsed_s": perf_counter() - begin, "bodies": bodies}
-    if json:
-        print_json(result)
-        return
-    for name, figures in bodies.items():
-        _print_reach(robot, name, figures)
+    print_result(result, json=json)
 
 
 def _of_reach(model: RobotModel, reach_map: ReachMap, fit: ReachFit) -> dict[str, Any]:
-    """What is printed of one body."""
     description = model.description
     used = description.reachability.get(reach_map.body)
     carries = description.arm.end_effector_link in description.body(reach_map.body).covers
@@ -246,26 +214,6 @@ def _write_reach(out: Path, reach_map: ReachMap, fit: ReachFit) -> None:
         np.savetxt(out / name, filled, "%.6g", ",", header=header, comments="")
 
 
-def _print_reach(robot: str, name: str, figures: dict[str, Any]) -> None:
-    free = ", ".join(figures["free_joints"])
-    print(
-        f"{robot} {name}: {figures['solutions']:.3g} solutions a pose, as a mean over "
-        f"{figures['positions']:,} positions; from {figures['samples']:,} joint positions"
-        f"{f'; held at random: {free}' if free else ''}"
-    )
-    columns = {"counted": figures, "paper": figures["paper"], "description": figures["description"]}
-    shown = {title: column for title, column in columns.items() if column}
-    print("  " + " " * 14 + "".join(f"{title:>13}" for title in shown))
-    for key, unit in (("A_per_m2", "/m²"), ("B_m", "m"), ("C", "")):
-        values = "".join(f"{column[key]:13.4g}" for column in shown.values())
-        print(f"  {key:14}{values} {unit}".rstrip())
-    print(
-        f"  fitted over {figures['rho_min_m']:.2f} to {figures['rho_max_m']:.2f} m: "
-        f"R² {figures['r_squared']:.3f}, RMS residual {figures['rms']:.1f} of the shells' means; "
-        f"R² {figures['r_squared_positions']:.3f} of the {figures['positions_fitted']:,} positions"
-    )
-
-
 def config(
     config: options.ConfigOption = None,
     out: Annotated[Path | None, options.NO_DEFAULT] = None,
@@ -280,31 +228,25 @@ def config(
     """
     tuned = options.configured(config)
     if out is not None:
-        _write_new(out, save_config(tuned, out.stem))
+        if out.exists():
+            raise OutputError(f"--out: {out} exists; name another file or remove it")
+        write_whole(out, save_config(tuned, out.stem))
     if json:
-        print_json(
-            {"parameters": [_of_parameter(each, tuned) for s in sections() for each in s.tunables]}
-        )
+        hidden = {"path", "label", "advanced", "log"}
+        rows = [
+            {"path": each.path, "value": tuned.value(each.path), **each.model_dump(exclude=hidden)}
+            for section in sections()
+            for each in section.tunables
+        ]
+        print_json({"parameters": rows})
     elif out is None:
         print(save_config(tuned), end="")
     else:
         print(out)
 
 
-def _write_new(out: Path, text: str) -> None:
-    if out.exists():
-        raise OutputError(f"--out: {out} exists; name another file or remove it")
-    write_whole(out, text)
-
-
-def _of_parameter(about: Tunable, tuned: Config) -> dict[str, Any]:
-    row = about.model_dump(exclude={"label", "advanced", "log"})
-    return {"path": row.pop("path"), "value": tuned.value(about.path), **row}
-
-
 def bench(
     robot: str = "husky_panda",
-    points: tuple[int, ...] = (50_000, 500_000, 5_000_000),
     no_border: options.Flag = False,
     seed: int = 0,
     json: options.Json = False,
@@ -315,16 +257,10 @@ def bench(
 
     Args:
         robot: Name of the robot; `dbb robots` lists them.
-        points: Points of the synthetic borders whose cost is compared.
         no_border: Leave out the sampling of a border from nothing, which takes half a minute.
         seed: Of the plant and of the synthetic borders.
     """
     options.check_seed(seed)
-    for count in points:
-        if not _FEWEST_POINTS <= count <= _MOST_POINTS:
-            raise ConfigError(
-                f"--points: {count} is not between {_FEWEST_POINTS} and {_MOST_POINTS}"
-            )
     try:
         from benchmarks.step.bench import bench as measure
     except ModuleNotFoundError:
@@ -333,19 +269,5 @@ def bench(
             "clone the project, and call .venv/bin/dbb bench there after make run"
         ) from None
     model, data = load_robot_and_border(robot)
-    result = measure(model, data, seed=seed, points=points, border=not no_border, on_stage=say)
-    if json:
-        print_json(result)
-        return
-    _print_tree(result)
-
-
-def _print_tree(result: dict[str, Any], indent: str = "") -> None:
-    for key, value in result.items():
-        if isinstance(value, dict):
-            print(f"{indent}{key}")
-            _print_tree(value, indent + "  ")
-        elif isinstance(value, float):
-            print(f"{indent}{key:28} {value:.4g}")
-        elif not isinstance(value, list):
-            print(f"{indent}{key:28} {value}")
+    result = measure(model, data, seed=seed, border=not no_border, on_stage=say)
+    print_result(result, json=json)

@@ -72,7 +72,6 @@ def screenshot(
 
 
 def _draw(asked: Planned, at: tuple[float, ...], look: Look) -> Image.Image:
-    """Run the scenario and draw it at these times [s]."""
     # Imported here: viser and scipy would make every other command start later.
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.screenshot import strip, take_pictures
@@ -145,7 +144,6 @@ def film(
 def _film(
     asked: Planned, beside: tuple[str, ...], how: Filming, codec: str, look: Look, out: Path
 ) -> dict[str, Any]:
-    """Run the scenario with each controller, draw and encode; what there is to tell of it."""
     from app.dashboard.export.browser import chromium
     from app.dashboard.export.offscreen import film_pictures, with_ghosts, write_film
 

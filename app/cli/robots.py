@@ -146,7 +146,6 @@ def new_robot(
 
 
 def _print_made(made: dict[str, Any]) -> None:
-    """What was made, and what to do with it."""
     from app.robot.assets import robot_folder
 
     name, folder = made["robot"], made["folder"]

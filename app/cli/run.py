@@ -49,7 +49,9 @@ ContactOption = Annotated[
 def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
     """The scenario of a command line, the command that runs it, and the other words."""
     if any(word.partition("=")[0] == "--case" for word in words):
-        _check_replay(words)
+        own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *options.PARAMETERS}
+        given = {"scenario" if word in SCENARIOS else _field(word) for word in words}
+        check_no_others(dict.fromkeys(sorted(own & given), True))
         return "", run_case, words
     first = words[:1] if words and not words[0].startswith("-") else []
     named = first or [word for word in words if word in SCENARIOS][:1]
@@ -142,15 +144,7 @@ def run_case(
     _end(figures, fail_on_contact=fail_on_contact)
 
 
-def _check_replay(words: list[str]) -> None:
-    """Refuse what a replayed case answers itself."""
-    own = _OF_SCENARIOS | {"scenario", "config", "robot", "seed", *options.PARAMETERS}
-    given = ("scenario" if word in SCENARIOS else _field(word) for word in words)
-    check_no_others(dict.fromkeys(sorted(own & set(given)), True))
-
-
 def _run(asked: Planned, files: Files, *, json: bool) -> dict[str, Any]:
-    """Run it, write what is asked for, and say how it went; its figures."""
     # Imported here: it takes longer than to find a mistake in what was asked.
     from app.control.buffer_watch import buffer_warning
     from app.simulation.trace.metrics import verdict
@@ -173,7 +167,6 @@ def _run(asked: Planned, files: Files, *, json: bool) -> dict[str, Any]:
 
 
 def _end(figures: dict[str, Any], *, fail_on_contact: bool) -> None:
-    """End with the status that was asked for."""
     from app.simulation.trace.metrics import touches
 
     if fail_on_contact and touches(figures):
@@ -181,7 +174,6 @@ def _end(figures: dict[str, Any], *, fail_on_contact: bool) -> None:
 
 
 def _write(result: "RunResult", files: Files, model: "RobotModel") -> list[Path]:
-    """Write what was asked for; returns what was written."""
     from app.simulation.trace.log_file import write_trace
 
     written, out, log = [], files.out, files.log

@@ -125,7 +125,6 @@ class _First(NamedTuple):
 
 
 def _serve(first: _First) -> None:
-    """Show it until Ctrl-C."""
     # Imported here: viser and scipy would make every other command start later.
     from app.dashboard.scene.robot import RobotParts
     from app.dashboard.server import check_address, serve_dashboard

@@ -32,30 +32,20 @@ TOLERANCE = 1e-5
 
 
 class Bound(NamedTuple):
-    """A limit that was met.
-
-    Attributes:
-        where: Name of a joint, "base", or a pair as in `lm-lEE`.
-        kind: What is limited.
-        upper: Whether it is the upper of the two bounds.
-    """
+    """A limit that was met."""
 
     where: str
+    """Name of a joint, "base", or a pair as in `lm-lEE`."""
     kind: BoundKind
+    """What is limited."""
     upper: bool
+    """Whether it is the upper of the two bounds."""
 
 
 def active_bounds(
     state: RobotState, output: ControlOutput, workings: Workings, config: Config
 ) -> list[Bound]:
-    """The limits that the controller met in a step, those of the arm first.
-
-    Args:
-        state: The robot's state in the step.
-        output: What the controller answered.
-        workings: How it came about.
-        config: The parameters of the step.
-    """
+    """The limits that the controller met in a step, those of the arm first."""
     n_m = state.model.n_m
     low, high = met(workings.limits, workings.qdd)
     joints = state.model.description.arm.joints
@@ -75,13 +65,7 @@ def active_bounds(
 
 
 def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list[Bound]:
-    """Whether the base's velocity command is as large as it may be.
-
-    Args:
-        model: The robot.
-        config: v_max and ω_max.
-        command: (n_b,) [m/s or rad/s].
-    """
+    """Whether the base's velocity command (n_b,) [m/s or rad/s] is as large as it may be."""
     base = model.description.base
     largest = largest_command(base, config.admittance)
     return [
@@ -110,7 +94,6 @@ def _joint_kind(state: RobotState, config: Config, joint: int, upper: bool) -> B
 
 
 def _base_bounds(model: RobotModel, output: ControlOutput, workings: Workings) -> list[Bound]:
-    """Whether the base was asked for more acceleration than it is allowed."""
     asked, most = output.base_acceleration, model.base_acceleration_max
     missing = workings.base_wanted - asked  # may be missing for the hand's sake, too
     at_limit = np.sign(missing) * asked > most - TOLERANCE

@@ -36,14 +36,10 @@ class AdmittanceLaw:
         self._time = 0.0
 
     def update(self, acceleration: Array, dt: float) -> Array:
-        """Take the desired acceleration of one control step; renew the command when it is due.
-
-        Args:
-            acceleration: (n_b,) [m/s² or rad/s²] of the controller.
-            dt: [s] control step.
+        """Take the acceleration (n_b,) [m/s² or rad/s²] that one control step of dt [s] asks for.
 
         Returns:
-            (n_b,) the velocity command in force.
+            (n_b,) the velocity command in force, renewed when it is due.
         """
         self._sum += acceleration * dt
         self._time += dt
@@ -71,15 +67,12 @@ class AdmittanceLaw:
 
 
 class Response(NamedTuple):
-    """How the law answers an acceleration a: the velocity changes by gain (a - drag ν) on average.
-
-    Attributes:
-        gain: (n_b,) [-]
-        drag: (n_b,) [1/s]
-    """
+    """Of an acceleration a the law makes gain (a - drag ν) on average, ν being the velocity."""
 
     gain: Array
+    """(n_b,) [-]"""
     drag: Array
+    """(n_b,) [1/s]"""
 
 
 def response(base: BaseKind, config: AdmittanceConfig) -> Response:

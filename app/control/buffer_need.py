@@ -116,28 +116,21 @@ def _least_distance(
 
 
 class Approach(NamedTuple):
-    """How the arm comes towards the base.
-
-    Attributes:
-        v: [m/s] speed of the arm's closest point over the ground, along -n.
-        n: (3,) unit normal of the pair from the base to the arm, in the base's frame.
-        p_b: (3,) [m] closest point on the arm, in the base's frame.
-    """
+    """How the arm comes towards the base."""
 
     v: float
+    """[m/s] speed of the arm's closest point over the ground, along -n."""
     n: Array
+    """(3,) unit normal of the pair from the base to the arm, in the base's frame."""
     p_b: Array
+    """(3,) [m] closest point on the arm, in the base's frame."""
 
 
 def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
     """[m] the smallest d_b for which the arm stays away from the base by the reserve.
 
-    See the module for what is assumed. The delay and the slip are those of the configuration.
-
-    Args:
-        approach: Speed, direction and place.
-        base: Mass, inertia, limits and time constant of the base.
-        config: Law, admittance and disturbances; its own d_b has no part in it.
+    See the module for what is assumed. The delay and the slip are those of the configuration; its
+    own d_b has no part in it.
 
     Returns:
         At least d_full, from which on β has room to rise; infinite if the base cannot retreat as
@@ -157,16 +150,10 @@ def buffer_need(approach: Approach, base: BaseKind, config: Config) -> float:
 
 
 def least_distance(d_b: Array, approach: Approach, base: BaseKind, config: Config) -> Array:
-    """How near the arm comes at most, by the bound of the module.
+    """(k,) [m] how near the arm comes at most, by the module's bound, for d_b (k,) [m] above
+    d_full.
 
-    Args:
-        d_b: (k,) [m] buffer distances, above d_full.
-        approach: Speed, direction and place.
-        base: See `buffer_need`.
-        config: See `buffer_need`.
-
-    Returns:
-        (k,) [m], minus infinity where the base does not reach the speed at all.
+    It is minus infinity where the base does not reach the speed at all.
     """
     flat = float(np.hypot(approach.n[0], approach.n[1]))
     if flat < 1e-6:

@@ -21,24 +21,21 @@ _FARTHEST = parameter("border.d_b").high  # [m] nothing beyond the largest d_b i
 
 
 class BufferReading(NamedTuple):
-    """Whether d_b is enough.
-
-    Attributes:
-        approach_speed: [m/s] the largest speed towards the base in the last 3 s.
-        needed: [m] the largest d_b that any approach in the last 3 s would have needed; infinite if
-            there was one faster than the base retreats; 0 without any.
-        approach_speed_max: [m/s] the largest since the reset.
-        needed_max: [m] the largest since the reset.
-        too_small: Whether `needed` is more than d_b is now, for a controller whose base gives way.
-        too_small_ever: Whether `needed_max` is, for such a controller.
-    """
+    """Whether d_b is enough."""
 
     approach_speed: float
+    """[m/s] the largest speed towards the base in the last 3 s."""
     needed: float
+    """[m] the largest d_b that any approach in the last 3 s would have needed; infinite if there
+    was one faster than the base retreats; 0 without any."""
     approach_speed_max: float
+    """[m/s] the largest since the reset."""
     needed_max: float
+    """[m] the largest since the reset."""
     too_small: bool
+    """Whether `needed` is more than d_b is now, for a controller whose base gives way."""
     too_small_ever: bool
+    """Whether `needed_max` is, for such a controller."""
 
 
 class BufferWatch:
@@ -69,13 +66,9 @@ class BufferWatch:
     def update(
         self, state: RobotState, pairs: Sequence[ClosestPoints], dt: float, *, gives_way: bool
     ) -> BufferReading:
-        """Take one control step.
+        """Take one control step of dt [s] with the pairs of L_m at the robot's state.
 
-        Args:
-            state: The robot's state.
-            pairs: The pairs of L_m at it.
-            dt: [s] control step.
-            gives_way: Whether the controller lets the base give way.
+        `gives_way` says whether the controller lets the base give way.
         """
         if self._steps % _SAMPLE == 0:
             look = self._steps % _EVERY == 0

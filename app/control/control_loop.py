@@ -19,18 +19,15 @@ Array = np.ndarray
 
 
 class Command(NamedTuple):
-    """What the robot is told in one step.
-
-    Attributes:
-        u_a: (n_m,) [N m or N] torques of the arm, gravity's and velocities' share included.
-        base_velocity: (n_b,) [m/s or rad/s] along the base's axes: v and ω of a differential one;
-            renewed at the base's own slow rate.
-        output: The controller's own output, such as the distances and how they came about.
-    """
+    """What the robot is told in one step."""
 
     u_a: Array
+    """(n_m,) [N m or N] torques of the arm, gravity's and velocities' share included."""
     base_velocity: Array
+    """(n_b,) [m/s or rad/s] along the base's axes: v and ω of a differential one; renewed at the
+    base's own slow rate."""
     output: ControlOutput
+    """The controller's own output, such as the distances and how they came about."""
 
 
 class ControlLoop:

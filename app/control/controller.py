@@ -38,62 +38,53 @@ Array = np.ndarray
 
 
 class Stack(NamedTuple):
-    """The tasks below self-collision avoidance, over q̈ (n,).
-
-    Attributes:
-        objective: All of them.
-        lowest: The posture alone, or what a guided arm does by itself.
-        ee_task: T_ee, or None where the arm is guided.
-    """
+    """The tasks below self-collision avoidance, over q̈ (n,)."""
 
     objective: Objective
+    """All of them."""
     lowest: Objective
+    """The posture alone, or what a guided arm does by itself."""
     ee_task: EqualityTask | None
+    """T_ee, or None where the arm is guided."""
 
 
 class Workings(NamedTuple):
-    """How a control step came to its answer; what explains it is made from this, when asked for.
-
-    Attributes:
-        base_wanted: (n_b,) [m/s² or rad/s²] of (29) before the base's acceleration limits.
-        base_given: (n_b,) the same that the base really has, with which the arm's part is solved.
-        rows: Rows above the tasks: the method's against the base, then those between links.
-        stack: The tasks.
-        limits: On q̈, the hard torques first, then joints, then barriers.
-        torque: (n_m,) the smallest and (n_m,) the largest torque [N m or N] that the step allowed,
-            by the limits of the torques and of their change.
-        qdd: (n,) q̈ of base and arm.
-    """
+    """How a control step came to its answer; what explains it is made from this, when asked for."""
 
     base_wanted: Array
+    """(n_b,) [m/s² or rad/s²] of (29) before the base's acceleration limits."""
     base_given: Array
+    """(n_b,) the same that the base really has, with which the arm's part is solved."""
     rows: tuple[TaskRows, ...]
+    """Rows above the tasks: the method's against the base, then those between links."""
     stack: Stack
+    """The tasks."""
     limits: Limits
+    """On q̈, the hard torques first, then joints, then barriers."""
     torque: tuple[Array, Array]
+    """(n_m,) the smallest and (n_m,) the largest torque [N m or N] that the step allowed, by the
+    limits of the torques and of their change."""
     qdd: Array
+    """(n,) q̈ of base and arm."""
 
 
 class ControlOutput(NamedTuple):
-    """What one control step gives.
-
-    Attributes:
-        u_a: (n_m,) [N m or N] torques of the arm.
-        base_acceleration: (n_b,) [m/s² or rad/s²] for the base's admittance law: v̇ and ω̇.
-        avoidance: The avoidance task of this step, whether or not the method inserts it.
-        inserted: What the method put above the stack or among its limits.
-        solved: False if a QP had no solution and this is the safe command.
-        tracking: Whether there was a reference.
-        workings: How it came about, or None with the safe command.
-    """
+    """What one control step gives."""
 
     u_a: Array
+    """(n_m,) [N m or N] torques of the arm."""
     base_acceleration: Array
+    """(n_b,) [m/s² or rad/s²] for the base's admittance law: v̇ and ω̇."""
     avoidance: Avoidance
+    """The avoidance task of this step, whether or not the method inserts it."""
     inserted: Inserted
+    """What the method put above the stack or among its limits."""
     solved: bool
+    """False if a QP had no solution and this is the safe command."""
     tracking: bool = False
+    """Whether there was a reference."""
     workings: Workings | None = None
+    """How it came about, or None with the safe command."""
 
     @property
     def activation(self) -> float:
@@ -346,7 +337,6 @@ class Controller:
         return Workings(wanted, given, rows, stack, limits, torque, qdd)
 
     def _stack(self, inserted: Inserted, reference: Reference | None) -> Stack:
-        """The tasks of base and arm."""
         if reference is None:
             guided = guided_objective(self.state, free_arm_torque(self.state) + inserted.u_a)
             return Stack(guided, guided, None)

@@ -27,12 +27,7 @@ class Drive:
     """
 
     def __init__(self, base: BaseKind, dt: float) -> None:
-        """A drive at rest.
-
-        Args:
-            base: Time constant and limits.
-            dt: [s] between two steps.
-        """
+        """A drive at rest; `dt` [s] is between two steps."""
         self._base, self._follow = base, base.follower(dt)
         self._at_rest = base.drive_at_rest()
         self.reset()
@@ -43,14 +38,7 @@ class Drive:
         self.state = self._at_rest
 
     def step(self, v_cmd: Sequence[float] | Array) -> list[float]:
-        """Follow a command for one period.
-
-        Args:
-            v_cmd: (n_b,) the commanded velocity; clamped to the velocity limits.
-
-        Returns:
-            The velocity at the end of the period.
-        """
+        """(n_b,) the velocity after one period of a command (n_b,), clamped to the limits."""
         command = np.asarray(v_cmd).tolist()
         self.velocity, self.state = self._follow(self.velocity, self.state, command)
         return self.velocity
@@ -58,16 +46,10 @@ class Drive:
     def expected_acceleration(
         self, v_cmd: Sequence[float] | Array, v: Sequence[float] | Array, state: Array | None = None
     ) -> Array:
-        """What the drive does now with a command.
+        """(n_b,) [m/s² or rad/s²] what the drive does now with a command at a measured velocity.
 
-        Args:
-            v_cmd: (n_b,) the commanded velocity.
-            v: (n_b,) the measured velocity.
-            state: (n_d,) the measured state of the drive; None or an empty one means the one it
-                would have at rest.
-
-        Returns:
-            (n_b,) [m/s² or rad/s²].
+        Both are (n_b,). Without its measured state (n_d,), or with an empty one, it counts as at
+        rest.
         """
         known = self._at_rest if state is None or not len(state) else state
         return self._base.drive_acceleration(v, known, v_cmd)

@@ -27,107 +27,95 @@ LevelName = Literal["base", "arm", "links", "hand", "posture", "free"]
 
 
 class ForceSplit(NamedTuple):
-    """The force of one pair of L_m, split as in Figure 7; horizontal, forward and left.
-
-    Attributes:
-        f: [N] f_m,i of (14), the sum of the next two.
-        away: [N] its part along -n: it moves the base away from the arm.
-        turn: [N] its part across: what the step (12), (13) towards a better score adds.
-        away_acceleration: [m/s² or rad/s²] of (16) by `away` alone, times β_m.
-        turn_acceleration: The same by `turn`.
-        determinant: [m⁴/rad⁴] det(J_c J_cᵀ) of (7) at p_act.
-        reachability: [-] R of (9) at p_act.
-        score: [m⁴/rad⁴] S of (10) at p_act.
-        score_near: [m⁴/rad⁴] S at p_n, where the force would act without the step.
-    """
+    """The force of one pair of L_m, split as in Figure 7; horizontal, forward and left."""
 
     f: Planar
+    """[N] f_m,i of (14), the sum of the next two."""
     away: Planar
+    """[N] its part along -n: it moves the base away from the arm."""
     turn: Planar
+    """[N] its part across: what the step (12), (13) towards a better score adds."""
     away_acceleration: ByAxis
+    """[m/s² or rad/s²] of (16) by `away` alone, times β_m."""
     turn_acceleration: ByAxis
+    """The same by `turn`."""
     determinant: float
+    """[m⁴/rad⁴] det(J_c J_cᵀ) of (7) at p_act."""
     reachability: float
+    """[-] R of (9) at p_act."""
     score: float
+    """[m⁴/rad⁴] S of (10) at p_act."""
     score_near: float
+    """[m⁴/rad⁴] S at p_n, where the force would act without the step."""
 
 
 class NearPair(NamedTuple):
-    """One link pair that is inside a buffer, or held by its barrier.
-
-    Attributes:
-        a: Body nearer to the base, as in `lm`.
-        b: Body farther out, as in `lEE`.
-        mobile: Whether it belongs to L_m.
-        d: [m] signed distance, as the controller has it.
-        beta: [-] activation parameter.
-        n: Unit normal from `a` to `b`, in the base's frame.
-        above: [-] how far the pair meets from above, where no motion of the base helps; 0 to 1.
-        arm_beta: [-] activation of the arm's own rows against the base, 0 if there are none.
-        held: Whether the method's hard inequality for the pair is at its bound.
-        force: Of an active pair of L_m whose controller moves the base, else None.
-    """
+    """One link pair that is inside a buffer, or held by its barrier."""
 
     a: str
+    """Body nearer to the base, as in `lm`."""
     b: str
+    """Body farther out, as in `lEE`."""
     mobile: bool
+    """Whether it belongs to L_m."""
     d: float
+    """[m] signed distance, as the controller has it."""
     beta: float
+    """[-] activation parameter."""
     n: tuple[float, float, float]
+    """Unit normal from `a` to `b`, in the base's frame."""
     above: float
+    """[-] how far the pair meets from above, where no motion of the base helps; 0 to 1."""
     arm_beta: float
+    """[-] activation of the arm's own rows against the base, 0 if there are none."""
     held: bool
+    """Whether the method's hard inequality for the pair is at its bound."""
     force: ForceSplit | None
+    """Of an active pair of L_m whose controller moves the base, else None."""
 
 
 class Level(NamedTuple):
-    """The slack of one task: what it asked for less what it got.
-
-    Attributes:
-        name: "base": the base's rows of T_sca; "arm": the arm's rows against the base; "links":
-            rows between links; "hand": the end-effector's task; "posture": the lightest, or
-            "free" where a person leads the arm: what it would do by itself.
-        linear: [m/s²] norm of the slack, or its linear part; None if there is none. Of "base" v̇.
-        angular: [rad/s²] norm of the angular part, or of the joints'; None if there is none.
-    """
+    """The slack of one task: what it asked for less what it got."""
 
     name: LevelName
+    """"base": the base's rows of T_sca; "arm": the arm's rows against the base; "links": rows
+    between links; "hand": the end-effector's task; "posture": the lightest, or "free" where a
+    person leads the arm: what it would do by itself."""
     linear: float | None
+    """[m/s²] norm of the slack, or its linear part; None if there is none. Of "base" v̇."""
     angular: float | None
+    """[rad/s²] norm of the angular part, or of the joints'; None if there is none."""
 
 
 class Explanation(NamedTuple):
-    """One control step, explained.
-
-    Attributes:
-        controller: Name of the controller that acted.
-        mode: Whether the arm is led by hand or follows a reference.
-        solved: False if a QP had no solution and the safe command was given.
-        chain: Names of all bodies, the mobile robot first, then outwards.
-        near: Pairs inside a buffer, the most active first.
-        nearest: Body names and distance [m] of the nearest pair of L_m, near or not.
-        axes: The base's axes, along which its accelerations are.
-        base_avoidance: [m/s² or rad/s²] of (16), times β_m; 0 without the base's rows.
-        base_asked: The same that the step asks of the base.
-        base_given: The same that the base has.
-        levels: What each level of the hierarchy gave up, highest priority first.
-        bounds: What limited the step.
-        base_kind: Which kind of base it is, whose measure stands in the score.
-    """
+    """One control step, explained."""
 
     controller: str
+    """Name of the controller that acted."""
     mode: Controlled
+    """Whether the arm is led by hand or follows a reference."""
     solved: bool
+    """False if a QP had no solution and the safe command was given."""
     chain: tuple[str, ...]
+    """Names of all bodies, the mobile robot first, then outwards."""
     near: tuple[NearPair, ...]
+    """Pairs inside a buffer, the most active first."""
     nearest: tuple[str, str, float]
+    """Body names and distance [m] of the nearest pair of L_m, near or not."""
     axes: tuple[Axis, ...]
+    """The base's axes, along which its accelerations are."""
     base_avoidance: ByAxis
+    """[m/s² or rad/s²] of (16), times β_m; 0 without the base's rows."""
     base_asked: ByAxis
+    """The same that the step asks of the base."""
     base_given: ByAxis
+    """The same that the base has."""
     levels: tuple[Level, ...]
+    """What each level of the hierarchy gave up, highest priority first."""
     bounds: tuple[Bound, ...]
+    """What limited the step."""
     base_kind: str = "differential"
+    """Which kind of base it is, whose measure stands in the score."""
 
     @property
     def forces(self) -> tuple[ForceSplit, ...]:
@@ -146,13 +134,9 @@ class Explanation(NamedTuple):
 def explain(
     controller: Controller, output: ControlOutput, config: Config, base_command: Array
 ) -> Explanation:
-    """Explain the controller's last step.
+    """Explain the controller's last step, in the state of which it still is.
 
-    Args:
-        controller: Still in the state of that step.
-        output: What it answered.
-        config: The parameters of the step.
-        base_command: (n_b,) [m/s or rad/s] the admittance law's command in force.
+    `base_command` (n_b,) [m/s or rad/s] is the admittance law's in force.
     """
     state, avoidance, workings = controller.state, output.avoidance, output.workings
     bounds = [] if workings is None else active_bounds(state, output, workings, config)
@@ -162,13 +146,15 @@ def explain(
         for pair in avoidance.pairs
     ]
     closest = min((pair.closest for pair in avoidance.mobile), key=lambda c: c.d)
+    known = [pair for pair in near if pair is not None]
+    known.sort(key=lambda p: (p.mobile, max(p.beta, p.arm_beta), -p.d), reverse=True)
     asked, base = output.base_acceleration, state.model.description.base
     return Explanation(
         controller=controller.name,
         mode="tracking" if output.tracking else "guiding",
         solved=output.solved,
         chain=tuple(state.model.body_names),
-        near=tuple(sorted((p for p in near if p is not None), key=_weight, reverse=True)),
+        near=tuple(known),
         nearest=(closest.pair.a, closest.pair.b, float(closest.d)),
         axes=base.axes,
         base_avoidance=_tuple_of(output.inserted.base_acceleration),
@@ -181,15 +167,7 @@ def explain(
 
 
 def level_readings(base: BaseKind, output: ControlOutput, workings: Workings) -> tuple[Level, ...]:
-    """The tasks of a step, what weighs most first.
-
-    They are w_sca* and w_2 of (29).
-
-    Args:
-        base: The robot's base.
-        output: What the controller answered.
-        workings: How it came about.
-    """
+    """The tasks of a step, what weighs most first: w_sca* and w_2 of (29)."""
     stack, inserted, qdd = workings.stack, output.inserted, workings.qdd
     levels = []
     if inserted.rows_m is not None:
@@ -240,14 +218,9 @@ def _norm(*vectors: Array) -> float:
 
 
 def split(f: Array, n: Array) -> tuple[Array, Array]:
-    """A horizontal force along -n and across it.
+    """A horizontal force f (3,) [N] along -n and across it: two horizontal ones whose sum is f.
 
-    Args:
-        f: (3,) [N], horizontal.
-        n: (3,) unit normal from the base to the arm; where it is vertical, all of f is across.
-
-    Returns:
-        (3,) along and (3,) across, whose sum is f; both horizontal.
+    Where the unit normal n (3,) from the base to the arm is vertical, all of f is across.
     """
     along = np.array([n[0], n[1], 0.0])
     length = float(np.linalg.norm(along))
@@ -265,7 +238,7 @@ def _near_pair(
     closest, state = pair.closest, controller.state
     mobile = closest.pair.a == state.model.body_names[0]
     n_z = float(closest.n[2])
-    arm_beta = _arm_beta(output, pair) if mobile else 0.0
+    arm_beta = pair.beta if mobile and output.inserted.rows_arm else 0.0
     if pair.beta == 0.0 and arm_beta == 0.0 and not held:
         return None
     return NearPair(
@@ -279,11 +252,6 @@ def _near_pair(
         held=held,
         force=_force_split(controller, output, pair),
     )
-
-
-def _arm_beta(output: ControlOutput, pair: PairState) -> float:
-    """Activation of the arm's rows against the base that the method has for a pair of L_m."""
-    return pair.beta if output.inserted.rows_arm else 0.0
 
 
 def _force_split(
@@ -308,10 +276,6 @@ def _force_split(
         score=score,
         score_near=score_near,
     )
-
-
-def _weight(pair: NearPair) -> tuple[bool, float, float]:
-    return pair.mobile, max(pair.beta, pair.arm_beta), -pair.d
 
 
 def _pair_of(v: Array) -> Planar:

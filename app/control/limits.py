@@ -25,15 +25,12 @@ Array = np.ndarray
 
 
 class BarrierRow(NamedTuple):
-    """J q̈ ≥ l.
-
-    Attributes:
-        J: (n,) Jacobian of the distance.
-        l: [m/s²] lower bound.
-    """
+    """J q̈ ≥ l."""
 
     J: Array
+    """(n,) Jacobian of the distance."""
     l: float
+    """[m/s²] lower bound."""
 
 
 def barrier_row(state: RobotState, closest: ClosestPoints, config: BarrierConfig) -> BarrierRow:
@@ -41,13 +38,8 @@ def barrier_row(state: RobotState, closest: ClosestPoints, config: BarrierConfig
 
     With h = d - d_min it asks for ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that begins with ḣ + λ h ≥ 0 never
     comes nearer than d_min, and one that begins nearer, in penetration too, leaves at the rate λ,
-    at `barrier.leaving` at most: h counts down to that speed over λ.
-    It is the second-order form of the barriers ḣ + λ h ≥ 0 that libraries for velocities use.
-
-    Args:
-        state: The robot's state.
-        closest: Closest points of the pair.
-        config: d_min, λ and the speed.
+    at `barrier.leaving` at most: h counts down to that speed over λ. It is the second-order form of
+    the barriers ḣ + λ h ≥ 0 that libraries for velocities use.
     """
     row = distance_jacobian(state, closest)
     h = max(closest.d - config.d_min, -config.leaving / config.rate)
@@ -77,18 +69,14 @@ def joint_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Array]:
 
 
 class ArmNow(NamedTuple):
-    """What bounds the arm's part of a step, beside the robot's state.
-
-    Attributes:
-        qdd_b: (n_b,) q̈ of the base.
-        torque: (n_m,) the smallest and (n_m,) the largest torque [N m or N] of this step.
-        pushed: (n_m,) [N m or N] r, torques that others exert on the arm: they add (0, M_aa⁻¹ r) to
-            q̈.
-    """
+    """What bounds the arm's part of a step, beside the robot's state."""
 
     qdd_b: Array
+    """(n_b,) q̈ of the base."""
     torque: tuple[Array, Array]
+    """(n_m,) the smallest and (n_m,) the largest torque [N m or N] of this step."""
     pushed: Array
+    """(n_m,) [N m or N] r, torques that others exert on the arm: they add (0, M_aa⁻¹ r) to q̈."""
 
 
 def bounds_in_reach(state: RobotState, config: LimitConfig, arm: ArmNow) -> tuple[Array, Array]:
@@ -131,8 +119,9 @@ def robot_limits(
     model, n, n_b, n_m = state.model, state.model.n, state.model.n_b, state.model.n_m
     rows = tuple(barriers)
     m, h_a = 2 * n_m + len(rows), state.h[n_b:]
-    C, l, u = np.empty((m, n)), np.empty(m), np.full(m, np.inf)
-    C[:n_m], C[n_m : 2 * n_m] = state.M[n_b:], _joint_rows(n, n_b) / model.qd_max[:, None]
+    C, l, u = np.zeros((m, n)), np.empty(m), np.full(m, np.inf)
+    C[:n_m] = state.M[n_b:]
+    np.fill_diagonal(C[n_m : 2 * n_m, n_b:], 1.0 / model.qd_max)
     l[:n_m], u[:n_m] = (-model.tau_max, model.tau_max) if arm is None else arm.torque
     l[:n_m] -= h_a
     u[:n_m] -= h_a
@@ -148,12 +137,6 @@ def robot_limits(
         l[n_m:] -= moved
         u[n_m:] -= moved
     return Limits(C, l, u, _softness(n_m, m, softness))
-
-
-@lru_cache(maxsize=8)
-def _joint_rows(n: int, n_b: int) -> Array:
-    """(n_m, n) that take q̈_m out of q̈, not to be written to."""
-    return np.eye(n)[n_b:]
 
 
 @lru_cache(maxsize=32)
@@ -197,13 +180,9 @@ class PushObserver:
         self._qd = None
 
     def update(self, state: RobotState, u_a: Array, rate: float, dt: float) -> None:
-        """Learn from one period.
+        """Learn with k = `rate` [1/s] from a period of dt [s] that has ended in this state.
 
-        Args:
-            state: The robot's state at its end.
-            u_a: (n_m,) [N m or N] torques given within it.
-            rate: [1/s] k.
-            dt: [s] the period.
+        `u_a` (n_m,) [N m or N] are the torques given within it.
         """
         if self._qd is not None:
             n_b = state.model.n_b
@@ -222,14 +201,8 @@ def force_bound(state: RobotState, closest: ClosestPoints) -> float:
         F = min_i (τ_i - g_i sgn J_i) / |J_i|,
 
     of which a pair that comes nearer at the speed v needs v²/(2 d) / (J M⁻¹ Jᵀ) to stop within d.
-    Beyond it the arm holds for a moment by its inertia, and joints may exceed their speeds.
-
-    Args:
-        state: The robot's state.
-        closest: Closest points of a pair.
-
-    Returns:
-        0 where it cannot stop in time even if nobody pushes, and at contact.
+    Beyond it the arm holds for a moment by its inertia, and joints may exceed their speeds. It is 0
+    where it cannot stop in time even if nobody pushes, and at contact.
     """
     n_b, row = state.model.n_b, distance_jacobian(state, closest)
     J, g = row.J[n_b:], state.g[n_b:]

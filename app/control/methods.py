@@ -19,25 +19,22 @@ Array = np.ndarray
 
 
 class Inserted(NamedTuple):
-    """What a method adds to the stack in one control step.
-
-    Attributes:
-        rows_m: Rows that fix the base's acceleration, or None.
-        rows_arm: The arm's rows against the base.
-        rows_links: Rows between the arm's links.
-        barriers: Distances that the arm keeps while the other tasks give in.
-        base_too: Whether the base takes part in keeping them.
-        n_b: How many velocity axes the base has.
-        u_a: (n_m,) [N m or N] torques besides those of a guided arm by itself.
-    """
+    """What a method adds to the stack in one control step."""
 
     rows_m: TaskRows | None = None
+    """Rows that fix the base's acceleration, or None."""
     rows_arm: tuple[TaskRows, ...] = ()
+    """The arm's rows against the base."""
     rows_links: tuple[TaskRows, ...] = ()
+    """Rows between the arm's links."""
     barriers: tuple[BarrierRow, ...] = ()
+    """Distances that the arm keeps while the other tasks give in."""
     base_too: bool = False
+    """Whether the base takes part in keeping them."""
     n_b: int = 2
+    """How many velocity axes the base has."""
     u_a: Array | float = 0.0
+    """(n_m,) [N m or N] torques besides those of a guided arm by itself."""
 
     @property
     def rows(self) -> tuple[TaskRows, ...]:
@@ -96,17 +93,9 @@ def generate_rep_force_acc(
 ) -> TaskRows:
     """T_rep ∈ ℝ³, the compared method: the arm's closest point is pushed away from the base.
 
-    ẍ_rep = k_p u - k_v (ṗ_b - ṗ_a), realised by the arm alone: the base's columns are zero.
-    §4.2.1 names the method; its force on the closest point and its damping are Dietrich's.
-
-    Args:
-        state: The robot's state.
-        closest: Closest points of a pair of L_m.
-        config: Gains k_p and k_v.
-        beta: [-] activation parameter of the pair.
-
-    Returns:
-        Three rows, in axes of the world.
+    ẍ_rep = k_p u - k_v (ṗ_b - ṗ_a), realised by the arm alone: the base's columns are zero. §4.2.1
+    names the method; its force on the closest point and its damping are Dietrich's. `closest` is of
+    a pair of L_m with the activation β [-]; the rows are in axes of the world.
     """
     joint = state.model.body_joints[closest.pair.b]
     J = state.point_jacobian(joint, closest.p_b)

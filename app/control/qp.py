@@ -22,15 +22,12 @@ _ENOUGH = 1e-6  # accuracy of ProxQP
 
 
 class Objective(NamedTuple):
-    """min ½ q̈ᵀ H q̈ + cᵀ q̈, strictly convex.
-
-    Attributes:
-        H: (n, n) symmetric positive definite.
-        c: (n,).
-    """
+    """min ½ q̈ᵀ H q̈ + cᵀ q̈, strictly convex."""
 
     H: Array
+    """(n, n) symmetric positive definite."""
     c: Array
+    """(n,)."""
 
     def of_arm(self, qdd_b: Array) -> Objective:
         """The same over q̈_m, the base's part (n_b,) given."""
@@ -39,20 +36,17 @@ class Objective(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """l ≤ C q̈ ≤ u.
-
-    Attributes:
-        C: (m, n).
-        l: (m,) lower bounds.
-        u: (m,) upper bounds.
-        softness: (m,) [-] ε of each row; one of 0 holds whatever the others ask, and all others are
-            in one unit.
-    """
+    """l ≤ C q̈ ≤ u."""
 
     C: Array
+    """(m, n)."""
     l: Array
+    """(m,) lower bounds."""
     u: Array
+    """(m,) upper bounds."""
     softness: Array
+    """(m,) [-] ε of each row; one of 0 holds whatever the others ask, and all others are in one
+    unit."""
 
     def of_arm(self, qdd_b: Array) -> Limits:
         """The same over q̈_m, the base's part (n_b,) given."""
@@ -83,16 +77,11 @@ def insert_rows(objective: Objective, rows: Sequence[TaskRows], softness: float)
         J_i q̈ = β_i b_i + (1 - β_i) J_i q̈_2*,
 
     the blend of (29). With others, at β_i = 0 it is not there, whatever the others do, and at
-    β_i = 1 it holds but for the softness: the printed blend of all rows with the one solution
-    without any of them jumps where a row enters beside another one. A row costs the same whether
-    it is the first or the tenth.
+    β_i = 1 it holds but for the softness [-], the least share of a row's compliance: the printed
+    blend of all rows with the one solution without any of them jumps where a row enters beside
+    another one. A row costs the same whether it is the first or the tenth.
 
     Paper: Eq. (29).
-
-    Args:
-        objective: The tasks below.
-        rows: Rows of T_sca; those with β = 0 do nothing.
-        softness: [-] least share of a row's compliance, in full force.
     """
     active = [row for row in rows if row.beta > 0.0]
     if not active:
@@ -113,11 +102,7 @@ class TaskQP:
     """
 
     def solve(self, objective: Objective, limits: Limits) -> Array:
-        """The optimum q̈, (n,).
-
-        Args:
-            objective: What is to be least.
-            limits: Of q̈.
+        """The q̈ (n,) of the least objective within limits.
 
         Raises:
             NoSolutionError: The data are not finite, or the hard limits contradict each other.

@@ -18,33 +18,27 @@ Array = np.ndarray
 
 
 class Reference(NamedTuple):
-    """Where the end-effector shall be, in the world.
-
-    Attributes:
-        pose: T_world_ee.
-        velocity: (6,) linear [m/s] over angular [rad/s].
-        acceleration: (6,) linear [m/s²] over angular [rad/s²].
-    """
+    """Where the end-effector shall be, in the world."""
 
     pose: pin.SE3
+    """T_world_ee."""
     velocity: Array
+    """(6,) linear [m/s] over angular [rad/s]."""
     acceleration: Array
+    """(6,) linear [m/s²] over angular [rad/s²]."""
 
 
 class EqualityTask(NamedTuple):
-    """J q̈ + w = b, to be met as closely as what comes before it allows.
-
-    Attributes:
-        J: (k, n).
-        b: (k,) desired acceleration less J̇ q̇.
-        give: [m²] λ of `tracking_objective`.
-        drag: (n,) [rad/s² or m/s²] k_v q̇.
-    """
+    """J q̈ + w = b, to be met as closely as what comes before it allows."""
 
     J: Array
+    """(k, n)."""
     b: Array
+    """(k,) desired acceleration less J̇ q̇."""
     give: float
+    """[m²] λ of `tracking_objective`."""
     drag: Array
+    """(n,) [rad/s² or m/s²] k_v q̇."""
 
 
 def end_effector_task(state: RobotState, reference: Reference, config: TaskConfig) -> EqualityTask:
@@ -68,7 +62,7 @@ def end_effector_task(state: RobotState, reference: Reference, config: TaskConfi
 
 
 def tracking_objective(posture: Objective, task: EqualityTask, weight: float) -> Objective:
-    """T_ee above the posture: ½ w ‖J_ee q̈ - b‖² beside it, with a weight w that decides.
+    """T_ee above the posture: ½ w ‖J_ee q̈ - b‖² beside it, with a weight w [-] that decides.
 
     A strict level would ask for unbounded accelerations where a limit or another task makes it
     nearly dependent; this one gives in there, and is off by 1/w of what the posture pulls.
@@ -77,11 +71,6 @@ def tracking_objective(posture: Objective, task: EqualityTask, weight: float) ->
     (Levenberg and Marquardt, by Sugihara 2011): an arm at full stretch comes to rest.
 
     Paper: Eq. (26).
-
-    Args:
-        posture: The posture's objective.
-        task: T_ee.
-        weight: [-] w.
     """
     J, b, give, drag = task
     damping = weight * give * posture.H
@@ -96,17 +85,12 @@ def base_rest_acceleration(state: RobotState, config: TaskConfig) -> Array:
 
 
 def posture_objective(state: RobotState, q_posture: Array, config: TaskConfig) -> Objective:
-    """The arm towards a posture, the base to rest, the base's acceleration far costlier.
+    """The arm towards a posture (n_m,), the base to rest, the base's acceleration far costlier.
 
     Without it (26) leaves the null space of T_2 open: nine accelerations, six rows. A joint at the
     share s of its way from the middle of its range to a limit is drawn back as if the way were s⁵:
     hardly at all near the middle, and enough at a limit that no wrist ends in a corner while the
     tasks above leave another way.
-
-    Args:
-        state: The robot's state.
-        q_posture: (n_m,) the arm's posture.
-        config: Gains and the base's weight.
     """
     n, n_b = state.model.n, state.model.n_b
     c = np.empty(n)
@@ -136,12 +120,9 @@ def free_arm_torque(state: RobotState) -> Array:
 def guided_objective(state: RobotState, u_0: Array) -> Objective:
     """Min (u_a - u_0)ᵀ M_aa⁻¹ (u_a - u_0): a guided arm gives only what avoidance asks of it.
 
-    In q̈_a its Hessian is M_aa; with the base's acceleration given and no rows it returns u_a = u_0,
-    and with rows u_a = u_0 + J_rᵀ λ. There is no posture: it would be felt.
-
-    Args:
-        state: The robot's state.
-        u_0: (n_m,) [N m or N] what the arm does by itself.
+    Here u_0 (n_m,) [N m or N] is what the arm does by itself. In q̈_a the Hessian is M_aa; with the
+    base's acceleration given and no rows it returns u_a = u_0, and with rows u_a = u_0 + J_rᵀ λ.
+    There is no posture: it would be felt.
     """
     n_b = state.model.n_b
     c = np.zeros(state.model.n)
@@ -167,12 +148,8 @@ def carried(state: RobotState, speed: float) -> Array:
     stands at full stretch, does not hold the hand: the base takes it along, the distance stays what
     it was, and the base would drive on with the hand before it. Our extension:
     R = (1 + (J Q² Jᵀ / v²)²)⁻¹ J_b with J and J_b the arm's and the base's part of the hand's
-    Jacobian and Q the joints' largest speeds. Along a direction in which they move the hand at v,
-    half of the base's motion is left, and along one of twice that speed a seventeenth.
-
-    Args:
-        state: The robot's state.
-        speed: [m/s] v.
+    Jacobian, Q the joints' largest speeds and v a speed [m/s]. Along a direction in which they move
+    the hand at v, half of the base's motion is left, and along one of twice that a seventeenth.
     """
     model = state.model
     return kernels.carried(state.J_ee, model.qd_max, model.J_m_inv, speed)

@@ -28,11 +28,9 @@ class Workers:
     """
 
     def __init__(self, make_context: Callable[[], Any], processes: int | None = None) -> None:
-        """Prepare.
+        """Prepare so many processes, all cores if not given; one means within this process.
 
-        Args:
-            make_context: Makes what the jobs share; must be picklable.
-            processes: All cores if not given. One means within this process.
+        `make_context` makes what the jobs share; it must be picklable.
         """
         self._make_context = make_context
         self._processes = processes or os.cpu_count() or 1

@@ -57,13 +57,7 @@ class Child:
     def __init__(
         self, work: Callable[..., object], *args: object, leads_group: bool = False
     ) -> None:
-        """Begin it.
-
-        Args:
-            work: What it does.
-            args: Its arguments after the two connections.
-            leads_group: Whether all processes that it starts end with it.
-        """
+        """Begin it; if it leads a group, all processes that it starts end with it."""
         task = pickle.dumps((work, args))
         theirs_in, self.sender = _pipe()
         self.receiver, theirs_out = _pipe()
@@ -82,11 +76,9 @@ class Child:
             self.sender.send_bytes(task)
 
     def __enter__(self) -> Self:
-        """Nothing but itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """End it at once if it has not ended."""
         self.end(at_once=True)
 
     def ended(self, patience: float = 0.0) -> int | None:
@@ -195,7 +187,6 @@ def begin(receiver: int, sender: int, leads_group: bool) -> None:
 
 
 def _pipe() -> tuple[Connection, Connection]:
-    """Where is received, and where is sent."""
     receiver, sender = os.pipe()
     return Connection(receiver, writable=False), Connection(sender, readable=False)
 
@@ -223,7 +214,6 @@ def _end_all() -> None:
 def _run(
     _: Connection, sender: Connection, niceness: int, work: Callable[..., Any], args: tuple
 ) -> None:
-    """What the process of `run_in_process` does."""
     signal.signal(signal.SIGTERM, _leave)
     step_back(niceness)
     sender.send(Outcome.of(work, lambda text, share: sender.send(_Activity(text, share)), *args))

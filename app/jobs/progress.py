@@ -34,7 +34,8 @@ def progress_bar(
     with show(text, total) if shown else nullcontext(lambda _: None) as update:
 
         def on_progress(done: float) -> None:
-            _check_signals()
+            if _received and threading.current_thread() is threading.main_thread():
+                raise _exception()  # what a signal did, if compiled code has swallowed it
             update(done)
 
         yield on_progress
@@ -104,12 +105,6 @@ def ending_signals_raised() -> Iterator[None]:
         _received.clear()
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _check_signals() -> None:
-    """Raise what a signal did, if compiled code has swallowed it; for the main thread alone."""
-    if _received and threading.current_thread() is threading.main_thread():
-        raise _exception()
 
 
 def _raise(number: int, _: FrameType | None) -> None:

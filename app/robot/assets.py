@@ -252,7 +252,6 @@ def refuse_entities(content: bytes | str, path: Path) -> None:
 
 
 def _mesh(reference: str, folder: Path) -> Path:
-    """A mesh of an installed package, or one in the URDF's own folder."""
     if "://" in reference:
         return resolve_package_uri(reference)
     path = (folder / reference).resolve()

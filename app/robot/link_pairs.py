@@ -29,42 +29,36 @@ class Pair(NamedTuple):
 
 
 class Closest(NamedTuple):
-    """FindClosestPoints: the two closest points of a pair, in the frame of the given kinematics.
-
-    Attributes:
-        d: [m] signed distance, negative in penetration.
-        p_a: (3,) [m] on the link nearer to the base.
-        p_b: (3,) [m] on the link farther out.
-        normal: (3,) unit vector from l_a to l_b; keeps its sense in penetration.
-    """
+    """FindClosestPoints: the two closest points of a pair, in the frame of the given kinematics."""
 
     d: float
+    """[m] signed distance, negative in penetration."""
     p_a: Array
+    """(3,) [m] on the link nearer to the base."""
     p_b: Array
+    """(3,) [m] on the link farther out."""
     normal: Array
+    """(3,) unit vector from l_a to l_b; keeps its sense in penetration."""
 
 
 @dataclass(frozen=True)
 class LinkPairs:
-    """The set L of (1), split as in (2).
-
-    Attributes:
-        mobile: L_m, the pairs with the mobile robot.
-        manipulator: L_m^c, the pairs within the arm.
-        never: Pairs that no sample brought into collision.
-        rates: Part of the samples in collision, by the name of the pair.
-        least_distance_m: [m] least signed distance seen, by the name of the pair.
-        samples: Number of joint positions sampled.
-        seed: Seed of the generator.
-    """
+    """The set L of (1), split as in (2)."""
 
     mobile: tuple[Pair, ...]
+    """L_m, the pairs with the mobile robot."""
     manipulator: tuple[Pair, ...]
+    """L_m^c, the pairs within the arm."""
     never: tuple[Pair, ...]
+    """Pairs that no sample brought into collision."""
     rates: dict[str, float] = field(hash=False)
+    """Part of the samples in collision, by the name of the pair."""
     least_distance_m: dict[str, float] = field(hash=False)
+    """[m] least signed distance seen, by the name of the pair."""
     samples: int
+    """Number of joint positions sampled."""
     seed: int
+    """Seed of the generator."""
 
     @property
     def all(self) -> tuple[Pair, ...]:

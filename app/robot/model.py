@@ -180,10 +180,8 @@ def kept_per_model(
     """Keep what a pure function of a model and hashable values gives, while the model is there.
 
     What is kept is shared by all who ask: nobody may change it, and it must not hold the model, or
-    neither would ever be given back.
-
-    Args:
-        most: Results of one model that are kept; beyond that the oldest is forgotten.
+    neither would ever be given back. Of one model so many results are kept; beyond that the oldest
+    is forgotten.
     """
 
     def keep(

@@ -221,11 +221,7 @@ def shape_mesh(shape: Shape) -> trimesh.Trimesh:
 def implicit(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> Array:
     """The function f at points (…, 3) [m] in the superquadric's frame, (…); 1 on its surface.
 
-    Args:
-        p: (…, 3) [m] points.
-        semi_axes: a, b, c [m].
-        e1: e₁, from top to bottom.
-        e2: e₂, in plan.
+    `semi_axes` are a, b and c [m]; e₁ is the exponent from top to bottom, e₂ that in plan.
     """
     x, y, z = np.moveaxis(np.abs(p) / np.asarray(semi_axes), -1, 0)
     # By the largest of each sum: a power of 2/e of a number far from 1 would overflow.
@@ -240,13 +236,7 @@ def onto_surface(p: Array, semi_axes: Sequence[float], e1: float, e2: float) -> 
 
 
 def around_box(size: Sequence[float], e1: float, e2: float) -> tuple[float, float, float]:
-    """Semi-axes [m] of the superquadric on which all corners of a box lie.
-
-    Args:
-        size: (3,) [m] full side lengths of the box.
-        e1: e₁, from top to bottom.
-        e2: e₂, in plan.
-    """
+    """Semi-axes [m] of the superquadric on which all corners of a box of size (3,) [m] lie."""
     growth = (2.0 ** (e2 / e1) + 1.0) ** (e1 / 2)
     a, b, c = (0.5 * side * growth for side in size)
     return a, b, c

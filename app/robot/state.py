@@ -23,22 +23,19 @@ Array = np.ndarray
 
 
 class Measurement(NamedTuple):
-    """What the robot's sensors give, once a control step.
-
-    Attributes:
-        base_pose: (3,) x, y [m] and heading φ [rad] of the base's centre in the world.
-        base_velocity: (n_b,) [m/s or rad/s] along the base's axes: v and ω of a differential one.
-        q_m: (n_m,) [rad or m] the arm's joint positions.
-        qd_m: (n_m,) [rad/s or m/s] the arm's joint velocities.
-        drive: (n_d,) what the base's drive has besides, such as a steering angle [rad]; if it is
-            left out, it counts as at rest.
-    """
+    """What the robot's sensors give, once a control step."""
 
     base_pose: Array
+    """(3,) x, y [m] and heading φ [rad] of the base's centre in the world."""
     base_velocity: Array
+    """(n_b,) [m/s or rad/s] along the base's axes: v and ω of a differential one."""
     q_m: Array
+    """(n_m,) [rad or m] the arm's joint positions."""
     qd_m: Array
+    """(n_m,) [rad/s or m/s] the arm's joint velocities."""
     drive: Array = np.zeros(0)
+    """(n_d,) what the base's drive has besides, such as a steering angle [rad]; if it is left out,
+    it counts as at rest."""
 
 
 def checked(measurement: Measurement, model: RobotModel) -> Measurement:
@@ -100,7 +97,6 @@ def _coordinates(
 
 @compiled("b1(f8[:], f8[:], f8[:], f8[:], f8[:])")
 def _all_finite(a: Array, b: Array, c: Array, d: Array, e: Array) -> bool:
-    """Whether all numbers of five vectors are finite."""
     return np.isfinite(a.sum() + b.sum() + c.sum() + d.sum() + e.sum())
 
 
@@ -206,7 +202,6 @@ def _point_jacobian(J: Array, B: Array, joint: int, p: Array) -> Array:
 def _pair_motion(
     J: Array, B: Array, twists: Array, biases: Array, joint_a: int, joint_b: int, p: Array, n: Array
 ) -> tuple[Array, float, float]:
-    """As `RobotState.pair_motion`."""
     row = np.zeros(B.shape[1] + J.shape[1] - 3)
     relative = _point_jacobian(J, B, joint_b, p) - _point_jacobian(J, B, joint_a, p)
     for k in range(len(row)):
@@ -280,11 +275,9 @@ class RobotState:
     def scale_arm_inertias(self, factor: float) -> None:
         """Compute with other masses and inertias of the arm from the next update on.
 
-        What is fixed to the base, the arm's first link too, keeps its own. The model that others
-        share is not changed.
-
-        Args:
-            factor: [-] of each mass and inertia about the same centre of mass; 1 is the model's.
+        The factor [-] is of each mass, and of each inertia about the same centre of mass; 1 is the
+        model's. What is fixed to the base, the arm's first link too, keeps its own. The model that
+        others share is not changed.
         """
         if factor == 1.0:
             self._pin = self.model.pin
@@ -309,7 +302,6 @@ class RobotState:
         self._update_motion(v)
 
     def _take(self, measurement: Measurement) -> tuple[Array, Array]:
-        """Pinocchio's configuration and velocity."""
         self.measurement = measurement
         self.qd, q, v = _coordinates(*measurement[:4], self._B, self.model.J_m_inv)
         return q, v

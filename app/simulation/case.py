@@ -27,23 +27,20 @@ FORMAT = "dbb_case"
 
 
 class Planned(NamedTuple):
-    """A run to be done: all that its figures follow from.
-
-    Attributes:
-        robot: Its name.
-        scenario: What happens.
-        config: Parameters.
-        controller: Name of the controller.
-        physics: Kind of plant; the default one if None.
-        seed: Of everything random.
-    """
+    """A run to be done: all that its figures follow from."""
 
     robot: str
+    """Its name."""
     scenario: Scenario
+    """What happens."""
     config: Config
+    """Parameters."""
     controller: str = "dbb"
+    """Name of the controller."""
     physics: str | None = None
+    """Kind of plant; the default one if None."""
     seed: int = 0
+    """Of everything random."""
 
 
 class RunCase(Strict):

@@ -31,20 +31,17 @@ _GRIP_DAMPING = 0.5  # [-] of that spring with the hand's mass on it, of the cri
 
 
 class Hold(NamedTuple):
-    """Where somebody holds the robot, and where to.
-
-    Attributes:
-        who: Number of the person.
-        target: (3,) [m] where the point is pulled, in the world.
-        link: Name of a frame of the arm, one of `held_links`; None is the end-effector.
-        point: (3,) [m] the point that is held, in the link's frame; without a link it is the
-            end-effector's origin.
-    """
+    """Where somebody holds the robot, and where to."""
 
     who: int
+    """Number of the person."""
     target: Array
+    """(3,) [m] where the point is pulled, in the world."""
     link: str | None = None
+    """Name of a frame of the arm, one of `held_links`; None is the end-effector."""
     point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """(3,) [m] the point that is held, in the link's frame; without a link it is the end-effector's
+    origin."""
 
 
 class PullReading(NamedTuple):
@@ -62,15 +59,12 @@ class PullReading(NamedTuple):
 
 
 class PersonForces(NamedTuple):
-    """What people do to the robot in one control step.
-
-    Attributes:
-        hand: (3,) [N] sum of the forces on the end-effector's origin, in the world.
-        pushes: Those on other points of the arm.
-    """
+    """What people do to the robot in one control step."""
 
     hand: Array
+    """(3,) [N] sum of the forces on the end-effector's origin, in the world."""
     pushes: tuple[Push, ...] = ()
+    """Those on other points of the arm."""
 
 
 class People:
@@ -137,15 +131,10 @@ class PersonHand:
         self._mass: Array | None = None  # (2, 3) the same of the mass in the hand
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array | None) -> Array:
-        """The person's force on the end-effector for one period.
+        """(3,) [N] the person's force on the end-effector for one period, in the world.
 
-        Args:
-            p_ee: (3,) [m] the end-effector in the world.
-            v_ee: (3,) [m/s] its velocity.
-            target: (3,) [m] where the person pulls it, in the world; None lets go.
-
-        Returns:
-            (3,) [N] in the world.
+        The end-effector is at p_ee (3,) [m] with a velocity (3,) [m/s]; without a target (3,) [m]
+        the person lets go.
 
         Raises:
             TargetError: The target lies below the floor, or is not three finite numbers.
@@ -228,13 +217,6 @@ def _shortened(vector: Array, longest: float) -> Array:
     return vector * (longest / length) if length > longest else vector
 
 
-@compiled()
-def _moved(place: Array, velocity: Array) -> Array:
-    motion = np.empty((2, 3))
-    motion[0], motion[1] = place, velocity
-    return motion
-
-
 @compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8)")
 def _pull(
     hand: Array,
@@ -264,7 +246,7 @@ def _pull(
     a = _QUICKNESS**2 * (target - hand[0]) - 2 * _QUICKNESS * hand[1]
     v = _shortened(hand[1] + a * dt, _TOP_SPEED)
     p = hand[0] + v * dt
-    return _moved(p, v), _shortened(stiffness * (p - p_ee) - damping * v_ee, f_max)
+    return np.stack((p, v)), _shortened(stiffness * (p - p_ee) - damping * v_ee, f_max)
 
 
 @compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8, f8)")
@@ -310,4 +292,4 @@ def _push_mass(
     push = _shortened(pull - (damping + dt * K) * unlimited, f_max)
     v = (driven + dt * push) / alone
     x = held[0] + dt * v
-    return _moved(x, v), _GRIP * (x - grip) + grip_damping * (v - v_ee)
+    return np.stack((x, v)), _GRIP * (x - grip) + grip_damping * (v - v_ee)

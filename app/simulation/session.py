@@ -37,47 +37,44 @@ LEAD = -1
 
 
 class Step(NamedTuple):
-    """What happened in one control step.
-
-    Attributes:
-        t: [s] simulated time at the step's begin.
-        measurement: The sensors' readings.
-        output: The controller's answer.
-        base_command: (n_b,) [m/s or rad/s] in force; what arrives at the drive may be late.
-        hand_target: (3,) [m] where the (first) person at the end-effector pulls it, or None.
-        hand_force: (3,) [N] force on the end-effector in the world: the person's, or what the hand
-            exerts on a door that it holds.
-        ee_error: [m] true distance of the end-effector from its reference, or from where the
-            person pulls; 0 if there is neither.
-        contacts: What touched in the step.
-        duration: [s] real time that the control took.
-        truth: The robot as it is; the same as `measurement` without noise.
-        distances: [m] true signed distances, in the order of the output's pairs.
-        buffer: Whether d_b is enough for how fast the arm comes.
-        door: How the opening of a door goes, or None if there is none.
-        pulls: All that hold the robot.
-        person: The forces of people that acted on the robot.
-        reference: What the arm tracked, or None while it was guided.
-        hand_speed: [m/s] true speed of the end-effector.
-    """
+    """What happened in one control step."""
 
     t: float
+    """[s] simulated time at the step's begin."""
     measurement: Measurement
+    """The sensors' readings."""
     output: ControlOutput
+    """The controller's answer."""
     base_command: Array
+    """(n_b,) [m/s or rad/s] in force; what arrives at the drive may be late."""
     hand_target: Array | None
+    """(3,) [m] where the (first) person at the end-effector pulls it, or None."""
     hand_force: Array
+    """(3,) [N] force on the end-effector in the world: the person's, or what the hand exerts on a
+    door that it holds."""
     ee_error: float
+    """[m] true distance of the end-effector from its reference, or from where the person pulls; 0
+    if there is neither."""
     contacts: Contacts
+    """What touched in the step."""
     duration: float
+    """[s] real time that the control took."""
     truth: Measurement
+    """The robot as it is; the same as `measurement` without noise."""
     distances: tuple[float, ...]
+    """[m] true signed distances, in the order of the output's pairs."""
     buffer: BufferReading
+    """Whether d_b is enough for how fast the arm comes."""
     door: DoorReading | None = None
+    """How the opening of a door goes, or None if there is none."""
     pulls: tuple[PullReading, ...] = ()
+    """All that hold the robot."""
     person: PersonForces = PersonForces(np.zeros(3))
+    """The forces of people that acted on the robot."""
     reference: Reference | None = None
+    """What the arm tracked, or None while it was guided."""
     hand_speed: float = 0.0
+    """[m/s] true speed of the end-effector."""
 
 
 class Session:
@@ -133,11 +130,9 @@ class Session:
         self.reset(np.array(model.description.arm.ready_position))
 
     def reset(self, q_m: Array, base_pose: Array | None = None) -> None:
-        """Put the robot at rest with the arm at `q_m`; nobody pulls.
+        """Put the robot at rest with the arm at `q_m` (n_m,) [rad or m]; nobody pulls.
 
-        Args:
-            q_m: (n_m,) [rad or m] the arm's joints.
-            base_pose: (3,) x, y [m] and heading [rad] of the base; the origin if not given.
+        The base stands at x, y [m] and heading [rad], (3,), or else at the origin.
 
         Raises:
             TargetError: A joint is beyond its limits.
@@ -316,12 +311,8 @@ class VelocityTracking:
     """
 
     def __init__(self, q: Array, qd: Array, dt: float) -> None:
-        """A loop that has settled.
-
-        Args:
-            q: (n,) [rad or m] positions at the first update.
-            qd: (n,) [rad/s or m/s] velocities.
-            dt: [s] between two updates.
+        """A settled loop at positions q (n,) [rad or m] and velocities; `dt` [s] is between two
+        updates.
         """
         pole = math.exp(-_BANDWIDTH * dt)  # twice: critically damped
         self._gain_q, self._gain_v = 1.0 - pole**2, (1.0 - pole) ** 2 / dt

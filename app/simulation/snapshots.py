@@ -27,25 +27,22 @@ _LIGHT = (2.0, -2.5, 5.0)  # [m] turned with the camera
 
 
 class Camera(NamedTuple):
-    """Where a picture is taken from.
-
-    Attributes:
-        target: (3,) [m] what it looks at, in the world.
-        distance: [m] from the target.
-        yaw: [rad] direction in plan from the target to the camera, from the world's x axis.
-        pitch: [rad] height of the camera over the horizon, seen from the target.
-        width: [px] of the picture.
-        height: [px] of the picture.
-        fov: [rad] vertical field of view; a small one keeps upright edges upright.
-    """
+    """Where a picture is taken from."""
 
     target: Array
+    """(3,) [m] what it looks at, in the world."""
     distance: float
+    """[m] from the target."""
     yaw: float
+    """[rad] direction in plan from the target to the camera, from the world's x axis."""
     pitch: float
+    """[rad] height of the camera over the horizon, seen from the target."""
     width: int = 480
+    """[px] of the picture."""
     height: int = 480
+    """[px] of the picture."""
     fov: float = 0.35
+    """[rad] vertical field of view; a small one keeps upright edges upright."""
 
     @property
     def eye(self) -> Array:
@@ -84,31 +81,25 @@ class Camera(NamedTuple):
 
 
 class Solid(NamedTuple):
-    """A body beside the robot.
-
-    Attributes:
-        mesh: Its surface, in the world.
-        rgba: Its colour.
-    """
+    """A body beside the robot."""
 
     mesh: trimesh.Trimesh
+    """Its surface, in the world."""
     rgba: Rgba
+    """Its colour."""
 
 
 class Picture(NamedTuple):
-    """A picture with what is needed to draw over it.
-
-    Attributes:
-        rgb: (height, width, 3) uint8.
-        floor: (height, width) bool, where no body is.
-        view: (4, 4) from the world to the camera.
-        projection: (4, 4) from the camera to the clip space.
-    """
+    """A picture with what is needed to draw over it."""
 
     rgb: Array
+    """(height, width, 3) uint8."""
     floor: Array
+    """(height, width) bool, where no body is."""
     view: Array
+    """(4, 4) from the world to the camera."""
     projection: Array
+    """(4, 4) from the camera to the clip space."""
 
     def pixels(self, points: Array) -> Array:
         """(N, 2) [px] column and row of points (N, 3) [m] in the world."""
@@ -152,14 +143,10 @@ class Photographer:
         *,
         robot: bool = True,
     ) -> Picture:
-        """A picture of the robot.
+        """A picture of the robot at a base's pose (3,) [m, rad] and the arm's joints (n_m,) [rad or
+        m].
 
-        Args:
-            base_pose: (3,) x, y [m] and heading [rad] of the base.
-            q_m: (n_m,) [rad or m] the arm's joints.
-            camera: Where from.
-            solids: What else is to be seen.
-            robot: Whether the robot itself is; without it only the solids are.
+        Solids are seen too; without `robot` they alone are.
         """
         away = 0.0 if robot else 1000.0  # [m] far outside of any picture
         pose = [base_pose[0] + away, *base_pose[1:], *q_m]
@@ -197,7 +184,6 @@ class Photographer:
         return Picture(_smaller(rgb).round().astype(np.uint8), floor, view, projection)
 
     def _add(self, solid: Solid) -> int:
-        """Show a solid; its body."""
         # Corners of their own for each face: pybullet would round the edges of a box.
         flat = solid.mesh.copy()
         flat.unmerge_vertices()

@@ -29,55 +29,46 @@ _UNITS = {
 
 
 class Cell(NamedTuple):
-    """A cell of a table that is more than its text.
-
-    Attributes:
-        text: What it says.
-        notes: Lines in small print below it.
-        mark: `yes`, `no` or nothing, for its colour.
-    """
+    """A cell of a table that is more than its text."""
 
     text: str
+    """What it says."""
     notes: Sequence[str] = ()
+    """Lines in small print below it."""
     mark: str = ""
+    """`yes`, `no` or nothing, for its colour."""
 
 
 class Grid(NamedTuple):
-    """A table.
-
-    Attributes:
-        head: Titles of the columns, or none.
-        rows: Its cells, plain text or `Cell`.
-        numbers: Whether the columns after the first are numbers, which are not broken.
-    """
+    """A table."""
 
     head: Sequence[str]
+    """Titles of the columns, or none."""
     rows: Sequence[Sequence[str | Cell]]
+    """Its cells, plain text or `Cell`."""
     numbers: bool = False
+    """Whether the columns after the first are numbers, which are not broken."""
 
 
 class Part(NamedTuple):
-    """A part of a page, in the order in which it is shown.
-
-    Attributes:
-        title: Its heading, and what its picture shows.
-        name: What the page's links call it, or nothing if none leads to it.
-        text: Paragraphs.
-        png: A picture, which stands in the page itself.
-        tables: Tables.
-        points: A list of sentences.
-        note: A last line, in grey.
-        sides: Two parts side by side.
-    """
+    """A part of a page, in the order in which it is shown."""
 
     title: str = ""
+    """Its heading, and what its picture shows."""
     name: str = ""
+    """What the page's links call it, or nothing if none leads to it."""
     text: Sequence[str] = ()
+    """Paragraphs."""
     png: bytes | None = None
+    """A picture, which stands in the page itself."""
     tables: Sequence[Grid] = ()
+    """Tables."""
     points: Sequence[str] = ()
+    """A list of sentences."""
     note: str = ""
+    """A last line, in grey."""
     sides: Sequence[Part] = ()
+    """Two parts side by side."""
 
 
 def page_html(title: str, lead: str, parts: Sequence[Part]) -> str:
@@ -122,7 +113,6 @@ def label(key: str) -> str:
 
 
 def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested figures under joined keys."""
     flat: dict[str, Any] = {}
     for key, value in values.items():
         if isinstance(value, Mapping):

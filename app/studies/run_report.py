@@ -29,9 +29,7 @@ _JOINTS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#1
 def run_report(run: Trace, on_progress: Callable[[float], None] = lambda _: None) -> str:
     """The page of a run: key numbers, figures, and which parameters were not the defaults.
 
-    Args:
-        run: As `read_trace` gives it, or made from snapshots.
-        on_progress: Called with the share of the figures that are drawn.
+    `on_progress` is called with the share of the figures that are drawn.
     """
     controllers = ", then ".join(dict.fromkeys(s.controller for s in run.snapshots))
     title = f"{run.meta.scenario or 'A person leads the hand'}, {controllers}"
@@ -70,7 +68,6 @@ def _finite(value: Any) -> Any:
 
 
 def _changes(run: Trace) -> Part:
-    """A table of the parameters that were not the defaults."""
     changes = config_changes([s.config for s in run.snapshots])
     rows = [(path, _unit(path), _value(default), _value(had)) for path, default, had in changes]
     if not rows:

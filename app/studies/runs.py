@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +59,12 @@ def write_table(path: Path, columns: Mapping[str, Any]) -> None:
     arrays = {name: pa.array(column, from_pandas=True) for name, column in columns.items()}
     empty = {name: a.cast(pa.float64()) for name, a in arrays.items() if a.type == pa.null()}
     write_arrow(path, pa.table(arrays | empty))
+
+
+def write_rows(path: Path, rows: Sequence[Row], first: Iterable[str] = ()) -> None:
+    """The same for rows: a column for each name in them, and before those the first ones."""
+    names = dict.fromkeys([*first, *(name for row in rows for name in row)])
+    write_table(path, {name: [row.get(name) for row in rows] for name in names})
 
 
 def write_json(path: Path, content: object) -> None:

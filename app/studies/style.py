@@ -108,19 +108,16 @@ def png_of(figure: Figure) -> bytes:
 
 
 class Picture(NamedTuple):
-    """A picture for a page: a function that draws it, whose docstring is what is said of it.
-
-    Attributes:
-        name: As commands, files and links call it.
-        title: Its heading.
-        needs: What is run for it, if anything.
-        draw: Draws it.
-    """
+    """A picture for a page: a function that draws it, whose docstring is what is said of it."""
 
     name: str
+    """As commands, files and links call it."""
     title: str
+    """Its heading."""
     needs: tuple[Any, ...]
+    """What is run for it, if anything."""
     draw: Callable[..., Any]
+    """Draws it."""
 
     @property
     def words(self) -> str:

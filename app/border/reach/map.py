@@ -30,31 +30,28 @@ _ORIENTATIONS = {6: 8 * np.pi**2, 5: 4 * np.pi, 3: 1.0}
 
 @dataclass(frozen=True)
 class ReachMap:
-    """Reachability of one body on a lattice around the arm's mount.
-
-    Attributes:
-        body: Name of the body.
-        points: (N, 3) [m] positions in the base's frame: of the end-effector for the body that
-            carries it, else of the middle of the body's first shape.
-        found: (N,) [-] mean number of solutions of a pose there, within the joint limits and
-            without self-collision, over random orientations and held joints.
-        samples: Joint positions that it was made of.
-        reach: (N,) [-] the same, scaled so that its mean over the best shell is 100.
-        p_base: (3,) [m] the arm's mount in the base's frame.
-        spacing_m: [m] of the lattice.
-        seed: Of the joint positions.
-        free_joints: Joints held at random, as the arm has more than the pose has numbers.
-    """
+    """Reachability of one body on a lattice around the arm's mount."""
 
     body: str
+    """Name of the body."""
     points: Array
+    """(N, 3) [m] positions in the base's frame: of the end-effector for the body that carries it,
+    else of the middle of the body's first shape."""
     found: Array
+    """(N,) [-] mean number of solutions of a pose there, within the joint limits and without
+    self-collision, over random orientations and held joints."""
     samples: int
+    """Joint positions that it was made of."""
     reach: Array
+    """(N,) [-] the same, scaled so that its mean over the best shell is 100."""
     p_base: Array
+    """(3,) [m] the arm's mount in the base's frame."""
     spacing_m: float
+    """[m] of the lattice."""
     seed: int
+    """Of the joint positions."""
     free_joints: tuple[str, ...]
+    """Joints held at random, as the arm has more than the pose has numbers."""
 
     @property
     def rho(self) -> Array:
@@ -76,16 +73,15 @@ def sample_reach_map(
     """
     chain, p_base = Chain(model, body), model.p_base()
     free, clearance = free_joints(chain), _SelfClearance(model, chain)
-    solved = [i for i in range(chain.size) if i not in free]
-    rng = np.random.default_rng(seed)
-    steps, J = np.zeros((samples, 3), dtype=int), np.zeros((samples, 6, 6))
+    solved = [i for i in range(len(chain.joints)) if i not in free]
+    rng, asked = np.random.default_rng(seed), chain.asked
+    steps, J = np.zeros((samples, 3), dtype=int), np.zeros((samples, asked, asked))
     for i in range(samples):
         q = chain.random(rng)
         if clearance.is_free(q):
-            q[len(chain.joints) :] = 0.0  # turns of these change no pose that is asked for
             at, jacobian = chain.pose_and_jacobian(q)
             steps[i] = np.round((at.translation - p_base) / spacing)
-            J[i] = jacobian[:, solved]
+            J[i] = jacobian[:asked, solved]
     cells = lattice(chain.longest(p_base) + spacing, spacing)
     most = int(np.abs(cells).max())
     grid = np.zeros((2 * most + 1,) * 3)
@@ -95,8 +91,8 @@ def sample_reach_map(
     best = profile.mean[profile.peak()]
     if not best > 0:
         raise DescriptionError(f"{body}: no sampled joint position is free of self-collision")
-    low, high = (limits[solved][: chain.asked] for limits in chain.ranges)
-    poses = samples * spacing**3 * _ORIENTATIONS[chain.asked]
+    low, high = (limits[solved] for limits in chain.ranges)
+    poses = samples * spacing**3 * _ORIENTATIONS[asked]
     return ReachMap(
         body=body,
         points=p_base + spacing * cells,
@@ -130,6 +126,6 @@ class _SelfClearance:
         self._q = model.configuration((0.0, 0.0, 0.0), np.array(model.q_lower))
 
     def is_free(self, q: Array) -> bool:
-        self._q[self._arm] = q[: len(self._arm)]
+        self._q[self._arm] = q
         self._distances.update(self._q)
         return min(self._distances.distances(), default=1.0) > 0.0

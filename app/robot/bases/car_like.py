@@ -43,22 +43,6 @@ _STEADY = 1.5
 _HELD = 0.005  # [m/s] of the front axle below which the steering stays where it is
 
 
-def control_point_jacobian(x: float, y: float, L: float) -> Array:
-    """J_c, from the front axle's velocity (w_x, w_y) to that of a point, in the base's frame.
-
-    It stands in the place of (6).
-
-    Args:
-        x: [m] of the point, ahead of the rear axle.
-        y: [m] of the point, to the left.
-        L: [m] wheelbase.
-
-    Returns:
-        (2, 2) [-].
-    """
-    return np.array([[1.0, -y / L], [0.0, x / L]])
-
-
 def nearest_in_cone(
     v: float, w: float, kappa: float, radius: float, before: float
 ) -> tuple[float, float]:
@@ -168,7 +152,8 @@ class CarLikeBase(BaseKind):
 
     def retreats(self) -> tuple[tuple[Channel, ...], ...]:
         """Straight, or along either of the tightest arcs once the wheels are steered."""
-        kappa, a, v = self.curvature_max, *self._along
+        kappa = self.curvature_max
+        a, v = self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
         late = self.steering_limit_rad / self.steering_rate_radps
         arcs = ((Channel((1.0, 0.0, side), a, v, late),) for side in (kappa, -kappa))
         return ((Channel((1.0, 0.0, 0.0), a, v),), *arcs)
@@ -206,10 +191,6 @@ class CarLikeBase(BaseKind):
 
     def turned(self, angles: Array, qd_b: Array, drive: Array, dt: float) -> Array:
         return np.array([angles[0] + qd_b[0] / self.wheel_radius_m * dt, drive[0]])
-
-    @property
-    def _along(self) -> tuple[float, float]:
-        return self.max_linear_acceleration_mps2, self.max_linear_velocity_mps
 
     @property
     def _radius(self) -> float:

@@ -21,17 +21,14 @@ Array = np.ndarray
 
 
 class Axis(NamedTuple):
-    """One of the velocity axes ν.
-
-    Attributes:
-        symbol: As people read it, such as "v".
-        angular: Whether it turns the base; its unit is rad/s then, else m/s.
-        way: Along which the base moves by it in its own frame, if it is not angular.
-    """
+    """One of the velocity axes ν."""
 
     symbol: str
+    """As people read it, such as "v"."""
     angular: bool
+    """Whether it turns the base; its unit is rad/s then, else m/s."""
     way: Literal["forward", "left"] = "forward"
+    """Along which the base moves by it in its own frame, if it is not angular."""
 
 
 FORWARD = Axis("v", False)
@@ -64,16 +61,14 @@ def twist_map(axes: Sequence[Axis]) -> Array:
 
 
 class BaseForce(NamedTuple):
-    """What acts on a base in the plane, in its own frame.
-
-    Attributes:
-        x, y: [N] sum of the forces.
-        torque: [N m] about the vertical through the frame's origin.
-    """
+    """What acts on a base in the plane, in its own frame."""
 
     x: float
+    """[N] sum of the forces."""
     y: float
+    """[N]"""
     torque: float
+    """[N m] about the vertical through the frame's origin."""
 
 
 PAPERS_MEASURE = 4 * 0.51**2 * (0.165 / (2 * 0.51)) ** 4
@@ -81,33 +76,27 @@ PAPERS_MEASURE = 4 * 0.51**2 * (0.165 / (2 * 0.51)) ** 4
 
 
 class Channel(NamedTuple):
-    """One of the motions by which a base gives way, independent of those beside it.
-
-    Attributes:
-        twist: v_x, v_y [m/s] and ω [rad/s] at unit speed.
-        a_max: [m/s² or rad/s²] its largest acceleration.
-        v_max: [m/s or rad/s] its largest speed.
-        delay: [s] until it can begin.
-    """
+    """One of the motions by which a base gives way, independent of those beside it."""
 
     twist: tuple[float, float, float]
+    """v_x, v_y [m/s] and ω [rad/s] at unit speed."""
     a_max: float
+    """[m/s² or rad/s²] its largest acceleration."""
     v_max: float
+    """[m/s or rad/s] its largest speed."""
     delay: float = 0.0
+    """[s] until it can begin."""
 
 
 class Wheels(NamedTuple):
-    """Wheels that turn by one angle; drawn only.
-
-    Attributes:
-        name: Which ones.
-        field: Of the description, that names the joints.
-        joints: Of the URDF.
-    """
+    """Wheels that turn by one angle; drawn only."""
 
     name: str
+    """Which ones."""
     field: str
+    """Of the description, that names the joints."""
     joints: tuple[str, ...]
+    """Of the URDF."""
 
 
 Follower = Callable[[list[float], Array, list[float]], tuple[list[float], Array]]

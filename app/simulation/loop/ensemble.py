@@ -41,11 +41,9 @@ class Ensemble:
     """
 
     def __init__(self, free: Session, q_start: Array) -> None:
-        """Begin at the free start.
+        """Begin at the free start, the arm at `q_start` (n_m,) [rad or m].
 
-        Args:
-            free: The session, whose parameters, plant and seed hold in all scenarios.
-            q_start: (n_m,) [rad or m] arm configuration at the free start.
+        The free session's parameters, plant and seed hold in all scenarios.
         """
         self._free = free
         self._led = Runner(free, None)

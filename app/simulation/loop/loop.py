@@ -31,9 +31,9 @@ _IDLE = 0.25  # [s] between two signs of life while no step is taken
 class LoopHandle(Protocol):
     """What the dashboard knows of the simulation."""
 
-    error: BaseException | None
+    error: BaseException | None = None
     """Why the loop ended, if it did."""
-    links: tuple[str, ...]
+    links: tuple[str, ...] = ()
     """Names of the arm's frames that can be pulled, once it has started."""
 
     @property
@@ -63,11 +63,6 @@ class LoopHandle(Protocol):
 
 class LiveLoop(LoopHandle):
     """A loop that runs elsewhere: a mailbox for it, and what it publishes."""
-
-    error: BaseException | None = None
-    """The exception that ended it."""
-    links: tuple[str, ...] = ()
-    """Where the arm can be held, once it has started."""
 
     def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
         """Nothing has been sent or published; `kept` snapshots will be remembered."""
@@ -166,7 +161,6 @@ class SimulationLoop(LiveLoop):
                 owner.close()
 
     def _publish_first(self, ensemble: Ensemble) -> None:
-        """Publish the first step after a beginning."""
         self._pacer = Pacer(DT, self._speed)
         self._publish(ensemble, ensemble.step())
 

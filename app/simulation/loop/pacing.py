@@ -62,7 +62,9 @@ class Pacer:
         """Sleep until the step's period is over."""
         now = perf_counter()
         self._steps += 1
-        self._mark(now)
+        self._marks.append((now, self._steps))
+        while len(self._marks) > 2 and now - self._marks[0][0] > _WINDOW:
+            self._marks.popleft()
         if now - self._begun > self._real or self._begun > self._due:
             self.overruns += 1
         late = now - self._due
@@ -72,11 +74,6 @@ class Pacer:
             sleep(-late)
         self._due += self._real
         self._begun = perf_counter()
-
-    def _mark(self, now: float) -> None:
-        self._marks.append((now, self._steps))
-        while len(self._marks) > 2 and self._marks[-1][0] - self._marks[0][0] > _WINDOW:
-            self._marks.popleft()
 
     @property
     def realtime_factor(self) -> float:

@@ -232,7 +232,7 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
     body_of = {link: body.name for body in description.bodies for link in body.covers}
     links = {str(link.get("name")): link for link in tree.iterfind("link")}
     for joint in [each for each in tree.iterfind("joint") if each.get("type") == "fixed"]:
-        parent, child = (_ends(joint)[role] for role in ("parent", "child"))
+        parent, child = (str(_part(joint, end).get("link")) for end in ("parent", "child"))
         link = links[child]
         alike = body_of.get(parent) == body_of.get(child) or link.find("collision") is None
         if child == description.arm.end_effector_link or not alike:
@@ -250,11 +250,6 @@ def _fuse_fixed(tree: Element, description: RobotDescription) -> None:
         tree.remove(link)
 
 
-def _ends(joint: Element) -> dict[str, str]:
-    """Names of the parent and the child of a joint."""
-    return {end.tag: str(end.get("link")) for end in joint if end.get("link")}
-
-
 def _origin(element: Element) -> pin.SE3:
     """The `<origin>` of a link's part or of a joint; the identity where there is none."""
     at = element.find("origin")
@@ -264,7 +259,6 @@ def _origin(element: Element) -> pin.SE3:
 
 
 def _place(element: Element, T: pin.SE3) -> None:
-    """Write the `<origin>` of an element."""
     at = element.find("origin")
     at = SubElement(element, "origin") if at is None else at
     at.attrib |= {"xyz": _words(T.translation), "rpy": _words(pin.rpy.matrixToRpy(T.rotation))}
@@ -292,7 +286,6 @@ def _weigh(link: Element, inertia: pin.Inertia) -> None:
 
 
 def _part(element: Element, tag: str) -> Element:
-    """What an element has to hold."""
     found = element.find(tag)
     assert found is not None, tag
     return found

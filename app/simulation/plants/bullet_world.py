@@ -23,11 +23,8 @@ from app.system import flush_c_output
 def silence(*descriptors: int) -> Iterator[None]:
     """Drop what is printed to the process's file descriptors meanwhile, by C code too.
 
-    It acts on the whole process: keep it short. C's buffers are flushed at both ends, or what was
-    printed inside would come out after it.
-
-    Args:
-        descriptors: 1 for standard output, 2 for standard error.
+    1 is standard output, 2 standard error. It acts on the whole process: keep it short. C's buffers
+    are flushed at both ends, or what was printed inside would come out after it.
     """
     _flush()
     kept = {fd: os.dup(fd) for fd in descriptors}

@@ -35,19 +35,16 @@ With `arm_base` a part of l_m comes first, and one of the arm that can come near
 
 
 class CollisionShape(NamedTuple):
-    """One convex shape.
-
-    Attributes:
-        part: Name of the link, or of the body, whose shape it is.
-        joint: Pinocchio's joint that carries it.
-        T: Its pose in that joint's frame.
-        geometry: The shape; of a mesh, its convex hull is meant, or one of its several.
-    """
+    """One convex shape."""
 
     part: str
+    """Name of the link, or of the body, whose shape it is."""
     joint: int
+    """Pinocchio's joint that carries it."""
     T: pin.SE3
+    """Its pose in that joint's frame."""
     geometry: coal.CollisionGeometry
+    """The shape; of a mesh, its convex hull is meant, or one of its several."""
 
 
 class CollisionShapes(NamedTuple):

@@ -29,19 +29,16 @@ _SIDES = ((1.0, 0.3, 0.4), (-0.6, 1.0, 0.3), (-0.5, -1.0, 1.0))  # where picture
 
 
 class Difference(NamedTuple):
-    """How two engines differ over some poses.
-
-    Attributes:
-        picture: [-] largest share of a picture's rays on the robot that meet something elsewhere.
-        depth: [m] of the deepest contact that only one of them has.
-        contacts: How often something touched in both.
-        poses: How many poses were looked at.
-    """
+    """How two engines differ over some poses."""
 
     picture: float
+    """[-] largest share of a picture's rays on the robot that meet something elsewhere."""
     depth: float
+    """[m] of the deepest contact that only one of them has."""
     contacts: int
+    """How often something touched in both."""
     poses: int
+    """How many poses were looked at."""
 
 
 def compare_engines(

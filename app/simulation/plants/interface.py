@@ -39,17 +39,14 @@ class Wrench(NamedTuple):
 
 
 class Push(NamedTuple):
-    """A force on some point of the arm.
-
-    Attributes:
-        joint: Name of the joint that carries the point.
-        p: (3,) [m] the point in that joint's frame.
-        force: (3,) [N] in the world.
-    """
+    """A force on some point of the arm."""
 
     joint: str
+    """Name of the joint that carries the point."""
     p: Array
+    """(3,) [m] the point in that joint's frame."""
     force: Array
+    """(3,) [N] in the world."""
 
 
 class HeldDoor(ABC):

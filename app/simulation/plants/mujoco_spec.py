@@ -78,7 +78,9 @@ class RobotSpec:
             name = f"{shape.part}/{i}"
             self._geoms.setdefault(shape.part, []).append(name)
             self._add_shape(bodies[shape.joint], name, shape)
-        for (a, b), group in sorted(pairs.items(), key=_in_order):
+        # By group and names: the solver's last digits depend on their order.
+        ordered = sorted(pairs.items(), key=lambda item: (Contacts._fields.index(item[1]), item[0]))
+        for (a, b), group in ordered:
             self.allow(group, self.geoms(a), self.geoms(b))
 
     def geoms(self, *parts: str) -> list[str]:
@@ -185,7 +187,6 @@ class RobotSpec:
         return compiled
 
     def _add_joints(self, free_root: pin.Inertia | None) -> list[Any]:
-        """The bodies by pinocchio's joints, on the world's."""
         source, bodies = self.model.pin, [self.spec.worldbody]
         base = self.model.description.base
         for i in range(1, source.njoints):
@@ -236,12 +237,6 @@ def _solid(points: Array) -> Array:
     if extents[2] > _FLAT * extents[0]:
         return points
     return np.vstack([points + _SHEET / 2 * axes[2], points - _SHEET / 2 * axes[2]])
-
-
-def _in_order(named: tuple[tuple[str, str], str]) -> tuple[int, tuple[str, str]]:
-    """By group and names, on which the solver's last digits depend."""
-    pair, group = named
-    return Contacts._fields.index(group), pair
 
 
 def _empty_spec(dt: float) -> mujoco.MjSpec:

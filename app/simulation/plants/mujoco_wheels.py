@@ -234,16 +234,11 @@ def _add_casters_and_hull(robot: RobotSpec, wheels: Wheels) -> None:
         elif isinstance(shape.geometry, coal.Sphere):
             casters.append((shape.geometry.radius, shape.T.translation))
     if not wheels.spans:
-        corners = [(wheels.radius, c) for c in _corner_casters(robot.model, wheels.radius)]
+        body, r = MobileBody(robot.model), wheels.radius
+        (left, low), (right, high) = body.lower[:2] + r, body.upper[:2] - r
+        corners = [(r, np.array(place)) for place in product((left, right), (low, high))]
         for i, (r, centre) in enumerate(casters or corners):
             name = f"caster_{i}"
             place = pin.SE3(np.eye(3), np.array([*centre[:2], r]))
             robot.add_geom(robot.root, name, _GEOM.mjGEOM_SPHERE, (r,), place)
             robot.allow(None, [FLOOR], [name], friction=0.0, firmness=_SPRING)
-
-
-def _corner_casters(model: RobotModel, r: float) -> list[Array]:
-    """Centres (3,) [m] of four casters of radius r [m] in the corners of l_m's footprint."""
-    body = MobileBody(model)
-    (left, low), (right, high) = body.lower[:2] + r, body.upper[:2] - r
-    return [np.array([x, y, r]) for x, y in product((left, right), (low, high))]

@@ -61,9 +61,7 @@ class Planar(Physics):
     def mass_and_bias(self, q_m: Array, qd: Array) -> tuple[Array, Array]:
         """M (n, n) and C q̇ + g (n,) of (26), as the engine computes them; the base faces +x.
 
-        Args:
-            q_m: (n_m,) [rad or m] the arm's joints.
-            qd: (n,) reduced velocity q̇.
+        They are those at joints q_m (n_m,) [rad or m] and the reduced velocity q̇ (n,).
         """
         S = self._S
         v = S @ qd  # at heading 0 the base's own axes are the world's
@@ -101,14 +99,10 @@ def planar_plant(
 
 
 def world_twist(twist: Sequence[float], heading: float, dt: float) -> list[float]:
-    """A base's twist in the world that moves it as it moves in its own frame, for one step.
+    """A base's twist in the world that moves it as it moves in its own frame, for a step of dt [s].
 
-    The direction is that of the middle of the step, which is exact on a circle.
-
-    Args:
-        twist: (3,) v_x, v_y [m/s] and ω [rad/s] in the base's frame.
-        heading: [rad] of the base at the step's start.
-        dt: [s] the step.
+    Both twists are (3,) v_x, v_y [m/s] and ω [rad/s], the heading [rad] is that at the step's
+    start. The direction is that of the middle of the step, which is exact on a circle.
     """
     x, y, w = twist
     phi = heading + 0.5 * w * dt

@@ -62,10 +62,7 @@ def scenario_by_name(name: str) -> Scenario:
 def scenario_of(description: RobotDescription, name: str, **changes: object) -> Scenario:
     """The scenario of that name, on the line that suits the robot if its description has one.
 
-    Args:
-        description: Of the robot.
-        name: Of the scenario.
-        changes: As `Scenario.changed` takes them; they go before the robot's own.
+    The changes, as `Scenario.changed` takes them, go before the robot's own.
 
     Raises:
         UnknownNameError: There is no such scenario.

@@ -56,19 +56,16 @@ class DoorOpeningGains:
 
 
 class HandReading(NamedTuple):
-    """What the robot senses of its hand; all in the world.
-
-    Attributes:
-        T_world_ee: Pose of the end-effector.
-        velocity: (3,) [m/s] of its origin.
-        force: (3,) [N] that the hand exerts on the door.
-        torque: (3,) [N m] that it exerts there about the end-effector's origin.
-    """
+    """What the robot senses of its hand; all in the world."""
 
     T_world_ee: pin.SE3
+    """Pose of the end-effector."""
     velocity: Array
+    """(3,) [m/s] of its origin."""
     force: Array
+    """(3,) [N] that the hand exerts on the door."""
     torque: Array
+    """(3,) [N m] that it exerts there about the end-effector's origin."""
 
 
 def tangent(radial: Array, sense: float) -> Array:
@@ -119,13 +116,11 @@ class DoorOpening:
     def __init__(
         self, T_world_ee: pin.SE3, radial_guess: Array, gains: DoorOpeningGains, dt: float
     ) -> None:
-        """Take hold of a door that opens towards where the hand comes from.
+        """Take hold of a door that opens towards where the hand comes from, whose z axis is into
+        the door.
 
-        Args:
-            T_world_ee: The hand at the start, its z axis into the door.
-            radial_guess: (2,) first guess of the direction towards the hinge, in plan.
-            gains: The gains.
-            dt: [s] between two calls of `step`.
+        `radial_guess` (2,) is the first guess of the direction towards the hinge, in plan; `dt` [s]
+        is between two calls of `step`.
         """
         self._gains, self._dt = gains, dt
         self._R_start = T_world_ee.rotation.copy()
@@ -146,7 +141,9 @@ class DoorOpening:
     def step(self, hand: HandReading) -> Reference:
         """The reference of one control step; the estimates learn from the reading."""
         gains, dt = self._gains, self._dt
-        force, torque = self._smoothed(hand)
+        share = -math.expm1(-dt / gains.smoothing)  # of a filter of first order
+        self._felt += share * (np.concatenate([hand.force, hand.torque]) - self._felt)
+        force, torque = self._felt[:3], self._felt[3:]
         radial = self.radial(hand.T_world_ee)
         along = tangent(radial, self._sense)
         error = float(force @ radial) - gains.radial_force
@@ -164,12 +161,6 @@ class DoorOpening:
         self._lead(hand.T_world_ee, velocity, turning)
         self._t += dt
         return Reference(self._pose.copy(), np.concatenate([velocity, turning]), np.zeros(6))
-
-    def _smoothed(self, hand: HandReading) -> tuple[Array, Array]:
-        """(3,) [N] and (3,) [N m] what is felt, through a filter of first order."""
-        share = -math.expm1(-self._dt / self._gains.smoothing)
-        self._felt += share * (np.concatenate([hand.force, hand.torque]) - self._felt)
-        return self._felt[:3], self._felt[3:]
 
     def _turned(self, T_world_ee: pin.SE3) -> float:
         """[rad] how far the hand has turned about the vertical since the start."""
@@ -198,13 +189,10 @@ class Opener:
     """The adaptive controller at the sensors of a session."""
 
     def __init__(self, door: Door, session: Session, *, rate: float, guess: float) -> None:
-        """Begin with the hand at the handle.
+        """Begin with the hand of a session at the handle of the door that it holds.
 
-        Args:
-            door: That the hand holds.
-            session: At its start.
-            rate: [deg/s] of the door's turning that the hand's speed gives.
-            guess: [deg] by how much the first guess of the direction to the hinge is wrong.
+        `rate` [deg/s] is the door's turning that the hand's speed gives, and `guess` [deg] by how
+        much the first guess of the direction to the hinge is wrong.
         """
         self._door = door
         T_ee = session.T_world_ee
@@ -216,7 +204,6 @@ class Opener:
         self._opening = DoorOpening(T_ee, radial, gains, session.physics.dt)
 
     def __call__(self, session: Session) -> Lead:
-        """What leads the hand in the next control step."""
         assert session.physics.door is not None
         wrench = session.physics.door.wrench()
         T_ee, velocity = session.T_world_ee, session.controller.state.v_ee[:3]

@@ -31,35 +31,29 @@ _FARTHEST = 10.0  # [m] from the origin; a longer way is a slip of the keys
 
 
 class DoorReading(NamedTuple):
-    """How the opening of a door goes.
-
-    Attributes:
-        angle: [rad] how far the door is open.
-        force: (3,) [N] that the hand exerts on it, in the world.
-        radial_force: [N] the part of it towards the hinge's true place.
-        radial_error: [rad] of the estimated radial direction, positive counter-clockwise.
-    """
+    """How the opening of a door goes."""
 
     angle: float
+    """[rad] how far the door is open."""
     force: Array
+    """(3,) [N] that the hand exerts on it, in the world."""
     radial_force: float
+    """[N] the part of it towards the hinge's true place."""
     radial_error: float
+    """[rad] of the estimated radial direction, positive counter-clockwise."""
 
 
 class Lead(NamedTuple):
-    """What leads the hand in one control step; the arguments of `Session.step`.
-
-    Attributes:
-        reference: What the arm tracks, or None while it is guided.
-        pull: (3,) [m] where a person pulls, or None.
-        door: How the opening of a door goes, or None if there is none.
-        holds: Others who hold the robot, here or elsewhere.
-    """
+    """What leads the hand in one control step; the arguments of `Session.step`."""
 
     reference: Reference | None = None
+    """What the arm tracks, or None while it is guided."""
     pull: Array | None = None
+    """(3,) [m] where a person pulls, or None."""
     door: DoorReading | None = None
+    """How the opening of a door goes, or None if there is none."""
     holds: tuple[Hold, ...] = ()
+    """Others who hold the robot, here or elsewhere."""
 
 
 Leader = Callable[["Session"], Lead]
@@ -67,23 +61,20 @@ Leader = Callable[["Session"], Lead]
 
 
 class Setting(NamedTuple):
-    """Where a run begins.
-
-    Attributes:
-        model: The robot as its controller knows it.
-        data: Its pairs and clouds.
-        base_pose: (3,) x, y [m] and heading [rad] of the base.
-        q_m: (n_m,) [rad or m] the arm's joints.
-        config: Parameters for this scenario.
-        door: The door that the hand holds, or None.
-    """
+    """Where a run begins."""
 
     model: RobotModel
+    """The robot as its controller knows it."""
     data: BorderData
+    """Its pairs and clouds."""
     base_pose: Array
+    """(3,) x, y [m] and heading [rad] of the base."""
     q_m: Array
+    """(n_m,) [rad or m] the arm's joints."""
     config: Config
+    """Parameters for this scenario."""
     door: OpenDoor | None = None
+    """The door that the hand holds, or None."""
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,6 @@ class LineScenario(Scenario):
         return Setting(model, data, np.zeros(3), q_m, config)
 
     def _posture(self, model: RobotModel, data: BorderData, config: Config, seed: int) -> Array:
-        """(n_m,) the arm with its hand at the start."""
         # Imported here: scipy would make every command start later.
         from app.simulation.scenarios.start import find_start
 

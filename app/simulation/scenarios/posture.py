@@ -28,29 +28,23 @@ Judge = Callable[[Array], float | str]
 
 
 class Target(NamedTuple):
-    """Where the hand has to be, and perhaps where it points.
-
-    Attributes:
-        p: (3,) [m] its origin in the world.
-        z: (3,) unit vector along which it points, or None if it may point anywhere.
-    """
+    """Where the hand has to be, and perhaps where it points."""
 
     p: Array
+    """(3,) [m] its origin in the world."""
     z: Array | None = None
+    """(3,) unit vector along which it points, or None if it may point anywhere."""
 
 
 class Found(NamedTuple):
-    """The best of the postures that were tried.
-
-    Attributes:
-        q_m: (n_m,) [rad or m], or None if none may be used.
-        quality: [-] of it, 0 of none.
-        flaws: How many tries failed by each reason.
-    """
+    """The best of the postures that were tried."""
 
     q_m: Array | None
+    """(n_m,) [rad or m], or None if none may be used."""
     quality: float
+    """[-] of it, 0 of none."""
     flaws: Counter[str]
+    """How many tries failed by each reason."""
 
 
 class PostureSearch:

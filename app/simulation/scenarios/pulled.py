@@ -26,21 +26,18 @@ BEGIN = "guiding-front"
 
 
 class Pulled(NamedTuple):
-    """Somebody pulls the robot elsewhere from a control step on, or lets go.
-
-    Attributes:
-        step: Number of the control step.
-        who: Number of the person.
-        target: [m] where to, in the world; None lets go.
-        link: One of `held_links`; None is the end-effector.
-        point: [m] the point that is held, in the link's frame.
-    """
+    """Somebody pulls the robot elsewhere from a control step on, or lets go."""
 
     step: int
+    """Number of the control step."""
     who: int
+    """Number of the person."""
     target: Point | None
+    """[m] where to, in the world; None lets go."""
     link: str | None = None
+    """One of `held_links`; None is the end-effector."""
     point: Point = (0.0, 0.0, 0.0)
+    """[m] the point that is held, in the link's frame."""
 
 
 @dataclass(frozen=True)

@@ -111,7 +111,6 @@ class StartSolver:
         )
 
     def _guesses(self, rng: np.random.Generator, tries: int) -> Iterator[Array]:
-        """The ready pose, then random ones."""
         for k, anywhere in enumerate(self._search.guesses(rng, tries)):
             yield np.array(self._model.description.arm.ready_position) if k == 0 else anywhere
 
@@ -119,11 +118,10 @@ class StartSolver:
         return self._search.best(guesses, lambda q: self._judge(q, target, along), target=target)
 
     def slide(self, p_ee: tuple[float, float, float], q_m: Array) -> Array:
-        """(n_m,) the posture near another, the hand pointing as there, its origin at `p_ee` [m].
+        """(n_m,) the posture near another, the hand pointing as there, its origin at `p_ee` (3,)
+        [m].
 
-        Args:
-            p_ee: (3,) in the world.
-            q_m: (n_m,) a posture from which the place can be reached without a change of branch.
+        From q_m (n_m,) the place can be reached without a change of branch.
 
         Raises:
             UnreachableError: That posture cannot be used; says why.
@@ -340,7 +338,6 @@ def _frozen(q_m: Array) -> Array:
 
 
 def _rolled(pose: pin.SE3, roll: float) -> pin.SE3:
-    """A hand's pose turned about its own axis."""
     return pose * pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, roll), np.zeros(3))
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -12,7 +13,6 @@ from app.errors import ConfigError, UnreachableError
 from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
 
 if TYPE_CHECKING:
-    from app.avoidance.closest_points import ClosestPoints
     from app.border.cache import BorderData
     from app.config import Config
     from app.robot.link_pairs import LinkPairs
@@ -77,49 +77,32 @@ class TroubledStarts:
         Raises:
             UnreachableError: None was found.
         """
-        rng = np.random.default_rng([seed, BEGINS.index(begin)])
-        wanted = self._kinds(begin)
-        for k in rng.permutation(len(wanted)):
-            if (q_m := self._first(wanted[k], rng)) is not None:
+        search, mobile = self._search, len(self._pairs.mobile)
+        model, rng = search.model, np.random.default_rng([seed, BEGINS.index(begin)])
+        depth = (-DEEPEST, 0.0) if begin == "penetration" else (0.0, search.d_b)
+        kinds: list[tuple[int, bool | None]] = []  # which pair, and whether it meets from above
+        if begin != "arm":
+            kinds += product(range(mobile), (True, False))
+        if begin != "buffer":
+            kinds += [(i, None) for i in range(mobile, len(self._pairs.all))]
+        for k in rng.permutation(len(kinds)):
+            guesses = (rng.uniform(model.q_lower, model.q_upper) for _ in range(_TRIES))
+            judge = partial(self._judge, *kinds[k], depth)
+            if (q_m := search.best(guesses, judge, enough=1.0).q_m) is not None:
                 return q_m
         raise UnreachableError(
             f"no configuration of the arm begins with {begin!r} in {_TRIES} tries a pair"
         )
 
-    def _kinds(self, begin: Begin) -> list[Callable[[Sequence[ClosestPoints]], bool]]:
-        """What may be wrong at the start, one condition on the closest points of all pairs each."""
-        mobile = range(len(self._pairs.mobile))
-        arm = range(len(mobile), len(mobile) + len(self._pairs.manipulator))
-        depth = (-DEEPEST, 0.0) if begin == "penetration" else (0.0, self._search.d_b)
-        kinds: list[Callable[[Sequence[ClosestPoints]], bool]] = []
-        if begin != "arm":
-            kinds += [_worst(i, depth, above) for i in mobile for above in (True, False)]
-        if begin != "buffer":
-            kinds += [_worst(i, depth, None) for i in arm]
-        return kinds
+    def _judge(self, i: int, above: bool | None, depth: tuple[float, float], _: Array) -> float:
+        """Whether pair i is the nearest one, its distance within `depth`, met from above or not.
 
-    def _first(
-        self, wanted: Callable[[Sequence[ClosestPoints]], bool], rng: np.random.Generator
-    ) -> Array | None:
-        """The first of random postures above the floor for which a condition holds."""
-        search, model = self._search, self._search.model
-        guesses = (rng.uniform(model.q_lower, model.q_upper) for _ in range(_TRIES))
-        return search.best(
-            guesses,
-            lambda _: float(wanted(search.closest()) and search.above_floor() > _FLOOR_MARGIN),
-            enough=1.0,
-        ).q_m
-
-
-def _worst(
-    i: int, depth: tuple[float, float], above: bool | None
-) -> Callable[[Sequence[ClosestPoints]], bool]:
-    """Whether pair i is the nearest one, its distance within `depth`, met from above or not."""
-
-    def holds(closest: Sequence[ClosestPoints]) -> bool:
+        An arm that is nearer to the floor than a margin is no such start.
+        """
+        closest = self._search.closest()
         pair = closest[i]
         if not depth[0] <= pair.d <= depth[1] or pair.d > min(c.d for c in closest):
-            return False
-        return above is None or (abs(pair.n[2]) > _FROM_ABOVE) == above
-
-    return holds
+            return 0.0
+        if above is not None and (abs(pair.n[2]) > _FROM_ABOVE) != above:
+            return 0.0
+        return float(self._search.above_floor() > _FLOOR_MARGIN)

@@ -145,41 +145,35 @@ def column_names(template: str, meta: TraceMeta) -> list[str]:
 
 
 class Column(NamedTuple):
-    """One column.
-
-    Attributes:
-        name: Ends in its unit.
-        kind: What its cells are.
-        optional: Whether a cell may be empty, which is not-a-number in memory.
-        often: Whether it has a number at each control step, not only where a snapshot is taken.
-    """
+    """One column."""
 
     name: str
+    """Ends in its unit."""
     kind: Kind = "float"
+    """What its cells are."""
     optional: bool = False
+    """Whether a cell may be empty, which is not-a-number in memory."""
     often: bool = False
+    """Whether it has a number at each control step, not only where a snapshot is taken."""
 
 
 class Quantity(NamedTuple):
-    """One quantity of a run.
-
-    Attributes:
-        columns: Its columns in a run.
-        cells: From a snapshot's value to their cells.
-        value: Back.
-        take: Its value at a control step, from the session after it and the step; None if only who
-            publishes the snapshot knows it.
-        single: Whether it is one number, not several.
-        row: Cells of the columns that have one at each control step, where it is quicker to take
-            them alone.
-    """
+    """One quantity of a run."""
 
     columns: Callable[[TraceMeta], Sequence[Column]]
+    """Its columns in a run."""
     cells: Callable[[Any, TraceMeta], Sequence[Cell]]
+    """From a snapshot's value to their cells."""
     value: Callable[[Sequence[Any], TraceMeta], Any]
+    """Back."""
     take: Take | None = None
+    """Its value at a control step, from the session after it and the step; None if only who
+    publishes the snapshot knows it."""
     single: bool = False
+    """Whether it is one number, not several."""
     row: Take | None = None
+    """Cells of the columns that have one at each control step, where it is quicker to take them
+    alone."""
 
     def row_of(self, meta: TraceMeta) -> Take:
         """What gives the cells of the columns that have one at each control step."""

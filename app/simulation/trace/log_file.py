@@ -119,7 +119,6 @@ def _trace(text: str, found: pa.Table) -> Trace:
 def _snapshots(
     meta: TraceMeta, cells: Mapping[Column, Sequence[Any]], drawn: Sequence[int]
 ) -> list[Snapshot]:
-    """The snapshots in these rows of a file."""
     fields: dict[str, list[Any]] = {}
     for name, quantity in QUANTITIES.items():
         columns = quantity.columns(meta)
@@ -151,7 +150,6 @@ def _cells(column: Column, values: Any, filled: int | None = None) -> list[Any]:
 
 
 def _check_suffix(path: Path) -> None:
-    """Refuse a name that says of neither format."""
     if path.suffix not in SUFFIXES:
         raise LogError(f"{path}: a log ends in {' or '.join(SUFFIXES)}")
 

@@ -153,7 +153,6 @@ class _Frames:
 
 
 def _joint_states(s: Snapshot, model: RobotModel) -> Json:
-    """Arm and wheels; the wheels have an angle alone."""
     base, arm = model.description.base, model.description.arm
     joints = [
         {"name": name, "position": q, "velocity": qd, "effort": u}
@@ -279,7 +278,6 @@ def _object(title: str, /, **properties: Json) -> Json:
 
 
 def _section(section: Section) -> Json:
-    """The schema of a section of parameters."""
     found = {}
     for each in section.tunables:
         name = each.path.partition(".")[2]

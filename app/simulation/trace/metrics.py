@@ -25,15 +25,12 @@ _TOUCHED = {"contacts": "the base", "arm_contacts": "itself", "floor_contacts": 
 
 
 class Figure(NamedTuple):
-    """A figure of a run.
-
-    Attributes:
-        about: What it is, in a sentence.
-        of: How it follows from a trace.
-    """
+    """A figure of a run."""
 
     about: str
+    """What it is, in a sentence."""
     of: Callable[[Trace], Any]
+    """How it follows from a trace."""
 
 
 def metrics(run: Trace) -> dict[str, Any]:
@@ -152,8 +149,9 @@ def _percentile(run: Trace, q: float) -> float | None:
     return None if np.isnan(durations).any() else float(np.percentile(durations, q))
 
 
-def _displacement(run: Trace) -> Array:
-    return run.of("base_pose")[-1] - run.of("base_pose")[0]
+def _moves(run: Trace) -> Array:
+    """(N, 3) [m, rad] of the base's pose from where it began."""
+    return run.of("base_pose") - run.of("base_pose")[0]
 
 
 def _finite(value: float) -> float | None:
@@ -195,7 +193,7 @@ FIGURES: dict[str, Figure] = {
     "ee_error_final_m": Figure("The same at the end.", lambda r: _last(r, "ee_error")),
     "base_displacement_m": Figure(
         "From where the base began to where it ended.",
-        lambda r: float(np.hypot(*_displacement(r)[:2])),
+        lambda r: float(np.hypot(*_moves(r)[-1, :2])),
     ),
     "base_path_m": Figure("Way of the base's centre.", path),
     "base_path_after_release_m": Figure(
@@ -206,7 +204,7 @@ FIGURES: dict[str, Figure] = {
         "Speed of the base's centre at the end.",
         lambda r: math.hypot(*r.of("base_velocity")[-1, ~r.angular]),
     ),
-    "base_yaw_rad": Figure("By which the base has turned.", lambda r: float(_displacement(r)[2])),
+    "base_yaw_rad": Figure("By which the base has turned.", lambda r: float(_moves(r)[-1, 2])),
     "activation_max": Figure("Largest β.", lambda r: largest(r.of("activation"))),
     "base_acceleration_jump_max": Figure(
         "Largest change from one step to the next of what the base is asked for.",
@@ -290,11 +288,6 @@ def _door_distance(run: Trace) -> Array:
     return run[f"d_{next(pair for pair in run.meta.pairs if pair.endswith(BODY))}_m"]
 
 
-def _moved(run: Trace) -> Array:
-    """(N,) [m] of the base from where it began."""
-    return np.hypot(*(run.of("base_pose") - run.of("base_pose")[0])[:, :2].T)
-
-
 def _radial_error(run: Trace) -> float | None:
     late = np.flatnonzero(run.t >= _ESTIMATE_AT)
     return float(run["radial_error_rad"][late[0]]) if len(late) else None
@@ -326,7 +319,7 @@ DOOR: dict[str, Figure] = {
     ),
     "base_back_off_s": Figure(
         "When the base had first moved by 10 mm; null if never.",
-        lambda r: _first(r, _moved(r) >= _BACKED_OFF),
+        lambda r: _first(r, np.hypot(*_moves(r)[:, :2].T) >= _BACKED_OFF),
     ),
 }
 """Of the opening of a door."""

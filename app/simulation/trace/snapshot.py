@@ -476,7 +476,6 @@ def _frozen_pull(pull: PullReading) -> PullReading:
 
 
 def _wxyz(state: RobotState) -> Array:
-    """(4,) orientation of the end-effector."""
     x, y, z, w = pin.Quaternion(state.T_world_ee.rotation).coeffs()
     return np.array([w, x, y, z])
 

@@ -37,19 +37,16 @@ _PUSHED = 0.01  # [m/s²] of the hand away from its target, by the border's push
 
 
 class Layout(NamedTuple):
-    """Where each quantity stands in a trace's table.
-
-    Attributes:
-        meta: About the run.
-        columns: Of the table, in order: those that have a number at each control step.
-        slices: By quantity; one number for those that have one column.
-        index: By the columns' names.
-    """
+    """Where each quantity stands in a trace's table."""
 
     meta: TraceMeta
+    """About the run."""
     columns: tuple[Column, ...]
+    """Of the table, in order: those that have a number at each control step."""
     slices: dict[str, slice | int]
+    """By quantity; one number for those that have one column."""
     index: dict[str, int]
+    """By the columns' names."""
 
     @classmethod
     def of(cls, meta: TraceMeta, names: Iterable[str] = QUANTITIES) -> Self:
@@ -104,7 +101,6 @@ class Trace:
         return cls(layout, np.array(rows), snapshots)
 
     def __len__(self) -> int:
-        """How many rows it has."""
         return len(self.table)
 
     def __getitem__(self, column: str) -> Array:
@@ -239,7 +235,6 @@ class Recorder:
         return Trace(self._layout, table)
 
     def __len__(self) -> int:
-        """How many rows there are."""
         return len(self._cells) // len(self._layout.columns) if self._layout else 0
 
     def _begin(self, session: Session, step: Step) -> None:
@@ -312,23 +307,20 @@ def cells_of(snapshot: Snapshot, meta: TraceMeta) -> list[Any]:
 
 
 class Stuck(NamedTuple):
-    """Where a hand stands that is not at its target, and why.
-
-    Attributes:
-        t_s: [s] when.
-        ee_error_m: [m] from the hand to its target.
-        hand_m: (3,) [m] where it is, in the world.
-        target_m: (3,) [m] where it should be.
-        reasons: All that hold; "unknown" if none does.
-        joints: Names of those at their position limits.
-    """
+    """Where a hand stands that is not at its target, and why."""
 
     t_s: float
+    """[s] when."""
     ee_error_m: float
+    """[m] from the hand to its target."""
     hand_m: tuple[float, ...]
+    """(3,) [m] where it is, in the world."""
     target_m: tuple[float, ...]
+    """(3,) [m] where it should be."""
     reasons: tuple[Reason, ...]
+    """All that hold; "unknown" if none does."""
     joints: tuple[str, ...]
+    """Names of those at their position limits."""
 
 
 def find_stuck(model: RobotModel, step: Step) -> Stuck | None:

@@ -30,21 +30,18 @@ _SCORE = r"score $\mathcal{S}$ [m⁴/rad⁴]"
 
 
 class Force(NamedTuple):
-    """The force at one instant of a run, while the hand is in its buffer.
-
-    Attributes:
-        t: [s]
-        q_m: (n_m,) [rad or m] the arm's joints.
-        closest: Of base and hand, in the base's frame.
-        acting: What Algorithm 3 finds.
-        f: (3,) [N] the force.
-    """
+    """The force at one instant of a run, while the hand is in its buffer."""
 
     t: float
+    """[s]"""
     q_m: Array
+    """(n_m,) [rad or m] the arm's joints."""
     closest: Closest
+    """Of base and hand, in the base's frame."""
     acting: ActingPoint
+    """What Algorithm 3 finds."""
     f: Array
+    """(3,) [N] the force."""
 
     @property
     def components(self) -> tuple[Array, Array]:

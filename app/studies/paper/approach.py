@@ -220,7 +220,6 @@ def _asked(run: RunResult, method: str) -> drawing.Table:
 
 
 def _distance_panel(ax: Axes, sources: Sources, letter: str, title: str) -> None:
-    """What each panel of distances [m] has."""
     style.level(ax, sources.config.border.d_b, "buffer distance $d_b$")
     ax.set_ylabel("distance [m]")
     style.panel_title(ax, letter, title)

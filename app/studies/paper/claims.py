@@ -28,17 +28,14 @@ from app.studies.style import words_of
 
 
 class Threshold(NamedTuple):
-    """A number against which a measured one is held.
-
-    Attributes:
-        value: In the unit.
-        unit: As printed.
-        source: Where it comes from.
-    """
+    """A number against which a measured one is held."""
 
     value: float
+    """In the unit."""
     unit: str
+    """As printed."""
     source: str
+    """Where it comes from."""
 
     def __str__(self) -> str:
         return f"{self.value:g} {self.unit}".strip()
@@ -78,19 +75,16 @@ CONTROL_STEP = Threshold(1000.0, "µs", "§4.1: the arm is controlled at 1 kHz")
 
 
 class Finding(NamedTuple):
-    """A part of what was measured for a claim.
-
-    Attributes:
-        measured: In words, with its number and the threshold.
-        holds: Whether it agrees with the claim.
-        values: The numbers; keys end in their unit.
-        limits: What they were held against.
-    """
+    """A part of what was measured for a claim."""
 
     measured: str
+    """In words, with its number and the threshold."""
     holds: bool
+    """Whether it agrees with the claim."""
     values: dict[str, float | None]
+    """The numbers; keys end in their unit."""
     limits: tuple[Threshold, ...] = ()
+    """What they were held against."""
 
 
 def held(
@@ -122,21 +116,18 @@ Findings = Iterable[Finding]
 
 
 class Claim(NamedTuple):
-    """One claim of the paper.
-
-    Attributes:
-        section: Where the paper says it.
-        figure: With which figure it is judged.
-        paper: What it says, in our words.
-        needs: The experiments that it is judged by.
-        measure: Judges it.
-    """
+    """One claim of the paper."""
 
     section: str
+    """Where the paper says it."""
     figure: str
+    """With which figure it is judged."""
     paper: str
+    """What it says, in our words."""
     needs: tuple[Experiment, ...]
+    """The experiments that it is judged by."""
     measure: Callable[[Sources], Findings]
+    """Judges it."""
 
     def judge(self, sources: Sources) -> dict[str, Any]:
         """The claim as a row of the report."""

@@ -40,19 +40,16 @@ _CASING = [patheffects.withStroke(linewidth=3.6, foreground="white")]
 
 @dataclass(frozen=True)
 class Drawing:
-    """One figure of the paper, made anew.
-
-    Attributes:
-        figure: The picture.
-        tables: What is plotted; the first without a suffix, the others by theirs.
-        measured: Figures of it; keys end in their unit.
-        remarks: What has to be said about the measured figures, one sentence each.
-    """
+    """One figure of the paper, made anew."""
 
     figure: Figure
+    """The picture."""
     tables: dict[str, Table]
+    """What is plotted; the first without a suffix, the others by theirs."""
     measured: dict[str, Any] = field(default_factory=dict)
+    """Figures of it; keys end in their unit."""
     remarks: Sequence[str] = ()
+    """What has to be said about the measured figures, one sentence each."""
 
     def write(self, folder: Path, name: str, title: str) -> list[Path]:
         """Write PNG and CSVs into a folder; returns their paths, the PNG first."""
@@ -147,27 +144,24 @@ def framed(
 
 @dataclass(frozen=True)
 class Strip:
-    """One row of snapshots, and over them where base and hand have been.
-
-    Attributes:
-        name: In the CSV and among the measured figures.
-        text: What it shows.
-        run: The run.
-        times: [s] of the snapshots.
-        view: [rad] yaw and pitch of the direction from which they are taken.
-        aim: (2, 3) [m] where the hand is led from and to, in the world, or None.
-        solids: What stands beside the robot, for a row of the log.
-        marks: (N, 3) [m] a line on the floor, such as a door's arc, or None.
-    """
+    """One row of snapshots, and over them where base and hand have been."""
 
     name: str
+    """In the CSV and among the measured figures."""
     text: str
+    """What it shows."""
     run: RunResult
+    """The run."""
     times: Sequence[float]
+    """[s] of the snapshots."""
     view: tuple[float, float]
+    """[rad] yaw and pitch of the direction from which they are taken."""
     aim: Array | None = None
+    """(2, 3) [m] where the hand is led from and to, in the world, or None."""
     solids: Callable[[int], Sequence[Solid]] = lambda _: ()
+    """What stands beside the robot, for a row of the log."""
     marks: Array | None = None
+    """(N, 3) [m] a line on the floor, such as a door's arc, or None."""
 
     def paths(self, *columns: str, every: int = 10) -> Table:
         """Where base and hand were, and further columns, each `every` rows of the log."""

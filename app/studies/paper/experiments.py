@@ -99,19 +99,16 @@ Runs = dict[Experiment, RunResult]
 
 @dataclass(frozen=True, eq=False)
 class Sources:
-    """What figures and claims are made from.
-
-    Attributes:
-        model: The robot.
-        data: Its pairs and clouds.
-        config: Parameters of the runs, unless an experiment says otherwise.
-        runs: The runs that were asked for.
-    """
+    """What figures and claims are made from."""
 
     model: RobotModel
+    """The robot."""
     data: BorderData
+    """Its pairs and clouds."""
     config: Config
+    """Parameters of the runs, unless an experiment says otherwise."""
     runs: Runs
+    """The runs that were asked for."""
 
     @property
     def pair(self) -> Pair:

@@ -11,7 +11,7 @@ from typing import Any
 from app.errors import UnknownNameError
 from app.studies.page import Cell, Grid, Part, measured_grids, page_html
 from app.studies.paper import acting, approach, density, offline
-from app.studies.paper.claims import claims_of
+from app.studies.paper.claims import Threshold, claims_of
 from app.studies.paper.drawing import Drawing
 from app.studies.paper.experiments import (
     ROBOT,
@@ -143,19 +143,11 @@ def figure_part(figure: Picture, drawing: Drawing, files: Sequence[Path]) -> Par
 
 
 def _claims_part(claims: Sequence[Mapping[str, Any]]) -> Part:
-    rows = [
-        (
-            f"§{claim['section']}",
-            claim["paper"],
-            Cell(claim["measured"], [_limit(limit) for limit in claim["limits"]]),
-            Cell("✓ holds", mark="yes") if claim["holds"] else Cell("✗ does not", mark="no"),
-        )
-        for claim in claims
-    ]
+    rows = []
+    for claim in claims:
+        limits = [Threshold(**limit) for limit in claim["limits"]]
+        holds = Cell("✓ holds", mark="yes") if claim["holds"] else Cell("✗ does not", mark="no")
+        measured = Cell(claim["measured"], [f"{limit}: {limit.source}" for limit in limits])
+        rows.append((f"§{claim['section']}", claim["paper"], measured, holds))
     head = ("", "The paper says", "Measured here", "Holds")
     return Part("What the paper claims", "claims", tables=[Grid(head, rows)])
-
-
-def _limit(limit: Mapping[str, Any]) -> str:
-    """Where the number comes from against which the measured one was held."""
-    return f"{limit['value']:g} {limit['unit']}".strip() + f": {limit['source']}"

@@ -58,37 +58,32 @@ _APART = 0.1, 0.9  # [-] of the time after the pull, for which the person does n
 
 
 class StudySources(NamedTuple):
-    """What all cases of a study share.
-
-    Attributes:
-        model: The robot.
-        data: Its pairs and clouds.
-        lower, upper: (3,) [m] corners of the mobile robot's box, in its own frame, from the floor.
-        shoulder: (3,) [m] the arm's second joint in the base's frame.
-        near, far: [m] radii of a shell around it, outside of which no start need be searched.
-    """
+    """What all cases of a study share."""
 
     model: RobotModel
     data: BorderData
+    """Its pairs and clouds."""
     lower: Array
+    """(3,) [m] corner of the mobile robot's box, in its own frame, on the floor."""
     upper: Array
+    """(3,) [m] the opposite corner."""
     shoulder: Array
+    """(3,) [m] the arm's second joint in the base's frame."""
     near: float
+    """[m] radius of a shell around it, nearer than which no start need be searched."""
     far: float
+    """[m] the same, farther away."""
 
 
 class Start(NamedTuple):
-    """Where a case starts, and where the base is from there.
-
-    Attributes:
-        sector: One of `SECTORS`.
-        p: (3,) [m] the hand, in the base's frame.
-        aim: (3,) [m] a point in the base.
-    """
+    """Where a case starts, and where the base is from there."""
 
     sector: str
+    """One of `SECTORS`."""
     p: Array
+    """(3,) [m] the hand, in the base's frame."""
     aim: Array
+    """(3,) [m] a point in the base."""
 
     @property
     def outwards(self) -> Array:

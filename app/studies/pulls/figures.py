@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PathCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
@@ -35,13 +34,30 @@ def draw_envelope(rows: Sequence[Row], envelope: Envelope) -> Figure:
     low, high = envelope.speed
     axes.fill_between((low, high), envelope.force, color=_SHADE, zorder=0)
     axes.hlines(envelope.force, low, high, color=INK, linewidth=2, zorder=3)
-    points = _scatter(axes, known, "speed_mps", FORCE)
+    good = [row for row in known if not failed(row)]
+    points = axes.scatter(
+        [row["speed_mps"] for row in good],
+        [row[FORCE] for row in good],
+        c=[row["min_clearance_m"] for row in good],
+        cmap="viridis",
+        norm=Normalize(*_CLEARANCES),
+        s=16,
+        linewidths=0.4,
+        edgecolors="white",
+        zorder=4,
+    )
+    figure.colorbar(
+        points, ax=axes, extend="max", pad=0.01, label="least distance, arm to base [m]"
+    )
+    for name, (rule, style) in _MARKS.items():
+        bad = [row for row in known if failed(row) and rule(row)]
+        places = [row["speed_mps"] for row in bad], [row[FORCE] for row in bad]
+        axes.scatter(*places, zorder=5, label=name, **style)
+    figure.legend(loc="outside upper center", ncols=len(_MARKS))
     axes.set_xlabel("speed of the person's hand [m/s]")
     axes.set_xlim(low - 0.02, high + 0.02)
     axes.set_ylabel("force exerted until near [N]")
     axes.set_ylim(0.0, _BEYOND * max([row[FORCE] for row in known] + [envelope.force, 1.0]))
-    _clearance_scale(figure, points, [axes])
-    _legend(figure)
     return figure
 
 
@@ -94,28 +110,6 @@ def draw_errors(rows: Sequence[Row], _: Envelope) -> Figure:
     return figure
 
 
-def _scatter(axes: Axes, rows: Sequence[Row], x: str, y: str) -> PathCollection | None:
-    """Good cases coloured by their least distance, failed ones as crosses by what failed."""
-    good = [row for row in rows if not failed(row)]
-    points = None
-    if good:
-        points = axes.scatter(
-            [row[x] for row in good],
-            [row[y] for row in good],
-            c=[row["min_clearance_m"] for row in good],
-            cmap="viridis",
-            norm=Normalize(*_CLEARANCES),
-            s=16,
-            linewidths=0.4,
-            edgecolors="white",
-            zorder=4,
-        )
-    for rule, style in _MARKS.values():
-        bad = [row for row in rows if failed(row) and rule(row)]
-        axes.scatter([r[x] for r in bad], [r[y] for r in bad], zorder=5, **style)
-    return points
-
-
 _MARKS: dict[str, tuple[Callable[[Row], bool], dict]] = {
     "arm met base": (met_base, {"marker": "x", "s": 44, "c": TARGET}),
     "within the arm": (
@@ -127,19 +121,6 @@ _MARKS: dict[str, tuple[Callable[[Row], bool], dict]] = {
         {"marker": "^", "s": 34, "c": "#D55E00"},
     ),
 }
-
-
-def _legend(figure: Figure) -> None:
-    """What the marks of failed cases mean, above the panels."""
-    empty = figure.axes[0]
-    handles = [empty.scatter([], [], **style) for _, style in _MARKS.values()]
-    figure.legend(handles, list(_MARKS), loc="outside upper center", ncols=len(_MARKS))
-
-
-def _clearance_scale(figure: Figure, points: PathCollection | None, axes: Sequence[Axes]) -> None:
-    if points is not None:
-        bar = figure.colorbar(points, ax=list(axes), extend="max", pad=0.01)
-        bar.set_label("least distance, arm to base [m]")
 
 
 def _strips(axes: Axes, rows: Sequence[Row], column: str) -> None:

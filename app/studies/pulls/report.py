@@ -225,7 +225,6 @@ def _stated(stated: Mapping[str, Any]) -> str:
 
 
 def _envelope(fitted: Envelope) -> Part:
-    """The fitted envelope beside the stated one."""
     both = [fitted.model_dump(), Envelope.stated().model_dump()]
     body = [[name.replace("_", " "), *(_interval(each[name]) for each in both)] for name in both[0]]
     grid = Grid(["inside up to [SI units]", "these cases", "the project states"], body, True)
@@ -242,7 +241,6 @@ def _forces(summary: Mapping[str, Any]) -> Part:
 
 
 def _counted(title: str, what: str, found: Mapping[str, Mapping[str, Any]]) -> Part:
-    """A table of counts, a line for each kind of case."""
     head = [what, *map(label, next(iter(found.values())))]
     body = [[name, *map(_number, counts.values())] for name, counts in found.items()]
     return Part(title, tables=[Grid(head, body, numbers=True)])

@@ -23,7 +23,7 @@ from app.studies.pulls.case import failed, planned_of, play_case
 from app.studies.pulls.draw import StudySources, draw_case, load_sources
 from app.studies.pulls.envelope import Envelope, as_toml
 from app.studies.pulls.parameters import StudyParameters, code_digest
-from app.studies.runs import Row, write_json, write_table
+from app.studies.runs import Row, write_json, write_rows
 from app.system import claim, write_whole
 
 if TYPE_CHECKING:
@@ -104,7 +104,6 @@ def _do(
 
 
 def _row(parameters: StudyParameters, sources: StudySources, number: int) -> Row:
-    """Draw a case and play it."""
     drawn = draw_case(parameters, number, sources)
     return play_case(drawn, parameters, sources.model, sources.data)
 
@@ -118,9 +117,7 @@ def _write(rows: list[Row], parameters: StudyParameters, out: Path) -> dict[str,
     summary, envelope = summary_of(rows, parameters)
     with styled():
         pictures = {name: png_of(each.draw(rows, envelope)) for name, each in PICTURES.items()}
-    names = dict.fromkeys(name for row in rows for name in row)
-    table = {name: [row.get(name) for row in rows] for name in names}
-    write_table(out / "results.parquet", table)
+    write_rows(out / "results.parquet", rows)
     _write_failures(rows, parameters, out / "failures")
     for name, png in pictures.items():
         write_whole(out / f"{name}.png", png)
@@ -263,11 +260,9 @@ class Cluster:
     """
 
     def __init__(self, scheduler: str, make_context: Callable[[], Any]) -> None:
-        """Connect.
+        """Connect to a scheduler's address, as in `tls://10.0.0.7:8786`.
 
-        Args:
-            scheduler: Address, as in `tls://10.0.0.7:8786`.
-            make_context: Gives what the jobs share; called for each, so it has to keep it.
+        `make_context` gives what the jobs share; it is called for each, so it has to keep it.
 
         Raises:
             StudyError: Nobody answers there, it has no workers, or they have another code.

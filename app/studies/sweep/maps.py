@@ -38,23 +38,20 @@ _DASHED, _DOTTED = (0, (4, 2)), (0, (1, 2))
 
 
 class Quantity(NamedTuple):
-    """One row of the maps.
-
-    Attributes:
-        key: Of a path's figures.
-        title: For people, with its unit.
-        scale: Of values [m or s] within its ends.
-        limit: [m or s] between good and bad, or None.
-        marks: Values with their texts, where circles are drawn.
-        more_is_better: Which side of the limit is good.
-    """
+    """One row of the maps."""
 
     key: str
+    """Of a path's figures."""
     title: str
+    """For people, with its unit."""
     scale: Normalize
+    """Of values [m or s] within its ends."""
     limit: float | None
+    """[m or s] between good and bad, or None."""
     marks: tuple[tuple[float, str], ...]
+    """Values with their texts, where circles are drawn."""
     more_is_better: bool = False
+    """Which side of the limit is good."""
 
     def share(self, value: float) -> float:
         """[-] where a value stands on the scale, within 0 and 1."""
@@ -225,7 +222,6 @@ def _panels(
 
 
 def _legend(figure: Figure, *, axis: bool) -> None:
-    """What the colours mean, below all panels."""
     handles: list[Patch | Line2D] = [
         Patch(facecolor=_WITHIN, label="within the limit"),
         Patch(facecolor=_BEYOND, label="beyond the limit"),

@@ -52,21 +52,18 @@ OPTIONS = {"controllers": "controller", "heights": "height", "speeds": "speed"}
 
 @dataclass(frozen=True)
 class Approach:
-    """One straight path of the hand towards the base, which stands at the origin facing +x.
-
-    Attributes:
-        kind: Along a ray to the base's centre at one height, parallel to the wheel axis, or down.
-        height: [m] of the hand's origin; for paths from above nothing.
-        direction_deg: [deg] where the hand comes from, counter-clockwise from the front.
-        offset: [m] x of the closest point p_b at the begin, on the paths along the wheel axis.
-        place: [m] x and y of the hand's origin, on the paths from above.
-    """
+    """One straight path of the hand towards the base, which stands at the origin facing +x."""
 
     kind: Kind
+    """Along a ray to the base's centre at one height, parallel to the wheel axis, or down."""
     height: float = 0.0
+    """[m] of the hand's origin; for paths from above nothing."""
     direction_deg: float = 0.0
+    """[deg] where the hand comes from, counter-clockwise from the front."""
     offset: float = 0.0
+    """[m] x of the closest point p_b at the begin, on the paths along the wheel axis."""
     place: tuple[float, float] = (0.0, 0.0)
+    """[m] x and y of the hand's origin, on the paths from above."""
 
     @property
     def inwards(self) -> Array:
@@ -240,14 +237,11 @@ class SweepPlan:
 
 
 class Trial(NamedTuple):
-    """One run: a start, and with what it is done.
-
-    Attributes:
-        start: Where the path begins.
-        controller: Name of the controller.
-        speed: [m/s] mean speed of the hand on its way.
-    """
+    """One run: a start, and with what it is done."""
 
     start: Start
+    """Where the path begins."""
     controller: str
+    """Name of the controller."""
     speed: float
+    """[m/s] mean speed of the hand on its way."""

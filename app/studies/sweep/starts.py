@@ -40,23 +40,20 @@ _NEARLY = 1e-4  # [m]
 
 
 class Start(NamedTuple):
-    """Where a path begins, or why it cannot.
-
-    Attributes:
-        approach: The path.
-        q_m: (n_m,) the arm's joints [rad or m], empty where there is no clear start.
-        p_ee: (3,) [m] the hand's origin.
-        p_b: (3,) [m] closest point to the base on the arm.
-        clearance: [m] its distance to the base.
-        reason: Why there is no clear start, or an empty string.
-    """
+    """Where a path begins, or why it cannot."""
 
     approach: Approach
+    """The path."""
     q_m: tuple[float, ...] = ()
+    """(n_m,) the arm's joints [rad or m], empty where there is no clear start."""
     p_ee: Point = (0.0, 0.0, 0.0)
+    """(3,) [m] the hand's origin."""
     p_b: Point = (0.0, 0.0, 0.0)
+    """(3,) [m] closest point to the base on the arm."""
     clearance: float = 0.0
+    """[m] its distance to the base."""
     reason: str = ""
+    """Why there is no clear start, or an empty string."""
 
 
 class StartFinder:

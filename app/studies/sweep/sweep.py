@@ -5,8 +5,6 @@ Its files are `sweep.json`, `sweep.csv`, and a map for each height and speed.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache, partial
@@ -24,7 +22,7 @@ from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.run import run_planned
-from app.studies.runs import Row, rounded, thinned, write_json
+from app.studies.runs import Row, rounded, thinned, write_json, write_rows
 from app.studies.sweep.plan import (
     CLEARANCE_LIMIT,
     ERROR_LIMIT,
@@ -94,7 +92,10 @@ def sweep(
     """
     begin = perf_counter()
     make_context = partial(load, plan.robot, plan.config.border.d_b)
-    groups = _groups(plan.approaches(make_context().model))
+    # Paths along the wheel axis begin with the same search for a posture.
+    same = attrgetter("kind", "height", "direction_deg", "place")
+    approaches = plan.approaches(make_context().model)
+    groups = [tuple(group) for _, group in groupby(approaches, same)]
     starts: list[Start] = []
     rows: dict[Kind, list[Row]] = {kind: [] for kind in KINDS}
     with Workers(make_context, processes) as workers:
@@ -132,18 +133,11 @@ def sweep(
     }
 
 
-def _groups(approaches: list[Approach]) -> list[tuple[Approach, ...]]:
-    """Paths that begin with the same search for a posture: those along the wheel axis."""
-    same = attrgetter("kind", "height", "direction_deg", "place")
-    return [tuple(group) for _, group in groupby(approaches, same)]
-
-
 def _find_starts(plan: SweepPlan, finder: StartFinder, group: tuple[Approach, ...]) -> list[Start]:
     return [finder.find(each, plan.distance, seed=plan.seed) for each in group]
 
 
 def _row(plan: SweepPlan, finder: StartFinder, trial: Trial) -> Row:
-    """Figures of one path; keys end in their unit."""
     planned, start = plan.planned(trial), trial.start
     run, scenario = thinned(run_planned(planned, finder.model, finder.data)), planned.scenario
     off = np.linalg.norm(run.trace.of("p_ee") - scenario.position(scenario.duration)[0], axis=1)
@@ -234,7 +228,7 @@ def write_sweep(result: Row, out: Path) -> list[str]:
                 names.append(f"sweep_above_v{speed:g}.png")
                 write_whole(out / names[-1], png_of(above_map(result, speed, model)))
     rows = [{"kind": kind, **row} for kind, key in LISTS.items() for row in result[key]]
-    write_whole(out / "sweep.csv", _csv(rows + result["unreachable"]))
+    write_rows(out / "sweep.csv", rows + result["unreachable"], _FIRST)
     write_json(out / "sweep.json", {**result, "files": names})
     return names
 
@@ -265,12 +259,3 @@ def read_map(path: Path) -> Array:
         raise
     except Exception as error:  # a damaged picture raises anything
         raise StudyError(f"{path.name} cannot be read: {error}") from None
-
-
-def _csv(rows: list[Row]) -> str:
-    """One row a path, those that could not begin included."""
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, dict.fromkeys([*_FIRST, *(name for row in rows for name in row)]))
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
