@@ -29,8 +29,8 @@ HARMLESS = "Unable to preventDefault inside passive event listener invocation."
 """What Chromium says when viser's own page begins to drag something; nothing is wrong then."""
 
 _AT_REST = 0.8  # [s] without a change
-_NO_TOUR = f"if (location.protocol === 'http:') localStorage.setItem('viser-user:{SEEN}', 'yes');"
-"""The page of who has been here before; viser's own prefix."""
+_NO_TOUR = f"if (location.protocol === 'http:') localStorage.setItem('{SEEN}', 'yes');"
+"""The page of who has been here before."""
 
 
 @contextmanager

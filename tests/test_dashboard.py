@@ -7,6 +7,7 @@ import gc
 import itertools
 import re
 import socket
+import threading
 import time
 import urllib.request
 import weakref
@@ -249,6 +250,18 @@ def test_an_error_of_the_drawing_ends_it_visibly(dashboard, loop):
         wait_for(lambda: banner.visible and dashboard.error is not None)
         assert DEFECT in banner.content
         assert isinstance(dashboard.error, ZeroDivisionError)
+
+
+def test_who_cancels_work_that_does_not_end_at_once_sees_that_it_was_heard(dashboard):
+    held, job = threading.Event(), dashboard.shared.sweep_job
+    with RawClient(dashboard.address):
+        told = page_of(dashboard).sweep_panel.status.text
+        job.start("map", "begins", held.wait)
+        wait_for(lambda: "<b>map</b>: begins" in told.content)
+        job.cancel()
+        wait_for(lambda: "<b>map</b>: is being cancelled" in told.content)
+        held.set()
+        wait_for(lambda: not told.visible)
 
 
 @pytest.mark.slow

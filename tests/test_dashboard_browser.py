@@ -288,4 +288,8 @@ def test_the_tour_opens_at_the_first_visit_only_and_waits_until_a_step_is_done(b
     tab.wait_for_scene()
     tab.page.wait_for_timeout(1500)
     assert not tab.page.get_by_text(f"1 of {len(STEPS)}").is_visible()
+    tab.page.keyboard.press("h")
+    wait_for_step(1)
+    tab.page.keyboard.press("Escape")
+    tab.page.get_by_text(f"1 of {len(STEPS)}").wait_for(state="hidden")
     assert tab.errors == []

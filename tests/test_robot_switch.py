@@ -224,7 +224,7 @@ def test_parameters_that_do_not_suit_the_robot_fall_back_and_the_viewers_are_tol
     loops = Loops()
     told: list[str] = []
     with served_dashboard(start_loop=loops) as (server, _), viewer(server):
-        server._notifier.inform = told.append  # type: ignore[method-assign]
+        server._notifier.tell = lambda *said: told.append(said[-1])  # type: ignore[method-assign]
         server.shared.tuning.set("border.d_b", 0.3)
         loops.refuses = server.shared.tuning.config
         choose(server, OTHER)
@@ -263,7 +263,7 @@ def test_if_it_fails_the_old_robot_goes_on_and_the_page_says_why(
             "crashed": markup.DEFECT,  # the log has the exception, a page never
             "cancelled": "cancelled",
         }[why]
-        wait_for(lambda: expected in panel.status.text.content, what="the reason")
+        wait_for(lambda: expected in panel.about.content, what="the reason")
         t = first.latest().t
         wait_for(lambda: first.latest().t > t, what="time to go on")
         loops.refuses = None

@@ -106,7 +106,7 @@ def test_the_button_starts_a_sweep_with_what_is_chosen_and_stopping_the_server_e
         lambda job, plan, folder: (plans.append(plan), start_sweep(job, plan, folder)),
     )
     panel.begin()
-    wait_for(lambda: "under way" in panel.status.text.content, 20.0)
+    wait_for(lambda: "<b>sweep</b>" in panel.status.text.content, 20.0)
     (plan,) = plans
     assert (plan.controllers, plan.step, plan.config.force.f_max) == (("dbb",), STEP, 200.0)
     process = sweeping(dashboard.shared.sweep_job)

@@ -308,8 +308,8 @@ window.dbbControls = (box, ranges) => {
       e.stopImmediatePropagation();
     } else if (e.key === "Escape") {
       const open = (kinds) => [...document.querySelectorAll(kinds)].some((each) => each.offsetHeight);
-      if (open(".mantine-Modal-content, .mantine-Notification-root")) ask("escape");
-      else if (!live && !open("[role=listbox]")) ask("now");
+      const over = live || open(".mantine-Modal-content, .mantine-Notification-root");
+      if (!open("[role=listbox]")) ask(over ? "escape" : "now");
     }
   }, { capture: true });
   // A change comes before the box has made a number of what is typed.
@@ -327,6 +327,12 @@ window.dbbControls = (box, ranges) => {
     const line = e.target.closest?.(".u-legend .u-series"), plot = line?.closest(".uplot");
     if (plot) line.title = hints[plot.querySelector(".u-title").textContent]?.[line.innerText.trim()] ?? "";
   });
+
+  // ---- who comes for the first time is led around
+  try {
+    if (!localStorage.getItem("dbb-tour-seen")) ask("tour");
+    localStorage.setItem("dbb-tour-seen", "yes");
+  } catch {} // a browser that keeps nothing
 
   ask("link", window.dbbAsked());
   return {

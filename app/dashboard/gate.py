@@ -93,7 +93,6 @@ _TAKEN = (
     _messages.TransformControlsDragStartMessage,
     _messages.TransformControlsDragEndMessage,
     _messages.GetRenderResponseMessage,
-    _messages.LocalStorageGetItemResponseMessage,
     _messages.FileTransferStartUpload,
     _messages.FileTransferPart,
     _messages.FileTransferPartAck,

@@ -129,12 +129,17 @@ class Job:
         Raises:
             Cancelled: Somebody has.
         """
-        if self._cancelled.is_set():
+        if self.cancelled:
             raise Cancelled("cancelled")
 
     def cancel(self) -> None:
         """End the work under way; nothing of it is left."""
         self._cancelled.set()
+
+    @property
+    def cancelled(self) -> bool:
+        """Whether the work under way was to end; some ends only after a while."""
+        return self._cancelled.is_set()
 
     def close(self) -> None:
         """Cancel, and wait until the work has ended."""

@@ -13,12 +13,12 @@ from app.dashboard.drag import DragHandles, Grip
 from app.dashboard.job import Job
 from app.dashboard.markup import banner, plain
 from app.dashboard.notifications import Notifier
-from app.dashboard.panels import Moment, Panel, Viewer
+from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.panels.challenge import ChallengePanel
 from app.dashboard.panels.explorer import ExplorerPanel
 from app.dashboard.panels.help import Act, Shortcut, Tour, add_help, add_shortcuts
 from app.dashboard.panels.plots import Plots
-from app.dashboard.panels.robot import RobotPanel, switch_html
+from app.dashboard.panels.robot import RobotPanel
 from app.dashboard.panels.run import FREE, ComparePanel, RunPanel
 from app.dashboard.panels.save import SavePanel, SweepPanel
 from app.dashboard.panels.share import Link, SharePanel
@@ -110,6 +110,8 @@ class Page:
             self._build_left()
             self._build_right()
             self._add(TimelinePanel(self.viewer))
+        self.tour = self._add(before.tour if before else Tour(self.viewer))
+        self.tour.lead(self.channel, self._acts(), self._places)
         self.channel.begin()
         self.channel.tell("light", self._light)
         self.channel.tell("hints", self._plots.hints)
@@ -118,8 +120,6 @@ class Page:
         arm = {kinematics.getJointId(name): name for name in shared.model.description.arm.joints}
         self.hand = DragHandles(client.scene, self._scene.robot, self.grip, notifier, arm)
         add_shortcuts(client.gui, self._shortcuts(), notifier)
-        self.tour = self._add(before.tour if before else Tour(self.viewer))
-        self.tour.lead(self.channel, self._acts(), self._places)
         self._camera.begin(self.timeline.shown())
         self.share_panel.resume(before.share_panel.waiting if before else Link())
 
@@ -168,7 +168,7 @@ class Page:
     def _renew_beside(self, moment: Moment) -> None:
         """Renew the rest, which may take a while."""
         _show(self._hung, hung_html(self._shared.loop.silence))
-        _show(self._change, switch_html(self._shared.robot_switch.progress))
+        self._change.show("")
         if self._light != self.view.light:
             self._light = self.view.light
             self.channel.tell("light", self._light)
@@ -237,7 +237,7 @@ class Page:
         gui.main_panel.dock_right()
         gui.main_panel.set_width(PANEL_WIDTH)
         self._banner = gui.add_html("", visible=False)
-        self._change = gui.add_html("", visible=False)  # that another robot is being prepared
+        self._change = JobStatus(viewer, self._shared.robot_switch)
         self._hung = gui.add_html("", visible=False)
         self._strip = gui.add_html("")  # a narrow page shows it over the scene
         tabs = gui.add_tab_group()

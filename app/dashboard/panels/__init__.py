@@ -12,11 +12,12 @@ import viser
 
 from app.dashboard.markup import small
 from app.dashboard.notifications import Notifier
+from app.errors import TargetError
 from app.simulation.loop.commands import Pause, StepOnce
 
 if TYPE_CHECKING:
     from app.dashboard.drag import Grip
-    from app.dashboard.job import Job, Progress
+    from app.dashboard.job import Job
     from app.dashboard.panels.timeline import Timeline
     from app.dashboard.scene.camera import Camera
     from app.dashboard.shared import SharedState
@@ -60,7 +61,10 @@ class Viewer:
         Raises:
             TargetError: There is no door to look at.
         """
-        self.camera.look(preset, self.timeline.shown())
+        shown = self.timeline.shown()
+        if preset == "door" and shown.door is None:
+            raise TargetError("there is no door here; the scenario refrigerator has one")
+        self.camera.use(preset, shown)
 
     def toggle_pause(self) -> None:
         """Stop, or go on."""
@@ -154,14 +158,12 @@ class JobStatus(Panel):
         progress = self._job.progress
         if progress is not None:
             seconds = time.monotonic() - progress.began
-            idle = f"<b>{escape(progress.title)}</b>: {escape(how_far(progress))}, {seconds:.0f} s"
+            share = f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else ""
+            far = "is being cancelled" if self._job.cancelled else f"{progress.text}{share}"
+            idle = f"<b>{escape(progress.title)}</b>: {escape(far)}, {seconds:.0f} s"
             self._bar.value = round(100.0 * max(progress.share, 0.0), 1)
         self.text.content = small(idle) if idle else ""
         self.text.visible = bool(idle)
         self._bar.visible = progress is not None and progress.share >= 0.0
         self._cancel.visible = progress is not None
-
-
-def how_far(progress: Progress) -> str:
-    """What is being done, with its share if anybody knows it."""
-    return progress.text + (f", {100 * progress.share:.0f} %" if progress.share >= 0.0 else "")
+        self._cancel.disabled = self._job.cancelled

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import threading
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from time import monotonic
@@ -85,8 +84,8 @@ STEPS = (
     ),
 )
 """Title and text of each step."""
-SEEN = "dbb-tour-seen"  # key in the browser's own storage
-_PATIENCE = 5.0  # [s] for the browser's answer
+SEEN = "dbb-tour-seen"
+"""Key in the browser's own storage, where the page notes that it has asked for the tour."""
 
 
 class Shortcut(NamedTuple):
@@ -118,18 +117,17 @@ class Tour(Panel):
     """
 
     def __init__(self, viewer: Viewer) -> None:
-        """Ask the browser whether it has been here before."""
+        """Closed."""
         super().__init__(viewer)
-        self._storage = viewer.client.local_storage
         self._card: viser.GuiFolderHandle | None = None
         self._step = self._wanted = -1  # that is shown, and that is to be
         self._next_at = math.inf
-        threading.Thread(target=self._ask, name="tour", daemon=True).start()
 
     def lead(self, channel: Channel, acts: Sequence[Act], places: Mapping[str, Any]) -> None:
         """Go on, on a new page, whose acts are those of `STEPS` and whose tabs have these names."""
         self._channel, self._acts, self._places = channel, tuple(acts), places
         self._card, self._step = None, -1
+        channel.on("tour", self.begin)
 
     def begin(self) -> None:
         """Show the first step."""
@@ -151,15 +149,6 @@ class Tour(Panel):
 
     def _go_on(self) -> None:
         self._wanted = self._step + 1 if self._step + 1 < len(STEPS) else -1
-
-    def _ask(self) -> None:
-        try:
-            seen = self._storage.get_item(SEEN, timeout=_PATIENCE)
-        except (RuntimeError, TimeoutError):  # gone already, or without storage
-            return
-        if seen is None:
-            self._storage.set_item(SEEN, "yes")
-            self.begin()
 
     def _show(self, step: int) -> None:
         self._step, self._next_at = step, math.inf

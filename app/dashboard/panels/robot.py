@@ -8,9 +8,8 @@ from typing import Any
 
 import viser
 
-from app.dashboard.job import Progress
-from app.dashboard.markup import banner, problem, small
-from app.dashboard.panels import JobStatus, Moment, Panel, Viewer, how_far
+from app.dashboard.markup import problem, small
+from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.panels.edit import EditPanel
 from app.dashboard.robots import Package, RobotBuild, RobotEntry
 from app.dashboard.viser_compat import taken_upload
@@ -44,6 +43,7 @@ _QUESTIONS = {
     ),
 }
 """Label and hint by the field of `Request`; `wheels` is asked for as two."""
+_GOES_ON = "It is made ready while the one that is shown goes on"
 _WHEELS = "“Left wheel” and “Right wheel”"
 _CHOICES = {"kind": tuple(KINDS), "left": (FIND,), "right": (FIND,)}
 """Of the questions that have them before there is a zip."""
@@ -55,7 +55,11 @@ _REPORT = (
 
 
 class RobotPanel(Panel):
-    """A list of the robots; what one viewer chooses, all see."""
+    """A list of the robots; what one viewer chooses, all see.
+
+    Attributes:
+        about: What is said of the one that is chosen, and why the last choice came to nothing.
+    """
 
     def __init__(self, viewer: Viewer) -> None:
         """Build the tab."""
@@ -68,28 +72,27 @@ class RobotPanel(Panel):
             ("",),
             hint="Those in robot_assets and in your own folder; what one viewer chooses, all see.",
         )
-        self._about = gui.add_html("")
-        self._use = self.button("Use this robot", self._begin, viser.Icon.ROBOT)
+        self.about = gui.add_html("")
+        self._use = self.button("Use this robot", self._begin, viser.Icon.ROBOT, hint=_GOES_ON)
         self._report = self.button("Report", self._show_report, viser.Icon.REPORT, color="gray")
-        self.status = JobStatus(viewer, self._switch)
         self._renew_list()
         self._choose(shared.model.description.name)
         self.edit = EditPanel(viewer)
         self.own = NewRobotPanel(viewer)
 
     def update(self, moment: Moment) -> None:
-        """Renew list, texts and progress."""
+        """Renew list and texts."""
         if self._switch.entries is not self._entries:
             self._renew_list()
         chosen, progress = self._chosen(), self._switch.progress
         here = chosen is not None and chosen.name == self._shared.model.description.name
         ended = self._shared.loop.error is not None  # then the same robot can be had again
         usable = chosen is not None and chosen.problem is None and (ended or not here)
-        self._about.content = about_html(chosen, here=here) if chosen else ""
+        reason = self._switch.problem
+        failed = small(f"{problem(reason)}. Nothing has changed.") if reason else ""
+        self.about.content = (about_html(chosen, here=here) if chosen else "") + failed
         self._use.disabled = progress is not None or not usable
         self._report.visible = chosen is not None and chosen.report
-        reason = self._switch.problem
-        self.status.show(f"{problem(reason)}. Nothing has changed." if reason else "")
         self.edit.update(moment)
         self.own.update(moment)
 
@@ -246,17 +249,6 @@ class NewRobotPanel(Panel):
         ):
             self.fields[name].options = options
             self.fields[name].value = guess
-
-
-def switch_html(progress: Progress | None) -> str:
-    """What stands above all tabs while another robot is being made ready; empty if none is."""
-    if progress is None:
-        return ""
-    return banner(
-        "notice",
-        f"{progress.title} is being made ready",
-        f"{how_far(progress)}. The robot that is shown goes on until then.",
-    )
 
 
 def about_html(entry: RobotEntry, *, here: bool) -> str:

@@ -30,9 +30,10 @@ from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
 from app.dashboard.view import Viewpoint
-from app.errors import BrowserError, LogError, OutputError, StudyError
+from app.errors import BrowserError, OutputError, StudyError
 from app.jobs.process import Cancelled
 from app.simulation.trace.trace import Trace
+from app.strict import check_range
 from app.studies.sweep.plan import SweepPlan
 from app.studies.sweep.sweep import newest_map, read_map
 
@@ -146,7 +147,9 @@ class SavePanel(FilePanel):
 
     def _size(self) -> tuple[int, int]:
         """[px] the wanted width and height."""
-        width, height = (checked_size(name, box.value) for name, box in self._sizes.items())
+        for name, box in self._sizes.items():
+            check_range(name, box.value, *SIZES[name][:2], "px")
+        width, height = (int(box.value) for box in self._sizes.values())
         return width, height
 
     def _scene(self) -> bytes:
@@ -266,18 +269,6 @@ def start_sweep(job: Job, plan: SweepPlan, folder: Path) -> None:
     except OSError as error:
         raise OutputError(f"cannot write to {folder}: {error.strerror}") from None
     job.start("sweep", "begins", lambda: job.run(sweep_to_files, plan, folder))
-
-
-def checked_size(name: str, value: float) -> int:
-    """[px] a size of a picture, by its key of `SIZES`.
-
-    Raises:
-        LogError: It is out of range.
-    """
-    least, most, _ = SIZES[name]
-    if not least <= value <= most:
-        raise LogError(f"the picture's {name} must be {least} to {most} px, was {value!r}")
-    return int(value)
 
 
 def png(picture: Image.Image) -> bytes:

@@ -13,7 +13,6 @@ import viser
 from app.dashboard.drag import SCALE
 from app.dashboard.scene.canvas import Lens
 from app.dashboard.viser_compat import image_size
-from app.errors import TargetError
 from app.simulation.trace.snapshot import GhostReading, Snapshot
 
 Array = np.ndarray
@@ -160,16 +159,6 @@ class Camera:
     def fit(self, extent: Array) -> None:
         """From now on show a robot of this extent (N, 3) [m], in the base's frame."""
         self._extent = extent
-
-    def look(self, name: str, snapshot: Snapshot) -> None:
-        """The same as `use`, for who asks for it.
-
-        Raises:
-            TargetError: There is no door to look at.
-        """
-        if name == "door" and snapshot.door is None:
-            raise TargetError("there is no door here; the scenario refrigerator has one")
-        self.use(name, snapshot)
 
     def begin(self, snapshot: Snapshot) -> None:
         """Look from where one looks at first."""

@@ -217,13 +217,10 @@ class Scene:
     def draw(self, snapshot: Snapshot, *, texts: bool, lens: Lens | None = None) -> None:
         """Draw a snapshot, as it is seen through a lens; labels and trails only if `texts`."""
         view = self._view
-        if self._light != view.light:
-            self._light = view.light
-            for robot in (self.robot, *self._ghosts):
+        if (self._dark, self._light) != (view.dark, view.light):
+            for robot in (self.robot, *self._ghosts) if self._light != view.light else ():
                 robot.dress(light=view.light)
-            self._light_up()
-        if self._dark != view.dark:
-            self._dark = view.dark
+            self._dark, self._light = view.dark, view.light
             self._light_up()
         self.robot.show(meshes=view.meshes, bodies=view.bodies)
         self.robot.update(snapshot.base_pose, snapshot.q_m, snapshot.wheel_angles)
