@@ -48,7 +48,11 @@ def browse(address: str, seconds: float, *, drag: bool) -> dict[str, Any]:
 
 def _sweep(tab: DashboardTab, end: float) -> int:
     """Take the hand, sweep it `SWEEPS` times, let go and press Restart; how often it was swept."""
-    arrow, hand = tab.arrow(GIZMO, AXIS, SCALE), tab.position(GIZMO)
+    try:
+        arrow, hand = tab.arrow(GIZMO, AXIS, SCALE), tab.position(GIZMO)
+    except LookupError:  # on a busy machine the robot is not yet back in the picture
+        _restart(tab)
+        return 0
     tab.page.mouse.move(*tab.pixels(GIZMO, arrow[None])[0])
     tab.render(1)  # the gizmo has to see the pointer above it first
     tab.page.mouse.down()
@@ -61,9 +65,13 @@ def _sweep(tab: DashboardTab, end: float) -> int:
         tab.page.mouse.move(*tab.pixel("", tuple((target + arrow).tolist())))
         tab.page.wait_for_timeout(1000.0 * MOVE)
     tab.page.mouse.up()
+    _restart(tab)
+    return int(sweeps)
+
+
+def _restart(tab: DashboardTab) -> None:
     tab.page.get_by_role("button", name="Restart").click()
     tab.page.wait_for_timeout(300)  # [ms] the gizmo has to be back at the hand
-    return int(sweeps)
 
 
 def listen(address: str, seconds: float) -> dict[str, Any]:

@@ -94,7 +94,7 @@ def test_a_step_forward_from_now_is_simulated_and_a_step_back_is_remembered(tab,
     for paused in (False, True):
         tab.click("Stop / go")
         wait_for(lambda p=paused: loop.commands[-1:] == [Pause(p)])
-        wait_for(lambda p=paused: page.timeline_panel._newest.paused is p)
+        wait_for(lambda p=paused: loop.latest().paused is p)
     before = loop.latest().t
     tab.click("+20 ms")
     wait_for(lambda: loop.commands[-1] == StepOnce(DT))

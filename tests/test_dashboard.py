@@ -38,6 +38,7 @@ from app.dashboard.scene.canvas import (
     CHARACTER,
     LINE,
     METRES_PER_NEWTON,
+    ROOT,
     Canvas,
     set_apart,
 )
@@ -581,7 +582,7 @@ def test_a_hidden_border_has_no_legend(scene, borders):
     view.borders["lm-lEE"] = "hidden"
     assert cloud.update(view, BorderConfig())
     assert cloud.legends == []
-    assert cloud._nodes == {}
+    assert f"{ROOT}/border_lm-lEE" not in scene._handle_from_node_name
 
 
 @pytest.mark.parametrize("z", [0.1, 0.3, 0.45])

@@ -182,13 +182,16 @@ def test_scenario_speed_and_controller_are_chosen_by_name_and_told_to_the_loop(t
 
 def test_keys_do_what_the_help_says(tab, served):
     tab.page.mouse.click(640, 60)  # the scene, so that no widget takes the key
-    wait_for(lambda: served.page()._run._paused == served.loop.latest().paused)
-    for key, command in (("Space", Pause(True)), ("Space", Pause(False)), ("r", Restart())):
+    for key, command, paused in (
+        ("Space", Pause(True), True),
+        ("Space", Pause(False), False),
+        ("r", Restart(), False),
+    ):
         count = len(served.loop.commands)
         tab.page.keyboard.press(key)
         wait_for(lambda count=count: len(served.loop.commands) > count, what=key)
         assert served.loop.commands[-1] == command
-        wait_for(lambda: served.page()._run._paused == served.loop.latest().paused)
+        wait_for(lambda paused=paused: served.loop.latest().paused is paused)
     light = tab.picture()
     tab.page.keyboard.press("l")
     tab.wait_for_change(light, 50_000)
@@ -196,6 +199,34 @@ def test_keys_do_what_the_help_says(tab, served):
     tab.open_tab("Help")
     assert tab.page.get_by_text("pause or go on").filter(visible=True).count() == 1
     tab.open_tab("Run")
+
+
+def test_who_has_only_keys_opens_folders_and_presses_what_he_has_come_to(tab, served):
+    keys = tab.page.keyboard
+
+    def reach(text):
+        for _ in range(80):
+            keys.press("Tab")
+            if tab.page.evaluate("() => document.activeElement.innerText") == text:
+                return
+        pytest.fail(f"{text} is not reached")
+
+    inside = tab.page.get_by_role("button", name="Make a map", exact=True)
+    reach("Sweep")
+    keys.press("Enter")
+    inside.wait_for()
+    keys.press("Space")
+    inside.wait_for(state="hidden")
+    reach("Restart from the free start")
+    keys.press("Space")
+    wait_for(lambda: served.loop.commands, what="a command")
+    reach("Stop / go")
+    for paused in (True, False):  # the key stays where it is
+        keys.press("Space")
+        wait_for(lambda paused=paused: served.loop.commands[-1] == Pause(paused))
+        told = tab.page.locator("#dbb-row").get_by_text("now, paused")
+        told.wait_for(state="visible" if paused else "hidden")
+    assert served.loop.commands == [Restart(), Pause(True), Pause(False)]
 
 
 def test_a_second_robot_is_seen_beside_the_first_and_has_its_column(tab, served):

@@ -11,7 +11,7 @@ import pytest
 
 from app.config import Config
 from app.robot.link_pairs import PairDistances
-from benchmarks.law import paths, release
+from benchmarks.law import paths, release, wander
 from benchmarks.law.__main__ import MEASUREMENTS, main
 from benchmarks.law.continuity import jumps_of
 from benchmarks.law.curves import Curve
@@ -110,6 +110,14 @@ def test_the_path_after_a_release_begins_when_the_hand_is_let_go() -> None:
     row = release.play(case)
     assert row["d_release_m"] < Config().border.d_b
     assert row["path_m"] == pytest.approx(0.0, abs=1e-3)  # one step at 0.5 m/s
+
+
+def test_two_people_who_wander_bring_nothing_together() -> None:
+    """They come into the buffer, and when both have let go the robot stands still."""
+    row = wander.play(wander.Walk(Options(), 0, 50.0))
+    assert 0.0 < row["least_distance_m"] < Config().border.d_b
+    assert row["contact_steps"] + row["arm_contact_steps"] + row["failures"] == 0
+    assert row["base_speed_final_mps"] < 1e-3
 
 
 def test_a_pull_that_never_comes_into_the_buffer_has_no_release() -> None:

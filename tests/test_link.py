@@ -1,13 +1,17 @@
 """Links: what a page shows comes back from its address, and a wrong one changes nothing."""
 
 import json
+import urllib.error
+import urllib.request
+from html import unescape
 from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
 from app.config import Config
-from app.dashboard.panels.share import Link, camera_text, changed_parameters
+from app.dashboard.panels.share import Link, camera_text, changed_parameters, read_link
+from app.dashboard.viser_compat import close_server, open_server
 from app.errors import DbbError
 from app.simulation.case import Planned, RunCase
 from app.simulation.loop.commands import Choose, Configure, Play
@@ -62,12 +66,58 @@ def test_a_camera_comes_back_to_the_centimetre():
         ("scenario=guiding-front&at=99", "0 to 8 s"),
         ("at=3", "name it"),
         ("scenario=guiding-front&at=soon", "no number"),
+        ("scenaro=tracking", "did you mean 'scenario'"),
+        ("utm_source=mail", "unknown parameter 'utm_source'"),
+        ("websocket=ws://evil.example", "unknown parameter 'websocket'"),
+        ("fixedDpr=nan", "no number"),
+        ("fixedDpr=50", "0.1 to 4"),
     ],
 )
 def test_a_wrong_link_is_told_in_one_line(query, named):
     with pytest.raises(DbbError) as told:
         Link.read(query)
     assert named in str(told.value)
+    why, rest = read_link(query)
+    assert why == str(told.value)
+    assert read_link(rest) == ("", rest), "what is left can be opened"
+
+
+@pytest.mark.parametrize(
+    ("query", "left"),
+    [
+        (f"{LINK}&utm_source=a%20b&fbclid=%3Cscript%3E", LINK),
+        (LINK.replace("d_b=0.2", "d_b=9"), LINK.replace("border.d_b=0.2&", "")),
+        ("at=3&look=1,2,3,4,5,6", "look=1,2,3,4,5,6"),
+        ("at=3&scenario=tracking&x", "scenario=tracking&at=3"),
+        ("scenario=nowhere&at=3&controller=none", "controller=none"),
+        ("x", ""),
+    ],
+)
+def test_of_a_wrong_link_all_is_left_that_is_right(query, left):
+    why, rest = read_link(query)
+    assert why
+    assert Link.read(rest) == Link.read(
+        LINK.replace("border.d_b=0.2&", "") if left is None else left
+    )
+
+
+def test_a_wrong_address_is_answered_with_a_page_that_leads_to_the_right_one():
+    server = open_server("127.0.0.1", 0, read_link=read_link)
+    address = f"http://127.0.0.1:{server.get_port()}/?"
+    try:
+        assert urllib.request.urlopen(address + LINK).status == 200
+        with pytest.raises(urllib.error.HTTPError) as refused:
+            urllib.request.urlopen(f"{address}{LINK}&websocket=x&%3Cscript%3E=1")
+    finally:
+        close_server(server)
+    told, page = refused.value, refused.value.read().decode()
+    assert told.status == 400
+    assert told.headers["Content-Type"] == "text/html; charset=utf-8"
+    assert "frame-ancestors 'none'" in told.headers["Content-Security-Policy"]
+    assert "unknown parameter &#x27;websocket&#x27;" in page
+    assert "<script" not in page
+    [(_, rest)] = [each.split('"')[1].split("?") for each in page.split("<a ")[1:]]
+    assert Link.read(unescape(rest)) == Link.read(LINK)
 
 
 @pytest.mark.browser
@@ -100,6 +150,9 @@ def test_a_page_follows_its_link_copies_it_and_refuses_a_wrong_one(browser):
             f"{served.server.address}/?fixedDpr=0.5&scenario=guiding-fornt&border.d_b=0.1"
         )
         tab.page.get_by_text("did you mean 'guiding-front'").wait_for()
+        assert ["400" in error for error in tab.errors] == [True]
+        tab.errors.clear()
+        tab.page.get_by_role("link", name="/?fixedDpr=0.5&border.d_b=0.1", exact=True).wait_for()
         assert [type(c).__name__ for c in served.loop.commands[count:]] == []
         tab.page.goto(f"{served.server.address}/?fixedDpr=0.5")
         tab.wait_for_scene()

@@ -34,7 +34,7 @@ from app.onboarding.check import (
     run_row,
 )
 from app.onboarding.fit import grouping
-from app.onboarding.fit.bodies import FittedBody
+from app.onboarding.fit.bodies import ArmFitter, FittedBody, fit_base
 from app.onboarding.fit.collision_sampling import (
     Meetings,
     Poses,
@@ -43,7 +43,8 @@ from app.onboarding.fit.collision_sampling import (
     sample_meetings,
     units_of_links,
 )
-from app.onboarding.fit.grouping import Grouping, find_grouping
+from app.onboarding.fit.grouping import Grouping, find_grouping, unseen_collisions
+from app.onboarding.fit.stops import with_stops
 from app.onboarding.new_robot import NewRobot, compiled, description, finish, parse
 from app.onboarding.read.source import mesh_address
 from app.onboarding.report import report_html
@@ -442,13 +443,19 @@ def test_from_its_urdf_alone_the_papers_robot_sees_its_collisions(husky: RobotMo
 
 
 def test_an_upper_arm_that_is_near_the_base_as_built_keeps_its_own_body(tmp_path: Path) -> None:
-    """Husky with a UR5: its links 2 and 3 collide with all of the wrist, and none of it unseen."""
+    """Husky with a UR10: its links 2 and 3 collide with all of the wrist, and none of it unseen."""
     if not package_roots("example-robot-data"):
         pytest.skip("pip install '.[robots]'")
-    ur5 = ASSETS / "husky_ur5" / "robot.urdf"
-    request = Request(urdf=str(ur5), base="base_link", tip="tool0", out=tmp_path / "ur5_fit")
+    request = Request(
+        urdf=str(ASSETS / "bases" / "husky.urdf"),
+        base="base_link",
+        arm_urdf="package://example-robot-data/robots/ur_description/urdf/ur10_robot.urdf",
+        tip="tool0",
+        mount_xyz=(0.3, 0.0, 0.256),
+        out=tmp_path / "ur10_fit",
+    )
     parsed = parse(request)
-    path = write(tmp_path, new_robot.rebased_urdf(parsed, name="ur5_fit", header="test"))
+    path = write(tmp_path, new_robot.rebased_urdf(parsed, name="ur10_fit", header="test"))
     bare = compiled(description(request, parsed), path)
     units = make_units(bare, parsed.arm, parsed.geometry)
     meetings = sample_meetings(bare, units, samples=2000, seed=1, d_b=0.15)
@@ -462,6 +469,40 @@ def test_an_upper_arm_that_is_near_the_base_as_built_keeps_its_own_body(tmp_path
     assert {"lm-l3", "lm-lEE", "l2-lEE"} <= {pair.name for pair in pairs.all}
     with pytest.raises(ValidationError, match="there is no pair lm-l9"):
         compiled(description(request, parsed, found.bodies, unwatched={"lm-l9": "test"}), path)
+
+
+def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(tmp_path: Path) -> None:
+    """On a low column it is always near the base, and would lie on it beyond a right angle."""
+    low = robot([*cart(), *arm()]).replace('length="0.2"', 'length="0.06"')
+    low = low.replace("0 0 0.24", "0 0 0.08").replace(
+        'xyz="0 0 0.1"/><geometry', 'xyz="0 0 0.03"/><geometry'
+    )
+    request = Request(urdf=str(write(tmp_path, low)), base="base", tip="hand", out=tmp_path / "low")
+    parsed = parse(request)
+    path = write(tmp_path, new_robot.rebased_urdf(parsed, name="low", header="test"))
+    bare = compiled(description(request, parsed), path)
+    units = make_units(bare, parsed.arm, parsed.geometry)
+    meetings = sample_meetings(bare, units, samples=1500, seed=1, d_b=0.15)
+    base, upper = units[0], units[3]
+    assert (base.index, upper.index) in meetings.apart
+    limits = with_stops(parsed.limits, bare, parsed.arm, meetings)
+    k = ARM_JOINTS.index("lift")
+    narrowed = [j for j in range(6) if limits.lower[j] > -2.5 or limits.upper[j] < 2.5]
+    assert narrowed == [k]
+    assert -2.2 < limits.lower[k] < -1.4
+    assert 1.4 < limits.upper[k] < 2.2
+    assert "lift to where upper comes to base" in limits.source["position_upper"]
+    bodies = [fit_base(units), *ArmFitter(bare, meetings).bodies([[1, 2, 3], [4], [5, 6, 7]])]
+    free, stopped = (
+        compiled(description(request, each, bodies), path)
+        for each in (parsed, replace(parsed, limits=limits))
+    )
+    assert unseen_collisions(free, parsed.geometry, 0.15).share > 0.1
+    assert unseen_collisions(stopped, parsed.geometry, 0.15).share < 0.01
+    ready = [0.0] * 6
+    ready[k] = 2.4
+    with pytest.raises(RobotFileError, match="--ready: upper can meet base"):
+        with_stops(parsed.limits, bare, parsed.arm, meetings, ready)
 
 
 def test_what_l1_cannot_see_of_a_mast_is_seen_by_the_base(husky: RobotModel) -> None:
@@ -479,7 +520,7 @@ def masted(model: RobotModel, meeting: list[tuple[int, int]]) -> Meetings:
     touching = np.where([pair in meeting for pair in pairs], -0.01, 1.0)[None]
     rare = Poses(q_m[:1], touching, np.ones(1, dtype=bool))
     random = Poses(q_m, apart, np.ones(3, dtype=bool))
-    return Meetings((), pairs, frozenset(), random, rare)
+    return Meetings((), pairs, frozenset(), frozenset(), random, rare)
 
 
 def grouped(units: list[list[int]]) -> grouping.Grouping:

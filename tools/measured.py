@@ -219,6 +219,10 @@ def law_table(found: Figures) -> str:
         rows.append([what, "pulls", f"{metres(summary['least_distance_m'])}, {met}"])
         what = "the same: fastest joint, in its velocity limit"
         rows.append([what, "pulls", number(summary["joint_speed_share_max"], digits=2)])
+    if summary := found.get("wander", {}).get("summary"):
+        what = f"{summary['runs']} runs of two people of 50 N who take hand and links anywhere"
+        met = f"{metres(summary['least_distance_m'])}, contact in {summary['with_contact']}"
+        rows.append([f"{what}: least distance of arm and base", "wander", met])
     if summary := found.get("continuity", {}).get("summary"):
         what = "jump of the base's asked acceleration as the step goes to 0"
         jump = number(summary["jump_mps2"], "m/s²", 1)
@@ -478,6 +482,7 @@ SETS: dict[str, ResultSet] = {
         {
             "release": law("release"),
             "pulls": law("pulls"),
+            "wander": law("wander"),
             "continuity": law("continuity", "--count", "100"),
         },
         keep_law,

@@ -58,7 +58,7 @@ window.dbbControls = (box, ranges) => {
   const button = (parent, text, title, act) => {
     const element = make("button", parent, "", text);
     element.title = title;
-    listen(element, "click", () => (act(), element.blur()));
+    listen(element, "click", (e) => (act(), e.detail && element.blur())); // keys stay on it
     return element;
   };
   button(past, "Back to now", "Escape or N", () => ask("now"));

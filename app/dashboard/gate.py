@@ -19,7 +19,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
-from http.cookies import CookieError, SimpleCookie
+from html import escape
 from pathlib import Path
 from typing import Any, Literal, Union, get_type_hints
 from urllib.parse import parse_qsl, urlsplit
@@ -39,10 +39,11 @@ _MOST_PIXELS = 2**24  # [-] of such a picture
 _MOST_WAITING = 2  # [-] messages of a viewer that have come and are not taken yet
 _MOST_PARTS = 10_000  # [-] in which a message may come; each costs memory even if it is empty
 _MOST_VIEWERS = 32  # [-] connections at a time
-_PARAMETERS = ("fixedDpr", "scenario", "controller", "robot", "look", "at")
-"""Names that the page's address may carry, beside those with a dot, as border.d_b, which viser has
-none of: its own one for the density of the picture is harmless, others would tell the page whom to
-obey. The rest the page itself tells `SharePanel`, which checks it."""
+DENSITY = "fixedDpr"
+"""The one name of viser's own that a page's address may carry, of how many pixels are drawn for one
+of the page; others would tell the page whom to obey."""
+ReadLink = Callable[[str], tuple[str, str]]
+"""Of an address's query: why it is wrong, or an empty text, and the query without what is."""
 _LONGEST_PATH = 255  # [characters] of an address, beyond which no file can be looked for
 _MOST_UPLOADS = 2  # [-] unfinished ones of a viewer
 _LONGEST_NAME = 1000  # [characters] of an element, a file or a scene node
@@ -64,6 +65,14 @@ _HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 """Of every answer, with the policy."""
+_ANSWER = """<!doctype html><html lang="en"><meta charset="utf-8"><title>Not possible</title>
+<meta name="viewport" content="width=device-width"><link rel="icon" href="data:,">
+<style>:root {{ color-scheme: light dark; font: 1.1rem/1.5 sans-serif }}
+body {{ max-width: 40em; margin: 15vh auto; padding: 0 1em; overflow-wrap: anywhere }}</style>
+<p>{why}.</p>{more}</html>
+"""
+"""What a person sees of a refused address."""
+_LONGEST_REASON = 400  # [characters] of it
 _SINGLE = ("Host", "Origin", "Upgrade", "Cookie", "Accept-Encoding")
 """Headers that are asked for one value here or by viser."""
 _SCRIPT, _CONTROLS, _STYLE = (
@@ -129,14 +138,16 @@ class Gate:
         on_refused: Is called with the connection and the reason when a message was refused.
     """
 
-    def __init__(self, own_name: str, largest_upload: int) -> None:
+    def __init__(self, own_name: str, largest_upload: int, read_link: ReadLink) -> None:
         """Prepare.
 
         Args:
             own_name: The name that the server is told to listen at.
             largest_upload: [bytes] of one file; 0 if there is nothing to upload.
+            read_link: Checks what follows the question mark of its page's address.
         """
         self._own_name, self._largest_upload = own_name, largest_upload
+        self._read_link = read_link
         self._viewers = 0
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
         self.on_refused: Callable[[Any, RefusedError], None] = lambda connection, refused: None
@@ -182,14 +193,14 @@ class Gate:
             if answer is None:
                 answer = inner(connection, request)
                 answer = await answer if hasattr(answer, "__await__") else answer
-            if answer is not None:
-                host = ", ".join(request.headers.get_all("Host"))
-                if answer.headers.get("Content-Type", "").startswith("text/html"):
+                if answer and answer.headers.get("Content-Type", "").startswith("text/html"):
                     answer.body = with_script(
                         bytes(answer.body), answer.headers["Content-Encoding"]
                     )
                     del answer.headers["Content-Length"]
                     answer.headers["Content-Length"] = str(len(answer.body))
+            if answer is not None:
+                host = ", ".join(request.headers.get_all("Host"))
                 answer.headers.update(_HEADERS)
                 answer.headers["Content-Security-Policy"] = _POLICY.format(host=host)
             return answer
@@ -198,10 +209,8 @@ class Gate:
 
     def _refusal(self, request: Request) -> Response | None:
         """The refusal of a request, or None if it may go on to viser."""
-        headers = request.headers
-        query = parse_qsl(request.path.partition("?")[2], keep_blank_values=True)
-        names = {name for name, _ in query}
-        unknown = {name for name in names if name not in _PARAMETERS and "." not in name}
+        headers, more = request.headers, ""
+        path, _, query = request.path.partition("?")
         twice = [name for name in _SINGLE if len(headers.get_all(name)) > 1]
         if twice:
             status = http.HTTPStatus.BAD_REQUEST
@@ -214,18 +223,17 @@ class Gate:
                 return None
             status = http.HTTPStatus.SERVICE_UNAVAILABLE
             why = f"{self._viewers} pages are open, which is the most that this server serves"
-        elif len(request.path.partition("?")[0]) > _LONGEST_PATH:
+        elif len(path) > _LONGEST_PATH:
             status = http.HTTPStatus.REQUEST_URI_TOO_LONG
             why = "there is no file of so long a name"
-        elif unknown:
-            status = http.HTTPStatus.BAD_REQUEST
-            known = ", ".join(_PARAMETERS)
-            why = f"the address has the unknown parameter {min(unknown)!r}; it may have: {known}, "
-            why += "and parameters, as border.d_b"
         else:
-            return None
-        body = f"{why}\n".encode()
-        kind = "text/plain; charset=utf-8"
+            why, rest = self._read_link(query)
+            if not why:
+                return None
+            status, address = http.HTTPStatus.BAD_REQUEST, escape(f"/?{rest}" if rest else "/")
+            more = f'<p>Without what is wrong: <a href="{address}">{address}</a></p>'
+        body = _ANSWER.format(why=escape(why[:_LONGEST_REASON]), more=more).encode()
+        kind = "text/html; charset=utf-8"
         fields = Headers({"Content-Length": str(len(body)), "Content-Type": kind})
         return Response(status.value, status.phrase, fields, body)
 
@@ -279,6 +287,12 @@ class _Checked:
         return b"".join(parts)
 
 
+def read_no_link(query: str) -> tuple[str, str]:
+    """Of a server whose pages nobody shares: only the density of the picture may be named."""
+    others = [name for name, _ in parse_qsl(query, keep_blank_values=True) if name != DENSITY]
+    return (f"unknown parameter {others[0]!r}", "") if others else ("", query)
+
+
 @lru_cache(maxsize=2)
 def with_script(page: bytes, encoding: str) -> bytes:
     """The page of viser with `_HEAD` before its own; `encoding` is gzip or identity."""
@@ -289,12 +303,7 @@ def with_script(page: bytes, encoding: str) -> bytes:
 
 def draws_in_software(request: Request | None) -> bool:
     """Whether the page that opened a connection has said that it has no GPU to draw with."""
-    try:
-        cookies = SimpleCookie(request.headers.get("Cookie", "") if request else "")
-    except CookieError:
-        return False
-    said = cookies.get("dbb-draws")
-    return said is not None and said.value == "software"
+    return request is not None and "dbb-draws=software" in request.headers.get("Cookie", "")
 
 
 def is_allowed(origin: str | None, host: str | None, own_name: str) -> bool:

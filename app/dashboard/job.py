@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.dashboard.export import Look, Side
     from app.dashboard.record import Course
+    from app.onboarding.check import Row
     from app.onboarding.read.package import Contents
     from app.onboarding.request import Request
     from app.robot.model import RobotModel
@@ -272,6 +273,15 @@ def build_robot(report: Report, request: Request) -> None:
         processes=_CORES,
         on_progress=lambda share: report(text, share),
     )
+
+
+def check_rows(report: Report, robot: str) -> list[Row]:
+    """All checks of a robot that is saved, as `dbb check-robot` makes them."""
+    from app.onboarding.check import check_robot
+    from app.robot.description import load_robot
+
+    found = check_robot(load_robot(robot), tell=lambda text: report(text, -1.0), processes=_CORES)
+    return list(found)
 
 
 def sweep_to_files(report: Report, plan: SweepPlan, folder: Path) -> None:

@@ -27,12 +27,8 @@ class Notifier:
         """Something was refused; goes away by itself."""
         self._show(client, "Not possible", text, "orange", 6.0)
 
-    def inform(self, text: str) -> None:
-        """Something that all viewers should know; goes away by itself."""
-        self.tell(None, "Robot", text)
-
     def tell(self, client: viser.ClientHandle | None, title: str, text: str) -> None:
-        """What one viewer should know; goes away by itself."""
+        """What one viewer, or all, should know; goes away by itself."""
         self._show(client, title, text, "blue", 6.0)
 
     def fail(self, client: viser.ClientHandle | None, error: BaseException) -> None:

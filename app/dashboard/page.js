@@ -35,6 +35,30 @@
       event.stopPropagation();
       drawer.dataset.drawer = drawer.dataset.drawer === "open" ? "closed" : "open";
     }, true);
+    drawer.addEventListener("focusin", ({ target }) => {
+      if (byKeys && target.closest(".mantine-ScrollArea-content > div > div:nth-child(2)")) drawer.dataset.drawer = "open";
+    });
+  };
+
+  // Who walks by Tab reaches folders too, and the space bar presses what he has come to, not the
+  // page's own key.
+  let byKeys = false;
+  const HEADS = ".mantine-Paper-root > .mantine-Paper-root[style*='cursor: pointer']";
+  const makeHeads = () => {
+    for (const head of document.querySelectorAll(`${HEADS}:not([tabindex])`)) {
+      head.tabIndex = 0;
+      head.setAttribute("role", "button");
+    }
+  };
+  const press = (event) => { // on its way to the page's own keys
+    byKeys ||= event.key === "Tab";
+    const [at, space] = [event.target, event.key === " "];
+    if (!byKeys || !(space || event.key === "Enter")) return;
+    const head = at.matches(HEADS);
+    if (head || (space && at.matches("button, [role=button], [role=tab]"))) event.stopPropagation();
+    if (!head) return;
+    event.preventDefault();
+    if (!event.repeat) at.click();
   };
 
   // A light drawing has fewer pixels, unless the address says how many.
@@ -102,7 +126,10 @@
       for (const kind of ["pointerdown", "keydown", "wheel"]) {
         window.addEventListener(kind, touch, true);
       }
+      document.body.addEventListener("keydown", press);
+      window.addEventListener("pointerdown", () => (byKeys = false), true);
       timer = setInterval(() => {
+        makeHeads();
         openPlace();
         makeDrawer();
         thinOut();

@@ -33,13 +33,10 @@ from app.dashboard.scene.scene import Scene
 from app.dashboard.shared import SharedState
 from app.dashboard.verdict import judge
 from app.dashboard.view import PagePicture, View
-from app.dashboard.viser_compat import (
-    Channel,
-    has_no_gpu,
-)
+from app.dashboard.viser_compat import Channel, has_no_gpu
 from app.errors import DbbError
 from app.robot.description import RobotDescription
-from app.simulation.loop.commands import Compare, Play, Reset
+from app.simulation.loop.commands import Compare, Play, Reset, Restart
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.trace.snapshot import Snapshot
@@ -112,7 +109,7 @@ class Page:
         with client.atomic():
             self._build_left()
             self._build_right()
-            self.timeline_panel = self._add(TimelinePanel(self.viewer))
+            self._add(TimelinePanel(self.viewer))
         self.channel.begin()
         self.channel.tell("light", self._light)
         self.channel.tell("hints", self._plots.hints)
@@ -296,10 +293,10 @@ class Page:
             for i, name in enumerate(PRESETS, 1)
         ]
         return [
-            Shortcut("Pause or go on", "space", lambda: self._run.toggle_pause()),
-            Shortcut("Restart", "R", lambda: self._run.restart()),
-            Shortcut("Back 1 s", "B", lambda: self.timeline_panel.step(-1.0)),
-            Shortcut("Forward 1 s", "F", lambda: self.timeline_panel.step(1.0)),
+            Shortcut("Pause or go on", "space", self.viewer.toggle_pause),
+            Shortcut("Restart", "R", lambda: self._shared.loop.send(Restart())),
+            Shortcut("Back 1 s", "B", lambda: self.viewer.step(-1.0)),
+            Shortcut("Forward 1 s", "F", lambda: self.viewer.step(1.0)),
             Shortcut("Now", "N", self.timeline.go_live),
             Shortcut("Dark or light", "L", self._toggle_dark),
             *looks,

@@ -7,12 +7,12 @@ import tempfile
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 from app.border.cache import BorderData, kept_border_data
 from app.border.dbb import Cloud
 from app.config import Config
-from app.dashboard.job import Job, build_robot, look_into_package, sample_border
+from app.dashboard.job import Job, build_robot, check_rows, look_into_package, sample_border
 from app.dashboard.scene.robot import RobotParts
 from app.errors import ConfigError, DbbError
 from app.jobs.process import Cancelled
@@ -23,6 +23,9 @@ from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.plants import default_plant
+
+if TYPE_CHECKING:
+    from app.onboarding.check import Row
 
 _NEEDED = resolved_urdf if default_plant() == "planar" else bare_urdf
 """pybullet reads every mesh; MuJoCo and the viewer take the convex bodies if one is missing."""
@@ -220,6 +223,34 @@ class RobotSwitch(Job):
             loop.stop()
             raise
         return loop
+
+
+class RobotCheck(Job):
+    """At most one check of a robot at a time, and the rows of the last one.
+
+    Attributes:
+        name: The robot that was checked last.
+        rows: As `dbb check-robot` prints them.
+    """
+
+    def __init__(self) -> None:
+        """Nothing checked yet."""
+        super().__init__()
+        self.name = ""
+        self.rows: list[Row] = []
+
+    def begin(self, name: str) -> None:
+        """Check a robot, as it is saved, in a process of its own.
+
+        Raises:
+            ConfigError: Another check is under way.
+        """
+
+        def work() -> None:
+            self.name, self.rows = name, []
+            self.rows = self.run(check_rows, name)
+
+        self.start(name, "is checked", work)
 
 
 class Package(NamedTuple):

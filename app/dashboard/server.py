@@ -17,6 +17,7 @@ from app.dashboard.export.screenshot import page_picture
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Demonstration, Page, show_failure
 from app.dashboard.panels.save import SWEEPS
+from app.dashboard.panels.share import read_link
 from app.dashboard.robots import RobotSwitch, RunningRobot, StartLoop
 from app.dashboard.scene.camera import PRESETS, placed, set_first_look
 from app.dashboard.scene.colours import set_theme
@@ -186,7 +187,7 @@ class DashboardServer:
         finally:
             switch.shown()  # even if drawing ends here: its thread waits for this
         note = f": {robot.note}" if robot.note else "; parameters stay as they were set"
-        self._notifier.inform(f"{robot.model.description.title} is here{note}.")
+        self._notifier.tell(None, "Robot", f"{robot.model.description.title} is here{note}.")
 
     def _show(self, robot: RunningRobot) -> None:
         self.shared = self.shared.followed_by(robot)
@@ -241,7 +242,7 @@ def serve_dashboard(
     check_address(host, port)
     switch = RobotSwitch(start_loop)
     shared = SharedState(loop, model, clouds, parts, case=case, sweeps=sweeps, robot_switch=switch)
-    server = open_server(host, port, LARGEST_ARCHIVE)
+    server = open_server(host, port, LARGEST_ARCHIVE, read_link)
     try:
         if port not in (0, server.get_port()):
             raise ServerError(f"port {port} was taken while the server started; try --port 0")

@@ -15,7 +15,7 @@ from app.dashboard.job import Challenge, Job
 from app.dashboard.panels.explorer import Explorer
 from app.dashboard.panels.plots import plot_plans
 from app.dashboard.record import Course, Record, Strip
-from app.dashboard.robots import RobotBuild, RobotSwitch, RunningRobot
+from app.dashboard.robots import RobotBuild, RobotCheck, RobotSwitch, RunningRobot
 from app.dashboard.scene.robot import RobotParts
 from app.dashboard.scene.scene import SceneData
 from app.errors import ConfigError
@@ -143,7 +143,7 @@ class SharedState(SceneData):
         course: The scenario that was begun last.
         strip: What happened when, in the last ten minutes.
         sweep_job, challenge: What viewers may begin beside the simulation.
-        robot_switch, robot_build: The same for other robots.
+        robot_switch, robot_build, robot_check: The same for other robots, and the check of one.
     """
 
     def __init__(
@@ -168,6 +168,7 @@ class SharedState(SceneData):
         self.tuning = before.tuning if before else Tuning(loop, loop.latest().config)
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)
         self.robot_build = before.robot_build if before else RobotBuild(self.robot_switch)
+        self.robot_check = before.robot_check if before else RobotCheck()
         self.plans = plot_plans(model, self.pairs, self.of_door)
         self.record = Record(curve for plan in self.plans for curve in plan.curves)
         self.course = Course()
@@ -202,5 +203,6 @@ class SharedState(SceneData):
 
     def close(self) -> None:
         """End the background jobs."""
-        for job in (self.sweep_job, self.challenge, self.robot_build, self.robot_switch):
+        robots = (self.robot_build, self.robot_check, self.robot_switch)
+        for job in (self.sweep_job, self.challenge, *robots):
             job.close()

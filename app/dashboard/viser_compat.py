@@ -24,7 +24,7 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.protocol import CONNECTING
 
-from app.dashboard.gate import Gate, RefusedError, draws_in_software
+from app.dashboard.gate import Gate, ReadLink, RefusedError, draws_in_software, read_no_link
 from app.dashboard.notifications import Notifier
 from app.strict import parsed
 
@@ -81,13 +81,16 @@ def _broke_off(connection: Any) -> bool:
 _knocks = _Knocks()
 
 
-def open_server(host: str, port: int, largest_upload: int = 0) -> viser.ViserServer:
+def open_server(
+    host: str, port: int, largest_upload: int = 0, read_link: ReadLink = read_no_link
+) -> viser.ViserServer:
     """A server that listens.
 
     Args:
         host: Address to listen at, which can be bound: viser waits for ever at one that cannot.
         port: Port to listen at; 0 takes a free one, and so does viser if it is taken.
         largest_upload: [bytes] of one file; 0 if there is nothing to upload.
+        read_link: Checks what follows the question mark of its page's address.
 
     Raises:
         ServerError: viser starts in a way that is not known.
@@ -97,7 +100,7 @@ def open_server(host: str, port: int, largest_upload: int = 0) -> viser.ViserSer
         logging.getLogger(name).addFilter(_knocks)  # the same one is added once
     warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # who has just gone
     setattr(_infra, "AsyncMessageBuffer", _Buffer)  # noqa: B010  # pyright: it is private
-    gate = Gate(host, largest_upload)
+    gate = Gate(host, largest_upload, read_link)
     with _silence(), gate.closed():
         server = viser.ViserServer(host=host, port=port, verbose=False)
     notifier = Notifier(server)

@@ -29,6 +29,7 @@ from app.onboarding.fit.postures import (
     gives_way,
     judge_ready,
 )
+from app.onboarding.fit.stops import with_stops
 from app.onboarding.numbers import (
     Limits,
     Reach,
@@ -212,6 +213,8 @@ def make_robot(
     bare = compiled(description(request, parsed), path)
     parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
     meetings, (bodies, verdict) = _fitted(request, parsed, bare, tell)
+    limits = with_stops(parsed.limits, bare, parsed.arm, meetings, request.ready)
+    parsed = replace(parsed, limits=limits)
     d_b, unwatched = request.d_b, dict.fromkeys(verdict.unwatched, _UNWATCHED)
     model = compiled(description(request, parsed, bodies, unwatched=unwatched), path)
     unseen = unseen_collisions(model, parsed.geometry, d_b)

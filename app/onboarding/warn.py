@@ -15,6 +15,7 @@ from app.control.admittance import largest_command
 from app.onboarding.fit.collision_sampling import ALWAYS, moved
 from app.onboarding.fit.grouping import MOST_UNSEEN
 from app.onboarding.fit.postures import GIVES_WAY, INNER
+from app.onboarding.numbers import read_limits
 from app.robot.bases.kind import Axis
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from app.robot.model import RobotModel
@@ -105,7 +106,9 @@ def _bodies(robot: NewRobot) -> list[str]:
             f"mostly {robot.unseen.worst}: bodies that are neighbours or near as built are no "
             "pair, so try another number of --bodies, or limit the joints between them"
         )
-    hits = (meetings.random.distances <= 0).mean(axis=0)
+    limits, random = robot.parsed.limits, meetings.random
+    within = np.all((random.q_m >= limits.lower) & (random.q_m <= limits.upper), axis=1)
+    hits = (random.distances[within] <= 0).mean(axis=0)
     for pair, rate in zip(meetings.pairs, hits, strict=True):
         if pair in meetings.close and rate > 0:
             a, b = (meetings.units[unit].links[0] for unit in pair)
@@ -162,10 +165,17 @@ def _scale(robot: NewRobot) -> list[str]:
 
 
 def _joints(robot: NewRobot) -> list[str]:
-    sources = robot.parsed.limits.source
-    return [
+    limits, stated = robot.parsed.limits, read_limits(robot.parsed.arm)
+    ranges = zip(limits.lower, limits.upper, stated.lower, stated.upper, strict=True)
+    stopped = [
+        f"{joint.name} is limited to {low:g} … {high:g}, not {lower:g} … {upper:g}: beyond that a "
+        "link would meet the base, which one says the source of position_lower"
+        for joint, (low, high, lower, upper) in zip(robot.parsed.arm.joints, ranges, strict=True)
+        if (low, high) != (lower, upper)
+    ]
+    return stopped + [
         f"{field.replace('_', ' ')} of {text.partition('assumed for ')[2]} (assumed)"
-        for field, text in sources.items()
+        for field, text in limits.source.items()
         if "assumed for" in text and field != "position_upper"
     ]
 

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from copy import deepcopy
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
@@ -26,6 +26,7 @@ from app.onboarding.read.source import mesh_path
 from app.onboarding.read.tree import MOVING, Joint
 from app.robot.description import KINDS, RobotDescription, load_description
 from app.robot.model import RobotModel
+from app.robot.shapes import Shape
 from app.system import write_whole
 
 if TYPE_CHECKING:
@@ -98,6 +99,61 @@ def _sources_text(robot: NewRobot) -> str:
         f"# Where {robot.content['title']} comes from\n\n" + "\n".join(lines) + f"\n\n{copied}\n\n"
         f"Licence: {licence}\n\n## Warnings of `dbb new-robot`\n\n{warnings}\n"
     )
+
+
+class HandMade(NamedTuple):
+    """What a person has changed of a robot.
+
+    Attributes:
+        shapes: By the name of the body and the shape's place in it.
+        unwatched: Why a pair is not watched, by its name; of all that are not.
+        ready: (n_m,) [rad or m] the ready pose, or None where it stays.
+    """
+
+    shapes: dict[tuple[str, int], Shape]
+    unwatched: dict[str, str]
+    ready: tuple[float, ...] | None
+
+
+BY_HAND = "set by hand"
+"""The source of what a person has changed."""
+
+
+def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
+    """Write a robot's folder with changes, in its place or as a copy; all else stays as it stands.
+
+    Raises:
+        DescriptionError: It would be no robot that the core takes.
+        OutputError: `out` is another robot's, or cannot be written.
+    """
+    document: Any = tomlkit.parse((source / "robot.toml").read_text(encoding="utf-8"))
+    in_place = out.resolve() == source.resolve()
+    if not in_place:
+        document["name"], document["title"] = out.name, f"{document['title']} ({BY_HAND})"
+    for (name, i), shape in changes.shapes.items():
+        body = next(each for each in document["bodies"] if each["name"] == name)
+        body["source"] = BY_HAND
+        body["shapes"][i] = tomlkit.item(shape_content(shape))
+    if changes.unwatched != document.get("unwatched", {}):
+        document["unwatched"] = changes.unwatched
+    if changes.ready is not None:
+        document["arm"]["ready_position"] = list(changes.ready)
+        document["arm"]["ready_position"].comment(BY_HAND)
+        document["arm"]["source"]["ready_position"] = BY_HAND
+    with tempfile.TemporaryDirectory() as tried:  # what is wrong with it must not be kept
+        write_whole(Path(tried) / "robot.toml", tomlkit.dumps(document))
+        load_description(Path(tried) / "robot.toml")
+    if in_place:
+        write_whole(out / "robot.toml", tomlkit.dumps(document))
+        return
+    with whole_folder(out) as folder:
+        shutil.copytree(source, folder, dirs_exist_ok=True)
+        write_whole(folder / "robot.toml", tomlkit.dumps(document))
+
+
+def shape_content(shape: Shape) -> dict[str, Any]:
+    """A shape as a description has it; one that is not turned says nothing of that."""
+    return {k: v for k, v in shape.model_dump().items() if k != "rpy_rad" or any(v)}
 
 
 _HEADER = (
@@ -320,14 +376,13 @@ def description(
 def _body(body: FittedBody) -> dict[str, Any]:
     over = ", ".join(f"{fit.over_cover:.2f}" for fit in body.fits)
     out = max(fit.protrusion for fit in body.fits)
-    shapes = [fit.shape.model_dump() for fit in body.fits]
     return {
         "name": body.name,
         "source": f"fitted around the hulls of the covered links where they can meet others: "
         f"{over} times their volume, at most {out:.3f} m outside of them",
         "frame": body.frame,
         "covers": body.links,
-        "shapes": [{k: v for k, v in s.items() if k != "rpy_rad" or any(v)} for s in shapes],
+        "shapes": [shape_content(fit.shape) for fit in body.fits],
     }
 
 

@@ -23,10 +23,12 @@ from benchmarks.law.pulls import pulls
 from benchmarks.law.release import release
 from benchmarks.law.report import Report, show
 from benchmarks.law.speeds import speeds
+from benchmarks.law.wander import wander
 
 MEASUREMENTS: dict[str, Callable[..., Report]] = {
     "release": release,
     "pulls": pulls,
+    "wander": wander,
     "continuity": continuity,
     "paths": paths,
     "curvature": curvature,

@@ -12,6 +12,7 @@ import viser
 
 from app.dashboard.markup import small
 from app.dashboard.notifications import Notifier
+from app.simulation.loop.commands import Pause, StepOnce
 
 if TYPE_CHECKING:
     from app.dashboard.drag import Grip
@@ -60,6 +61,17 @@ class Viewer:
             TargetError: There is no door to look at.
         """
         self.camera.look(preset, self.timeline.shown())
+
+    def toggle_pause(self) -> None:
+        """Stop, or go on."""
+        self.shared.loop.send(Pause(not self.shared.loop.latest().paused))
+
+    def step(self, seconds: float) -> None:
+        """Go on or back in time; where it stands still at now, one step on is simulated."""
+        if seconds > 0.0 and self.timeline.live and self.shared.loop.latest().paused:
+            self.shared.loop.send(StepOnce(seconds))
+        else:
+            self.timeline.step(seconds)
 
 
 class Moment(NamedTuple):

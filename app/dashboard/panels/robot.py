@@ -11,6 +11,7 @@ import viser
 from app.dashboard.job import Progress
 from app.dashboard.markup import banner, problem, small
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer, how_far
+from app.dashboard.panels.edit import EditPanel
 from app.dashboard.robots import Package, RobotBuild, RobotEntry
 from app.dashboard.viser_compat import taken_upload
 from app.errors import AssetError, ConfigError
@@ -73,6 +74,7 @@ class RobotPanel(Panel):
         self.status = JobStatus(viewer, self._switch)
         self._renew_list()
         self._choose(shared.model.description.name)
+        self.edit = EditPanel(viewer)
         self.own = NewRobotPanel(viewer)
 
     def update(self, moment: Moment) -> None:
@@ -88,6 +90,7 @@ class RobotPanel(Panel):
         self._report.visible = chosen is not None and chosen.report
         reason = self._switch.problem
         self.status.show(f"{problem(reason)}. Nothing has changed." if reason else "")
+        self.edit.update(moment)
         self.own.update(moment)
 
     def _begin(self, _: viser.GuiEvent) -> None:

@@ -32,7 +32,7 @@ from app.dashboard.panels import phrases as words
 from app.dashboard.record import Course
 from app.dashboard.scene.colours import GHOSTS, SERIES, css
 from app.dashboard.verdict import COLOURS, State, Verdict
-from app.simulation.loop.commands import SPEEDS, Choose, Compare, Pause, Play, Reset, Restart, Speed
+from app.simulation.loop.commands import SPEEDS, Choose, Compare, Play, Reset, Restart, Speed
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.pulled import CHALLENGE
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
@@ -51,7 +51,6 @@ BAR_RANGE = 0.5  # [m] distance that fills a bar of the table
 STEP = 0.001  # [s] of one control step
 ENDED = 0.05  # [s] before its end a scenario counts as ended: snapshots are 0.02 s apart
 _SIZE = "font-size:.82em"
-BAD = css(COLOURS["contact"])
 LATE = 0.05
 """[-] share of late steps, and of real time that is missed, from which on the machine is slow."""
 _SCORES = (
@@ -77,7 +76,6 @@ class RunPanel(Panel):
         super().__init__(viewer)
         gui, self._shared = self._gui, viewer.shared
         sink = self._sink = viewer.shared.loop
-        self._paused = False
         self._scenario = gui.add_dropdown(
             "Scenario",
             (FREE, *TITLES.values()),
@@ -97,9 +95,9 @@ class RunPanel(Panel):
             initial_value=1.0,
             hint="Simulated over real time, as far as the machine keeps up.",
         )
-        self._pause = self.button("Pause", lambda _: self.toggle_pause(), viser.Icon.PLAYER_PAUSE)
+        self._pause = self.button("Pause", lambda _: viewer.toggle_pause(), viser.Icon.PLAYER_PAUSE)
         self._restart = self.button(
-            "Restart", lambda _: self.restart(), viser.Icon.REFRESH, color="gray"
+            "Restart", lambda _: sink.send(Restart()), viser.Icon.REFRESH, color="gray"
         )
         self._course, self._status, self._pairs = (gui.add_html("") for _ in range(3))
         self._machine = gui.add_folder("This machine", expand_by_default=False)
@@ -117,14 +115,6 @@ class RunPanel(Panel):
         self.on_update(self._controller, lambda event: sink.send(Choose(event.target.value)))
         self.on_update(self._speed, lambda event: sink.send(Speed(event.target.value)))
 
-    def toggle_pause(self) -> None:
-        """Stop, or go on."""
-        self._sink.send(Pause(not self._paused))
-
-    def restart(self) -> None:
-        """Begin anew where the run began."""
-        self._sink.send(Restart())
-
     def play(self, scenario: str) -> None:
         """Play a scenario from its beginning, by its name, or none: `FREE`."""
         if scenario == FREE:
@@ -136,7 +126,6 @@ class RunPanel(Panel):
         """Renew the choices, which stand for the newest snapshot, and the readings."""
         newest, shown, verdict = moment
         course = self._shared.course
-        self._paused = newest.paused
         self._pause.label = "Continue" if newest.paused else "Pause"
         self._pause.icon = viser.Icon.PLAYER_PLAY if newest.paused else viser.Icon.PLAYER_PAUSE
         self.follow(self._scenario, TITLES.get(newest.scenario, FREE))

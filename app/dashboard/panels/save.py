@@ -20,13 +20,12 @@ from app.dashboard.export.offscreen import CODECS
 from app.dashboard.job import (
     FILM_RATE,
     Job,
-    Progress,
     sweep_to_files,
     write_film_of,
     write_replay,
     write_report,
 )
-from app.dashboard.markup import small
+from app.dashboard.markup import problem, small
 from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.scene.colours import BACKGROUND
@@ -189,22 +188,26 @@ class SavePanel(FilePanel):
 
 
 class SweepPanel(Panel):
-    """The newest polar map of a folder, and the button that starts and stops a sweep."""
+    """The newest polar map of a folder, and the button that begins a sweep.
+
+    Attributes:
+        status: How far the sweep is, which is common to all viewers.
+    """
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the folder, closed; the job is common to all viewers."""
+        """Build the folder, closed."""
         super().__init__(viewer)
         self._shared, self._job = viewer.shared, viewer.shared.sweep_job
-        self._waiting = False
         self._map: tuple[Path, int] | None = None
         self._problem = ""
         self._updates = 0
         self._box = self._gui.add_folder("Sweep", expand_by_default=False)
         with self._box:
             self._text = self._gui.add_html("")
+            self.status = JobStatus(viewer, self._job)
             self._button = self.button(
                 "Make a map",
-                lambda _: self._start_or_stop(),
+                lambda _: self.begin(),
                 viser.Icon.RADAR,
                 hint=f"Hand paths towards the base every {STEP:g}°, with the controller and the "
                 "parameters of now, in a process of low priority; takes some minutes.",
@@ -213,23 +216,17 @@ class SweepPanel(Panel):
 
     def update(self, moment: Moment) -> None:
         """Renew text and map."""
-        progress = self._job.progress
-        if self._waiting and progress is None:  # any viewer may have begun or stopped it
-            self._updates = 0
-            if self._job.problem:
-                self._notifier.warn(None, f"No map was made: {self._job.problem}")
-        self._waiting = progress is not None
-        self._button.label = "Stop" if self._waiting else "Make a map"
+        self.status.show(problem(self._job.problem) if self._job.problem else "")
+        self._button.disabled = self._job.progress is not None
         if self._updates % _LOOK_EVERY == 0:
             self._look()
         self._updates += 1
-        if self._text.content != (text := self._status(progress)):
-            self._text.content = text  # viser sends it even if it is the same
+        none = f"No map in {self._shared.sweeps} yet."
+        text = self._problem or (self._map[0].name if self._map else none)
+        self._text.content = small(escape(text))  # a file's name may be anybody's
 
-    def _start_or_stop(self) -> None:
-        if self._job.progress is not None:
-            self._job.cancel()
-            return
+    def begin(self) -> None:
+        """Make a map with what is chosen now."""
         shared = self._shared
         plan = SweepPlan(
             shared.model.description.name,
@@ -238,16 +235,6 @@ class SweepPanel(Panel):
             config=shared.tuning.config,
         )
         start_sweep(self._job, plan, shared.sweeps)
-
-    def _status(self, progress: Progress | None) -> str:
-        """What stands above the map; its name may be anybody's."""
-        if progress is not None:
-            text = f"Sweep under way: {100 * max(progress.share, 0.0):.0f} %"
-        elif self._map is None:
-            text = f"No map in {self._shared.sweeps} yet."
-        else:
-            text = self._problem or self._map[0].name
-        return small(escape(text))
 
     def _look(self) -> None:
         """Show the folder's newest map, if it is another one than is shown."""

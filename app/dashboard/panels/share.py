@@ -15,11 +15,12 @@ import viser
 
 from app.config import Config, tunable
 from app.control import CONTROLLERS
+from app.dashboard.gate import DENSITY
 from app.dashboard.markup import small
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.scene.camera import PRESETS
 from app.dashboard.viser_compat import address_of, taken_upload
-from app.errors import CaseError, ConfigError, UnknownNameError
+from app.errors import CaseError, ConfigError, DbbError, UnknownNameError
 from app.parameters import Parameter
 from app.robot.assets import robot_names
 from app.simulation.case import RunCase
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
 
 Array = np.ndarray
 
+_NAMES = ("scenario", "controller", "robot", "look", "at", DENSITY)
+"""What a link may name, beside parameters by their paths."""
 _FARTHEST = 100.0  # [m] of a camera
 LARGEST = 8 * 2**20
 """[bytes] of a case's file."""
@@ -70,7 +73,11 @@ class Link(NamedTuple):
             ConfigError: A value is out of its range, or no number.
         """
         words = dict(parse_qsl(query, keep_blank_values=True))
-        given = {name: words.pop(name) for name in cls._fields if name in words}
+        given = {name: words.pop(name) for name in _NAMES if name in words}
+        unknown = next((name for name in words if "." not in name), None)
+        if unknown is not None:
+            raise UnknownNameError("parameter", unknown, (*_NAMES, "border.d_b or another such"))
+        check_range(DENSITY, _number(DENSITY, given.get(DENSITY, "1")), 0.1, 4.0, "")
         for name, choices in (
             ("scenario", SCENARIOS),
             ("controller", CONTROLLERS),
@@ -78,7 +85,7 @@ class Link(NamedTuple):
         ):
             if name in given and given[name] not in choices:
                 raise UnknownNameError(name, given[name], choices)
-        parameters = ((path, _value(path, text)) for path, text in words.items() if "." in path)
+        parameters = ((path, _value(path, text)) for path, text in words.items())
         scenario, controller, robot, look = (
             given.get(name, "") for name in ("scenario", "controller", "robot", "look")
         )
@@ -134,6 +141,21 @@ class Link(NamedTuple):
         words += [("look", self.look)] if self.look else []
         words += [("at", f"{self.at:g}")] if self.at is not None else []
         return urlencode(words, safe=",")
+
+
+def read_link(query: str) -> tuple[str, str]:
+    """Why a link is wrong, or an empty text, and its query without what is."""
+    why, kept = "", []
+    words = dict(parse_qsl(query, keep_blank_values=True))
+    # The time of a scenario comes after its name.
+    for word in sorted(words.items(), key=lambda word: word[0] == "at"):
+        try:
+            Link.read(urlencode([*kept, word]))
+        except DbbError as error:
+            why = why or str(error)
+        else:
+            kept.append(word)
+    return why, urlencode(kept, safe=",") if why else query
 
 
 def camera_text(eye: Array, target: Array) -> str:

@@ -8,7 +8,6 @@ from typing import Any
 from app.dashboard.panels import Moment, Panel, Viewer
 from app.dashboard.record import BIN, KEPT, Event, Strip
 from app.errors import LogError
-from app.simulation.loop.commands import Pause, StepOnce
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
 
@@ -145,15 +144,13 @@ class TimelinePanel(Panel):
         super().__init__(viewer)
         timeline, strip, channel = viewer.timeline, viewer.shared.strip, viewer.channel
         self._channel, self._timeline, self._strip = channel, timeline, strip
-        self._sink = viewer.shared.loop
-        self._newest: Snapshot | None = None
         self._sent: tuple[int, int] = (-1, 0)
         self._events: dict[int, Event] = {}
         self._state: list[Any] = []
         for word, act in {
             "go": lambda t: timeline.go_to(float(t)),
-            "step": lambda seconds: self.step(float(seconds)),
-            "pause": self._toggle_pause,
+            "step": lambda seconds: viewer.step(float(seconds)),
+            "pause": viewer.toggle_pause,
             "now": timeline.go_live,
             "nearest": lambda: self._jump(strip.nearest),
             "pull": lambda: self._jump(strip.hardest),
@@ -163,19 +160,10 @@ class TimelinePanel(Panel):
         }.items():
             channel.on(word, act)
 
-    def step(self, seconds: float) -> None:
-        """Go on or back; where time stands still at now, one step on is simulated."""
-        newest = self._newest
-        at_now = self._timeline.live and newest is not None and newest.paused
-        if at_now and seconds > 0.0:
-            self._sink.send(StepOnce(seconds))
-        else:
-            self._timeline.step(seconds)
-
     def update(self, moment: Moment) -> None:
         """Send what is new: rows, events, and where the viewer is."""
         newest, shown, _ = moment
-        self._newest, strip, line = newest, self._strip, self._timeline
+        strip, line = self._strip, self._timeline
         runs, closed = self._sent
         if runs != strip.runs:
             closed, self._events = 0, {}
@@ -200,6 +188,3 @@ class TimelinePanel(Panel):
         if to is None:
             raise LogError("nobody has pulled the robot yet")
         self._timeline.show(to)
-
-    def _toggle_pause(self) -> None:
-        self._sink.send(Pause(self._newest is None or not self._newest.paused))

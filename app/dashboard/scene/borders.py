@@ -167,6 +167,15 @@ class Probe(NamedTuple):
     acceleration: Array
 
 
+class _Drawn(NamedTuple):
+    """What of a pair's border is there: nothing where it is hidden or has no points."""
+
+    wanted: tuple[object, ...]
+    legend: Legend | None = None
+    node: viser.PointCloudHandle | viser.GlbHandle | None = None
+    body: trimesh.Trimesh | None = None
+
+
 class DrawnBorders:
     """Draws each pair's border anew whenever its quantity, d_b, ε or kind has changed.
 
@@ -176,17 +185,14 @@ class DrawnBorders:
     def __init__(self, scene: viser.SceneApi, borders: Borders, model: RobotModel) -> None:
         """Nothing is drawn yet."""
         self._scene, self._borders, self._model = scene, borders, model
-        self._drawn: dict[str, tuple[object, ...]] = {}
-        self._nodes: dict[str, viser.PointCloudHandle | viser.GlbHandle] = {}
-        self._legends: dict[str, Legend] = {}
-        self._meshes: dict[str, trimesh.Trimesh] = {}
+        self._drawn: dict[str, _Drawn] = {}
         self._clicked: tuple[Array, Array] | None = None
         self._probed: tuple[str, Probe] | None = None
 
     @property
     def legends(self) -> list[Legend]:
         """Of the borders that are drawn."""
-        return list(self._legends.values())
+        return [drawn.legend for drawn in self._drawn.values() if drawn.legend is not None]
 
     def update(self, view: View, border: BorderConfig) -> bool:
         """Redraw what has changed.
@@ -197,37 +203,35 @@ class DrawnBorders:
         changed = False
         for pair, quantity in view.borders.items():
             wanted = (quantity, view.whole_border, view.light, view.shell, border.d_b, border.eps)
-            if self._drawn.get(pair) != wanted:
-                self._drawn[pair] = wanted
-                self._redraw(pair, quantity, view, border)
+            if pair not in self._drawn or self._drawn[pair].wanted != wanted:
+                self._drawn[pair] = self._draw(pair, wanted, view, border)
                 changed = True
         return changed
 
-    def _redraw(self, pair: str, quantity: str, view: View, border: BorderConfig) -> None:
+    def _draw(
+        self, pair: str, wanted: tuple[object, ...], view: View, config: BorderConfig
+    ) -> _Drawn:
+        quantity, before, coloured = view.borders[pair], self._drawn.get(pair, _Drawn(())), None
         if self._probed is not None and self._probed[0] == pair:
             self._probed = None
-        coloured = None
         if quantity != HIDDEN:
-            coloured = self._borders.coloured(pair, quantity, border, whole=view.whole_border)
-        if coloured is None or view.shell or pair in self._meshes:  # else the cloud is replaced
-            self._meshes.pop(pair, None)
-            if pair in self._nodes:
-                self._nodes.pop(pair).remove()
+            coloured = self._borders.coloured(pair, quantity, config, whole=view.whole_border)
+        if before.node and (coloured is None or view.shell or before.body):
+            before.node.remove()  # else the cloud is replaced
         if coloured is None:
-            self._legends.pop(pair, None)
-            return
+            return _Drawn(wanted)
         most, size = (LIGHT_POINTS, LIGHT_SIZE) if view.light else (MAX_POINTS, POINT_SIZE)
         keep = subsample(len(coloured.points), most)
-        legend = self._legends[pair] = coloured.legend._replace(drawn=len(keep))
+        legend = coloured.legend._replace(drawn=len(keep))
         if view.shell:
             heights = coloured.points[:, 2]
             faces = shell_faces(
-                self._borders.surface(pair, border), float(heights.min()), float(heights.max())
+                self._borders.surface(pair, config), float(heights.min()), float(heights.max())
             )
-            self._send_body(pair, body_of(self._borders, faces, quantity, legend))
-            return
+            body = body_of(self._borders, faces, quantity, legend)
+            return _Drawn(wanted, legend, self._send(pair, body), body)
         # One message for points and colours: no browser may see one without the other.
-        self._nodes[pair] = self._scene.add_point_cloud(
+        node = self._scene.add_point_cloud(
             f"{ROOT}/border_{pair}",
             coloured.points[keep],
             coloured.colours[keep],
@@ -235,18 +239,18 @@ class DrawnBorders:
             point_shape="circle",
             precision="float32",
         )
+        return _Drawn(wanted, legend, node)
 
-    def _send_body(self, pair: str, mesh: trimesh.Trimesh) -> None:
-        self._meshes[pair] = mesh
+    def _send(self, pair: str, body: trimesh.Trimesh) -> viser.GlbHandle:
         with io.BytesIO() as file:
-            mesh.export(file, file_type="glb")
+            body.export(file, file_type="glb")
             data = file.getvalue()
-        self._nodes[pair] = self._scene.add_glb(
-            f"{ROOT}/shell_{pair}", data, cast_shadow=False, receive_shadow=False
-        )
         # Of the scene: one of the body's own would outline it, and keep the mouse from the arm.
         self._scene.remove_click_callback()
         self._scene.on_click()(self._click)
+        return self._scene.add_glb(
+            f"{ROOT}/shell_{pair}", data, cast_shadow=False, receive_shadow=False
+        )
 
     def _click(self, event: viser.SceneClickEvent) -> None:
         self._clicked = np.array(event.ray_origin), np.array(event.ray_direction)
@@ -282,7 +286,8 @@ class DrawnBorders:
         x, y, phi = snapshot.base_pose
         R = pin.utils.rotate("z", -phi)  # from the world to the base
         origin, direction = R @ (origin - np.array([x, y, 0.0])), R @ direction
-        hits = [(pair, first_hit(mesh, origin, direction)) for pair, mesh in self._meshes.items()]
+        bodies = [(pair, drawn.body) for pair, drawn in self._drawn.items() if drawn.body]
+        hits = [(pair, first_hit(body, origin, direction)) for pair, body in bodies]
         met = [(float(np.linalg.norm(hit[0] - origin)), pair, hit) for pair, hit in hits if hit]
         if not met:
             return None

@@ -103,12 +103,12 @@ class _Look(NamedTuple):
     """A preset that was looked from.
 
     Attributes:
-        window: Where the picture was to be drawn then.
+        window: Where the picture was to be drawn then; None once the viewer has moved the camera.
         eye: (3,) [m] where the camera was put, and has been carried to since.
     """
 
     name: str
-    window: Window
+    window: Window | None
     eye: Array
 
 
@@ -126,7 +126,6 @@ class Camera:
         self._looked: _Look | None = None
         self._arrived = False
         self._preset = "iso"
-        self._stands: Array | None = None  # where that has put it, and carried it since
         self._before: Snapshot | None = None
         self._seen_at: Array | None = None
         self._begun = False  # anew, and not found since
@@ -182,14 +181,13 @@ class Camera:
         eye, target = placed(PRESETS[name], [snapshot], self._extent, window)
         self.put(eye, target)
         self._followed = np.array(snapshot.base_pose[:2])
-        self._looked = _Look(name, window, eye)
-        self._stands = np.array(eye)
+        self._looked = _Look(name, window, np.array(eye))
 
     @property
     def preset(self) -> str:
         """The key of `PRESETS` from which the viewer still looks, or empty."""
-        stands = self._stands
-        away = np.inf if stands is None else np.linalg.norm(self._client.camera.position - stands)
+        look, eye = self._looked, self._client.camera.position
+        away = np.inf if look is None else np.linalg.norm(eye - look.eye)
         return self._preset if self._waits() or away < _SAME else ""
 
     def put(self, eye: Array, target: Array) -> None:
@@ -202,7 +200,7 @@ class Camera:
             camera.position = eye
             camera.look_at = target
             camera.fov = FIELD_OF_VIEW
-        self._followed = self._looked = self._stands = None
+        self._followed = self._looked = None
         self._set, self._set_at, self._arrived = eye, monotonic(), False
 
     def settle(self, snapshot: Snapshot, *, busy: bool = False) -> None:
@@ -212,10 +210,10 @@ class Camera:
         later. While the viewer is `busy` holding something, the scene must not move.
         """
         look, window = self._looked, self.window
-        if look is None or busy:
+        if look is None or look.window is None or busy:
             return
         if self._left(look):
-            self._looked = None  # the viewer has begun
+            self._looked = look._replace(window=None)
         elif look.window != window:
             self.use(look.name, snapshot)
 
@@ -233,10 +231,9 @@ class Camera:
         if self._waits() or np.linalg.norm(step) < _LEAST_STEP:
             return
         self._followed, look = np.array(base_position), self._looked
-        if self._stands is not None:
-            self._stands = self._stands + step
         if look is not None:
-            self._looked = None if self._left(look) else look._replace(eye=look.eye + step)
+            window = None if self._left(look) else look.window
+            self._looked = look._replace(window=window, eye=look.eye + step)
         self._from = np.array(self._client.camera.position)
         self._set, self._set_at = self._from + step, monotonic()
         # Setting the position carries the point that is looked at along, by the same step.

@@ -176,7 +176,12 @@ class RobotScene:
         )
 
     def _node(self, joint: int) -> str:
-        return f"{self._path}/{self._parts.kinematics.model.names[joint] if joint else 'fixed'}"
+        return node_of(self._parts.kinematics.model, joint, self._path)
+
+
+def node_of(model: pin.Model, joint: int, root: str = ROOT) -> str:
+    """The scene node that moves with a joint of the drawn model; 0 is what is fixed to the root."""
+    return f"{root}/{model.names[joint] if joint else 'fixed'}"
 
 
 class Scene:

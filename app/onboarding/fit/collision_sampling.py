@@ -25,12 +25,14 @@ Pairs = Sequence[tuple[int, int]]
 
 ALWAYS = 0.6
 """[-] A pair inside its buffer in more of the free poses would keep the task on for good."""
+MARGIN = 0.015
+"""[m] within which a point counts as met."""
 _ALONG = 0.999  # [-] cosine between two lines that count as parallel
 _THIN_OUT = 500  # [-] points on a unit's surface that are looked at
 _BUILT_IN = 0.5  # [-] close hulls that touch in more of the poses are nested, as a telescope is
 _FEWEST = 50  # [-] poses without a collision that say what is near
-_MARGIN = 0.015  # [m] within which a point counts as met
 _MOST_LOOKS = 200  # [-] poses per pair of units in which the points are looked at
+_OVERLAP = 0.02  # [m] by which meshes of links may overlap that are built side by side
 _RARE = 30  # [-] random poses in which a pair meets, below which others are searched for
 _EXACT = 0.5  # [m] up to which distances are computed where there are many shapes
 _MANY = 150  # [-] pairs of shapes, from which on it is faster to look at their spheres first
@@ -291,6 +293,8 @@ class Meetings:
         pairs: Pairs of units, by their indices, that are no neighbours.
         close: Pairs that are within the buffer in most poses without a collision, as they are
             built: no buffer can watch them.
+        apart: Those of the base and a link that moves on it which meet deeper than what is built
+            side by side: limits of joints have to keep them apart.
         random: The random poses.
         rare: Poses around those in which pairs that hardly meet are nearest, where they do.
         met: By the pair (u, v): (points of u,) whether v came to that point of u's surface.
@@ -299,6 +303,7 @@ class Meetings:
     units: tuple[Unit, ...]
     pairs: tuple[tuple[int, int], ...]
     close: frozenset[tuple[int, int]]
+    apart: frozenset[tuple[int, int]]
     random: Poses
     rare: Poses
     met: dict[tuple[int, int], Array] = field(repr=False, default_factory=dict)
@@ -327,6 +332,7 @@ def sample_meetings(
     seed: int,
     d_b: float,
     points: bool = True,
+    stopped: bool = False,
 ) -> Meetings:
     """Distances between the hulls of all units that are no neighbours, in random poses.
 
@@ -337,6 +343,7 @@ def sample_meetings(
         seed: Of the poses.
         d_b: [m] buffer distance.
         points: Whether to look at the points that met, too.
+        stopped: Whether the limits have to keep apart what they can: no such pair is close then.
     """
     q_m = sample_joints(model, samples, np.random.default_rng(seed))
     pairs = tuple(
@@ -344,22 +351,28 @@ def sample_meetings(
         for a, b in combinations(units, 2)
         if a.parts and b.parts and not neighbours(model, a, b)
     )
-    distances = _hull_distances(model, units, pairs, q_m)
+    distances = hull_distances(model, units, pairs, q_m)
     close = _close_pairs(distances, pairs, d_b)
-    rare_q = _rare_poses(model, units, pairs, (q_m, distances), close, seed)
     nested = (distances <= 0.0).mean(axis=0) >= _BUILT_IN
+    deep = (distances.min(axis=0) < -_OVERLAP) & ~nested
+    apart = close.intersection(
+        pair for pair, each in zip(pairs, deep, strict=True) if each and units[pair[0]].joint == 1
+    )
+    if stopped:
+        close -= apart
+    rare_q = _rare_poses(model, units, pairs, (q_m, distances), close, seed)
     columns = [k for k, pair in enumerate(pairs) if pair in close and not nested[k]]
     random, rare = (
         Poses(q, d, np.asarray((d[:, columns] > 0.0).all(axis=1)))
-        for q, d in ((q_m, distances), (rare_q, _hull_distances(model, units, pairs, rare_q)))
+        for q, d in ((q_m, distances), (rare_q, hull_distances(model, units, pairs, rare_q)))
     )
-    found = Meetings(units, pairs, close, random, rare)
+    found = Meetings(units, pairs, close, apart, random, rare)
     if points:
         _meet(found, model)
     return found
 
 
-def _hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:
+def hull_distances(model: RobotModel, units: Sequence[Unit], pairs: Pairs, q_m: Array) -> Array:
     """(N, pairs) [m] signed distances between the hulls of units at poses (N, n_m)."""
     shapes = [
         [(unit.joint, pin.SE3.Identity(), convex_hull(part.corners)) for part in unit.parts]
@@ -392,7 +405,7 @@ def _rare_poses(
             varied = np.repeat(q_m, _TRIES, axis=0)
             varied = varied + spread * span * rng.standard_normal(varied.shape)
             varied = np.clip(varied, model.q_lower, model.q_upper)
-            found_gaps = _hull_distances(model, (units[a], units[b]), [(0, 1)], varied)[:, 0]
+            found_gaps = hull_distances(model, (units[a], units[b]), [(0, 1)], varied)[:, 0]
             found.append(varied[found_gaps <= 0.0])
             q_m, gaps = np.vstack([q_m, varied]), np.concatenate([gaps, found_gaps])
             met = rng.permutation(np.flatnonzero(gaps <= 0.0))
@@ -413,12 +426,12 @@ def _meet(found: Meetings, model: RobotModel) -> None:
     data, units = model.pin.createData(), found.units
     for k, (a, b) in enumerate(found.pairs):
         column = found.random.distances[:, k]
-        met_in = np.flatnonzero((column <= _MARGIN) & found.random.possible)
+        met_in = np.flatnonzero((column <= MARGIN) & found.random.possible)
         # The shallow ones first: deep ones, where arms pass through each other, come last.
         met_in = met_in[np.argsort(-column[met_in])][:: max(1, len(met_in) // _MOST_LOOKS)]
         poses = found.random.q_m[met_in]
         if np.count_nonzero(column <= 0.0) < _RARE:
-            rare = found.rare.q_m[(found.rare.distances[:, k] <= _MARGIN) & found.rare.possible]
+            rare = found.rare.q_m[(found.rare.distances[:, k] <= MARGIN) & found.rare.possible]
             poses = np.vstack([poses, rare])
         if (a, b) in found.close or not len(poses):
             continue
@@ -437,5 +450,5 @@ def _reached(points: Array, unit: Unit) -> Array:
     along = points @ directions(2).T
     inside = np.zeros(len(points), dtype=bool)
     for part in unit.parts:
-        inside |= (along <= part.reach + _MARGIN).all(axis=1)
+        inside |= (along <= part.reach + MARGIN).all(axis=1)
     return inside

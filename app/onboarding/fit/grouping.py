@@ -234,12 +234,19 @@ def unseen_collisions(
 ) -> Unseen:
     """What the bodies of a description do not see of its links' collisions.
 
-    Links that may touch by design do not count, nor those that are within d_b [m] as built.
+    Links that may touch by design do not count, nor links of the arm that are within d_b [m] as
+    built; those that are so near to the base and can meet it do.
     """
     by_body = units_of_links(model, geometry)
     units = tuple(unit for each in by_body.values() for unit in each)
     met = sample_meetings(
-        model, units, samples=UNSEEN_POSES, seed=_UNSEEN_SEED, d_b=d_b, points=False
+        model,
+        units,
+        samples=UNSEEN_POSES,
+        seed=_UNSEEN_SEED,
+        d_b=d_b,
+        points=False,
+        stopped=True,
     )
     owner = {unit.index: name for name, each in by_body.items() for unit in each}
     random = met.random.possible & met.collides.any(axis=1)

@@ -1,0 +1,295 @@
+"""Folder "Edit this robot": its bodies by gizmos, its pairs and its ready pose; saved and checked.
+
+Callbacks keep what the person does; the drawing thread shows it.
+"""
+
+from __future__ import annotations
+
+from html import escape
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import viser
+
+from app.dashboard.markup import cell, problem, row, small, table
+from app.dashboard.panels import JobStatus, Moment, Panel, Viewer
+from app.dashboard.panels.phrases import spoken
+from app.dashboard.robots import RobotCheck
+from app.dashboard.scene.canvas import to_viser
+from app.dashboard.scene.colours import GHOSTS
+from app.dashboard.scene.scene import node_of
+from app.errors import ConfigError
+from app.onboarding.request import NAME
+from app.onboarding.write import HandMade, save_by_hand
+from app.robot.assets import robot_folder, robot_names, user_robots
+from app.robot.shapes import (
+    Box,
+    Capsule,
+    ConvexMesh,
+    Cylinder,
+    Hull,
+    Shape,
+    Sphere,
+    Superquadric,
+    shape_mesh,
+)
+
+Array = np.ndarray
+
+MOVE, SIZE = "move", "size"
+"""Scene nodes of a body's gizmos, below that of its frame."""
+_NONE = "(none)"
+_OPACITY = 0.45  # [-]
+_LEAST, _FARTHEST = 0.002, 5.0  # [m] of half a body, and of its place in its frame
+_DIGITS = 4  # [-] of lengths [m] and angles [rad]
+
+
+class EditPanel(Panel):
+    """What one viewer changes of the robot that is shown, until it is saved or dropped."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        """Build the folder, closed; nothing is changed."""
+        super().__init__(viewer)
+        gui, self._viewer, self._shared = self._gui, viewer, viewer.shared
+        self._check, self._robot = self._shared.robot_check, self._shared.model.description
+        names = [body.name for body in self._robot.bodies]
+        self._pairs = {f"{a}-{b}" for a, b in combinations(names, 2) if not _joined(names, a, b)}
+        self._keys = {
+            f"{body.name} {i + 1}" if len(body.shapes) > 1 else body.name: (body, i)
+            for body in self._robot.bodies
+            for i in range(len(body.shapes))
+        }
+        self._drawn: dict[str, tuple[Shape, viser.MeshHandle]] = {}
+        self._gizmos: tuple[str, tuple[viser.TransformControlsHandle, ...]] = (_NONE, ())
+        self._sizing = False
+        self._q_m: Array | None = None  # (n_m,) [rad or m] of the arm, as it is shown
+        with gui.add_folder("Edit this robot", expand_by_default=False):
+            self._text = gui.add_html("")
+            self._body = gui.add_dropdown(
+                "Body",
+                (_NONE, *self._keys),
+                hint="Its large gizmo moves and turns it, the small one at its corner resizes it.",
+            )
+            with gui.add_folder("Pairs that are watched", expand_by_default=False):
+                self._watched = {
+                    pair: gui.add_checkbox(spoken(pair, tuple(names)), False)
+                    for pair in sorted(self._pairs)
+                }
+                for box in self._watched.values():
+                    self.on_update(box, lambda _: self._switch_pairs())
+            self.button(
+                "Ready pose from here",
+                lambda _: self._take_pose(),
+                viser.Icon.STRETCHING,
+                hint="Of the arm as it is shown: drag it there, or use “Postures”.",
+            )
+            self._name = gui.add_text("Save as", own_name(self._robot.name), hint="Letters, digits")
+            self.button("Save and show", lambda _: self._save(), viser.Icon.DEVICE_FLOPPY)
+            self.button("Drop changes", lambda _: self._drop(), viser.Icon.X, color="gray")
+            self.button(
+                "Check as saved", lambda _: self._check.begin(self._robot.name), viser.Icon.CHECKS
+            )
+            self.status = JobStatus(viewer, self._check)
+        self._drop()
+
+    def update(self, moment: Moment) -> None:
+        """Draw what has changed, and say it."""
+        self._q_m = moment.shown.q_m
+        self._draw()
+        self._text.content = small(changes_html(self.changes))
+        self.status.show(rows_html(self._check))
+
+    def _drop(self) -> None:
+        self.changes = HandMade({}, dict(self._robot.unwatched), None)
+        for pair, box in self._watched.items():
+            box.value = pair not in self._robot.unwatched
+
+    def _shape(self, key: str) -> Shape:
+        body, i = self._keys[key]
+        return self.changes.shapes.get((body.name, i), body.shapes[i])
+
+    def _set(self, key: str, shape: Shape) -> None:
+        body, i = self._keys[key]
+        self.changes.shapes[body.name, i] = shape
+
+    def _switch_pairs(self) -> None:
+        off = (pair for pair, box in self._watched.items() if not box.value)
+        reasons = {pair: self._robot.unwatched.get(pair, "set by hand") for pair in off}
+        self.changes = self.changes._replace(unwatched=reasons)
+
+    def _take_pose(self) -> None:
+        if self._q_m is not None:
+            pose = tuple(round(float(q), _DIGITS) for q in self._q_m)
+            self.changes = self.changes._replace(ready=pose)
+
+    def _save(self) -> None:
+        name, own = self._name.value, self._robot.name
+        if not NAME.fullmatch(name):  # before it becomes a part of a path
+            raise ConfigError("a name is a letter, then letters, digits and _ only")
+        if name in robot_names() and (name != own or robot_folder(name).parent != user_robots()):
+            raise ConfigError(f"there is a robot {name!r} already; give another name")
+        save_by_hand(robot_folder(own), user_robots() / name, self.changes)
+        shared, switch = self._shared, self._shared.robot_switch
+        switch.look_again()
+        controller = shared.loop.latest().controller
+        switch.begin(name, shared.tuning.config, controller, shared.loop)
+
+    def _draw(self) -> None:
+        """Send the bodies that are chosen or changed, and the gizmos of the one that is chosen."""
+        chosen = self._body.value
+        of = {key: (body.name, i) for key, (body, i) in self._keys.items()}
+        wanted = {key for key in of if key == chosen or of[key] in self.changes.shapes}
+        for key in self._drawn.keys() - wanted:
+            self._drawn.pop(key)[1].remove()
+        for key in wanted:
+            shape = self._shape(key)
+            if key not in self._drawn or self._drawn[key][0] != shape:
+                self._drawn[key] = shape, self._mesh(key, shape)
+        if self._gizmos[0] != chosen:
+            for gizmo in self._gizmos[1]:
+                gizmo.remove()
+            self._gizmos = chosen, () if chosen == _NONE else self._take_hold(chosen)
+        elif self._gizmos[1] and not self._sizing:
+            self._gizmos[1][1].position = half_extents(self._shape(chosen))
+
+    def _mesh(self, key: str, shape: Shape) -> viser.MeshHandle:
+        mesh, (position, wxyz) = shape_mesh(shape), to_viser(shape.placement())
+        return self._viewer.client.scene.add_mesh_simple(
+            f"{self._frame(key)}/mesh",
+            vertices=np.asarray(mesh.vertices),
+            faces=np.asarray(mesh.faces),
+            color=GHOSTS[0],
+            opacity=_OPACITY,
+            flat_shading=True,
+            position=position,
+            wxyz=wxyz,
+        )
+
+    def _frame(self, key: str) -> str:
+        """The scene node of a body's frame, which moves with the joint that carries it."""
+        model, (body, _) = self._shared.parts.kinematics.model, self._keys[key]
+        frame = model.frames[model.getFrameId(body.frame)]
+        position, wxyz = to_viser(frame.placement)
+        node = f"{node_of(model, frame.parentJoint)}/edited_{key.replace(' ', '_')}"
+        self._viewer.client.scene.add_frame(node, show_axes=False, position=position, wxyz=wxyz)
+        return node
+
+    def _take_hold(self, key: str) -> tuple[viser.TransformControlsHandle, ...]:
+        """The gizmos of a body; the second one stands at its corner, and goes with the first."""
+        scene, shape = self._viewer.client.scene, self._shape(key)
+        node, (position, wxyz) = f"{self._frame(key)}/{MOVE}", to_viser(shape.placement())
+        whole = scene.add_transform_controls(
+            node, scale=0.22, depth_test=False, position=position, wxyz=wxyz
+        )
+        corner = scene.add_transform_controls(
+            f"{node}/{SIZE}",
+            scale=0.09,
+            disable_rotations=True,
+            disable_sliders=True,
+            depth_test=False,
+            position=half_extents(shape),
+        )
+
+        def move(event: Any) -> None:
+            p = np.clip(event.target.position, -_FARTHEST, _FARTHEST)
+            q = pin.Quaternion(*np.clip(event.target.wxyz, -1.0, 1.0))
+            if q.norm() > 0.5:  # else it is no rotation of a gizmo
+                self._set(key, placed(self._shape(key), pin.SE3(q.normalized().matrix(), p)))
+
+        def resize(event: Any) -> None:
+            self._sizing = event.phase != "end"
+            half = np.clip(np.abs(event.target.position), _LEAST, _FARTHEST)
+            self._set(key, resized(self._shape(key), half))
+
+        for gizmo, act in ((whole, move), (corner, resize)):
+            gizmo.on_update(self._notifier.guard(act))  # type: ignore[arg-type]
+        return whole, corner
+
+
+def _joined(names: list[str], a: str, b: str) -> bool:
+    return abs(names.index(a) - names.index(b)) <= 1
+
+
+def own_name(name: str) -> str:
+    """The name to save a robot by: its own where it is the user's."""
+    return name if robot_folder(name).parent == user_robots() else f"{name}_by_hand"
+
+
+def half_extents(shape: Shape) -> Array:
+    """(3,) [m] how far a shape reaches from its middle along its own axes."""
+    return np.abs(shape_mesh(shape).bounds).max(axis=0)
+
+
+def placed(shape: Shape, T: pin.SE3) -> Shape:
+    """The shape with its middle at T in its body's frame."""
+    if isinstance(shape, Capsule):
+        along = np.array([0.0, 0.0, shape.length_m / 2])
+        ends = {"start_m": _three(T.act(-along)), "end_m": _three(T.act(along))}
+        return shape.model_copy(update=ends)
+    rpy = _three(pin.rpy.matrixToRpy(T.rotation))
+    return shape.model_copy(update={"xyz_m": _three(T.translation), "rpy_rad": rpy})
+
+
+def resized(shape: Shape, half: Array) -> Shape:
+    """The shape that reaches so far (3,) [m] along its own axes.
+
+    What is round takes the axis across that is changed most.
+    """
+    factor = half / half_extents(shape)
+    most = int(np.argmax(np.abs(np.log(factor[:2]))))
+    radius = round(float(half[most]), _DIGITS)
+    match shape:
+        case Box():
+            changed: dict[str, Any] = {"size_m": _three(2 * half)}
+        case Superquadric():
+            changed = {"semi_axes_m": _three(factor * shape.semi_axes_m)}
+        case Hull():
+            changed = {"vertices_m": tuple(_three(factor * v) for v in shape.vertices_m)}
+        case ConvexMesh():
+            changed = {"scale": _three(factor * shape.scale)}
+        case Sphere():
+            longest = int(np.argmax(np.abs(np.log(factor))))
+            changed = {"radius_m": round(float(half[longest]), _DIGITS)}
+        case Cylinder():
+            changed = {"radius_m": radius, "length_m": round(float(2 * half[2]), _DIGITS)}
+        case Capsule():
+            T, along = shape.placement(), np.array([0.0, 0.0, max(float(half[2]) - radius, 0.0)])
+            ends = {"start_m": _three(T.act(-along)), "end_m": _three(T.act(along))}
+            changed = {"radius_m": radius, **ends}
+    return shape.model_copy(update=changed)
+
+
+def _three(values: Array) -> tuple[float, float, float]:
+    x, y, z = (round(float(value), _DIGITS) + 0.0 for value in values)
+    return x, y, z
+
+
+def changes_html(changes: HandMade) -> str:
+    """What is not saved yet."""
+    said = [f"{name}: {shape.type}" for (name, _), shape in changes.shapes.items()]
+    said += [f"ready pose {', '.join(f'{q:g}' for q in changes.ready)}"] if changes.ready else []
+    return (f"Not saved: <b>{escape('; '.join(said))}</b>. " if said else "") + (
+        "What is saved stands in <code>robot.toml</code> as “set by hand”; its border is sampled "
+        "anew where bodies or pairs have changed."
+    )
+
+
+_COLOURS = {"passed": "#2f9e44", "warned": "#e8590c", "failed": "#e03131"}
+
+
+def rows_html(check: RobotCheck) -> str:
+    """How the last check ended, row by row."""
+    if check.problem:
+        return problem(check.problem)
+    rows = [
+        row(
+            cell(escape(each.name), "white-space:nowrap;vertical-align:top"),
+            cell(escape(each.outcome), f"color:{_COLOURS.get(each.outcome, '#868e96')}"),
+            hint=each.text,
+        )
+        + row(cell(escape(each.text), "opacity:.65", span=2))
+        for each in check.rows
+    ]
+    return f"<b>{escape(check.name)}</b>{table(rows)}" if rows else ""

@@ -1,0 +1,89 @@
+"""Stops: limits of joints that keep the arm off the base where no buffer can.
+
+A UR's upper arm is always nearer to the base than d_b: no force can make room for it. But its lift
+alone decides whether it meets the base, and a limit of the lift keeps it away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from app.errors import RobotFileError
+from app.onboarding.fit.collision_sampling import MARGIN, Meetings, hull_distances
+from app.onboarding.numbers import Limits
+from app.onboarding.read.tree import Arm
+from app.robot.link_pairs import sample_joints
+from app.robot.model import RobotModel
+
+Array = np.ndarray
+
+_VALUES = 400  # [-] of a joint that are looked at
+_POSES = 60  # [-] of the other joints, at each of them
+_ARM = 2  # pinocchio's first joint of the arm
+_ALIKE = 0.05  # [-] of a joint's range by which two ways to limit it are alike
+
+
+def with_stops(
+    limits: Limits,
+    model: RobotModel,
+    arm: Arm,
+    meetings: Meetings,
+    ready: Sequence[float] | None = None,
+) -> Limits:
+    """The limits, narrowed until no link that is close to the base as built can come to it.
+
+    Of the joints between the two, that is narrowed which keeps most of its range. Where none would
+    keep any, as the two touch wherever each of them is, the limits stay: the check counts it.
+
+    Args:
+        limits: What the URDF states.
+        model: The robot with these.
+        arm: Its joints.
+        meetings: Of its links.
+        ready: (n_m,) [rad or m] a pose that has to stay within the limits.
+
+    Raises:
+        RobotFileError: In that pose they touch.
+    """
+    lower, upper = np.array(limits.lower), np.array(limits.upper)
+    stops = {}
+    for u, v in sorted(meetings.close & meetings.apart):
+        a, b = meetings.units[u], meetings.units[v]
+        q_m, gaps = meetings.random.q_m, meetings.random.distances[:, meetings.pairs.index((u, v))]
+        within = ((q_m >= lower) & (q_m <= upper)).all(axis=1)
+        if (gaps[within] > 0.0).all():
+            continue
+        poses = sample_joints(model, _POSES, np.random.default_rng(0)).clip(lower, upper)
+        ways = []
+        for joint in range(b.joint - _ARM + 1):
+            values = np.linspace(lower[joint], upper[joint], _VALUES)
+            tried = np.repeat(poses[:, None], _VALUES, axis=1)
+            tried[:, :, joint] = values
+            found = hull_distances(model, (a, b), [(0, 1)], tried.reshape(-1, model.n_m))
+            nearest = found.reshape(_POSES, _VALUES).min(axis=0)
+            for first, last in _runs(nearest > MARGIN):
+                low, high = values[first], values[last]
+                if ready is None or low <= ready[joint] <= high:
+                    share = round((high - low) / (upper - lower)[joint] / _ALIKE)
+                    ways.append((share, -abs(low + high), joint, low, high))
+        if ways:
+            *_, joint, low, high = max(ways)
+            lower[joint], upper[joint] = np.ceil(100 * low) / 100, np.floor(100 * high) / 100
+            stops[arm.joints[joint].name] = f"{b.links[0]} comes to {a.links[0]}"
+        elif ready is not None:
+            raise RobotFileError(f"--ready: {b.links[0]} can meet {a.links[0]} around that pose")
+    if not stops:
+        return limits
+    why = "; ".join(f"that of {name} to where {text}" for name, text in stops.items())
+    source = limits.source | {
+        field: f"{limits.source[field]}; {why}" for field in ("position_lower", "position_upper")
+    }
+    return limits._replace(lower=tuple(lower.tolist()), upper=tuple(upper.tolist()), source=source)
+
+
+def _runs(clear: Array) -> list[tuple[int, int]]:
+    """First and last index of each run of more than one."""
+    ends = np.flatnonzero(np.diff(np.concatenate([[False], clear, [False]]).astype(int)))
+    return [(i, j - 1) for i, j in ends.reshape(-1, 2).tolist() if j - i > 1]

@@ -1,0 +1,104 @@
+"""People who wander: does anything touch while two of them take hand and links wherever they like?
+
+The lines of other measurements lead the hand to the base. Here one person takes the hand, another
+any link, both from place to place above and around the base, letting go now and then.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from app.config import Config
+from app.simulation.case import Planned
+from app.simulation.people import held_links
+from app.simulation.run import run_planned
+from app.simulation.scenarios.pulled import Pulled, PulledScenario
+from app.simulation.session import DT
+from benchmarks.law.options import Options
+from benchmarks.law.report import Report, largest, least
+from benchmarks.law.robot import load
+from benchmarks.law.work import played
+
+_DURATION = 15.0  # [s]
+_ALONE = 4.0  # [s] at the end, when nobody holds the robot
+_STIFFNESS = 300.0, 2500.0  # [N/m]
+_FARTHEST = 0.9  # [m] from the base's centre
+_HEIGHTS = 0.05, 1.3  # [m]
+_AT_A_PLACE = 0.4, 2.5  # [s]
+_LET_GO = 0.25  # [-] of the places, instead of which the person lets go
+
+
+class Walk(NamedTuple):
+    """What two people do, drawn from seed and number alone; each pulls with up to `force` [N]."""
+
+    options: Options
+    number: int
+    force: float
+
+
+def wander(options: Options, count: int = 12, force: float = 50.0, first: int = 0) -> Report:
+    """Take hand and links from place to place around the base.
+
+    Args:
+        options: See `Options`.
+        count: Runs.
+        force: [N] of each of the two people at most.
+        first: Number of the first run.
+    """
+    walks = [Walk(options, number, force) for number in range(first, first + count)]
+    rows = played(play, walks, options.jobs, "wander")
+    return Report("wander", rows, _summary(rows))
+
+
+def play(walk: Walk) -> dict[str, Any]:
+    """The row of one run."""
+    options, number, force = walk
+    robot = load(options.robot)
+    rng = np.random.default_rng([options.seed, number])
+    links = [None, str(rng.choice(held_links(robot.model)))]
+    pulls = sorted(
+        (pull for who, link in enumerate(links) for pull in _pulls(rng, who, link)),
+        key=lambda pull: pull.step,
+    )
+    stiffness = float(rng.uniform(*_STIFFNESS))
+    config = Config().replace("hand.f_max", force).replace("hand.stiffness", stiffness)
+    scenario = PulledScenario("wander", _DURATION, "two people wander", pulls=tuple(pulls))
+    run = Planned(options.robot, scenario, config, options.controller, None, options.seed)
+    figures = run_planned(run, robot.model, robot.data).figures
+    return {
+        "case": f"{number}, {links[1]}",
+        "person": f"{force:.0f} N, {stiffness:.0f} N/m",
+        "least_distance_m": figures["min_clearance_m"],
+        "least_between_links_m": figures["arm_min_clearance_m"],
+        "contact_steps": figures["contacts"],
+        "arm_contact_steps": figures["arm_contacts"],
+        "joint_speed_share": figures["joint_speed_share_max"],
+        "base_speed_final_mps": figures["base_speed_final_mps"],
+        "failures": figures["solver_failures"],
+    }
+
+
+def _pulls(rng: np.random.Generator, who: int, link: str | None) -> list[Pulled]:
+    """What one person does until nobody holds the robot any more."""
+    found, t = [], rng.uniform(0.0, 1.0)
+    while t < _DURATION - _ALONE:
+        angle, r = rng.uniform(-np.pi, np.pi), rng.uniform(0.0, _FARTHEST)
+        place = (float(r * np.cos(angle)), float(r * np.sin(angle)), float(rng.uniform(*_HEIGHTS)))
+        gone = rng.random() < _LET_GO
+        found.append(Pulled(round(t / DT), who, None if gone else place, link))
+        t += rng.uniform(*_AT_A_PLACE)
+    return [*found, Pulled(round((_DURATION - _ALONE) / DT), who, None)]
+
+
+def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        "runs": len(rows),
+        "least_distance_m": least(rows, "least_distance_m"),
+        "least_between_links_m": least(rows, "least_between_links_m"),
+        "with_contact": sum(row["contact_steps"] + row["arm_contact_steps"] > 0 for row in rows),
+        "joint_speed_share_max": largest(rows, "joint_speed_share"),
+        "base_speed_final_max_mps": largest(rows, "base_speed_final_mps"),
+        "failures": sum(row["failures"] for row in rows),
+    }

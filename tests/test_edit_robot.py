@@ -1,0 +1,168 @@
+"""A robot edited by hand: shapes follow gizmos, and what is saved is the rest as it stood."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from app.border.cache import BorderData, kept_border_data
+from app.config import Config
+from app.dashboard import robots
+from app.dashboard.panels.edit import SIZE, half_extents, placed, resized
+from app.errors import DescriptionError, OutputError
+from app.jobs.process import Report
+from app.onboarding.check import Row
+from app.onboarding.write import BY_HAND, HandMade, save_by_hand
+from app.robot.assets import robot_folder
+from app.robot.description import load_description
+from app.robot.model import RobotModel
+from app.robot.shapes import Box, Capsule, Cylinder, Hull, Shape, Sphere, Superquadric
+from tests.browser import DashboardTab, wait_for
+from tests.dashboards import Served, served_dashboard
+from tests.fakes import ScriptedLoop
+from tests.robots import husky_panda
+
+SHAPES: list[Shape] = [
+    Box(type="box", size_m=(0.2, 0.3, 0.4)),
+    Sphere(type="sphere", radius_m=0.1),
+    Cylinder(type="cylinder", radius_m=0.1, length_m=0.4),
+    Capsule(type="capsule", start_m=(0.0, 0.0, -0.1), end_m=(0.0, 0.0, 0.1), radius_m=0.1),
+    Hull(type="hull", vertices_m=((0.1, 0, 0), (-0.1, 0, 0), (0, 0.2, 0), (0, 0, 0.3))),
+    Superquadric(type="superquadric", semi_axes_m=(0.1, 0.2, 0.3), e1=0.5, e2=0.5),
+]
+T = pin.SE3(pin.rpy.rpyToMatrix(0.3, -0.5, 1.1), np.array([0.1, -0.2, 0.3]))
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.type)
+def test_a_shape_stands_where_it_is_put_and_keeps_its_size(shape: Shape) -> None:
+    moved = placed(shape, T)
+    assert moved.placement().translation == pytest.approx(T.translation, abs=1e-4)
+    assert half_extents(moved) == pytest.approx(half_extents(shape), abs=2e-4)
+    assert moved.placement().rotation[:, 2] == pytest.approx(T.rotation[:, 2], abs=2e-3)
+
+
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.type)
+def test_a_shape_reaches_as_far_as_its_corner_is_dragged_and_stays_in_place(shape: Shape) -> None:
+    shape = placed(shape, T)
+    half = half_extents(shape) * (1.5 if shape.type == "sphere" else np.array([1.5, 1.5, 2.0]))
+    larger = resized(shape, half)
+    assert half_extents(larger) == pytest.approx(half, abs=1e-3)
+    assert larger.placement().isApprox(shape.placement(), 1e-3)
+
+
+def test_a_round_shape_takes_the_side_that_was_dragged() -> None:
+    cylinder = Cylinder(type="cylinder", radius_m=0.1, length_m=0.4)
+    wider = resized(cylinder, np.array([0.1, 0.15, 0.2]))
+    assert isinstance(wider, Cylinder)
+    assert (wider.radius_m, wider.length_m) == (0.15, 0.4)
+
+
+CHANGES = HandMade(
+    {("lEE", 0): Box(type="box", size_m=(0.1, 0.1, 0.2))},
+    {"l1-lEE": BY_HAND},
+    (0.0, -0.5, 0.0, -2.0, 0.0, 1.6, 0.8),
+)
+
+
+def test_what_is_saved_by_hand_says_so_and_all_else_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    source = robot_folder("husky_panda")
+    save_by_hand(source, tmp_path / "mine", CHANGES)
+    before = load_description(source / "robot.toml")
+    after = load_description(tmp_path / "mine" / "robot.toml")
+    assert after.body("lEE").shapes == (CHANGES.shapes["lEE", 0],)
+    assert after.unwatched == CHANGES.unwatched
+    assert after.arm.ready_position == CHANGES.ready
+    assert {after.body("lEE").source, after.arm.source["ready_position"]} == {BY_HAND}
+    assert after.name == "mine"
+    changed = {"name": "x", "title": "x", "bodies": (), "arm": before.arm, "unwatched": {}}
+    assert after.model_copy(update=changed) == before.model_copy(update=changed)
+    assert after.bodies[:-1] == before.bodies[:-1]
+    comments = [
+        [line for line in (folder / "robot.toml").read_text().splitlines() if line[:1] == "#"]
+        for folder in (source, tmp_path / "mine")
+    ]
+    assert comments[0] == comments[1]
+    RobotModel(after)  # its URDF came along
+
+
+def test_a_robot_of_ones_own_is_saved_in_its_place_and_no_other_one_is(tmp_path: Path) -> None:
+    source, own = robot_folder("husky_panda"), tmp_path / "mine"
+    save_by_hand(source, own, CHANGES)
+    text = (own / "robot.toml").read_text()
+    save_by_hand(own, own, CHANGES._replace(shapes={}, unwatched={}, ready=None))
+    again = load_description(own / "robot.toml")
+    assert (again.name, again.unwatched) == ("mine", {})
+    wrong = CHANGES._replace(unwatched={"l1-nobody": BY_HAND})
+    with pytest.raises(DescriptionError, match="there is no pair l1-nobody"):
+        save_by_hand(own, own, wrong)
+    assert load_description(own / "robot.toml") == again
+    with pytest.raises(OutputError, match="is there already"):
+        save_by_hand(source, own, CHANGES)
+    assert text != (own / "robot.toml").read_text()
+
+
+def few_rows(report: Report, robot: str) -> list[Row]:
+    """A check that takes no time."""
+    return [Row("limits", "warned", f"of {robot}, weak", {})]
+
+
+@pytest.fixture
+def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+    monkeypatch.setenv("DBB_ROBOTS", str(tmp_path))
+    data = kept_border_data(husky_panda())
+    monkeypatch.setattr(robots, "kept_border_data", lambda model: data)
+    monkeypatch.setattr(robots, "check_rows", few_rows)
+
+    def begin(model: RobotModel, data: BorderData, config: Config, controller: str) -> ScriptedLoop:
+        return ScriptedLoop(model)
+
+    with served_dashboard(start_loop=begin) as served:
+        yield served
+
+
+@pytest.mark.browser
+@pytest.mark.slow
+def test_a_body_is_dragged_resized_saved_and_checked_in_the_page(
+    browser: Any, served: Served, tmp_path: Path
+) -> None:
+    tab = DashboardTab(browser, served.server.address)
+    tab.open_tab("Robot")
+    tab.page.get_by_text("Edit this robot").click()
+    tab.choose("Body", "lEE")
+    panel = served.page().robot_panel
+    assert panel is not None
+    gizmo = "/robot/panda_joint6/edited_lEE/move"
+    tab.wait("n => dbbPage.has(n)", f"{gizmo}/{SIZE}")
+    before = husky_panda().description.body("lEE").shapes[0]
+    assert isinstance(before, Capsule)
+    tab.drag_gizmo(gizmo, 2, 0.08, 0.22)
+    tab.drag_gizmo(f"{gizmo}/{SIZE}", 2, 0.05, 0.09)
+    tab.page.get_by_text("Pairs that are watched").click()
+    tab.check("hand – upper arm", on=False)
+    tab.click("Ready pose from here")
+    wait_for(lambda: panel.edit.changes.ready and panel.edit.changes.unwatched, what="changes")
+    shared = served.server.shared
+    tab.click("Save and show")
+    wait_for(lambda: served.server.shared is not shared, what="the saved robot")
+    saved = load_description(tmp_path / "husky_panda_by_hand" / "robot.toml")
+    after = saved.body("lEE").shapes[0]
+    assert isinstance(after, Capsule)
+    moved = after.placement().translation - before.placement().translation
+    along = before.placement().rotation[:, 2]
+    assert moved @ along == pytest.approx(0.08, abs=0.02)
+    assert np.linalg.norm(moved - (moved @ along) * along) < 0.005
+    assert after.length_m == pytest.approx(before.length_m + 0.1, abs=0.02)
+    assert saved.unwatched == {"l2-lEE": BY_HAND}
+    tab.wait_for_scene()
+    tab.open_tab("Robot")
+    tab.page.get_by_text("Edit this robot").click()
+    tab.click("Check as saved")
+    tab.page.get_by_text("of husky_panda_by_hand, weak").wait_for()
