@@ -5,10 +5,12 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from functools import partial
 from importlib.util import find_spec
+from typing import Any
 
 import pytest
 from hypothesis import settings
 
+from app.border import cache
 from app.border.cache import BorderData, load_border_data
 from app.cli import common
 from app.dashboard import job
@@ -87,19 +89,21 @@ def border_data(robot: RobotModel) -> BorderData:
 @pytest.fixture
 def loaded_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands in this process share a robot and its border as long as its description is equal."""
-    load_model, load_border = common.load_model, common.load_border_data
+    load_model, load_border = common.load_model, cache.load_border_data
 
     def model_of(robot: str) -> RobotModel:
         fresh = load_model(robot)  # whatever is wrong with its files is found out each time
         return _models.setdefault(fresh.description.model_dump_json(), fresh)
 
-    def border_of(model: RobotModel) -> BorderData:
+    def border_of(model: RobotModel, **how: Any) -> BorderData:
+        if how:  # sampled as one asks for it
+            return load_border(model, **how)
         if model not in _borders:
             _borders[model] = load_border(model)
         return _borders[model]
 
     monkeypatch.setattr(common, "load_model", model_of)
-    monkeypatch.setattr(common, "load_border_data", border_of)
+    monkeypatch.setattr(cache, "load_border_data", border_of)
 
 
 _models: dict[str, RobotModel] = {}

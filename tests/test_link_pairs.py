@@ -74,7 +74,7 @@ def test_the_distance_is_between_the_closest_points_along_the_normal(model):
         for i in range(len(reader.pairs)):
             near = reader.closest(i)
             assert near.d == reader.distance(i)
-            np.testing.assert_allclose(near.p_b - near.p_a, near.d * near.normal, atol=2e-6)
+            np.testing.assert_allclose(near.p_b - near.p_a, near.d * near.n, atol=2e-6)
 
 
 def test_closest_points_stay_what_they_were_after_an_update(model):

@@ -10,7 +10,6 @@ import math
 from collections.abc import Sequence
 from itertools import product
 from operator import itemgetter
-from typing import NamedTuple
 
 import coal
 import numpy as np
@@ -18,7 +17,7 @@ import pinocchio as pin
 
 from app.border.mobile import ConvexPart
 from app.compiled import compiled
-from app.robot.link_pairs import Pair, PairDistances
+from app.robot.link_pairs import ClosestPoints, Pair, PairDistances
 from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, Cylinder, Shape, Sphere
 from app.robot.state import RobotState
@@ -27,23 +26,6 @@ Array = np.ndarray
 
 _ALONG = 7  # nodes of a capsule
 _SIGNS = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])  # 26 directions
-
-
-class ClosestPoints(NamedTuple):
-    """The closest points of one link pair, in the world."""
-
-    pair: Pair
-    """The link pair; `a` is nearer to the base than `b`."""
-    d: float
-    """[m] signed distance, negative in penetration."""
-    p_a: Array
-    """(3,) [m] closest point on `a`."""
-    p_b: Array
-    """(3,) [m] closest point on `b`."""
-    n: Array
-    """(3,) unit normal from `a` to `b`: moving `b` along it increases d, in penetration too."""
-    core: Array
-    """(3,) [m] the point of the core of `b` behind p_b: its radius farther along n."""
 
 
 class DistanceMonitor:
@@ -73,10 +55,9 @@ class DistanceMonitor:
             d = self._distances.distance(i)
             if d < within:
                 p_a, p_b, core, n = smooth.find(self._state.data, blend)
+                found.append(ClosestPoints(pair, d, p_a, p_b, n, core))
             else:
-                _, p_a, p_b, n = self._distances.closest(i)
-                core = p_b
-            found.append(ClosestPoints(pair, d, p_a, p_b, n, core))
+                found.append(self._distances.closest(i))
         return found
 
     def distances(self) -> tuple[float, ...]:

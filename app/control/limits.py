@@ -119,9 +119,8 @@ def robot_limits(
     model, n, n_b, n_m = state.model, state.model.n, state.model.n_b, state.model.n_m
     rows = tuple(barriers)
     m, h_a = 2 * n_m + len(rows), state.h[n_b:]
-    C, l, u = np.zeros((m, n)), np.empty(m), np.full(m, np.inf)
-    C[:n_m] = state.M[n_b:]
-    np.fill_diagonal(C[n_m : 2 * n_m, n_b:], 1.0 / model.qd_max)
+    C, l, u = np.empty((m, n)), np.empty(m), np.full(m, np.inf)
+    C[:n_m], C[n_m : 2 * n_m] = state.M[n_b:], model.S[3:] / model.qd_max[:, None]
     l[:n_m], u[:n_m] = (-model.tau_max, model.tau_max) if arm is None else arm.torque
     l[:n_m] -= h_a
     u[:n_m] -= h_a

@@ -6,11 +6,10 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from functools import partial
 from multiprocessing.connection import Connection
 from queue import SimpleQueue
-from types import TracebackType
 from typing import Any, TypeVar
 
 from app.errors import LoopError
@@ -21,7 +20,7 @@ Result = TypeVar("Result")
 _log = logging.getLogger(__name__)
 
 
-class Workers:
+class Workers(AbstractContextManager["Workers"]):
     """Runs `function(context, job)` for many jobs, with a context that each process makes once.
 
     Results come in the order of the jobs, so they do not depend on the number of processes.
@@ -39,15 +38,7 @@ class Workers:
         self._idle: SimpleQueue[Child] = SimpleQueue()
         self._own: Any = None  # the context within this process, once it is needed
 
-    def __enter__(self) -> Workers:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
         if kind is not None:
             self._end()
         self._threads.shutdown(cancel_futures=True)

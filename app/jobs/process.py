@@ -16,16 +16,13 @@ import threading
 import time
 import traceback
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from multiprocessing.connection import Connection
 from multiprocessing.pool import RemoteTraceback
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from app.errors import DbbError, LoopError
 from app.system import end_group, interrupt_blocked, lead_group, step_back, wake_without_parent
-
-if TYPE_CHECKING:
-    from typing_extensions import Self
 
 Report = Callable[[str, float], None]
 """Takes the present activity, and the share of the work done, 0 to 1; below 0 if unknown."""
@@ -42,7 +39,7 @@ class Cancelled(DbbError):  # noqa: N818 - a person's wish, not an error
     """A person has cancelled the work."""
 
 
-class Child:
+class Child(AbstractContextManager["Child"]):
     """A process that does `work(receiver, sender, *args)`, and ends when its parent has ended.
 
     `work` is a function of a module, and it and its arguments must survive pickling. Nothing is
@@ -74,9 +71,6 @@ class Child:
             )
         with suppress(BrokenPipeError):  # it has ended, as who waits for it will see
             self.sender.send_bytes(task)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.end(at_once=True)

@@ -28,17 +28,21 @@ class Pair(NamedTuple):
         return f"{self.a}-{self.b}"
 
 
-class Closest(NamedTuple):
-    """FindClosestPoints: the two closest points of a pair, in the frame of the given kinematics."""
+class ClosestPoints(NamedTuple):
+    """FindClosestPoints: those of one link pair, in the frame of the given kinematics."""
 
+    pair: Pair
+    """The link pair; `a` is nearer to the base than `b`."""
     d: float
     """[m] signed distance, negative in penetration."""
     p_a: Array
-    """(3,) [m] on the link nearer to the base."""
+    """(3,) [m] closest point on `a`."""
     p_b: Array
-    """(3,) [m] on the link farther out."""
-    normal: Array
-    """(3,) unit vector from l_a to l_b; keeps its sense in penetration."""
+    """(3,) [m] closest point on `b`."""
+    n: Array
+    """(3,) unit normal from `a` to `b`: moving `b` along it increases d, in penetration too."""
+    core: Array
+    """(3,) [m] the point of the core of `b` behind p_b: its radius farther along n; or p_b."""
 
 
 @dataclass(frozen=True)
@@ -119,14 +123,12 @@ class PairDistances:
             row[:] = self.distances()
         return found
 
-    def closest(self, i: int) -> Closest:
+    def closest(self, i: int) -> ClosestPoints:
         """The closest points of the i-th pair; copies, safe to keep."""
         result = self.nearest_result(i)
-        return Closest(
-            result.min_distance,
-            result.getNearestPoint1(),
-            result.getNearestPoint2(),
-            result.normal.copy(),  # unlike the points it is a view
+        p_b, n = result.getNearestPoint2(), result.normal.copy()  # unlike the points it is a view
+        return ClosestPoints(
+            self.pairs[i], result.min_distance, result.getNearestPoint1(), p_b, n, p_b
         )
 
     def nearest_result(self, i: int) -> pin.DistanceResult:

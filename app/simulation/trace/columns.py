@@ -85,14 +85,15 @@ class TraceMeta(Strict):
     ) -> TraceMeta:
         """The meta data of a run; all its link pairs, and whether each is of L_m."""
         arm, base = model.description.arm, model.description.base
+        velocities, accelerations = zip(*map(_rate_columns, base.axes), strict=True)
         kinds = (model.pin.joints[model.pin.getJointId(name)].shortname() for name in arm.joints)
         return cls(
             robot=model.description.name,
             joints=tuple(arm.joints),
             joint_units=tuple("m" if "JointModelP" in kind else "rad" for kind in kinds),
             joint_speeds=tuple(model.qd_max.tolist()),
-            velocities=tuple(map(_velocity_column, base.axes)),
-            accelerations=tuple(map(_acceleration_column, base.axes)),
+            velocities=velocities,
+            accelerations=accelerations,
             wheels=tuple(wheels.name for wheels in base.wheels),
             pairs=tuple(pairs),
             mobile_pairs=tuple(name for name, mobile in pairs.items() if mobile),
@@ -106,16 +107,10 @@ def axis_name(axis: Axis) -> str:
     return axis.symbol.replace("_", "").replace("ω", "w")
 
 
-def _velocity_column(axis: Axis) -> str:
-    """As in vx_mps or w_radps."""
-    return f"{axis_name(axis)}_{'radps' if axis.angular else 'mps'}"
-
-
-def _acceleration_column(axis: Axis) -> str:
-    """As in ax_mps2 or aw_radps2."""
-    if axis.angular:
-        return f"a{axis_name(axis)}_radps2"
-    return f"a{axis_name(axis).removeprefix('v')}_mps2"
+def _rate_columns(axis: Axis) -> tuple[str, str]:
+    """Of an axis's velocity and acceleration, as in vx_mps and ax_mps2 or w_radps and aw_radps2."""
+    name, unit = axis_name(axis), "radps" if axis.angular else "mps"
+    return f"{name}_{unit}", f"a{name.removeprefix('v')}_{unit}2"
 
 
 def column_names(template: str, meta: TraceMeta) -> list[str]:

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from app.avoidance.mobile_acceleration import ActingPoint
 from app.avoidance.task import activation
 from app.config import ForceConfig
-from app.robot.link_pairs import Closest
+from app.robot.link_pairs import ClosestPoints
 from app.studies import style
 from app.studies.paper import drawing
 from app.studies.paper.experiments import LATERAL, WHEEL_AXIS, Experiment, Sources
@@ -36,7 +36,7 @@ class Force(NamedTuple):
     """[s]"""
     q_m: Array
     """(n_m,) [rad or m] the arm's joints."""
-    closest: Closest
+    closest: ClosestPoints
     """Of base and hand, in the base's frame."""
     acting: ActingPoint
     """What Algorithm 3 finds."""

@@ -14,7 +14,7 @@ from scipy.interpolate import CubicSpline
 from app.avoidance.mobile_acceleration import ActingPointFinder, PairForce, generate_mob_acc
 from app.border.dbb import Border, Cloud
 from app.border.surface import BorderPoints, BorderSurface
-from app.robot.link_pairs import Closest
+from app.robot.link_pairs import ClosestPoints
 from app.simulation.run import run_planned
 from app.simulation.session import DT
 from app.studies import style
@@ -131,7 +131,7 @@ def _chosen(total: int, count: int) -> Array:
     return np.sort(np.random.default_rng(0).choice(total, count, replace=False))
 
 
-def hand_in_buffer(sources: Sources) -> list[Closest]:
+def hand_in_buffer(sources: Sources) -> list[ClosestPoints]:
     """The closest points of the hand while it is in its buffer, at each control step."""
     run = sources.runs[LATERAL]
     fine = np.arange(run.trace.t[0], run.trace.t[-1], DT)
@@ -141,7 +141,7 @@ def hand_in_buffer(sources: Sources) -> list[Closest]:
 
 
 def jump_and_cost(
-    sources: Sources, finder: ActingPointFinder, path: list[Closest]
+    sources: Sources, finder: ActingPointFinder, path: list[ClosestPoints]
 ) -> tuple[float, float, float]:
     """[m] largest and [m] 99th percentile of the jumps, [µs] median time of a search."""
     points, times = [], []
@@ -198,7 +198,7 @@ def figure_continuity(sources: Sources) -> drawing.Drawing:
     )
 
 
-def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Closest]]:
+def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[ClosestPoints]]:
     """Times (N,) [s] and the hand's closest points, while the hand is in its buffer.
 
     The longest stretch without leaving it, at most `LONGEST`; a spline through the log's rows. The
@@ -212,16 +212,17 @@ def hand_path_in_buffer(sources: Sources, dt: float) -> tuple[Array, list[Closes
     begin, end = longest[[0, -1]]
     t = np.arange(begin, min(end, begin + LONGEST), dt)
     logged = sources.closest_points(log.of("q_m"))
-    d, p_a, p_b, normal = (
+    d, p_a, p_b, n = (
         CubicSpline(log.t, [getattr(closest, name) for closest in logged])(t)
-        for name in Closest._fields
+        for name in ("d", "p_a", "p_b", "n")
     )
-    normal /= np.linalg.norm(normal, axis=1)[:, None]
-    return t, [Closest(*values) for values in zip(d, p_a, p_b, normal, strict=True)]
+    n /= np.linalg.norm(n, axis=1)[:, None]
+    path = zip(d, p_a, p_b, n, p_b, strict=True)
+    return t, [ClosestPoints(sources.pair, *values) for values in path]
 
 
 def acting_path(
-    sources: Sources, finder: ActingPointFinder, t: Array, path: list[Closest]
+    sources: Sources, finder: ActingPointFinder, t: Array, path: list[ClosestPoints]
 ) -> drawing.Table:
     """The acting point along the hand's path, and the acceleration that its force asks of the base.
 

@@ -20,7 +20,7 @@ from app.border.surface import BorderSurface
 from app.config import Config, ForceConfig
 from app.jobs.pool import Workers
 from app.robot.description import load_robot
-from app.robot.link_pairs import Closest, Pair, PairDistances
+from app.robot.link_pairs import ClosestPoints, Pair, PairDistances
 from app.robot.model import RobotModel
 from app.simulation.case import Planned
 from app.simulation.run import RunResult, run_planned
@@ -147,7 +147,7 @@ class Sources:
         return ActingPointFinder(shape(border, self.offset), self.field)
 
     def force(
-        self, finder: ActingPointFinder, closest: Closest, force: ForceConfig | None = None
+        self, finder: ActingPointFinder, closest: ClosestPoints, force: ForceConfig | None = None
     ) -> tuple[ActingPoint, Array]:
         """Acting point and force (3,) [N] for a closest point, by the controller's own functions.
 
@@ -158,11 +158,9 @@ class Sources:
         acting = finder.find_acting_point(p_b, d, force)
         assert acting is not None  # the paper's robot has a border at every height in the buffer
         d_b = self.config.border.d_b
-        return acting, avoidance_force(
-            p_b, acting.p_act, d, closest.normal, f_max=force.f_max, d_b=d_b
-        )
+        return acting, avoidance_force(p_b, acting.p_act, d, closest.n, f_max=force.f_max, d_b=d_b)
 
-    def closest_points(self, q_m: Iterable[Array]) -> list[Closest]:
+    def closest_points(self, q_m: Iterable[Array]) -> list[ClosestPoints]:
         """The closest points of base and hand in the base's frame, at each posture (n_m,)."""
         distances = PairDistances(self.model, [self.pair])
         found = []

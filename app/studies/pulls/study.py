@@ -10,7 +10,7 @@ import json
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -154,7 +154,7 @@ def _write_failures(rows: list[Row], parameters: StudyParameters, folder: Path) 
         path.unlink()
 
 
-class Journal:
+class Journal(AbstractContextManager["Journal"]):
     """Rows of a study in a folder, by the number of their case.
 
     Each row is one line of JSON, on the disk before `add` returns. A line that was cut off when
@@ -186,9 +186,6 @@ class Journal:
         except BaseException:
             self._file.close()
             raise
-
-    def __enter__(self) -> Journal:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._file.close()
@@ -252,7 +249,7 @@ def _difference(kept: Any, wanted: dict[str, Any]) -> str:
     return "; ".join(parts)
 
 
-class Cluster:
+class Cluster(AbstractContextManager["Cluster"]):
     """Runs jobs as `app.jobs.pool.Workers` does, on a dask scheduler; use it in a `with`.
 
     The scheduler is not ours to end. `tls://` addresses take their certificates from dask's own
@@ -276,9 +273,6 @@ class Cluster:
         except BaseException:
             self._client.close()
             raise
-
-    def __enter__(self) -> Cluster:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._client.close()
