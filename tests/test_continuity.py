@@ -56,7 +56,7 @@ def test_the_path_is_the_logged_one_inside_the_buffer(sources: Sources) -> None:
     logged = np.interp(t, run.trace["t_s"], run.trace["d_lm-lEE_m"])
     np.testing.assert_allclose([closest.d for closest in path], logged, atol=1e-4)
     assert logged.max() <= sources.config.border.d_b + 1e-3
-    np.testing.assert_allclose([np.linalg.norm(c.normal) for c in path], 1.0)
+    np.testing.assert_allclose([np.linalg.norm(c.n) for c in path], 1.0)
 
 
 def test_the_longest_stretch_is_taken(sources: Sources) -> None:
