@@ -102,10 +102,14 @@
     look();
   };
 
-  // What the server asks of the page: a light drawing, and to open the panel with a name, or the
+  // What the server asks of the page: a light drawing, a title, and to open the panel with a name, or the
   // drawer alone for an empty one, since something stands there. A drawer may still be to come.
   let place = null;
-  window.dbbPanels = { light: (on) => (light = on), open: (name) => (place = name) };
+  window.dbbPanels = {
+    light: (on) => (light = on),
+    open: (name) => (place = name),
+    title: (text) => (document.title = text),
+  };
   const openPlace = () => {
     const drawer = document.querySelector("[data-drawer]");
     if (place === null || (!drawer && matches(NARROW).matches)) return;

@@ -59,7 +59,8 @@ REST = 3.0  # [s] between two times
 class Page:
     """One viewer's panels, layers, camera and place in time.
 
-    Built and drawn by one thread only; callbacks assign to its view or send commands.
+    Built and drawn by one thread only; callbacks assign to its view or send commands. Build it
+    within the client's `atomic`, so that nobody sees it unfinished.
     """
 
     def __init__(
@@ -98,7 +99,7 @@ class Page:
         self._camera = self.viewer.camera
         self._camera.fit(shared.parts.extent)
         self.channel.on("scene", self._camera.cover)
-        self.closed, self._is_new = False, True
+        self.closed = False
         refusal = shared.loop.latest().refusal
         self._refusals = 0 if refusal is None else refusal.number  # of before this viewer came
         self._newest = shared.loop.latest().t
@@ -113,6 +114,7 @@ class Page:
         self.tour = self._add(before.tour if before else Tour(self.viewer))
         self.tour.lead(self.channel, self._acts(), self._places)
         self.channel.begin()
+        self.channel.tell("title", shared.parts.title)
         self.channel.tell("light", self._light)
         self.channel.tell("hints", self._plots.hints)
         self._scene = Scene(client.scene, shared, self.view)
@@ -122,10 +124,10 @@ class Page:
         add_shortcuts(client.gui, self._shortcuts(), notifier)
         self._camera.begin(self.timeline.shown())
         self.share_panel.resume(before.share_panel.waiting if before else Link())
+        self.draw(texts=True)
 
     def draw(self, *, texts: bool) -> None:
         """Draw the instant at which the viewer is; panels, plots and labels only if `texts`."""
-        texts, self._is_new = texts or self._is_new, False  # nobody waits for the first ones
         newest, shown = self._shared.loop.latest(), self.timeline.shown()
         if newest.t < self._newest:
             self.grip.release()  # time has begun anew, and the simulation has forgotten all pulls
@@ -193,7 +195,7 @@ class Page:
         with self._client.atomic():
             self._client.scene.reset()
             self._client.gui.reset()
-        return Page(self._client, shared, self._notifier, self.viewer.page_picture, self)
+            return Page(self._client, shared, self._notifier, self.viewer.page_picture, self)
 
     def browser_is_silent(self) -> None:
         """The viewer's browser may sleep: it lets go, unless it has pulled just now."""

@@ -167,7 +167,8 @@ class DashboardServer:
 
     def _open_page(self, client: viser.ClientHandle) -> None:
         try:
-            page = Page(client, self.shared, self._notifier, page_picture)
+            with client.atomic():
+                page = Page(client, self.shared, self._notifier, page_picture)
         except Exception as error:  # of this viewer alone
             logger.exception("a page could not be built")
             show_failure(client.gui, _PAGE_ENDED, error)
