@@ -138,7 +138,7 @@ def test_wheels_that_are_given_must_be_wheels(tmp_path: Path) -> None:
     for given, why in (
         (("lift", "right_axle"), "not on the base"),
         (("nothing", "right_axle"), "no joint or link 'nothing'"),
-        (("left_axle", "left_axle"), "same place"),
+        (("left_axle", "left_axle"), "not two equal wheels across"),
     ):
         assert why in refused(tmp_path, TOY, wheels=given)
 

@@ -87,7 +87,10 @@ class Tree:
         chain, link = [], tip
         while link != base:
             if link not in self.joint_of:
-                raise RobotFileError(f"--tip: {tip!r} does not hang on --base {base!r}")
+                raise RobotFileError(
+                    f"--tip: {tip!r} does not hang on --base {base!r}; below that: "
+                    f"{_some(self.below(base)[1:]) or '(nothing)'}"
+                )
             chain.append(self.joint_of[link])
             link = chain[-1].parent
         return chain[::-1]
@@ -288,7 +291,10 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
             "needs a motor of its own; take the <mimic> away, or give a --tip before it"
         )
     if not joints:
-        raise RobotFileError(f"--tip: no joint moves {tip!r} against --base {base!r}")
+        raise RobotFileError(
+            f"--tip: no joint moves {tip!r} against --base {base!r}; give one farther out, or a "
+            "--base before the arm"
+        )
     first = joints[0]
     on_chain = [joint.parent for joint in chain]
     fixed_part = on_chain[: on_chain.index(first.parent) + 1]
