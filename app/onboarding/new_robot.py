@@ -42,7 +42,7 @@ from app.onboarding.numbers import (
 from app.onboarding.read.links import LinkGeometry, LinkInertia, read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.source import locate, read_robot
-from app.onboarding.read.tree import Arm, Tree, find_arm, make_tree
+from app.onboarding.read.tree import ARM_ON_BASE, Arm, Tree, find_arm, make_tree
 from app.onboarding.read.wheels import (
     Steering,
     Wheels,
@@ -390,7 +390,7 @@ def _composed(base: Element, arm: Element, request: Request) -> Element:
     known = {m.get("name") for m in base.findall("material")}
     robot.extend(m for m in arm.findall("material") if m.get("name") not in known)
     robot.extend([*arm.findall("link"), *arm.findall("joint")])
-    joint = SubElement(robot, "joint", name="arm_on_base", type="fixed")
+    joint = SubElement(robot, "joint", name=ARM_ON_BASE, type="fixed")
     SubElement(joint, "parent", link=request.base)
     SubElement(joint, "child", link=root)
     xyz, rpy = (" ".join(map(repr, each)) for each in (request.mount_xyz, request.mount_rpy))

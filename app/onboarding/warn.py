@@ -16,13 +16,14 @@ from app.control.admittance import largest_command
 from app.onboarding.fit.collision_sampling import ALWAYS, moved
 from app.onboarding.fit.grouping import MOST_UNSEEN
 from app.onboarding.fit.postures import GIVES_WAY, INNER
+from app.onboarding.read.tree import ARM_ON_BASE
 from app.robot.bases.kind import Axis
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 
 if TYPE_CHECKING:
-    from app.onboarding.new_robot import NewRobot
+    from app.onboarding.new_robot import NewRobot, Parsed
 
 Array = np.ndarray
 
@@ -197,8 +198,22 @@ def _held(robot: NewRobot) -> Iterator[str]:
         yield f"not of the arm to --tip, so held still at zero or the nearest limit: {names}"
 
 
+def wheels_carried(parsed: Parsed) -> list[str]:
+    """Joints that turn without end on what of an arm's own file is fixed to the base."""
+    tree, mount = parsed.tree, parsed.tree.joints.get(ARM_ON_BASE)
+    fixed = () if mount is None else tree.below(mount.child, moving=False)
+    turning = [j for link in fixed for j in tree.children(link) if j.kind == "continuous"]
+    own = [joint.name for joint in parsed.arm.joints]
+    return [joint.name for joint in turning if joint.name not in own]
+
+
 def _base(robot: NewRobot) -> Iterator[str]:
-    wheels = robot.parsed.wheels
+    wheels, tree = robot.parsed.wheels, robot.parsed.tree
+    if carried := wheels_carried(robot.parsed):
+        yield (
+            f"--arm-urdf has wheels of its own: {', '.join(carried)}; if it is a whole robot, its "
+            "base now stands on --base, with its mass and shapes"
+        )
     skids = robot.request.kind == "differential" and len(wheels.left) > 1
     if skids and robot.request.half_track is None:
         yield (
@@ -209,7 +224,7 @@ def _base(robot: NewRobot) -> Iterator[str]:
         yield "the base's speed, acceleration and traction are assumed"
     elif wheels.joint_velocity is None:
         yield "the wheels have no velocity limit: the base's speed is assumed"
-    joints = [robot.parsed.tree.joints[name] for name in (*wheels.left, *wheels.right)]
+    joints = [tree.joints[name] for name in (*wheels.left, *wheels.right)]
     if any(not joint.effort for joint in joints):
         yield "the wheels have no torque limit: the base's traction is assumed"
     seen = [link for link, g in robot.parsed.geometry.items() if g.seen_only and g.shapes]

@@ -17,6 +17,8 @@ from app.robot.assets import floats
 Array = np.ndarray
 
 MOVING = ("revolute", "continuous", "prismatic")
+ARM_ON_BASE = "arm_on_base"
+"""The joint by which an arm of a file of its own is fixed to the base."""
 _MOST_NAMES = 40  # [-] that a message lists
 _FARTHEST = 20.0  # [m] between neighbouring links; a robot in millimetres has hundreds
 
