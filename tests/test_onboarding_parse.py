@@ -18,6 +18,7 @@ from app.onboarding import new_robot
 from app.onboarding.new_robot import finish, parse
 from app.onboarding.read.tree import make_tree
 from app.onboarding.request import Request
+from app.onboarding.warn import wheels_carried
 from app.onboarding.write import rebased_urdf
 from app.robot.model import RobotModel
 from app.simulation.plants.collision_shapes import collision_shapes
@@ -138,7 +139,7 @@ def test_wheels_that_are_given_must_be_wheels(tmp_path: Path) -> None:
     for given, why in (
         (("lift", "right_axle"), "not on the base"),
         (("nothing", "right_axle"), "no joint or link 'nothing'"),
-        (("left_axle", "left_axle"), "same place"),
+        (("left_axle", "left_axle"), "not two equal wheels across"),
     ):
         assert why in refused(tmp_path, TOY, wheels=given)
 
@@ -391,6 +392,16 @@ def test_an_arm_of_its_own_file_is_put_on_the_base(tmp_path: Path) -> None:
             one.tree.pose(whole, "base").homogeneous,
             atol=1e-12,
         )
+
+
+def test_a_whole_robot_in_the_place_of_an_arm_shows_by_its_wheels(tmp_path: Path) -> None:
+    names = {}
+    base = str(write(tmp_path, robot(cart()), "cart.urdf"))
+    for name, below in (("whole", cart()), ("alone", [link("base")])):
+        arm_urdf = str(write(tmp_path, robot([*below, *arm()]), f"{name}.urdf"))
+        asked = Request(base, "base", "hand", tmp_path / name, arm_urdf=arm_urdf)
+        names[name] = wheels_carried(parse(asked))
+    assert names == {"whole": ["arm_left_axle", "arm_right_axle"], "alone": []}
 
 
 def test_an_impossible_inertia_is_refused(tmp_path: Path) -> None:

@@ -28,9 +28,8 @@ from app.onboarding import new_robot
 from app.onboarding.check import (
     arm_row,
     base_row,
-    bullet_row,
+    dynamics_row,
     limits_row,
-    mujoco_row,
     run_row,
 )
 from app.onboarding.fit import grouping
@@ -43,6 +42,7 @@ from app.onboarding.fit.collision_sampling import (
     sample_meetings,
     units_of_links,
 )
+from app.onboarding.fit.convex import Fit
 from app.onboarding.fit.grouping import Grouping, find_grouping, unseen_collisions
 from app.onboarding.fit.stops import with_stops
 from app.onboarding.new_robot import NewRobot, compiled, description, finish, parse
@@ -57,6 +57,7 @@ from app.robot.bases.kind import FORWARD
 from app.robot.description import RobotDescription, load_description, load_robot
 from app.robot.link_pairs import candidate_pairs, find_link_pairs
 from app.robot.model import RobotModel
+from app.robot.shapes import Sphere
 from app.simulation.plants.collision_shapes import body_contact_pairs
 from app.simulation.scenarios import scenario_by_name, scenario_of
 from tests.onboarding import (
@@ -182,9 +183,9 @@ def test_the_description_is_the_urdf_on_the_floor(made: NewRobot) -> None:
 
 def test_the_checks_of_bodies_and_dynamics_pass(made: NewRobot) -> None:
     model = written(made)
-    for check in (bullet_row, mujoco_row, limits_row, base_row):
-        row = check(model)
-        without = check is bullet_row and find_spec("pybullet") is None
+    engines = (dynamics_row(model, "pybullet"), dynamics_row(model, "mujoco"))
+    for row in (*engines, limits_row(model), base_row(model)):
+        without = row.name == "pybullet" and find_spec("pybullet") is None
         assert row.outcome == ("warned" if without else "passed"), row
     row = arm_row(model)  # of few samples the bodies may miss a few of those drawn anew
     assert row.numbers["missed"] <= 0.01 * row.numbers["collisions"], row
@@ -505,31 +506,35 @@ def test_a_stop_keeps_an_upper_arm_off_the_base_that_no_buffer_can_watch(tmp_pat
         with_stops(parsed.limits, bare, parsed.arm, meetings, ready)
 
 
-def test_what_l1_cannot_see_of_a_mast_is_seen_by_the_base(husky: RobotModel) -> None:
-    """The fixed part in l_1 meets a link of l_2: no pair; in l_m it meets that as a pair."""
-    meetings = masted(husky, [(1, 3)])
-    assert not grouping._sees(grouped([[0], [1, 2], [3], [4]]), meetings, 1)
-    assert grouping._sees(grouped([[0, 1], [2], [3], [4]]), meetings, 1)
-    assert grouping._sees(grouped([[0], [1, 2], [3], [4]]), masted(husky, [(1, 4)]), 1)
-
-
-def masted(model: RobotModel, meeting: list[tuple[int, int]]) -> Meetings:
-    """Meetings of units of which only some pairs ever meet, and these rarely."""
+def test_what_a_fixed_part_meets_is_seen_where_bodies_of_a_watched_pair_meet() -> None:
+    """Whoever else meets there: a mast in l_1 that no pair sees in any way belongs to l_m."""
+    model = husky_panda()
     pairs = tuple(combinations(range(5), 2))
-    apart, q_m = np.ones((3, len(pairs))), np.zeros((3, model.n_m))
-    touching = np.where([pair in meeting for pair in pairs], -0.01, 1.0)[None]
-    rare = Poses(q_m[:1], touching, np.ones(1, dtype=bool))
-    random = Poses(q_m, apart, np.ones(3, dtype=bool))
-    return Meetings((), pairs, frozenset(), frozenset(), random, rare)
+    touching = np.where([pair == (1, 3) for pair in pairs], -0.01, 1.0)[None]
+    ready = np.array([model.description.arm.ready_position])
+    rare = Poses(ready, touching, np.ones(1, dtype=bool))
+    random = Poses(ready, np.ones((1, len(pairs))), np.ones(1, dtype=bool))
+    meetings = Meetings((), pairs, frozenset(), frozenset(), random, rare)
+    both = ("lm-lEE", "l1-lEE")
+    for radius, unwatched, seen in ((0.01, (), False), (2.0, (), True), (2.0, both, False)):
+        found = grouped((0.01, 0.01, 0.01, radius), unwatched)
+        assert grouping._sees(model, found, meetings, 1) == seen
 
 
-def grouped(units: list[list[int]]) -> grouping.Grouping:
-    names = ("lm", "l1", "l2", "lEE")
+def grouped(radii: tuple[float, ...], unwatched: tuple[str, ...]) -> grouping.Grouping:
+    """Bodies that are spheres of some radii [m]."""
+    frames = ("base_link", "panda_link0", "panda_link2", "panda_hand")
     bodies = [
-        FittedBody(name, "base_link", (), tuple(each), (), np.zeros((0, 3)))
-        for name, each in zip(names, units, strict=True)
+        FittedBody(name, frame, (), (), (Fit(sphere, 0.0, 1.0, 0.0),), np.zeros((0, 3)))
+        for name, frame, sphere in zip(
+            ("lm", "l1", "l2", "lEE"),
+            frames,
+            (Sphere(type="sphere", radius_m=radius) for radius in radii),
+            strict=True,
+        )
     ]
-    return grouping.Grouping(bodies, grouping.Verdict(0.0, 0.0, (), (), (), {}, 0.0))
+    verdict = grouping.Verdict(0.0, 0.0, (), (), unwatched, {}, 0.0)
+    return grouping.Grouping(bodies, verdict)
 
 
 def test_a_coarse_border_serves_at_once_and_is_refined(

@@ -7,7 +7,7 @@ import importlib.util
 import pytest
 
 from app.errors import AssetError
-from app.onboarding.check import base_row, bullet_row, limits_row, mujoco_row
+from app.onboarding.check import base_row, dynamics_row, limits_row
 from app.robot import assets
 from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf, robot_names
 from app.robot.description import load_robot
@@ -42,8 +42,8 @@ def test_with_its_package_it_has_the_same_dynamics_in_both_libraries(name: str) 
     if not package_roots(PACKAGES[name]):
         pytest.skip("pip install '.[robots]'")
     model = RobotModel(load_robot(name))
-    for check in (bullet_row, mujoco_row, limits_row, base_row):
-        row = check(model)
+    engines = (dynamics_row(model, "pybullet"), dynamics_row(model, "mujoco"))
+    for row in (*engines, limits_row(model), base_row(model)):
         assert row.outcome == "passed", row
 
 

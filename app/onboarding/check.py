@@ -98,8 +98,8 @@ def check_robot(
     text = f"loads: {model.n_m} joints, {len(model.body_names)} bodies"
     yield Row("pinocchio", "passed", text, {})
     for name, check in {
-        "pybullet": bullet_row,
-        "mujoco": mujoco_row,
+        "pybullet": partial(dynamics_row, name="pybullet"),
+        "mujoco": partial(dynamics_row, name="mujoco"),
         "engines": engines_row,
         "limits": limits_row,
         "base's body": base_row,
@@ -140,19 +140,10 @@ def _done(name: str, check: Callable[[], Row]) -> Row:
         return Row(name, "failed", f"{type(error).__name__}: {error}", {})
 
 
-def bullet_row(model: RobotModel) -> Row:
-    """M and C q̇ + g in random states, from pinocchio and from pybullet."""
-    if not find_spec("pybullet"):
-        return Row("pybullet", "warned", "not installed here: pip install pybullet", {})
-    return _dynamics_row("pybullet", model)
-
-
-def mujoco_row(model: RobotModel) -> Row:
-    """The same from pinocchio and from MuJoCo."""
-    return _dynamics_row("mujoco", model)
-
-
-def _dynamics_row(name: Literal["pybullet", "mujoco"], model: RobotModel) -> Row:
+def dynamics_row(model: RobotModel, name: Literal["pybullet", "mujoco"]) -> Row:
+    """M and C q̇ + g in random states, from pinocchio and from an engine."""
+    if not find_spec(name):
+        return Row(name, "warned", f"not installed here: pip install {name}", {})
     from app.simulation.plants.planar import planar_plant
 
     engine = planar_plant(name, model)

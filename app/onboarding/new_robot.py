@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -43,7 +43,7 @@ from app.onboarding.numbers import (
 from app.onboarding.read.links import LinkGeometry, LinkInertia, read_geometry, read_inertias
 from app.onboarding.read.package import FOLDER, open_package
 from app.onboarding.read.source import locate, read_robot
-from app.onboarding.read.tree import Arm, Tree, find_arm, make_tree
+from app.onboarding.read.tree import ARM_ON_BASE, Arm, Tree, find_arm, make_tree
 from app.onboarding.read.wheels import (
     Steering,
     Wheels,
@@ -52,7 +52,7 @@ from app.onboarding.read.wheels import (
     with_rigid_suspensions,
 )
 from app.onboarding.report import report_html
-from app.onboarding.request import Request, package_folders
+from app.onboarding.request import Request, named, package_folders
 from app.onboarding.warn import carried_hand, holding_warning, warnings_of
 from app.onboarding.write import (
     ROOT,
@@ -295,7 +295,10 @@ def parse(request: Request) -> Parsed:
     _check_ready(request, arm, limits)
     geometry = read_geometry(tree)
     if not any(geometry[name].shapes for part in arm.segments for name in part):
-        raise RobotFileError(f"no link between {request.base!r} and {tip!r} has a shape")
+        raise RobotFileError(
+            f"no link between {request.base!r} and {tip!r} has a shape; give the arm's links a "
+            "<collision> or <visual>, or another --tip"
+        )
     if request.mount is None and stands_on_floor(tree, arm, geometry):
         arm = find_arm(tree, request.base, tip, arm.joints[0].child)
     arm = with_rigid_suspensions(tree, arm, geometry)
@@ -325,10 +328,11 @@ def _check_ready(request: Request, arm: Arm, limits: Limits) -> None:
 def _whole_robot(request: Request) -> tuple[Element, str]:
     """The robot with its arm on it, and the tip's name there."""
     packages = package_folders(request.package)
-    robot, tip = read_robot(locate(request.urdf), packages), request.tip
+    arguments = named("--xacro", request.xacro, "VALUE")
+    robot, tip = read_robot(locate(request.urdf), packages, **arguments), request.tip
     if request.arm_urdf is None:
         return robot, tip
-    arm = read_robot(locate(request.arm_urdf), packages)
+    arm = read_robot(locate(request.arm_urdf), packages, **arguments)
     for part in (robot, arm):  # what is wrong with either is reported as its own
         tree = make_tree(part)
     tree.link(tip, "--tip")  # of the arm
@@ -350,19 +354,28 @@ def _with_distinct_joints(robot: Element) -> Element:
             f"the link {own.pop()!r} has the name of one that every robot is put on; rename it"
         )
     links |= _OWN_JOINTS
-    taken = links | {joint.get("name") for joint in robot.findall("joint")}
-    robot = deepcopy(robot)
+    joints = [str(joint.get("name")) for joint in robot.findall("joint")]
+    taken = {*links, *joints}
     renamed: dict[str, str] = {}
-    for joint in robot.findall("joint"):
-        if (name := joint.get("name")) in links and name:
+    for name in joints:
+        if name and name in links:
             new = f"{name}_joint"
             while new in taken:
                 new += "_"
             taken.add(new)
             renamed[name] = new
-            joint.set("name", new)
-    for mimic in robot.iterfind("joint/mimic"):
-        mimic.set("joint", renamed.get(str(mimic.get("joint")), str(mimic.get("joint"))))
+    return _renamed(robot, {"joint": renamed, "link": {}})
+
+
+def _renamed(robot: Element, names: Mapping[str, Mapping[str, str]]) -> Element:
+    """A copy with other names of links and joints, also where they are referred to."""
+    robot = deepcopy(robot)
+    for tag, roles in (("link", ("parent", "child")), ("joint", ("mimic",))):
+        ends = [(each, "name") for each in robot.findall(tag)]
+        ends += [(end, tag) for role in roles for end in robot.iterfind(f"joint/{role}")]
+        for element, key in ends:
+            if (name := element.get(key)) in names[tag]:
+                element.set(key, names[tag][str(name)])
     return robot
 
 
@@ -371,21 +384,16 @@ def _composed(base: Element, arm: Element, request: Request) -> Element:
 
     Neither of the two is changed.
     """
-    robot, arm = deepcopy(base), deepcopy(arm)
-    for tag, roles in (("link", ("parent", "child")), ("joint", ("mimic",))):
-        taken = {each.get("name") for each in base.findall(tag)}
-        for each in arm.findall(tag):
-            if each.get("name") in taken:
-                each.set("name", f"{PREFIX}{each.get('name')}")
-        for role in roles:
-            for end in arm.iterfind(f"joint/{role}"):
-                if end.get(tag) in taken:
-                    end.set(tag, f"{PREFIX}{end.get(tag)}")
+    taken = {
+        tag: [str(each.get("name")) for each in base.findall(tag)] for tag in ("link", "joint")
+    }
+    prefixed = {tag: {name: PREFIX + name for name in names} for tag, names in taken.items()}
+    robot, arm = deepcopy(base), _renamed(arm, prefixed)
     root = make_tree(arm).root
     known = {m.get("name") for m in base.findall("material")}
     robot.extend(m for m in arm.findall("material") if m.get("name") not in known)
     robot.extend([*arm.findall("link"), *arm.findall("joint")])
-    joint = SubElement(robot, "joint", name="arm_on_base", type="fixed")
+    joint = SubElement(robot, "joint", name=ARM_ON_BASE, type="fixed")
     SubElement(joint, "parent", link=request.base)
     SubElement(joint, "child", link=root)
     xyz, rpy = (" ".join(map(repr, each)) for each in (request.mount_xyz, request.mount_rpy))

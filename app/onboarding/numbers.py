@@ -150,7 +150,8 @@ def _range(joint: Joint) -> tuple[float, float] | None:
         return None
     if not low < high:
         raise RobotFileError(
-            f"joint {joint.name!r}: its lower limit {low:g} is not below its upper {high:g}"
+            f"joint {joint.name!r}: its lower limit {low:g} is not below its upper {high:g}; mend "
+            "its <limit>, or make it continuous"
         )
     return low, high
 

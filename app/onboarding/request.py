@@ -77,6 +77,8 @@ class Request:
     package: tuple[str, ...] = ()
     """Folders of ROS packages, NAME=FOLDER each, before those that are found: folders of that name
     from the URDF upwards, in ROS_PACKAGE_PATH or AMENT_PREFIX_PATH, or installed."""
+    xacro: tuple[str, ...] = ()
+    """Arguments of a xacro, NAME=VALUE each, such as ur_type=ur20."""
 
     @property
     def told(self) -> str:
@@ -172,6 +174,7 @@ def check_request(request: Request) -> None:
                 f"--kind {OF_KIND[field]}"
             )
     package_folders(request.package)
+    named("--xacro", request.xacro, "VALUE")
     if kind == "holonomic" and request.wheels is not None:
         raise ConfigError("--wheels: a holonomic base is described without them; leave them out")
     if request.wheel_radius is not None and (
@@ -186,12 +189,22 @@ def package_folders(given: Sequence[str]) -> dict[str, Path]:
     Raises:
         ConfigError: One is of another form, or is no folder.
     """
+    folders = named("--package", given, "FOLDER")
+    if lost := [folder for folder in folders.values() if not Path(folder).is_dir()]:
+        raise ConfigError(f"--package: there is no folder {lost[0]}")
+    return {name: Path(folder).resolve() for name, folder in folders.items()}
+
+
+def named(option: str, given: Sequence[str], what: str) -> dict[str, str]:
+    """What an option gives by name, from `NAME=…` each.
+
+    Raises:
+        ConfigError: One is of another form.
+    """
     found = {}
     for each in given:
-        name, equals, folder = each.partition("=")
-        if not (name and equals and folder):
-            raise ConfigError(f"--package: {each!r} is not of the form NAME=FOLDER")
-        if not Path(folder).is_dir():
-            raise ConfigError(f"--package: there is no folder {folder}")
-        found[name] = Path(folder).resolve()
+        name, _, value = each.partition("=")
+        if not (name and value):
+            raise ConfigError(f"{option}: {each!r} is not of the form NAME={what}")
+        found[name] = value
     return found

@@ -5,6 +5,7 @@ One warning is of every robot: whether its arm can hold its hand while the base 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -16,13 +17,14 @@ from app.onboarding.fit.collision_sampling import ALWAYS, moved
 from app.onboarding.fit.grouping import MOST_UNSEEN
 from app.onboarding.fit.postures import GIVES_WAY, INNER
 from app.onboarding.numbers import read_limits
+from app.onboarding.read.tree import ARM_ON_BASE
 from app.robot.bases.kind import Axis
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 
 if TYPE_CHECKING:
-    from app.onboarding.new_robot import NewRobot
+    from app.onboarding.new_robot import NewRobot, Parsed
 
 Array = np.ndarray
 
@@ -54,10 +56,12 @@ def warnings_of(robot: NewRobot) -> list[str]:
     ]
 
 
-def _places(robot: NewRobot) -> list[str]:
+_LOOK_AT = "look at --mount-xyz, --mount-rpy and --ready"
+
+
+def _places(robot: NewRobot) -> Iterator[str]:
     """Parts of the arm that stand where none can, in the ready pose: in the floor, in the base."""
-    base, told = MobileBody(robot.model), []
-    state = RobotState(robot.model)
+    base, state = MobileBody(robot.model), RobotState(robot.model)
     state.update_kinematics(at_rest(robot.model, robot.ready.q_m))
     for unit in robot.meetings.units:
         if unit.index in robot.bodies[0].units or not unit.parts:
@@ -66,42 +70,40 @@ def _places(robot: NewRobot) -> list[str]:
         corners = np.vstack([moved(part.corners, T) for part in unit.parts])
         names = ", ".join(dict.fromkeys(part.link for part in unit.parts))
         if (deep := -float(corners[:, 2].min())) > _IN_FLOOR:
-            told.append(f"{names} is {deep:.3g} m below the floor in the ready pose")
+            yield f"{names} is {deep:.3g} m below the floor in the ready pose: {_LOOK_AT}"
         elif (base.distance(corners) <= 0.0).all():
-            told.append(f"{names} is wholly inside of the base's body in the ready pose")
-    return [f"{each}: look at --mount-xyz, --mount-rpy and --ready" for each in told]
+            yield f"{names} is wholly inside of the base's body in the ready pose: {_LOOK_AT}"
 
 
-def _poses(robot: NewRobot) -> list[str]:
+def _poses(robot: NewRobot) -> Iterator[str]:
     d_b, ready, near = robot.request.d_b, robot.ready, robot.verdict.near
-    told = []
     if ready.clearance < 0:
-        told.append(
+        yield (
             f"the pair {ready.nearest} is {-ready.clearance:.3f} m inside its buffer in the ready "
             "pose; give another by --ready, or use a smaller d_b"
         )
     for name in robot.verdict.always:
-        told.append(
+        yield (
             f"the pair {name} is inside its buffer of {d_b:g} m in {near[name]:.0%} of random "
-            f"poses (more than {ALWAYS:.0%}): its task hardly ever switches off; d_b may be "
-            "larger than what the arm can leave"
+            f"poses (more than {ALWAYS:.0%}): its task hardly ever switches off; try a smaller "
+            "--buffer-distance, and border.d_b in a file for --config, or other --bodies"
         )
-    missing = {"guiding-lateral", "guiding-front"} - robot.places.keys()
-    for name in sorted(missing):
-        told.append(
-            f"{name}: no line is written: none was found that leads the arm from outside of its "
-            f"buffers to within {INNER * d_b:g} m of the base and on which the base gives way by "
-            f"{GIVES_WAY:g} m; the arm is too short for that, stands too far from that side "
-            "(--mount-xyz), meets itself first, or cannot hold its hand"
+    if missing := sorted({"guiding-lateral", "guiding-front"} - robot.places.keys()):
+        short = "the arm is too short for that, stands too far from that side (--mount-xyz), meets "
+        short += "itself first, or cannot hold its hand"
+        near_for_good = ", ".join(robot.verdict.always)
+        why = f"{near_for_good} hardly ever leaves its buffer" if near_for_good else short
+        yield (
+            f"{', '.join(missing)}: no line is written: none was found that leads the arm from "
+            f"outside of its buffers to within {INNER * d_b:g} m of the base and on which the base "
+            f"gives way by {GIVES_WAY:g} m; {why}"
         )
-    return told
 
 
-def _bodies(robot: NewRobot) -> list[str]:
-    told = []
+def _bodies(robot: NewRobot) -> Iterator[str]:
     verdict, meetings = robot.verdict, robot.meetings
     if robot.unseen.share > MOST_UNSEEN:
-        told.append(
+        yield (
             f"no pair sees {robot.unseen.share:.1%} of the random poses in which links collide; "
             f"mostly {robot.unseen.worst}: bodies that are neighbours or near as built are no "
             "pair, so try another number of --bodies, or limit the joints between them"
@@ -113,28 +115,27 @@ def _bodies(robot: NewRobot) -> list[str]:
         if pair in meetings.close and rate > 0:
             a, b = (meetings.units[unit].links[0] for unit in pair)
             if rate >= 0.5:
-                told.append(f"{a} and {b} touch in {rate:.0%} of the poses: taken as nested")
+                yield f"{a} and {b} touch in {rate:.0%} of the poses: taken as nested"
                 continue
-            told.append(
+            yield (
                 f"{a} and {b} are within {robot.request.d_b:g} m in most poses and touch in "
                 f"{rate:.1%}: no buffer can watch them; limit the joints between them"
             )
     for name in verdict.spurious:
-        told.append(f"the pair {name} meets as bodies, but the links in them never do")
+        yield f"the pair {name} meets as bodies, but the links in them never do"
     for body in robot.bodies:
         worst = max(fit.over_cover for fit in body.fits)
         if worst > _OVER:
-            told.append(f"{body.name} has {worst:.1f} times the volume of what it holds")
-    return told
+            yield f"{body.name} has {worst:.1f} times the volume of what it holds"
 
 
-def _reaches(robot: NewRobot) -> list[str]:
-    told = [
-        f"the reachability of {name} is counted, but (9) fits it badly, with an R² of "
-        f"{reach.fit.r_squared:.2f}: the scores of the border follow it only roughly"
-        for name, reach in robot.reach.items()
-        if reach.fit is not None and reach.fit.r_squared < _FITTED
-    ]
+def _reaches(robot: NewRobot) -> Iterator[str]:
+    for name, reach in robot.reach.items():
+        if reach.fit is not None and reach.fit.r_squared < _FITTED:
+            yield (
+                f"the reachability of {name} is counted, but (9) fits it badly, with an R² of "
+                f"{reach.fit.r_squared:.2f}: the scores of the border follow it only roughly"
+            )
     bare = [
         link
         for body in robot.bodies
@@ -142,11 +143,10 @@ def _reaches(robot: NewRobot) -> list[str]:
         if not robot.parsed.geometry[link].shapes and robot.parsed.inertias[link].inertia.mass > 0
     ]
     if bare:
-        told.append(f"no shape, so no body stands for them: {', '.join(bare)}")
-    return told
+        yield f"no shape, so no body stands for them: {', '.join(bare)}"
 
 
-def _scale(robot: NewRobot) -> list[str]:
+def _scale(robot: NewRobot) -> Iterator[str]:
     """Shapes of another scale than the joints, as of a mesh that is not in metres."""
     arm, shapes = robot.parsed.arm, robot.parsed.geometry
     sizes = [
@@ -155,92 +155,100 @@ def _scale(robot: NewRobot) -> list[str]:
     ]
     pin = robot.model.pin
     apart = sum(float(np.linalg.norm(T.translation)) for T in pin.jointPlacements[3:])
-    if sum(sizes) <= _TOO_LARGE * apart:
-        return []
-    return [
-        f"the arm's links are {sum(sizes):.2g} m long one after the other, its joints {apart:.2g} "
-        'm apart: look in the report whether meshes are too large, and give those scale="..." in '
-        "the URDF"
-    ]
+    if sum(sizes) > _TOO_LARGE * apart:
+        yield (
+            f"the arm's links are {sum(sizes):.2g} m long one after the other, its joints "
+            f"{apart:.2g} m apart: look in the report whether meshes are too large, and give those "
+            'scale="..." in the URDF'
+        )
 
 
-def _joints(robot: NewRobot) -> list[str]:
+def _joints(robot: NewRobot) -> Iterator[str]:
     limits, stated = robot.parsed.limits, read_limits(robot.parsed.arm)
     ranges = zip(limits.lower, limits.upper, stated.lower, stated.upper, strict=True)
-    stopped = [
-        f"{joint.name} is limited to {low:g} … {high:g}, not {lower:g} … {upper:g}: beyond that a "
-        "link would meet the base, which one says the source of position_lower"
-        for joint, (low, high, lower, upper) in zip(robot.parsed.arm.joints, ranges, strict=True)
-        if (low, high) != (lower, upper)
-    ]
-    return stopped + [
-        f"{field.replace('_', ' ')} of {text.partition('assumed for ')[2]} (assumed)"
-        for field, text in limits.source.items()
-        if "assumed for" in text and field != "position_upper"
-    ]
+    for joint, (low, high, lower, upper) in zip(robot.parsed.arm.joints, ranges, strict=True):
+        if (low, high) != (lower, upper):
+            yield (
+                f"{joint.name} is limited to {low:g} … {high:g}, not {lower:g} … {upper:g}: beyond "
+                "that a link would meet the base, which one says the source of position_lower"
+            )
+    for field, text in limits.source.items():
+        if "assumed for" in text and field != "position_upper":
+            yield f"{field.replace('_', ' ')} of {text.partition('assumed for ')[2]} (assumed)"
 
 
-def _inertias(robot: NewRobot) -> list[str]:
+def _inertias(robot: NewRobot) -> Iterator[str]:
     inertias = robot.parsed.inertias
     assumed: dict[str, list[str]] = {}
     for link, each in inertias.items():
         if each.assumed:
             assumed.setdefault(each.assumed, []).append(link)
-    told = [f"inertia assumed of {', '.join(links)}: {why}" for why, links in assumed.items()]
+    for why, links in assumed.items():
+        yield f"inertia assumed of {', '.join(links)}: {why}"
     arm = robot.parsed.arm
     for joint, links in zip(arm.joints, arm.segments[1:], strict=True):
         if sum(inertias[link].inertia.mass for link in links) <= 0:
-            told.append(f"nothing that {joint.name} alone moves has a mass: its inertia is zero")
-    return told
+            yield f"nothing that {joint.name} alone moves has a mass: its inertia is zero"
 
 
-def _held(robot: NewRobot) -> list[str]:
+def _held(robot: NewRobot) -> Iterator[str]:
     """Suspensions that count as rigid, and what moves beside the arm: another arm, a head."""
     tree, arm = robot.parsed.tree, robot.parsed.arm
     rigid = [
         j for j in tree.joints.values() if j.kind == "prismatic" and j.child in arm.rigid_links
     ]
-    told = []
     if rigid:
         travel = max((j.upper or 0.0) - (j.lower or 0.0) for j in rigid)
         names = ", ".join(j.name for j in rigid)
-        told.append(f"wheels' suspensions of up to {travel:g} m of travel count as rigid: {names}")
+        yield f"wheels' suspensions of up to {travel:g} m of travel count as rigid: {names}"
     own = {joint.name for joint in arm.joints}
     carried = [link for links in arm.segments for link in links]
     beside = [j.name for link in carried for j in tree.children(link) if j.moves]
     if held := [name for name in beside if name not in own]:
         names = ", ".join(held)
-        told.append(f"not of the arm to --tip, so held still at zero or the nearest limit: {names}")
-    return told
+        yield f"not of the arm to --tip, so held still at zero or the nearest limit: {names}"
 
 
-def _base(robot: NewRobot) -> list[str]:
-    told, wheels = [], robot.parsed.wheels
+def wheels_carried(parsed: Parsed) -> list[str]:
+    """Joints that turn without end on what of an arm's own file is fixed to the base."""
+    tree, mount = parsed.tree, parsed.tree.joints.get(ARM_ON_BASE)
+    fixed = () if mount is None else tree.below(mount.child, moving=False)
+    turning = [j for link in fixed for j in tree.children(link) if j.kind == "continuous"]
+    own = [joint.name for joint in parsed.arm.joints]
+    return [joint.name for joint in turning if joint.name not in own]
+
+
+def _base(robot: NewRobot) -> Iterator[str]:
+    wheels, tree = robot.parsed.wheels, robot.parsed.tree
+    if carried := wheels_carried(robot.parsed):
+        yield (
+            f"--arm-urdf has wheels of its own: {', '.join(carried)}; if it is a whole robot, its "
+            "base now stands on --base, with its mass and shapes"
+        )
     skids = robot.request.kind == "differential" and len(wheels.left) > 1
     if skids and robot.request.half_track is None:
-        told.append(
+        yield (
             f"{2 * len(wheels.left)} driven wheels skid when the base turns: its effective half "
             f"track is wider than the {wheels.b:.3f} m between the wheels; give it by --half-track"
         )
     if robot.request.kind == "holonomic":
-        told.append("the base's speed, acceleration and traction are assumed")
+        yield "the base's speed, acceleration and traction are assumed"
     elif wheels.joint_velocity is None:
-        told.append("the wheels have no velocity limit: the base's speed is assumed")
-    joints = [robot.parsed.tree.joints[name] for name in (*wheels.left, *wheels.right)]
+        yield "the wheels have no velocity limit: the base's speed is assumed"
+    joints = [tree.joints[name] for name in (*wheels.left, *wheels.right)]
     if any(not joint.effort for joint in joints):
-        told.append("the wheels have no torque limit: the base's traction is assumed")
+        yield "the wheels have no torque limit: the base's traction is assumed"
     seen = [link for link, g in robot.parsed.geometry.items() if g.seen_only and g.shapes]
     if seen:
-        told.append(f"no collision shape, so what is seen is used: {', '.join(seen)}")
+        yield f"no collision shape, so what is seen is used: {', '.join(seen)}"
     mesh_paths = robot.urdf.count('filename="/')
     if mesh_paths:
-        told.append(
+        yield (
             f"{mesh_paths} meshes are in no installed package and stand by their absolute path: "
             "this description works on this machine only"
         )
     if not np.isfinite(robot.ready.clearance):
-        told.append("no pair of bodies can meet: there is nothing to avoid")
-    return told
+        yield "no pair of bodies can meet: there is nothing to avoid"
 
 
 class Carried(NamedTuple):

@@ -58,7 +58,10 @@ def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBod
     base = units[0]
     corners = [part.corners for k in mobile for part in units[k].parts]
     if not corners:
-        raise RobotFileError(f"--base: no link of {base.frame!r} has a shape")
+        raise RobotFileError(
+            f"--base: no link of {base.frame!r} has a shape; give one a <collision>, or another "
+            "--base"
+        )
     everything = np.vstack(corners)
     one = fit_best(everything, BASE_WEIGHTS)
     fits = (one,)

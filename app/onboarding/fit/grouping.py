@@ -98,26 +98,21 @@ def find_grouping(
     """
     fixed = meetings.units[1]
     found = _arm_grouping(model, meetings, (0,), d_b, count)
-    if fixed.links and not _sees(found, meetings, fixed.index):
+    if fixed.links and not _sees(model, found, meetings, fixed.index):
         found = _arm_grouping(model, meetings, (0, fixed.index), d_b, count)
     return found
 
 
-def _sees(grouping: Grouping, meetings: Meetings, unit: int) -> bool:
-    """Whether pairs of bodies see the poses in which a unit meets another, however rare those."""
-    owner = {u: k for k, body in enumerate(grouping.bodies) for u in body.units}
-    names = [body.name for body in grouping.bodies]
-    rare = np.logical_and(meetings.rare.distances <= 0.0, meetings.rare.possible[:, None])
-    hits = np.vstack([meetings.collides[meetings.random.possible], rare])
-    own, watched = [], []
-    for k, (u, v) in enumerate(meetings.pairs):
-        i, j = sorted((owner[u], owner[v]))
-        if j - i > 1 and f"{names[i]}-{names[j]}" not in grouping.verdict.unwatched:
-            watched.append(k)
-        if unit in (u, v) and (u, v) not in meetings.close:
-            own.append(k)
-    hits = hits[hits[:, own].any(axis=1)]
-    return bool((~hits[:, watched].any(axis=1)).sum() <= _MISSED * len(hits))
+def _sees(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: int) -> bool:
+    """Whether bodies of a pair meet in the poses in which a unit meets another, however rare."""
+    own = [unit in pair and pair not in meetings.close for pair in meetings.pairs]
+    q_m = [
+        poses.q_m[np.any(poses.distances[:, own] <= 0.0, axis=1) & poses.possible]
+        for poses in (meetings.random, meetings.rare)
+    ]
+    names, distances = _body_distances(model, grouping.bodies, np.vstack(q_m))
+    watched = [name not in grouping.verdict.unwatched for name in names]
+    return bool((distances[:, watched] > 0.0).all(axis=1).sum() <= _MISSED * len(distances))
 
 
 def _arm_grouping(
@@ -166,23 +161,18 @@ def judge(
     chosen = np.concatenate([np.flatnonzero(part)[:_JUDGED] for part in parts])
     q_m, hits, real = meetings.random.q_m[chosen], collides[chosen], real[chosen]
     free = real if real.all() else ~real
-    pairs = [(i, j) for i, j in combinations(range(len(bodies)), 2) if j - i > 1]
-    distances = _body_distances(model, bodies, pairs, q_m)
-    names = [f"{bodies[i].name}-{bodies[j].name}" for i, j in pairs]
+    names, distances = _body_distances(model, bodies, q_m)
     owner = {unit: k for k, body in enumerate(bodies) for unit in body.units}
-    owners = [(min(owner[u], owner[v]), max(owner[u], owner[v])) for u, v in meetings.pairs]
+    ends = [sorted((owner[u], owner[v])) for u, v in meetings.pairs]
+    owners = [f"{bodies[i].name}-{bodies[j].name}" for i, j in ends]
     near = (distances[free] < d_b).mean(axis=0)
     built = {owners[meetings.pairs.index(pair)] for pair in meetings.close}
-    given_up = [pair in built and share > ALWAYS for pair, share in zip(pairs, near, strict=True)]
-    unwatched = tuple(compress(names, given_up))
-    kept = np.logical_not(given_up)
-    pairs, names = list(compress(pairs, kept)), list(compress(names, kept))
+    given_up = [name in built and share > ALWAYS for name, share in zip(names, near, strict=True)]
+    unwatched, kept = tuple(compress(names, given_up)), np.logical_not(given_up)
+    names = list(compress(names, kept))
     distances, near = distances[:, kept], dict(zip(names, near[kept].tolist(), strict=True))
     meet = dict(zip(names, np.any(distances <= 0, axis=0).tolist(), strict=True))
-    truly = {
-        name: hits[:, [each == pair for each in owners]].any()
-        for name, pair in zip(names, pairs, strict=True)
-    }
+    truly = {name: hits[:, [each == name for each in owners]].any() for name in names}
     spurious = tuple(n for n in names if meet[n] and not truly[n])
     always = tuple(n for n in names if meet[n] and near[n] > ALWAYS)
     seen = (distances <= 0).any(axis=1)
@@ -283,15 +273,17 @@ def unseen_collisions(
 
 
 def _body_distances(
-    model: RobotModel, bodies: Sequence[FittedBody], pairs: Sequence[tuple[int, int]], q_m: Array
-) -> Array:
-    """(N, pairs) [m] signed distances between bodies at poses (N, n_m)."""
+    model: RobotModel, bodies: Sequence[FittedBody], q_m: Array
+) -> tuple[list[str], Array]:
+    """Pairs of bodies that are no neighbours, and their signed distances (N, pairs) [m]."""
+    pairs = [(i, j) for i, j in combinations(range(len(bodies)), 2) if j - i > 1]
     joints = [model.pin.frames[model.pin.getFrameId(body.frame)].parentJoint for body in bodies]
     shapes = [
         [(joint, fit.shape.placement(), fit.shape.coal_geometry()) for fit in body.fits]
         for joint, body in zip(joints, bodies, strict=True)
     ]
-    return shape_distances(model, shapes, pairs, q_m)
+    names = [f"{bodies[i].name}-{bodies[j].name}" for i, j in pairs]
+    return names, shape_distances(model, shapes, pairs, q_m)
 
 
 def _ranked(

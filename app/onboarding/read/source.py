@@ -32,32 +32,40 @@ def locate(source: str) -> Path:
     return path.resolve()
 
 
-def read_robot(path: Path, packages: Mapping[str, Path] | None = None) -> Element:
+def read_robot(
+    path: Path, packages: Mapping[str, Path] | None = None, /, **arguments: str
+) -> Element:
     """The `<robot>` of `read_source`, each mesh by an address that `mesh_path` takes.
 
     Raises:
         RobotFileError: As `read_source`, or a mesh is not found.
     """
-    robot = read_source(path, packages)
+    robot = read_source(path, packages, **arguments)
     for mesh in robot.iterfind("link//mesh"):
         mesh.set("filename", mesh_address(mesh.get("filename", ""), path.parent, packages))
     return robot
 
 
-def read_source(path: Path, packages: Mapping[str, Path] | None = None) -> Element:
+def read_source(
+    path: Path, packages: Mapping[str, Path] | None = None, /, **arguments: str
+) -> Element:
     """The `<robot>` of a URDF or xacro file.
 
     Args:
         path: The file.
         packages: Folders of ROS packages, by name, that come before all others.
+        arguments: Of a xacro, by name.
 
     Raises:
         RobotFileError: It is not well-formed XML, declares entities, is not a robot, or its macros
             cannot be expanded.
     """
     try:
-        is_xacro = path.suffix == ".xacro"
-        text = _expanded(path, packages or {}) if is_xacro else path.read_text(encoding="utf-8")
+        text = (
+            _expanded(path, packages or {}, arguments)
+            if path.suffix == ".xacro"
+            else path.read_text(encoding="utf-8")
+        )
     except UnicodeDecodeError as error:
         raise RobotFileError(f"{path}: {error}; save it as UTF-8") from None
     refuse_entities(text, path)
@@ -177,7 +185,7 @@ def _ros_folders() -> list[Path]:
     return list(filter(Path.is_dir, [*first, *(prefix / "share" for prefix in second)]))
 
 
-def _expanded(path: Path, packages: Mapping[str, Path]) -> str:
+def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, str]) -> str:
     """A xacro file's URDF; packages are looked for as those of meshes are."""
     try:
         from xacrodoc import XacroDoc
@@ -189,7 +197,7 @@ def _expanded(path: Path, packages: Mapping[str, Path]) -> str:
     refuse_entities(path.read_bytes(), path)
     known.update_package_cache(_around(path) | {name: str(at) for name, at in packages.items()})
     try:
-        document = XacroDoc.from_file(str(path), resolve_packages=False)
+        document = XacroDoc.from_file(str(path), subargs=dict(arguments), resolve_packages=False)
     except Exception as error:  # xacro has no common base of its errors
         why = " ".join(str(error).split())
         if missing := re.search(r"Package not found: (\S+)", why):
@@ -197,7 +205,9 @@ def _expanded(path: Path, packages: Mapping[str, Path]) -> str:
             inner = re.search(named, path.read_text(encoding="utf-8"))
             where = _nowhere(missing[1], inner[1] if inner else "", path.parent)
             raise RobotFileError(f"{path}: {where}") from None
-        raise RobotFileError(f"{path}: xacro cannot expand it: {why}") from None
+        raise RobotFileError(
+            f"{path}: xacro cannot expand it: {why}; give arguments of it by --xacro NAME=VALUE"
+        ) from None
     return document.to_urdf_string()
 
 

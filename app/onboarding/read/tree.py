@@ -17,6 +17,8 @@ from app.robot.assets import floats
 Array = np.ndarray
 
 MOVING = ("revolute", "continuous", "prismatic")
+ARM_ON_BASE = "arm_on_base"
+"""The joint by which an arm of a file of its own is fixed to the base."""
 _MOST_NAMES = 40  # [-] that a message lists
 _FARTHEST = 20.0  # [m] between neighbouring links; a robot in millimetres has hundreds
 
@@ -87,7 +89,10 @@ class Tree:
         chain, link = [], tip
         while link != base:
             if link not in self.joint_of:
-                raise RobotFileError(f"--tip: {tip!r} does not hang on --base {base!r}")
+                raise RobotFileError(
+                    f"--tip: {tip!r} does not hang on --base {base!r}; below that: "
+                    f"{_some(self.below(base)[1:]) or '(nothing)'}"
+                )
             chain.append(self.joint_of[link])
             link = chain[-1].parent
         return chain[::-1]
@@ -288,7 +293,10 @@ def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:
             "needs a motor of its own; take the <mimic> away, or give a --tip before it"
         )
     if not joints:
-        raise RobotFileError(f"--tip: no joint moves {tip!r} against --base {base!r}")
+        raise RobotFileError(
+            f"--tip: no joint moves {tip!r} against --base {base!r}; give one farther out, or a "
+            "--base before the arm"
+        )
     first = joints[0]
     on_chain = [joint.parent for joint in chain]
     fixed_part = on_chain[: on_chain.index(first.parent) + 1]

@@ -121,7 +121,10 @@ def find_drive(
 def _floor_below(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry]) -> float:
     """[m] the height of the lowest point of the base's shapes in its link's frame."""
     if (low := _lowest(tree, arm, geometry, arm.base_links)) is None:
-        raise RobotFileError(f"--base: no link of {arm.base!r} has a shape")
+        raise RobotFileError(
+            f"--base: no link of {arm.base!r} has a shape; give one a <collision>, or another "
+            "--base"
+        )
     return low
 
 
@@ -157,31 +160,29 @@ def _find_wheels(
 
     Without `given`, they are the round links on level axles fixed to the base.
     """
-    found: list[_Wheel] = []
-    reasons: list[str] = []
+    found: dict[str, _Wheel] = {}
+    reasons: dict[str, str] = {}
     taken = {joint.name for joint in arm.joints}
     for joint in tree.joints.values():
         if joint.parent in arm.rigid_links and joint.name not in taken and _turns_round(joint):
             try:
-                found.append(_wheel(tree, arm, geometry, joint))
+                found[joint.name] = _wheel(tree, arm, geometry, joint)
             except RobotFileError as error:
-                reasons.append(str(error))
+                reasons[joint.name] = str(error)
     if given is not None:
-        left, right = (
-            _named(tree, arm, geometry, name, side)
-            for name, side in zip(given, ("left", "right"), strict=True)
-        )
+        left, right = (_named(tree, arm, found, reasons, name) for name in given)
+        if not _mirrored([left, right]):
+            raise RobotFileError(
+                f"--wheels: {left.joint.name} of {left.r:.4f} m radius and {right.joint.name} of "
+                f"{right.r:.4f} m are not two equal wheels across from each other: name one of "
+                "either side"
+            )
     else:
-        turn = ", ".join(wheel.joint.name for wheel in found)
+        turn = ", ".join(found)
         why = f"{turn}: no two across from each other" if found else "no joint turns without end"
-        why = "; ".join([*reasons, why] if found else reasons or [why])
-        left, right = _driven(_mirrored(found), f"{arm.base!r} ({why})")
-    if abs(left.r - right.r) > _ALIKE * left.r:
-        raise RobotFileError(
-            f"--wheels: {left.joint.name} has a radius of {left.r:.4f} m and {right.joint.name} of "
-            f"{right.r:.4f} m: two driven wheels are equal"
-        )
-    return _drive(left, right, [*found, left, right])
+        why = "; ".join([*reasons.values(), why] if found else [*reasons.values()] or [why])
+        left, right = _driven(_mirrored(list(found.values())), f"{arm.base!r} ({why})")
+    return _drive(left, right, list(found.values()))
 
 
 def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wheel]:
@@ -234,39 +235,26 @@ def _forward(left: _Wheel, right: _Wheel) -> Array:
     """(3,) x forward: at a right angle to the way from the right to the left wheel."""
     across = left.centre - right.centre
     across[2] = 0.0
-    if np.linalg.norm(across) < 0.02:
-        raise RobotFileError(
-            f"--wheels: {left.joint.name} and {right.joint.name} stand at the same place"
-        )
-    if abs(left.axis @ across) < 0.99 * np.linalg.norm(across):
-        raise RobotFileError(
-            f"--wheels: {left.joint.name} and {right.joint.name} are not side by side: their axles "
-            "do not point at each other"
-        )
-    across /= np.linalg.norm(across)
-    return np.cross(across, [0.0, 0.0, 1.0])
+    return np.cross(across / np.linalg.norm(across), [0.0, 0.0, 1.0])
 
 
 def _named(
-    tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], name: str, side: str
+    tree: Tree, arm: Arm, found: Mapping[str, _Wheel], reasons: Mapping[str, str], name: str
 ) -> _Wheel:
+    """The wheel of a joint or link of that name, or why it is none."""
     joint = tree.joints.get(name) or tree.joint_of.get(name)
+    if joint is not None and joint.name in found:
+        return found[joint.name]
     if joint is None:
-        turning = [j.name for j in tree.joints.values() if _turns_round(j)]
-        raise RobotFileError(
-            f"--wheels: there is no joint or link {name!r}; joints that turn without end: "
-            f"{', '.join(turning) or '(none)'}"
-        )
-    if joint.child not in arm.base_links:
-        raise RobotFileError(f"--wheels: {name!r} ({side}) is not on the base")
-    if not _turns_round(joint):
-        raise RobotFileError(f"--wheels: {joint.name} is no wheel: it is {joint.kind}")
-    if joint.parent not in arm.rigid_links:
-        raise RobotFileError(f"--wheels: {joint.name} is a caster's wheel: its fork turns too")
-    try:
-        return _wheel(tree, arm, geometry, joint)
-    except RobotFileError as error:
-        raise RobotFileError(f"--wheels: {error}") from None
+        why = f"there is no joint or link {name!r}"
+    elif joint.child not in arm.base_links:
+        why = f"{name!r} is not on the base"
+    elif not _turns_round(joint):
+        why = f"{joint.name} is no wheel: it is {joint.kind}"
+    else:
+        why = reasons.get(joint.name, f"{joint.name} is a caster's wheel: its fork turns too")
+    turning = ", ".join(j.name for j in tree.joints.values() if _turns_round(j))
+    raise RobotFileError(f"--wheels: {why}; joints that turn without end: {turning or '(none)'}")
 
 
 def _turns_round(joint: Joint) -> bool:
