@@ -10,7 +10,7 @@ from typing import Annotated, Union, get_args
 from pydantic import Field, SerializeAsAny, ValidationError, model_validator
 from typing_extensions import Self
 
-from app.errors import DescriptionError, UnknownNameError
+from app.errors import DescriptionError, check_name
 from app.robot.assets import robot_folder, robot_names
 from app.robot.bases.car_like import CarLikeBase
 from app.robot.bases.differential import DifferentialBase
@@ -233,6 +233,5 @@ def load_robot(name: str) -> RobotDescription:
         UnknownNameError: No robot has that name; lists those that exist.
         DescriptionError: Its description does not hold.
     """
-    if name not in robot_names():
-        raise UnknownNameError("robot", name, robot_names())
+    check_name("robot", name, robot_names())
     return load_description(robot_folder(name) / "robot.toml")
