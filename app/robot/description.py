@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Union, get_args
@@ -17,12 +16,7 @@ from app.robot.bases.differential import DifferentialBase
 from app.robot.bases.holonomic import HolonomicBase
 from app.robot.bases.kind import BaseKind
 from app.robot.shapes import Shape
-from app.strict import Finite, NonNegative, Positive, Sourced, Strict, Vector3, explain, parsed
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from app.strict import Finite, NonNegative, Positive, Sourced, Strict, Vector3, explain, from_toml
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
@@ -213,7 +207,7 @@ def load_description(path: Path) -> RobotDescription:
             of its range; the message names file, field and what would be right.
     """
     try:
-        data = parsed(tomllib.loads, path.read_text(encoding="utf-8"))
+        data = from_toml(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise DescriptionError(f"{path}: no such description") from None
     except OSError as error:
