@@ -5,7 +5,6 @@ A file may hold only some sections and parameters; what is not in it is at its d
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,12 +14,7 @@ from tomlkit.items import Table
 from app.config import Config, make_config, sections
 from app.errors import ConfigError
 from app.parameters import Parameter, Tunable
-from app.strict import parsed
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from app.strict import from_toml
 
 MOST_BYTES = 64 * 1024
 """[-] of a file; with all parameters it has a tenth of that."""
@@ -69,7 +63,7 @@ def decode_config(content: bytes) -> NamedConfig:
         raise ConfigError(f"{len(content)} bytes, more than the {MOST_BYTES} of a configuration")
     try:
         text = content.decode("utf-8-sig").replace("\r\n", "\n")
-        data: dict[str, Any] = parsed(tomllib.loads, text)
+        data: dict[str, Any] = from_toml(text)
     except UnicodeDecodeError:
         raise ConfigError("no TOML: not UTF-8") from None
     except ValueError as error:

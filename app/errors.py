@@ -33,6 +33,16 @@ class UnknownNameError(DbbError):
         )
 
 
+def check_name(kind: str, name: str, choices: Iterable[str]) -> None:
+    """Refuse a name that does not exist.
+
+    Raises:
+        UnknownNameError: Lists those that exist.
+    """
+    if name not in (existing := tuple(choices)):
+        raise UnknownNameError(kind, name, existing)
+
+
 class DescriptionError(DbbError):
     """A robot description that is missing, misspelt or out of range; names file and field."""
 

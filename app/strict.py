@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from typing import Annotated, Any
 
@@ -18,6 +19,11 @@ from pydantic_core import ErrorDetails
 from typing_extensions import Self
 
 from app.errors import ConfigError, did_you_mean
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 Finite = Annotated[float, AllowInfNan(False)]
 Positive = Annotated[float, AllowInfNan(False), Field(gt=0)]
@@ -172,6 +178,11 @@ def parsed(loads: Callable[[str], Any], text: str) -> Any:
         return loads(text)
     except RecursionError:
         raise ValueError("its brackets nest too deeply") from None
+
+
+def from_toml(text: str) -> dict[str, Any]:
+    """What a text of TOML holds; raises what `parsed` does."""
+    return parsed(tomllib.loads, text)
 
 
 def check_range(option: str, value: float, low: float, high: float, unit: str = "") -> None:

@@ -13,7 +13,7 @@ from importlib import import_module, metadata
 from pathlib import Path
 from typing import NoReturn
 
-from app.errors import DbbError, UnknownNameError, extras_named
+from app.errors import DbbError, check_name, extras_named
 from app.jobs.progress import ending_signals_raised
 from app.system import forget_missing_temporary_folder, open_standard_files
 
@@ -107,8 +107,7 @@ def _run(words: list[str]) -> None:
 
 def _run_command(name: str, *words: str) -> None:
     """Import the command that is asked for, and what it needs; nothing else is imported."""
-    if name not in _MODULES:
-        raise UnknownNameError("command (dbb --help lists them)", name, _MODULES)
+    check_name("command (dbb --help lists them)", name, _MODULES)
     import tyro
 
     from app.cli.options import check_once, in_present_words

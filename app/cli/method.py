@@ -11,7 +11,7 @@ from app.cli.common import load_model, load_robot_and_border, print_json, print_
 from app.cli.records import Given
 from app.config import sections
 from app.config_file import save_config
-from app.errors import ConfigError, OutputError
+from app.errors import ConfigError, OutputError, check_name
 from app.strict import check_range
 from app.system import write_whole
 
@@ -163,7 +163,7 @@ def reach(
     options.check_seed(seed)
     model = load_model(robot)
     names = reach_bodies(model)
-    options.check_name("body of a reachability map", body, [*names, "all"])
+    check_name("body of a reachability map", body, [*names, "all"])
     options.make_folder(out)
     begin = perf_counter()
     bodies: dict[str, Any] = {}

@@ -14,7 +14,7 @@ from app.cli.records import Field, Given, from_fields, from_record
 from app.config import Config, DisturbanceConfig, tunable
 from app.config_file import read_config
 from app.control import CONTROLLERS
-from app.errors import ConfigError, OutputError, UnknownNameError
+from app.errors import ConfigError, OutputError, check_name
 from app.parameters import Parameter
 from app.simulation.plants import chosen_plant, default_plant
 from app.strict import MOST_SEEDS, check_range
@@ -129,16 +129,6 @@ def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS)
             check_name(name, value, about.choices)
         config = config.replace(paths[name], value)
     return config
-
-
-def check_name(kind: str, name: str, choices: Iterable[str]) -> None:
-    """Refuse a name that does not exist, before anything is loaded.
-
-    Raises:
-        UnknownNameError: Lists those that exist.
-    """
-    if name not in (existing := tuple(choices)):
-        raise UnknownNameError(kind, name, existing)
 
 
 def check_seed(seed: int) -> None:

@@ -18,6 +18,7 @@ from app.cli.records import Given, from_record
 from app.cli.wanted import filmed, is_case, trace_of, wanted
 from app.control import CONTROLLERS
 from app.dashboard.export import Look
+from app.errors import check_name
 from app.jobs.progress import progress_bar
 from app.simulation.case import Planned
 from app.strict import check_range
@@ -129,12 +130,12 @@ def film(
 
     is_case(scenario)
     for name in beside:
-        options.check_name("controller of --beside", name, CONTROLLERS)
+        check_name("controller of --beside", name, CONTROLLERS)
     look, how = Look(**picture), Filming(**filming)
     options.check_file("--out", out, tuple(CODECS))
     codecs = CODECS[out.suffix.lower()]
     codec = how.codec or next(iter(codecs))
-    options.check_name(f"--codec of {out.suffix}", codec, codecs)
+    check_name(f"--codec of {out.suffix}", codec, codecs)
     asked = wanted(scenario, setup, config)
     told = {"film": str(out), "scenario": asked.scenario.name, "beside": list(beside)}
     told |= _film(asked, beside, how, codec, look, out)

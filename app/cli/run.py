@@ -12,6 +12,7 @@ from app.cli import options
 from app.cli.common import as_json, load_robot_and_border, print_json, rounded_text, say
 from app.cli.records import Given, from_record
 from app.cli.wanted import check_no_others, of_case, planned, read, result_of
+from app.errors import check_name
 from app.simulation.case import Planned
 from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.leading import Scenario
@@ -57,7 +58,7 @@ def choose_run(words: list[str]) -> tuple[str, Callable[..., Any], list[str]]:
     named = first or [word for word in words if word in SCENARIOS][:1]
     if not named:
         return "", run, words
-    options.check_name("scenario", named[0], SCENARIOS)
+    check_name("scenario", named[0], SCENARIOS)
     scenario, rest = SCENARIOS[named[0]], list(words)
     rest.remove(scenario.name)
     for name in map(_field, rest):

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from app.cli.common import load_robot_and_border, say
-from app.cli.options import Setup, check_name, configured
+from app.cli.options import Setup, configured
 from app.cli.records import Given
 from app.config import Config
-from app.errors import ConfigError
+from app.errors import ConfigError, check_name
 from app.jobs.progress import progress_bar
 from app.simulation.case import Planned, RunCase, read_case
 from app.simulation.scenarios import SCENARIOS, scenario_of

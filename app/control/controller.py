@@ -30,7 +30,7 @@ from app.control.tasks import (
     tracking_objective,
     with_base_at_rest,
 )
-from app.errors import UnknownNameError
+from app.errors import check_name
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, checked, is_finite
 
@@ -149,8 +149,7 @@ class Controller:
         Raises:
             UnknownNameError: No controller has that name.
         """
-        if name not in METHODS:
-            raise UnknownNameError("controller", name, CONTROLLERS)
+        check_name("controller", name, CONTROLLERS)
         self.name = name
         self._method = METHODS[name]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Union, get_args
@@ -10,19 +9,14 @@ from typing import Annotated, Union, get_args
 from pydantic import Field, SerializeAsAny, ValidationError, model_validator
 from typing_extensions import Self
 
-from app.errors import DescriptionError, UnknownNameError
+from app.errors import DescriptionError, check_name
 from app.robot.assets import robot_folder, robot_names
 from app.robot.bases.car_like import CarLikeBase
 from app.robot.bases.differential import DifferentialBase
 from app.robot.bases.holonomic import HolonomicBase
 from app.robot.bases.kind import BaseKind
 from app.robot.shapes import Shape
-from app.strict import Finite, NonNegative, Positive, Sourced, Strict, Vector3, explain, parsed
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from app.strict import Finite, NonNegative, Positive, Sourced, Strict, Vector3, explain, from_toml
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
@@ -213,7 +207,7 @@ def load_description(path: Path) -> RobotDescription:
             of its range; the message names file, field and what would be right.
     """
     try:
-        data = parsed(tomllib.loads, path.read_text(encoding="utf-8"))
+        data = from_toml(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise DescriptionError(f"{path}: no such description") from None
     except OSError as error:
@@ -233,6 +227,5 @@ def load_robot(name: str) -> RobotDescription:
         UnknownNameError: No robot has that name; lists those that exist.
         DescriptionError: Its description does not hold.
     """
-    if name not in robot_names():
-        raise UnknownNameError("robot", name, robot_names())
+    check_name("robot", name, robot_names())
     return load_description(robot_folder(name) / "robot.toml")

@@ -11,7 +11,7 @@ from pydantic import Field, ValidationError
 
 from app.config import Config, sections
 from app.control import CONTROLLERS
-from app.errors import CaseError, DbbError, UnknownNameError
+from app.errors import CaseError, DbbError, check_name
 from app.simulation.plants import chosen_plant
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.scenarios.leading import Scenario
@@ -87,8 +87,7 @@ class RunCase(Strict):
         Raises:
             DbbError: There is no such scenario, or its options are none that it can have.
         """
-        if self.played not in _PLAYED:
-            raise UnknownNameError("scenario", self.played, _PLAYED)
+        check_name("scenario", self.played, _PLAYED)
         options = {name: _tuples(value) for name, value in self.options.items()}
         return _PLAYED[self.played].changed(**options)
 
@@ -141,8 +140,7 @@ class RunCase(Strict):
             raise CaseError(f"{where} is no case: it has no {FORMAT!r}")
         try:
             case = cls.model_validate_json(json.dumps(content))
-            if case.controller not in CONTROLLERS:
-                raise UnknownNameError("controller", case.controller, CONTROLLERS)
+            check_name("controller", case.controller, CONTROLLERS)
             case.scenario()
             case.config()
         except ValidationError as error:

@@ -13,8 +13,8 @@ from collections.abc import Collection, Hashable
 from dataclasses import dataclass
 
 from app.config import Config
-from app.control.controller import CONTROLLERS
-from app.errors import ConfigError, LoopError, TargetError, UnknownNameError
+from app.control import CONTROLLERS
+from app.errors import ConfigError, LoopError, TargetError, check_name
 from app.simulation.people import checked_hold, checked_target
 from app.simulation.scenarios.leading import Scenario
 from app.strict import check_range
@@ -93,7 +93,7 @@ class Choose(Adjustment):
     controller: str
 
     def __post_init__(self) -> None:
-        _check_controller(self.controller)
+        check_name("controller", self.controller, CONTROLLERS)
 
 
 @dataclass(frozen=True)
@@ -174,9 +174,8 @@ class Compare(Command):
         if len(self.controllers) > MOST_GHOSTS:
             raise ConfigError(f"at most {MOST_GHOSTS} controllers are compared")
         for name in self.controllers:
-            _check_controller(name)
-        if self.same not in SAMES:
-            raise UnknownNameError("comparison", self.same, SAMES)
+            check_name("controller", name, CONTROLLERS)
+        check_name("comparison", self.same, SAMES)
 
 
 class Mailbox:
@@ -203,8 +202,8 @@ class Mailbox:
             UnknownNameError: A pull's link is none of `links`.
             LoopError: Too many different ones wait.
         """
-        if isinstance(command, Pull) and command.link is not None and command.link not in links:
-            raise UnknownNameError("link", str(command.link), links)
+        if isinstance(command, Pull) and command.link is not None:
+            check_name("link", command.link, links)
         key = _key(command)
         with self._lock:
             if len(self._waiting) >= MOST and key not in self._waiting:
@@ -232,8 +231,3 @@ def _key(command: Command) -> Hashable:
     if isinstance(command, (Pull, Release)):
         return Pull, command.who
     return Beginning if isinstance(command, Beginning) else type(command)
-
-
-def _check_controller(name: str) -> None:
-    if name not in CONTROLLERS:
-        raise UnknownNameError("controller", name, CONTROLLERS)

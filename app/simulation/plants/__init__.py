@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
-from app.errors import ConfigError, UnknownNameError
+from app.errors import ConfigError, check_name
 
 if TYPE_CHECKING:
     from app.robot.model import RobotModel
@@ -31,8 +31,7 @@ def chosen_plant(name: str | None) -> str:
         UnknownNameError: No such plant.
     """
     name = _FORMERLY.get(name, name) if name else default_plant()
-    if name not in PLANTS:
-        raise UnknownNameError("physics", name, PLANTS)
+    check_name("physics", name, PLANTS)
     return name
 
 

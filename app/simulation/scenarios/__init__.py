@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from app.errors import UnknownNameError, UnreachableError
+from app.errors import UnreachableError, check_name
 from app.simulation.scenarios.leading import Scenario
 from app.simulation.scenarios.line import LineScenario, Point
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
@@ -54,8 +54,7 @@ def scenario_by_name(name: str) -> Scenario:
     Raises:
         UnknownNameError: Lists those that exist.
     """
-    if name not in SCENARIOS:
-        raise UnknownNameError("scenario", name, SCENARIOS)
+    check_name("scenario", name, SCENARIOS)
     return SCENARIOS[name]
 
 

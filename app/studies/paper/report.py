@@ -8,7 +8,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from app.errors import UnknownNameError
+from app.errors import check_name
 from app.studies.page import Cell, Grid, Part, measured_grids, page_html
 from app.studies.paper import acting, approach, density, offline
 from app.studies.paper.claims import Threshold, claims_of
@@ -40,8 +40,8 @@ def chosen(names: Iterable[str]) -> list[str]:
         UnknownNameError: Lists those that exist.
     """
     asked = set(names)
-    for name in sorted(asked - FIGURES.keys()):
-        raise UnknownNameError("figure", name, FIGURES)
+    for name in sorted(asked):
+        check_name("figure", name, FIGURES)
     return [name for name in FIGURES if name in asked or not asked]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,15 +13,10 @@ from typing_extensions import Self
 
 from app.errors import StudyError
 from app.simulation.trace.metrics import NEAR
-from app.strict import NonNegative, Strict, explain
+from app.strict import NonNegative, Strict, explain, from_toml
 from app.studies.pulls.case import COLUMNS, failed
 from app.studies.pulls.parameters import PARAMETERS, Interval, StudyRange
 from app.studies.runs import Row
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 STATED = Path(__file__).with_name("envelope.toml")
 """The envelope that the project states, with its source."""
@@ -58,7 +52,7 @@ class Envelope(create_model("Drawn", __base__=Strict, **_drawn)):
             StudyError: Its file is damaged.
         """
         try:
-            content = tomllib.loads(STATED.read_text(encoding="utf-8"))
+            content = from_toml(STATED.read_text(encoding="utf-8"))
             return cls.model_validate(content["envelope"])
         except ValidationError as error:
             raise StudyError(f"{STATED}: {explain(error, cls)}") from None

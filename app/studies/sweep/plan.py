@@ -11,7 +11,7 @@ import numpy as np
 
 from app.config import Config
 from app.control import CONTROLLERS
-from app.errors import ConfigError, UnknownNameError
+from app.errors import ConfigError, check_name
 from app.simulation.case import Planned
 from app.simulation.plants import chosen_plant, default_plant
 from app.simulation.scenarios.line import Point, StartedLine
@@ -177,8 +177,7 @@ class SweepPlan:
             UnknownNameError: No such controller or plant.
         """
         for name in self.controllers:
-            if name not in CONTROLLERS:
-                raise UnknownNameError("controller", name, CONTROLLERS)
+            check_name("controller", name, CONTROLLERS)
         chosen_plant(self.physics)
         for name, bounds in _RANGES.items():
             given = getattr(self, name)
