@@ -16,7 +16,7 @@ from app.border.mobile import MobileBody
 from app.cli import options
 from app.cli.common import print_json, print_table
 from app.config import Config
-from app.errors import DbbError
+from app.errors import DbbError, check_name
 from app.jobs.pool import Workers
 from app.jobs.progress import progress_bar
 from app.robot.assets import robot_names
@@ -206,9 +206,9 @@ def main(
     """
     known = {each.name: each for each in CASES}
     for name in robots:
-        options.check_name("robot", name, robot_names())
+        check_name("robot", name, robot_names())
     for name in case:
-        options.check_name("case", name, known)
+        check_name("case", name, known)
     with progress_bar("robots", 1.0) as on_progress:
         result = robot_table(
             robots or robot_names(),

@@ -12,10 +12,11 @@ import pytest
 from app.errors import AssetError, DescriptionError, UnknownNameError
 from app.robot import assets
 from app.robot.assets import resolve_package_uri, resolved_urdf, robot_names
-from app.robot.description import load_description, load_robot, tomllib
+from app.robot.description import load_description, load_robot
 from app.robot.model import RobotModel
+from app.strict import from_toml
 
-ORIGINAL = tomllib.loads((assets.ASSETS / "husky_panda/robot.toml").read_text(encoding="utf-8"))
+ORIGINAL = from_toml((assets.ASSETS / "husky_panda/robot.toml").read_text(encoding="utf-8"))
 
 
 def toml(value: object) -> str:

@@ -12,8 +12,8 @@ from typing import Annotated, Any
 import tyro
 
 from app.cli.common import load_robot_and_border, print_json
-from app.cli.options import Json, check_name, make_folder
-from app.errors import DbbError
+from app.cli.options import Json, make_folder
+from app.errors import DbbError, check_name
 from app.jobs.progress import progress_bar
 from app.simulation.plants import PLANTS
 from benchmarks.peers.evaluator import Evaluator
