@@ -203,7 +203,7 @@ class Mailbox:
             LoopError: Too many different ones wait.
         """
         if isinstance(command, Pull) and command.link is not None:
-            check_name("link", command.link, links)
+            check_name("link", str(command.link), links)  # whatever a page has sent
         key = _key(command)
         with self._lock:
             if len(self._waiting) >= MOST and key not in self._waiting:
