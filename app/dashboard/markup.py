@@ -25,7 +25,8 @@ def plain(error: BaseException) -> str:
 
 def small(html: str, *styles: str) -> str:
     """Text of a panel."""
-    return _tag("div", html, "padding:.2em .7em;font-size:.82em;line-height:1.5", *styles)
+    look = "padding:.2em .7em;font-size:.82em;line-height:1.5;overflow-wrap:anywhere"
+    return _tag("div", html, look, *styles)
 
 
 def framed(html: str, colour: str) -> str:
@@ -45,6 +46,7 @@ def banner(kind: str, title: str, text: str) -> str:
         "div",
         f"<b>{escape(title)}</b><br>{escape(text)}",
         "margin:.5em .7em;padding:.5em .7em;border-radius:4px;color:white;font-size:.85em",
+        "overflow-wrap:anywhere",
         f"background:{_BANNERS[kind]}",
     )
 
