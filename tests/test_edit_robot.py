@@ -161,6 +161,8 @@ def test_a_body_is_dragged_resized_saved_and_checked_in_the_page(
     assert np.linalg.norm(moved - (moved @ along) * along) < 0.005
     assert after.length_m == pytest.approx(before.length_m + 0.1, abs=0.02)
     assert saved.unwatched == {"l2-lEE": BY_HAND}
+    # The page of the robot before stands until that of the saved one is whole.
+    tab.page.get_by_role("button", name="Save and show").wait_for(state="hidden")
     tab.wait_for_scene()
     tab.open_tab("Robot")
     tab.page.get_by_text("Edit this robot").click()
