@@ -182,12 +182,9 @@ def open_standard_files() -> None:
     Else the next file, pipe or socket gets such a number, and what is printed goes into it. What an
     output's encoding does not have is printed as its code.
     """
-    for number, name in enumerate(("stdin", "stdout", "stderr")):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.open(os.devnull, os.O_RDWR)  # it gets the least free number
-            setattr(sys, name, os.fdopen(number, "w" if number else "r"))
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # its number may have gone to a library's file since
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - it stays open
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
 
