@@ -110,6 +110,8 @@ def test_a_whole_folder_is_written_and_nothing_beside_it(made: NewRobot) -> None
     assert "max_effort = [60.0, 60.0, 60.0, 60.0, 60.0, 60.0] # from the URDF" in text
     assert "traction_limit_n" in text
     assert "# assumed" in text
+    assert not made.content["unwatched"]
+    assert "[unwatched]" not in text  # nor any other table without a word
 
 
 def test_a_robot_from_a_zip_takes_its_meshes_along_and_may_be_moved(

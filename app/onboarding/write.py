@@ -134,7 +134,9 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
         body = next(each for each in document["bodies"] if each["name"] == name)
         body["source"] = BY_HAND
         body["shapes"][i] = tomlkit.item(shape_content(shape))
-    if changes.unwatched != document.get("unwatched", {}):
+    if not changes.unwatched:
+        document.pop("unwatched", None)
+    elif changes.unwatched != document.get("unwatched"):
         document["unwatched"] = changes.unwatched
     if changes.ready is not None:
         document["arm"]["ready_position"] = list(changes.ready)
@@ -164,12 +166,16 @@ _HEADER = (
 
 
 def description_text(content: Mapping[str, Any], title: str) -> str:
-    """The text of `robot.toml`: a title, and each number's kind of source, as comments."""
+    """The text of `robot.toml`: a title, and each number's kind of source, as comments.
+
+    What is empty, as of a robot without lines, is left out.
+    """
     document = tomlkit.document()
     for line in (title, *_HEADER):
         document.add(tomlkit.comment(line))
     document.add(tomlkit.nl())
-    for key, value in sorted(content.items(), key=lambda each: isinstance(each[1], Mapping | list)):
+    filled = [each for each in content.items() if each[1]]
+    for key, value in sorted(filled, key=lambda each: isinstance(each[1], Mapping | list)):
         item = tomlkit.item(value)
         if isinstance(value, Mapping):
             _comment(item, value)
