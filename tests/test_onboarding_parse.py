@@ -18,7 +18,7 @@ from app.onboarding import new_robot
 from app.onboarding.new_robot import finish, parse
 from app.onboarding.read.tree import make_tree
 from app.onboarding.request import Request
-from app.onboarding.warn import wheels_carried
+from app.onboarding.warn import held_still, wheels_carried
 from app.onboarding.write import rebased_urdf
 from app.robot.model import RobotModel
 from app.simulation.plants.collision_shapes import collision_shapes
@@ -129,6 +129,15 @@ def test_wheels_on_suspensions_are_the_same_drive(tmp_path: Path) -> None:
     assert {"left_slide", "right_slide"} < set(slides.arm.rigid_links)
     given = request(tmp_path, suspended(travel=0.01), wheels=("left_axle", "right_axle"))
     assert parse(given).wheels[:4] == plain.wheels[:4]
+
+
+def test_a_suspension_is_warned_of_and_no_slide_that_the_base_itself_is_on(tmp_path: Path) -> None:
+    slide = joint("slide", "prismatic", "world", "base", limit='lower="-1e6" upper="1e6"')
+    floating = robot([*cart(), *arm(), link("world"), slide])
+    texts = (suspended(travel=0.01), floating)
+    told = [list(held_still(parse(request(tmp_path, text)))) for text in texts]
+    assert told[0][0].endswith("0.01 m of travel count as rigid: left_spring, right_spring")
+    assert told[1] == []
 
 
 def test_a_slide_as_long_as_a_wheel_is_no_suspension(tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ _METAVARS = {
     "heights": "Z …",
     "package": "NAME=FOLDER …",
     "speeds": "V …",
+    "xacro": "NAME=VALUE …",
 }
 
 

@@ -51,7 +51,7 @@ def warnings_of(robot: NewRobot) -> list[str]:
         *_reaches(robot),
         *_joints(robot),
         *_inertias(robot),
-        *_held(robot),
+        *held_still(robot.parsed),
         *_base(robot),
     ]
 
@@ -191,13 +191,11 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
             yield f"nothing that {joint.name} alone moves has a mass: its inertia is zero"
 
 
-def _held(robot: NewRobot) -> Iterator[str]:
+def held_still(parsed: Parsed) -> Iterator[str]:
     """Suspensions that count as rigid, and what moves beside the arm: another arm, a head."""
-    tree, arm = robot.parsed.tree, robot.parsed.arm
-    rigid = [
-        j for j in tree.joints.values() if j.kind == "prismatic" and j.child in arm.rigid_links
-    ]
-    if rigid:
+    tree, arm = parsed.tree, parsed.arm
+    above = [tree.joint_of[link] for link in arm.rigid_links if link != arm.base]
+    if rigid := [joint for joint in above if joint.kind == "prismatic"]:
         travel = max((j.upper or 0.0) - (j.lower or 0.0) for j in rigid)
         names = ", ".join(j.name for j in rigid)
         yield f"wheels' suspensions of up to {travel:g} m of travel count as rigid: {names}"

@@ -28,7 +28,7 @@ ALWAYS = 0.6
 MARGIN = 0.015
 """[m] within which a point counts as met."""
 _ALONG = 0.999  # [-] cosine between two lines that count as parallel
-_THIN_OUT = 500  # [-] points on a unit's surface that are looked at
+_THIN_OUT = 500  # [-] points on a unit's surface that are looked at, beside the outermost
 _BUILT_IN = 0.5  # [-] close hulls that touch in more of the poses are nested, as a telescope is
 _FEWEST = 50  # [-] poses without a collision that say what is near
 _MOST_LOOKS = 200  # [-] poses per pair of units in which the points are looked at
@@ -125,8 +125,9 @@ def _unit(
             parts.append(Part(link, corners, (corners @ D.T).max(axis=0)))
         surface.append(moved(geometry[link].surface, T))
     points = np.vstack(surface)
-    if len(points) > _THIN_OUT:
-        points = points[np.random.default_rng(0).permutation(len(points))[:_THIN_OUT]]
+    if len(points) > _THIN_OUT:  # the outermost ones stay: a body has to hold fingertips too
+        some = np.random.default_rng(0).permutation(len(points))[:_THIN_OUT]
+        points = points[np.union1d(some, (points @ D.T).argmax(axis=0))]
     return Unit(index, frame, links, joint, tuple(parts), points)
 
 
