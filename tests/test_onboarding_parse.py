@@ -378,6 +378,24 @@ def test_a_package_that_a_xacro_names_and_nobody_finds_is_asked_for_with_its_pla
     assert parse(replace(asked, package=(f"no_such_arm={tmp_path}",))).arm.tip == "hand"
 
 
+def test_a_xacro_finds_a_package_of_python_as_meshes_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As `$(find pybullet_data)`: it was said not to be installed."""
+    pytest.importorskip("xacrodoc")
+    package = tmp_path / "site" / "toy_arm_data"
+    package.mkdir(parents=True)
+    write(package, robot([*cart(), *arm()]))
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    text = (
+        '<robot name="toy" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        '<xacro:include filename="$(find toy_arm_data)/toy.urdf"/></robot>'
+    )
+    path = write(tmp_path / "a" / "b", text, "toy.urdf.xacro")
+    assert parse(Request(str(path), "base", "hand", tmp_path / "made")).arm.tip == "hand"
+
+
 def test_an_arm_of_its_own_file_is_put_on_the_base(tmp_path: Path) -> None:
     """The arm's root has the base's name too: it is renamed, and the tip found."""
     alone = [part for part in arm() if 'name="mount"' not in part]

@@ -201,6 +201,8 @@ def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
     except Exception as error:  # xacro has no common base of its errors
         why = " ".join(str(error).split())
         if missing := re.search(r"Package not found: (\S+)", why):
+            if missing[1] not in packages and (roots := package_roots(missing[1])):
+                return _expanded(path, {**packages, missing[1]: roots[0]}, arguments)
             named = rf"\$\(find {re.escape(missing[1])}\)/([^\"']+)"
             inner = re.search(named, path.read_text(encoding="utf-8"))
             where = _nowhere(missing[1], inner[1] if inner else "", path.parent)
