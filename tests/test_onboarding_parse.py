@@ -131,13 +131,18 @@ def test_wheels_on_suspensions_are_the_same_drive(tmp_path: Path) -> None:
     assert parse(given).wheels[:4] == plain.wheels[:4]
 
 
-def test_a_suspension_is_warned_of_and_no_slide_that_the_base_itself_is_on(tmp_path: Path) -> None:
+def test_what_stands_still_is_warned_of_and_no_slide_that_the_base_itself_is_on(
+    tmp_path: Path,
+) -> None:
     slide = joint("slide", "prismatic", "world", "base", limit='lower="-1e6" upper="1e6"')
     floating = robot([*cart(), *arm(), link("world"), slide])
-    texts = (suspended(travel=0.01), floating)
+    legged = robot([*cart(), *arm(), link("leg"), joint("knee", "revolute", "base", "leg")])
+    texts = (suspended(travel=0.01), floating, legged)
     told = [list(held_still(parse(request(tmp_path, text)))) for text in texts]
     assert told[0][0].endswith("0.01 m of travel count as rigid: left_spring, right_spring")
+    assert len(told[0]) == 1
     assert told[1] == []
+    assert [each.rpartition(": ")[2] for each in told[2]] == ["knee"]
 
 
 def test_a_slide_as_long_as_a_wheel_is_no_suspension(tmp_path: Path) -> None:

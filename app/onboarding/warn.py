@@ -18,6 +18,7 @@ from app.onboarding.fit.grouping import MOST_UNSEEN
 from app.onboarding.fit.postures import GIVES_WAY, INNER
 from app.onboarding.numbers import read_limits
 from app.onboarding.read.tree import ARM_ON_BASE
+from app.onboarding.read.wheels import turns_round
 from app.robot.bases.kind import Axis
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from app.robot.model import RobotModel
@@ -192,17 +193,26 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
 
 
 def held_still(parsed: Parsed) -> Iterator[str]:
-    """Suspensions that count as rigid, and what moves beside the arm: another arm, a head."""
+    """Suspensions that count as rigid, and what moves beside the arm: another arm, a head, legs.
+
+    Wheels and casters turn without end: they roll.
+    """
     tree, arm = parsed.tree, parsed.arm
     above = [tree.joint_of[link] for link in arm.rigid_links if link != arm.base]
     if rigid := [joint for joint in above if joint.kind == "prismatic"]:
         travel = max((j.upper or 0.0) - (j.lower or 0.0) for j in rigid)
         names = ", ".join(j.name for j in rigid)
         yield f"wheels' suspensions of up to {travel:g} m of travel count as rigid: {names}"
-    own = {joint.name for joint in arm.joints}
-    carried = [link for links in arm.segments for link in links]
-    beside = [j.name for link in carried for j in tree.children(link) if j.moves]
-    if held := [name for name in beside if name not in own]:
+    own = {joint.name for joint in (*arm.joints, *rigid)}
+    own.update(parsed.steering.joints if parsed.steering else ())
+    carried = {link for links in arm.segments for link in links}
+    held = [
+        joint.name
+        for link in tree.below(arm.base)
+        for joint in tree.children(link)
+        if joint.moves and joint.name not in own and (link in carried or not turns_round(joint))
+    ]
+    if held:
         names = ", ".join(held)
         yield f"not of the arm to --tip, so held still at zero or the nearest limit: {names}"
 

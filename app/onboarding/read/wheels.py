@@ -164,7 +164,7 @@ def _find_wheels(
     reasons: dict[str, str] = {}
     taken = {joint.name for joint in arm.joints}
     for joint in tree.joints.values():
-        if joint.parent in arm.rigid_links and joint.name not in taken and _turns_round(joint):
+        if joint.parent in arm.rigid_links and joint.name not in taken and turns_round(joint):
             try:
                 found[joint.name] = _wheel(tree, arm, geometry, joint)
             except RobotFileError as error:
@@ -249,15 +249,16 @@ def _named(
         why = f"there is no joint or link {name!r}"
     elif joint.child not in arm.base_links:
         why = f"{name!r} is not on the base"
-    elif not _turns_round(joint):
+    elif not turns_round(joint):
         why = f"{joint.name} is no wheel: it is {joint.kind}"
     else:
         why = reasons.get(joint.name, f"{joint.name} is a caster's wheel: its fork turns too")
-    turning = ", ".join(j.name for j in tree.joints.values() if _turns_round(j))
+    turning = ", ".join(j.name for j in tree.joints.values() if turns_round(j))
     raise RobotFileError(f"--wheels: {why}; joints that turn without end: {turning or '(none)'}")
 
 
-def _turns_round(joint: Joint) -> bool:
+def turns_round(joint: Joint) -> bool:
+    """Whether it turns without end, or by more than two turns."""
     span = (joint.upper or 0.0) - (joint.lower or 0.0)
     return joint.kind == "continuous" or (joint.kind == "revolute" and span > 4 * np.pi)
 
@@ -265,7 +266,7 @@ def _turns_round(joint: Joint) -> bool:
 def _rolls(tree: Tree, arm: Arm, joint: Joint) -> bool:
     """Whether it turns without end about a level axis."""
     level = np.linalg.norm((tree.pose(joint.child, arm.base).rotation @ joint.axis)[:2]) >= _LEVEL
-    return _turns_round(joint) and bool(level)
+    return turns_round(joint) and bool(level)
 
 
 def _wheel(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], joint: Joint) -> _Wheel:
