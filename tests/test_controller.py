@@ -155,7 +155,7 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     posture = posture_objective(state, m.q_m, config.task)
     objective = tracking_objective(posture, task, config.task.ee_weight)
     objective = insert_rows(objective, rows, softness)
-    limits = robot_limits(state, config.limit, softness=softness).and_also(base_limits(state))
+    limits = robot_limits(state, config.limit, softness=softness).and_also(base_limits(robot))
     whole = TaskQP().solve(objective, limits)
     asked = output.base_acceleration
     np.testing.assert_allclose(robot.J_m @ whole[:2], asked, atol=2e-2, rtol=2e-2)

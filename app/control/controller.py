@@ -138,6 +138,7 @@ class Controller:
         self.use(name)
         self.state = RobotState(model)
         self._model = model
+        self._base_limits = base_limits(model)
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
         self.configure(config)
         self._solver = TaskQP()
@@ -265,7 +266,7 @@ class Controller:
             objective = tracking_objective(lowest, T_ee._replace(give=0.0), slow.task.ee_weight)
         try:
             whole = insert_rows(objective, links, softness)
-            free = self._of_base(whole, limits.and_also(base_limits(state)))
+            free = self._of_base(whole, limits.and_also(self._base_limits))
             wanted, asked = self._by_rows(free, inserted.rows_m)
             if T_ee is None:
                 return wanted, asked

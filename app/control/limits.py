@@ -19,6 +19,7 @@ from app.avoidance.task import DistanceJacobian, distance_jacobian
 from app.config import BarrierConfig, LimitConfig
 from app.control import kernels
 from app.control.qp import Limits
+from app.robot.model import RobotModel
 from app.robot.state import RobotState
 
 Array = np.ndarray
@@ -132,9 +133,9 @@ def _softness(n_m: int, barriers: int, softness: float) -> Array:
     return np.repeat([0.0, softness**2], [n_m, n_m + barriers])
 
 
-def base_limits(state: RobotState) -> Limits:
+def base_limits(model: RobotModel) -> Limits:
     """Limits on q̈ of the base's accelerations, hard."""
-    model, most = state.model, state.model.base_acceleration_max
+    most = model.base_acceleration_max
     C = np.zeros((len(most), model.n))
     C[:, : model.n_b] = model.J_m
     return Limits(C, -most, most, np.zeros(len(most)))
