@@ -60,15 +60,12 @@ class ConfigError(DbbError):
 
 
 class UnreachableError(DbbError):
-    """No configuration of the arm brings the hand to the asked start.
-
-    Attributes:
-        flaws: How many tries failed by each reason.
-    """
+    """No configuration of the arm brings the hand to the asked start."""
 
     def __init__(self, message: str, flaws: Mapping[str, int] | None = None) -> None:
         super().__init__(message)
         self.flaws = dict(flaws or {})
+        """How many tries failed by each reason."""
 
 
 class MeasurementError(DbbError):

@@ -58,14 +58,11 @@ def tangential_step(gradient: Array, t: Array, alpha: float) -> Array:
 
 
 class ActingPointFinder:
-    """Algorithm 3 for one pair of L_m, on its border as points or as a surface.
-
-    Attributes:
-        field: The pair's score.
-    """
+    """Algorithm 3 for one pair of L_m, on its border as points or as a surface."""
 
     def __init__(self, border: NearestBorder, field: ScoreField) -> None:
         self.field = field
+        """The pair's score."""
         self._border, self._unit = border, field.base.score_unit
 
     def find_acting_point(self, p_b: Array, d: float, force: ForceConfig) -> ActingPoint | None:

@@ -67,14 +67,11 @@ class Table(NamedTuple):
 
 
 class Contours:
-    """Horizontal contours around a union of convex shapes, open where that is known of them.
-
-    Attributes:
-        table: Their rings.
-    """
+    """Horizontal contours around a union of convex shapes, open where that is known of them."""
 
     def __init__(self, table: Table) -> None:
         self.table = table
+        """Their rings."""
         self._closed = table._replace(reached=np.ones_like(table.shown))
 
     @property

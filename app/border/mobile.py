@@ -22,14 +22,11 @@ _MAX_NEWTON = 30
 
 
 class ConvexPart:
-    """One convex shape of l_m, fixed in the base's frame.
-
-    Attributes:
-        lower, upper: (3,) [m] corners of a box around it, along the base's axes.
-    """
+    """One convex shape of l_m, fixed in the base's frame."""
 
     def __init__(self, geometry: coal.CollisionGeometry, placement: pin.SE3) -> None:
         self.lower, self.upper = bounds(geometry, placement)
+        """(3,) [m] corners of a box around it, along the base's axes."""
         self._placement, self._measures = placement, _measures(geometry)
         self._T_shape = coal.Transform3s(placement.rotation, placement.translation)
         self._T_point = coal.Transform3s()

@@ -46,13 +46,11 @@ class BufferWatch:
     counts while the distance shrinks, once it is as near as the border that it needs, or inside of
     the present one: a hand that is still farther away may yet slow down. From above it is the arm
     that resists, and no d_b helps the base: there nothing counts.
-
-    Attributes:
-        config: Parameters; may be replaced at any time.
     """
 
     def __init__(self, config: Config) -> None:
         self.config = config
+        """Parameters; may be replaced at any time."""
         self.reset()
 
     def reset(self) -> None:

@@ -31,12 +31,7 @@ class Command(NamedTuple):
 
 
 class ControlLoop:
-    """The controller with the base's admittance law, for one's own loop at 1/dt.
-
-    Attributes:
-        controller: Algorithm 2.
-        admittance: Makes velocity commands of the accelerations that the base is asked for.
-    """
+    """The controller with the base's admittance law, for one's own loop at 1/dt."""
 
     def __init__(
         self,
@@ -64,7 +59,9 @@ class ControlLoop:
         self._dt = dt
         data = data or load_border_data(model)
         self.controller = Controller(model, data, config, name=name, dt=dt)
+        """Algorithm 2."""
         self.admittance = AdmittanceLaw(base, config.admittance)
+        """Makes velocity commands of the accelerations that the base is asked for."""
         self._drive = Drive(base, dt)
 
     def reset(self) -> None:

@@ -31,15 +31,12 @@ class Sink(Protocol):
 
 
 class Hold(NamedTuple):
-    """Where a person holds the robot.
-
-    Attributes:
-        link: Name of the joint that moves the link; None for the end-effector.
-        point: (3,) [m] in that joint's frame; None for the end-effector.
-    """
+    """Where a person holds the robot."""
 
     link: str | None = None
+    """Name of the joint that moves the link; None for the end-effector."""
     point: tuple[float, float, float] | None = None
+    """(3,) [m] in that joint's frame; None for the end-effector."""
 
 
 class Grip:

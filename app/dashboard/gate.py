@@ -114,15 +114,12 @@ _VERSION = f"viser-v{__version__}"
 
 
 class RefusedError(ValueError):
-    """A message that viser must not see, and why, in words that follow "Refused: ".
-
-    Attributes:
-        message: It, if it has at least its own types: to tell its sender what holds instead.
-    """
+    """A message that viser must not see, and why, in words that follow "Refused: "."""
 
     def __init__(self, why: str, message: Any = None) -> None:
         super().__init__(why)
         self.message = message
+        """It, if it has at least its own types: to tell its sender what holds instead."""
 
 
 class GarbageError(RefusedError):
@@ -130,12 +127,7 @@ class GarbageError(RefusedError):
 
 
 class Gate:
-    """What stands between a server of viser and whoever connects to it.
-
-    Attributes:
-        widget: Finds the widget of a page, by the page's connection and the widget's name.
-        on_refused: Is called with the connection and the reason when a message was refused.
-    """
+    """What stands between a server of viser and whoever connects to it."""
 
     def __init__(self, own_name: str, largest_upload: int, read_link: ReadLink) -> None:
         """Prepare.
@@ -149,7 +141,9 @@ class Gate:
         self._read_link = read_link
         self._viewers = 0
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
+        """Finds the widget of a page, by the page's connection and the widget's name."""
         self.on_refused: Callable[[Any, RefusedError], None] = lambda connection, refused: None
+        """Is called with the connection and the reason when a message was refused."""
 
     @contextmanager
     def closed(self) -> Iterator[None]:

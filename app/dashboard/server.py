@@ -40,13 +40,7 @@ LARGEST_SHARE = 0.5  # [-] of the time that drawing may take
 
 
 class DashboardServer:
-    """Pages that show a loop and send it commands, one for each viewer, by the viewer's number.
-
-    Attributes:
-        pictures: How often all pages have been drawn.
-        error: Why the drawing thread ended, if it did.
-        watchdog: Looks after the viewers' connections.
-    """
+    """Pages that show a loop and send it commands, one for each viewer, by the viewer's number."""
 
     def __init__(self, viser_server: viser.ViserServer, shared: SharedState) -> None:
         """Begin to draw."""
@@ -56,7 +50,9 @@ class DashboardServer:
         self.address = f"http://{host}:{viser_server.get_port()}"
         self.pages: dict[int, Page] = {}
         self.pictures = 0
+        """How often all pages have been drawn."""
         self.error: BaseException | None = None
+        """Why the drawing thread ended, if it did."""
         self._notifier = Notifier(viser_server)
         self._demonstration = Demonstration()
         self._failure: tuple[str, BaseException] | None = None
@@ -67,6 +63,7 @@ class DashboardServer:
         self._thread.start()
         viser_server.on_client_disconnect(self._part)
         self.watchdog = Watchdog(viser_server, self._silent)
+        """Looks after the viewers' connections."""
 
     def run_forever(self) -> None:
         """Serve until `stop` is called from another thread, or Ctrl-C.

@@ -169,10 +169,6 @@ class Channel:
 
     viser has no widget that spans the page, reads a number as a person typed it, or says whether
     anybody sees it; the page's own scripts have. They call functions by words, and are called.
-
-    Attributes:
-        seen: What the page has said of itself: the names of the `sight`s that a person sees,
-            "narrow" if it is a narrow one, "untouched" until a person presses or turns anything.
     """
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:
@@ -181,6 +177,8 @@ class Channel:
         self._box = client.gui.add_text("", "", visible=False)
         self._box.on_update(notifier.guard(self._hear))
         self.seen: frozenset[str] = frozenset()
+        """What the page has said of itself: the names of the `sight`s that a person sees, "narrow"
+        if it is a narrow one, "untouched" until a person presses or turns anything."""
         self.on("seen", lambda names: setattr(self, "seen", frozenset(str(names).split())))
         self.on("refused", lambda text: notifier.warn(client, str(text)[:300]))
 
@@ -254,14 +252,12 @@ class Watchdog:
 
     A browser answers a ping by itself, also while its page waits. All is counted in looks, made in
     the thread that receives: if this program itself is held up, that is one look.
-
-    Attributes:
-        closed: Connections that it has closed; their pages connect anew by themselves.
     """
 
     def __init__(self, server: viser.ViserServer, on_silent: Callable[[int], None]) -> None:
         """Begin; `on_silent` gets the number of a viewer at each look at which he is silent."""
         self.closed = 0
+        """Connections that it has closed; their pages connect anew by themselves."""
         self._server, self._on_silent = server._websock_server, on_silent
         self._seen: dict[int, _Seen] = {}
         loop = self._server._background_event_loop

@@ -255,14 +255,12 @@ class Disturbances:
 
     Sensors and base commands as they are become those that arrive. The error of the arm's masses is
     none of these: it is in the controller's model (`RobotState`).
-
-    Attributes:
-        config: What is disturbed by how much; may be replaced at any time.
     """
 
     def __init__(self, config: DisturbanceConfig, dt: float, seed: int) -> None:
         """Begin like after `reset`; `dt` [s] is the control step, `seed` that of the noise."""
         self.config = config
+        """What is disturbed by how much; may be replaced at any time."""
         self._dt = dt
         self._seed = seed
         longest = round(parameter("disturbance.base_delay").high / dt)

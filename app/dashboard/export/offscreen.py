@@ -68,11 +68,7 @@ _EVEN = "crop=trunc(iw/2)*2:trunc(ih/2)*2"
 
 
 class RecordedLoop:
-    """The interface of the simulation's loop over recorded snapshots: nothing runs or is pulled.
-
-    Attributes:
-        snapshots: In order of time, at least one.
-    """
+    """The interface of the simulation's loop over recorded snapshots: nothing runs or is pulled."""
 
     def __init__(self, snapshots: Sequence[Snapshot]) -> None:
         """Stand at the first of the snapshots."""
@@ -80,6 +76,7 @@ class RecordedLoop:
         self.links: tuple[str, ...] = ()
         self.silence = 0.0
         self.snapshots = tuple(snapshots)
+        """In order of time, at least one."""
         self._times = [snapshot.t for snapshot in self.snapshots]
         self._at = 0
 

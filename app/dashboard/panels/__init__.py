@@ -29,31 +29,25 @@ if TYPE_CHECKING:
 
 @dataclass
 class Viewer:
-    """Who looks at the page of one robot: what the panels are built for.
-
-    Attributes:
-        client: The viewer's browser.
-        notifier: Tells viewers what goes wrong.
-        shared: What all viewers share.
-        channel: To the page's own scripts.
-        view: What the viewer has chosen to see; callbacks assign to it.
-        timeline: The viewer's place in time.
-        grip: What the viewer holds.
-        camera: Where the viewer looks from.
-        files: Makes the viewer's files, one after the other.
-        page_picture: Draws whole pages; None where there is no button for it.
-    """
+    """Who looks at the page of one robot: what the panels are built for."""
 
     client: viser.ClientHandle
     notifier: Notifier
+    """Tells viewers what goes wrong."""
     shared: SharedState
     channel: Channel
+    """To the page's own scripts."""
     view: View
+    """What the viewer has chosen to see; callbacks assign to it."""
     timeline: Timeline
     grip: Grip
+    """What the viewer holds."""
     camera: Camera
+    """Where the viewer looks from."""
     files: Job
+    """Makes the viewer's files, one after the other."""
     page_picture: PagePicture | None = None
+    """Draws whole pages; None where there is no button for it."""
 
     def look(self, preset: str) -> None:
         """Look from a key of `PRESETS`, at the instant that is shown.

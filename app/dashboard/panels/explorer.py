@@ -35,15 +35,12 @@ CLOSE = 0.002
 
 
 class Posture(NamedTuple):
-    """Where the robot stands.
-
-    Attributes:
-        base_pose: (3,) x, y [m] and heading [rad] of the base.
-        q_m: (n_m,) [rad or m] the arm's joints.
-    """
+    """Where the robot stands."""
 
     base_pose: Array
+    """(3,) x, y [m] and heading [rad] of the base."""
     q_m: Array
+    """(n_m,) [rad or m] the arm's joints."""
 
 
 class Explorer:
@@ -115,11 +112,7 @@ class Explorer:
 
 
 class ExplorerPanel(Panel):
-    """Sliders of base and arm; while they are in use, the page shows their posture.
-
-    Attributes:
-        posture: It, or None.
-    """
+    """Sliders of base and arm; while they are in use, the page shows their posture."""
 
     of_instant = True
 

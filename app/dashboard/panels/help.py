@@ -43,17 +43,14 @@ _PAUSE = 2.5  # [s] between what was done and the next step
 
 
 class Act(NamedTuple):
-    """What a step of the tour is about, on one viewer's page.
-
-    Attributes:
-        place: The tab that the step stands in; empty for what is above all tabs.
-        show: Does it for the visitor.
-        done: Whether it is done, by whomever.
-    """
+    """What a step of the tour is about, on one viewer's page."""
 
     place: str
+    """The tab that the step stands in; empty for what is above all tabs."""
     show: Callable[[], None]
+    """Does it for the visitor."""
     done: Callable[[], bool]
+    """Whether it is done, by whomever."""
 
 
 STEPS = (

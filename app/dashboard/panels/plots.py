@@ -39,27 +39,22 @@ OFF = -9.0  # of the cursor, below its scale
 
 
 class PlotPlan(NamedTuple):
-    """What a plot shows.
-
-    Attributes:
-        title: With the unit.
-        curves: Its lines.
-        colours: Of the lines.
-        y_range: As uPlot takes it.
-        height: [px] without title and legend.
-        fill: Whether the area under the lines is filled.
-        dashed: How many of the last lines are thresholds.
-        hints: What the pointer over each line's name says: symbol, unit, range and equation.
-    """
+    """What a plot shows."""
 
     title: str
+    """With the unit."""
     curves: Sequence[Curve]
     colours: tuple[str, ...]
     y_range: Any
+    """As uPlot takes it."""
     height: int
+    """[px] without title and legend."""
     fill: bool = False
+    """Whether the area under the lines is filled."""
     dashed: int = 0
+    """How many of the last lines are thresholds."""
     hints: tuple[str, ...] = ()
+    """What the pointer over each line's name says: symbol, unit, range and equation."""
 
 
 def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]:

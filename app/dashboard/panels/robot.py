@@ -55,11 +55,7 @@ _REPORT = (
 
 
 class RobotPanel(Panel):
-    """A list of the robots; what one viewer chooses, all see.
-
-    Attributes:
-        about: What is said of the one that is chosen, and why the last choice came to nothing.
-    """
+    """A list of the robots; what one viewer chooses, all see."""
 
     def __init__(self, viewer: Viewer) -> None:
         """Build the tab."""
@@ -73,6 +69,7 @@ class RobotPanel(Panel):
             hint="Those in robot_assets and in your own folder; what one viewer chooses, all see.",
         )
         self.about = gui.add_html("")
+        """What is said of the one that is chosen, and why the last choice came to nothing."""
         self._use = self.button("Use this robot", self._begin, viser.Icon.ROBOT, hint=_GOES_ON)
         self._report = self.button("Report", self._show_report, viser.Icon.REPORT, color="gray")
         self._renew_list()

@@ -175,17 +175,14 @@ def changed_parameters(config: Config) -> tuple[tuple[str, float | str], ...]:
 
 
 class SharePanel(Panel):
-    """A link to what is seen, and the case of what was played last.
-
-    Attributes:
-        waiting: The link that waits for its robot, or for its scenario to be looked at as it asks.
-    """
+    """A link to what is seen, and the case of what was played last."""
 
     def __init__(self, viewer: Viewer) -> None:
         """Build the folder."""
         super().__init__(viewer)
         self._viewer, self._shared = viewer, viewer.shared
         self.waiting = Link()
+        """The link that waits for its robot, or for its scenario to be looked at as it asks."""
         viewer.channel.on("link", lambda query: self.open(str(query)))
         with self._gui.add_folder("Link and case"):
             self.button("Copy link", lambda _: self._copy(), viser.Icon.LINK)

@@ -39,11 +39,7 @@ _BEFORE_SCORE = "border"  # section after which the score stands, as in the pape
 
 
 class TuningPanel(Panel):
-    """Folders of widgets.
-
-    Attributes:
-        widgets: The widgets of each parameter, by its path.
-    """
+    """Folders of widgets."""
 
     def __init__(self, viewer: Viewer, paths: Iterable[str] | None = None) -> None:
         """Build the panel.
@@ -56,6 +52,7 @@ class TuningPanel(Panel):
         super().__init__(viewer)
         self._viewer, self._tuning = viewer, viewer.shared.tuning
         self.widgets: dict[str, ParameterWidgets] = {}
+        """The widgets of each parameter, by its path."""
         self._folders: list[_Folder] = []
         self._all: viser.GuiCheckboxHandle | None = None
         if paths is None:

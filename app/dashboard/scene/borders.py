@@ -63,21 +63,18 @@ class ColouredCloud(NamedTuple):
 
 
 class Borders:
-    """Selects borders from the stored clouds; what one viewer has asked for, the next finds.
-
-    Attributes:
-        pairs: Names of the pairs of L_m.
-        fields: Their scores, by the pair.
-        top: [m] height of the base's top; what lies above it is drawn on demand only.
-    """
+    """Selects borders from the stored clouds; what one viewer has asked for, the next finds."""
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud]) -> None:
         """Nothing is selected yet; `clouds` are P_i of every pair of L_m, by the pair's name."""
         self.pairs = frozenset(clouds)
+        """Names of the pairs of L_m."""
         self.top = float(MobileBody(model).upper[2])
+        """[m] height of the base's top; what lies above it is drawn on demand only."""
         self._model, self._clouds = model, clouds
         # A pair of L_m is named `lm-<body of the arm>`.
         self.fields = {pair: ScoreField.of(model, pair.partition("-")[2]) for pair in clouds}
+        """Their scores, by the pair."""
         self._kept: dict[tuple[object, ...], Any] = {}
 
     def coloured(

@@ -185,15 +185,13 @@ class Mailbox:
     replace one another only the newest is kept. A parameter keeps the place of the command that it
     replaces, so that a beginning sent meanwhile has the newest. What happens rather than is set,
     such as a pull, takes its place at the end.
-
-    Attributes:
-        filled: Set while something waits.
     """
 
     def __init__(self) -> None:
         self._waiting: dict[Hashable, Command] = {}
         self._lock = threading.Lock()
         self.filled = threading.Event()
+        """Set while something waits."""
 
     def put(self, command: Command, links: Collection[str]) -> None:
         """Leave a command; the arm can be held at `links`.

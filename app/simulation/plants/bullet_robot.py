@@ -31,12 +31,7 @@ _DOOR = 0  # pybullet's index of the door's link, and of its hinge
 
 
 class BulletRobot(BulletWorld, PlanarWorld):
-    """In pybullet.
-
-    Attributes:
-        moving: pybullet's indices of the joints x, y, yaw and those of the arm.
-        door: The door that the hand holds, or None.
-    """
+    """In pybullet."""
 
     def __init__(self, model: RobotModel, dt: float, door: OpenDoor | None) -> None:
         """Load it.
@@ -49,6 +44,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
         self.allow_contacts(link_contact_pairs(description))
         arm, base = description.arm, description.base
         self.moving = [self.joints[name] for name in (*PLANAR_JOINTS, *arm.joints)]
+        """pybullet's indices of the joints x, y, yaw and those of the arm."""
         self._planar, self._arm = self.moving[:3], self.moving[3:]
         self._limits = [base.traction_limit_n, base.traction_limit_n, base.yaw_limit_nm]
         self._hand, self._tool = self.links[arm.end_effector_link], arm.end_effector_xyz_m
@@ -57,6 +53,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
             self.robot, self._arm, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._arm)
         )
         self.door = None if door is None else BulletDoor(self, model, door)
+        """The door that the hand holds, or None."""
 
     def reset(self, q: Array) -> None:
         if self.door is not None:
