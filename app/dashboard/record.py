@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.config import Config, sections
+from app.config import tunable
 from app.dashboard.panels import phrases as words
 from app.dashboard.verdict import judge
 from app.simulation.case import RunCase
@@ -265,7 +265,10 @@ def happenings(
         found.append(("scenario", "", said))
     if now.controller != before.controller:
         found.append(("parameter", "controller", f"controller: {now.controller}"))
-    found += [("parameter", path, text) for path, text in changes(before.config, now.config)]
+    if before.config is not now.config:
+        for path, value in now.config.changes(before.config).items():
+            text = value if isinstance(value, str) else f"{value:.4g}"
+            found.append(("parameter", path, f"{tunable(path).title}: {text}"))
     held, holds = ({pull.who for pull in s.pulls if pull.who >= 0} for s in (before, now))
     if held != holds:
         text = "takes hold" if holds - held else "lets go"
@@ -283,15 +286,3 @@ def happenings(
     if (touching := judge(now, spoken).touching) and not judge(before).touching:
         found.append(("contact", "", touching))
     return found
-
-
-def changes(before: Config, now: Config) -> list[tuple[str, str]]:
-    """Path and new value, with its label and unit, of each parameter that differs."""
-    if before is now or before == now:
-        return []
-    return [
-        (each.path, f"{each.title}: {value if isinstance(value, str) else f'{value:.4g}'}")
-        for section in sections()
-        for each in section.tunables
-        if (value := now.value(each.path)) != before.value(each.path)
-    ]

@@ -88,10 +88,8 @@ class Tuning:
     def reset(self, paths: Iterable[str] | None = None) -> None:
         """Set parameters, by default all, to their defaults, in one step."""
         with self._lock:
-            config = Config() if paths is None else self.config
-            for path in paths or ():
-                config = config.replace(path, tunable(path).default)
-            self.load(config)
+            defaults = {path: tunable(path).default for path in paths or ()}
+            self.load(Config() if paths is None else self.config.changed(defaults))
 
     def undo(self) -> None:
         """Take the last step back.

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from app.config import Config, parameter
+from app.config import Config, parameter, tunables
 from app.errors import ConfigError
 from app.simulation.trace.metrics import extremes, metrics, verdict
 from app.simulation.trace.trace import Trace
@@ -91,11 +91,10 @@ def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
         Path as in `border.d_b`, default, and the values it had, in order, joined if there are more.
     """
     changes = []
-    for section, defaults in Config().model_dump().items():
-        for name, default in defaults.items():
-            had = list(dict.fromkeys(getattr(getattr(c, section), name) for c in configs))
-            if had != [default]:
-                changes.append((f"{section}.{name}", default, had[0] if len(had) == 1 else had))
+    for path, about in tunables().items():
+        had = list(dict.fromkeys(config.value(path) for config in configs))
+        if had != [about.default]:
+            changes.append((path, about.default, had[0] if len(had) == 1 else had))
     return changes
 
 

@@ -106,10 +106,7 @@ class Link(NamedTuple):
         Raises:
             ConfigError: One does not exist, or is out of its range.
         """
-        config = Config() if self.scenario else now
-        for path, value in self.parameters:
-            config = config.replace(path, value)
-        return config
+        return (Config() if self.scenario else now).changed(dict(self.parameters))
 
     def camera(self) -> tuple[Array, Array] | None:
         """(3,) [m] the eye and the target, where it gives them.
@@ -163,17 +160,6 @@ def camera_text(eye: Array, target: Array) -> str:
     return ",".join(f"{number:.2f}" for number in (*eye, *target))
 
 
-def changed_parameters(config: Config) -> tuple[tuple[str, float | str], ...]:
-    """Those that are not at their defaults, by their paths."""
-    default = Config().model_dump()
-    return tuple(
-        (f"{section}.{name}", value)
-        for section, values in config.model_dump().items()
-        for name, value in values.items()
-        if value != default[section][name]
-    )
-
-
 class SharePanel(Panel):
     """A link to what is seen, and the case of what was played last."""
 
@@ -223,7 +209,7 @@ class SharePanel(Panel):
             scenario,
             newest.controller,
             shared.model.description.name,
-            changed_parameters(shared.tuning.config),
+            tuple(shared.tuning.config.changes(Config()).items()),
             self._viewer.camera.preset or camera_text(camera.position, camera.look_at),
             round(min(shown.t, course.until), 3) if scenario else None,
         )
@@ -289,10 +275,10 @@ class SharePanel(Panel):
         self._notifier.tell(event.client, "Case", play_case(self._shared, text, file.name))
 
 
-def parameters_of(case: RunCase, config: Any) -> dict[str, Any]:
+def parameters_of(case: RunCase, config: Config) -> dict[str, Any]:
     """The field of a case that has the parameters of now."""
-    now = {**case.parameters, **{path: config.value(path) for path in case.parameters}}
-    return {"parameters": now | dict(changed_parameters(config))}
+    now = {path: config.value(path) for path in case.parameters}
+    return {"parameters": now | config.changes(Config())}
 
 
 def play_case(shared: SharedState, text: str, name: str) -> str:

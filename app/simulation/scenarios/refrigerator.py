@@ -128,9 +128,8 @@ class RefrigeratorScenario(Scenario):
         hand's task would swing the elbow away. The base has to be as much costlier, or it would
         move to keep the arm's posture.
         """
-        for path, least in _FIRMNESS.items():
-            config = config.replace(path, max(float(config.value(path)), least))
-        return config
+        firm = {path: max(float(config.value(path)), least) for path, least in _FIRMNESS.items()}
+        return config.changed(firm)
 
     def leader(self, session: Session) -> Leader:
         from app.simulation.scenarios.door_opening import Opener
