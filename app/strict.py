@@ -29,6 +29,7 @@ Finite = Annotated[float, AllowInfNan(False)]
 Positive = Annotated[float, AllowInfNan(False), Field(gt=0)]
 NonNegative = Annotated[float, AllowInfNan(False), Field(ge=0)]
 Vector3 = tuple[Finite, Finite, Finite]
+Array = np.ndarray
 
 
 MOST_SEEDS = 2**32 - 1

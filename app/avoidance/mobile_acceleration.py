@@ -17,8 +17,7 @@ from app.border.contours import NearestBorder
 from app.border.score import ScoreField, uphill
 from app.config import ForceConfig
 from app.robot.bases.kind import BaseForce, BaseKind
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class ActingPoint(NamedTuple):

@@ -30,9 +30,7 @@ from app.border.surface import BorderPoints, BorderSurface
 from app.config import Config
 from app.robot.link_pairs import LinkPairs
 from app.robot.state import RobotState
-
-Array = np.ndarray
-
+from app.strict import Array
 
 BORDERS = {"surface": BorderSurface, "points": BorderPoints}
 """Kinds of border, by the name in the configuration."""

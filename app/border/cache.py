@@ -32,10 +32,9 @@ from app.robot.description import RobotDescription
 from app.robot.link_pairs import LinkPairs, Pair, find_link_pairs
 from app.robot.model import RobotModel
 from app.robot.shapes import ConvexMesh
-from app.strict import Finite, NonNegative, Strict
+from app.strict import Array, Finite, NonNegative, Strict
 from app.system import write_whole
 
-Array = np.ndarray
 Arrays = dict[str, Array]
 Read = TypeVar("Read")
 

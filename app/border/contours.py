@@ -14,8 +14,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from app.compiled import compiled
-
-Array = np.ndarray
+from app.strict import Array
 
 _SAME_CORNER = 0.01  # [m] between the two ends that meet in one corner, at most
 _CHORD = 1e-4  # [m] by which a gap's end, on a chord of the true curve, may seem nearer than it is

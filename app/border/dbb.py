@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-Array = np.ndarray
+from app.strict import Array
 
 POINT_UNIT = 1e-4
 """[m] resolution of the kept points."""

@@ -11,8 +11,7 @@ from app.border.dbb import POINT_RANGE, POINT_UNIT, quantise_points
 from app.errors import DescriptionError
 from app.robot.link_pairs import Pair, PairDistances
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 _BATCH = 2048
 _DAMPING = 0.03  # [m] of the pseudo-inverse; an arm's Jacobian is around 0.5 m

@@ -14,8 +14,7 @@ import pinocchio as pin
 
 from app.compiled import compiled
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 _BOX, _CAPSULE, _CYLINDER = range(3)
 _MAX_NEWTON = 30

@@ -13,8 +13,7 @@ import numpy as np
 from app.border.contours import BLOCK, Contours, Table
 from app.border.mobile import ConvexPart, MobileBody
 from app.robot.model import RobotModel, kept_per_model
-
-Array = np.ndarray
+from app.strict import Array
 
 RAYS = 360
 _STEP = 0.01  # [m] between heights, and along the arc above the top

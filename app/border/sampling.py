@@ -20,8 +20,7 @@ from app.jobs.progress import progress_bar
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import Pair, sample_joints
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 _SEED_JOBS = 16  # a fixed number, so that the samples do not depend on the number of cores
 

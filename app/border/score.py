@@ -16,11 +16,10 @@ from app.compiled import compiled
 from app.errors import DescriptionError
 from app.robot.bases.kind import BaseKind
 from app.robot.model import RobotModel
+from app.strict import Array
 
 if TYPE_CHECKING:
     from app.border.reach.map import ReachMap
-
-Array = np.ndarray
 
 FLOOR = 0.05
 """[-] share of C below which the reachability of (9) is bent to stay positive."""

@@ -18,8 +18,7 @@ import numpy as np
 from app.border.contours import Contours, Foot
 from app.border.dbb import Border
 from app.border.offset import RAYS, OffsetContours, ray_from
-
-Array = np.ndarray
+from app.strict import Array
 
 _NEAR_HEIGHT = 0.015
 """[m] points that far above and below tell where a contour is reached."""

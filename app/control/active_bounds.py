@@ -13,8 +13,8 @@ from app.control.limits import position_bounds, velocity_bounds
 from app.control.qp import Limits
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
+from app.strict import Array
 
-Array = np.ndarray
 BoundKind = Literal[
     "torque",
     "position",

@@ -8,8 +8,7 @@ import numpy as np
 
 from app.config import AdmittanceConfig
 from app.robot.bases.kind import BaseKind
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class AdmittanceLaw:

@@ -40,8 +40,7 @@ import numpy as np
 from app.compiled import compiled
 from app.config import AdmittanceConfig, Config
 from app.robot.bases.kind import BaseKind, Channel
-
-Array = np.ndarray
+from app.strict import Array
 
 RESERVE = 0.02  # [m] that shall be left between arm and base
 _LEVER = 0.25  # [m] that ω has at least at the flank

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from app.border.cache import BorderData, load_border_data
 from app.config import Config
 from app.control.admittance import AdmittanceLaw
@@ -14,8 +12,7 @@ from app.control.drive import Drive
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, checked
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Command(NamedTuple):

@@ -33,8 +33,7 @@ from app.control.tasks import (
 from app.errors import check_name
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, checked, is_finite
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Stack(NamedTuple):

@@ -11,8 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from app.robot.bases.kind import BaseKind
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Drive:

@@ -16,8 +16,8 @@ from app.control.active_bounds import Bound, active_bounds, admittance_bounds
 from app.control.controller import Controller, ControlOutput, Workings
 from app.control.qp import Objective
 from app.robot.bases.kind import Axis, BaseKind
+from app.strict import Array
 
-Array = np.ndarray
 Planar = tuple[float, float]
 ByAxis = tuple[float, ...]
 """[m/s² or rad/s²] along the base's axes."""

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from app.compiled import compiled
+from app.strict import Array
 
-Array = np.ndarray
 _EPS = 1e-12  # of a bound, by which it may be missed
 
 

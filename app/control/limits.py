@@ -20,8 +20,7 @@ from app.config import BarrierConfig, LimitConfig
 from app.control.kernels import accelerations, minimum
 from app.control.qp import Limits
 from app.robot.state import RobotState
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class BarrierRow(NamedTuple):

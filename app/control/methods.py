@@ -14,8 +14,7 @@ from app.config import Config, RepulsionConfig
 from app.control import CONTROLLERS
 from app.control.limits import BarrierRow, barrier_row
 from app.robot.state import RobotState
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Inserted(NamedTuple):

@@ -13,8 +13,7 @@ from app.config import TaskConfig
 from app.control import kernels
 from app.control.qp import Objective
 from app.robot.state import RobotState
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Reference(NamedTuple):

@@ -14,8 +14,7 @@ from app.dashboard.notifications import Notifier
 from app.dashboard.scene.scene import RobotScene
 from app.simulation.loop.commands import Command, Pull, Release
 from app.simulation.trace.snapshot import Snapshot
-
-Array = np.ndarray
+from app.strict import Array
 
 GIZMO = "/hand"
 """Scene node of the gizmo."""

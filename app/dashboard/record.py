@@ -14,8 +14,7 @@ from app.dashboard.panels import phrases as words
 from app.dashboard.verdict import judge
 from app.simulation.case import RunCase
 from app.simulation.trace.snapshot import Snapshot
-
-Array = np.ndarray
+from app.strict import Array
 
 KEPT = 600.0
 """[s] how far back a viewer can look."""

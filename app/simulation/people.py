@@ -18,8 +18,7 @@ from app.errors import TargetError
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.plants.interface import Push
-
-Array = np.ndarray
+from app.strict import Array
 
 _ARM = 2  # pinocchio's first joint of the arm; 1 is the planar joint of the base
 _QUICKNESS = 20.0  # [rad/s] of the hand's motion towards a new target

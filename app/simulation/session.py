@@ -26,8 +26,7 @@ from app.simulation.plants import chosen_plant, make_physics
 from app.simulation.plants.door import OpenDoor
 from app.simulation.plants.interface import Contacts, Physics
 from app.simulation.scenarios.leading import DoorReading
-
-Array = np.ndarray
+from app.strict import Array
 
 DT = 0.001  # [s] control step, the paper's 1 kHz
 _BANDWIDTH = 250.0  # [rad/s] of the loop that makes velocities of noisy positions; about 40 Hz

@@ -14,11 +14,10 @@ from app.config import Config, parameter, tunables
 from app.errors import ConfigError
 from app.simulation.trace.metrics import extremes, metrics, verdict
 from app.simulation.trace.trace import Trace
+from app.strict import Array
 from app.studies import style
 from app.studies.page import Grid, Part, measured_grids, page_html
 from app.studies.runs import flattened
-
-Array = np.ndarray
 
 _BETWEEN = ". The figures are those of the rows: what happens between two of them is not seen"
 _OTHERS = ("#0072B2", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#7A7F87")

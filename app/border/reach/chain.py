@@ -9,8 +9,7 @@ import pinocchio as pin
 
 from app.errors import ConfigError, DescriptionError
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 _TRIALS = 4  # [-] configurations in which a chain is asked for its rank
 _SINGULAR = 1e-6  # [m/rad or -] singular value of a lost direction

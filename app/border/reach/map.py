@@ -16,8 +16,7 @@ from app.border.score import radial_profile
 from app.errors import DescriptionError
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 PEAK = 100.0
 """[-] largest mean reachability over a shell around the mount: the paper's C."""

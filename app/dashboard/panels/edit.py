@@ -35,8 +35,7 @@ from app.robot.shapes import (
     Superquadric,
     shape_mesh,
 )
-
-Array = np.ndarray
+from app.strict import Array
 
 MOVE, SIZE = "move", "size"
 """Scene nodes of a body's gizmos, below that of its frame."""

@@ -23,8 +23,7 @@ from app.simulation.loop.pacing import Pacer
 from app.simulation.scenarios.posture import PostureSearch, Target
 from app.simulation.session import DT, Session
 from app.simulation.trace.snapshot import Snapshot, make_snapshot
-
-Array = np.ndarray
+from app.strict import Array
 
 _DEGREES = float(np.degrees(1.0))
 FARTHEST = 5.0  # [m] of the base from the origin

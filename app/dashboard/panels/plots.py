@@ -20,8 +20,6 @@ from app.robot.bases.kind import Axis, acceleration_symbol
 from app.robot.model import RobotModel
 from app.simulation.trace.snapshot import Snapshot
 
-Array = np.ndarray
-
 LENGTH = 20.0
 """[s] of the axis of time."""
 AHEAD = 5.0  # [s] shown after the instant that a viewer has gone back to

@@ -26,12 +26,10 @@ from app.robot.assets import robot_names
 from app.simulation.case import RunCase
 from app.simulation.loop.commands import Choose, Play
 from app.simulation.scenarios import SCENARIOS, scenario_of
-from app.strict import check_range
+from app.strict import Array, check_range
 
 if TYPE_CHECKING:
     from app.dashboard.shared import SharedState
-
-Array = np.ndarray
 
 _NAMES = ("scenario", "controller", "robot", "look", "at", DENSITY)
 """What a link may name, beside parameters by their paths."""

@@ -33,8 +33,7 @@ from app.dashboard.view import HIDDEN, View
 from app.robot.bases.kind import planar
 from app.robot.model import RobotModel
 from app.simulation.trace.snapshot import Snapshot
-
-Array = np.ndarray
+from app.strict import Array
 
 MAX_POINTS = 20_000
 """Points drawn; more of them only hide what lies behind and slow the browser down."""

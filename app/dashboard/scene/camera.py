@@ -14,8 +14,7 @@ from app.dashboard.drag import SCALE
 from app.dashboard.scene.canvas import Lens
 from app.dashboard.viser_compat import image_size
 from app.simulation.trace.snapshot import GhostReading, Snapshot
-
-Array = np.ndarray
+from app.strict import Array
 
 FIELD_OF_VIEW = np.deg2rad(42.0)  # [rad] vertical; longer than viser's 75°, so less distortion
 _MARGIN = 0.10  # [-] of the free part that stays empty, both sides together

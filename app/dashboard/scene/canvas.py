@@ -11,8 +11,8 @@ import pinocchio as pin
 import viser
 
 from app.dashboard.scene.colours import Rgb, linear
+from app.strict import Array
 
-Array = np.ndarray
 Anchor = Literal["bottom-left", "top-left", "bottom-right", "top-right"]
 
 ROOT = "/robot"

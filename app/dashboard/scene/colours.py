@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import viser
 
-Array = np.ndarray
+from app.strict import Array
+
 Rgb = tuple[int, int, int]
 
 BRAND: Rgb = (38, 132, 214)

@@ -21,8 +21,7 @@ from app.dashboard.scene.colours import (
 )
 from app.dashboard.verdict import COLOURS, State
 from app.robot.bases.kind import BaseKind
-
-Array = np.ndarray
+from app.strict import Array
 
 QUANTITIES = ("determinant", "reachability", "score")
 """What the border can be coloured by."""

@@ -20,8 +20,8 @@ from app.robot.assets import bare_urdf, floats, resolved_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import shape_mesh
+from app.strict import Array
 
-Array = np.ndarray
 logger = logging.getLogger(__name__)
 MAX_FACES = 2500
 """Faces a mesh may have on the page; the Panda's links come with 12,000 to 22,000."""

@@ -30,8 +30,7 @@ from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.plants.door import BODY as DOOR
 from app.simulation.trace.snapshot import Snapshot
-
-Array = np.ndarray
+from app.strict import Array
 
 BODY_OPACITY = 0.28  # [-]
 GHOST_OPACITY = 0.30  # [-]

@@ -20,8 +20,7 @@ from app.simulation.trace.columns import frozen
 from app.simulation.trace.metrics import clearance, jumps, largest, path, torque_jump, total
 from app.simulation.trace.snapshot import GhostReading, Score
 from app.simulation.trace.trace import Recorder, Trace
-
-Array = np.ndarray
+from app.strict import Array
 
 _SAID = 1.0  # [s] for which a case is said
 MOST_PULLS = 8

@@ -22,8 +22,7 @@ from app.simulation.people import held_links
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.snapshot import EVERY, Refusal, Snapshot, make_snapshot
 from app.simulation.trace.trace import SNAPSHOTS_KEPT, History
-
-Array = np.ndarray
+from app.strict import Array
 
 _IDLE = 0.25  # [s] between two signs of life while no step is taken
 

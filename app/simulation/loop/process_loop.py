@@ -23,9 +23,8 @@ from app.jobs.process import Child, Outcome, portable
 from app.simulation.loop.loop import LiveLoop, SimulationLoop
 from app.simulation.loop.pacing import settled
 from app.simulation.session import Session
+from app.strict import Array
 from app.system import come_first
-
-Array = np.ndarray
 
 _PATIENCE = 5.0  # [s] for a thread, or for the process, to end by itself
 _SEND_EVERY = 0.002  # [s] between two posts of commands

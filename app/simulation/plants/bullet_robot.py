@@ -19,8 +19,7 @@ from app.simulation.plants.bullet_world import BulletWorld, pybullet, touches
 from app.simulation.plants.collision_shapes import link_contact_pairs
 from app.simulation.plants.door import Cabinet, Door, OpenDoor
 from app.simulation.plants.interface import Contacts, HeldDoor, PlanarWorld, Push, Wrench
-
-Array = np.ndarray
+from app.strict import Array
 
 _AWAY = (100.0, 0.0)  # [m] where it is loaded, so that no robot that settles at the origin hits it
 _SEAL_STIFFNESS = 2e4  # [N/m] of the door's edge

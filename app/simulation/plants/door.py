@@ -15,8 +15,7 @@ from app.robot.description import BodyDescription
 from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
 from app.robot.shapes import Superquadric, around_box
-
-Array = np.ndarray
+from app.strict import Array
 
 BODY = "door"
 """Name of the body."""

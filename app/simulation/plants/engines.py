@@ -12,8 +12,7 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.plants.interface import Contacts, PlanarWorld
 from app.simulation.plants.planar import planar_plant
-
-Array = np.ndarray
+from app.strict import Array
 
 SAME_DEPTH = 0.005
 """[m] less than which a contact may be one in one engine only: pybullet rounds its hulls, and finds

@@ -6,11 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-import numpy as np
-
 from app.robot.state import Measurement
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Contacts(NamedTuple):

@@ -20,8 +20,7 @@ from app.robot.state import Measurement, RobotState
 from app.simulation.plants.collision_shapes import FLOOR, body_contact_pairs
 from app.simulation.plants.interface import Contacts, Physics, Push
 from app.simulation.plants.planar import world_twist
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Kinematic(Physics):

@@ -19,8 +19,7 @@ from app.robot.assets import PLANAR_JOINTS
 from app.robot.model import RobotModel
 from app.simulation.plants.collision_shapes import FLOOR, CollisionShape, collision_shapes, vertices
 from app.simulation.plants.interface import Contacts
-
-Array = np.ndarray
+from app.strict import Array
 
 GRAVITY = 9.81  # [m/s²]
 FIRM = (0.004, 1.0)

@@ -30,8 +30,7 @@ from app.simulation.plants.door import OpenDoor
 from app.simulation.plants.interface import Contacts, Physics, Push
 from app.simulation.plants.mujoco_spec import GRAVITY, RobotSpec
 from app.simulation.plants.mujoco_world import MujocoWorld
-
-Array = np.ndarray
+from app.strict import Array
 
 _TREAD = 0.25  # [-] half width of a wheel in radii: an ellipsoid, which touches in one point
 _LOAD_RESERVE = 2.0

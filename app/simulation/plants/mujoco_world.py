@@ -18,8 +18,7 @@ from app.simulation.plants.collision_shapes import FLOOR
 from app.simulation.plants.door import Cabinet, OpenDoor
 from app.simulation.plants.interface import Contacts, HeldDoor, PlanarWorld, Push, Wrench
 from app.simulation.plants.mujoco_spec import RobotSpec
-
-Array = np.ndarray
+from app.strict import Array
 
 # Else it writes a file into the folder where one happens to work.
 mujoco.set_mju_user_warning(partial(logging.getLogger(__name__).warning, "MuJoCo: %s"))

@@ -17,8 +17,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.plants.door import OpenDoor
 from app.simulation.plants.interface import Contacts, Physics, PlanarWorld, Push
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Planar(Physics):

@@ -19,8 +19,7 @@ from app.control.tasks import Reference
 from app.simulation.plants.door import Door
 from app.simulation.scenarios.leading import DoorReading, Lead
 from app.simulation.session import Session
-
-Array = np.ndarray
+from app.strict import Array
 
 
 @dataclass(frozen=True)

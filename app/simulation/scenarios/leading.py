@@ -7,11 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
 from typing_extensions import Self
 
 from app.errors import ConfigError
-from app.strict import check_range
+from app.strict import Array, check_range
 
 if TYPE_CHECKING:  # only names here, so that what is asked of a scenario is checked at once
     from app.border.cache import BorderData
@@ -21,8 +20,6 @@ if TYPE_CHECKING:  # only names here, so that what is asked of a scenario is che
     from app.simulation.people import Hold
     from app.simulation.plants.door import OpenDoor
     from app.simulation.session import Session
-
-Array = np.ndarray
 
 SHORTEST = 0.01
 """[s] of a scenario."""

@@ -15,8 +15,7 @@ from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
 from app.robot.link_pairs import LinkPairs, geometry_data
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
-
-Array = np.ndarray
+from app.strict import Array
 
 _MOST_EVALUATIONS = 60  # [-] of the residual
 _JOINT_MARGIN = 0.03  # [-] share of a joint's range that the least squares keep from its limits

@@ -11,6 +11,7 @@ import numpy as np
 
 from app.errors import ConfigError, UnreachableError
 from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
+from app.strict import Array
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     from app.robot.link_pairs import LinkPairs
     from app.robot.model import RobotModel
     from app.simulation.session import Session
-
-Array = np.ndarray
 
 Begin = Literal["penetration", "buffer", "arm"]
 BEGINS: tuple[Begin, ...] = ("penetration", "buffer", "arm")

@@ -17,9 +17,8 @@ from app.config import Config
 from app.robot.bases.kind import Axis
 from app.robot.model import RobotModel
 from app.simulation.session import Session, Step
-from app.strict import Positive, Strict, parsed
+from app.strict import Array, Positive, Strict, parsed
 
-Array = np.ndarray
 Kind = Literal["float", "int", "bool", "text"]
 Cell = float | int | bool | str
 Take = Callable[[Session, Step], Any]

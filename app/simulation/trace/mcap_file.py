@@ -28,9 +28,9 @@ from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.trace import Trace
+from app.strict import Array
 from app.system import whole_file
 
-Array = np.ndarray
 Json = dict[str, Any]
 
 WORLD = "world"

@@ -10,8 +10,7 @@ import numpy as np
 
 from app.simulation.plants.door import BODY
 from app.simulation.trace.trace import Trace
-
-Array = np.ndarray
+from app.strict import Array
 
 NEAR = 0.01
 """[m] between two bodies that is as good as contact: the person's force counts until then."""

@@ -21,8 +21,8 @@ from app.simulation.scenarios.leading import Scenario
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.columns import Column, Take, TraceMeta
 from app.simulation.trace.snapshot import EVERY, QUANTITIES, Snapshot, make_snapshot
+from app.strict import Array
 
-Array = np.ndarray
 Reason = Literal["still moving", "joint limits", "border against hand", "full stretch", "unknown"]
 
 SNAPSHOTS_KEPT = 3000

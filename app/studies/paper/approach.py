@@ -15,6 +15,7 @@ from app.simulation.plants.door import BODY, Door, drawn_parts, with_door
 from app.simulation.run import RunResult
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
 from app.simulation.snapshots import Camera, Photographer, Rgba, Solid
+from app.strict import Array
 from app.studies import style
 from app.studies.paper import drawing
 from app.studies.paper.experiments import (
@@ -29,8 +30,6 @@ from app.studies.paper.experiments import (
     Experiment,
     Sources,
 )
-
-Array = np.ndarray
 
 _TRACKED = {"dbb": TRACKING, "repulsive": TRACKING_REPULSIVE}
 DIRECTIONS = GUIDING["dbb"]

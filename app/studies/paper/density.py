@@ -17,11 +17,10 @@ from app.border.surface import BorderPoints, BorderSurface
 from app.robot.link_pairs import ClosestPoints
 from app.simulation.run import run_planned
 from app.simulation.session import DT
+from app.strict import Array
 from app.studies import style
 from app.studies.paper import drawing
 from app.studies.paper.experiments import GUIDING, LATERAL, Sources
-
-Array = np.ndarray
 
 PAPERS_COUNT = 50_000
 """[-] points of a border, by the paper's practical experience."""

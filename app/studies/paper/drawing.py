@@ -23,11 +23,11 @@ from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
 from app.simulation.run import RunResult
 from app.simulation.snapshots import Camera, Photographer, Picture, Solid
+from app.strict import Array
 from app.studies import style
 from app.studies.runs import write_table
 from app.system import write_whole
 
-Array = np.ndarray
 Table = dict[str, Array]
 """Columns of equal length, as a figure plots them; names of quantities end in their unit."""
 

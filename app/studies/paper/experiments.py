@@ -26,9 +26,8 @@ from app.simulation.case import Planned
 from app.simulation.run import RunResult, run_planned
 from app.simulation.scenarios import LINES, scenario_by_name
 from app.simulation.scenarios.line import LineScenario, Point
+from app.strict import Array
 from app.studies.runs import thinned
-
-Array = np.ndarray
 
 ROBOT = "husky_panda"
 """The paper's robot."""

@@ -19,6 +19,7 @@ from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 from app.simulation.scenarios.start import StartSolver
+from app.strict import Array
 from app.studies.pulls.case import COLUMNS
 from app.studies.pulls.parameters import (
     LOGARITHMIC,
@@ -29,8 +30,6 @@ from app.studies.pulls.parameters import (
 )
 from app.studies.runs import Row
 from app.studies.sweep.plan import point_of, way_out
-
-Array = np.ndarray
 
 SECTORS = ("front", "front corner", "side", "back", "above", "below")
 """Parts of the sphere of directions from the base to the hand; each is as likely. "above" is

@@ -15,8 +15,6 @@ from app.studies.pulls.envelope import FORCE, Envelope
 from app.studies.runs import Row
 from app.studies.style import INK, SOFT, TARGET, new_figure, picture, pictures_in
 
-Array = np.ndarray
-
 _CLEARANCES = 0.0, 0.15  # [m] ends of the scale of colours
 _SHADE = "#DCEBF5"
 _INSIDE, _OUTSIDE = "#0072B2", "#E69F00"

@@ -15,13 +15,12 @@ from app.errors import ConfigError, check_name
 from app.simulation.case import Planned
 from app.simulation.plants import chosen_plant, default_plant
 from app.simulation.scenarios.line import Point, StartedLine
-from app.strict import check_range
+from app.strict import Array, check_range
 
 if TYPE_CHECKING:
     from app.robot.model import RobotModel
     from app.studies.sweep.starts import Start
 
-Array = np.ndarray
 Mode = Literal["tracking", "guiding"]
 Kind = Literal["side", "wheel_axis", "above"]
 

@@ -22,6 +22,7 @@ from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.run import run_planned
+from app.strict import Array
 from app.studies.runs import Row, rounded, thinned, write_json, write_rows
 from app.studies.sweep.plan import (
     CLEARANCE_LIMIT,
@@ -34,8 +35,6 @@ from app.studies.sweep.plan import (
 )
 from app.studies.sweep.starts import Start, StartFinder
 from app.system import write_whole
-
-Array = np.ndarray
 
 _MOST_PIXELS = 20_000_000  # [-] of a map, which has two million
 START_SHARE = 0.25
