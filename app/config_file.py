@@ -3,8 +3,6 @@
 A file may hold only some sections and parameters; what is not in it is at its default.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """One tree of exceptions: whatever a user can cause is a `DbbError` and prints as one line."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager

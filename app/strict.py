@@ -1,7 +1,5 @@
 """Validated, frozen records shared by descriptions and configuration."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from typing import Annotated, Any

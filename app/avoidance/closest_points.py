@@ -4,8 +4,6 @@ Inside a buffer the closest point of a pair moves continuously, also along a lin
 parallel to a face.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import product

@@ -5,8 +5,6 @@ motion is planar, so nothing changes but the cost: one point is transformed inst
 thousand.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Lines 3 to 13 of Algorithm 2: from the robot's state to the rows of the avoidance task."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import NamedTuple

@@ -5,8 +5,6 @@ kept. It is one `.npz` without pickles, written as a whole. Its key is a hash of
 content depends on, equal on all machines, and stands in its name and in its header.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json

@@ -6,8 +6,6 @@ blended vertex by vertex between two heights, and so is how far they lie outside
 shapes: where that is zero two rings cross. All of it moves continuously with the height.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple, Protocol
 

@@ -1,7 +1,5 @@
 """Algorithm 1: P_i, points of an arm's body around the mobile robot, and the border among them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

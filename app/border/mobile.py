@@ -4,8 +4,6 @@ Boxes, spheres, capsules and cylinders are measured by a kernel, with the same a
 collision library, fifty times faster: so a border for another d_b is there at once.
 """
 
-from __future__ import annotations
-
 import math
 
 import coal

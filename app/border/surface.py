@@ -6,8 +6,6 @@ its nearest point on the surface move together, at a cost that does not depend o
 `BorderPoints` is the border as the paper has it: the sampled points alone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from itertools import compress

@@ -1,7 +1,5 @@
 """Options that several commands have, and checks that name the option."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Which of the robot's limits a control step met, by names that a person understands."""
 
-from __future__ import annotations
-
 from typing import Literal, NamedTuple
 
 import numpy as np

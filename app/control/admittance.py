@@ -1,7 +1,5 @@
 """The base's velocity command: an admittance law at the base's own slow rate (§4.1)."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

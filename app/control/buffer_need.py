@@ -29,8 +29,6 @@ of ω at the flank is never below 0.25 m: near the wheel axis the tangential par
 drives the base along its own flank, until there is a lever.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Watches how fast the arm comes towards the base, and whether d_b is enough for that."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence

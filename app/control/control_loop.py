@@ -1,7 +1,5 @@
 """All of the control at 1 kHz in one object: what a robot's own loop and the simulation call."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from app.border.cache import BorderData, load_border_data

@@ -1,7 +1,5 @@
 """Algorithm 2: state in, arm torques and base acceleration out. Knows no simulator, no screen."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -4,8 +4,6 @@ The same model stands in every plant and in the controller, which may assume no 
 than `expected_acceleration` says.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

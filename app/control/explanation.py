@@ -3,8 +3,6 @@
 Vectors are in the base's frame: "forward" and "left" mean the same wherever it stands.
 """
 
-from __future__ import annotations
-
 from typing import Literal, NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Kernels of the control step: on matrices of ten rows LAPACK's calls cost more than the sums."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

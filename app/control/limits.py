@@ -5,8 +5,6 @@ contradict each other. What others exert on the arm moves it too, so the latter 
 acceleration that the arm will have.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """The compared methods: what each of them puts above the stack of tasks, or among its limits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The stack below self-collision avoidance: what hand, posture and base do by themselves."""
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Drag: a viewer pulls the end-effector by a gizmo, or any link of the arm by itself."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from time import monotonic
 from typing import NamedTuple, Protocol

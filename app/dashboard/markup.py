@@ -1,7 +1,5 @@
 """HTML of panels: text, tables and banners of one look."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from html import escape
 

@@ -1,7 +1,5 @@
 """What pages keep of the past: curves, ways of base and hand, and what happened when."""
 
-from __future__ import annotations
-
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence

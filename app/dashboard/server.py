@@ -1,7 +1,5 @@
 """Dashboard server: binds the address, runs the one drawing thread, and ends cleanly."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import socket

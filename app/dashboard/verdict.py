@@ -1,7 +1,5 @@
 """The verdict on an instant: of it are the colours of sentence, rows, bars, lines and labels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
 

@@ -3,8 +3,6 @@
 A queue of messages loses no wake-up here. `tests/test_gate.py` fails if a private name changes.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import io

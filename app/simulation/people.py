@@ -3,8 +3,6 @@
 A hand is a spring, a damper, a limited strength and, if it has one, a mass.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """One run: plant, controller, base command and person, stepped together at the control rate."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence

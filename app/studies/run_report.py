@@ -1,7 +1,5 @@
 """The report of one run, on a page that needs nothing else."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The one visual language of all figures: colours, line widths, sizes, and what a picture is."""
 
-from __future__ import annotations
-
 import io
 import logging
 from collections.abc import Callable, Iterator, Mapping

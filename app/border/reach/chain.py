@@ -1,7 +1,5 @@
 """The joints that move one body of the arm, as a chain that has to meet a pose of it."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

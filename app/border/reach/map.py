@@ -5,8 +5,6 @@ formula: over the joint positions that lead into a region, the integral of |det 
 solutions of all poses in it. So none has to be solved for.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

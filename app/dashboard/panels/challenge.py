@@ -1,7 +1,5 @@
 """Folder "Make it collide": thirty seconds to pull the robot into itself, and the card after it."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Callbacks keep what the person does; the drawing thread shows it.
 """
 
-from __future__ import annotations
-
 from html import escape
 from itertools import combinations
 from typing import Any

@@ -1,7 +1,5 @@
 """Folder "Postures": what the law would do where the robot does not stand, while time does."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple

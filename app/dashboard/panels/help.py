@@ -1,7 +1,5 @@
 """Help: the tab with the method on a page, the keys and commands, and the tour of a first visit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext

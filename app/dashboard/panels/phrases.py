@@ -1,7 +1,5 @@
 """Numbers in words: directions, places on the base, bodies, motions, limits."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

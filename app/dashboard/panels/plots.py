@@ -1,7 +1,5 @@
 """Plots: curves of the last seconds on one axis of time, with a cursor at the shown instant."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence

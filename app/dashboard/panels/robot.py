@@ -1,7 +1,5 @@
 """Tab "Robot": which robot is simulated, and a new one made of an uploaded zip."""
 
-from __future__ import annotations
-
 import re
 from html import escape
 from typing import Any

@@ -1,7 +1,5 @@
 """Tabs "Run" and "Compare": what is simulated, beside which controllers, and its readings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from itertools import zip_longest

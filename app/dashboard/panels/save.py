@@ -1,7 +1,5 @@
 """Tab "Save" and folder "Sweep": files that are made beside the simulation."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait

@@ -1,7 +1,5 @@
 """Time line: which instant a viewer sees, and the bar along the page's edge to choose it."""
 
-from __future__ import annotations
-
 import threading
 from typing import Any
 

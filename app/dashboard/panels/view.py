@@ -1,7 +1,5 @@
 """Tab "View": layers, camera and plots of one viewer."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Borders: clouds or bodies of colour that move with the base, and their slice at the arm."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Canvas: points, lines, arrows, labels and boxes of one picture after the other."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal, NamedTuple

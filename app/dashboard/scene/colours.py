@@ -1,7 +1,5 @@
 """Colours: of a dark and a light page, of what is drawn, and a perceptual map for the border."""
 
-from __future__ import annotations
-
 import numpy as np
 import viser
 

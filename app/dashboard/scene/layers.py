@@ -1,7 +1,5 @@
 """Layers: what explains the motion, each of them a function that draws a snapshot."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

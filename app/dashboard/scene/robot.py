@@ -1,7 +1,5 @@
 """Robot: what it looks like, read once for many viewers, and where its links are."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from functools import cached_property

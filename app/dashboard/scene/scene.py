@@ -1,7 +1,5 @@
 """Scene: the robot and all layers, and how a snapshot is drawn on them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -5,8 +5,6 @@ UnknownNameError, for a place a TargetError; its types are the type checker's. W
 session knows is refused later, by a snapshot's `refusal`.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Collection, Hashable

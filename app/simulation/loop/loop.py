@@ -4,8 +4,6 @@ Whoever draws sees only `LoopHandle`: commands in, immutable snapshots out, noth
 thread may live in another process without a change on the other side.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Pacing: steps of a fixed period in real time, or a multiple of it, and how well it is kept."""
 
-from __future__ import annotations
-
 import gc
 from collections import deque
 from collections.abc import Iterator

@@ -4,8 +4,6 @@ Python runs one thread at a time: in the server's process a drawing thread that 
 aside keeps the simulation waiting. Commands go out by a pipe, snapshots come back by another.
 """
 
-from __future__ import annotations
-
 import gc
 import sys
 import threading

@@ -3,8 +3,6 @@
 Its hand can hold the door of a refrigerator, which stands free.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement

@@ -3,8 +3,6 @@
 The shapes are the links' own, or the description's bodies where a mesh is not installed.
 """
 
-from __future__ import annotations
-
 import logging
 from itertools import product
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A refrigerator and its door: their geometry, and the door as a body of the arm (§4.2.3)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple

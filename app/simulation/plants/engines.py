@@ -1,7 +1,5 @@
 """pybullet and MuJoCo on one robot: what they see, what touches, and how much they differ."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ Nothing stops the arm but its joint limits: contacts are overlaps of the convex 
 only. For tests, and an independent check of the engines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import product
 

@@ -4,8 +4,6 @@ Its bodies are pinocchio's, one a joint, and so their inertias; shapes that touc
 own. Only what is named touches.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from itertools import product
 from typing import Any

@@ -7,8 +7,6 @@ by that. A base with two wheels stands on casters too, which are frictionless an
 the spheres at the floor that the URDF has, or else four corners.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import product

@@ -3,8 +3,6 @@
 The hand can hold the door of a refrigerator, which stands free.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from functools import partial

@@ -4,8 +4,6 @@ Motors on x, y and yaw hold the base to the drive with at most the traction of t
 wheels themselves are only animated. The base cannot tip.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Literal

@@ -6,8 +6,6 @@ that the radial direction is fixed in the hand, which turns with the door. What 
 hand moves: that direction, from the radial force, and the path's curvature, from the torque.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """The posture search: joints of the arm that bring its hand to a target, the best of many tries."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple

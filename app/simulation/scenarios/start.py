@@ -1,7 +1,5 @@
 """Where a run begins: the arm with its hand at a place, or at the handle of a door."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 

@@ -10,8 +10,6 @@
 | `/parameters` | `dbb.Config`, with units in its schema | when they change |
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Figures of merit of a run, for `dbb run`, sweeps, studies, claims, ghosts and reports."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple

@@ -4,8 +4,6 @@ A `Snapshot` is all of them at one instant, as it is drawn; a `Trace` is their c
 new quantity is one more field here: log files, reports and live readings follow from it.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass

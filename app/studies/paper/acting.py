@@ -1,7 +1,5 @@
 """§3.1 and §3.4: the acting point (Figures 7 and 8) and the activation (Figure 10)."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """§4.2: the hand is led towards the base, and opens a refrigerator (Figures 11 to 18)."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from functools import partial
 

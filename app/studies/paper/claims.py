@@ -1,7 +1,5 @@
 """The paper's claims of §4.2 and §4.3, each against what was measured here."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """§4.3: a border of points jumps the less the denser and costlier it is; a surface does not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from time import perf_counter

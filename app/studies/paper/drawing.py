@@ -1,7 +1,5 @@
 """A figure of the paper, its files, and the two kinds of panels: curves over time, snapshots."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The paper's runs: each is done once, all side by side, and shared by figures and claims."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property, partial

@@ -1,7 +1,5 @@
 """§2: sampled points and border (Figure 3), its score (Figure 5), reachability (Figure 6)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The whole command: runs, figures, claims and the page, written into a folder."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -3,8 +3,6 @@
 The hand starts on a ray out of the base, in a direction of the whole sphere.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from typing import NamedTuple

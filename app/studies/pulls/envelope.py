@@ -1,7 +1,5 @@
 """Where safety ends: how strongly the hand may be pulled, within which intervals of all else."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path

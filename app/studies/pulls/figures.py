@@ -1,7 +1,5 @@
 """The pictures of a study's report."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Where the hand's paths begin: a clear posture of the arm, just outside of its buffer."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace

@@ -3,8 +3,6 @@
 Its files are `sweep.json`, `sweep.csv`, and a map for each height and speed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache, partial
