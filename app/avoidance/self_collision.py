@@ -81,11 +81,8 @@ class SelfCollisionAvoidance:
     ) -> None:
         """Prepare distances and borders.
 
-        Args:
-            state: The robot's state, read at each `update`.
-            pairs: L_m and L_m^c.
-            clouds: P_i for each pair of L_m, by the pair's name.
-            config: Parameters; `configure` changes them.
+        The state is read at each `update`; `pairs` are L_m and L_m^c, `clouds` P_i of each pair of
+        L_m by its name. `configure` changes the parameters.
         """
         self._state = state
         self._pairs = pairs

@@ -120,12 +120,8 @@ class Controller:
     ) -> None:
         """Prepare the controller.
 
-        Args:
-            model: The robot.
-            data: Its link pairs and sampled clouds.
-            config: Parameters; `configure` changes them.
-            name: One of `CONTROLLERS`.
-            dt: [s] between two steps.
+        `name` is one of `CONTROLLERS`, `dt` [s] between two steps; `configure` changes the
+        parameters.
 
         Raises:
             UnknownNameError: No controller has that name.
@@ -181,11 +177,8 @@ class Controller:
 
         Paper: Algorithm 2.
 
-        Args:
-            measurement: The sensors' readings.
-            reference: Where the end-effector shall be, or None while it is guided by hand.
-            base_acceleration: (n_b,) [m/s² or rad/s²] that the base really has now; None means that
-                it does what is asked.
+        Without a reference the end-effector is guided by hand. `base_acceleration` (n_b,) [m/s² or
+        rad/s²] is what the base really has now; None means that it does what is asked.
 
         Returns:
             Torques of the arm and acceleration of the base; never without an answer. Where the

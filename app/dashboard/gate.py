@@ -132,10 +132,8 @@ class Gate:
     def __init__(self, own_name: str, largest_upload: int, read_link: ReadLink) -> None:
         """Prepare.
 
-        Args:
-            own_name: The name that the server is told to listen at.
-            largest_upload: [bytes] of one file; 0 if there is nothing to upload.
-            read_link: Checks what follows the question mark of its page's address.
+        `own_name` is the name that the server is told to listen at, `largest_upload` [bytes] of one
+        file, 0 if there is nothing to upload.
         """
         self._own_name, self._largest_upload = own_name, largest_upload
         self._read_link = read_link
@@ -396,10 +394,7 @@ class Uploads:
 def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> bytes:
     """The bytes of a message that viser may see.
 
-    Args:
-        data: As it came.
-        uploads: Of the same viewer.
-        widget: Finds a widget of the page by its name; None if there is none.
+    Uploads are those of the same viewer; `widget` finds a widget of the page by its name, or None.
 
     Raises:
         GarbageError: It is none that a page sends, or of other types.

@@ -37,10 +37,8 @@ class Rows:
     ) -> None:
         """An empty table.
 
-        Args:
-            values: A row, after its time.
-            longest: Rows that are kept.
-            is_due: Whether the second of two rows is taken in after the first.
+        A row is a time and its values; so many of the newest are kept. `is_due` says of two rows
+        whether the second one is taken in after the first.
         """
         self._values, self._is_due, self._longest = values, is_due, longest
         self.begin()
@@ -87,9 +85,7 @@ class Record(Rows):
     def columns(self, until: float, length: float) -> Array:
         """(1 + C, N) times [s] and values of a stretch of time, N ≥ 1.
 
-        Args:
-            until: [s] its end.
-            length: [s] of it.
+        It ends at a time [s], and has a length [s].
         """
         if not self._rows:
             return np.zeros((self._width, 1))

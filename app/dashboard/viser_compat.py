@@ -84,11 +84,8 @@ def open_server(
 ) -> viser.ViserServer:
     """A server that listens.
 
-    Args:
-        host: Address to listen at, which can be bound: viser waits for ever at one that cannot.
-        port: Port to listen at; 0 takes a free one, and so does viser if it is taken.
-        largest_upload: [bytes] of one file; 0 if there is nothing to upload.
-        read_link: Checks what follows the question mark of its page's address.
+    viser waits for ever at a host that cannot be bound, and takes another port for one that is
+    taken; 0 takes a free one. Files of `largest_upload` [bytes] can be uploaded, none if it is 0.
 
     Raises:
         ServerError: viser starts in a way that is not known.

@@ -99,8 +99,7 @@ def length(d: float) -> str:
 def borne(bound: float) -> str:
     """What follows a person's force, as in ", the arm bears 62 N"; nothing while no bound is known.
 
-    Args:
-        bound: [N] as in `Snapshot.force_bound`.
+    The bound [N] is that of `Snapshot.force_bound`.
     """
     return "" if math.isnan(bound) else f", the arm bears {bound:.0f} N"
 

@@ -79,11 +79,8 @@ class Borders:
     ) -> ColouredCloud | None:
         """A border's points with the colours of a quantity; None if it has no points.
 
-        Args:
-            pair: Name of a pair of L_m.
-            quantity: One of `app.dashboard.scene.legend.QUANTITIES`.
-            border: d_b and ε.
-            whole: Also what lies above the base's top.
+        The quantity is one of `app.dashboard.scene.legend.QUANTITIES`; `whole` takes in what lies
+        above the base's top.
         """
         return self._keep(
             (pair, quantity, border.d_b, border.eps, whole),
@@ -317,10 +314,7 @@ class BorderSlice:
 def shell_faces(surface: BorderSurface, low: float, high: float) -> tuple[Array, Array]:
     """(N, 3) [m] corners in the base's frame, and (M, 3) triangles, their fronts outwards.
 
-    Args:
-        surface: The border.
-        low: [m] from which height on it is wanted.
-        high: [m] up to which.
+    They are those of a border between two heights [m].
     """
     table, corners, faces = surface.table, [], []
     for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):

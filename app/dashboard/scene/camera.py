@@ -360,10 +360,7 @@ def set_first_look(server: viser.ViserServer, eye: Array, target: Array) -> None
 def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
     """The nearest camera that sees all points, in the middle of the free part.
 
-    Args:
-        points: (N, 3) [m].
-        away: (3,) from what is looked at towards the camera; not upright.
-        window: Where the picture is drawn.
+    `away` (3,) is from the points (N, 3) [m] towards the camera; not upright.
 
     Returns:
         (3,) [m] the eye, and (3,) [m] a point before it on the middle of the picture, as far away

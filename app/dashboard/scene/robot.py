@@ -66,9 +66,7 @@ class LinkPoses:
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
         """T_root_joint of every joint.
 
-        Args:
-            q_m: (n_m,) [rad or m] arm joints.
-            wheel_angles: (n_w,) [rad] of the base's wheels, right and left.
+        Of the arm's joints (n_m,) [rad or m], and the angles (n_w,) [rad] of the base's `wheels`.
         """
         turned = np.zeros(self.model.nv)
         turned[self._arm] = q_m
@@ -156,9 +154,7 @@ def _visuals(robot: RobotModel) -> list[Visual]:
 def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual]:
     """All visual meshes of the URDF, decimated, in the URDF's colours.
 
-    Args:
-        description: The robot.
-        model: pinocchio's model of the whole URDF, whose joints the visuals refer to.
+    `model` is pinocchio's of the whole URDF, whose joints the visuals refer to.
 
     Raises:
         AssetError: The URDF or a mesh is not there.

@@ -137,10 +137,7 @@ class RobotScene:
     def update(self, base_pose: Array, q_m: Array, wheel_angles: Array) -> None:
         """Move the frames; viser sends only those that moved.
 
-        Args:
-            base_pose: (3,) x, y [m] and heading [rad] in the world.
-            q_m: (n_m,) [rad or m] arm joints.
-            wheel_angles: (n_w,) [rad] of the base's wheels, right and left.
+        The base pose (3,) is x, y [m] and heading [rad] in the world; else as `LinkPoses.update`.
         """
         x, y, phi = base_pose
         self.root.position = (x, y, 0.0)

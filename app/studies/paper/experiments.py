@@ -40,11 +40,8 @@ class Experiment(Planned):
     def of(cls, scenario: str, controller: str, *, points: bool = False, **line: Point) -> Self:
         """The run of a scenario by its name.
 
-        Args:
-            scenario: Name of the scenario.
-            controller: Name of the controller.
-            points: Whether the border is the paper's points and not the surface through them.
-            line: `start` and `move` [m] of the hand, if not those of the scenario.
+        With `points` the border is the paper's points and not the surface through them; `start` and
+        `move` [m] of the hand may be others than the scenario's.
         """
         config = Config().replace("border.kind", "points") if points else Config()
         return cls(ROBOT, scenario_by_name(scenario).changed(**line), config, controller)
