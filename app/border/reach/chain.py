@@ -38,7 +38,6 @@ class Chain:
             ConfigError: Fewer than three joints move the body; lists those that can be asked for.
         """
         joints = _moving_joints(model, body)
-        """Indices within the arm of the joints that move the body."""
         if len(joints) < _LEAST_JOINTS:
             raise ConfigError(
                 f"{body}: only {len(joints)} of the arm's joints move it, a reachability needs "
@@ -47,6 +46,7 @@ class Chain:
         self.body = body
         """Name of the body."""
         self.joints = [joint - 2 for joint in joints]
+        """Indices within the arm of the joints that move the body."""
         still = [j for j in range(1, model.pin.njoints) if j not in joints]
         self.pin = pin.buildReducedModel(model.pin, still, pin.neutral(model.pin))
         """pinocchio's model of the chain."""
