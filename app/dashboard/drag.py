@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from time import monotonic
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -10,21 +10,14 @@ import viser
 
 from app.dashboard.notifications import Notifier
 from app.dashboard.scene.scene import RobotScene
-from app.simulation.loop.commands import Command, Pull, Release
+from app.simulation.loop.commands import Pull, Release
+from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
 GIZMO = "/hand"
 """Scene node of the gizmo."""
 SCALE = 0.26  # [m] length of the gizmo's arrows
-
-
-class Sink(Protocol):
-    """Where commands go."""
-
-    def send(self, command: Command) -> None:
-        """Take a command."""
-        ...
 
 
 class Hold(NamedTuple):
@@ -39,7 +32,7 @@ class Hold(NamedTuple):
 class Grip:
     """What one viewer holds. Several may pull at once: their forces add."""
 
-    def __init__(self, sink: Sink, notifier: Notifier, who: int) -> None:
+    def __init__(self, sink: LoopHandle, notifier: Notifier, who: int) -> None:
         """Nothing held by the viewer of number `who`; pulls go to `sink`."""
         self._sink, self._notifier, self._who = sink, notifier, who
         self._hold: Hold | None = None

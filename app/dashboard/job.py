@@ -83,7 +83,6 @@ class Job:
     """
 
     def __init__(self) -> None:
-        """Nothing under way."""
         self.progress: Progress | None = None
         """Of the work under way, or None."""
         self.problem = ""
@@ -182,7 +181,6 @@ class Challenge(Job):
     """The last challenge of all viewers: their pulls, played again step by step by each one."""
 
     def __init__(self) -> None:
-        """Nobody has tried yet."""
         super().__init__()
         self.case: RunCase | None = None
         """What was pulled, once it has ended; with its figures once it was played again."""

@@ -223,7 +223,6 @@ class RobotCheck(Job):
     """At most one check of a robot at a time, and the rows of the last one."""
 
     def __init__(self) -> None:
-        """Nothing checked yet."""
         super().__init__()
         self.name = ""
         """The robot that was checked last."""

@@ -13,7 +13,7 @@ import viser
 from app.border.dbb import Cloud
 from app.dashboard.export.screenshot import page_picture
 from app.dashboard.notifications import Notifier
-from app.dashboard.page import Demonstration, Page, show_failure
+from app.dashboard.page import PATIENCE, Demonstration, Page, show_failure
 from app.dashboard.panels.save import SWEEPS
 from app.dashboard.panels.share import read_link
 from app.dashboard.robots import RobotSwitch, RunningRobot, StartLoop
@@ -41,7 +41,6 @@ class DashboardServer:
     """Pages that show a loop and send it commands, one for each viewer, by the viewer's number."""
 
     def __init__(self, viser_server: viser.ViserServer, shared: SharedState) -> None:
-        """Begin to draw."""
         self.viser, self.shared = viser_server, shared
         host = viser_server.get_host()
         host = f"[{host}]" if ":" in host else host  # IPv6
@@ -103,9 +102,10 @@ class DashboardServer:
         return clients[first[0]] if first else None
 
     def _silent(self, number: int) -> None:
+        """A viewer's browser may sleep: it lets go, unless it has pulled just now."""
         page = self.pages.get(number)
         if page is not None:
-            page.browser_is_silent()
+            page.grip.release_if_still(PATIENCE, page.viewer.client)
 
     def _draw_until_stopped(self) -> None:
         try:

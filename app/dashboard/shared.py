@@ -10,7 +10,6 @@ from pathlib import Path
 
 from app.border.dbb import Cloud
 from app.config import Config, tunable
-from app.dashboard.drag import Sink
 from app.dashboard.job import Challenge, Job
 from app.dashboard.panels.explorer import Explorer
 from app.dashboard.panels.plots import plot_plans
@@ -37,7 +36,7 @@ class Tuning:
     """
 
     def __init__(
-        self, sink: Sink, config: Config, *, clock: Callable[[], float] = time.monotonic
+        self, sink: LoopHandle, config: Config, *, clock: Callable[[], float] = time.monotonic
     ) -> None:
         """Begin without a history; `config` holds already where changes go, to `sink`."""
         self._sink, self._clock = sink, clock
@@ -107,7 +106,7 @@ class Tuning:
         """
         self._go(1, "nothing to do again")
 
-    def move_to(self, sink: Sink, config: Config) -> None:
+    def move_to(self, sink: LoopHandle, config: Config) -> None:
         """Go on with another simulation, which has a configuration already.
 
         If that is another than here, it is one step.

@@ -167,7 +167,6 @@ class Channel:
     """
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:
-        """Nothing is said yet."""
         self._client, self._acts = client, dict[str, Callable[..., None]]()
         self._box = client.gui.add_text("", "", visible=False)
         self._box.on_update(notifier.guard(self._hear))

@@ -91,7 +91,6 @@ class Panel:
     """Whether it shows the instant: then it is renewed quickly, together with the picture."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Nothing in it yet."""
         self._gui, self._notifier = viewer.client.gui, viewer.notifier
         self._followed: dict[int, Any] = {}
 
@@ -138,7 +137,6 @@ class JobStatus(Panel):
     """How far a job is, or how it ended, and a button that cancels it."""
 
     def __init__(self, viewer: Viewer, job: Job) -> None:
-        """Add the widgets."""
         super().__init__(viewer)
         self._job = job
         self.text = self._gui.add_html("", visible=False)

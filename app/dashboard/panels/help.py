@@ -112,7 +112,6 @@ class Tour(Panel):
     """
 
     def __init__(self, viewer: Viewer) -> None:
-        """Closed."""
         super().__init__(viewer)
         self._card: viser.GuiFolderHandle | None = None
         self._step = self._wanted = -1  # that is shown, and that is to be

@@ -56,7 +56,6 @@ class RobotPanel(Panel):
     """A list of the robots; what one viewer chooses, all see."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the tab."""
         super().__init__(viewer)
         gui, shared = self._gui, viewer.shared
         self._shared, self._switch = shared, shared.robot_switch

@@ -53,7 +53,6 @@ class FilePanel(Panel):
     """
 
     def __init__(self, viewer: Viewer) -> None:
-        """No buttons yet."""
         super().__init__(viewer)
         self._viewer, self._job = viewer, viewer.files
         self._status = JobStatus(viewer, viewer.files)
@@ -112,7 +111,6 @@ class SavePanel(FilePanel):
     """Pictures of the scene, and files of the marked interval."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the tab."""
         super().__init__(viewer)
         gui = self._gui
         with gui.add_folder("Picture"):
@@ -196,7 +194,6 @@ class SweepPanel(Panel):
     """
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the folder, closed."""
         super().__init__(viewer)
         self._shared, self._job = viewer.shared, viewer.shared.sweep_job
         self._map: tuple[Path, int] | None = None

@@ -162,7 +162,6 @@ class SharePanel(Panel):
     """A link to what is seen, and the case of what was played last."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the folder."""
         super().__init__(viewer)
         self._viewer, self._shared = viewer, viewer.shared
         self.waiting = Link()

@@ -138,7 +138,6 @@ class TimelinePanel(Panel):
     of_instant = True
 
     def __init__(self, viewer: Viewer) -> None:
-        """Open it."""
         super().__init__(viewer)
         timeline, strip, channel = viewer.timeline, viewer.shared.strip, viewer.channel
         self._channel, self._timeline, self._strip = channel, timeline, strip

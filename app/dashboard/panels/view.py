@@ -13,7 +13,6 @@ class ViewPanel(Panel):
     """Boxes and choices, each of which assigns one field of the view."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the tab."""
         super().__init__(viewer)
         gui, self._view = self._gui, viewer.view
         with gui.add_folder(BORDER):

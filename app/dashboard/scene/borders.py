@@ -174,7 +174,6 @@ class DrawnBorders:
     """
 
     def __init__(self, scene: viser.SceneApi, borders: Borders, model: RobotModel) -> None:
-        """Nothing is drawn yet."""
         self._scene, self._borders, self._model = scene, borders, model
         self._drawn: dict[str, _Drawn] = {}
         self._clicked: tuple[Array, Array] | None = None

@@ -128,7 +128,6 @@ class Cabinet:
     """The refrigerator that carries a door: a box that stands on the floor by its weight."""
 
     def __init__(self, door: Door) -> None:
-        """Put it behind a closed door."""
         height = door.bottom + door.height
         self.size = _DEPTH, door.width, height
         """[m] depth, width and height."""
