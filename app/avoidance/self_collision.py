@@ -69,8 +69,7 @@ class Avoidance(NamedTuple):
         return self.pairs[: self.n_mobile]
 
 
-BUFFER_RATE = 0.1
-"""[m/s] at which the buffer takes on another d_b."""
+BUFFER_RATE = 0.1  # [m/s] at which the buffer takes on another d_b
 
 
 class SelfCollisionAvoidance:

@@ -18,8 +18,7 @@ _SAME_CORNER = 0.01  # [m] between the two ends that meet in one corner, at most
 _CHORD = 1e-4  # [m] by which a gap's end, on a chord of the true curve, may seem nearer than it is
 _TOUCHING = 1e-9  # [m] nearer to a corner than that a way to it has no direction
 
-BLOCK = 24
-"""[-] edges that are looked at or left out together; the rings have a multiple of them."""
+BLOCK = 24  # [-] edges that are looked at or left out together; the rings have a multiple of them
 
 Best = tuple[float, complex, complex]
 """Distance [m] of the nearest point so far, the point, and the unit tangent there, as x + iy."""

@@ -6,12 +6,9 @@ import numpy as np
 
 from app.strict import Array
 
-POINT_UNIT = 1e-4
-"""[m] resolution of the kept points."""
-DISTANCE_UNIT = 1e-5
-"""[m] resolution of the kept distances."""
-POINT_RANGE = 3.2
-"""[m] largest coordinate that can be kept."""
+POINT_UNIT = 1e-4  # [m] resolution of the kept points
+DISTANCE_UNIT = 1e-5  # [m] resolution of the kept distances
+POINT_RANGE = 3.2  # [m] largest coordinate that can be kept
 
 
 @dataclass(frozen=True)
@@ -67,8 +64,7 @@ def _frozen(array: Array) -> Array:
     return array
 
 
-SAME_HEIGHT = 0.005
-"""[m] how far from a height a point still counts as of that height."""
+SAME_HEIGHT = 0.005  # [m] how far from a height a point still counts as of that height
 
 
 @dataclass(frozen=True)

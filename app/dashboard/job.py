@@ -40,8 +40,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 _CORES = max(1, (os.cpu_count() or 1) - 1)  # of a job: one core is the simulation's
-FILM_RATE = 25.0
-"""[1/s] pictures of a film."""
+FILM_RATE = 25.0  # [1/s] pictures of a film
 _PATIENCE = 10.0  # [s] for a thread to end
 FIGURES = (
     "min_clearance_m",

@@ -14,14 +14,11 @@ from app.simulation.case import RunCase
 from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
-KEPT = 600.0
-"""[s] how far back a viewer can look."""
-PERIOD = 0.04
-"""[s] least time between two rows of them."""
+KEPT = 600.0  # [s] how far back a viewer can look
+PERIOD = 0.04  # [s] least time between two rows of them
 SPACING = 0.01  # [m] between two points of a track
 _LONGEST = 1500  # points of a track
-BIN = 0.1
-"""[s] of which the time line keeps the least distance and the largest activation."""
+BIN = 0.1  # [s] of which the time line keeps the least distance and the largest activation
 _QUIET = 1.0  # [s] after which the same happening is another event
 _MOST_EVENTS = 400
 

@@ -23,10 +23,8 @@ from app.simulation.loop.commands import Configure, Watch
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios.leading import Scenario
 
-BURST = 0.7
-"""[s] moves of one slider that follow each other faster are one step."""
-MOST_STEPS = 200
-"""[-] that can be undone; each is a small record."""
+BURST = 0.7  # [s] moves of one slider that follow each other faster are one step
+MOST_STEPS = 200  # [-] that can be undone; each is a small record
 
 
 class Tuning:

@@ -16,8 +16,7 @@ from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.strict import Array
 
-PEAK = 100.0
-"""[-] largest mean reachability over a shell around the mount: the paper's C."""
+PEAK = 100.0  # [-] largest mean reachability over a shell around the mount: the paper's C
 FINE_SAMPLES, FINE_SPACING = 200_000, 0.05
 """[-] joint positions and [m] the lattice of `dbb reach`: seconds, and A to about a hundredth."""
 

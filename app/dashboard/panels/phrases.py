@@ -5,8 +5,7 @@ from collections.abc import Sequence
 
 from app.control.active_bounds import Bound, BoundKind
 
-AT_REST = (0.01, 0.02)
-"""[m/s], [rad/s] below which the base stands still."""
+AT_REST = (0.01, 0.02)  # [m/s], [rad/s] below which the base stands still
 
 _SECTORS = (
     ("forward", "front"),

@@ -18,8 +18,7 @@ from app.robot.bases.kind import Axis, acceleration_symbol
 from app.robot.model import RobotModel
 from app.simulation.trace.snapshot import Snapshot
 
-LENGTH = 20.0
-"""[s] of the axis of time."""
+LENGTH = 20.0  # [s] of the axis of time
 AHEAD = 5.0  # [s] shown after the instant that a viewer has gone back to
 SPACING = 0.08  # [s] of drawn values, as many as there are pixels
 PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0  # [s] between two pictures of what goes on

@@ -34,8 +34,7 @@ if TYPE_CHECKING:
 _NAMES = ("scenario", "controller", "robot", "look", "at", DENSITY)
 """What a link may name, beside parameters by their paths."""
 _FARTHEST = 100.0  # [m] of a camera
-LARGEST = 8 * 2**20
-"""[bytes] of a case's file."""
+LARGEST = 8 * 2**20  # [bytes] of a case's file
 _COPY = (
     "const box=this.previousElementSibling;box.focus();box.select();document.execCommand('copy');"
     "history.replaceState(null,'',box.value)"

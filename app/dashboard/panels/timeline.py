@@ -9,10 +9,8 @@ from app.errors import LogError
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
 
-FRAME = 0.02
-"""[s] between two snapshots."""
-MOST_MARKED = 300.0
-"""[s] of a marked interval, all of whose snapshots are kept for one viewer."""
+FRAME = 0.02  # [s] between two snapshots
+MOST_MARKED = 300.0  # [s] of a marked interval, all of whose snapshots are kept for one viewer
 
 
 class Timeline:

@@ -21,8 +21,7 @@ from app.errors import ConfigError
 from app.parameters import Choice, Parameter
 from app.robot.description import RobotDescription
 
-DECIMALS = 6
-"""[-] that a number box takes."""
+DECIMALS = 6  # [-] that a number box takes
 MARK = "\N{NO-BREAK SPACE}•"
 """Behind the label of what is not at its default."""
 FIRST_NAME = "tuning"

@@ -19,10 +19,8 @@ from app.strict import check_range
 
 Point = tuple[float, float, float]
 
-SPEEDS = 0.1, 4.0
-"""[-] slowest and fastest, in times of real time."""
-STEPS = 0.001, 1.0
-"""[s] shortest and longest single step."""
+SPEEDS = 0.1, 4.0  # [-] slowest and fastest, in times of real time
+STEPS = 0.001, 1.0  # [s] shortest and longest single step
 SAMES = ("path", "force")
 """What robots that are compared have in common: where people pull to, or how strongly."""
 MOST_GHOSTS = 2

@@ -20,8 +20,7 @@ from app.simulation.plants.interface import Contacts
 from app.strict import Array
 
 GRAVITY = 9.81  # [m/s²]
-FIRM = (0.004, 1.0)
-"""[s] time constant and [-] damping ratio of contacts and of joint limits."""
+FIRM = (0.004, 1.0)  # [s] time constant and [-] damping ratio of contacts and of joint limits
 IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]
 """Of both, as MuJoCo has it."""
 

@@ -21,8 +21,7 @@ if TYPE_CHECKING:  # only names here, so that what is asked of a scenario is che
     from app.simulation.plants.door import OpenDoor
     from app.simulation.session import Session
 
-SHORTEST = 0.01
-"""[s] of a scenario."""
+SHORTEST = 0.01  # [s] of a scenario
 _DURATIONS = SHORTEST, 3600.0  # [s]
 _FARTHEST = 10.0  # [m] from the origin; a longer way is a slip of the keys
 

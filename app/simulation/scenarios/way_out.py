@@ -25,8 +25,7 @@ BEGINS: tuple[Begin, ...] = ("penetration", "buffer", "arm")
 """Kinds of starts: some pair in penetration; a pair of L_m inside its buffer, none in penetration;
 a pair of L_m^c inside its buffer, none in penetration."""
 
-DEEPEST = 0.05
-"""[m] the deepest penetration that is drawn."""
+DEEPEST = 0.05  # [m] the deepest penetration that is drawn
 _FLOOR_MARGIN = 0.01  # [m] between arm and floor
 _FROM_ABOVE = 0.7  # [-] |n_z| from which a pair of L_m meets from above
 _TRIES = 20_000  # random configurations before a kind of start is given up

@@ -19,8 +19,7 @@ from app.studies.runs import Row
 STATED = Path(__file__).with_name("envelope.toml")
 """The envelope that the project states, with its source."""
 
-RESERVE = NEAR
-"""[m] a case that comes nearer bounds the envelope as if it had failed."""
+RESERVE = NEAR  # [m] a case that comes nearer bounds the envelope as if it had failed
 MARGIN = 0.9  # [-] of the weakest such case's force that is still inside
 FORCE = "hand_force_clear_max_n"
 """Column of a row with the force that was exerted before two bodies were near."""

@@ -28,14 +28,10 @@ KINDS: tuple[Kind, ...] = ("side", "wheel_axis", "above")
 AXIS_OFFSETS = (0.0, 0.001, -0.001, 0.010, -0.010, 0.050, -0.050)
 """[m] x of p_b on the paths along the wheel axis."""
 
-ERROR_LIMIT = 0.001
-"""[m] final error up to which a path counts as done."""
-CLEARANCE_LIMIT = 0.03
-"""[m] distance between arm and base from which a path counts as safe."""
-CLEAR = 0.02
-"""[m] beyond the buffer at which the arm starts, if nothing else is asked."""
-MORE_THAN_BUFFER = 0.005
-"""[m] what a start needs beyond the buffer at least."""
+ERROR_LIMIT = 0.001  # [m] final error up to which a path counts as done
+CLEARANCE_LIMIT = 0.03  # [m] distance between arm and base from which a path counts as safe
+CLEAR = 0.02  # [m] beyond the buffer at which the arm starts, if nothing else is asked
+MORE_THAN_BUFFER = 0.005  # [m] what a start needs beyond the buffer at least
 _RANGES = {
     "heights": (0.02, 2.0, "m"),
     "speeds": (0.001, 1.0, "m/s"),

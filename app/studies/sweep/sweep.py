@@ -35,8 +35,7 @@ from app.studies.sweep.starts import Start, StartFinder
 from app.system import write_whole
 
 _MOST_PIXELS = 20_000_000  # [-] of a map, which has two million
-START_SHARE = 0.25
-"""[-] of the work that the search for starts is counted as."""
+START_SHARE = 0.25  # [-] of the work that the search for starts is counted as
 LISTS: dict[Kind, str] = {"side": "paths", "wheel_axis": "wheel_axis", "above": "above"}
 """Under which key of the JSON the paths of a kind stand."""
 _KEPT = (
