@@ -95,12 +95,7 @@ class ConvexPart:
 
 
 class MobileBody:
-    """l_m: a union of convex parts.
-
-    Attributes:
-        parts: Its shapes.
-        lower, upper: (3,) [m] corners of a box around it, along the base's axes.
-    """
+    """l_m: a union of convex parts."""
 
     def __init__(self, model: RobotModel) -> None:
         name = model.description.mobile_body.name
@@ -109,6 +104,7 @@ class MobileBody:
         self.parts = [ConvexPart(o.geometry, o.placement) for o in objects]
         self.lower = np.min([part.lower for part in self.parts], axis=0)
         self.upper = np.max([part.upper for part in self.parts], axis=0)
+        """(3,) [m] corners of a box around it, along the base's axes."""
 
     def distance(self, points: Array) -> Array:
         """(N,) [m] signed distances of points (N, 3) [m] in the base's frame."""

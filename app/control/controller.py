@@ -99,14 +99,6 @@ class Controller:
     asks for. The arm's torques are therefore solved with the acceleration that the base really has;
     the one asked for goes to the admittance law. What the base is asked besides T_sca's own rows is
     asked with gains that its rate can follow, else it and the arm would fight.
-
-    Attributes:
-        state: The robot's state at the last good measurement.
-        failures: Steps so far in which the arm got the safe command, for want of a good measurement
-            or a solution.
-        given_up: Steps so far in which the base's own part had no solution; it was braked.
-        q_posture: (n_m,) the posture that the arm is drawn to, that of the first good
-            measurement after `reset`.
     """
 
     def __init__(
@@ -128,6 +120,7 @@ class Controller:
         """
         self.use(name)
         self.state = RobotState(model)
+        """The robot's state at the last good measurement."""
         self._model = model
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
         self.configure(config)
@@ -152,7 +145,10 @@ class Controller:
         self._observer.reset()
         self._avoidance.reset()
         self.q_posture: Array | None = None
+        """(n_m,) the posture that the arm is drawn to, that of the first good measurement."""
         self.failures = self.given_up = 0
+        """Steps so far in which the arm got the safe command, for want of a good measurement or a
+        solution, and in which the base's own part had no solution; it was braked."""
 
     @property
     def d_b(self) -> float:

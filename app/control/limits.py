@@ -157,9 +157,6 @@ class PushObserver:
     It is the generalised-momentum observer of De Luca et al. (2006) with M taken as constant
     within a step. Tasks never see r: a guided hand stays free. Barriers do, so that
     a distance is kept while a person pulls.
-
-    Attributes:
-        r: (n_m,) [N m or N] torques that others exert on the arm's joints.
     """
 
     def __init__(self, n_m: int) -> None:
@@ -169,6 +166,7 @@ class PushObserver:
     def reset(self) -> None:
         """Nobody touches the robot."""
         self.r = np.zeros(self._n_m)
+        """(n_m,) [N m or N] torques that others exert on the arm's joints."""
         self._qd: Array | None = None
 
     def pause(self) -> None:

@@ -115,16 +115,14 @@ class PersonHand:
     on it transmits. That is more than f_max while the mass is being stopped, and less while it is
     set in motion; at rest it is F. Spring, damper, mass and grip are passive, so with p at rest
     such a hand only takes energy out as well.
-
-    Attributes:
-        config: K, D, f_max and the mass; may be replaced at any time.
-        motion: (2, 3) p [m] and its velocity [m/s]; None while the robot is not held.
     """
 
     def __init__(self, config: HandConfig, dt: float = 0.001) -> None:
         """A person who does not hold the robot; `dt` [s] is between two calls of `force`."""
         self.config, self._dt = config, dt
+        """K, D, f_max and the mass; may be replaced at any time."""
         self.motion: Array | None = None
+        """(2, 3) p [m] and its velocity [m/s]; None while the robot is not held."""
         self._mass: Array | None = None  # (2, 3) the same of the mass in the hand
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array | None) -> Array:

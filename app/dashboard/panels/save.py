@@ -186,11 +186,7 @@ class SavePanel(FilePanel):
 
 
 class SweepPanel(Panel):
-    """The newest polar map of a folder, and the button that begins a sweep.
-
-    Attributes:
-        status: How far the sweep is, which is common to all viewers.
-    """
+    """The newest polar map of a folder, and the button that begins a sweep."""
 
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
@@ -202,6 +198,7 @@ class SweepPanel(Panel):
         with self._box:
             self._text = self._gui.add_html("")
             self.status = JobStatus(viewer, self._job)
+            """How far the sweep is, which is common to all viewers."""
             self._button = self.button(
                 "Make a map",
                 lambda _: self.begin(),

@@ -43,23 +43,19 @@ _COPY = (
 
 
 class Link(NamedTuple):
-    """What a link asks for; what is empty it leaves as it is.
-
-    Attributes:
-        scenario: Name of the one that is played; all parameters that are not named are then at
-            their defaults.
-        controller, robot: Their names.
-        parameters: By their paths.
-        look: A key of `PRESETS`, or eye and target as six numbers [m].
-        at: [s] of the scenario, where it stands still.
-    """
+    """What a link asks for; what is empty it leaves as it is."""
 
     scenario: str = ""
+    """Name of the one that is played; all parameters that are not named are then at their
+    defaults."""
     controller: str = ""
     robot: str = ""
     parameters: tuple[tuple[str, float | str], ...] = ()
+    """By their paths."""
     look: str = ""
+    """A key of `PRESETS`, or eye and target as six numbers [m]."""
     at: float | None = None
+    """[s] of the scenario, where it stands still."""
 
     @classmethod
     def read(cls, query: str) -> Link:

@@ -17,9 +17,6 @@ class Timeline:
     """The place of one viewer in time; the simulation does not notice.
 
     Any thread may call any of the methods.
-
-    Attributes:
-        begin, end: [s] the marked interval; None if it is not marked.
     """
 
     def __init__(self, loop: LoopHandle, strip: Strip) -> None:
@@ -31,6 +28,7 @@ class Timeline:
         self._lock = threading.RLock()
         self.begin: float | None = None
         self.end: float | None = None
+        """[s] the marked interval; None if it is not marked."""
 
     @property
     def live(self) -> bool:

@@ -172,16 +172,13 @@ class ParameterWidgets(Panel):
 
     A value that is refused changes nothing, is reported to its sender, and is set back; what is
     typed comes once it is typed to its end.
-
-    Attributes:
-        about: The parameter.
-        is_marked: Whether it was not at its default at the last update.
     """
 
     def __init__(self, viewer: Viewer, path: str) -> None:
         """Add the widgets of the parameter at a path; see `TuningPanel`."""
         super().__init__(viewer)
         self.about, self.is_marked = tunable(path), False
+        """The parameter, and whether it was not at its default at the last update."""
         self._tuning = viewer.shared.tuning
         self._shown = self._tuning.value(path)
         self._faces = _faces(self._gui, self.about, self._shown)

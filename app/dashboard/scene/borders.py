@@ -141,21 +141,18 @@ def subsample(total: int, most: int) -> Array:
 
 
 class Probe(NamedTuple):
-    """What holds at a place of the border, in the base's frame.
-
-    Attributes:
-        p: (3,) [m] the place.
-        det, reach, score: Of (7), (9) and (10) there.
-        p_act: (3,) [m] acting point of an arm that is halfway in there.
-        acceleration: (n_b,) of the base for it, by (16).
-    """
+    """What holds at a place of the border, in the base's frame."""
 
     p: Array
+    """(3,) [m] the place."""
     det: float
     reach: float
     score: float
+    """Of (7), (9) and (10) there."""
     p_act: Array
+    """(3,) [m] acting point of an arm that is halfway in there."""
     acceleration: Array
+    """(n_b,) of the base for it, by (16)."""
 
 
 class _Drawn(NamedTuple):

@@ -39,18 +39,7 @@ _TRAILS = {"base": TRAIL_BASE, "hand": TRAIL_HAND}
 
 
 class SceneData:
-    """What scenes are drawn from; `update` takes in what is new.
-
-    Attributes:
-        loop: Gives the snapshots.
-        clouds: P_i of every pair of L_m, by the pair's name.
-        pairs, mobile: Names of all link pairs, in the order of the snapshots, and of those of L_m.
-        of_door: Name of the pair of base and door, which comes with its scenario.
-        spoken: The pairs in words, by their names.
-        tracks: Where "base" and "hand" have been.
-        keepers: All that keep something of the snapshots, in order of time.
-        last: [s] time of the newest snapshot that they were told, -1 if there is none.
-    """
+    """What scenes are drawn from; `update` takes in what is new."""
 
     def __init__(
         self,
@@ -62,11 +51,15 @@ class SceneData:
         """Load what scenes need; `loop` has a snapshot already, `parts` may have been read."""
         first = loop.latest()
         self.loop, self.model, self.clouds = loop, model, clouds
+        """It gives the snapshots; P_i of every pair of L_m, by the pair's name."""
         self.pairs = [pair.name for pair in first.pairs]
         self.mobile = [pair.name for pair in first.pairs if pair.mobile]
+        """Names of all link pairs, in the order of the snapshots, and of those of L_m."""
         self.of_door = f"{model.body_names[0]}-{DOOR}"
+        """Name of the pair of base and door, which comes with its scenario."""
         named = (*self.pairs, self.of_door)
         self.spoken = {name: words.spoken(name, model.body_names) for name in named}
+        """The pairs in words, by their names."""
         self.parts = parts or RobotParts(model)
         self.borders = Borders(model, clouds)
         self.tracks = {
@@ -74,7 +67,9 @@ class SceneData:
             "hand": Track(lambda snapshot: snapshot.p_ee),
         }
         self.keepers: list[Rows | Course | Strip] = [*self.tracks.values()]
+        """All that keep something of the snapshots, in order of time."""
         self.last = -1.0
+        """[s] time of the newest snapshot that they were told, -1 if there is none."""
 
     def update(self) -> None:
         """Tell each new snapshot once to all keepers; if time went back, all begin anew."""

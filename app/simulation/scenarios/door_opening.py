@@ -103,12 +103,7 @@ def curvature_update(torque: float, progress: float, gains: DoorOpeningGains) ->
 
 
 class DoorOpening:
-    """The adaptive controller; gives the end-effector's reference from what the hand senses.
-
-    Attributes:
-        curvature: [1/m] κ̂, signed: positive turns counter-clockwise.
-        speed: [m/s] v along the tangent that is asked now.
-    """
+    """The adaptive controller; gives the end-effector's reference from what the hand senses."""
 
     def __init__(
         self, T_world_ee: pin.SE3, radial_guess: Array, gains: DoorOpeningGains, dt: float
@@ -128,6 +123,8 @@ class DoorOpening:
         if tangent(self.radial(T_world_ee), 1.0) @ out_of_door < 0.0:
             self._sense = -1.0
         self.curvature = self.speed = self._integral = self._t = 0.0
+        """κ̂ [1/m], signed: positive turns counter-clockwise; v [m/s] along the tangent that is
+        asked now."""
         self._felt = np.zeros(6)
 
     def radial(self, T_world_ee: pin.SE3) -> Array:

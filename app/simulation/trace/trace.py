@@ -62,17 +62,13 @@ class Layout(NamedTuple):
 
 
 class Trace:
-    """A run over time.
-
-    Attributes:
-        meta: About the run as a whole.
-        table: (N, C) what is kept at each row, in order of time.
-        snapshots: What was drawn: of some rows or of all.
-    """
+    """A run over time."""
 
     def __init__(self, layout: Layout, table: Array, snapshots: Sequence[Snapshot] = ()) -> None:
         """Put together what a `Recorder` has taken, or what was read."""
         self.meta, self.table, self.snapshots = layout.meta, table, tuple(snapshots)
+        """The table has (N, C) what is kept at each row, in order of time; snapshots are of some
+        rows or of all."""
         self._layout = layout
 
     @classmethod
