@@ -59,7 +59,6 @@ class ActingPointFinder:
 
     def __init__(self, border: NearestBorder, field: ScoreField) -> None:
         self.field = field
-        """The pair's score."""
         self._border, self._unit = border, field.base.score_unit
 
     def find_acting_point(self, p_b: Array, d: float, force: ForceConfig) -> ActingPoint | None:

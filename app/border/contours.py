@@ -67,7 +67,6 @@ class Contours:
 
     def __init__(self, table: Table) -> None:
         self.table = table
-        """Their rings."""
         self._closed = table._replace(reached=np.ones_like(table.shown))
 
     @property

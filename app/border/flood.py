@@ -223,7 +223,6 @@ class Voxels:
         self.shape = np.maximum(-(-span // self._size), 1)
         """(3,) number of voxels along x, y and z."""
         self.count = int(self.shape.prod())
-        """Number of voxels."""
         self._sectors = sectors
 
     def cells(self, points: Array) -> Array:

@@ -168,11 +168,9 @@ class SectorJob(NamedTuple):
     """The flood of one sector."""
 
     pair: Pair
-    """The pair of L_m."""
     seed: np.random.SeedSequence
     """Of the sector's random numbers."""
     sector: int
-    """Its number."""
     sources: Array
     """(N, n_m) float32, poses to start from."""
     taken: Array

@@ -55,7 +55,6 @@ class Workings(NamedTuple):
     rows: tuple[TaskRows, ...]
     """Rows above the tasks: the method's against the base, then those between links."""
     stack: Stack
-    """The tasks."""
     limits: Limits
     """On q̈, the hard torques first, then joints, then barriers."""
     torque: tuple[Array, Array]

@@ -89,7 +89,6 @@ class Explanation(NamedTuple):
     """One control step, explained."""
 
     controller: str
-    """Name of the controller that acted."""
     mode: Controlled
     """Whether the arm is led by hand or follows a reference."""
     solved: bool

@@ -60,7 +60,6 @@ class DashboardServer:
         self._thread.start()
         viser_server.on_client_disconnect(self._part)
         self.watchdog = Watchdog(viser_server, self._silent)
-        """Looks after the viewers' connections."""
 
     def run_forever(self) -> None:
         """Serve until `stop` is called from another thread, or Ctrl-C.

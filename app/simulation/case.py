@@ -29,13 +29,9 @@ class Planned(NamedTuple):
     """A run to be done: all that its figures follow from."""
 
     robot: str
-    """Its name."""
     scenario: Scenario
-    """What happens."""
     config: Config
-    """Parameters."""
     controller: str = "dbb"
-    """Name of the controller."""
     physics: str | None = None
     """Kind of plant; the default one if None."""
     seed: int = 0

@@ -39,9 +39,7 @@ class Step(NamedTuple):
     t: float
     """[s] simulated time at the step's begin."""
     measurement: Measurement
-    """The sensors' readings."""
     output: ControlOutput
-    """The controller's answer."""
     base_command: Array
     """(n_b,) [m/s or rad/s] in force; what arrives at the drive may be late."""
     hand_target: Array | None

@@ -86,7 +86,6 @@ class Solid(NamedTuple):
     mesh: trimesh.Trimesh
     """Its surface, in the world."""
     rgba: Rgba
-    """Its colour."""
 
 
 class Picture(NamedTuple):

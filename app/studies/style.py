@@ -111,11 +111,9 @@ class Picture(NamedTuple):
     name: str
     """As commands, files and links call it."""
     title: str
-    """Its heading."""
     needs: tuple[Any, ...]
     """What is run for it, if anything."""
     draw: Callable[..., Any]
-    """Draws it."""
 
     @property
     def words(self) -> str:

@@ -44,7 +44,6 @@ class Chain:
                 f"{_LEAST_JOINTS}; choose from: {', '.join(reach_bodies(model)) or '(none)'}"
             )
         self.body = body
-        """Name of the body."""
         self.joints = [joint - 2 for joint in joints]
         """Indices within the arm of the joints that move the body."""
         still = [j for j in range(1, model.pin.njoints) if j not in joints]

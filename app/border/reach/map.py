@@ -29,7 +29,6 @@ class ReachMap:
     """Reachability of one body on a lattice around the arm's mount."""
 
     body: str
-    """Name of the body."""
     points: Array
     """(N, 3) [m] positions in the base's frame: of the end-effector for the body that carries it,
     else of the middle of the body's first shape."""

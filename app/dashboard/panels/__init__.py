@@ -33,7 +33,6 @@ class Viewer:
 
     client: viser.ClientHandle
     notifier: Notifier
-    """Tells viewers what goes wrong."""
     shared: SharedState
     channel: Channel
     """To the page's own scripts."""
@@ -41,9 +40,7 @@ class Viewer:
     """What the viewer has chosen to see; callbacks assign to it."""
     timeline: Timeline
     grip: Grip
-    """What the viewer holds."""
     camera: Camera
-    """Where the viewer looks from."""
     files: Job
     """Makes the viewer's files, one after the other."""
     page_picture: PagePicture | None = None

@@ -50,7 +50,6 @@ class BulletRobot(BulletWorld, PlanarWorld):
             self.robot, self._arm, pybullet.VELOCITY_CONTROL, forces=[0.0] * len(self._arm)
         )
         self.door = None if door is None else BulletDoor(self, model, door)
-        """The door that the hand holds, or None."""
 
     def reset(self, q: Array) -> None:
         if self.door is not None:

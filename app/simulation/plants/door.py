@@ -16,7 +16,6 @@ from app.robot.shapes import Superquadric, around_box
 from app.strict import Array
 
 BODY = "door"
-"""Name of the body."""
 
 _E1 = 0.2  # [-] upright edges that bend a little, so that the closest point has one place
 _E2 = 0.2  # [-] in plan

@@ -104,7 +104,6 @@ class PlanarWorld(ABC):
     """A robot on planar joints in an engine; q and v are x, y, yaw in the world and the arm's."""
 
     door: HeldDoor | None
-    """The door that the hand holds."""
 
     @abstractmethod
     def reset(self, q: Array) -> None:

@@ -56,7 +56,6 @@ class HandReading(NamedTuple):
     """What the robot senses of its hand; all in the world."""
 
     T_world_ee: pin.SE3
-    """Pose of the end-effector."""
     velocity: Array
     """(3,) [m/s] of its origin."""
     force: Array

@@ -68,9 +68,7 @@ class Setting(NamedTuple):
     q_m: Array
     """(n_m,) [rad or m] the arm's joints."""
     config: Config
-    """Parameters for this scenario."""
     door: OpenDoor | None = None
-    """The door that the hand holds, or None."""
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,7 @@ class Figure(NamedTuple):
     """A figure of a run."""
 
     about: str
-    """What it is, in a sentence."""
     of: Callable[[Trace], Any]
-    """How it follows from a trace."""
 
 
 def metrics(run: Trace) -> dict[str, Any]:

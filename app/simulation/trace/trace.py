@@ -39,7 +39,6 @@ class Layout(NamedTuple):
     """Where each quantity stands in a trace's table."""
 
     meta: TraceMeta
-    """About the run."""
     columns: tuple[Column, ...]
     """Of the table, in order: those that have a number at each control step."""
     slices: dict[str, slice | int]

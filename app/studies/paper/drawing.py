@@ -41,7 +41,6 @@ class Drawing:
     """One figure of the paper, made anew."""
 
     figure: Figure
-    """The picture."""
     tables: dict[str, Table]
     """What is plotted; the first without a suffix, the others by theirs."""
     measured: dict[str, Any] = field(default_factory=dict)
@@ -147,9 +146,7 @@ class Strip:
     name: str
     """In the CSV and among the measured figures."""
     text: str
-    """What it shows."""
     run: RunResult
-    """The run."""
     times: Sequence[float]
     """[s] of the snapshots."""
     view: tuple[float, float]

@@ -96,9 +96,7 @@ class Sources:
     """What figures and claims are made from."""
 
     model: RobotModel
-    """The robot."""
     data: BorderData
-    """Its pairs and clouds."""
     config: Config
     """Parameters of the runs, unless an experiment says otherwise."""
     runs: Runs

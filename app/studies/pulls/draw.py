@@ -59,7 +59,6 @@ class StudySources(NamedTuple):
 
     model: RobotModel
     data: BorderData
-    """Its pairs and clouds."""
     lower: Array
     """(3,) [m] corner of the mobile robot's box, in its own frame, on the floor."""
     upper: Array

@@ -234,8 +234,6 @@ class Trial(NamedTuple):
     """One run: a start, and with what it is done."""
 
     start: Start
-    """Where the path begins."""
     controller: str
-    """Name of the controller."""
     speed: float
     """[m/s] mean speed of the hand on its way."""

@@ -41,7 +41,6 @@ class Start(NamedTuple):
     """Where a path begins, or why it cannot."""
 
     approach: Approach
-    """The path."""
     q_m: tuple[float, ...] = ()
     """(n_m,) the arm's joints [rad or m], empty where there is no clear start."""
     p_ee: Point = (0.0, 0.0, 0.0)
