@@ -29,7 +29,6 @@ NonNegative = Annotated[float, AllowInfNan(False), Field(ge=0)]
 Vector3 = tuple[Finite, Finite, Finite]
 Array = np.ndarray
 
-
 MOST_SEEDS = 2**32 - 1  # [-] the largest seed that every generator takes
 
 _MOST_PROBLEMS = 8  # [-] of a file that are told; a longer line nobody reads

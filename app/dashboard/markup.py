@@ -11,7 +11,6 @@ ONE_LINE = "white-space:nowrap"
 BAD_COLOUR = "#e03131"
 _BANNERS = {"error": "#c92a2a", "notice": "#1971c2"}
 
-
 DEFECT = "A defect of the program; its log, where it was started, says which."
 """What a page shows of an exception that no user can cause."""
 

@@ -26,7 +26,6 @@ from app.strict import Array
 _DEGREES = float(np.degrees(1.0))
 FARTHEST = 5.0  # [m] of the base from the origin
 
-
 CLOSE = 0.002  # [m] from a place the hand counts as there
 
 

@@ -87,7 +87,6 @@ COMPARED = tuple(each for by_direction in GUIDING.values() for each in by_direct
 DOOR = Experiment.of("refrigerator", "dbb")
 DOOR_NONE = Experiment.of("refrigerator", "none")
 
-
 Runs = dict[Experiment, RunResult]
 
 

@@ -25,7 +25,6 @@ FORCE = "hand_force_clear_max_n"
 """Column of a row with the force that was exerted before two bodies were near."""
 _CONFIDENCE = 0.95  # [-] of the bound of a rate
 
-
 _drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name != "hand_f_max"}
 
 
