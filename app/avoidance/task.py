@@ -10,8 +10,7 @@ import numpy as np
 from app.avoidance.closest_points import ClosestPoints
 from app.config import RepulsionConfig
 from app.robot.state import RobotState
-
-Array = np.ndarray
+from app.strict import Array
 
 
 def activation(d: float, d_b: float, d_full: float) -> float:

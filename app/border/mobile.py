@@ -4,8 +4,6 @@ Boxes, spheres, capsules and cylinders are measured by a kernel, with the same a
 collision library, fifty times faster: so a border for another d_b is there at once.
 """
 
-from __future__ import annotations
-
 import math
 
 import coal
@@ -14,22 +12,18 @@ import pinocchio as pin
 
 from app.compiled import compiled
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 _BOX, _CAPSULE, _CYLINDER = range(3)
 _MAX_NEWTON = 30
 
 
 class ConvexPart:
-    """One convex shape of l_m, fixed in the base's frame.
-
-    Attributes:
-        lower, upper: (3,) [m] corners of a box around it, along the base's axes.
-    """
+    """One convex shape of l_m, fixed in the base's frame."""
 
     def __init__(self, geometry: coal.CollisionGeometry, placement: pin.SE3) -> None:
         self.lower, self.upper = bounds(geometry, placement)
+        """(3,) [m] corners of a box around it, along the base's axes."""
         self._placement, self._measures = placement, _measures(geometry)
         self._T_shape = coal.Transform3s(placement.rotation, placement.translation)
         self._T_point = coal.Transform3s()
@@ -102,12 +96,7 @@ class ConvexPart:
 
 
 class MobileBody:
-    """l_m: a union of convex parts.
-
-    Attributes:
-        parts: Its shapes.
-        lower, upper: (3,) [m] corners of a box around it, along the base's axes.
-    """
+    """l_m: a union of convex parts."""
 
     def __init__(self, model: RobotModel) -> None:
         name = model.description.mobile_body.name
@@ -116,6 +105,7 @@ class MobileBody:
         self.parts = [ConvexPart(o.geometry, o.placement) for o in objects]
         self.lower = np.min([part.lower for part in self.parts], axis=0)
         self.upper = np.max([part.upper for part in self.parts], axis=0)
+        """(3,) [m] corners of a box around it, along the base's axes."""
 
     def distance(self, points: Array) -> Array:
         """(N,) [m] signed distances of points (N, 3) [m] in the base's frame."""

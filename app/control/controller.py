@@ -1,7 +1,5 @@
 """Algorithm 2: state in, arm torques and base acceleration out. Knows no simulator, no screen."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -35,8 +33,7 @@ from app.control.tasks import (
 from app.errors import check_name
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState, checked, is_finite
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Stack(NamedTuple):
@@ -60,7 +57,6 @@ class Workings(NamedTuple):
     rows: tuple[TaskRows, ...]
     """Rows above the tasks: the method's against the base, then those between links."""
     stack: Stack
-    """The tasks."""
     limits: Limits
     """On q̈, the hard torques first, then joints, then barriers."""
     torque: tuple[Array, Array]
@@ -104,14 +100,6 @@ class Controller:
     asks for. The arm's torques are therefore solved with the acceleration that the base really has;
     the one asked for goes to the admittance law. What the base is asked besides T_sca's own rows is
     asked with gains that its rate can follow, else it and the arm would fight.
-
-    Attributes:
-        state: The robot's state at the last good measurement.
-        failures: Steps so far in which the arm got the safe command, for want of a good measurement
-            or a solution.
-        given_up: Steps so far in which the base's own part had no solution; it was braked.
-        q_posture: (n_m,) the posture that the arm is drawn to, that of the first good
-            measurement after `reset`.
     """
 
     def __init__(
@@ -125,18 +113,15 @@ class Controller:
     ) -> None:
         """Prepare the controller.
 
-        Args:
-            model: The robot.
-            data: Its link pairs and sampled clouds.
-            config: Parameters; `configure` changes them.
-            name: One of `CONTROLLERS`.
-            dt: [s] between two steps.
+        `name` is one of `CONTROLLERS`, `dt` [s] between two steps; `configure` changes the
+        parameters.
 
         Raises:
             UnknownNameError: No controller has that name.
         """
         self.use(name)
         self.state = RobotState(model)
+        """The robot's state at the last good measurement."""
         self._model = model
         self._base_limits = base_limits(model)
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
@@ -162,7 +147,10 @@ class Controller:
         self._observer.reset()
         self._avoidance.reset()
         self.q_posture: Array | None = None
+        """(n_m,) the posture that the arm is drawn to, that of the first good measurement."""
         self.failures = self.given_up = 0
+        """Steps so far in which the arm got the safe command, for want of a good measurement or a
+        solution, and in which the base's own part had no solution; it was braked."""
 
     @property
     def d_b(self) -> float:
@@ -187,11 +175,8 @@ class Controller:
 
         Paper: Algorithm 2.
 
-        Args:
-            measurement: The sensors' readings.
-            reference: Where the end-effector shall be, or None while it is guided by hand.
-            base_acceleration: (n_b,) [m/s² or rad/s²] that the base really has now; None means that
-                it does what is asked.
+        Without a reference the end-effector is guided by hand. `base_acceleration` (n_b,) [m/s² or
+        rad/s²] is what the base really has now; None means that it does what is asked.
 
         Returns:
             Torques of the arm and acceleration of the base; never without an answer. Where the

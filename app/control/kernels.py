@@ -1,14 +1,12 @@
 """Kernels of the control step: on matrices of ten rows LAPACK's calls cost more than the sums."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from app.compiled import compiled
+from app.strict import Array
 
-Array = np.ndarray
 _EPS = 1e-12  # of a bound, by which it may be missed
 
 

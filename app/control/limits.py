@@ -5,8 +5,6 @@ contradict each other. What others exert on the arm moves it too, so the latter 
 acceleration that the arm will have.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from functools import lru_cache
@@ -21,8 +19,7 @@ from app.control import kernels
 from app.control.qp import Limits
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class BarrierRow(NamedTuple):
@@ -149,9 +146,6 @@ class PushObserver:
     It is the generalised-momentum observer of De Luca et al. (2006) with M taken as constant
     within a step. Tasks never see r: a guided hand stays free. Barriers do, so that
     a distance is kept while a person pulls.
-
-    Attributes:
-        r: (n_m,) [N m or N] torques that others exert on the arm's joints.
     """
 
     def __init__(self, n_m: int) -> None:
@@ -161,6 +155,7 @@ class PushObserver:
     def reset(self) -> None:
         """Nobody touches the robot."""
         self.r = np.zeros(self._n_m)
+        """(n_m,) [N m or N] torques that others exert on the arm's joints."""
         self._qd: Array | None = None
 
     def pause(self) -> None:

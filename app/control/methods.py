@@ -1,7 +1,5 @@
 """The compared methods: what each of them puts above the stack of tasks, or among its limits."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -14,8 +12,7 @@ from app.config import Config, RepulsionConfig
 from app.control import CONTROLLERS
 from app.control.limits import BarrierRow, barrier_row
 from app.robot.state import RobotState
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Inserted(NamedTuple):

@@ -14,8 +14,7 @@ from proxsuite import proxqp
 
 from app.avoidance.task import TaskRows, generate_avoidance_task
 from app.control.kernels import compliances, holds, minimum, nearest_within, with_rows
-
-Array = np.ndarray
+from app.strict import Array
 
 _EPS = 1e-10  # by which limits may be missed
 _ENOUGH = 1e-6  # accuracy of ProxQP

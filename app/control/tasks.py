@@ -1,7 +1,5 @@
 """The stack below self-collision avoidance: what hand, posture and base do by themselves."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -12,8 +10,7 @@ from app.config import TaskConfig
 from app.control import kernels
 from app.control.qp import Objective
 from app.robot.state import RobotState
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Reference(NamedTuple):
