@@ -5,8 +5,6 @@ make the whole step twice to three times as fast. A kernel is a plain function o
 which does the same, slowly, with `NUMBA_DISABLE_JIT=1`.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from functools import lru_cache, partial

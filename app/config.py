@@ -6,6 +6,7 @@ in brackets at the start of a field's docstring.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Any, Literal
 
@@ -199,20 +200,25 @@ class Config(Strict):
     disturbance: DisturbanceConfig = DisturbanceConfig()
     """Noise"""
 
-    def replace(self, path: str, value: Any) -> Config:
-        """A copy with one parameter changed.
-
-        Args:
-            path: Section and name, as in `"border.d_b"`.
-            value: The new value, in the parameter's unit.
+    def changed(self, values: Mapping[str, Any]) -> Config:
+        """A copy with some parameters changed, by their paths, as in `border.d_b`.
 
         Raises:
             ConfigError: No such parameter, or a value out of its range.
         """
-        section, _, name = tunable(path).path.partition(".")
         data = self.model_dump()
-        data[section][name] = value
+        for path, value in values.items():
+            section, _, name = tunable(path).path.partition(".")
+            data[section][name] = value
         return make_config(data)
+
+    def replace(self, path: str, value: Any) -> Config:
+        """A copy with one parameter changed; raises what `changed` does."""
+        return self.changed({path: value})
+
+    def changes(self, since: Config) -> dict[str, float | str]:
+        """Its values of the parameters that another one has otherwise, by their paths."""
+        return {path: v for path in tunables() if (v := self.value(path)) != since.value(path)}
 
     def value(self, path: str) -> float | str:
         """The value of a parameter.
@@ -277,7 +283,8 @@ def sections() -> tuple[Section, ...]:
 
 
 @cache
-def _tunables() -> dict[str, Tunable]:
+def tunables() -> dict[str, Tunable]:
+    """All parameters by their paths, in their order."""
     return {each.path: each for section in sections() for each in section.tunables}
 
 
@@ -287,9 +294,9 @@ def tunable(path: str) -> Tunable:
     Raises:
         ConfigError: No such parameter.
     """
-    if path not in _tunables():
-        raise ConfigError(f"no parameter {path!r}{did_you_mean(path, _tunables())}")
-    return _tunables()[path]
+    if path not in tunables():
+        raise ConfigError(f"no parameter {path!r}{did_you_mean(path, tunables())}")
+    return tunables()[path]
 
 
 def parameter(path: str) -> Parameter:
@@ -307,7 +314,7 @@ def parameter(path: str) -> Parameter:
 def _range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
     if len(loc) == 1 and kind == "model_type":
         return "must be a section of parameters"
-    known = _tunables().get(".".join(map(str, loc)))
+    known = tunables().get(".".join(map(str, loc)))
     if known is None:
         return None
     return f"must be {'within ' if isinstance(known, Parameter) else ''}{known.allowed}"

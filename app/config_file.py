@@ -3,8 +3,6 @@
 A file may hold only some sections and parameters; what is not in it is at its default.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,10 +14,8 @@ from app.errors import ConfigError
 from app.parameters import Parameter, Tunable
 from app.strict import from_toml
 
-MOST_BYTES = 64 * 1024
-"""[-] of a file; with all parameters it has a tenth of that."""
-LONGEST_NAME = 60
-"""[-] characters."""
+MOST_BYTES = 64 * 1024  # [-] of a file; with all parameters it has a tenth of that
+LONGEST_NAME = 60  # [-] characters
 _NAME = "name"  # key of the file's own name, beside the sections
 
 

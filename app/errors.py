@@ -1,7 +1,5 @@
 """One tree of exceptions: whatever a user can cause is a `DbbError` and prints as one line."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -60,15 +58,12 @@ class ConfigError(DbbError):
 
 
 class UnreachableError(DbbError):
-    """No configuration of the arm brings the hand to the asked start.
-
-    Attributes:
-        flaws: How many tries failed by each reason.
-    """
+    """No configuration of the arm brings the hand to the asked start."""
 
     def __init__(self, message: str, flaws: Mapping[str, int] | None = None) -> None:
         super().__init__(message)
         self.flaws = dict(flaws or {})
+        """How many tries failed by each reason."""
 
 
 class MeasurementError(DbbError):

@@ -1,7 +1,5 @@
 """What a slider, a file or a help text needs to know of a parameter, read off its field."""
 
-from __future__ import annotations
-
 import re
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 

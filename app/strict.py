@@ -1,7 +1,5 @@
 """Validated, frozen records shared by descriptions and configuration."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -29,10 +27,9 @@ Finite = Annotated[float, AllowInfNan(False)]
 Positive = Annotated[float, AllowInfNan(False), Field(gt=0)]
 NonNegative = Annotated[float, AllowInfNan(False), Field(ge=0)]
 Vector3 = tuple[Finite, Finite, Finite]
+Array = np.ndarray
 
-
-MOST_SEEDS = 2**32 - 1
-"""[-] the largest seed that every generator takes."""
+MOST_SEEDS = 2**32 - 1  # [-] the largest seed that every generator takes
 
 _MOST_PROBLEMS = 8  # [-] of a file that are told; a longer line nobody reads
 

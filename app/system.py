@@ -4,8 +4,6 @@ Linux has all of it. macOS has no real-time policy for a user's process, no set 
 no `malloc_trim`; there the work is done without. Nothing here raises for want of a feature.
 """
 
-from __future__ import annotations
-
 import ctypes
 import fcntl
 import os

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from app.config import Config
-from app.dashboard.panels.share import Link, camera_text, changed_parameters, read_link
+from app.dashboard.panels.share import Link, camera_text, read_link
 from app.dashboard.viser_compat import close_server, open_server
 from app.errors import DbbError
 from app.simulation.case import Planned, RunCase
@@ -38,7 +38,7 @@ def test_a_scenario_has_the_links_parameters_alone_and_without_one_the_others_st
 
 def test_changed_parameters_make_the_configuration_again():
     config = Config().replace("border.d_b", 0.2).replace("border.kind", "points")
-    assert Link(parameters=changed_parameters(config)).configured(Config()) == config
+    assert Link(parameters=tuple(config.changes(Config()).items())).configured(Config()) == config
 
 
 def test_a_camera_comes_back_to_the_centimetre():

@@ -4,8 +4,6 @@ Inside a buffer the closest point of a pair moves continuously, also along a lin
 parallel to a face.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import product
@@ -21,8 +19,7 @@ from app.robot.link_pairs import ClosestPoints, Pair, PairDistances
 from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, Cylinder, Shape, Sphere
 from app.robot.state import RobotState
-
-Array = np.ndarray
+from app.strict import Array
 
 _ALONG = 7  # nodes of a capsule
 _SIGNS = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])  # 26 directions

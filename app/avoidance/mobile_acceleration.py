@@ -5,8 +5,6 @@ motion is planar, so nothing changes but the cost: one point is transformed inst
 thousand.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -17,8 +15,7 @@ from app.border.contours import NearestBorder
 from app.border.score import ScoreField, uphill
 from app.config import ForceConfig
 from app.robot.bases.kind import BaseForce, BaseKind
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class ActingPoint(NamedTuple):
@@ -58,11 +55,7 @@ def tangential_step(gradient: Array, t: Array, alpha: float) -> Array:
 
 
 class ActingPointFinder:
-    """Algorithm 3 for one pair of L_m, on its border as points or as a surface.
-
-    Attributes:
-        field: The pair's score.
-    """
+    """Algorithm 3 for one pair of L_m, on its border as points or as a surface."""
 
     def __init__(self, border: NearestBorder, field: ScoreField) -> None:
         self.field = field

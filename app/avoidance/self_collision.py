@@ -1,7 +1,5 @@
 """Lines 3 to 13 of Algorithm 2: from the robot's state to the rows of the avoidance task."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -30,9 +28,7 @@ from app.border.surface import BorderPoints, BorderSurface
 from app.config import Config
 from app.robot.link_pairs import LinkPairs
 from app.robot.state import RobotState
-
-Array = np.ndarray
-
+from app.strict import Array
 
 BORDERS = {"surface": BorderSurface, "points": BorderPoints}
 """Kinds of border, by the name in the configuration."""
@@ -73,8 +69,7 @@ class Avoidance(NamedTuple):
         return self.pairs[: self.n_mobile]
 
 
-BUFFER_RATE = 0.1
-"""[m/s] at which the buffer takes on another d_b."""
+BUFFER_RATE = 0.1  # [m/s] at which the buffer takes on another d_b
 
 
 class SelfCollisionAvoidance:
@@ -85,11 +80,8 @@ class SelfCollisionAvoidance:
     ) -> None:
         """Prepare distances and borders.
 
-        Args:
-            state: The robot's state, read at each `update`.
-            pairs: L_m and L_m^c.
-            clouds: P_i for each pair of L_m, by the pair's name.
-            config: Parameters; `configure` changes them.
+        The state is read at each `update`; `pairs` are L_m and L_m^c, `clouds` P_i of each pair of
+        L_m by its name. `configure` changes the parameters.
         """
         self._state = state
         self._pairs = pairs

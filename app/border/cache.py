@@ -5,8 +5,6 @@ kept. It is one `.npz` without pickles, written as a whole. Its key is a hash of
 content depends on, equal on all machines, and stands in its name and in its header.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -32,10 +30,9 @@ from app.robot.description import RobotDescription
 from app.robot.link_pairs import LinkPairs, Pair, find_link_pairs
 from app.robot.model import RobotModel
 from app.robot.shapes import ConvexMesh
-from app.strict import Finite, NonNegative, Strict
+from app.strict import Array, Finite, NonNegative, Strict
 from app.system import write_whole
 
-Array = np.ndarray
 Arrays = dict[str, Array]
 Read = TypeVar("Read")
 

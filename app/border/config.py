@@ -1,7 +1,5 @@
 """How what is made offline is sampled: the link pairs and the clouds P_i."""
 
-from __future__ import annotations
-
 from pydantic import Field
 
 from app.strict import Strict

@@ -6,23 +6,19 @@ blended vertex by vertex between two heights, and so is how far they lie outside
 shapes: where that is zero two rings cross. All of it moves continuously with the height.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from app.compiled import compiled
-
-Array = np.ndarray
+from app.strict import Array
 
 _SAME_CORNER = 0.01  # [m] between the two ends that meet in one corner, at most
 _CHORD = 1e-4  # [m] by which a gap's end, on a chord of the true curve, may seem nearer than it is
 _TOUCHING = 1e-9  # [m] nearer to a corner than that a way to it has no direction
 
-BLOCK = 24
-"""[-] edges that are looked at or left out together; the rings have a multiple of them."""
+BLOCK = 24  # [-] edges that are looked at or left out together; the rings have a multiple of them
 
 Best = tuple[float, complex, complex]
 """Distance [m] of the nearest point so far, the point, and the unit tangent there, as x + iy."""
@@ -67,11 +63,7 @@ class Table(NamedTuple):
 
 
 class Contours:
-    """Horizontal contours around a union of convex shapes, open where that is known of them.
-
-    Attributes:
-        table: Their rings.
-    """
+    """Horizontal contours around a union of convex shapes, open where that is known of them."""
 
     def __init__(self, table: Table) -> None:
         self.table = table

@@ -1,19 +1,14 @@
 """Algorithm 1: P_i, points of an arm's body around the mobile robot, and the border among them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
-Array = np.ndarray
+from app.strict import Array
 
-POINT_UNIT = 1e-4
-"""[m] resolution of the kept points."""
-DISTANCE_UNIT = 1e-5
-"""[m] resolution of the kept distances."""
-POINT_RANGE = 3.2
-"""[m] largest coordinate that can be kept."""
+POINT_UNIT = 1e-4  # [m] resolution of the kept points
+DISTANCE_UNIT = 1e-5  # [m] resolution of the kept distances
+POINT_RANGE = 3.2  # [m] largest coordinate that can be kept
 
 
 @dataclass(frozen=True)
@@ -69,8 +64,7 @@ def _frozen(array: Array) -> Array:
     return array
 
 
-SAME_HEIGHT = 0.005
-"""[m] how far from a height a point still counts as of that height."""
+SAME_HEIGHT = 0.005  # [m] how far from a height a point still counts as of that height
 
 
 @dataclass(frozen=True)

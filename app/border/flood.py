@@ -11,8 +11,7 @@ from app.border.dbb import POINT_RANGE, POINT_UNIT, quantise_points
 from app.errors import DescriptionError
 from app.robot.link_pairs import Pair, PairDistances
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 _BATCH = 2048
 _DAMPING = 0.03  # [m] of the pseudo-inverse; an arm's Jacobian is around 0.5 m
@@ -71,11 +70,7 @@ class PairReader:
 
 
 class Flood:
-    """Fills the open voxels of one pair, one point a voxel.
-
-    Attributes:
-        open: (voxels.count,) whether a voxel is still wanted.
-    """
+    """Fills the open voxels of one pair, one point a voxel."""
 
     def __init__(
         self,
@@ -91,6 +86,7 @@ class Flood:
         # A joint's share of a free step: full for a turn, small for a short slide.
         self._scale = np.minimum(model.q_upper - model.q_lower, 2 * np.pi) / (2 * np.pi)
         self.open = np.zeros(voxels.count, dtype=bool)
+        """(voxels.count,) whether a voxel is still wanted."""
         self._q = np.empty((0, model.n_m))
         self._seen = Witnesses(np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
 
@@ -197,10 +193,6 @@ class Voxels:
     """A grid over the box of all points up to `reach` from l_m and above the floor.
 
     Points are int16 in units of 0.1 mm, so that a point's voxel is exact and the same everywhere.
-
-    Attributes:
-        shape: (3,) number of voxels along x, y and z.
-        count: Number of voxels.
     """
 
     def __init__(
@@ -229,6 +221,7 @@ class Voxels:
         self._origin = np.floor(low / POINT_UNIT / self._size).astype(int) * self._size
         span = np.ceil(high / POINT_UNIT).astype(int) - self._origin
         self.shape = np.maximum(-(-span // self._size), 1)
+        """(3,) number of voxels along x, y and z."""
         self.count = int(self.shape.prod())
         self._sectors = sectors
 

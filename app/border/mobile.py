@@ -4,8 +4,6 @@ Boxes, spheres, capsules and cylinders are measured by a kernel, with the same a
 collision library, fifty times faster: so a border for another d_b is there at once.
 """
 
-from __future__ import annotations
-
 import math
 
 import coal
@@ -14,22 +12,18 @@ import pinocchio as pin
 
 from app.compiled import compiled
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 _BOX, _CAPSULE, _CYLINDER = range(3)
 _MAX_NEWTON = 30
 
 
 class ConvexPart:
-    """One convex shape of l_m, fixed in the base's frame.
-
-    Attributes:
-        lower, upper: (3,) [m] corners of a box around it, along the base's axes.
-    """
+    """One convex shape of l_m, fixed in the base's frame."""
 
     def __init__(self, geometry: coal.CollisionGeometry, placement: pin.SE3) -> None:
         self.lower, self.upper = bounds(geometry, placement)
+        """(3,) [m] corners of a box around it, along the base's axes."""
         self._placement, self._measures = placement, _measures(geometry)
         self._T_shape = coal.Transform3s(placement.rotation, placement.translation)
         self._T_point = coal.Transform3s()
@@ -45,8 +39,9 @@ class ConvexPart:
         return self._compute(self._T_shape, self._T_point, self._request, self._result)
 
     def distance_and_normal(self, point: Array) -> tuple[float, Array]:
-        """The same, and the unit vector (3,) from the shape to the point, until the next call."""
-        return self.distance(point), self._result.normal
+        """The same, and the unit vector (3,) from the shape to the point."""
+        found = self._distances_and_normals(point[None])[0]
+        return found.item(0), found[1:]
 
     def nearest(self, point: Array) -> Array:
         """(3,) [m] the point of the shape's surface nearest to a point (3,) [m]."""
@@ -96,17 +91,12 @@ class ConvexPart:
             return distances_and_normals(*self._measures, at.rotation, at.translation, points)
         found = np.empty((len(points), 4))
         for row, point in zip(found, points, strict=True):
-            row[0], row[1:] = self.distance_and_normal(point)
+            row[0], row[1:] = self.distance(point), self._result.normal
         return found
 
 
 class MobileBody:
-    """l_m: a union of convex parts.
-
-    Attributes:
-        parts: Its shapes.
-        lower, upper: (3,) [m] corners of a box around it, along the base's axes.
-    """
+    """l_m: a union of convex parts."""
 
     def __init__(self, model: RobotModel) -> None:
         name = model.description.mobile_body.name
@@ -115,6 +105,7 @@ class MobileBody:
         self.parts = [ConvexPart(o.geometry, o.placement) for o in objects]
         self.lower = np.min([part.lower for part in self.parts], axis=0)
         self.upper = np.max([part.upper for part in self.parts], axis=0)
+        """(3,) [m] corners of a box around it, along the base's axes."""
 
     def distance(self, points: Array) -> Array:
         """(N,) [m] signed distances of points (N, 3) [m] in the base's frame."""

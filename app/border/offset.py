@@ -13,8 +13,7 @@ import numpy as np
 from app.border.contours import BLOCK, Contours, Table
 from app.border.mobile import ConvexPart, MobileBody
 from app.robot.model import RobotModel, kept_per_model
-
-Array = np.ndarray
+from app.strict import Array
 
 RAYS = 360
 _STEP = 0.01  # [m] between heights, and along the arc above the top
@@ -33,19 +32,17 @@ class OffsetContours(Contours):
     Each shape has a stack of rings around it. The contours are what of the rings lies outside of
     the other shapes' offsets: one closed curve of a single shape, else maybe several islands, and
     holes.
-
-    Attributes:
-        d_b: [m] buffer distance.
-        rings: Of each shape that is not hidden in the others, the largest in plan first; none if
-            l_m has no offset above the floor.
     """
 
     def __init__(self, model: RobotModel, d_b: float) -> None:
         """Trace all contours for a buffer distance d_b [m]."""
         self.d_b = d_b
+        """[m] buffer distance."""
         traced = [(part, trace_rings(part, d_b)) for part in MobileBody(model).parts]
         traced = _outermost([each for each in traced if len(each[1].heights)], d_b)
         self.rings: tuple[Rings, ...] = tuple(rings for _, rings, _ in traced)
+        """Of each shape that is not hidden in the others, the largest in plan first; none if l_m
+        has no offset above the floor."""
         super().__init__(_table(self.rings, [shown for *_, shown in traced]))
 
 

@@ -20,8 +20,7 @@ from app.jobs.progress import progress_bar
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import Pair, sample_joints
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 _SEED_JOBS = 16  # a fixed number, so that the samples do not depend on the number of cores
 
@@ -169,11 +168,9 @@ class SectorJob(NamedTuple):
     """The flood of one sector."""
 
     pair: Pair
-    """The pair of L_m."""
     seed: np.random.SeedSequence
     """Of the sector's random numbers."""
     sector: int
-    """Its number."""
     sources: Array
     """(N, n_m) float32, poses to start from."""
     taken: Array

@@ -16,16 +16,13 @@ from app.compiled import compiled
 from app.errors import DescriptionError
 from app.robot.bases.kind import BaseKind
 from app.robot.model import RobotModel
+from app.strict import Array
 
 if TYPE_CHECKING:
     from app.border.reach.map import ReachMap
 
-Array = np.ndarray
-
-FLOOR = 0.05
-"""[-] share of C below which the reachability of (9) is bent to stay positive."""
-SHELL = 0.05
-"""[m] thickness of a shell."""
+FLOOR = 0.05  # [-] share of C below which the reachability of (9) is bent to stay positive
+SHELL = 0.05  # [m] thickness of a shell
 ROUNDING = 1e-6
 """[-] share of a shell's thickness below which a distance counts as its inner border."""
 _FEWEST = 20  # [-] values that a shell needs before its mean can be the peak

@@ -6,8 +6,6 @@ its nearest point on the surface move together, at a cost that does not depend o
 `BorderPoints` is the border as the paper has it: the sampled points alone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from itertools import compress
@@ -18,22 +16,15 @@ import numpy as np
 from app.border.contours import Contours, Foot
 from app.border.dbb import Border
 from app.border.offset import RAYS, OffsetContours, ray_from
+from app.strict import Array
 
-Array = np.ndarray
-
-_NEAR_HEIGHT = 0.015
-"""[m] points that far above and below tell where a contour is reached."""
-_NEAR_CONTOUR = 0.05
-"""[m] from a contour; over the top, points of other heights lie inside of it."""
-_LEAST_POINTS = 20
-"""[-] fewer tell nothing."""
-_LEAST_GAP = 40.0
-"""[rays] narrower gaps are chance."""
-_MARGIN = 10.0
-"""[rays] by which a gap is kept narrower on either side: samples are not everywhere."""
+_NEAR_HEIGHT = 0.015  # [m] points that far above and below tell where a contour is reached
+_NEAR_CONTOUR = 0.05  # [m] from a contour; over the top, points of other heights lie inside of it
+_LEAST_POINTS = 20  # [-] fewer tell nothing
+_LEAST_GAP = 40.0  # [rays] narrower gaps are chance
+_MARGIN = 10.0  # [rays] by which a gap is kept narrower on either side: samples are not everywhere
 _INSIDE = 20.0  # [rays] beyond that far from a gap it does not matter how far
-STEEPEST_GAP = 1500.0
-"""[rays/m] by which either end of a gap may move from height to height."""
+STEEPEST_GAP = 1500.0  # [rays/m] by which either end of a gap may move from height to height
 
 
 class BorderSurface(Contours):

@@ -1,7 +1,5 @@
 """Entry point: subcommands, and errors as one clear line with a status that is not zero."""
 
-from __future__ import annotations
-
 import ast
 import atexit
 import errno

@@ -1,7 +1,5 @@
 """`dbb reproduce`, `sweep` and `study`: many runs, of the paper, from everywhere, or at random."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

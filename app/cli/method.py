@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from app.cli import options
 from app.cli.common import load_model, load_robot_and_border, print_json, print_result, say
 from app.cli.records import Given
-from app.config import sections
+from app.config import tunables
 from app.config_file import save_config
 from app.errors import ConfigError, OutputError, check_name
 from app.strict import check_range
@@ -235,8 +235,7 @@ def config(
         hidden = {"path", "label", "advanced", "log"}
         rows = [
             {"path": each.path, "value": tuned.value(each.path), **each.model_dump(exclude=hidden)}
-            for section in sections()
-            for each in section.tunables
+            for each in tunables().values()
         ]
         print_json({"parameters": rows})
     elif out is None:

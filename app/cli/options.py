@@ -1,7 +1,5 @@
 """Options that several commands have, and checks that name the option."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -127,8 +125,7 @@ def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS)
             check_range(option, value, about.low, about.high, about.unit.removeprefix("-"))
         else:
             check_name(name, value, about.choices)
-        config = config.replace(paths[name], value)
-    return config
+    return config.changed({paths[name]: value for name, value in given.items()})
 
 
 def check_seed(seed: int) -> None:

@@ -1,7 +1,5 @@
 """Options made from records: each field is an option, its docstring the help, its default shown."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 from collections.abc import Collection, Iterator, Mapping

@@ -1,7 +1,5 @@
 """Which of the robot's limits a control step met, by names that a person understands."""
 
-from __future__ import annotations
-
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -13,8 +11,8 @@ from app.control.limits import position_bounds, velocity_bounds
 from app.control.qp import Limits
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
+from app.strict import Array
 
-Array = np.ndarray
 BoundKind = Literal[
     "torque",
     "position",

@@ -1,15 +1,12 @@
 """The base's velocity command: an admittance law at the base's own slow rate (§4.1)."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
 
 from app.config import AdmittanceConfig
 from app.robot.bases.kind import BaseKind
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class AdmittanceLaw:
@@ -18,9 +15,6 @@ class AdmittanceLaw:
     The input is the desired acceleration times the virtual mass, not the base's part of u, which is
     not zero at q̈_b = 0 and would let the base drift. It is averaged over a command's period, so
     that nothing that the 1 kHz controller asks is lost between two commands.
-
-    Attributes:
-        command: (n_b,) [m/s or rad/s] along the base's axes, as last sent.
     """
 
     def __init__(self, base: BaseKind, config: AdmittanceConfig) -> None:
@@ -32,6 +26,7 @@ class AdmittanceLaw:
     def reset(self) -> None:
         """Command rest and forget what was asked."""
         self.command = np.zeros(self._base.n_b)
+        """(n_b,) [m/s or rad/s] along the base's axes, as last sent."""
         self._sum = np.zeros(self._base.n_b)
         self._time = 0.0
 

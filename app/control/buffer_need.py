@@ -29,8 +29,6 @@ of ω at the flank is never below 0.25 m: near the wheel axis the tangential par
 drives the base along its own flank, until there is a lever.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -40,8 +38,7 @@ import numpy as np
 from app.compiled import compiled
 from app.config import AdmittanceConfig, Config
 from app.robot.bases.kind import BaseKind, Channel
-
-Array = np.ndarray
+from app.strict import Array
 
 RESERVE = 0.02  # [m] that shall be left between arm and base
 _LEVER = 0.25  # [m] that ω has at least at the flank

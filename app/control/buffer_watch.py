@@ -1,7 +1,5 @@
 """Watches how fast the arm comes towards the base, and whether d_b is enough for that."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -46,13 +44,11 @@ class BufferWatch:
     counts while the distance shrinks, once it is as near as the border that it needs, or inside of
     the present one: a hand that is still farther away may yet slow down. From above it is the arm
     that resists, and no d_b helps the base: there nothing counts.
-
-    Attributes:
-        config: Parameters; may be replaced at any time.
     """
 
     def __init__(self, config: Config) -> None:
         self.config = config
+        """Parameters; may be replaced at any time."""
         self.reset()
 
     def reset(self) -> None:

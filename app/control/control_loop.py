@@ -1,10 +1,6 @@
 """All of the control at 1 kHz in one object: what a robot's own loop and the simulation call."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
-
-import numpy as np
 
 from app.border.cache import BorderData, load_border_data
 from app.config import Config
@@ -14,8 +10,7 @@ from app.control.drive import Drive
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, checked
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Command(NamedTuple):
@@ -31,12 +26,7 @@ class Command(NamedTuple):
 
 
 class ControlLoop:
-    """The controller with the base's admittance law, for one's own loop at 1/dt.
-
-    Attributes:
-        controller: Algorithm 2.
-        admittance: Makes velocity commands of the accelerations that the base is asked for.
-    """
+    """The controller with the base's admittance law, for one's own loop at 1/dt."""
 
     def __init__(
         self,
@@ -64,7 +54,9 @@ class ControlLoop:
         self._dt = dt
         data = data or load_border_data(model)
         self.controller = Controller(model, data, config, name=name, dt=dt)
+        """Algorithm 2."""
         self.admittance = AdmittanceLaw(base, config.admittance)
+        """Makes velocity commands of the accelerations that the base is asked for."""
         self._drive = Drive(base, dt)
 
     def reset(self) -> None:

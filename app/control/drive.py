@@ -4,15 +4,12 @@ The same model stands in every plant and in the controller, which may assume no 
 than `expected_acceleration` says.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
 
 from app.robot.bases.kind import BaseKind
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Drive:
@@ -20,10 +17,6 @@ class Drive:
 
     A differential one has a first-order response to the commanded (v, ω), with limits of velocity
     and acceleration.
-
-    Attributes:
-        velocity: [m/s or rad/s] the n_b velocities that the base is set to now, along its axes.
-        state: (n_d,) what the drive has besides, such as a steering angle [rad].
     """
 
     def __init__(self, base: BaseKind, dt: float) -> None:
@@ -35,7 +28,9 @@ class Drive:
     def reset(self) -> None:
         """Stand still."""
         self.velocity = [0.0] * self._base.n_b
+        """[m/s or rad/s] the n_b velocities that the base is set to now, along its axes."""
         self.state = self._at_rest
+        """(n_d,) what the drive has besides, such as a steering angle [rad]."""
 
     def step(self, v_cmd: Sequence[float] | Array) -> list[float]:
         """(n_b,) the velocity after one period of a command (n_b,), clamped to the limits."""

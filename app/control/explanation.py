@@ -3,8 +3,6 @@
 Vectors are in the base's frame: "forward" and "left" mean the same wherever it stands.
 """
 
-from __future__ import annotations
-
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -16,8 +14,8 @@ from app.control.active_bounds import Bound, active_bounds, admittance_bounds
 from app.control.controller import Controller, ControlOutput, Workings
 from app.control.qp import Objective
 from app.robot.bases.kind import Axis, BaseKind
+from app.strict import Array
 
-Array = np.ndarray
 Planar = tuple[float, float]
 ByAxis = tuple[float, ...]
 """[m/s² or rad/s²] along the base's axes."""
@@ -91,7 +89,6 @@ class Explanation(NamedTuple):
     """One control step, explained."""
 
     controller: str
-    """Name of the controller that acted."""
     mode: Controlled
     """Whether the arm is led by hand or follows a reference."""
     solved: bool

@@ -14,8 +14,7 @@ from proxsuite import proxqp
 
 from app.avoidance.task import TaskRows, generate_avoidance_task
 from app.control.kernels import compliances, holds, minimum, nearest_within, with_rows
-
-Array = np.ndarray
+from app.strict import Array
 
 _EPS = 1e-10  # by which limits may be missed
 _ENOUGH = 1e-6  # accuracy of ProxQP
@@ -108,10 +107,10 @@ class TaskQP:
             NoSolutionError: The data are not finite, or the hard limits contradict each other.
         """
         x, L = minimum(*objective)
-        if not np.isfinite(x).all():
-            raise NoSolutionError("the tasks are not finite")
         if holds(*limits[:3], x, _EPS):
             return x
+        if not np.isfinite(x).all():
+            raise NoSolutionError("the tasks are not finite")
         qdd, found = nearest_within(x, L, *limits)
         return qdd if found and np.isfinite(qdd).all() else _by_proxqp(x, L, limits)
 

@@ -1,10 +1,8 @@
 """Drag: a viewer pulls the end-effector by a gizmo, or any link of the arm by itself."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from time import monotonic
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -12,40 +10,29 @@ import viser
 
 from app.dashboard.notifications import Notifier
 from app.dashboard.scene.scene import RobotScene
-from app.simulation.loop.commands import Command, Pull, Release
+from app.simulation.loop.commands import Pull, Release
+from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
-
-Array = np.ndarray
+from app.strict import Array
 
 GIZMO = "/hand"
 """Scene node of the gizmo."""
 SCALE = 0.26  # [m] length of the gizmo's arrows
 
 
-class Sink(Protocol):
-    """Where commands go."""
-
-    def send(self, command: Command) -> None:
-        """Take a command."""
-        ...
-
-
 class Hold(NamedTuple):
-    """Where a person holds the robot.
-
-    Attributes:
-        link: Name of the joint that moves the link; None for the end-effector.
-        point: (3,) [m] in that joint's frame; None for the end-effector.
-    """
+    """Where a person holds the robot."""
 
     link: str | None = None
+    """Name of the joint that moves the link; None for the end-effector."""
     point: tuple[float, float, float] | None = None
+    """(3,) [m] in that joint's frame; None for the end-effector."""
 
 
 class Grip:
     """What one viewer holds. Several may pull at once: their forces add."""
 
-    def __init__(self, sink: Sink, notifier: Notifier, who: int) -> None:
+    def __init__(self, sink: LoopHandle, notifier: Notifier, who: int) -> None:
         """Nothing held by the viewer of number `who`; pulls go to `sink`."""
         self._sink, self._notifier, self._who = sink, notifier, who
         self._hold: Hold | None = None

@@ -114,15 +114,12 @@ _VERSION = f"viser-v{__version__}"
 
 
 class RefusedError(ValueError):
-    """A message that viser must not see, and why, in words that follow "Refused: ".
-
-    Attributes:
-        message: It, if it has at least its own types: to tell its sender what holds instead.
-    """
+    """A message that viser must not see, and why, in words that follow "Refused: "."""
 
     def __init__(self, why: str, message: Any = None) -> None:
         super().__init__(why)
         self.message = message
+        """It, if it has at least its own types: to tell its sender what holds instead."""
 
 
 class GarbageError(RefusedError):
@@ -130,26 +127,21 @@ class GarbageError(RefusedError):
 
 
 class Gate:
-    """What stands between a server of viser and whoever connects to it.
-
-    Attributes:
-        widget: Finds the widget of a page, by the page's connection and the widget's name.
-        on_refused: Is called with the connection and the reason when a message was refused.
-    """
+    """What stands between a server of viser and whoever connects to it."""
 
     def __init__(self, own_name: str, largest_upload: int, read_link: ReadLink) -> None:
         """Prepare.
 
-        Args:
-            own_name: The name that the server is told to listen at.
-            largest_upload: [bytes] of one file; 0 if there is nothing to upload.
-            read_link: Checks what follows the question mark of its page's address.
+        `own_name` is the name that the server is told to listen at, `largest_upload` [bytes] of one
+        file, 0 if there is nothing to upload.
         """
         self._own_name, self._largest_upload = own_name, largest_upload
         self._read_link = read_link
         self._viewers = 0
         self.widget: Callable[[Any, str], Any] = lambda connection, uuid: None
+        """Finds the widget of a page, by the page's connection and the widget's name."""
         self.on_refused: Callable[[Any, RefusedError], None] = lambda connection, refused: None
+        """Is called with the connection and the reason when a message was refused."""
 
     @contextmanager
     def closed(self) -> Iterator[None]:
@@ -402,10 +394,7 @@ class Uploads:
 def checked(data: object, uploads: Uploads, widget: Callable[[str], Any]) -> bytes:
     """The bytes of a message that viser may see.
 
-    Args:
-        data: As it came.
-        uploads: Of the same viewer.
-        widget: Finds a widget of the page by its name; None if there is none.
+    Uploads are those of the same viewer; `widget` finds a widget of the page by its name, or None.
 
     Raises:
         GarbageError: It is none that a page sends, or of other types.

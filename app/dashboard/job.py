@@ -40,8 +40,7 @@ if TYPE_CHECKING:
 
 logger = logging.getLogger(__name__)
 _CORES = max(1, (os.cpu_count() or 1) - 1)  # of a job: one core is the simulation's
-FILM_RATE = 25.0
-"""[1/s] pictures of a film."""
+FILM_RATE = 25.0  # [1/s] pictures of a film
 _PATIENCE = 10.0  # [s] for a thread to end
 FIGURES = (
     "min_clearance_m",
@@ -80,16 +79,13 @@ class Job:
     """At most one piece of work at a time.
 
     Any thread may call any of the methods.
-
-    Attributes:
-        progress: Of the work under way, or None.
-        problem: Why the last work failed, or an empty string.
     """
 
     def __init__(self) -> None:
-        """Nothing under way."""
         self.progress: Progress | None = None
+        """Of the work under way, or None."""
         self.problem = ""
+        """Why the last work failed, or an empty string."""
         self._cancelled = threading.Event()
         self._thread: threading.Thread | None = None
         self._lock = threading.Lock()
@@ -165,40 +161,33 @@ class Job:
 
 
 class Tried(NamedTuple):
-    """What a controller made of the pulls of a challenge.
-
-    Attributes:
-        least: [m] the least distance of all pairs, at any control step.
-        met: Whether parts of the robot met, or were inside of one another.
-        pull: [N] the hardest pull of one person.
-        speed: [m/s] of the fastest hand.
-        figures: Those of `FIGURES`.
-    """
+    """What a controller made of the pulls of a challenge."""
 
     controller: str
     least: float
+    """[m] the least distance of all pairs, at any control step."""
     met: bool
+    """Whether parts of the robot met, or were inside of one another."""
     pull: float
+    """[N] the hardest pull of one person."""
     speed: float
+    """[m/s] of the fastest hand."""
     figures: dict[str, float]
+    """Those of `FIGURES`."""
 
 
 class Challenge(Job):
-    """The last challenge of all viewers: their pulls, played again step by step by each controller.
-
-    Attributes:
-        case: What was pulled, once it has ended; with its figures once it was played again.
-        tried: What controllers made of it so far, the one that was challenged first: at once as it
-            was seen, then as it was at each step.
-        shares: How far each of those is, or was, that play it again, 0 to 1.
-    """
+    """The last challenge of all viewers: their pulls, played again step by step by each one."""
 
     def __init__(self) -> None:
-        """Nobody has tried yet."""
         super().__init__()
         self.case: RunCase | None = None
+        """What was pulled, once it has ended; with its figures once it was played again."""
         self.tried: tuple[Tried, ...] = ()
+        """What controllers made of it so far, the one that was challenged first: at once as it was
+        seen, then as it was at each step."""
         self.shares: dict[str, float] = {}
+        """How far each of those is, or was, that play it again, 0 to 1."""
         self._taken: RunCase | None = None
 
     def take(self, case: RunCase | None, course: Course) -> None:

@@ -1,7 +1,5 @@
 """HTML of panels: text, tables and banners of one look."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from html import escape
 
@@ -12,7 +10,6 @@ FAINT = "opacity:.65"
 ONE_LINE = "white-space:nowrap"
 BAD_COLOUR = "#e03131"
 _BANNERS = {"error": "#c92a2a", "notice": "#1971c2"}
-
 
 DEFECT = "A defect of the program; its log, where it was started, says which."
 """What a page shows of an exception that no user can cause."""

@@ -1,7 +1,5 @@
 """Notifications to viewers, and callbacks whose exceptions become notifications."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Coroutine
 from typing import Any

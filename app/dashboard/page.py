@@ -185,7 +185,7 @@ class Page:
 
     def fail(self, title: str, error: BaseException) -> None:
         """Show, for good, that the simulation or the drawing has ended."""
-        _show(self._banner, _failure_html(title, error))
+        _show(self._banner, banner("error", title, plain(error)))
 
     def with_robot(self, shared: SharedState) -> Page:
         """The page of the same viewer with another robot, in place of this one."""
@@ -196,10 +196,6 @@ class Page:
             self._client.scene.reset()
             self._client.gui.reset()
             return Page(self._client, shared, self._notifier, self.viewer.page_picture, self)
-
-    def browser_is_silent(self) -> None:
-        """The viewer's browser may sleep: it lets go, unless it has pulled just now."""
-        self.grip.release_if_still(PATIENCE, self._client)
 
     def close(self) -> None:
         """Let go of what the viewer held; nothing is drawn any more."""
@@ -330,7 +326,6 @@ class Demonstration:
     """
 
     def __init__(self) -> None:
-        """Nothing is played."""
         self._due: float | None = None
         self._plays = False
 
@@ -376,8 +371,4 @@ def _show(handle: viser.GuiHtmlHandle, html: str) -> None:
 
 def show_failure(gui: viser.GuiApi, title: str, error: BaseException) -> None:
     """Show the same on a page that is not drawn any more."""
-    gui.add_html(_failure_html(title, error))
-
-
-def _failure_html(title: str, error: BaseException) -> str:
-    return banner("error", title, plain(error))
+    gui.add_html(banner("error", title, plain(error)))

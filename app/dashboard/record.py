@@ -1,7 +1,5 @@
 """What pages keep of the past: curves, ways of base and hand, and what happened when."""
 
-from __future__ import annotations
-
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
@@ -9,22 +7,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.config import Config, sections
+from app.config import tunable
 from app.dashboard.panels import phrases as words
 from app.dashboard.verdict import judge
 from app.simulation.case import RunCase
 from app.simulation.trace.snapshot import Snapshot
+from app.strict import Array
 
-Array = np.ndarray
-
-KEPT = 600.0
-"""[s] how far back a viewer can look."""
-PERIOD = 0.04
-"""[s] least time between two rows of them."""
+KEPT = 600.0  # [s] how far back a viewer can look
+PERIOD = 0.04  # [s] least time between two rows of them
 SPACING = 0.01  # [m] between two points of a track
 _LONGEST = 1500  # points of a track
-BIN = 0.1
-"""[s] of which the time line keeps the least distance and the largest activation."""
+BIN = 0.1  # [s] of which the time line keeps the least distance and the largest activation
 _QUIET = 1.0  # [s] after which the same happening is another event
 _MOST_EVENTS = 400
 
@@ -40,10 +34,8 @@ class Rows:
     ) -> None:
         """An empty table.
 
-        Args:
-            values: A row, after its time.
-            longest: Rows that are kept.
-            is_due: Whether the second of two rows is taken in after the first.
+        A row is a time and its values; so many of the newest are kept. `is_due` says of two rows
+        whether the second one is taken in after the first.
         """
         self._values, self._is_due, self._longest = values, is_due, longest
         self.begin()
@@ -90,9 +82,7 @@ class Record(Rows):
     def columns(self, until: float, length: float) -> Array:
         """(1 + C, N) times [s] and values of a stretch of time, N ≥ 1.
 
-        Args:
-            until: [s] its end.
-            length: [s] of it.
+        It ends at a time [s], and has a length [s].
         """
         if not self._rows:
             return np.zeros((self._width, 1))
@@ -265,7 +255,10 @@ def happenings(
         found.append(("scenario", "", said))
     if now.controller != before.controller:
         found.append(("parameter", "controller", f"controller: {now.controller}"))
-    found += [("parameter", path, text) for path, text in changes(before.config, now.config)]
+    if before.config is not now.config:
+        for path, value in now.config.changes(before.config).items():
+            text = value if isinstance(value, str) else f"{value:.4g}"
+            found.append(("parameter", path, f"{tunable(path).title}: {text}"))
     held, holds = ({pull.who for pull in s.pulls if pull.who >= 0} for s in (before, now))
     if held != holds:
         text = "takes hold" if holds - held else "lets go"
@@ -283,15 +276,3 @@ def happenings(
     if (touching := judge(now, spoken).touching) and not judge(before).touching:
         found.append(("contact", "", touching))
     return found
-
-
-def changes(before: Config, now: Config) -> list[tuple[str, str]]:
-    """Path and new value, with its label and unit, of each parameter that differs."""
-    if before is now or before == now:
-        return []
-    return [
-        (each.path, f"{each.title}: {value if isinstance(value, str) else f'{value:.4g}'}")
-        for section in sections()
-        for each in section.tunables
-        if (value := now.value(each.path)) != before.value(each.path)
-    ]

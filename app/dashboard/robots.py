@@ -32,21 +32,18 @@ _NEEDED = resolved_urdf if default_plant() == "planar" else bare_urdf
 
 
 class RobotEntry(NamedTuple):
-    """A described robot.
-
-    Attributes:
-        about: Base and arm in a few words.
-        problem: Why it cannot be shown, with the command that helps where there is one; or None.
-        own: Whether it is one of the user's.
-        report: Whether there is a report on how it was made.
-    """
+    """A described robot."""
 
     name: str
     title: str
     about: str
+    """Base and arm in a few words."""
     problem: str | None
+    """Why it cannot be shown, with the command that helps where there is one; or None."""
     own: bool
+    """Whether it is one of the user's."""
     report: bool
+    """Whether there is a report on how it was made."""
 
     @property
     def label(self) -> str:
@@ -86,20 +83,17 @@ StartLoop = Callable[[RobotModel, BorderData, Config, str], OwnLoop]
 
 
 class RunningRobot(NamedTuple):
-    """A robot that runs and can be drawn.
-
-    Attributes:
-        clouds: P_i of every pair of L_m, by the pair's name.
-        config: The parameters that it runs with.
-        note: What the viewers should know, or an empty string.
-    """
+    """A robot that runs and can be drawn."""
 
     loop: OwnLoop
     model: RobotModel
     clouds: Mapping[str, Cloud]
+    """P_i of every pair of L_m, by the pair's name."""
     parts: RobotParts
     config: Config
+    """The parameters that it runs with."""
     note: str
+    """What the viewers should know, or an empty string."""
 
 
 class RobotSwitch(Job):
@@ -226,18 +220,14 @@ class RobotSwitch(Job):
 
 
 class RobotCheck(Job):
-    """At most one check of a robot at a time, and the rows of the last one.
-
-    Attributes:
-        name: The robot that was checked last.
-        rows: As `dbb check-robot` prints them.
-    """
+    """At most one check of a robot at a time, and the rows of the last one."""
 
     def __init__(self) -> None:
-        """Nothing checked yet."""
         super().__init__()
         self.name = ""
+        """The robot that was checked last."""
         self.rows: list[Row] = []
+        """As `dbb check-robot` prints them."""
 
     def begin(self, name: str) -> None:
         """Check a robot, as it is saved, in a process of its own.
@@ -254,30 +244,24 @@ class RobotCheck(Job):
 
 
 class Package(NamedTuple):
-    """A zip that was uploaded and looked into.
-
-    Attributes:
-        archive: Where it is kept until it has become a robot or another one comes.
-        urdfs: Its URDFs, by their path in it.
-    """
+    """A zip that was uploaded and looked into."""
 
     archive: Path
+    """Where it is kept until it has become a robot or another one comes."""
     urdfs: Mapping[str, Contents]
+    """Its URDFs, by their path in it."""
 
 
 class RobotBuild(Job):
-    """At most one zip, and one robot that is being built of it.
-
-    Attributes:
-        package: The last upload that can be used, or None.
-        built: Name of the robot that was built last, or an empty string.
-    """
+    """At most one zip, and one robot that is being built of it."""
 
     def __init__(self, switch: RobotSwitch) -> None:
         """Nothing uploaded yet; `switch` searches again when there is another robot."""
         super().__init__()
         self.package: Package | None = None
+        """The last upload that can be used, or None."""
         self.built = ""
+        """Name of the robot that was built last, or an empty string."""
         self._switch = switch
         self._folder: tempfile.TemporaryDirectory[str] | None = None
 

@@ -1,7 +1,5 @@
 """Dashboard server: binds the address, runs the one drawing thread, and ends cleanly."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import socket
@@ -15,7 +13,7 @@ import viser
 from app.border.dbb import Cloud
 from app.dashboard.export.screenshot import page_picture
 from app.dashboard.notifications import Notifier
-from app.dashboard.page import Demonstration, Page, show_failure
+from app.dashboard.page import PATIENCE, Demonstration, Page, show_failure
 from app.dashboard.panels.save import SWEEPS
 from app.dashboard.panels.share import read_link
 from app.dashboard.robots import RobotSwitch, RunningRobot, StartLoop
@@ -40,23 +38,18 @@ LARGEST_SHARE = 0.5  # [-] of the time that drawing may take
 
 
 class DashboardServer:
-    """Pages that show a loop and send it commands, one for each viewer, by the viewer's number.
-
-    Attributes:
-        pictures: How often all pages have been drawn.
-        error: Why the drawing thread ended, if it did.
-        watchdog: Looks after the viewers' connections.
-    """
+    """Pages that show a loop and send it commands, one for each viewer, by the viewer's number."""
 
     def __init__(self, viser_server: viser.ViserServer, shared: SharedState) -> None:
-        """Begin to draw."""
         self.viser, self.shared = viser_server, shared
         host = viser_server.get_host()
         host = f"[{host}]" if ":" in host else host  # IPv6
         self.address = f"http://{host}:{viser_server.get_port()}"
         self.pages: dict[int, Page] = {}
         self.pictures = 0
+        """How often all pages have been drawn."""
         self.error: BaseException | None = None
+        """Why the drawing thread ended, if it did."""
         self._notifier = Notifier(viser_server)
         self._demonstration = Demonstration()
         self._failure: tuple[str, BaseException] | None = None
@@ -108,9 +101,10 @@ class DashboardServer:
         return clients[first[0]] if first else None
 
     def _silent(self, number: int) -> None:
+        """A viewer's browser may sleep: it lets go, unless it has pulled just now."""
         page = self.pages.get(number)
         if page is not None:
-            page.browser_is_silent()
+            page.grip.release_if_still(PATIENCE, page.viewer.client)
 
     def _draw_until_stopped(self) -> None:
         try:

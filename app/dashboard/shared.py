@@ -10,7 +10,6 @@ from pathlib import Path
 
 from app.border.dbb import Cloud
 from app.config import Config, tunable
-from app.dashboard.drag import Sink
 from app.dashboard.job import Challenge, Job
 from app.dashboard.panels.explorer import Explorer
 from app.dashboard.panels.plots import plot_plans
@@ -24,10 +23,8 @@ from app.simulation.loop.commands import Configure, Watch
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.scenarios.leading import Scenario
 
-BURST = 0.7
-"""[s] moves of one slider that follow each other faster are one step."""
-MOST_STEPS = 200
-"""[-] that can be undone; each is a small record."""
+BURST = 0.7  # [s] moves of one slider that follow each other faster are one step
+MOST_STEPS = 200  # [-] that can be undone; each is a small record
 
 
 class Tuning:
@@ -37,7 +34,7 @@ class Tuning:
     """
 
     def __init__(
-        self, sink: Sink, config: Config, *, clock: Callable[[], float] = time.monotonic
+        self, sink: LoopHandle, config: Config, *, clock: Callable[[], float] = time.monotonic
     ) -> None:
         """Begin without a history; `config` holds already where changes go, to `sink`."""
         self._sink, self._clock = sink, clock
@@ -88,10 +85,8 @@ class Tuning:
     def reset(self, paths: Iterable[str] | None = None) -> None:
         """Set parameters, by default all, to their defaults, in one step."""
         with self._lock:
-            config = Config() if paths is None else self.config
-            for path in paths or ():
-                config = config.replace(path, tunable(path).default)
-            self.load(config)
+            defaults = {path: tunable(path).default for path in paths or ()}
+            self.load(Config() if paths is None else self.config.changed(defaults))
 
     def undo(self) -> None:
         """Take the last step back.
@@ -109,7 +104,7 @@ class Tuning:
         """
         self._go(1, "nothing to do again")
 
-    def move_to(self, sink: Sink, config: Config) -> None:
+    def move_to(self, sink: LoopHandle, config: Config) -> None:
         """Go on with another simulation, which has a configuration already.
 
         If that is another than here, it is one step.

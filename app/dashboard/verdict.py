@@ -1,7 +1,5 @@
 """The verdict on an instant: of it are the colours of sentence, rows, bars, lines and labels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Literal, NamedTuple
 
@@ -23,17 +21,14 @@ _NO_BASE_HELPS = 0.9  # [-] n_z² from which on hardly any motion of the base he
 
 
 class Verdict(NamedTuple):
-    """How the robot stands.
-
-    Attributes:
-        state: The worst of what there is.
-        pairs: The state of each link pair, in the order of the snapshot.
-        touching: What touches, or how deep which pair is inside the other; empty without contact.
-    """
+    """How the robot stands."""
 
     state: State
+    """The worst of what there is."""
     pairs: tuple[State, ...]
+    """The state of each link pair, in the order of the snapshot."""
     touching: str
+    """What touches, or how deep which pair is inside the other; empty without contact."""
 
     @property
     def colour(self) -> Rgb:

@@ -3,8 +3,6 @@
 A queue of messages loses no wake-up here. `tests/test_gate.py` fails if a private name changes.
 """
 
-from __future__ import annotations
-
 import asyncio
 import contextlib
 import io
@@ -86,11 +84,8 @@ def open_server(
 ) -> viser.ViserServer:
     """A server that listens.
 
-    Args:
-        host: Address to listen at, which can be bound: viser waits for ever at one that cannot.
-        port: Port to listen at; 0 takes a free one, and so does viser if it is taken.
-        largest_upload: [bytes] of one file; 0 if there is nothing to upload.
-        read_link: Checks what follows the question mark of its page's address.
+    viser waits for ever at a host that cannot be bound, and takes another port for one that is
+    taken; 0 takes a free one. Files of `largest_upload` [bytes] can be uploaded, none if it is 0.
 
     Raises:
         ServerError: viser starts in a way that is not known.
@@ -169,18 +164,15 @@ class Channel:
 
     viser has no widget that spans the page, reads a number as a person typed it, or says whether
     anybody sees it; the page's own scripts have. They call functions by words, and are called.
-
-    Attributes:
-        seen: What the page has said of itself: the names of the `sight`s that a person sees,
-            "narrow" if it is a narrow one, "untouched" until a person presses or turns anything.
     """
 
     def __init__(self, client: viser.ClientHandle, notifier: Notifier) -> None:
-        """Nothing is said yet."""
         self._client, self._acts = client, dict[str, Callable[..., None]]()
         self._box = client.gui.add_text("", "", visible=False)
         self._box.on_update(notifier.guard(self._hear))
         self.seen: frozenset[str] = frozenset()
+        """What the page has said of itself: the names of the `sight`s that a person sees, "narrow"
+        if it is a narrow one, "untouched" until a person presses or turns anything."""
         self.on("seen", lambda names: setattr(self, "seen", frozenset(str(names).split())))
         self.on("refused", lambda text: notifier.warn(client, str(text)[:300]))
 
@@ -254,14 +246,12 @@ class Watchdog:
 
     A browser answers a ping by itself, also while its page waits. All is counted in looks, made in
     the thread that receives: if this program itself is held up, that is one look.
-
-    Attributes:
-        closed: Connections that it has closed; their pages connect anew by themselves.
     """
 
     def __init__(self, server: viser.ViserServer, on_silent: Callable[[int], None]) -> None:
         """Begin; `on_silent` gets the number of a viewer at each look at which he is silent."""
         self.closed = 0
+        """Connections that it has closed; their pages connect anew by themselves."""
         self._server, self._on_silent = server._websock_server, on_silent
         self._seen: dict[int, _Seen] = {}
         loop = self._server._background_event_loop

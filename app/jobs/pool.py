@@ -1,7 +1,5 @@
 """Process pool: the same function for many jobs on all cores, in the order of the jobs."""
 
-from __future__ import annotations
-
 import logging
 import os
 from collections.abc import Callable, Iterator, Sequence

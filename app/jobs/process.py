@@ -45,10 +45,6 @@ class Child(AbstractContextManager["Child"]):
     `work` is a function of a module, and it and its arguments must survive pickling. Nothing is
     imported from the working directory, nor is the parent's main module. Ctrl-C, which reaches a
     whole group of processes, is left to the parent.
-
-    Attributes:
-        receiver: Gives what the process sends.
-        sender: Takes what the process receives.
     """
 
     def __init__(
@@ -57,7 +53,9 @@ class Child(AbstractContextManager["Child"]):
         """Begin it; if it leads a group, all processes that it starts end with it."""
         task = pickle.dumps((work, args))
         theirs_in, self.sender = _pipe()
+        """Takes what the process receives."""
         self.receiver, theirs_out = _pipe()
+        """Gives what the process sends."""
         alive, self._alive = _pipe()
         self._leads_group = leads_group
         given = theirs_in.fileno(), theirs_out.fileno()

@@ -1,7 +1,5 @@
 """Long commands: progress on standard error, and signals that end them by way of `finally`."""
 
-from __future__ import annotations
-
 import atexit
 import os
 import signal

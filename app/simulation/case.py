@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
 
-from app.config import Config, sections
+from app.config import Config, tunables
 from app.control import CONTROLLERS
 from app.errors import CaseError, DbbError, check_name
 from app.simulation.plants import chosen_plant
@@ -20,7 +20,6 @@ from app.simulation.scenarios.pulled import CHALLENGE
 from app.strict import MOST_SEEDS, Finite, Strict, explain, parsed
 
 _PLAYED: dict[str, Scenario] = SCENARIOS | {each.name: each for each in (CHALLENGE, RANDOM_PULL)}
-_FIELDS = {path for section in sections() for path in (t.path for t in section.tunables)}
 _MOST = 1000  # [-] options, parameters or figures of a case; there are about a hundred
 FORMAT = "dbb_case"
 """The key that only such a file has."""
@@ -30,13 +29,9 @@ class Planned(NamedTuple):
     """A run to be done: all that its figures follow from."""
 
     robot: str
-    """Its name."""
     scenario: Scenario
-    """What happens."""
     config: Config
-    """Parameters."""
     controller: str = "dbb"
-    """Name of the controller."""
     physics: str | None = None
     """Kind of plant; the default one if None."""
     seed: int = 0
@@ -73,7 +68,7 @@ class RunCase(Strict):
             controller=run.controller,
             physics=chosen_plant(run.physics),
             seed=run.seed,
-            parameters={path: run.config.value(path) for path in sorted(_FIELDS)},
+            parameters={path: run.config.value(path) for path in sorted(tunables())},
         )
 
     def planned(self) -> Planned:
@@ -97,19 +92,17 @@ class RunCase(Strict):
         Raises:
             ConfigError: One is out of its range.
         """
-        config = Config()
-        for path in sorted(self.parameters.keys() & _FIELDS):
-            config = config.replace(path, self.parameters[path])
-        return config
+        known = {path: value for path, value in self.parameters.items() if path in tunables()}
+        return Config().changed(known)
 
     def differences(self) -> list[str]:
         """What is not as it was when the case was written, a line each."""
         now, found = version("dbb-mobile-manipulator"), []
         if self.version != now:
             found.append(f"the case was written by dbb {self.version}, this is {now}")
-        for path in sorted(self.parameters.keys() - _FIELDS):
+        for path in sorted(self.parameters.keys() - tunables().keys()):
             found.append(f"there is no parameter {path} any more; it was {self.parameters[path]}")
-        for path in sorted(_FIELDS - self.parameters.keys()):
+        for path in sorted(tunables().keys() - self.parameters.keys()):
             found.append(f"the case has no {path} yet; it is {Config().value(path)}")
         return found
 

@@ -3,8 +3,6 @@
 A hand is a spring, a damper, a limited strength and, if it has one, a mass.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -18,8 +16,7 @@ from app.errors import TargetError
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.plants.interface import Push
-
-Array = np.ndarray
+from app.strict import Array
 
 _ARM = 2  # pinocchio's first joint of the arm; 1 is the planar joint of the base
 _QUICKNESS = 20.0  # [rad/s] of the hand's motion towards a new target
@@ -118,16 +115,14 @@ class PersonHand:
     on it transmits. That is more than f_max while the mass is being stopped, and less while it is
     set in motion; at rest it is F. Spring, damper, mass and grip are passive, so with p at rest
     such a hand only takes energy out as well.
-
-    Attributes:
-        config: K, D, f_max and the mass; may be replaced at any time.
-        motion: (2, 3) p [m] and its velocity [m/s]; None while the robot is not held.
     """
 
     def __init__(self, config: HandConfig, dt: float = 0.001) -> None:
         """A person who does not hold the robot; `dt` [s] is between two calls of `force`."""
         self.config, self._dt = config, dt
+        """K, D, f_max and the mass; may be replaced at any time."""
         self.motion: Array | None = None
+        """(2, 3) p [m] and its velocity [m/s]; None while the robot is not held."""
         self._mass: Array | None = None  # (2, 3) the same of the mass in the hand
 
     def force(self, p_ee: Array, v_ee: Array, target: Sequence[float] | Array | None) -> Array:

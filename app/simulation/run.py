@@ -1,7 +1,5 @@
 """A scenario from start to end, headless and as fast as it goes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from time import perf_counter

@@ -1,7 +1,5 @@
 """One run: plant, controller, base command and person, stepped together at the control rate."""
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Sequence
@@ -26,8 +24,7 @@ from app.simulation.plants import chosen_plant, make_physics
 from app.simulation.plants.door import OpenDoor
 from app.simulation.plants.interface import Contacts, Physics
 from app.simulation.scenarios.leading import DoorReading
-
-Array = np.ndarray
+from app.strict import Array
 
 DT = 0.001  # [s] control step, the paper's 1 kHz
 _BANDWIDTH = 250.0  # [rad/s] of the loop that makes velocities of noisy positions; about 40 Hz
@@ -42,9 +39,7 @@ class Step(NamedTuple):
     t: float
     """[s] simulated time at the step's begin."""
     measurement: Measurement
-    """The sensors' readings."""
     output: ControlOutput
-    """The controller's answer."""
     base_command: Array
     """(n_b,) [m/s or rad/s] in force; what arrives at the drive may be late."""
     hand_target: Array | None
@@ -255,14 +250,12 @@ class Disturbances:
 
     Sensors and base commands as they are become those that arrive. The error of the arm's masses is
     none of these: it is in the controller's model (`RobotState`).
-
-    Attributes:
-        config: What is disturbed by how much; may be replaced at any time.
     """
 
     def __init__(self, config: DisturbanceConfig, dt: float, seed: int) -> None:
         """Begin like after `reset`; `dt` [s] is the control step, `seed` that of the noise."""
         self.config = config
+        """What is disturbed by how much; may be replaced at any time."""
         self._dt = dt
         self._seed = seed
         longest = round(parameter("disturbance.base_delay").high / dt)

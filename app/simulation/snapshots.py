@@ -17,8 +17,8 @@ from app.robot.assets import PLANAR_JOINTS, planar_urdf
 from app.robot.model import RobotModel
 from app.simulation.plants.bullet_world import BulletWorld, pybullet
 from app.simulation.session import DT
+from app.strict import Array
 
-Array = np.ndarray
 Rgba = tuple[float, float, float, float]
 
 _FINER = 2  # [-] rendered pixels per pixel and direction
@@ -86,7 +86,6 @@ class Solid(NamedTuple):
     mesh: trimesh.Trimesh
     """Its surface, in the world."""
     rgba: Rgba
-    """Its colour."""
 
 
 class Picture(NamedTuple):

@@ -32,7 +32,6 @@ class Cell(NamedTuple):
     """A cell of a table that is more than its text."""
 
     text: str
-    """What it says."""
     notes: Sequence[str] = ()
     """Lines in small print below it."""
     mark: str = ""
@@ -58,11 +57,9 @@ class Part(NamedTuple):
     name: str = ""
     """What the page's links call it, or nothing if none leads to it."""
     text: Sequence[str] = ()
-    """Paragraphs."""
     png: bytes | None = None
     """A picture, which stands in the page itself."""
     tables: Sequence[Grid] = ()
-    """Tables."""
     points: Sequence[str] = ()
     """A list of sentences."""
     note: str = ""

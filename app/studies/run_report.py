@@ -1,7 +1,5 @@
 """The report of one run, on a page that needs nothing else."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -10,15 +8,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from app.config import Config, parameter
+from app.config import Config, parameter, tunables
 from app.errors import ConfigError
 from app.simulation.trace.metrics import extremes, metrics, verdict
 from app.simulation.trace.trace import Trace
+from app.strict import Array
 from app.studies import style
 from app.studies.page import Grid, Part, measured_grids, page_html
 from app.studies.runs import flattened
-
-Array = np.ndarray
 
 _BETWEEN = ". The figures are those of the rows: what happens between two of them is not seen"
 _OTHERS = ("#0072B2", "#D55E00", "#CC79A7", "#56B4E9", "#F0E442", "#7A7F87")
@@ -91,11 +88,10 @@ def config_changes(configs: Sequence[Config]) -> list[tuple[str, Any, Any]]:
         Path as in `border.d_b`, default, and the values it had, in order, joined if there are more.
     """
     changes = []
-    for section, defaults in Config().model_dump().items():
-        for name, default in defaults.items():
-            had = list(dict.fromkeys(getattr(getattr(c, section), name) for c in configs))
-            if had != [default]:
-                changes.append((f"{section}.{name}", default, had[0] if len(had) == 1 else had))
+    for path, about in tunables().items():
+        had = list(dict.fromkeys(config.value(path) for config in configs))
+        if had != [about.default]:
+            changes.append((path, about.default, had[0] if len(had) == 1 else had))
     return changes
 
 

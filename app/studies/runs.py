@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 """Numbers, texts, truths and None, by columns that end in their unit; no NaN."""
 
-DIGITS = 9
-"""[-] after the point, of metres, radians, newtons and seconds."""
+DIGITS = 9  # [-] after the point, of metres, radians, newtons and seconds
 _LOG_EVERY = 10  # control steps between two rows of a trace that is thinned
 
 

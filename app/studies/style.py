@@ -1,7 +1,5 @@
 """The one visual language of all figures: colours, line widths, sizes, and what a picture is."""
 
-from __future__ import annotations
-
 import io
 import logging
 from collections.abc import Callable, Iterator, Mapping
@@ -113,11 +111,9 @@ class Picture(NamedTuple):
     name: str
     """As commands, files and links call it."""
     title: str
-    """Its heading."""
     needs: tuple[Any, ...]
     """What is run for it, if anything."""
     draw: Callable[..., Any]
-    """Draws it."""
 
     @property
     def words(self) -> str:

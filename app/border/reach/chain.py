@@ -1,7 +1,5 @@
 """The joints that move one body of the arm, as a chain that has to meet a pose of it."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np
@@ -9,8 +7,7 @@ import pinocchio as pin
 
 from app.errors import ConfigError, DescriptionError
 from app.robot.model import RobotModel
-
-Array = np.ndarray
+from app.strict import Array
 
 _TRIALS = 4  # [-] configurations in which a chain is asked for its rank
 _SINGULAR = 1e-6  # [m/rad or -] singular value of a lost direction
@@ -32,15 +29,6 @@ class Chain:
     of the middle of its first shape and the direction of that shape's z axis, which is a capsule's
     own. With k joints the pose has six numbers (k ≥ 6), five, the direction without the turn about
     it (k = 5), or three, the position (k = 3, 4); fewer where the joints lose a direction for good.
-
-    Attributes:
-        body: Name of the body.
-        pin: pinocchio's model of the chain.
-        joints: Indices within the arm of the joints that move the body.
-        asked: Numbers of the pose: 6, 5 or 3.
-        free: How many joints have to be given before the others are determined.
-        lower, upper: (k,) [rad or m] limits.
-        turns: (k,) whether a joint is revolute.
     """
 
     def __init__(self, model: RobotModel, body: str) -> None:
@@ -57,14 +45,20 @@ class Chain:
             )
         self.body = body
         self.joints = [joint - 2 for joint in joints]
+        """Indices within the arm of the joints that move the body."""
         still = [j for j in range(1, model.pin.njoints) if j not in joints]
         self.pin = pin.buildReducedModel(model.pin, still, pin.neutral(model.pin))
+        """pinocchio's model of the chain."""
         self._data, self._placement = self.pin.createData(), _carrier(model, body)[1]
         self.lower, self.upper = model.q_lower[self.joints], model.q_upper[self.joints]
+        """(k,) [rad or m] limits."""
         kinds = [joint.shortname() for joint in self.pin.joints][1:]
         self.turns = np.array([kind.startswith("JointModelR") for kind in kinds])
+        """(k,) whether a joint is revolute."""
         self.asked = next((n for n in (6, 5) if n <= len(joints) and self._meets(n)), 3)
+        """Numbers of the pose: 6, 5 or 3."""
         self.free = len(joints) - self.asked
+        """How many joints have to be given before the others are determined."""
 
     def pose_and_jacobian(self, q: Array) -> tuple[pin.SE3, Array]:
         """T_base_point at joint positions (k,), and its Jacobian (6, k), linear over angular.

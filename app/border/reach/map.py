@@ -5,8 +5,6 @@ formula: over the joint positions that lead into a region, the integral of |det 
 solutions of all poses in it. So none has to be solved for.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +14,9 @@ from app.border.score import radial_profile
 from app.errors import DescriptionError
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
+from app.strict import Array
 
-Array = np.ndarray
-
-PEAK = 100.0
-"""[-] largest mean reachability over a shell around the mount: the paper's C."""
+PEAK = 100.0  # [-] largest mean reachability over a shell around the mount: the paper's C
 FINE_SAMPLES, FINE_SPACING = 200_000, 0.05
 """[-] joint positions and [m] the lattice of `dbb reach`: seconds, and A to about a hundredth."""
 
@@ -33,7 +29,6 @@ class ReachMap:
     """Reachability of one body on a lattice around the arm's mount."""
 
     body: str
-    """Name of the body."""
     points: Array
     """(N, 3) [m] positions in the base's frame: of the end-effector for the body that carries it,
     else of the middle of the body's first shape."""

@@ -1,7 +1,5 @@
 """Pictures and replays, drawn without a display."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -68,11 +68,7 @@ _EVEN = "crop=trunc(iw/2)*2:trunc(ih/2)*2"
 
 
 class RecordedLoop:
-    """The interface of the simulation's loop over recorded snapshots: nothing runs or is pulled.
-
-    Attributes:
-        snapshots: In order of time, at least one.
-    """
+    """The interface of the simulation's loop over recorded snapshots: nothing runs or is pulled."""
 
     def __init__(self, snapshots: Sequence[Snapshot]) -> None:
         """Stand at the first of the snapshots."""
@@ -80,6 +76,7 @@ class RecordedLoop:
         self.links: tuple[str, ...] = ()
         self.silence = 0.0
         self.snapshots = tuple(snapshots)
+        """In order of time, at least one."""
         self._times = [snapshot.t for snapshot in self.snapshots]
         self._at = 0
 
@@ -174,12 +171,8 @@ def replay_html(
 ) -> str:
     """A run as one HTML file that plays in any browser, without a server or a network.
 
-    Args:
-        log: What is shown: robot, border, lines, arrows, trails, and a bar to go to any time.
-        model: The robot of the log.
-        clouds: P_i of every pair of L_m, by the pair's name.
-        look: Layer, first view and ground.
-        on_progress: Called now and then with how many seconds of the log are done.
+    Of the log it shows robot, border, lines, arrows, trails, and a bar to go to any time.
+    `on_progress` is called now and then with how many seconds of the log are done.
 
     Raises:
         AssetError: A mesh of the robot is not there.
@@ -251,14 +244,8 @@ def film_pictures(
 ) -> Generator[Image.Image, None, None]:
     """The pictures of a film, one by one; none depends on how long it took.
 
-    Args:
-        browser: Its page is opened and closed here.
-        snapshots: In order of time.
-        times: [s] of the pictures; each shows the last snapshot that is not later.
-        model: The robot.
-        clouds: P_i of every pair of L_m, by the pair's name.
-        look: What they show.
-        orbit: [rad] by which the camera turns around the robot from one picture to the next.
+    Each shows the last of the snapshots, in order of time, that is not later than its time [s].
+    From one to the next the camera turns by `orbit` [rad] around the robot.
 
     Raises:
         AssetError: A mesh of the robot is not there.

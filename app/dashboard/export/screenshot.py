@@ -56,14 +56,9 @@ def take_pictures(
 ) -> list[Image.Image]:
     """Pictures at some times of a run, all from the same place.
 
-    Args:
-        browser: Its page is opened and closed here.
-        snapshots: In order of time; trails and plots show them up to each picture's time.
-        times: [s] of the pictures; each shows the last snapshot that is not later.
-        model: The robot.
-        clouds: P_i of every pair of L_m, by the pair's name.
-        look: What they show.
-        viewpoint: Of the viewer whose page is pictured, in place of `look`'s layer and view.
+    Each shows the last of the snapshots, in order of time, that is not later than its time [s],
+    trails and plots up to then. A viewpoint, of the viewer whose page is pictured, is taken in
+    place of the layer and view of `look`.
 
     Raises:
         BrowserError: Its page does not connect.
@@ -94,11 +89,7 @@ def page_picture(
 ) -> Image.Image:
     """The whole page as a viewer has it, but for the open tabs, drawn by a browser of its own.
 
-    Args:
-        data: Robot and borders.
-        snapshots: In order of time; the last one is shown.
-        viewpoint: Of the viewer.
-        size: [px] width and height.
+    It shows the last of the snapshots, which are in order of time; its size is in pixels.
 
     Raises:
         BrowserError: There is no browser, or it fails.

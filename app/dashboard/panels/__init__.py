@@ -29,31 +29,22 @@ if TYPE_CHECKING:
 
 @dataclass
 class Viewer:
-    """Who looks at the page of one robot: what the panels are built for.
-
-    Attributes:
-        client: The viewer's browser.
-        notifier: Tells viewers what goes wrong.
-        shared: What all viewers share.
-        channel: To the page's own scripts.
-        view: What the viewer has chosen to see; callbacks assign to it.
-        timeline: The viewer's place in time.
-        grip: What the viewer holds.
-        camera: Where the viewer looks from.
-        files: Makes the viewer's files, one after the other.
-        page_picture: Draws whole pages; None where there is no button for it.
-    """
+    """Who looks at the page of one robot: what the panels are built for."""
 
     client: viser.ClientHandle
     notifier: Notifier
     shared: SharedState
     channel: Channel
+    """To the page's own scripts."""
     view: View
+    """What the viewer has chosen to see; callbacks assign to it."""
     timeline: Timeline
     grip: Grip
     camera: Camera
     files: Job
+    """Makes the viewer's files, one after the other."""
     page_picture: PagePicture | None = None
+    """Draws whole pages; None where there is no button for it."""
 
     def look(self, preset: str) -> None:
         """Look from a key of `PRESETS`, at the instant that is shown.
@@ -97,7 +88,6 @@ class Panel:
     """Whether it shows the instant: then it is renewed quickly, together with the picture."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Nothing in it yet."""
         self._gui, self._notifier = viewer.client.gui, viewer.notifier
         self._followed: dict[int, Any] = {}
 
@@ -144,7 +134,6 @@ class JobStatus(Panel):
     """How far a job is, or how it ended, and a button that cancels it."""
 
     def __init__(self, viewer: Viewer, job: Job) -> None:
-        """Add the widgets."""
         super().__init__(viewer)
         self._job = job
         self.text = self._gui.add_html("", visible=False)

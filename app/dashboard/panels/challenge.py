@@ -1,7 +1,5 @@
 """Folder "Make it collide": thirty seconds to pull the robot into itself, and the card after it."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 
@@ -29,7 +27,6 @@ class ChallengePanel(FilePanel):
     """The button that begins it, how it goes, and what came of it."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the folder."""
         super().__init__(viewer)
         self._shared, name = viewer.shared, CHALLENGE.name
         with self._gui.add_folder("Make it collide", expand_by_default=False):

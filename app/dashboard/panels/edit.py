@@ -3,8 +3,6 @@
 Callbacks keep what the person does; the drawing thread shows it.
 """
 
-from __future__ import annotations
-
 from html import escape
 from itertools import combinations
 from typing import Any
@@ -35,8 +33,7 @@ from app.robot.shapes import (
     Superquadric,
     shape_mesh,
 )
-
-Array = np.ndarray
+from app.strict import Array
 
 MOVE, SIZE = "move", "size"
 """Scene nodes of a body's gizmos, below that of its frame."""
@@ -50,12 +47,12 @@ class EditPanel(Panel):
     """What one viewer changes of the robot that is shown, until it is saved or dropped."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the folder, closed; nothing is changed."""
         super().__init__(viewer)
         gui, self._viewer, self._shared = self._gui, viewer, viewer.shared
         self._check, self._robot = self._shared.robot_check, self._shared.model.description
         names = [body.name for body in self._robot.bodies]
-        self._pairs = {f"{a}-{b}" for a, b in combinations(names, 2) if not _joined(names, a, b)}
+        apart = combinations(enumerate(names), 2)  # neighbours in the chain are no pairs
+        self._pairs = {f"{a}-{b}" for (i, a), (k, b) in apart if k - i > 1}
         self._keys = {
             f"{body.name} {i + 1}" if len(body.shapes) > 1 else body.name: (body, i)
             for body in self._robot.bodies
@@ -206,10 +203,6 @@ class EditPanel(Panel):
         for gizmo, act in ((whole, move), (corner, resize)):
             gizmo.on_update(self._notifier.guard(act))  # type: ignore[arg-type]
         return whole, corner
-
-
-def _joined(names: list[str], a: str, b: str) -> bool:
-    return abs(names.index(a) - names.index(b)) <= 1
 
 
 def own_name(name: str) -> str:

@@ -1,7 +1,5 @@
 """Folder "Postures": what the law would do where the robot does not stand, while time does."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -23,27 +21,21 @@ from app.simulation.loop.pacing import Pacer
 from app.simulation.scenarios.posture import PostureSearch, Target
 from app.simulation.session import DT, Session
 from app.simulation.trace.snapshot import Snapshot, make_snapshot
-
-Array = np.ndarray
+from app.strict import Array
 
 _DEGREES = float(np.degrees(1.0))
 FARTHEST = 5.0  # [m] of the base from the origin
 
-
-CLOSE = 0.002
-"""[m] from a place the hand counts as there."""
+CLOSE = 0.002  # [m] from a place the hand counts as there
 
 
 class Posture(NamedTuple):
-    """Where the robot stands.
-
-    Attributes:
-        base_pose: (3,) x, y [m] and heading [rad] of the base.
-        q_m: (n_m,) [rad or m] the arm's joints.
-    """
+    """Where the robot stands."""
 
     base_pose: Array
+    """(3,) x, y [m] and heading [rad] of the base."""
     q_m: Array
+    """(n_m,) [rad or m] the arm's joints."""
 
 
 class Explorer:
@@ -115,11 +107,7 @@ class Explorer:
 
 
 class ExplorerPanel(Panel):
-    """Sliders of base and arm; while they are in use, the page shows their posture.
-
-    Attributes:
-        posture: It, or None.
-    """
+    """Sliders of base and arm; while they are in use, the page shows their posture."""
 
     of_instant = True
 

@@ -1,7 +1,5 @@
 """Help: the tab with the method on a page, the keys and commands, and the tour of a first visit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
@@ -43,17 +41,14 @@ _PAUSE = 2.5  # [s] between what was done and the next step
 
 
 class Act(NamedTuple):
-    """What a step of the tour is about, on one viewer's page.
-
-    Attributes:
-        place: The tab that the step stands in; empty for what is above all tabs.
-        show: Does it for the visitor.
-        done: Whether it is done, by whomever.
-    """
+    """What a step of the tour is about, on one viewer's page."""
 
     place: str
+    """The tab that the step stands in; empty for what is above all tabs."""
     show: Callable[[], None]
+    """Does it for the visitor."""
     done: Callable[[], bool]
+    """Whether it is done, by whomever."""
 
 
 STEPS = (
@@ -117,7 +112,6 @@ class Tour(Panel):
     """
 
     def __init__(self, viewer: Viewer) -> None:
-        """Closed."""
         super().__init__(viewer)
         self._card: viser.GuiFolderHandle | None = None
         self._step = self._wanted = -1  # that is shown, and that is to be

@@ -1,14 +1,11 @@
 """Numbers in words: directions, places on the base, bodies, motions, limits."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
 from app.control.active_bounds import Bound, BoundKind
 
-AT_REST = (0.01, 0.02)
-"""[m/s], [rad/s] below which the base stands still."""
+AT_REST = (0.01, 0.02)  # [m/s], [rad/s] below which the base stands still
 
 _SECTORS = (
     ("forward", "front"),
@@ -101,8 +98,7 @@ def length(d: float) -> str:
 def borne(bound: float) -> str:
     """What follows a person's force, as in ", the arm bears 62 N"; nothing while no bound is known.
 
-    Args:
-        bound: [N] as in `Snapshot.force_bound`.
+    The bound [N] is that of `Snapshot.force_bound`.
     """
     return "" if math.isnan(bound) else f", the arm bears {bound:.0f} N"
 

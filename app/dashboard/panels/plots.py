@@ -1,7 +1,5 @@
 """Plots: curves of the last seconds on one axis of time, with a cursor at the shown instant."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence
@@ -20,10 +18,7 @@ from app.robot.bases.kind import Axis, acceleration_symbol
 from app.robot.model import RobotModel
 from app.simulation.trace.snapshot import Snapshot
 
-Array = np.ndarray
-
-LENGTH = 20.0
-"""[s] of the axis of time."""
+LENGTH = 20.0  # [s] of the axis of time
 AHEAD = 5.0  # [s] shown after the instant that a viewer has gone back to
 SPACING = 0.08  # [s] of drawn values, as many as there are pixels
 PERIOD, PERIOD_LIGHT, PERIOD_REST = 0.2, 0.5, 1.0  # [s] between two pictures of what goes on
@@ -39,27 +34,22 @@ OFF = -9.0  # of the cursor, below its scale
 
 
 class PlotPlan(NamedTuple):
-    """What a plot shows.
-
-    Attributes:
-        title: With the unit.
-        curves: Its lines.
-        colours: Of the lines.
-        y_range: As uPlot takes it.
-        height: [px] without title and legend.
-        fill: Whether the area under the lines is filled.
-        dashed: How many of the last lines are thresholds.
-        hints: What the pointer over each line's name says: symbol, unit, range and equation.
-    """
+    """What a plot shows."""
 
     title: str
+    """With the unit."""
     curves: Sequence[Curve]
     colours: tuple[str, ...]
     y_range: Any
+    """As uPlot takes it."""
     height: int
+    """[px] without title and legend."""
     fill: bool = False
+    """Whether the area under the lines is filled."""
     dashed: int = 0
+    """How many of the last lines are thresholds."""
     hints: tuple[str, ...] = ()
+    """What the pointer over each line's name says: symbol, unit, range and equation."""
 
 
 def plot_plans(model: RobotModel, names: list[str], door: str) -> list[PlotPlan]:

@@ -1,7 +1,5 @@
 """Tab "Robot": which robot is simulated, and a new one made of an uploaded zip."""
 
-from __future__ import annotations
-
 import re
 from html import escape
 from typing import Any
@@ -55,14 +53,9 @@ _REPORT = (
 
 
 class RobotPanel(Panel):
-    """A list of the robots; what one viewer chooses, all see.
-
-    Attributes:
-        about: What is said of the one that is chosen, and why the last choice came to nothing.
-    """
+    """A list of the robots; what one viewer chooses, all see."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the tab."""
         super().__init__(viewer)
         gui, shared = self._gui, viewer.shared
         self._shared, self._switch = shared, shared.robot_switch
@@ -73,6 +66,7 @@ class RobotPanel(Panel):
             hint="Those in robot_assets and in your own folder; what one viewer chooses, all see.",
         )
         self.about = gui.add_html("")
+        """What is said of the one that is chosen, and why the last choice came to nothing."""
         self._use = self.button("Use this robot", self._begin, viser.Icon.ROBOT, hint=_GOES_ON)
         self._report = self.button("Report", self._show_report, viser.Icon.REPORT, color="gray")
         self._renew_list()

@@ -1,7 +1,5 @@
 """Tabs "Run" and "Compare": what is simulated, beside which controllers, and its readings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from itertools import zip_longest
@@ -72,7 +70,6 @@ class RunPanel(Panel):
     of_instant = True
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the tab."""
         super().__init__(viewer)
         gui, self._shared = self._gui, viewer.shared
         sink = self._sink = viewer.shared.loop
@@ -145,7 +142,6 @@ class ComparePanel(Panel):
     of_instant = True
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the tab."""
         super().__init__(viewer)
         gui, self._shared = self._gui, viewer.shared
         gui.add_markdown(

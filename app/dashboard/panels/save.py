@@ -1,7 +1,5 @@
 """Tab "Save" and folder "Sweep": files that are made beside the simulation."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -39,8 +37,7 @@ from app.studies.sweep.sweep import newest_map, read_map
 
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
 """[px] least, most and first size of a picture."""
-STEP = 15.0
-"""[deg] between two directions of a map that is made here."""
+STEP = 15.0  # [deg] between two directions of a map that is made here
 SWEEPS = Path("out/sweep")
 """Where `dbb sweep` writes by default."""
 _LOOK_EVERY = 20  # updates between two looks into the folder of maps
@@ -55,7 +52,6 @@ class FilePanel(Panel):
     """
 
     def __init__(self, viewer: Viewer) -> None:
-        """No buttons yet."""
         super().__init__(viewer)
         self._viewer, self._job = viewer, viewer.files
         self._status = JobStatus(viewer, viewer.files)
@@ -114,7 +110,6 @@ class SavePanel(FilePanel):
     """Pictures of the scene, and files of the marked interval."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the tab."""
         super().__init__(viewer)
         gui = self._gui
         with gui.add_folder("Picture"):
@@ -191,14 +186,9 @@ class SavePanel(FilePanel):
 
 
 class SweepPanel(Panel):
-    """The newest polar map of a folder, and the button that begins a sweep.
-
-    Attributes:
-        status: How far the sweep is, which is common to all viewers.
-    """
+    """The newest polar map of a folder, and the button that begins a sweep."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the folder, closed."""
         super().__init__(viewer)
         self._shared, self._job = viewer.shared, viewer.shared.sweep_job
         self._map: tuple[Path, int] | None = None
@@ -208,6 +198,7 @@ class SweepPanel(Panel):
         with self._box:
             self._text = self._gui.add_html("")
             self.status = JobStatus(viewer, self._job)
+            """How far the sweep is, which is common to all viewers."""
             self._button = self.button(
                 "Make a map",
                 lambda _: self.begin(),

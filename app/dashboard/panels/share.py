@@ -26,18 +26,15 @@ from app.robot.assets import robot_names
 from app.simulation.case import RunCase
 from app.simulation.loop.commands import Choose, Play
 from app.simulation.scenarios import SCENARIOS, scenario_of
-from app.strict import check_range
+from app.strict import Array, check_range
 
 if TYPE_CHECKING:
     from app.dashboard.shared import SharedState
 
-Array = np.ndarray
-
 _NAMES = ("scenario", "controller", "robot", "look", "at", DENSITY)
 """What a link may name, beside parameters by their paths."""
 _FARTHEST = 100.0  # [m] of a camera
-LARGEST = 8 * 2**20
-"""[bytes] of a case's file."""
+LARGEST = 8 * 2**20  # [bytes] of a case's file
 _COPY = (
     "const box=this.previousElementSibling;box.focus();box.select();document.execCommand('copy');"
     "history.replaceState(null,'',box.value)"
@@ -46,23 +43,19 @@ _COPY = (
 
 
 class Link(NamedTuple):
-    """What a link asks for; what is empty it leaves as it is.
-
-    Attributes:
-        scenario: Name of the one that is played; all parameters that are not named are then at
-            their defaults.
-        controller, robot: Their names.
-        parameters: By their paths.
-        look: A key of `PRESETS`, or eye and target as six numbers [m].
-        at: [s] of the scenario, where it stands still.
-    """
+    """What a link asks for; what is empty it leaves as it is."""
 
     scenario: str = ""
+    """Name of the one that is played; all parameters that are not named are then at their
+    defaults."""
     controller: str = ""
     robot: str = ""
     parameters: tuple[tuple[str, float | str], ...] = ()
+    """By their paths."""
     look: str = ""
+    """A key of `PRESETS`, or eye and target as six numbers [m]."""
     at: float | None = None
+    """[s] of the scenario, where it stands still."""
 
     @classmethod
     def read(cls, query: str) -> Link:
@@ -106,10 +99,7 @@ class Link(NamedTuple):
         Raises:
             ConfigError: One does not exist, or is out of its range.
         """
-        config = Config() if self.scenario else now
-        for path, value in self.parameters:
-            config = config.replace(path, value)
-        return config
+        return (Config() if self.scenario else now).changed(dict(self.parameters))
 
     def camera(self) -> tuple[Array, Array] | None:
         """(3,) [m] the eye and the target, where it gives them.
@@ -163,29 +153,14 @@ def camera_text(eye: Array, target: Array) -> str:
     return ",".join(f"{number:.2f}" for number in (*eye, *target))
 
 
-def changed_parameters(config: Config) -> tuple[tuple[str, float | str], ...]:
-    """Those that are not at their defaults, by their paths."""
-    default = Config().model_dump()
-    return tuple(
-        (f"{section}.{name}", value)
-        for section, values in config.model_dump().items()
-        for name, value in values.items()
-        if value != default[section][name]
-    )
-
-
 class SharePanel(Panel):
-    """A link to what is seen, and the case of what was played last.
-
-    Attributes:
-        waiting: The link that waits for its robot, or for its scenario to be looked at as it asks.
-    """
+    """A link to what is seen, and the case of what was played last."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the folder."""
         super().__init__(viewer)
         self._viewer, self._shared = viewer, viewer.shared
         self.waiting = Link()
+        """The link that waits for its robot, or for its scenario to be looked at as it asks."""
         viewer.channel.on("link", lambda query: self.open(str(query)))
         with self._gui.add_folder("Link and case"):
             self.button("Copy link", lambda _: self._copy(), viser.Icon.LINK)
@@ -226,7 +201,7 @@ class SharePanel(Panel):
             scenario,
             newest.controller,
             shared.model.description.name,
-            changed_parameters(shared.tuning.config),
+            tuple(shared.tuning.config.changes(Config()).items()),
             self._viewer.camera.preset or camera_text(camera.position, camera.look_at),
             round(min(shown.t, course.until), 3) if scenario else None,
         )
@@ -292,10 +267,10 @@ class SharePanel(Panel):
         self._notifier.tell(event.client, "Case", play_case(self._shared, text, file.name))
 
 
-def parameters_of(case: RunCase, config: Any) -> dict[str, Any]:
+def parameters_of(case: RunCase, config: Config) -> dict[str, Any]:
     """The field of a case that has the parameters of now."""
-    now = {**case.parameters, **{path: config.value(path) for path in case.parameters}}
-    return {"parameters": now | dict(changed_parameters(config))}
+    now = {path: config.value(path) for path in case.parameters}
+    return {"parameters": now | config.changes(Config())}
 
 
 def play_case(shared: SharedState, text: str, name: str) -> str:

@@ -1,7 +1,5 @@
 """Time line: which instant a viewer sees, and the bar along the page's edge to choose it."""
 
-from __future__ import annotations
-
 import threading
 from typing import Any
 
@@ -11,19 +9,14 @@ from app.errors import LogError
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
 
-FRAME = 0.02
-"""[s] between two snapshots."""
-MOST_MARKED = 300.0
-"""[s] of a marked interval, all of whose snapshots are kept for one viewer."""
+FRAME = 0.02  # [s] between two snapshots
+MOST_MARKED = 300.0  # [s] of a marked interval, all of whose snapshots are kept for one viewer
 
 
 class Timeline:
     """The place of one viewer in time; the simulation does not notice.
 
     Any thread may call any of the methods.
-
-    Attributes:
-        begin, end: [s] the marked interval; None if it is not marked.
     """
 
     def __init__(self, loop: LoopHandle, strip: Strip) -> None:
@@ -35,6 +28,7 @@ class Timeline:
         self._lock = threading.RLock()
         self.begin: float | None = None
         self.end: float | None = None
+        """[s] the marked interval; None if it is not marked."""
 
     @property
     def live(self) -> bool:
@@ -140,7 +134,6 @@ class TimelinePanel(Panel):
     of_instant = True
 
     def __init__(self, viewer: Viewer) -> None:
-        """Open it."""
         super().__init__(viewer)
         timeline, strip, channel = viewer.timeline, viewer.shared.strip, viewer.channel
         self._channel, self._timeline, self._strip = channel, timeline, strip

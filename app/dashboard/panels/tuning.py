@@ -21,8 +21,7 @@ from app.errors import ConfigError
 from app.parameters import Choice, Parameter
 from app.robot.description import RobotDescription
 
-DECIMALS = 6
-"""[-] that a number box takes."""
+DECIMALS = 6  # [-] that a number box takes
 MARK = "\N{NO-BREAK SPACE}•"
 """Behind the label of what is not at its default."""
 FIRST_NAME = "tuning"
@@ -39,11 +38,7 @@ _BEFORE_SCORE = "border"  # section after which the score stands, as in the pape
 
 
 class TuningPanel(Panel):
-    """Folders of widgets.
-
-    Attributes:
-        widgets: The widgets of each parameter, by its path.
-    """
+    """Folders of widgets."""
 
     def __init__(self, viewer: Viewer, paths: Iterable[str] | None = None) -> None:
         """Build the panel.
@@ -56,6 +51,7 @@ class TuningPanel(Panel):
         super().__init__(viewer)
         self._viewer, self._tuning = viewer, viewer.shared.tuning
         self.widgets: dict[str, ParameterWidgets] = {}
+        """The widgets of each parameter, by its path."""
         self._folders: list[_Folder] = []
         self._all: viser.GuiCheckboxHandle | None = None
         if paths is None:
@@ -176,16 +172,13 @@ class ParameterWidgets(Panel):
 
     A value that is refused changes nothing, is reported to its sender, and is set back; what is
     typed comes once it is typed to its end.
-
-    Attributes:
-        about: The parameter.
-        is_marked: Whether it was not at its default at the last update.
     """
 
     def __init__(self, viewer: Viewer, path: str) -> None:
         """Add the widgets of the parameter at a path; see `TuningPanel`."""
         super().__init__(viewer)
         self.about, self.is_marked = tunable(path), False
+        """The parameter, and whether it was not at its default at the last update."""
         self._tuning = viewer.shared.tuning
         self._shown = self._tuning.value(path)
         self._faces = _faces(self._gui, self.about, self._shown)

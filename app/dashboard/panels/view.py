@@ -1,7 +1,5 @@
 """Tab "View": layers, camera and plots of one viewer."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from functools import partial
 from typing import Any
@@ -15,7 +13,6 @@ class ViewPanel(Panel):
     """Boxes and choices, each of which assigns one field of the view."""
 
     def __init__(self, viewer: Viewer) -> None:
-        """Build the tab."""
         super().__init__(viewer)
         gui, self._view = self._gui, viewer.view
         with gui.add_folder(BORDER):

@@ -1,7 +1,5 @@
 """Tab "Why": why the robot moved, in one plain sentence, and every quantity behind it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from app.config import Config

@@ -1,7 +1,5 @@
 """Borders: clouds or bodies of colour that move with the base, and their slice at the arm."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -33,8 +31,7 @@ from app.dashboard.view import HIDDEN, View
 from app.robot.bases.kind import planar
 from app.robot.model import RobotModel
 from app.simulation.trace.snapshot import Snapshot
-
-Array = np.ndarray
+from app.strict import Array
 
 MAX_POINTS = 20_000
 """Points drawn; more of them only hide what lies behind and slow the browser down."""
@@ -63,21 +60,18 @@ class ColouredCloud(NamedTuple):
 
 
 class Borders:
-    """Selects borders from the stored clouds; what one viewer has asked for, the next finds.
-
-    Attributes:
-        pairs: Names of the pairs of L_m.
-        fields: Their scores, by the pair.
-        top: [m] height of the base's top; what lies above it is drawn on demand only.
-    """
+    """Selects borders from the stored clouds; what one viewer has asked for, the next finds."""
 
     def __init__(self, model: RobotModel, clouds: Mapping[str, Cloud]) -> None:
         """Nothing is selected yet; `clouds` are P_i of every pair of L_m, by the pair's name."""
         self.pairs = frozenset(clouds)
+        """Names of the pairs of L_m."""
         self.top = float(MobileBody(model).upper[2])
+        """[m] height of the base's top; what lies above it is drawn on demand only."""
         self._model, self._clouds = model, clouds
         # A pair of L_m is named `lm-<body of the arm>`.
         self.fields = {pair: ScoreField.of(model, pair.partition("-")[2]) for pair in clouds}
+        """Their scores, by the pair."""
         self._kept: dict[tuple[object, ...], Any] = {}
 
     def coloured(
@@ -85,11 +79,8 @@ class Borders:
     ) -> ColouredCloud | None:
         """A border's points with the colours of a quantity; None if it has no points.
 
-        Args:
-            pair: Name of a pair of L_m.
-            quantity: One of `app.dashboard.scene.legend.QUANTITIES`.
-            border: d_b and ε.
-            whole: Also what lies above the base's top.
+        The quantity is one of `app.dashboard.scene.legend.QUANTITIES`; `whole` takes in what lies
+        above the base's top.
         """
         return self._keep(
             (pair, quantity, border.d_b, border.eps, whole),
@@ -150,21 +141,18 @@ def subsample(total: int, most: int) -> Array:
 
 
 class Probe(NamedTuple):
-    """What holds at a place of the border, in the base's frame.
-
-    Attributes:
-        p: (3,) [m] the place.
-        det, reach, score: Of (7), (9) and (10) there.
-        p_act: (3,) [m] acting point of an arm that is halfway in there.
-        acceleration: (n_b,) of the base for it, by (16).
-    """
+    """What holds at a place of the border, in the base's frame."""
 
     p: Array
+    """(3,) [m] the place."""
     det: float
     reach: float
     score: float
+    """Of (7), (9) and (10) there."""
     p_act: Array
+    """(3,) [m] acting point of an arm that is halfway in there."""
     acceleration: Array
+    """(n_b,) of the base for it, by (16)."""
 
 
 class _Drawn(NamedTuple):
@@ -183,7 +171,6 @@ class DrawnBorders:
     """
 
     def __init__(self, scene: viser.SceneApi, borders: Borders, model: RobotModel) -> None:
-        """Nothing is drawn yet."""
         self._scene, self._borders, self._model = scene, borders, model
         self._drawn: dict[str, _Drawn] = {}
         self._clicked: tuple[Array, Array] | None = None
@@ -323,10 +310,7 @@ class BorderSlice:
 def shell_faces(surface: BorderSurface, low: float, high: float) -> tuple[Array, Array]:
     """(N, 3) [m] corners in the base's frame, and (M, 3) triangles, their fronts outwards.
 
-    Args:
-        surface: The border.
-        low: [m] from which height on it is wanted.
-        high: [m] up to which.
+    They are those of a border between two heights [m].
     """
     table, corners, faces = surface.table, [], []
     for first, end in zip(table.firsts[:-1], table.firsts[1:], strict=True):

@@ -14,8 +14,7 @@ from app.dashboard.drag import SCALE
 from app.dashboard.scene.canvas import Lens
 from app.dashboard.viser_compat import image_size
 from app.simulation.trace.snapshot import GhostReading, Snapshot
-
-Array = np.ndarray
+from app.strict import Array
 
 FIELD_OF_VIEW = np.deg2rad(42.0)  # [rad] vertical; longer than viser's 75°, so less distortion
 _MARGIN = 0.10  # [-] of the free part that stays empty, both sides together
@@ -39,17 +38,14 @@ _BACK = 1e-3  # [s] that time goes back where a run begins anew
 
 
 class Window(NamedTuple):
-    """The part of a page in which a scene is drawn.
-
-    Attributes:
-        aspect: [-] its width over its height.
-        covered: [-] share of its height, from below, that something else lies over.
-        above: [-] the same from above.
-    """
+    """The part of a page in which a scene is drawn."""
 
     aspect: float = 1.5
+    """[-] its width over its height."""
     covered: float = 0.0
+    """[-] share of its height, from below, that something else lies over."""
     above: float = 0.0
+    """[-] the same from above."""
 
     @classmethod
     def of(cls, width: float, height: float, above: float = 0.0, below: float = 0.0) -> Window:
@@ -71,17 +67,14 @@ ANY_WINDOW = Window()
 
 
 class Preset(NamedTuple):
-    """A way to look at the robot, in the base's frame.
-
-    Attributes:
-        away: (3,) from what is looked at towards the camera.
-        of: What is looked at: the whole robot, the hand alone, the hand and the closest points of
-            the nearest pair, or the robot and a door with its hinge, from where a person stands
-            who opens it.
-    """
+    """A way to look at the robot, in the base's frame."""
 
     away: Array
+    """(3,) from what is looked at towards the camera."""
     of: Literal["robot", "hand", "pair", "door"] = "robot"
+    """What is looked at: the whole robot, the hand alone, the hand and the closest points of the
+    nearest pair, or the robot and a door with its hinge, from where a person stands who opens
+    it."""
 
 
 PRESETS = {
@@ -99,16 +92,13 @@ _OF_SCENARIOS = {"way-out": "pair"}  # views that scenarios have of their own, b
 
 
 class _Look(NamedTuple):
-    """A preset that was looked from.
-
-    Attributes:
-        window: Where the picture was to be drawn then; None once the viewer has moved the camera.
-        eye: (3,) [m] where the camera was put, and has been carried to since.
-    """
+    """A preset that was looked from."""
 
     name: str
     window: Window | None
+    """Where the picture was to be drawn then; None once the viewer has moved the camera."""
     eye: Array
+    """(3,) [m] where the camera was put, and has been carried to since."""
 
 
 class Camera:
@@ -370,10 +360,7 @@ def set_first_look(server: viser.ViserServer, eye: Array, target: Array) -> None
 def fit(points: Array, away: Array, window: Window) -> tuple[Array, Array]:
     """The nearest camera that sees all points, in the middle of the free part.
 
-    Args:
-        points: (N, 3) [m].
-        away: (3,) from what is looked at towards the camera; not upright.
-        window: Where the picture is drawn.
+    `away` (3,) is from the points (N, 3) [m] towards the camera; not upright.
 
     Returns:
         (3,) [m] the eye, and (3,) [m] a point before it on the middle of the picture, as far away

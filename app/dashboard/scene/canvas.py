@@ -1,7 +1,5 @@
 """Canvas: points, lines, arrows, labels and boxes of one picture after the other."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Literal, NamedTuple
@@ -11,8 +9,8 @@ import pinocchio as pin
 import viser
 
 from app.dashboard.scene.colours import Rgb, linear
+from app.strict import Array
 
-Array = np.ndarray
 Anchor = Literal["bottom-left", "top-left", "bottom-right", "top-right"]
 
 ROOT = "/robot"
@@ -30,19 +28,16 @@ _FARTHEST = 8  # lines that a label may stand away from its place
 
 
 class Lens(NamedTuple):
-    """Where the places of a scene are seen.
-
-    Attributes:
-        eye: (3,) [m].
-        axes: (3, 3) right, up and forward.
-        focal: [px] of what is as large as its distance.
-        free: [px] left, low, right and high edge of what nothing lies over, as `pixel` counts.
-    """
+    """Where the places of a scene are seen."""
 
     eye: Array
+    """(3,) [m]."""
     axes: Array
+    """(3, 3) right, up and forward."""
     focal: float
+    """[px] of what is as large as its distance."""
     free: tuple[float, float, float, float]
+    """[px] left, low, right and high edge of what nothing lies over, as `pixel` counts."""
 
     def pixel(self, place: Array) -> tuple[float, float, float]:
         """[px] to the right and up from the picture's middle, and [m] in front of the eye."""
@@ -107,14 +102,12 @@ class Canvas:
     """What is drawn during a picture is seen, and all else of the canvas is hidden.
 
     A node is sent when it is drawn first; from then on viser sends what has changed of it.
-
-    Attributes:
-        labels: Whether labels are drawn; a page lays their texts out aside, so they may come late.
     """
 
     def __init__(self, scene: viser.SceneApi) -> None:
         self._scene = scene
         self.labels = True
+        """Whether labels are drawn; a page lays their texts out aside, so they may come late."""
         self._handles: dict[str, Any] = {}
         self._drawn: set[str] = set()
         self._texts = True

@@ -1,11 +1,10 @@
 """Colours: of a dark and a light page, of what is drawn, and a perceptual map for the border."""
 
-from __future__ import annotations
-
 import numpy as np
 import viser
 
-Array = np.ndarray
+from app.strict import Array
+
 Rgb = tuple[int, int, int]
 
 BRAND: Rgb = (38, 132, 214)

@@ -1,7 +1,5 @@
 """Layers: what explains the motion, each of them a function that draws a snapshot."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -29,8 +27,7 @@ from app.robot.bases.kind import Axis, planar
 from app.simulation.plants.door import drawn_parts
 from app.simulation.trace.metrics import OPENED
 from app.simulation.trace.snapshot import ActingReading, DoorView, PairReading, Snapshot
-
-Array = np.ndarray
+from app.strict import Array
 
 _LABEL_LIFT = np.array([0.0, 0.0, 0.07])  # [m] over its point, clear of the acting points
 LEAST_STRETCH = 0.002  # [m] shorter rubber bands are not drawn

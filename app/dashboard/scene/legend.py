@@ -21,8 +21,7 @@ from app.dashboard.scene.colours import (
 )
 from app.dashboard.verdict import COLOURS, State
 from app.robot.bases.kind import BaseKind
-
-Array = np.ndarray
+from app.strict import Array
 
 QUANTITIES = ("determinant", "reachability", "score")
 """What the border can be coloured by."""
@@ -56,25 +55,22 @@ def measure_of(kind: str) -> BaseMeasure:
 
 
 class Legend(NamedTuple):
-    """What the colour bar says.
-
-    Attributes:
-        title: What is shown, as HTML.
-        unit: Of it, and of the least and the largest value on the border; may be empty.
-        d_b: [m] buffer distance.
-        drawn, total: Points drawn, and points of the border.
-        top: [m] height up to which it is drawn, None if all of it.
-    """
+    """What the colour bar says."""
 
     pair: str
     title: str
+    """What is shown, as HTML."""
     unit: str
+    """Of it, and of the least and the largest value on the border; may be empty."""
     d_b: float
+    """[m] buffer distance."""
     low: float
     high: float
     drawn: int
     total: int
+    """Points drawn, and points of the border."""
     top: float | None
+    """[m] height up to which it is drawn, None if all of it."""
 
     @classmethod
     def of(

@@ -1,7 +1,5 @@
 """Robot: what it looks like, read once for many viewers, and where its links are."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from functools import cached_property
@@ -20,8 +18,8 @@ from app.robot.assets import bare_urdf, floats, resolved_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import shape_mesh
+from app.strict import Array
 
-Array = np.ndarray
 logger = logging.getLogger(__name__)
 MAX_FACES = 2500
 """Faces a mesh may have on the page; the Panda's links come with 12,000 to 22,000."""
@@ -68,9 +66,7 @@ class LinkPoses:
     def update(self, q_m: Array, wheel_angles: Array) -> list[pin.SE3]:
         """T_root_joint of every joint.
 
-        Args:
-            q_m: (n_m,) [rad or m] arm joints.
-            wheel_angles: (n_w,) [rad] of the base's wheels, right and left.
+        Of the arm's joints (n_m,) [rad or m], and the angles (n_w,) [rad] of the base's `wheels`.
         """
         turned = np.zeros(self.model.nv)
         turned[self._arm] = q_m
@@ -158,9 +154,7 @@ def _visuals(robot: RobotModel) -> list[Visual]:
 def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual]:
     """All visual meshes of the URDF, decimated, in the URDF's colours.
 
-    Args:
-        description: The robot.
-        model: pinocchio's model of the whole URDF, whose joints the visuals refer to.
+    `model` is pinocchio's of the whole URDF, whose joints the visuals refer to.
 
     Raises:
         AssetError: The URDF or a mesh is not there.

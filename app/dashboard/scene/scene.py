@@ -1,7 +1,5 @@
 """Scene: the robot and all layers, and how a snapshot is drawn on them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np
@@ -30,8 +28,7 @@ from app.robot.model import RobotModel
 from app.simulation.loop.loop import LoopHandle
 from app.simulation.plants.door import BODY as DOOR
 from app.simulation.trace.snapshot import Snapshot
-
-Array = np.ndarray
+from app.strict import Array
 
 BODY_OPACITY = 0.28  # [-]
 GHOST_OPACITY = 0.30  # [-]
@@ -42,18 +39,7 @@ _TRAILS = {"base": TRAIL_BASE, "hand": TRAIL_HAND}
 
 
 class SceneData:
-    """What scenes are drawn from; `update` takes in what is new.
-
-    Attributes:
-        loop: Gives the snapshots.
-        clouds: P_i of every pair of L_m, by the pair's name.
-        pairs, mobile: Names of all link pairs, in the order of the snapshots, and of those of L_m.
-        of_door: Name of the pair of base and door, which comes with its scenario.
-        spoken: The pairs in words, by their names.
-        tracks: Where "base" and "hand" have been.
-        keepers: All that keep something of the snapshots, in order of time.
-        last: [s] time of the newest snapshot that they were told, -1 if there is none.
-    """
+    """What scenes are drawn from; `update` takes in what is new."""
 
     def __init__(
         self,
@@ -65,11 +51,15 @@ class SceneData:
         """Load what scenes need; `loop` has a snapshot already, `parts` may have been read."""
         first = loop.latest()
         self.loop, self.model, self.clouds = loop, model, clouds
+        """It gives the snapshots; P_i of every pair of L_m, by the pair's name."""
         self.pairs = [pair.name for pair in first.pairs]
         self.mobile = [pair.name for pair in first.pairs if pair.mobile]
+        """Names of all link pairs, in the order of the snapshots, and of those of L_m."""
         self.of_door = f"{model.body_names[0]}-{DOOR}"
+        """Name of the pair of base and door, which comes with its scenario."""
         named = (*self.pairs, self.of_door)
         self.spoken = {name: words.spoken(name, model.body_names) for name in named}
+        """The pairs in words, by their names."""
         self.parts = parts or RobotParts(model)
         self.borders = Borders(model, clouds)
         self.tracks = {
@@ -77,7 +67,9 @@ class SceneData:
             "hand": Track(lambda snapshot: snapshot.p_ee),
         }
         self.keepers: list[Rows | Course | Strip] = [*self.tracks.values()]
+        """All that keep something of the snapshots, in order of time."""
         self.last = -1.0
+        """[s] time of the newest snapshot that they were told, -1 if there is none."""
 
     def update(self) -> None:
         """Tell each new snapshot once to all keepers; if time went back, all begin anew."""
@@ -140,10 +132,7 @@ class RobotScene:
     def update(self, base_pose: Array, q_m: Array, wheel_angles: Array) -> None:
         """Move the frames; viser sends only those that moved.
 
-        Args:
-            base_pose: (3,) x, y [m] and heading [rad] in the world.
-            q_m: (n_m,) [rad or m] arm joints.
-            wheel_angles: (n_w,) [rad] of the base's wheels, right and left.
+        The base pose (3,) is x, y [m] and heading [rad] in the world; else as `LinkPoses.update`.
         """
         x, y, phi = base_pose
         self.root.position = (x, y, 0.0)

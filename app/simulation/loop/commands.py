@@ -5,8 +5,6 @@ UnknownNameError, for a place a TargetError; its types are the type checker's. W
 session knows is refused later, by a snapshot's `refusal`.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Collection, Hashable
@@ -21,10 +19,8 @@ from app.strict import check_range
 
 Point = tuple[float, float, float]
 
-SPEEDS = 0.1, 4.0
-"""[-] slowest and fastest, in times of real time."""
-STEPS = 0.001, 1.0
-"""[s] shortest and longest single step."""
+SPEEDS = 0.1, 4.0  # [-] slowest and fastest, in times of real time
+STEPS = 0.001, 1.0  # [s] shortest and longest single step
 SAMES = ("path", "force")
 """What robots that are compared have in common: where people pull to, or how strongly."""
 MOST_GHOSTS = 2
@@ -185,15 +181,13 @@ class Mailbox:
     replace one another only the newest is kept. A parameter keeps the place of the command that it
     replaces, so that a beginning sent meanwhile has the newest. What happens rather than is set,
     such as a pull, takes its place at the end.
-
-    Attributes:
-        filled: Set while something waits.
     """
 
     def __init__(self) -> None:
         self._waiting: dict[Hashable, Command] = {}
         self._lock = threading.Lock()
         self.filled = threading.Event()
+        """Set while something waits."""
 
     def put(self, command: Command, links: Collection[str]) -> None:
         """Leave a command; the arm can be held at `links`.

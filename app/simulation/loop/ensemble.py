@@ -20,8 +20,7 @@ from app.simulation.trace.columns import frozen
 from app.simulation.trace.metrics import clearance, jumps, largest, path, torque_jump, total
 from app.simulation.trace.snapshot import GhostReading, Score
 from app.simulation.trace.trace import Recorder, Trace
-
-Array = np.ndarray
+from app.strict import Array
 
 _SAID = 1.0  # [s] for which a case is said
 MOST_PULLS = 8
@@ -31,14 +30,7 @@ _TOGETHER = 100  # control steps that are looked at together, which is far quick
 
 
 class Ensemble:
-    """All that the loop steps; commands begin it anew at a scenario's start or at the free one.
-
-    Attributes:
-        scenario: The one at whose start the last beginning was, or None.
-        ends: [s] when it ends, while it leads, else None.
-        ghosts: Runners of the same input with other controllers.
-        comparison: What was asked to be compared last.
-    """
+    """All that the loop steps; commands begin it anew at a scenario's start or at the free one."""
 
     def __init__(self, free: Session, q_start: Array) -> None:
         """Begin at the free start, the arm at `q_start` (n_m,) [rad or m].
@@ -48,10 +40,14 @@ class Ensemble:
         self._free = free
         self._led = Runner(free, None)
         self.scenario: Scenario | None = None
+        """The one at whose start the last beginning was, or None."""
         self.ends: float | None = None
+        """[s] when it ends, while it leads, else None."""
         self._config = free.config
         self.ghosts: list[Runner] = []
+        """Runners of the same input with other controllers."""
         self.comparison = Compare()
+        """What was asked to be compared last."""
         self._holds: dict[int, Hold] = {}
         self._pulled: list[Pulled] | None = None
         """While people may pull as they like: what they did."""

@@ -4,8 +4,6 @@ Whoever draws sees only `LoopHandle`: commands in, immutable snapshots out, noth
 thread may live in another process without a change on the other side.
 """
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,8 +20,7 @@ from app.simulation.people import held_links
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.snapshot import EVERY, Refusal, Snapshot, make_snapshot
 from app.simulation.trace.trace import SNAPSHOTS_KEPT, History
-
-Array = np.ndarray
+from app.strict import Array
 
 _IDLE = 0.25  # [s] between two signs of life while no step is taken
 

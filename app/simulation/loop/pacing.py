@@ -1,7 +1,5 @@
 """Pacing: steps of a fixed period in real time, or a multiple of it, and how well it is kept."""
 
-from __future__ import annotations
-
 import gc
 from collections import deque
 from collections.abc import Iterator
@@ -18,16 +16,14 @@ class Pacer:
 
     A late step is followed at once by the next ones until the delay is made good; a delay of more
     than 0.2 s is given up and shows in the real-time factor.
-
-    Attributes:
-        overruns: Steps that missed their period: their own work took longer, or they began after
-            it was over.
     """
 
     def __init__(self, period: float, speed: float = 1.0) -> None:
         """Begin now; a step is a `period` [s], at `speed` [-] simulated over real time."""
         self._period, self._speed = period, speed
         self.overruns = 0
+        """Steps that missed their period: their own work took longer, or they began after it was
+        over."""
         self._marks: deque[tuple[float, int]] = deque()
         self._works: deque[float] = deque(maxlen=round(_WINDOW / period))
         self._steps = 0

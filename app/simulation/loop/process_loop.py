@@ -4,8 +4,6 @@ Python runs one thread at a time: in the server's process a drawing thread that 
 aside keeps the simulation waiting. Commands go out by a pipe, snapshots come back by another.
 """
 
-from __future__ import annotations
-
 import gc
 import sys
 import threading
@@ -23,9 +21,8 @@ from app.jobs.process import Child, Outcome, portable
 from app.simulation.loop.loop import LiveLoop, SimulationLoop
 from app.simulation.loop.pacing import settled
 from app.simulation.session import Session
+from app.strict import Array
 from app.system import come_first
-
-Array = np.ndarray
 
 _PATIENCE = 5.0  # [s] for a thread, or for the process, to end by itself
 _SEND_EVERY = 0.002  # [s] between two posts of commands

@@ -3,8 +3,6 @@
 Its hand can hold the door of a refrigerator, which stands free.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
@@ -19,8 +17,7 @@ from app.simulation.plants.bullet_world import BulletWorld, pybullet, touches
 from app.simulation.plants.collision_shapes import link_contact_pairs
 from app.simulation.plants.door import Cabinet, Door, OpenDoor
 from app.simulation.plants.interface import Contacts, HeldDoor, PlanarWorld, Push, Wrench
-
-Array = np.ndarray
+from app.strict import Array
 
 _AWAY = (100.0, 0.0)  # [m] where it is loaded, so that no robot that settles at the origin hits it
 _SEAL_STIFFNESS = 2e4  # [N/m] of the door's edge
@@ -31,12 +28,7 @@ _DOOR = 0  # pybullet's index of the door's link, and of its hinge
 
 
 class BulletRobot(BulletWorld, PlanarWorld):
-    """In pybullet.
-
-    Attributes:
-        moving: pybullet's indices of the joints x, y, yaw and those of the arm.
-        door: The door that the hand holds, or None.
-    """
+    """In pybullet."""
 
     def __init__(self, model: RobotModel, dt: float, door: OpenDoor | None) -> None:
         """Load it.
@@ -49,6 +41,7 @@ class BulletRobot(BulletWorld, PlanarWorld):
         self.allow_contacts(link_contact_pairs(description))
         arm, base = description.arm, description.base
         self.moving = [self.joints[name] for name in (*PLANAR_JOINTS, *arm.joints)]
+        """pybullet's indices of the joints x, y, yaw and those of the arm."""
         self._planar, self._arm = self.moving[:3], self.moving[3:]
         self._limits = [base.traction_limit_n, base.traction_limit_n, base.yaw_limit_nm]
         self._hand, self._tool = self.links[arm.end_effector_link], arm.end_effector_xyz_m

@@ -16,6 +16,7 @@ import numpy as np
 from app.errors import AssetError, ConfigError
 from app.simulation.plants.collision_shapes import FLOOR, ContactPairs
 from app.simulation.plants.interface import Contacts
+from app.strict import Array
 from app.system import flush_c_output
 
 
@@ -66,8 +67,6 @@ else:
             import pybullet
     except ModuleNotFoundError:
         pybullet = _NotHere()
-
-Array = np.ndarray
 
 GRAVITY = 9.81  # [m/s²]
 _UNDAMPED = {"linearDamping": 0, "angularDamping": 0, "jointDamping": 0}

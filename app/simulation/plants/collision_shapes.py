@@ -3,8 +3,6 @@
 The shapes are the links' own, or the description's bodies where a mesh is not installed.
 """
 
-from __future__ import annotations
-
 import logging
 from itertools import product
 from pathlib import Path
@@ -19,9 +17,7 @@ from app.robot.assets import resolved_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import convex_hull
-
-Array = np.ndarray
-
+from app.strict import Array
 
 FLOOR = "/floor"
 """The floor among the parts, by a name that no link and no body has."""

@@ -1,7 +1,5 @@
 """A refrigerator and its door: their geometry, and the door as a body of the arm (§4.2.3)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
@@ -15,11 +13,9 @@ from app.robot.description import BodyDescription
 from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
 from app.robot.shapes import Superquadric, around_box
-
-Array = np.ndarray
+from app.strict import Array
 
 BODY = "door"
-"""Name of the body."""
 
 _E1 = 0.2  # [-] upright edges that bend a little, so that the closest point has one place
 _E2 = 0.2  # [-] in plan
@@ -128,29 +124,25 @@ class OpenDoor(NamedTuple):
 
 
 class Cabinet:
-    """The refrigerator that carries a door: a box that stands on the floor by its weight.
-
-    Attributes:
-        size: [m] depth, width and height.
-        inertia: Of the box, in the frame of its centre.
-        T_world: Pose of that frame.
-        T_hinge: Pose of the closed door's frame in it.
-        T_centre: Pose of the board's centre in the door's frame.
-        door_inertia: Of the door, in the door's frame.
-    """
+    """The refrigerator that carries a door: a box that stands on the floor by its weight."""
 
     def __init__(self, door: Door) -> None:
-        """Put it behind a closed door."""
         height = door.bottom + door.height
         self.size = _DEPTH, door.width, height
+        """[m] depth, width and height."""
         self.inertia = pin.Inertia.FromBox(_MASS, *self.size)
+        """Of the box, in the frame of its centre."""
         back = door.thickness / 2 + _GAP + _DEPTH / 2
         self.T_world = door.pose(0.0) * pin.SE3(
             np.eye(3), np.array([back, door.centre[1], height / 2 - _SINKING])
         )
+        """Pose of that frame."""
         self.T_hinge = self.T_world.inverse() * door.pose(0.0)
+        """Pose of the closed door's frame in it."""
         self.T_centre = pin.SE3(np.eye(3), door.centre)
+        """Pose of the board's centre in the door's frame."""
         self.door_inertia = self.T_centre.act(pin.Inertia.FromBox(door.mass, *door.size))
+        """Of the door, in the door's frame."""
 
 
 def drawn_parts(door: Door, angle: float) -> dict[str, tuple[tuple[float, float, float], pin.SE3]]:

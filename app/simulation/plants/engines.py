@@ -1,7 +1,5 @@
 """pybullet and MuJoCo on one robot: what they see, what touches, and how much they differ."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import NamedTuple
 
@@ -12,14 +10,12 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.simulation.plants.interface import Contacts, PlanarWorld
 from app.simulation.plants.planar import planar_plant
-
-Array = np.ndarray
+from app.strict import Array
 
 SAME_DEPTH = 0.005
 """[m] less than which a contact may be one in one engine only: pybullet rounds its hulls, and finds
 the depth of two hulls only nearly."""
-SAME_PICTURE = 0.002
-"""[-] share of a picture's rays below which it is the same."""
+SAME_PICTURE = 0.002  # [-] share of a picture's rays below which it is the same
 _SAME_PLACE = 0.01  # [m] of what a ray meets: pybullet adds 1 mm to hulls, at a slant several
 _EDGE = 0.003  # [m] by which edges may differ
 _BESIDE = tuple(product((0, 1, -1), repeat=2))  # itself first; a corner may lie between two sides

@@ -6,11 +6,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-import numpy as np
-
 from app.robot.state import Measurement
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Contacts(NamedTuple):
@@ -107,7 +104,6 @@ class PlanarWorld(ABC):
     """A robot on planar joints in an engine; q and v are x, y, yaw in the world and the arm's."""
 
     door: HeldDoor | None
-    """The door that the hand holds."""
 
     @abstractmethod
     def reset(self, q: Array) -> None:

@@ -5,8 +5,6 @@ Nothing stops the arm but its joint limits: contacts are overlaps of the convex 
 only. For tests, and an independent check of the engines.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import product
 
@@ -20,8 +18,7 @@ from app.robot.state import Measurement, RobotState
 from app.simulation.plants.collision_shapes import FLOOR, body_contact_pairs
 from app.simulation.plants.interface import Contacts, Physics, Push
 from app.simulation.plants.planar import world_twist
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Kinematic(Physics):

@@ -4,8 +4,6 @@ Its bodies are pinocchio's, one a joint, and so their inertias; shapes that touc
 own. Only what is named touches.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from itertools import product
 from typing import Any
@@ -19,12 +17,10 @@ from app.robot.assets import PLANAR_JOINTS
 from app.robot.model import RobotModel
 from app.simulation.plants.collision_shapes import FLOOR, CollisionShape, collision_shapes, vertices
 from app.simulation.plants.interface import Contacts
-
-Array = np.ndarray
+from app.strict import Array
 
 GRAVITY = 9.81  # [m/s²]
-FIRM = (0.004, 1.0)
-"""[s] time constant and [-] damping ratio of contacts and of joint limits."""
+FIRM = (0.004, 1.0)  # [s] time constant and [-] damping ratio of contacts and of joint limits
 IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]
 """Of both, as MuJoCo has it."""
 

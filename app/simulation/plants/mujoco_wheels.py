@@ -7,8 +7,6 @@ by that. A base with two wheels stands on casters too, which are frictionless an
 the spheres at the floor that the URDF has, or else four corners.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import product
@@ -30,8 +28,7 @@ from app.simulation.plants.door import OpenDoor
 from app.simulation.plants.interface import Contacts, Physics, Push
 from app.simulation.plants.mujoco_spec import GRAVITY, RobotSpec
 from app.simulation.plants.mujoco_world import MujocoWorld
-
-Array = np.ndarray
+from app.strict import Array
 
 _TREAD = 0.25  # [-] half width of a wheel in radii: an ellipsoid, which touches in one point
 _LOAD_RESERVE = 2.0

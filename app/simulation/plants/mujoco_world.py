@@ -3,8 +3,6 @@
 The hand can hold the door of a refrigerator, which stands free.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from functools import partial
@@ -18,8 +16,7 @@ from app.simulation.plants.collision_shapes import FLOOR
 from app.simulation.plants.door import Cabinet, OpenDoor
 from app.simulation.plants.interface import Contacts, HeldDoor, PlanarWorld, Push, Wrench
 from app.simulation.plants.mujoco_spec import RobotSpec
-
-Array = np.ndarray
+from app.strict import Array
 
 # Else it writes a file into the folder where one happens to work.
 mujoco.set_mju_user_warning(partial(logging.getLogger(__name__).warning, "MuJoCo: %s"))
@@ -32,14 +29,7 @@ _BODY, _DOOR, _HINGE, _GRIP = "refrigerator", "door", "hinge", "grip"
 
 
 class MujocoWorld(PlanarWorld):
-    """A specification at work, also of a robot whose root is free.
-
-    Attributes:
-        model, data: MuJoCo's.
-        q, v: All positions and velocities, which MuJoCo keeps up to date.
-        arm_q, arm_v: Where those of the arm are among them.
-        door: The door that the hand holds, or None.
-    """
+    """A specification at work, also of a robot whose root is free."""
 
     def __init__(self, robot: RobotSpec, door: OpenDoor | None) -> None:
         """Compile a specification that has all its motors, and a door."""
@@ -47,10 +37,12 @@ class MujocoWorld(PlanarWorld):
         self.model = model = robot.compile()
         self.data = mujoco.MjData(model)
         self.q, self.v = self.data.qpos, self.data.qvel
+        """All positions and velocities, which MuJoCo keeps up to date."""
         source, arm = robot.model, robot.model.description.arm
         first = model.joint(arm.joints[0])
         self.arm_q = slice(int(first.qposadr[0]), int(first.qposadr[0]) + source.n_m)
         self.arm_v = slice(int(first.dofadr[0]), int(first.dofadr[0]) + source.n_m)
+        """Where those of the arm are among them."""
         self._planar_q = self.q[: self.arm_q.stop]
         self._read = self.q[:3], self.v[:3], self.q[self.arm_q], self.v[self.arm_v]
         self._per_step = 1.0 / model.opt.timestep

@@ -4,8 +4,6 @@ Motors on x, y and yaw hold the base to the drive with at most the traction of t
 wheels themselves are only animated. The base cannot tip.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Literal
@@ -17,8 +15,7 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement
 from app.simulation.plants.door import OpenDoor
 from app.simulation.plants.interface import Contacts, Physics, PlanarWorld, Push
-
-Array = np.ndarray
+from app.strict import Array
 
 
 class Planar(Physics):

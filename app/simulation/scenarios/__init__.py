@@ -41,7 +41,6 @@ SCENARIOS: dict[str, Scenario] = {
     **{s.name: s for s in (RefrigeratorScenario(), WayOutScenario())},
 }
 
-
 _OWN = ("guiding-lateral", "guiding-front", "tracking")
 """Scenarios that lead the hand towards the base's sides, where a robot needs a line of its own."""
 _SAME_LINE = {"tracking": "guiding-lateral"}

@@ -6,8 +6,6 @@ that the radial direction is fixed in the hand, which turns with the door. What 
 hand moves: that direction, from the radial force, and the path's curvature, from the torque.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -19,8 +17,7 @@ from app.control.tasks import Reference
 from app.simulation.plants.door import Door
 from app.simulation.scenarios.leading import DoorReading, Lead
 from app.simulation.session import Session
-
-Array = np.ndarray
+from app.strict import Array
 
 
 @dataclass(frozen=True)
@@ -59,7 +56,6 @@ class HandReading(NamedTuple):
     """What the robot senses of its hand; all in the world."""
 
     T_world_ee: pin.SE3
-    """Pose of the end-effector."""
     velocity: Array
     """(3,) [m/s] of its origin."""
     force: Array
@@ -106,12 +102,7 @@ def curvature_update(torque: float, progress: float, gains: DoorOpeningGains) ->
 
 
 class DoorOpening:
-    """The adaptive controller; gives the end-effector's reference from what the hand senses.
-
-    Attributes:
-        curvature: [1/m] κ̂, signed: positive turns counter-clockwise.
-        speed: [m/s] v along the tangent that is asked now.
-    """
+    """The adaptive controller; gives the end-effector's reference from what the hand senses."""
 
     def __init__(
         self, T_world_ee: pin.SE3, radial_guess: Array, gains: DoorOpeningGains, dt: float
@@ -131,6 +122,8 @@ class DoorOpening:
         if tangent(self.radial(T_world_ee), 1.0) @ out_of_door < 0.0:
             self._sense = -1.0
         self.curvature = self.speed = self._integral = self._t = 0.0
+        """κ̂ [1/m], signed: positive turns counter-clockwise; v [m/s] along the tangent that is
+        asked now."""
         self._felt = np.zeros(6)
 
     def radial(self, T_world_ee: pin.SE3) -> Array:

@@ -7,11 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
 from typing_extensions import Self
 
 from app.errors import ConfigError
-from app.strict import check_range
+from app.strict import Array, check_range
 
 if TYPE_CHECKING:  # only names here, so that what is asked of a scenario is checked at once
     from app.border.cache import BorderData
@@ -22,10 +21,7 @@ if TYPE_CHECKING:  # only names here, so that what is asked of a scenario is che
     from app.simulation.plants.door import OpenDoor
     from app.simulation.session import Session
 
-Array = np.ndarray
-
-SHORTEST = 0.01
-"""[s] of a scenario."""
+SHORTEST = 0.01  # [s] of a scenario
 _DURATIONS = SHORTEST, 3600.0  # [s]
 _FARTHEST = 10.0  # [m] from the origin; a longer way is a slip of the keys
 
@@ -72,9 +68,7 @@ class Setting(NamedTuple):
     q_m: Array
     """(n_m,) [rad or m] the arm's joints."""
     config: Config
-    """Parameters for this scenario."""
     door: OpenDoor | None = None
-    """The door that the hand holds, or None."""
 
 
 @dataclass(frozen=True)

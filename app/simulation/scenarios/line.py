@@ -11,6 +11,7 @@ from typing_extensions import Self
 
 from app.errors import CaseError, ConfigError
 from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting, check_point
+from app.strict import Array
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -19,7 +20,6 @@ if TYPE_CHECKING:
     from app.robot.model import RobotModel
     from app.simulation.session import Session
 
-Array = np.ndarray
 Point = tuple[float, float, float]
 MODES = ("guiding", "tracking")
 

@@ -1,7 +1,5 @@
 """The posture search: joints of the arm that bring its hand to a target, the best of many tries."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
@@ -15,8 +13,7 @@ from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
 from app.robot.link_pairs import LinkPairs, geometry_data
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
-
-Array = np.ndarray
+from app.strict import Array
 
 _MOST_EVALUATIONS = 60  # [-] of the residual
 _JOINT_MARGIN = 0.03  # [-] share of a joint's range that the least squares keep from its limits
@@ -48,20 +45,15 @@ class Found(NamedTuple):
 
 
 class PostureSearch:
-    """Tries postures of the arm and says of each what is near it.
-
-    Attributes:
-        model: The robot.
-        d_b: [m] the buffer distance.
-        state: At the posture that was placed last.
-        span, middle: (n_m,) [rad or m] of each joint's range.
-    """
+    """Tries postures of the arm and says of each what is near it."""
 
     def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
         """Prepare for a robot, the pairs that count and a buffer distance [m]."""
         self.model, self.d_b, self.state = model, d_b, RobotState(model)
+        """The buffer distance [m]; the state is that of the posture that was placed last."""
         self.span = model.q_upper - model.q_lower
         self.middle = (model.q_upper + model.q_lower) / 2
+        """(n_m,) [rad or m] of each joint's range."""
         self._monitor = DistanceMonitor(self.state, pairs.all)
         self._floor = FloorDistance(self.state)
         self._base_pose = np.zeros(3)

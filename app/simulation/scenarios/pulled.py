@@ -11,6 +11,7 @@ import numpy as np
 
 from app.errors import CaseError, DbbError
 from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
+from app.strict import Array
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     from app.robot.model import RobotModel
     from app.simulation.session import Session
 
-Array = np.ndarray
 Point = tuple[float, float, float]
 
 BEGIN = "guiding-front"

@@ -10,7 +10,7 @@ import numpy as np
 
 from app.errors import ConfigError
 from app.simulation.scenarios.leading import Leader, Scenario, Setting, check_point
-from app.strict import check_range
+from app.strict import Array, check_range
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from app.robot.model import RobotModel
     from app.simulation.plants.door import Door
     from app.simulation.session import Session
-
-Array = np.ndarray
 
 _HINGE_BESIDE = 0.10  # [m] from the base's axis, when the base stands where it is put by default
 _FREE_TURN = math.radians(62)  # of the door, before it meets a base at its default place
@@ -128,9 +126,8 @@ class RefrigeratorScenario(Scenario):
         hand's task would swing the elbow away. The base has to be as much costlier, or it would
         move to keep the arm's posture.
         """
-        for path, least in _FIRMNESS.items():
-            config = config.replace(path, max(float(config.value(path)), least))
-        return config
+        firm = {path: max(float(config.value(path)), least) for path, least in _FIRMNESS.items()}
+        return config.changed(firm)
 
     def leader(self, session: Session) -> Leader:
         from app.simulation.scenarios.door_opening import Opener

@@ -1,7 +1,5 @@
 """Where a run begins: the arm with its hand at a place, or at the handle of a door."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
@@ -14,8 +12,7 @@ from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel, kept_per_model
 from app.simulation.plants.door import Door
 from app.simulation.scenarios.posture import Found, PostureSearch, Target, manipulability
-
-Array = np.ndarray
+from app.strict import Array
 
 _PITCHES = np.radians([45, 60, 30, 75, 15, 90, 0, -15])  # below horizontal, best first
 _SEEDS = 16  # starting points of the search per pitch

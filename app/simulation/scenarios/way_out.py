@@ -11,6 +11,7 @@ import numpy as np
 
 from app.errors import ConfigError, UnreachableError
 from app.simulation.scenarios.leading import Lead, Leader, Scenario, Setting
+from app.strict import Array
 
 if TYPE_CHECKING:
     from app.border.cache import BorderData
@@ -19,15 +20,12 @@ if TYPE_CHECKING:
     from app.robot.model import RobotModel
     from app.simulation.session import Session
 
-Array = np.ndarray
-
 Begin = Literal["penetration", "buffer", "arm"]
 BEGINS: tuple[Begin, ...] = ("penetration", "buffer", "arm")
 """Kinds of starts: some pair in penetration; a pair of L_m inside its buffer, none in penetration;
 a pair of L_m^c inside its buffer, none in penetration."""
 
-DEEPEST = 0.05
-"""[m] the deepest penetration that is drawn."""
+DEEPEST = 0.05  # [m] the deepest penetration that is drawn
 _FLOOR_MARGIN = 0.01  # [m] between arm and floor
 _FROM_ABOVE = 0.7  # [-] |n_z| from which a pair of L_m meets from above
 _TRIES = 20_000  # random configurations before a kind of start is given up

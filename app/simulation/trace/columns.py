@@ -13,13 +13,12 @@ import numpy as np
 from pydantic import Field, model_validator
 from typing_extensions import Self
 
-from app.config import Config, make_config
+from app.config import Config
 from app.robot.bases.kind import Axis
 from app.robot.model import RobotModel
 from app.simulation.session import Session, Step
-from app.strict import Positive, Strict, parsed
+from app.strict import Array, Positive, Strict, parsed
 
-Array = np.ndarray
 Kind = Literal["float", "int", "bool", "text"]
 Cell = float | int | bool | str
 Take = Callable[[Session, Step], Any]
@@ -264,20 +263,10 @@ def frozen(values: Any) -> Array:
 
 @lru_cache(maxsize=64)
 def _changes(first: Config, config: Config) -> str:
-    known, now = first.model_dump(mode="json"), config.model_dump(mode="json")
-    changed = {
-        f"{section}.{name}": value
-        for section, values in now.items()
-        for name, value in values.items()
-        if value != known[section][name]
-    }
-    return json.dumps(changed) if changed else ""
+    changes = config.changes(first)
+    return json.dumps(changes) if changes else ""
 
 
 @lru_cache(maxsize=64)
 def _changed(first: Config, text: str) -> Config:
-    data = first.model_dump()
-    for path, value in parsed(json.loads, text or "{}").items():
-        section, _, name = path.partition(".")
-        data[section][name] = value
-    return make_config(data) if text else first
+    return first.changed(parsed(json.loads, text)) if text else first

@@ -10,8 +10,6 @@
 | `/parameters` | `dbb.Config`, with units in its schema | when they change |
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence
@@ -28,9 +26,9 @@ from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
 from app.simulation.trace.snapshot import Snapshot
 from app.simulation.trace.trace import Trace
+from app.strict import Array
 from app.system import whole_file
 
-Array = np.ndarray
 Json = dict[str, Any]
 
 WORLD = "world"

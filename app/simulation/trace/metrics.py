@@ -1,7 +1,5 @@
 """Figures of merit of a run, for `dbb run`, sweeps, studies, claims, ghosts and reports."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -10,8 +8,7 @@ import numpy as np
 
 from app.simulation.plants.door import BODY
 from app.simulation.trace.trace import Trace
-
-Array = np.ndarray
+from app.strict import Array
 
 NEAR = 0.01
 """[m] between two bodies that is as good as contact: the person's force counts until then."""
@@ -28,9 +25,7 @@ class Figure(NamedTuple):
     """A figure of a run."""
 
     about: str
-    """What it is, in a sentence."""
     of: Callable[[Trace], Any]
-    """How it follows from a trace."""
 
 
 def metrics(run: Trace) -> dict[str, Any]:

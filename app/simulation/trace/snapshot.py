@@ -4,8 +4,6 @@ A `Snapshot` is all of them at one instant, as it is drawn; a `Trace` is their c
 new quantity is one more field here: log files, reports and live readings follow from it.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -42,8 +40,7 @@ from app.simulation.trace.columns import (
     numbers,
     records,
 )
-
-Array = np.ndarray
+from app.strict import Array
 
 EVERY = 20
 """Control steps between two snapshots: 50 Hz, in the live loop as in a log."""

@@ -21,14 +21,13 @@ from app.simulation.scenarios.leading import Scenario
 from app.simulation.session import DT, Session, Step
 from app.simulation.trace.columns import Column, Take, TraceMeta
 from app.simulation.trace.snapshot import EVERY, QUANTITIES, Snapshot, make_snapshot
+from app.strict import Array
 
-Array = np.ndarray
 Reason = Literal["still moving", "joint limits", "border against hand", "full stretch", "unknown"]
 
 SNAPSHOTS_KEPT = 3000
 """60 s at 50 Hz."""
-SHORT = 1e-3
-"""[m] from its target at which a hand counts as stuck."""
+SHORT = 1e-3  # [m] from its target at which a hand counts as stuck
 _RESTING = 1e-6  # [m/s, m/s²] below which a reference rests
 _MOVING = 1e-3  # [m/s] towards the target at which the hand is still on its way
 _AT_LIMIT = 0.005  # [-] of a joint's range
@@ -40,7 +39,6 @@ class Layout(NamedTuple):
     """Where each quantity stands in a trace's table."""
 
     meta: TraceMeta
-    """About the run."""
     columns: tuple[Column, ...]
     """Of the table, in order: those that have a number at each control step."""
     slices: dict[str, slice | int]
@@ -63,17 +61,13 @@ class Layout(NamedTuple):
 
 
 class Trace:
-    """A run over time.
-
-    Attributes:
-        meta: About the run as a whole.
-        table: (N, C) what is kept at each row, in order of time.
-        snapshots: What was drawn: of some rows or of all.
-    """
+    """A run over time."""
 
     def __init__(self, layout: Layout, table: Array, snapshots: Sequence[Snapshot] = ()) -> None:
         """Put together what a `Recorder` has taken, or what was read."""
         self.meta, self.table, self.snapshots = layout.meta, table, tuple(snapshots)
+        """The table has (N, C) what is kept at each row, in order of time; snapshots are of some
+        rows or of all."""
         self._layout = layout
 
     @classmethod

@@ -1,7 +1,5 @@
 """§3.1 and §3.4: the acting point (Figures 7 and 8) and the activation (Figure 10)."""
 
-from __future__ import annotations
-
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,11 +12,10 @@ from app.avoidance.mobile_acceleration import ActingPoint
 from app.avoidance.task import activation
 from app.config import ForceConfig
 from app.robot.link_pairs import ClosestPoints
+from app.strict import Array
 from app.studies import style
 from app.studies.paper import drawing
 from app.studies.paper.experiments import LATERAL, WHEEL_AXIS, Experiment, Sources
-
-Array = np.ndarray
 
 TOO_LARGE = ForceConfig(alpha_gain=0.1, alpha_max=0.4)
 """A step size that almost always stands at its upper bound, as large as the bound can be."""

@@ -1,7 +1,5 @@
 """§4.2: the hand is led towards the base, and opens a refrigerator (Figures 11 to 18)."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from functools import partial
 
@@ -15,6 +13,7 @@ from app.simulation.plants.door import BODY, Door, drawn_parts, with_door
 from app.simulation.run import RunResult
 from app.simulation.scenarios.refrigerator import RefrigeratorScenario
 from app.simulation.snapshots import Camera, Photographer, Rgba, Solid
+from app.strict import Array
 from app.studies import style
 from app.studies.paper import drawing
 from app.studies.paper.experiments import (
@@ -29,8 +28,6 @@ from app.studies.paper.experiments import (
     Experiment,
     Sources,
 )
-
-Array = np.ndarray
 
 _TRACKED = {"dbb": TRACKING, "repulsive": TRACKING_REPULSIVE}
 DIRECTIONS = GUIDING["dbb"]

@@ -1,7 +1,5 @@
 """The paper's claims of §4.2 and §4.3, each against what was measured here."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
@@ -31,11 +29,8 @@ class Threshold(NamedTuple):
     """A number against which a measured one is held."""
 
     value: float
-    """In the unit."""
     unit: str
-    """As printed."""
     source: str
-    """Where it comes from."""
 
     def __str__(self) -> str:
         return f"{self.value:g} {self.unit}".strip()
@@ -127,7 +122,6 @@ class Claim(NamedTuple):
     needs: tuple[Experiment, ...]
     """The experiments that it is judged by."""
     measure: Callable[[Sources], Findings]
-    """Judges it."""
 
     def judge(self, sources: Sources) -> dict[str, Any]:
         """The claim as a row of the report."""

@@ -1,7 +1,5 @@
 """§4.3: a border of points jumps the less the denser and costlier it is; a surface does not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from time import perf_counter
@@ -17,25 +15,20 @@ from app.border.surface import BorderPoints, BorderSurface
 from app.robot.link_pairs import ClosestPoints
 from app.simulation.run import run_planned
 from app.simulation.session import DT
+from app.strict import Array
 from app.studies import style
 from app.studies.paper import drawing
 from app.studies.paper.experiments import GUIDING, LATERAL, Sources
 
-Array = np.ndarray
-
-PAPERS_COUNT = 50_000
-"""[-] points of a border, by the paper's practical experience."""
+PAPERS_COUNT = 50_000  # [-] points of a border, by the paper's practical experience
 COUNTS = (5_000, 10_000, 20_000, PAPERS_COUNT)
 """Points of the thinned borders; the whole one is the last."""
-FINER = 10
-"""[-] how much finer the path is sampled for the ratio that tells a jump from a motion."""
-LONGEST = 4.0
-"""[s] of the path on which points and surface are compared."""
+FINER = 10  # [-] how much finer the path is sampled for the ratio that tells a jump from a motion
+LONGEST = 4.0  # [s] of the path on which points and surface are compared
 _COLOURS = {"points": "#D55E00", "surface": style.METHOD_COLOURS["dbb"]}
 _NAMES = {"points": f"border of {PAPERS_COUNT:,} points", "surface": "border as a surface"}
 _LEAST = 1e-9  # [m] where the logarithmic axis ends; smaller steps are drawn there
 _ZOOM = 0.03  # [m] around what is drawn in plan
-
 
 _SHAPES = {"points": BorderPoints, "surface": BorderSurface}
 """How a border is searched."""

@@ -1,7 +1,5 @@
 """A figure of the paper, its files, and the two kinds of panels: curves over time, snapshots."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -23,11 +21,11 @@ from app.robot.model import RobotModel
 from app.robot.shapes import shape_mesh
 from app.simulation.run import RunResult
 from app.simulation.snapshots import Camera, Photographer, Picture, Solid
+from app.strict import Array
 from app.studies import style
 from app.studies.runs import write_table
 from app.system import write_whole
 
-Array = np.ndarray
 Table = dict[str, Array]
 """Columns of equal length, as a figure plots them; names of quantities end in their unit."""
 
@@ -43,7 +41,6 @@ class Drawing:
     """One figure of the paper, made anew."""
 
     figure: Figure
-    """The picture."""
     tables: dict[str, Table]
     """What is plotted; the first without a suffix, the others by theirs."""
     measured: dict[str, Any] = field(default_factory=dict)
@@ -149,9 +146,7 @@ class Strip:
     name: str
     """In the CSV and among the measured figures."""
     text: str
-    """What it shows."""
     run: RunResult
-    """The run."""
     times: Sequence[float]
     """[s] of the snapshots."""
     view: tuple[float, float]

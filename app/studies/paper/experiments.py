@@ -1,7 +1,5 @@
 """The paper's runs: each is done once, all side by side, and shared by figures and claims."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -26,9 +24,8 @@ from app.simulation.case import Planned
 from app.simulation.run import RunResult, run_planned
 from app.simulation.scenarios import LINES, scenario_by_name
 from app.simulation.scenarios.line import LineScenario, Point
+from app.strict import Array
 from app.studies.runs import thinned
-
-Array = np.ndarray
 
 ROBOT = "husky_panda"
 """The paper's robot."""
@@ -43,11 +40,8 @@ class Experiment(Planned):
     def of(cls, scenario: str, controller: str, *, points: bool = False, **line: Point) -> Self:
         """The run of a scenario by its name.
 
-        Args:
-            scenario: Name of the scenario.
-            controller: Name of the controller.
-            points: Whether the border is the paper's points and not the surface through them.
-            line: `start` and `move` [m] of the hand, if not those of the scenario.
+        With `points` the border is the paper's points and not the surface through them; `start` and
+        `move` [m] of the hand may be others than the scenario's.
         """
         config = Config().replace("border.kind", "points") if points else Config()
         return cls(ROBOT, scenario_by_name(scenario).changed(**line), config, controller)
@@ -93,7 +87,6 @@ COMPARED = tuple(each for by_direction in GUIDING.values() for each in by_direct
 DOOR = Experiment.of("refrigerator", "dbb")
 DOOR_NONE = Experiment.of("refrigerator", "none")
 
-
 Runs = dict[Experiment, RunResult]
 
 
@@ -102,9 +95,7 @@ class Sources:
     """What figures and claims are made from."""
 
     model: RobotModel
-    """The robot."""
     data: BorderData
-    """Its pairs and clouds."""
     config: Config
     """Parameters of the runs, unless an experiment says otherwise."""
     runs: Runs

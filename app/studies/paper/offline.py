@@ -1,7 +1,5 @@
 """§2: sampled points and border (Figure 3), its score (Figure 5), reachability (Figure 6)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -18,11 +16,10 @@ from app.border.reach.map import (
 )
 from app.border.score import fit_reachability, radial_profile
 from app.robot.model import RobotModel
+from app.strict import Array
 from app.studies import style
 from app.studies.paper import drawing
 from app.studies.paper.experiments import Sources
-
-Array = np.ndarray
 
 _SHOWN = 12_000  # [-] points of a cloud in a picture; more would only cover each other
 _FACES = ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7))

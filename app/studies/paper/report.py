@@ -1,7 +1,5 @@
 """The whole command: runs, figures, claims and the page, written into a folder."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -67,12 +65,7 @@ def reproduce(
 ) -> dict[str, Any]:
     """Make figures with their data, judge the claims, and write all of it.
 
-    Args:
-        names: Names of figures, in the order of the page.
-        out: An existing folder.
-        seed: Of everything random in the runs.
-        processes: How many runs to do side by side.
-        on_progress: Called now and then with how much of `work` is done [s].
+    `on_progress` is called now and then with how much of `work` is done [s].
 
     Returns:
         What `metrics.json` holds.

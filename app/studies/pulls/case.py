@@ -50,9 +50,7 @@ def planned_of(row: Row, parameters: StudyParameters) -> Planned:
     Doing it raises a `CaseError` on a robot of another arm.
     """
     joints = sum(f"q{i}_rad" in row for i in range(1, len(row)))
-    config = Config()
-    for name, path in PARAMETERS.items():
-        config = config.replace(path, row[COLUMNS[name]])
+    config = Config().changed({path: row[COLUMNS[name]] for name, path in PARAMETERS.items()})
     scenario = RANDOM_PULL.changed(
         start=tuple(row[f"start_{axis}_m"] for axis in "xyz"),
         move=tuple(row[f"move_{axis}_m"] for axis in "xyz"),

@@ -3,8 +3,6 @@
 The hand starts on a ray out of the base, in a direction of the whole sphere.
 """
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from typing import NamedTuple
@@ -19,6 +17,7 @@ from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 from app.simulation.scenarios.start import StartSolver
+from app.strict import Array
 from app.studies.pulls.case import COLUMNS
 from app.studies.pulls.parameters import (
     LOGARITHMIC,
@@ -29,8 +28,6 @@ from app.studies.pulls.parameters import (
 )
 from app.studies.runs import Row
 from app.studies.sweep.plan import point_of, way_out
-
-Array = np.ndarray
 
 SECTORS = ("front", "front corner", "side", "back", "above", "below")
 """Parts of the sphere of directions from the base to the hand; each is as likely. "above" is
@@ -62,7 +59,6 @@ class StudySources(NamedTuple):
 
     model: RobotModel
     data: BorderData
-    """Its pairs and clouds."""
     lower: Array
     """(3,) [m] corner of the mobile robot's box, in its own frame, on the floor."""
     upper: Array

@@ -1,7 +1,5 @@
 """Where safety ends: how strongly the hand may be pulled, within which intervals of all else."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -21,13 +19,11 @@ from app.studies.runs import Row
 STATED = Path(__file__).with_name("envelope.toml")
 """The envelope that the project states, with its source."""
 
-RESERVE = NEAR
-"""[m] a case that comes nearer bounds the envelope as if it had failed."""
+RESERVE = NEAR  # [m] a case that comes nearer bounds the envelope as if it had failed
 MARGIN = 0.9  # [-] of the weakest such case's force that is still inside
 FORCE = "hand_force_clear_max_n"
 """Column of a row with the force that was exerted before two bodies were near."""
 _CONFIDENCE = 0.95  # [-] of the bound of a rate
-
 
 _drawn: dict[str, Any] = {name: (Interval, ...) for name in PARAMETERS if name != "hand_f_max"}
 

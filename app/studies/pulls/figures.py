@@ -1,7 +1,5 @@
 """The pictures of a study's report."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -14,8 +12,6 @@ from app.studies.pulls.case import failed, met_base, met_itself
 from app.studies.pulls.envelope import FORCE, Envelope
 from app.studies.runs import Row
 from app.studies.style import INK, SOFT, TARGET, new_figure, picture, pictures_in
-
-Array = np.ndarray
 
 _CLEARANCES = 0.0, 0.15  # [m] ends of the scale of colours
 _SHADE = "#DCEBF5"

@@ -1,7 +1,5 @@
 """What makes a study the study that it is: what runs, and the intervals that it draws from."""
 
-from __future__ import annotations
-
 import hashlib
 from functools import cache
 from pathlib import Path

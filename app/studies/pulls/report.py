@@ -1,7 +1,5 @@
 """What a study found: its figures in `study.json`, and `report.html`, which needs nothing else."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise

@@ -159,9 +159,6 @@ class Journal(AbstractContextManager["Journal"]):
 
     Each row is one line of JSON, on the disk before `add` returns. A line that was cut off when
     the process was killed is dropped, and its case is done again.
-
-    Attributes:
-        rows: By the number of the case.
     """
 
     def __init__(self, folder: Path, identity: dict[str, Any]) -> None:
@@ -174,6 +171,7 @@ class Journal(AbstractContextManager["Journal"]):
                 cannot be read.
         """
         self.rows: dict[int, Row] = {}
+        """By the number of the case."""
         self._folder = folder
         self._file = (folder / _LINES).open("a+b")
         try:

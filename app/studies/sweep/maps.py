@@ -1,7 +1,5 @@
 """The pictures of a sweep: around the base or on it, how the paths from each side ended."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise

@@ -15,13 +15,12 @@ from app.errors import ConfigError, check_name
 from app.simulation.case import Planned
 from app.simulation.plants import chosen_plant, default_plant
 from app.simulation.scenarios.line import Point, StartedLine
-from app.strict import check_range
+from app.strict import Array, check_range
 
 if TYPE_CHECKING:
     from app.robot.model import RobotModel
     from app.studies.sweep.starts import Start
 
-Array = np.ndarray
 Mode = Literal["tracking", "guiding"]
 Kind = Literal["side", "wheel_axis", "above"]
 
@@ -29,14 +28,10 @@ KINDS: tuple[Kind, ...] = ("side", "wheel_axis", "above")
 AXIS_OFFSETS = (0.0, 0.001, -0.001, 0.010, -0.010, 0.050, -0.050)
 """[m] x of p_b on the paths along the wheel axis."""
 
-ERROR_LIMIT = 0.001
-"""[m] final error up to which a path counts as done."""
-CLEARANCE_LIMIT = 0.03
-"""[m] distance between arm and base from which a path counts as safe."""
-CLEAR = 0.02
-"""[m] beyond the buffer at which the arm starts, if nothing else is asked."""
-MORE_THAN_BUFFER = 0.005
-"""[m] what a start needs beyond the buffer at least."""
+ERROR_LIMIT = 0.001  # [m] final error up to which a path counts as done
+CLEARANCE_LIMIT = 0.03  # [m] distance between arm and base from which a path counts as safe
+CLEAR = 0.02  # [m] beyond the buffer at which the arm starts, if nothing else is asked
+MORE_THAN_BUFFER = 0.005  # [m] what a start needs beyond the buffer at least
 _RANGES = {
     "heights": (0.02, 2.0, "m"),
     "speeds": (0.001, 1.0, "m/s"),
@@ -239,8 +234,6 @@ class Trial(NamedTuple):
     """One run: a start, and with what it is done."""
 
     start: Start
-    """Where the path begins."""
     controller: str
-    """Name of the controller."""
     speed: float
     """[m/s] mean speed of the hand on its way."""

@@ -1,7 +1,5 @@
 """Where the hand's paths begin: a clear posture of the arm, just outside of its buffer."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -18,9 +16,9 @@ from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 from app.simulation.scenarios.line import Point
 from app.simulation.scenarios.start import OUT_OF_REACH, StartSolver
+from app.strict import Array
 from app.studies.sweep.plan import Approach, point_of, way_out
 
-Array = np.ndarray
 _Posture = tuple[Array, Array]  # (3,) [m] the hand's origin, (n_m,) the arm's joints
 
 _GAPS = (0.30, 0.24, 0.36, 0.20, 0.42)  # [m] hand's origin to the base's outline, best first
@@ -43,7 +41,6 @@ class Start(NamedTuple):
     """Where a path begins, or why it cannot."""
 
     approach: Approach
-    """The path."""
     q_m: tuple[float, ...] = ()
     """(n_m,) the arm's joints [rad or m], empty where there is no clear start."""
     p_ee: Point = (0.0, 0.0, 0.0)

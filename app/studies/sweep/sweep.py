@@ -3,8 +3,6 @@
 Its files are `sweep.json`, `sweep.csv`, and a map for each height and speed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache, partial
@@ -22,6 +20,7 @@ from app.jobs.pool import Workers
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 from app.simulation.run import run_planned
+from app.strict import Array
 from app.studies.runs import Row, rounded, thinned, write_json, write_rows
 from app.studies.sweep.plan import (
     CLEARANCE_LIMIT,
@@ -35,11 +34,8 @@ from app.studies.sweep.plan import (
 from app.studies.sweep.starts import Start, StartFinder
 from app.system import write_whole
 
-Array = np.ndarray
-
 _MOST_PIXELS = 20_000_000  # [-] of a map, which has two million
-START_SHARE = 0.25
-"""[-] of the work that the search for starts is counted as."""
+START_SHARE = 0.25  # [-] of the work that the search for starts is counted as
 LISTS: dict[Kind, str] = {"side": "paths", "wheel_axis": "wheel_axis", "above": "above"}
 """Under which key of the JSON the paths of a kind stand."""
 _KEPT = (
