@@ -54,19 +54,14 @@ _HELD = (
 
 
 class Row(NamedTuple):
-    """One check.
-
-    Attributes:
-        name: What was checked.
-        outcome: passed, warned or failed, or that nothing was there to show it.
-        text: One sentence.
-        numbers: What was measured; keys end in their unit.
-    """
+    """One check."""
 
     name: str
     outcome: Outcome
+    """passed, warned or failed, or that nothing was there to show it."""
     text: str
     numbers: dict[str, float]
+    """What was measured; keys end in their unit."""
 
 
 def check_robot(

@@ -91,32 +91,29 @@ class Parsed:
 
 @dataclass(frozen=True)
 class NewRobot:
-    """A robot that was made, before anything is written.
-
-    Attributes:
-        urdf: Text of the new URDF.
-        content: The description, as `RobotDescription` takes it, its URDF by name.
-        verdict: Of the grouping.
-        reach: By the name of the body.
-        places: By the name of the scenario.
-        held: A warning where the arm cannot hold its hand, or nothing.
-        warnings: One sentence each.
-    """
+    """A robot that was made, before anything is written."""
 
     request: Request
     parsed: Parsed
     urdf: str
+    """Text of the new URDF."""
     content: dict[str, Any]
+    """The description, as `RobotDescription` takes it, its URDF by name."""
     model: RobotModel
     meetings: Meetings
     bodies: list[FittedBody]
     verdict: Verdict
+    """Of the grouping."""
     unseen: Unseen
     ready: Ready
     reach: dict[str, Reach]
+    """By the name of the body."""
     places: dict[str, Place]
+    """By the name of the scenario."""
     held: str
+    """A warning where the arm cannot hold its hand, or nothing."""
     warnings: list[str]
+    """One sentence each."""
 
 
 def finish(

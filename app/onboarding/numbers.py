@@ -278,20 +278,14 @@ _LEAST_WIDTH = 0.1  # [m]
 
 
 class Reach(NamedTuple):
-    """A, B, C of (9) for one body.
-
-    Attributes:
-        A, B, C: [1/m²], [m], [-].
-        source: In words.
-        counted: The map, or None where the coefficients are assumed.
-        fit: How well (9) fits it, or None.
-    """
+    """A [1/m²], B [m] and C [-] of (9) for one body."""
 
     A: float
     B: float
     C: float
     source: str
     counted: ReachMap | None
+    """The map, or None where the coefficients are assumed."""
     fit: ReachFit | None
 
     def content(self) -> dict[str, Any]:

@@ -260,19 +260,16 @@ def _base(robot: NewRobot) -> Iterator[str]:
 
 
 class Carried(NamedTuple):
-    """How often the base takes the hand along with it.
-
-    Attributes:
-        axis: Of the base's motion.
-        speed: [m/s or rad/s] at which it was asked.
-        place: [-] share of the poses in which the arm cannot keep its hand's place.
-        pose: [-] share in which it cannot keep place and orientation.
-    """
+    """How often the base takes the hand along with it."""
 
     axis: Axis
+    """Of the base's motion."""
     speed: float
+    """[m/s or rad/s] at which it was asked."""
     place: float
+    """[-] share of the poses in which the arm cannot keep its hand's place."""
     pose: float
+    """[-] share in which it cannot keep place and orientation."""
 
     @property
     def text(self) -> str:

@@ -102,17 +102,14 @@ def _sources_text(robot: NewRobot) -> str:
 
 
 class HandMade(NamedTuple):
-    """What a person has changed of a robot.
-
-    Attributes:
-        shapes: By the name of the body and the shape's place in it.
-        unwatched: Why a pair is not watched, by its name; of all that are not.
-        ready: (n_m,) [rad or m] the ready pose, or None where it stays.
-    """
+    """What a person has changed of a robot."""
 
     shapes: dict[tuple[str, int], Shape]
+    """By the name of the body and the shape's place in it."""
     unwatched: dict[str, str]
+    """Why a pair is not watched, by its name; of all that are not."""
     ready: tuple[float, ...] | None
+    """(n_m,) [rad or m] the ready pose, or None where it stays."""
 
 
 BY_HAND = "set by hand"

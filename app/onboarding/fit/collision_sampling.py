@@ -42,37 +42,28 @@ _SPREADS = (0.1, 0.05, 0.05, 0.02)  # [-] of a joint's range by which they are v
 
 
 class Part(NamedTuple):
-    """One hull of a unit.
-
-    Attributes:
-        link: The link it belongs to.
-        corners: (N, 3) [m] of its hull, in the joint's frame.
-        reach: (K,) [m] its support along `directions(2)`.
-    """
+    """One hull of a unit."""
 
     link: str
     corners: Array
+    """(N, 3) [m] of its hull, in the joint's frame."""
     reach: Array
+    """(K,) [m] its support along `directions(2)`."""
 
 
 class Unit(NamedTuple):
-    """Links that move as one.
-
-    Attributes:
-        index: 0 the base, 1 what is fixed to it below the arm, k + 1 what the arm's joint k moves.
-        frame: The link whose frame is the joint's; the floor point for the first two.
-        links: All of them.
-        joint: pinocchio's joint that moves them.
-        parts: Their hulls.
-        surface: (N, 3) [m] points on the hulls, in the joint's frame.
-    """
+    """Links that move as one."""
 
     index: int
+    """0 the base, 1 what is fixed to it below the arm, k + 1 what the arm's joint k moves."""
     frame: str
+    """The link whose frame is the joint's; the floor point for the first two."""
     links: tuple[str, ...]
     joint: int
+    """pinocchio's."""
     parts: tuple[Part, ...]
     surface: Array
+    """(N, 3) [m] points on the hulls, in the joint's frame."""
 
 
 def make_units(
@@ -271,43 +262,35 @@ def _spheres(geometry: pin.GeometryModel) -> tuple[Array, Array, Array]:
 
 
 class Poses(NamedTuple):
-    """Poses of the arm.
-
-    Attributes:
-        q_m: (N, n_m) [rad or m]
-        distances: (N, pairs) [m] signed, of hulls.
-        possible: (N,) whether no close pair touches, but for those built into each other, which
-            always do: joint limits have to prevent the others.
-    """
+    """Poses of the arm."""
 
     q_m: Array
+    """(N, n_m) [rad or m]"""
     distances: Array
+    """(N, pairs) [m] signed, of hulls."""
     possible: Array
+    """(N,) whether no close pair touches, but for those built into each other, which always do:
+    joint limits have to prevent the others."""
 
 
 @dataclass(frozen=True)
 class Meetings:
-    """What random poses brought together.
-
-    Attributes:
-        units: The links that move as one.
-        pairs: Pairs of units, by their indices, that are no neighbours.
-        close: Pairs that are within the buffer in most poses without a collision, as they are
-            built: no buffer can watch them.
-        apart: Those of the base and a link that moves on it which meet deeper than what is built
-            side by side: limits of joints have to keep them apart.
-        random: The random poses.
-        rare: Poses around those in which pairs that hardly meet are nearest, where they do.
-        met: By the pair (u, v): (points of u,) whether v came to that point of u's surface.
-    """
+    """What random poses brought together."""
 
     units: tuple[Unit, ...]
     pairs: tuple[tuple[int, int], ...]
+    """Pairs of units, by their indices, that are no neighbours."""
     close: frozenset[tuple[int, int]]
+    """Pairs that are within the buffer in most poses without a collision, as they are built: no
+    buffer can watch them."""
     apart: frozenset[tuple[int, int]]
+    """Those of the base and a link that moves on it which meet deeper than what is built side by
+    side: limits of joints have to keep them apart."""
     random: Poses
     rare: Poses
+    """Poses around those in which pairs that hardly meet are nearest, where they do."""
     met: dict[tuple[int, int], Array] = field(repr=False, default_factory=dict)
+    """By the pair (u, v): (points of u,) whether v came to that point of u's surface."""
 
     @property
     def collides(self) -> Array:

@@ -21,19 +21,16 @@ _THINNEST = 0.002  # [m] of a box's side
 
 
 class Fit(NamedTuple):
-    """A convex shape around points.
-
-    Attributes:
-        shape: The shape, in the points' frame.
-        volume: [m³]
-        over_cover: [-] its volume over that of the points' hull.
-        protrusion: [m] how far it stands out of the points' hull at most.
-    """
+    """A convex shape around points."""
 
     shape: Shape
+    """The shape, in the points' frame."""
     volume: float
+    """[m³]"""
     over_cover: float
+    """[-] its volume over that of the points' hull."""
     protrusion: float
+    """[m] how far it stands out of the points' hull at most."""
 
 
 def fit_best(points: Array, weights: dict[str, float]) -> Fit:

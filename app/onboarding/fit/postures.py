@@ -37,19 +37,16 @@ _BAD = 1e3  # [-] makes the worth of the worst pose more than zero: a pose is al
 
 
 class Ready(NamedTuple):
-    """A pose and what is near in it.
-
-    Attributes:
-        q_m: (n_m,) [rad or m]
-        clearance: [m] least distance of a pair beyond the buffer; negative inside of it.
-        nearest: Name of that pair.
-        manipulability: √det(J Jᵀ) of the hand.
-    """
+    """A pose and what is near in it."""
 
     q_m: Array
+    """(n_m,) [rad or m]"""
     clearance: float
+    """[m] least distance of a pair beyond the buffer; negative inside of it."""
     nearest: str
+    """Name of that pair."""
     manipulability: float
+    """√det(J Jᵀ) of the hand."""
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, d_b: float, seed: int) -> Ready:
@@ -136,18 +133,14 @@ _SINGULAR = 1e-9  # [m/(N s)] of a hand that is nearly held in some direction
 
 
 class Place(NamedTuple):
-    """A line of guiding [m], as the scenario has it, and where it comes from in words.
-
-    Attributes:
-        start, move: As of `LineScenario`.
-        nearest: [m] least distance of the arm to a base that stands still while its hand is pulled.
-        source: In words.
-    """
+    """A line of guiding [m], as the scenario has it, and where it comes from in words."""
 
     start: Point
     move: Point
     nearest: float
+    """[m] least distance of the arm to a base that stands still while its hand is pulled."""
     source: str
+    """In words."""
 
     def content(self) -> dict[str, Any]:
         """As a description has it."""

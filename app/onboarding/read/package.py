@@ -274,19 +274,16 @@ _MOST_NAMES = 500  # [-] links or joints in a list
 
 
 class Contents(NamedTuple):
-    """Names in a URDF.
-
-    Attributes:
-        links: All, in the order of the file.
-        endless: Joints that turn without end.
-        root: The first link that no joint moves: perhaps the base.
-        last: The link that is farthest from the root by joints: perhaps the tip.
-    """
+    """Names in a URDF."""
 
     links: tuple[str, ...]
+    """All, in the order of the file."""
     endless: tuple[str, ...]
+    """Joints that turn without end."""
     root: str
+    """The first link that no joint moves: perhaps the base."""
     last: str
+    """The link that is farthest from the root by joints: perhaps the tip."""
 
 
 def look_into(archive: Path) -> dict[str, Contents]:

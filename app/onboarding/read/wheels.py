@@ -27,44 +27,36 @@ _TRAVEL = 0.5  # [-] of a wheel's radius that its suspension may travel
 
 
 class Wheels(NamedTuple):
-    """The drive, seen from the base's link.
-
-    Attributes:
-        left, right: Joints of each side.
-        r: [m] their radius.
-        b: [m] half of the distance between the sides.
-        T_base_floor: The point on the floor below the middle between the wheels, x forward.
-        joint_velocity: [rad/s] limit of the wheels, or None where the URDF states none.
-        how: Where the radius comes from.
-    """
+    """The drive, seen from the base's link: joints of each side, their radius r [m]."""
 
     left: tuple[str, ...]
     right: tuple[str, ...]
     r: float
     b: float
+    """[m] half of the distance between the sides."""
     T_base_floor: pin.SE3
+    """The point on the floor below the middle between the wheels, x forward."""
     joint_velocity: float | None
+    """[rad/s] limit of the wheels, or None where the URDF states none."""
     how: str
+    """Where the radius comes from."""
 
 
 class Steering(NamedTuple):
-    """The steered front wheels of a car-like base.
-
-    Attributes:
-        wheelbase: [m] from the rear axle to theirs.
-        limit: [rad] how far they turn to either side.
-        rate: [rad/s] how fast.
-        rolling: Joints of the wheels on them.
-        joints: Joints that turn with the steering.
-        sources: Of the first three.
-    """
+    """The steered front wheels of a car-like base."""
 
     wheelbase: float
+    """[m] from the rear axle to theirs."""
     limit: float
+    """[rad] how far they turn to either side."""
     rate: float
+    """[rad/s] how fast."""
     rolling: tuple[str, ...]
+    """Joints of the wheels on them."""
     joints: tuple[str, ...]
+    """Joints that turn with the steering."""
     sources: tuple[str, str, str]
+    """Of the first three."""
 
 
 class _Wheel(NamedTuple):
