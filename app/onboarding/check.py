@@ -76,12 +76,7 @@ def check_robot(
 
     A check that cannot be done fails with the reason; those that need it are left out.
 
-    Args:
-        description: The robot.
-        runs: Whether to guide the hand too, which takes longest.
-        tell: Called with what is being done.
-        processes: How many to sample the border with; all cores if not given.
-        sampling: Of the border; by default as every command samples it.
+    `runs` that guide the hand take longest; the border is sampled by all cores, or `processes`.
     """
     tell("compiling")
     try:

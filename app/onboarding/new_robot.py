@@ -126,13 +126,8 @@ def finish(
 ) -> tuple[NewRobot, BorderData]:
     """Make a robot and its border, and only then put its folder in its place.
 
-    Args:
-        request: What is asked.
-        tell: Called with what is being done.
-        processes: How many to sample with; all cores if not given.
-        sampling: Of the border; by default as every command samples it.
-        on_progress: Called with the share of a long step that is done, 0 to 1: of the border,
-            then of the places that are searched.
+    The border is sampled by all cores, or `processes`. `tell` is called with what is being done,
+    `on_progress` with the share of a long step that is, 0 to 1: of the border, then of the places.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library cannot take it.

@@ -197,15 +197,7 @@ def base_numbers(
     half_track: float | None,
     steering: Steering | None = None,
 ) -> Sourced:
-    """Numbers of the description's base.
-
-    Args:
-        model: The robot with its inertias.
-        wheels: Its drive.
-        q_m: (n_m,) the ready pose.
-        half_track: [m] as given, or None for the measured one.
-        steering: Of a car-like base.
-    """
+    """Numbers of the description's base in the ready pose q_m (n_m,); `half_track` [m] if given."""
     kind = model.description.base.kind
     M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))
     mass, yaw = float(M[0, 0]), float(M[2, 2])

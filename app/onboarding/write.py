@@ -198,11 +198,7 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
     that is only seen can be touched too. Endless joints become revolute with wide limits, joints
     that follow others stand still: pinocchio and pybullet then read the same robot.
 
-    Args:
-        parsed: What the old one says.
-        name: Of the robot.
-        header: A comment at the top.
-        home: Folder of the new URDF, for meshes that lie below it.
+    Meshes below `home`, the folder of the new URDF, are named by the path in it.
     """
     tree, base = parsed.tree, parsed.arm.base
     robot = Element("robot", name=name, version="1.2")
@@ -330,12 +326,8 @@ def description(
 ) -> dict[str, Any]:
     """A description, its URDF by name; without numbers and bodies, for kinematics and dynamics.
 
-    Args:
-        request: What was asked.
-        parsed: What the URDF says.
-        bodies: Of the robot; dots stand for them.
-        moving: Of the base and the arm; ones stand for them, and the middle of the joints.
-        unwatched: Why a pair of bodies is not watched, by its name.
+    Dots stand for the bodies, ones for what is `moving`, base and arm, and the joints' middle.
+    `unwatched` says why a pair of bodies is not watched, by its name.
     """
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels, parsed.steering)

@@ -44,10 +44,6 @@ class FittedBody(NamedTuple):
 def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBody:
     """l_m around the whole base: one shape, or several where one would be mostly empty.
 
-    Args:
-        units: Of the robot, by their index.
-        mobile: Indices of those of l_m.
-
     Raises:
         RobotFileError: The base has no shapes.
     """

@@ -173,12 +173,8 @@ def group_distances(
     With many shapes, of those above 0.5 m only that is certain: the spheres around them are so far
     apart.
 
-    Args:
-        model: The robot, its base at the origin.
-        geometry: The shapes, without collision pairs; those of the groups are added.
-        groups: Indices of the shapes of each group.
-        pairs: Of groups.
-        q_m: (N, n_m) [rad or m] the arm's joints.
+    Groups are indices of shapes, pairs those of groups, q_m (N, n_m) [rad or m] the arm's joints,
+    the base at the origin. The geometry has no collision pairs yet: those of the groups are added.
     """
     starts, shapes = [], []
     for a, b in pairs:
@@ -320,14 +316,8 @@ def sample_meetings(
 ) -> Meetings:
     """Distances between the hulls of all units that are no neighbours, in random poses.
 
-    Args:
-        model: The robot.
-        units: Its links that move as one, by their index.
-        samples: Poses.
-        seed: Of the poses.
-        d_b: [m] buffer distance.
-        points: Whether to look at the points that met, too.
-        stopped: Whether the limits have to keep apart what they can: no such pair is close then.
+    With `points`, those that met are looked at, too. `stopped` means that the limits have to keep
+    apart what they can: no such pair is close then. d_b [m] is the buffer distance.
     """
     q_m = sample_joints(model, samples, np.random.default_rng(seed))
     pairs = tuple(

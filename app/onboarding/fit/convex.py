@@ -34,12 +34,7 @@ class Fit(NamedTuple):
 
 
 def fit_best(points: Array, weights: dict[str, float]) -> Fit:
-    """The shape of the least weighted volume around points.
-
-    Args:
-        points: (N, 3) [m].
-        weights: [-] by which a kind's volume counts: `capsule`, `box`, `hull`.
-    """
+    """The shape of the least volume around points (N, 3) [m], by the weights [-] of its kinds."""
     corners, volume = _hull(points)
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
     fits = {kind: _judged(kinds[kind](corners), corners, volume) for kind in weights}

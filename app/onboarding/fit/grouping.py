@@ -82,12 +82,8 @@ def find_grouping(
     What is fixed to the base below the arm belongs to l_1 as the paper's link 0 does; where it can
     meet a link without any pair of bodies that sees it, as around a mast, it belongs to l_m.
 
-    Args:
-        model: The robot.
-        meetings: Of its links.
-        d_b: [m] buffer distance.
-        count: How many bodies; by default four as the paper has, or two to five where four do not
-            do: a pair always near, one that only the bodies make, too many collisions missed.
+    Without a count these are four bodies as the paper has, or two to five where four do not do: a
+    pair always near, one that only the bodies make, too many collisions missed. d_b is in m.
 
     Raises:
         RobotFileError: The arm has fewer parts than `count`, or none of a shape.

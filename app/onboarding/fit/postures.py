@@ -164,13 +164,8 @@ def find_places(
     which the arm can start. Without avoidance the arm would come to the base itself there, or well
     into the inner half of the buffer. A side on which the arm does not reach so far has none.
 
-    Args:
-        model: The robot.
-        pairs: Those that avoidance watches.
-        d_b: [m] buffer distance.
-        shows: Whether a line, by the scenario's name, shows what it should; see `gives_way`.
-        anyway: Whether one is taken where none does.
-        on_progress: Called with the share of the places that was looked at, 0 to 1.
+    A line is one on which `shows` is true of its scenario's name and itself, as `gives_way`; where
+    none is, one is taken `anyway` or not. For the pairs that avoidance watches and d_b [m].
     """
     if not pairs.mobile:
         return {}
@@ -206,14 +201,8 @@ def chosen(
 ) -> Place | None:
     """The first line on which the bodies would meet that shows it, else the deepest that does.
 
-    Args:
-        lines: In the order of preference; none is asked for after the last one that is tried.
-        d_b: [m] buffer distance.
-        shows: Asked of a few lines.
-        anyway: Whether the first of them is taken if none shows it.
-
-    Returns:
-        None if there is no such line in the inner part of the buffer.
+    None is asked for after the last one that is tried, which are a few; where none of those shows
+    it, the first is taken `anyway` or not. Only lines into the inner part of d_b [m] count.
     """
     deep: dict[Point, Place] = {}
     tried: list[Place] = []

@@ -49,12 +49,9 @@ def read_robot(
 def read_source(
     path: Path, packages: Mapping[str, Path] | None = None, /, **arguments: str
 ) -> Element:
-    """The `<robot>` of a URDF or xacro file.
+    """The `<robot>` of a URDF, or of a xacro with its arguments by name.
 
-    Args:
-        path: The file.
-        packages: Folders of ROS packages, by name, that come before all others.
-        arguments: Of a xacro, by name.
+    Folders of ROS packages that are given by name come before all others.
 
     Raises:
         RobotFileError: It is not well-formed XML, declares entities, is not a robot, or its macros
