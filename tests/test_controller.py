@@ -15,6 +15,7 @@ from app.control.limits import base_limits, joint_bounds, robot_limits
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
 from app.control.tasks import (
     Reference,
+    end_effector_error,
     end_effector_task,
     free_arm_torque,
     posture_objective,
@@ -149,11 +150,12 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     avoidance = output.avoidance
     rows = [r for r in (avoidance.rows_m, *avoidance.rows_links) if r is not None]
     state, softness = controller.state, config.task.softness
-    task = end_effector_task(state, reference, config.task)
+    error = end_effector_error(state, reference)
+    task = end_effector_task(state, error, config.task)
     posture = posture_objective(state, m.q_m, config.task)
     objective = tracking_objective(posture, task, config.task.ee_weight)
     objective = insert_rows(objective, rows, softness)
-    limits = robot_limits(state, config.limit, softness=softness).and_also(base_limits(state))
+    limits = robot_limits(state, config.limit, softness=softness).and_also(base_limits(robot))
     whole = TaskQP().solve(objective, limits)
     asked = output.base_acceleration
     np.testing.assert_allclose(robot.J_m @ whole[:2], asked, atol=2e-2, rtol=2e-2)
@@ -210,7 +212,7 @@ def missing(state: RobotState, base: np.ndarray) -> float:
     moved = state.model.J_m_inv @ (gain * (base - drag * state.measurement.base_velocity))
     slow = slowed(UNHELD)
     hold = Reference(state.T_world_ee, np.zeros(6), np.zeros(6))
-    task = end_effector_task(state, hold, slow.task)
+    task = end_effector_task(state, end_effector_error(state, hold), slow.task)
     wanted = task.b - task.J[:, :2] @ moved
     return float(
         np.linalg.norm(lsq_linear(task.J[:, 2:], wanted, joint_bounds(state, slow.limit)).fun)
@@ -245,9 +247,8 @@ def test_the_hands_task_comes_before_the_posture_by_its_weight(
     q_m = np.array([0.3, 0.6, 0.1, -1.6, 0.2, 2.2, 0.5]) + rng.normal(scale=0.1, size=7)
     controller.reset()
     controller.step(measured(robot, q_m))
-    task = end_effector_task(
-        controller.state, reference_here(controller, rng.normal(size=6)), Config().task
-    )
+    error = end_effector_error(controller.state, reference_here(controller, rng.normal(size=6)))
+    task = end_effector_task(controller.state, error, Config().task)
     off = []
     for weight in (1e1, 1e3, 1e5, 1e7):
         posture = posture_objective(controller.state, q_m + 0.5, Config().task)

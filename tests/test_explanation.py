@@ -18,7 +18,12 @@ from app.control.active_bounds import TOLERANCE, Bound, admittance_bounds, met
 from app.control.controller import CONTROLLERS, Controller, ControlOutput, Stack, Workings
 from app.control.explanation import Explanation, Level, NearPair, explain, level_readings, split
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
-from app.control.tasks import Reference, end_effector_task, free_arm_torque
+from app.control.tasks import (
+    Reference,
+    end_effector_error,
+    end_effector_task,
+    free_arm_torque,
+)
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
 from app.robot.state import Measurement
@@ -176,7 +181,8 @@ def test_the_hands_slack_is_what_the_torques_leave_of_its_task(robot, controller
     controller, m = controllers[name], near(robot, "lm-lEE", 2)
     reference = here(controller, m, off=off)
     why, output = explained(controller, m, reference)
-    task = end_effector_task(controller.state, reference, AT_ONCE.task)
+    error = end_effector_error(controller.state, reference)
+    task = end_effector_task(controller.state, error, AT_ONCE.task)
     w = task.b - task.J @ qdd_of(controller, output)
     hand = level(why, "hand")
     assert hand.linear is not None

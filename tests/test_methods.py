@@ -5,6 +5,7 @@ import pinocchio as pin
 import pytest
 
 from app.avoidance.closest_points import DistanceMonitor
+from app.avoidance.task import distance_jacobian
 from app.border.cache import BorderData
 from app.config import BarrierConfig, Config
 from app.control.controller import CONTROLLERS, Controller, ControlOutput
@@ -123,7 +124,7 @@ def test_a_barrier_is_the_second_order_form_of_its_distance(robot: RobotModel, s
     pairs = PairDistances(robot, candidate_pairs(robot))
     index = [p.name for p in pairs.pairs].index("lm-lEE")
     (closest,) = DistanceMonitor(state, [pairs.pairs[index]]).find_closest_points()
-    row = barrier_row(state, closest, config)
+    row = barrier_row(closest.d, distance_jacobian(state, closest), config)
 
     def distance(t: float) -> float:
         v = robot.S @ (state.qd * t + 0.5 * qdd * t * t)

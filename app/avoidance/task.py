@@ -133,8 +133,5 @@ def generate_avoidance_task(rows: Sequence[TaskRows]) -> tuple[Array, Array, Arr
         ẍ_sca - J̇_sca q̇ (n_b + k,), J_sca (n_b + k, n), and the diagonal of B (n_b + k,),
         in which the rows of the base share β_m.
     """
-    return (
-        np.concatenate([r.b for r in rows]),
-        np.vstack([r.J for r in rows]),
-        np.concatenate([np.full(len(r.xdd), r.beta) for r in rows]),
-    )
+    B = np.array([r.beta for r in rows for _ in r.xdd])
+    return np.concatenate([r.b for r in rows]), np.concatenate([r.J for r in rows]), B

@@ -39,8 +39,9 @@ class ConvexPart:
         return self._compute(self._T_shape, self._T_point, self._request, self._result)
 
     def distance_and_normal(self, point: Array) -> tuple[float, Array]:
-        """The same, and the unit vector (3,) from the shape to the point, until the next call."""
-        return self.distance(point), self._result.normal
+        """The same, and the unit vector (3,) from the shape to the point."""
+        found = self._distances_and_normals(point[None])[0]
+        return found.item(0), found[1:]
 
     def nearest(self, point: Array) -> Array:
         """(3,) [m] the point of the shape's surface nearest to a point (3,) [m]."""
@@ -90,7 +91,7 @@ class ConvexPart:
             return distances_and_normals(*self._measures, at.rotation, at.translation, points)
         found = np.empty((len(points), 4))
         for row, point in zip(found, points, strict=True):
-            row[0], row[1:] = self.distance_and_normal(point)
+            row[0], row[1:] = self.distance(point), self._result.normal
         return found
 
 

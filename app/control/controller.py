@@ -16,11 +16,13 @@ from app.control.limits import ArmNow, PushObserver, base_limits, robot_limits
 from app.control.methods import METHODS, Inserted
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
 from app.control.tasks import (
+    EndEffectorError,
     EqualityTask,
     Reference,
     base_rest_acceleration,
     base_with_hand,
     carried,
+    end_effector_error,
     end_effector_task,
     free_arm_torque,
     guided_objective,
@@ -121,6 +123,7 @@ class Controller:
         self.state = RobotState(model)
         """The robot's state at the last good measurement."""
         self._model = model
+        self._base_limits = base_limits(model)
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
         self.configure(config)
         self._solver = TaskQP()
@@ -200,8 +203,9 @@ class Controller:
         try:
             if not good:
                 raise NoSolutionError("the measurement is not finite")
-            stack = self._stack(inserted, reference)
-            wanted, asked = self._base_part(inserted, reference, stack)
+            error = None if reference is None else end_effector_error(self.state, reference)
+            stack = self._stack(inserted, error)
+            wanted, asked = self._base_part(inserted, error, stack)
             asked = _clipped(asked, self._model.base_acceleration_max)
             given = asked if base_acceleration is None else base_acceleration
             workings = self._arm_part(wanted, given, inserted, stack, torque)
@@ -222,7 +226,7 @@ class Controller:
         return self._avoidance.field(pair)
 
     def _base_part(
-        self, inserted: Inserted, reference: Reference | None, stack: Stack
+        self, inserted: Inserted, error: EndEffectorError | None, stack: Stack
     ) -> tuple[Array, Array]:
         """The base's acceleration of (29), (n_b,), and what of it the arm can make up for.
 
@@ -234,20 +238,20 @@ class Controller:
         """
         state, slow, lowest = self.state, self._slow, stack.lowest
         rest = base_rest_acceleration(state, slow.task)
-        if reference is None and not inserted.base_too:
+        if error is None and not inserted.base_too:
             return self._by_rows(rest, inserted.rows_m)
         k_p, k_v, softness = slow.repulsion.k_p, slow.repulsion.k_v, slow.task.softness
         links = [row._replace(xdd=k_p - k_v * (row.J @ state.qd)) for row in inserted.rows_links]
         barriers = inserted.barriers if inserted.base_too else ()
         limits = robot_limits(state, self._config.limit, barriers, softness=softness)
-        if reference is None:
+        if error is None:
             T_ee, objective = None, with_base_at_rest(state, lowest, slow.task)
         else:  # an error that is left damps nothing here: the base drives there
-            T_ee = end_effector_task(state, reference, slow.task)
+            T_ee = end_effector_task(state, error, slow.task)
             objective = tracking_objective(lowest, T_ee._replace(give=0.0), slow.task.ee_weight)
         try:
             whole = insert_rows(objective, links, softness)
-            free = self._of_base(whole, limits.and_also(base_limits(state)))
+            free = self._of_base(whole, limits.and_also(self._base_limits))
             wanted, asked = self._by_rows(free, inserted.rows_m)
             if T_ee is None:
                 return wanted, asked
@@ -320,14 +324,14 @@ class Controller:
         qdd = np.concatenate([qdd_b, self._solver.solve(whole, limits.of_arm(qdd_b))])
         return Workings(wanted, given, rows, stack, limits, torque, qdd)
 
-    def _stack(self, inserted: Inserted, reference: Reference | None) -> Stack:
-        if reference is None:
+    def _stack(self, inserted: Inserted, error: EndEffectorError | None) -> Stack:
+        if error is None:
             guided = guided_objective(self.state, free_arm_torque(self.state) + inserted.u_a)
             return Stack(guided, guided, None)
         assert self.q_posture is not None
         task = self._config.task
         posture = posture_objective(self.state, self.q_posture, task)
-        T_ee = end_effector_task(self.state, reference, task)
+        T_ee = end_effector_task(self.state, error, task)
         return Stack(tracking_objective(posture, T_ee, task.ee_weight), posture, T_ee)
 
     def _torque_range(self, last: Array) -> tuple[Array, Array]:

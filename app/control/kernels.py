@@ -52,15 +52,150 @@ def minimum(H: Array, c: Array) -> tuple[Array, Array]:
     return _backward(L, _forward(L, -c)), L
 
 
-@compiled("Tuple((f8[::1], f8[::1]))(f8[:,:], f8[:])")
-def accelerations(M: Array, torque: Array) -> tuple[Array, Array]:
-    """M⁻¹ τ (n,), and (n,) the diagonal of M⁻¹: what a joint's own torque adds to its own."""
-    L, own = _cholesky(M), np.empty(len(M))
-    for i in range(len(M)):
-        unit = np.zeros(len(M))
+@compiled("f8[:,::1](f8[:], f8[:], f8[:,:], f8)")
+def position_bounds(q: Array, qd: Array, limits: Array, rate: float) -> Array:
+    """(2, n_m) λ² (q_limit - q) - 2 λ q̇, towards the lower and the upper limit."""
+    return rate**2 * (limits - q) - 2 * rate * qd
+
+
+@compiled("f8[:,::1](f8[:], f8[:,:], f8)")
+def velocity_bounds(qd: Array, limits: Array, rate: float) -> Array:
+    """(2, n_m) κ (q̇_limit - q̇), towards the lower and the upper limit."""
+    return rate * (limits - qd)
+
+
+@compiled("f8[:,::1](f8[:], f8[:], f8[:,:], f8[:,:], f8, f8)")
+def joint_bounds(
+    q: Array, qd: Array, q_limits: Array, qd_limits: Array, position_rate: float, speed_rate: float
+) -> Array:
+    """(2, n_m) the lower and the upper one on q̈_m: the tighter of position and velocity."""
+    position = position_bounds(q, qd, q_limits, position_rate)
+    velocity = velocity_bounds(qd, qd_limits, speed_rate)
+    found = np.empty_like(position)
+    for i in range(len(q)):
+        lower = max(position[0, i], velocity[0, i])
+        upper = min(position[1, i], velocity[1, i])
+        found[0, i], found[1, i] = min(lower, upper), max(lower, upper)
+    return found
+
+
+@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:,:])")
+def in_reach(
+    M: Array, h: Array, qdd_b: Array, low: Array, high: Array, pushed: Array, bounds: Array
+) -> tuple[Array, Array]:
+    """(2, n_m) bounds on q̈_m in reach of each joint's own torque, and (n_m,) M_aa⁻¹ r.
+
+    The arguments are those of `app.control.limits.bounds_in_reach`.
+    """
+    n_b, n_m = len(qdd_b), len(low)
+    acting = 0.5 * (low + high) + pushed - h[n_b:]
+    for i in range(n_m):
+        for j in range(n_b):
+            acting[i] -= M[n_b + i, j] * qdd_b[j]
+    L, found = _cholesky(M[n_b:, n_b:]), np.empty((2, n_m))
+    qdd = _backward(L, _forward(L, acting))
+    for i in range(n_m):
+        unit = np.zeros(n_m)
         unit[i] = 1.0
-        own[i] = (_forward(L, unit) ** 2).sum()
-    return _backward(L, _forward(L, torque)), own
+        own = 0.5 * (_forward(L, unit) ** 2).sum() * (high[i] - low[i])
+        found[0, i] = min(bounds[0, i], qdd[i] + own)
+        found[1, i] = max(bounds[1, i], qdd[i] - own)
+    return found, _backward(L, _forward(L, pushed))
+
+
+@compiled(
+    "Tuple((f8[:,::1], f8[::1], f8[::1]))"
+    "(f8[:,:], f8[:], f8[:], f8[:], f8[:,:], f8[:], f8[:], f8[:,:], f8[:])"
+)
+def limit_rows(
+    M: Array,
+    h: Array,
+    low: Array,
+    high: Array,
+    bounds: Array,
+    unit: Array,
+    others: Array,
+    J: Array,
+    least: Array,
+) -> tuple[Array, Array, Array]:
+    """C (m, n), l (m,) and u (m,) of torques, joints and distances.
+
+    Args:
+        M: (n, n) of (26).
+        h: (n,) of (26).
+        low: (n_m,) the least torques.
+        high: (n_m,) the largest ones.
+        bounds: (2, n_m) on q̈_m.
+        unit: (n_m,) in which they are counted.
+        others: (n_m,) what q̈_m has besides, by those who push.
+        J: (k, n) of the distances.
+        least: (k,) of J q̈.
+    """
+    n, n_m, k = len(M), len(low), len(least)
+    n_b, m = n - n_m, 2 * n_m + k
+    C, l, u = np.zeros((m, n)), np.empty(m), np.full(m, np.inf)
+    for i in range(n_m):
+        joint, row = n_b + i, n_m + i
+        C[i] = M[joint]
+        l[i], u[i] = low[i] - h[joint], high[i] - h[joint]
+        C[row, joint] = 1.0 / unit[i]
+        l[row], u[row] = (bounds[0, i] - others[i]) / unit[i], (bounds[1, i] - others[i]) / unit[i]
+    for i in range(k):
+        C[2 * n_m + i] = J[i]
+        l[2 * n_m + i] = least[i] - (J[i, n_b:] * others).sum()
+    return C, l, u
+
+
+@compiled("f8[::1](f8[:], f8[:], f8[:], f8[:,:], f8, f8, f8)")
+def towards_posture(
+    q: Array, qd: Array, posture: Array, limits: Array, pull: float, drag: float, centring: float
+) -> Array:
+    """(n_m,) c_m of `app.control.tasks.posture_objective`."""
+    c = np.empty(len(q))
+    for i in range(len(q)):
+        half = 0.5 * (limits[1, i] - limits[0, i])
+        out = (q[i] - limits[0, i]) / half - 1.0
+        c[i] = drag * qd[i] - pull * (posture[i] - q[i]) + centring * half * out**5
+    return c
+
+
+@compiled("Tuple((f8[::1], f8))(f8[:], f8[:], f8[:], f8, f8, f8)")
+def to_reference(
+    pose: Array, velocity: Array, acceleration: Array, k_p: float, k_v: float, most: float
+) -> tuple[Array, float]:
+    """(6,) acceleration + k_v velocity + k_p pose of an end-effector's error, and the pull's way.
+
+    The linear and the angular part of the pull k_p pose are at most `most`; its way [m²] is
+    ‖pull / k_p‖².
+    """
+    b, left = acceleration + k_v * velocity, 0.0
+    for part in (slice(0, 3), slice(3, 6)):
+        pull = k_p * pose[part]
+        pull *= min(1.0, most / max(math.sqrt((pull**2).sum()), 1e-12))
+        b[part] += pull
+        left += (pull**2).sum()
+    return b, left / max(k_p, 1e-12) ** 2
+
+
+@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:], f8, f8[:], f8)")
+def with_task(
+    H: Array, c: Array, J: Array, b: Array, give: float, drag: Array, weight: float
+) -> tuple[Array, Array]:
+    """(1 + w λ) H + w Jᵀ J and c + w (λ H drag - Jᵀ b)."""
+    n, (k, _) = len(c), J.shape
+    H_all, c_all = np.empty((n, n)), np.empty(n)
+    for i in range(n):
+        dragged = asked = 0.0
+        for j in range(n):
+            both = 0.0
+            for l in range(k):
+                both += J[l, i] * J[l, j]
+            H_all[i, j] = H[i, j] + weight * (give * H[i, j] + both)
+            dragged += H[i, j] * drag[j]
+        for l in range(k):
+            asked += J[l, i] * b[l]
+        c_all[i] = c[i] + weight * (give * dragged - asked)
+    return H_all, c_all
 
 
 @compiled("b1(f8[:,:], f8[:], f8[:], f8[:], f8)")

@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from app.avoidance.closest_points import ClosestPoints
-from app.avoidance.task import distance_jacobian
+from app.avoidance.task import DistanceJacobian, distance_jacobian
 from app.config import BarrierConfig, LimitConfig
-from app.control.kernels import accelerations, minimum
+from app.control import kernels
 from app.control.qp import Limits
+from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.strict import Array
 
@@ -30,16 +31,15 @@ class BarrierRow(NamedTuple):
     """[m/s²] lower bound."""
 
 
-def barrier_row(state: RobotState, closest: ClosestPoints, config: BarrierConfig) -> BarrierRow:
-    """The row that keeps a pair's distance above d_min, for the base's columns as for the arm's.
+def barrier_row(d: float, row: DistanceJacobian, config: BarrierConfig) -> BarrierRow:
+    """The row that keeps a pair's distance d [m] above d_min, for the base's columns as the arm's.
 
     With h = d - d_min it asks for ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that begins with ḣ + λ h ≥ 0 never
     comes nearer than d_min, and one that begins nearer, in penetration too, leaves at the rate λ,
     at `barrier.leaving` at most: h counts down to that speed over λ. It is the second-order form of
     the barriers ḣ + λ h ≥ 0 that libraries for velocities use.
     """
-    row = distance_jacobian(state, closest)
-    h = max(closest.d - config.d_min, -config.leaving / config.rate)
+    h = max(d - config.d_min, -config.leaving / config.rate)
     return BarrierRow(row.J, -2 * config.rate * row.speed - config.rate**2 * h - row.Jdqd)
 
 
@@ -49,20 +49,23 @@ def position_bounds(state: RobotState, config: LimitConfig) -> Array:
     A joint at distance e from its limit may accelerate towards it at most by λ² e - 2 λ q̇, which
     lets it reach the limit without overshoot.
     """
-    rate, m = config.position_rate, state.measurement
-    return rate**2 * (state.model.q_limits - m.q_m) - 2 * rate * m.qd_m
+    m = state.measurement
+    return kernels.position_bounds(m.q_m, m.qd_m, state.model.q_limits, config.position_rate)
 
 
 def velocity_bounds(state: RobotState, config: LimitConfig) -> Array:
     """(2, n_m) κ (±q̇_max - q̇), towards the lower and the upper velocity limit [rad/s² or m/s²]."""
-    return config.velocity_rate * (state.model.qd_limits - state.measurement.qd_m)
+    return kernels.velocity_bounds(
+        state.measurement.qd_m, state.model.qd_limits, config.velocity_rate
+    )
 
 
-def joint_bounds(state: RobotState, config: LimitConfig) -> tuple[Array, Array]:
-    """(n_m,) lower and (n_m,) upper bound on q̈_m: the tighter of position and velocity."""
-    position, velocity = position_bounds(state, config), velocity_bounds(state, config)
-    lower, upper = np.maximum(position[0], velocity[0]), np.minimum(position[1], velocity[1])
-    return np.minimum(lower, upper), np.maximum(lower, upper)
+def joint_bounds(state: RobotState, config: LimitConfig) -> Array:
+    """(2, n_m) lower and upper bound on q̈_m: the tighter of position and velocity."""
+    m, model = state.measurement, state.model
+    return kernels.joint_bounds(
+        m.q_m, m.qd_m, model.q_limits, model.qd_limits, config.position_rate, config.velocity_rate
+    )
 
 
 class ArmNow(NamedTuple):
@@ -77,18 +80,14 @@ class ArmNow(NamedTuple):
 
 
 def bounds_in_reach(state: RobotState, config: LimitConfig, arm: ArmNow) -> tuple[Array, Array]:
-    """(n_m,) lower and (n_m,) upper bound on q̈_m, in reach of each joint's own torque.
+    """(2, n_m) bounds on q̈_m in reach of each joint's own torque; and (n_m,) what others add to it.
 
     No joint asks for more than its own torque gives in this step while the others' are in the
     middle of what they may be. If it asked for all at once, the torques of all others would swing
     from end to end for it, each too late, and throw an arm that is overpowered about.
     """
-    (low, high), n_b, (lower, upper) = arm.torque, state.model.n_b, joint_bounds(state, config)
-    M, h_a = state.M[n_b:], state.h[n_b:]
-    acting = 0.5 * (low + high) + arm.pushed - h_a - M[:, :n_b] @ arm.qdd_b
-    qdd, share = accelerations(M[:, n_b:], acting)
-    own = 0.5 * share * (high - low)
-    return np.minimum(lower, qdd + own), np.maximum(upper, qdd - own)
+    bounds = joint_bounds(state, config)
+    return kernels.in_reach(state.M, state.h, arm.qdd_b, *arm.torque, arm.pushed, bounds)
 
 
 def robot_limits(
@@ -113,37 +112,27 @@ def robot_limits(
         arm: For the arm's part; else any torque up to the joints' own may act in this step, and
             nobody pushes.
     """
-    model, n, n_b, n_m = state.model, state.model.n, state.model.n_b, state.model.n_m
-    rows = tuple(barriers)
-    m, h_a = 2 * n_m + len(rows), state.h[n_b:]
-    C, l, u = np.empty((m, n)), np.empty(m), np.full(m, np.inf)
-    C[:n_m], C[n_m : 2 * n_m] = state.M[n_b:], model.S[3:] / model.qd_max[:, None]
-    l[:n_m], u[:n_m] = (-model.tau_max, model.tau_max) if arm is None else arm.torque
-    l[:n_m] -= h_a
-    u[:n_m] -= h_a
+    model, rows = state.model, tuple(barriers)
     if arm is None:
-        lower, upper = joint_bounds(state, config)
+        torque, bounds = (-model.tau_max, model.tau_max), joint_bounds(state, config)
+        others = np.zeros(model.n_m)
     else:
-        lower, upper = bounds_in_reach(state, config, arm)
-    l[n_m : 2 * n_m], u[n_m : 2 * n_m] = lower / model.qd_max, upper / model.qd_max
-    for i, row in enumerate(rows, 2 * n_m):
-        C[i], l[i] = row.J, row.l
-    if arm is not None:
-        moved = C[n_m:, n_b:] @ -minimum(state.M[n_b:, n_b:], arm.pushed)[0]
-        l[n_m:] -= moved
-        u[n_m:] -= moved
-    return Limits(C, l, u, _softness(n_m, m, softness))
+        torque, (bounds, others) = arm.torque, bounds_in_reach(state, config, arm)
+    J = np.array([row.J for row in rows]).reshape(len(rows), model.n)
+    least = np.array([row.l for row in rows], dtype=float)
+    found = kernels.limit_rows(state.M, state.h, *torque, bounds, model.qd_max, others, J, least)
+    return Limits(*found, _softness(model.n_m, len(least), softness))
 
 
 @lru_cache(maxsize=32)
-def _softness(n_m: int, m: int, softness: float) -> Array:
+def _softness(n_m: int, barriers: int, softness: float) -> Array:
     """(m,) [-] of torques, joints and barriers, not to be written to."""
-    return np.repeat([0.0, softness**2], [n_m, m - n_m])
+    return np.repeat([0.0, softness**2], [n_m, n_m + barriers])
 
 
-def base_limits(state: RobotState) -> Limits:
+def base_limits(model: RobotModel) -> Limits:
     """Limits on q̈ of the base's accelerations, hard."""
-    model, most = state.model, state.model.base_acceleration_max
+    most = model.base_acceleration_max
     C = np.zeros((len(most), model.n))
     C[:, : model.n_b] = model.J_m
     return Limits(C, -most, most, np.zeros(len(most)))

@@ -1,13 +1,13 @@
 """The compared methods: what each of them puts above the stack of tasks, or among its limits."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from app.avoidance.closest_points import ClosestPoints
 from app.avoidance.self_collision import Avoidance, PairState
-from app.avoidance.task import TaskRows
+from app.avoidance.task import DistanceJacobian, TaskRows, distance_jacobian
 from app.config import Config, RepulsionConfig
 from app.control import CONTROLLERS
 from app.control.limits import BarrierRow, barrier_row
@@ -62,12 +62,14 @@ def dbb(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
 
     Paper: Algorithm 2, line 14 (UpdateSoT).
     """
+    pairs, n_b = avoidance.mobile, state.model.n_b
+    jacobians = [distance_jacobian(state, pair.closest) for pair in pairs]
     return Inserted(
         avoidance.rows_m,
         rows_links=avoidance.rows_links,
-        barriers=_barriers(state, avoidance.mobile, config),
-        n_b=state.model.n_b,
-        u_a=_reaction(state, avoidance.mobile, config),
+        barriers=_barriers(pairs, jacobians, config),
+        n_b=n_b,
+        u_a=_reaction(pairs, jacobians, config, n_b),
     )
 
 
@@ -111,7 +113,8 @@ def barrier(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted
 
     The base takes part in all of it.
     """
-    barriers = _barriers(state, avoidance.pairs, config)
+    jacobians = [distance_jacobian(state, pair.closest) for pair in avoidance.pairs]
+    barriers = _barriers(avoidance.pairs, jacobians, config)
     return Inserted(barriers=barriers, base_too=True, n_b=state.model.n_b)
 
 
@@ -122,21 +125,19 @@ def none(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
 
 
 def _barriers(
-    state: RobotState, pairs: Iterable[PairState], config: Config
+    pairs: Sequence[PairState], jacobians: Sequence[DistanceJacobian], config: Config
 ) -> tuple[BarrierRow, ...]:
-    return tuple(barrier_row(state, pair.closest, config.barrier) for pair in pairs)
+    both = zip(pairs, jacobians, strict=True)
+    return tuple(barrier_row(pair.closest.d, J, config.barrier) for pair, J in both)
 
 
-def _reaction(state: RobotState, pairs: Iterable[PairState], config: Config) -> Array:
-    """(n_m,) [N m or N] J_bᵀ n f_arm (1 - d/d_b) of the pairs in the buffer."""
-    u, n_b = np.zeros(state.model.n_m), state.model.n_b
-    for pair in pairs:
-        c = pair.closest
-        depth = 1.0 - c.d / config.border.d_b
-        if depth > 0.0:
-            J = state.point_jacobian(state.model.body_joints[c.pair.b], c.p_b)[:, n_b:]
-            u += config.force.f_arm * min(depth, 1.0) * (c.n @ J)
-    return u
+def _reaction(
+    pairs: Sequence[PairState], jacobians: Sequence[DistanceJacobian], config: Config, n_b: int
+) -> Array | float:
+    """(n_m,) [N m or N] J_mᵀ f_arm (1 - d/d_b) of the pairs in the buffer, 0 without any."""
+    depths = [min(1.0 - pair.closest.d / config.border.d_b, 1.0) for pair in pairs]
+    both = zip(depths, jacobians, strict=True)
+    return sum((config.force.f_arm * s * row.J[n_b:] for s, row in both if s > 0.0), 0.0)
 
 
 METHODS: dict[str, Method] = dict(zip(CONTROLLERS, (dbb, repulsive, barrier, none), strict=True))

@@ -107,10 +107,10 @@ class TaskQP:
             NoSolutionError: The data are not finite, or the hard limits contradict each other.
         """
         x, L = minimum(*objective)
-        if not np.isfinite(x).all():
-            raise NoSolutionError("the tasks are not finite")
         if holds(*limits[:3], x, _EPS):
             return x
+        if not np.isfinite(x).all():
+            raise NoSolutionError("the tasks are not finite")
         qdd, found = nearest_within(x, L, *limits)
         return qdd if found and np.isfinite(qdd).all() else _by_proxqp(x, L, limits)
 

@@ -1,6 +1,5 @@
 """The stack below self-collision avoidance: what hand, posture and base do by themselves."""
 
-import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -38,7 +37,31 @@ class EqualityTask(NamedTuple):
     """(n,) [rad/s² or m/s²] k_v q̇."""
 
 
-def end_effector_task(state: RobotState, reference: Reference, config: TaskConfig) -> EqualityTask:
+class EndEffectorError(NamedTuple):
+    """How far the end-effector is from its reference."""
+
+    pose: Array
+    """(6,) x_d ⊖ x, linear [m] over angular [rad]."""
+    velocity: Array
+    """(6,) ẋ_d - ẋ."""
+    acceleration: Array
+    """(6,) ẍ_d - J̇_ee q̇, what J_ee q̈ is without any error."""
+
+
+def end_effector_error(state: RobotState, reference: Reference) -> EndEffectorError:
+    """The end-effector's, with rotations as rotation vectors in axes of the world."""
+    at, R = state.T_world_ee, state.T_world_ee.rotation
+    pose = np.empty(6)
+    pose[:3] = reference.pose.translation - at.translation
+    pose[3:] = R @ pin.log3(R.T @ reference.pose.rotation)
+    return EndEffectorError(
+        pose, reference.velocity - state.v_ee, reference.acceleration - state.Jdqd_ee
+    )
+
+
+def end_effector_task(
+    state: RobotState, error: EndEffectorError, config: TaskConfig
+) -> EqualityTask:
     """T_ee ∈ ℝ⁶: J_ee q̈ + J̇_ee q̇ + w = ẍ_d + k_v (ẋ_d - ẋ) + k_p (x_d ⊖ x).
 
     The pull k_p (x_d ⊖ x) is at most k_v times the speed at which an error is taken back, of its
@@ -46,16 +69,9 @@ def end_effector_task(state: RobotState, reference: Reference, config: TaskConfi
 
     Paper: Eq. (26), its task T_2.
     """
-    at, R = state.T_world_ee, state.T_world_ee.rotation
-    error = np.empty(6)
-    error[:3] = reference.pose.translation - at.translation
-    error[3:] = R @ pin.log3(R.T @ reference.pose.rotation)
-    pull, most = config.ee_stiffness * error, config.ee_damping * config.ee_speed
-    for part in (pull[:3], pull[3:]):
-        part *= min(1.0, most / max(math.sqrt(part @ part), 1e-12))
-    xdd = reference.acceleration + config.ee_damping * (reference.velocity - state.v_ee) + pull
-    slack = float(pull @ pull) / max(config.ee_stiffness, 1e-12) ** 2
-    return EqualityTask(state.J_ee, xdd - state.Jdqd_ee, slack, config.ee_damping * state.qd)
+    k_p, k_v = config.ee_stiffness, config.ee_damping
+    b, left = kernels.to_reference(*error, k_p, k_v, k_v * config.ee_speed)
+    return EqualityTask(state.J_ee, b, left, k_v * state.qd)
 
 
 def tracking_objective(posture: Objective, task: EqualityTask, weight: float) -> Objective:
@@ -69,11 +85,7 @@ def tracking_objective(posture: Objective, task: EqualityTask, weight: float) ->
 
     Paper: Eq. (26).
     """
-    J, b, give, drag = task
-    damping = weight * give * posture.H
-    return Objective(
-        posture.H + damping + weight * (J.T @ J), posture.c + damping @ drag - weight * (J.T @ b)
-    )
+    return Objective(*kernels.with_task(*posture, *task, weight))
 
 
 def base_rest_acceleration(state: RobotState, config: TaskConfig) -> Array:
@@ -89,18 +101,19 @@ def posture_objective(state: RobotState, q_posture: Array, config: TaskConfig) -
     hardly at all near the middle, and enough at a limit that no wrist ends in a corner while the
     tasks above leave another way.
     """
-    n, n_b = state.model.n, state.model.n_b
-    c = np.empty(n)
+    m, n_b = state.measurement, state.model.n_b
+    c = np.empty(state.model.n)
     c[:n_b] = config.base_weight * config.base_damping * state.qd[:n_b]
-    m, (lower, upper) = state.measurement, state.model.q_limits
-    half = 0.5 * (upper - lower)
-    out = (m.q_m - lower) / half - 1.0
-    c[n_b:] = (
-        config.posture_damping * m.qd_m
-        - config.posture_stiffness * (q_posture - m.q_m)
-        + config.centring * half * out**5
+    c[n_b:] = kernels.towards_posture(
+        m.q_m,
+        m.qd_m,
+        q_posture,
+        state.model.q_limits,
+        config.posture_stiffness,
+        config.posture_damping,
+        config.centring,
     )
-    return Objective(_posture_hessian(n, n_b, config.base_weight), c)
+    return Objective(_posture_hessian(state.model.n, n_b, config.base_weight), c)
 
 
 @lru_cache(maxsize=8)
@@ -167,6 +180,6 @@ def base_with_hand(
         weight: [-] w, of the hand in masses of the base.
         taken: (3, n_b) R of `carried` times K, what the admittance law makes of an acceleration.
     """
-    base = state.model.description.base
-    inertia = np.array([base.inertia_kgm2 if axis.angular else base.mass_kg for axis in base.axes])
-    return kernels.with_hand(wanted, held, inertia, weight * base.mass_kg, taken)
+    model = state.model
+    mass = weight * model.description.base.mass_kg
+    return kernels.with_hand(wanted, held, model.base_inertia, mass, taken)

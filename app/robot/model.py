@@ -42,6 +42,7 @@ class RobotModel:
         J_m_inv: (n_b, n_b) its inverse.
         S: (3 + n_m, n) from the reduced velocity to pinocchio's.
         base_acceleration_max: (n_b,) [m/s² or rad/s²] of the base's axes.
+        base_inertia: (n_b,) [kg or kg m²] mass or inertia along each of them.
         joint_damping: (n_m,) [N m s/rad or N s/m] of the arm.
         q_lower, q_upper: (n_m,) [rad or m] joint limits of the arm.
         q_limits, qd_limits: (2, n_m) the lower and the upper ones of position and velocity.
@@ -98,9 +99,11 @@ class RobotModel:
         return data.oMf[self.mount_frame].translation.copy()
 
     def _read_limits(self) -> None:
-        arm = self.description.arm
-        model = self.pin
-        self.base_acceleration_max = np.array(self.description.base.max_acceleration)
+        arm, base, model = self.description.arm, self.description.base, self.pin
+        self.base_acceleration_max = np.array(base.max_acceleration)
+        self.base_inertia = np.array(
+            [base.inertia_kgm2 if axis.angular else base.mass_kg for axis in base.axes]
+        )
         self.joint_damping = np.array(arm.joint_damping)
         self.q_lower = _chosen(arm.position_lower, model.lowerPositionLimit[4:])
         self.q_upper = _chosen(arm.position_upper, model.upperPositionLimit[4:])
