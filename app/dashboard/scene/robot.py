@@ -82,23 +82,18 @@ class LinkPoses:
 
 
 class RobotParts:
-    """Kinematics, visual meshes and convex bodies of a robot: read once, drawn for many viewers.
-
-    Attributes:
-        kinematics: Poses of what moves; used by the one thread that draws.
-        visuals: What the robot looks like; its convex bodies where a mesh is not installed.
-        bodies: The convex bodies that distances are measured to.
-        title: What people read over the robot; it says so if its meshes are not here.
-        extent: (N, 3) [m] corners of all that a camera has to show, in the base's frame: the links
-            in the ready pose, and the borders' place around the base.
-    """
+    """Kinematics, visual meshes and convex bodies of a robot: read once, drawn for many viewers."""
 
     def __init__(self, robot: RobotModel) -> None:
         self.kinematics = LinkPoses(robot)
+        """Poses of what moves; used by the one thread that draws."""
         self.bodies = _bodies(robot, self.kinematics.model)
+        """The convex bodies that distances are measured to."""
         self.title = robot.description.title
+        """What people read over the robot; it says so if its meshes are not here."""
         try:
             self.visuals = _visuals(robot)
+            """What the robot looks like; its convex bodies where a mesh is not installed."""
         except AssetError as error:
             logger.warning("%s is drawn by its convex bodies: %s", robot.description.name, error)
             self.visuals = [
@@ -107,6 +102,8 @@ class RobotParts:
             ]
             self.title += " (its meshes are not installed: convex bodies)"
         self.extent = self._extent(robot.description)
+        """(N, 3) [m] corners of all that a camera has to show, in the base's frame: the links in
+        the ready pose, and the borders' place around the base."""
 
     @cached_property
     def light_visuals(self) -> list[Visual]:

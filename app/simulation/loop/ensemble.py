@@ -310,16 +310,12 @@ class Ensemble:
 
 
 class Runner:
-    """A robot with what leads it and its score, in a plant of its own; its memory is bounded.
-
-    Attributes:
-        session: Its own.
-        scored: Whether it is compared, and its steps count.
-    """
+    """A robot with what leads it and its score, in a plant of its own; its memory is bounded."""
 
     def __init__(self, session: Session, leader: Leader | None) -> None:
         """Stand at the beginning of a session, led by a reader of its own sensors or by nothing."""
         self.session, self._leader, self.scored = session, leader, False
+        """`scored` says whether it is compared, and its steps count."""
         self._recorder = Recorder(quantities=_NEEDED)
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
         self._rows, self._complete = 0, False
