@@ -169,20 +169,14 @@ class Recorder:
 
     def __init__(
         self,
-        scenario: Scenario | None = None,
+        scenario: Scenario | None = None,  # which leads the hand from the first step to the last
         *,
-        quantities: Iterable[str] = QUANTITIES,
+        quantities: Iterable[str] = QUANTITIES,  # what is recorded, by the fields of `Snapshot`
+        # whether a snapshot of each twentieth step is kept too, the first among them
         drawn: bool = False,
-        also: Iterable[int] = (),
+        also: Iterable[int] = (),  # numbers of further control steps of which a snapshot is wanted
     ) -> None:
-        """Nothing is recorded.
-
-        Args:
-            scenario: Which leads the hand from the first step to the last.
-            quantities: What is recorded, by the fields of `Snapshot`.
-            drawn: Whether a snapshot of each twentieth step is kept too, the first among them.
-            also: Numbers of further control steps of which a snapshot is wanted.
-        """
+        """Nothing is recorded."""
         self._scenario, self._drawn, self._also = scenario, drawn, frozenset(also)
         self._names = list(quantities)
         self._rows: list[Take] = []
