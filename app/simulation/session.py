@@ -73,21 +73,7 @@ class Step(NamedTuple):
 
 
 class Session:
-    """A robot with its controller in a plant.
-
-    Attributes:
-        t: [s] simulated time since the last reset.
-        model: The robot as the controller knows it.
-        data: Its pairs and clouds.
-        config: Parameters.
-        kind: Kind of plant.
-        seed: Of everything random.
-        door: The door that the hand holds, and how far it is open at the start, or None.
-        loop: All of the control, as a robot's own loop calls it.
-        physics: The plant.
-        state: The robot as it was at the last step.
-        wheel_angles: (n_w,) [rad] of the base's `wheels`, for drawing.
-    """
+    """A robot with its controller in a plant."""
 
     def __init__(
         self,
@@ -113,7 +99,10 @@ class Session:
         """
         self.model, self.data, self.config = model, data, config
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
+        """Kind of plant; of everything random; the door that the hand holds, and how far it is open
+        at the start, or None."""
         self.loop = ControlLoop(model, data, config, name=controller, dt=DT)
+        """All of the control, as a robot's own loop calls it."""
         self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self._base = model.description.base
         self._disturbances = Disturbances(config.disturbance, DT, seed)
@@ -134,13 +123,16 @@ class Session:
         """
         _check_within_limits(self.model, q_m)
         self.t = 0.0
+        """[s] simulated time since the last reset."""
         self.physics.reset(np.zeros(3) if base_pose is None else base_pose, q_m)
         self.loop.reset()
         self._disturbances.reset()
         self._people = People(self.model, self.config.hand, DT)
         self.wheel_angles = np.zeros(len(self._base.wheels))
+        """(n_w,) [rad] of the base's `wheels`, for drawing."""
         self.controller.state.update(self.physics.measure())
         self.state = self.controller.state
+        """The robot as it was at the last step."""
         self._watch.reset()
 
     def configure(self, config: Config) -> None:

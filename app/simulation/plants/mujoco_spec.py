@@ -40,17 +40,7 @@ _PRIMITIVES = {
 
 
 class RobotSpec:
-    """A robot's specification.
-
-    Attributes:
-        spec: MuJoCo's.
-        model: The robot.
-        root: The root link's body.
-        shapes: The robot's shapes.
-        mobile: Names of l_m's links; of the body itself where bodies stand for links.
-        pairs: The field of `Contacts` that reports two geoms, or None, by their names.
-        motors: Names of the joints that have a motor.
-    """
+    """A robot's specification."""
 
     def __init__(
         self, model: RobotModel, dt: float, *, free_root: pin.Inertia | None = None
@@ -63,10 +53,14 @@ class RobotSpec:
         self.model, self._dt = model, dt
         self.spec = _empty_spec(dt)
         self.pairs: dict[frozenset[str], str | None] = {}
+        """The field of `Contacts` that reports two geoms, or None, by their names."""
         self.motors: list[str] = []
+        """Names of the joints that have a motor."""
         self._inertias: dict[str, tuple[float, Array]] = {}
         self.add_geom(self.spec.worldbody, FLOOR, _GEOM.mjGEOM_PLANE, (0, 0, 1))
         self.shapes, pairs, self.mobile = collision_shapes(model)
+        """The robot's shapes; names of l_m's links, or of the body itself where bodies stand for
+        links."""
         bodies = self._add_joints(free_root)
         self.root = bodies[1]
         self._geoms = {FLOOR: [FLOOR]}
