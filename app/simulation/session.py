@@ -29,8 +29,7 @@ from app.strict import Array
 DT = 0.001  # [s] control step, the paper's 1 kHz
 _BANDWIDTH = 250.0  # [rad/s] of the loop that makes velocities of noisy positions; about 40 Hz
 _ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may seem beyond
-LEAD = -1
-"""Number of the person whose pull a scenario gives."""
+LEAD = -1  # number of the person whose pull a scenario gives
 
 
 class Step(NamedTuple):

@@ -35,8 +35,7 @@ from app.strict import Array
 
 MAX_POINTS = 20_000
 """Points drawn; more of them only hide what lies behind and slow the browser down."""
-LIGHT_POINTS = 4000
-"""The same where a page draws in software."""
+LIGHT_POINTS = 4000  # the same where a page draws in software
 _KEPT = 32  # clouds and surfaces that are kept for other viewers
 POINT_SIZE = 0.0035  # [m] small enough to see the acting points behind it
 LIGHT_SIZE = 0.006  # [m] of one of few points

@@ -21,8 +21,7 @@ from app.robot.shapes import shape_mesh
 from app.strict import Array
 
 logger = logging.getLogger(__name__)
-MAX_FACES = 2500
-"""Faces a mesh may have on the page; the Panda's links come with 12,000 to 22,000."""
+MAX_FACES = 2500  # faces a mesh may have on the page; the Panda's links come with 12,000 to 22,000
 MOST_FACES = 4 * MAX_FACES
 """Faces that are borne where fewer would show; what cannot be decimated at all keeps more."""
 AGGRESSIONS = (3, 5, 7)
@@ -31,8 +30,7 @@ many parts, such as UR5's tubes; with less such meshes stay too heavy."""
 LIGHT_FACES = 400
 """Faces of all meshes of one colour that one joint moves, where a page draws in software."""
 CREASE = np.deg2rad(35.0)  # [rad] sharper edges are drawn as edges, not shaded over
-GREY: Rgb = (150, 150, 155)
-"""Colour of a visual for which the URDF states none."""
+GREY: Rgb = (150, 150, 155)  # colour of a visual for which the URDF states none
 BODY: Rgb = (64, 156, 224)
 _AROUND = np.array([0.15, 0.15, 0.0])  # [m] of a border around the base
 

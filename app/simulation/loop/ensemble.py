@@ -23,8 +23,7 @@ from app.simulation.trace.trace import Recorder, Trace
 from app.strict import Array
 
 _SAID = 1.0  # [s] for which a case is said
-MOST_PULLS = 8
-"""People who can hold the robot at once."""
+MOST_PULLS = 8  # people who can hold the robot at once
 _NEEDED = ("t", "pairs", "ee_error", "in_contact", "u_a", "base_pose", "base_acceleration")
 _TOGETHER = 100  # control steps that are looked at together, which is far quicker
 

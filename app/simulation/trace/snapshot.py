@@ -42,8 +42,7 @@ from app.simulation.trace.columns import (
 )
 from app.strict import Array
 
-EVERY = 20
-"""Control steps between two snapshots: 50 Hz, in the live loop as in a log."""
+EVERY = 20  # control steps between two snapshots: 50 Hz, in the live loop as in a log
 
 _DOOR = TypeAdapter(Door)
 

@@ -25,8 +25,7 @@ from app.strict import Array
 
 Reason = Literal["still moving", "joint limits", "border against hand", "full stretch", "unknown"]
 
-SNAPSHOTS_KEPT = 3000
-"""60 s at 50 Hz."""
+SNAPSHOTS_KEPT = 3000  # 60 s at 50 Hz
 SHORT = 1e-3  # [m] from its target at which a hand counts as stuck
 _RESTING = 1e-6  # [m/s, m/s²] below which a reference rests
 _MOVING = 1e-3  # [m/s] towards the target at which the hand is still on its way
