@@ -50,10 +50,6 @@ class Tuning:
         with self._lock:
             return self._steps[self._at]
 
-    def value(self, path: str) -> float | str:
-        """The value of a parameter now."""
-        return self.config.value(path)
-
     def set(self, path: str, value: float | str) -> None:
         """Change one parameter; moves of the same one in a burst are one step.
 

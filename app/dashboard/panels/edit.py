@@ -92,7 +92,6 @@ class EditPanel(Panel):
         self._drop()
 
     def update(self, moment: Moment) -> None:
-        """Draw what has changed, and say it."""
         self._q_m = moment.shown.q_m
         self._draw()
         self._text.content = small(changes_html(self.changes))

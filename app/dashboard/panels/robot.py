@@ -75,7 +75,6 @@ class RobotPanel(Panel):
         self.own = NewRobotPanel(viewer)
 
     def update(self, moment: Moment) -> None:
-        """Renew list and texts."""
         if self._switch.entries is not self._entries:
             self._renew_list()
         chosen, progress = self._chosen(), self._switch.progress
@@ -156,7 +155,6 @@ class NewRobotPanel(Panel):
             )
 
     def update(self, moment: Moment) -> None:
-        """Renew questions, texts and progress."""
         package, progress = self._build.package, self._build.progress
         if package is not self._package:
             self._package = package

@@ -57,7 +57,6 @@ class FilePanel(Panel):
         self._status = JobStatus(viewer, viewer.files)
 
     def update(self, moment: Moment) -> None:
-        """Show how far the work is."""
         self._status.show("")
 
     def file(
@@ -209,7 +208,6 @@ class SweepPanel(Panel):
         self._image: viser.GuiImageHandle | None = None
 
     def update(self, moment: Moment) -> None:
-        """Renew text and map."""
         self.status.show(problem(self._job.problem) if self._job.problem else "")
         self._button.disabled = self._job.progress is not None
         if self._updates % _LOOK_EVERY == 0:

@@ -86,10 +86,6 @@ class Borders:
             lambda: self._colour(pair, quantity, border, whole=whole),
         )
 
-    def curves(self, pair: str, border: BorderConfig, z: float) -> list[Array]:
-        """(K, 3) [m] each, the border's slice at a height z [m], in the base's frame."""
-        return self.surface(pair, border).curves(z)
-
     def surface(self, pair: str, border: BorderConfig) -> BorderSurface:
         """The border as contours."""
         return self._keep(
@@ -298,7 +294,7 @@ class BorderSlice:
         z = float(nearest.p_b[2])
         key = (nearest.name, round(z / _GRAIN), border.d_b, border.eps)
         if key != self._key:
-            curves = self._borders.curves(nearest.name, border, z)
+            curves = self._borders.surface(nearest.name, border).curves(z)
             self._key = key
             self._curves = [np.concatenate([curve[:-1:_EVERY], curve[-1:]]) for curve in curves]
         if self._curves:

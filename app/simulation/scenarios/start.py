@@ -158,7 +158,7 @@ class StartSolver:
         if search.above_floor() < _FLOOR_MARGIN:
             return "the arm would touch the floor"
         clearance = np.inf
-        for closest in search.closest():
+        for closest in search.monitor.find_closest_points():
             if closest.d < search.d_b + _BUFFER_MARGIN:
                 return f"{closest.pair.name} would be inside its buffer"
             clearance = min(clearance, closest.d - search.d_b)
