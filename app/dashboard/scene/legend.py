@@ -1,11 +1,10 @@
 """Legend: colour bars of the borders, in their units, and the key to all other signs."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
 import numpy as np
+from typing_extensions import Self
 
 from app.dashboard.markup import FAINT, ONE_LINE, cell, mark, minus, row, small, spread, table
 from app.dashboard.scene.canvas import METRES_PER_ACCELERATION, METRES_PER_NEWTON
@@ -82,7 +81,7 @@ class Legend(NamedTuple):
         values: Array,
         drawn: int,
         top: float | None,
-    ) -> Legend:
+    ) -> Self:
         """Of a border whose points all have these values (N,), N ≥ 1, of one of `QUANTITIES`.
 
         `base` is whose measure stands in the score.

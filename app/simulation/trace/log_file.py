@@ -1,7 +1,5 @@
 """The file of a trace: CSV with a leading comment, or Parquet with schema metadata."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,6 +10,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 from pydantic import Field, ValidationError
+from typing_extensions import Self
 
 from app.errors import DbbError, LogError, did_you_mean
 from app.simulation.trace.columns import NAN, Column, TraceMeta
@@ -36,7 +35,7 @@ class LogHeader(Strict):
     rows: int = Field(ge=1, strict=True)
 
     @classmethod
-    def read(cls, text: str) -> LogHeader:
+    def read(cls, text: str) -> Self:
         """A header from its JSON.
 
         Raises:
