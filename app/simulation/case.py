@@ -20,8 +20,7 @@ from app.strict import MOST_SEEDS, Finite, Strict, explain, parsed
 
 _PLAYED: dict[str, Scenario] = SCENARIOS | {each.name: each for each in (CHALLENGE, RANDOM_PULL)}
 _MOST = 1000  # [-] options, parameters or figures of a case; there are about a hundred
-FORMAT = "dbb_case"
-"""The key that only such a file has."""
+FORMAT = "dbb_case"  # the key that only such a file has
 
 
 class Planned(NamedTuple):

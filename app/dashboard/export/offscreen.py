@@ -41,8 +41,7 @@ if TYPE_CHECKING:
     import playwright.sync_api as web
 
 HOST = "127.0.0.1"
-BARRIER = "/sent"
-"""Scene node whose place tells the page how much has been sent."""
+BARRIER = "/sent"  # scene node whose place tells the page how much has been sent
 ONLY_SCENE = "body * { visibility: hidden !important; } canvas { visibility: visible !important; }"
 TIMEOUT = 60.0  # [s] for a page to open or a picture to arrive
 RATE = 25.0  # [Hz] pictures of a second of a replay
@@ -63,8 +62,7 @@ CODECS = {
     ".gif": {"gif": ["gif", "-loop", "0", "-filter_complex", _PALETTE]},
 }
 """By the ending of a file: its codecs, the usual one first, each with what ffmpeg needs."""
-_EVEN = "crop=trunc(iw/2)*2:trunc(ih/2)*2"
-"""Both have two chroma samples a pixel row and column."""
+_EVEN = "crop=trunc(iw/2)*2:trunc(ih/2)*2"  # both have two chroma samples a pixel row and column
 
 
 class RecordedLoop:

@@ -17,8 +17,7 @@ from app.onboarding.request import BOUNDS, NAME, OF_KIND, Request, check_request
 from app.robot.assets import robot_folder, user_robots
 from app.robot.description import KINDS
 
-FIND = "(find them)"
-"""Choice of no wheels: they are looked for."""
+FIND = "(find them)"  # choice of no wheels: they are looked for
 _WHEEL = "Joint of a driven wheel; of a car-like base, of a rear one"
 _QUESTIONS = {
     "file": ("URDF", "Which of the zip's URDFs"),

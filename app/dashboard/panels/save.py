@@ -38,8 +38,7 @@ from app.studies.sweep.sweep import newest_map, read_map
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
 """[px] least, most and first size of a picture."""
 STEP = 15.0  # [deg] between two directions of a map that is made here
-SWEEPS = Path("out/sweep")
-"""Where `dbb sweep` writes by default."""
+SWEEPS = Path("out/sweep")  # where `dbb sweep` writes by default
 _LOOK_EVERY = 20  # updates between two looks into the folder of maps
 _CANCEL_EVERY = 0.1  # [s] between two looks at the wish to cancel
 _PATIENCE = 30.0  # [s] for a browser to draw a picture

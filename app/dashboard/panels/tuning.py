@@ -22,8 +22,7 @@ from app.parameters import Choice, Parameter
 from app.robot.description import RobotDescription
 
 DECIMALS = 6  # [-] that a number box takes
-MARK = "\N{NO-BREAK SPACE}•"
-"""Behind the label of what is not at its default."""
+MARK = "\N{NO-BREAK SPACE}•"  # behind the label of what is not at its default
 FIRST_NAME = "tuning"
 MAIN = (
     "border.d_b",

@@ -22,8 +22,7 @@ from app.dashboard.verdict import COLOURS, State
 from app.robot.bases.kind import BaseKind
 from app.strict import Array
 
-QUANTITIES = ("determinant", "reachability", "score")
-"""What the border can be coloured by."""
+QUANTITIES = ("determinant", "reachability", "score")  # what the border can be coloured by
 
 
 class BaseMeasure(NamedTuple):

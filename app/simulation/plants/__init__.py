@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from app.simulation.plants.door import OpenDoor
     from app.simulation.plants.interface import Physics
 
-PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")
-"""Names that `make_physics` knows."""
+PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")  # names that `make_physics` knows
 
 _FORMERLY = {"contact": "mujoco-contact"}
 _DOORS = "planar, mujoco or mujoco-contact"

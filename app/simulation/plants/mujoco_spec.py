@@ -21,8 +21,7 @@ from app.strict import Array
 
 GRAVITY = 9.81  # [m/s²]
 FIRM = (0.004, 1.0)  # [s] time constant and [-] damping ratio of contacts and of joint limits
-IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]
-"""Of both, as MuJoCo has it."""
+IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]  # of both, as MuJoCo has it
 
 _FLAT = 1e-6  # [-] of a mesh's thickness over its length
 _SHEET = 0.0002  # [m] that a flat one is made thick

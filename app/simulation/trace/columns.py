@@ -213,8 +213,7 @@ def numbers(template: str, take: Take, *, often: bool = True, optional: bool = F
     return Quantity(columns, cells, value, take)
 
 
-drawn = partial(number, often=False)
-"""A number or text that is kept where a snapshot is taken."""
+drawn = partial(number, often=False)  # a number or text that is kept where a snapshot is taken
 drawn_numbers = partial(numbers, often=False)
 """An array (k,) that is kept where a snapshot is taken."""
 

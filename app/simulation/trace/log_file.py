@@ -19,8 +19,7 @@ from app.simulation.trace.trace import Layout, Trace, cells_of, columns_of
 from app.strict import Strict, explain
 from app.system import write_whole
 
-SUFFIXES = ".csv", ".parquet"
-"""The ending of a file's name says which of the two it is."""
+SUFFIXES = ".csv", ".parquet"  # the ending of a file's name says which of the two it is
 
 _KEY = b"dbb_log"
 _COMMENT = "# "
