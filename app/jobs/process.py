@@ -114,11 +114,6 @@ class Outcome(NamedTuple):
         return self.result
 
 
-class _Activity(NamedTuple):
-    text: str
-    share: float
-
-
 def run_in_process(
     work: Callable[..., Any],
     *args: Any,  # its arguments after `report`
@@ -187,7 +182,7 @@ def _receive(receiver: Connection, report: Report, cancelled: threading.Event) -
             return None
         if isinstance(received, Outcome):
             return received
-        report(received.text, received.share)
+        report(*received)
     raise Cancelled("cancelled")
 
 
@@ -202,7 +197,7 @@ def _run(
 ) -> None:
     signal.signal(signal.SIGTERM, _leave)
     step_back(niceness)
-    sender.send(Outcome.of(work, lambda text, share: sender.send(_Activity(text, share)), *args))
+    sender.send(Outcome.of(work, lambda text, share: sender.send((text, share)), *args))
     sender.close()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # nothing is left that a `finally` would do
 

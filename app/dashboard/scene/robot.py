@@ -32,6 +32,7 @@ LIGHT_FACES = 400
 CREASE = np.deg2rad(35.0)  # [rad] sharper edges are drawn as edges, not shaded over
 GREY: Rgb = (150, 150, 155)  # colour of a visual for which the URDF states none
 BODY: Rgb = (64, 156, 224)
+_MeshFile = tuple[str, tuple[float, ...]]  # where it is, and its scale along three axes
 _AROUND = np.array([0.15, 0.15, 0.0])  # [m] of a border around the base
 
 
@@ -165,17 +166,13 @@ def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual
             mesh = for_display(mesh_of(item.geometry))
         else:
             if file not in ready:
-                ready[file] = for_display(read_mesh(file.path).apply_scale(file.scale))
+                path, scale = file
+                ready[file] = for_display(read_mesh(path).apply_scale(scale))
             mesh = ready[file]
         # A copy: the placement inside the item dies with `geometry`.
         placement = item.placement.copy()
         visuals.append(Visual(item.name, item.parentJoint, placement, mesh, _colour(item)))
     return visuals
-
-
-class _MeshFile(NamedTuple):
-    path: str
-    scale: tuple[float, ...]
 
 
 def _without_files(urdf: str) -> tuple[str, dict[str, _MeshFile]]:
@@ -206,7 +203,7 @@ def _mesh_file(link: str, mesh: ElementTree.Element) -> _MeshFile:
         raise DescriptionError(f"link {link!r}: scale={scale!r} of a mesh is not three numbers")
     if not path:
         raise DescriptionError(f"link {link!r}: a mesh has no filename")
-    return _MeshFile(path, tuple(values))
+    return path, tuple(values)
 
 
 def read_mesh(path: str) -> trimesh.Trimesh:
