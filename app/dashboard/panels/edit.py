@@ -35,8 +35,7 @@ from app.robot.shapes import (
 )
 from app.strict import Array
 
-MOVE, SIZE = "move", "size"
-"""Scene nodes of a body's gizmos, below that of its frame."""
+MOVE, SIZE = "move", "size"  # scene nodes of a body's gizmos, below that of its frame
 _NONE = "(none)"
 _OPACITY = 0.45  # [-]
 _LEAST, _FARTHEST = 0.002, 5.0  # [m] of half a body, and of its place in its frame
@@ -92,7 +91,6 @@ class EditPanel(Panel):
         self._drop()
 
     def update(self, moment: Moment) -> None:
-        """Draw what has changed, and say it."""
         self._q_m = moment.shown.q_m
         self._draw()
         self._text.content = small(changes_html(self.changes))

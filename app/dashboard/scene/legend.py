@@ -1,11 +1,10 @@
 """Legend: colour bars of the borders, in their units, and the key to all other signs."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
 import numpy as np
+from typing_extensions import Self
 
 from app.dashboard.markup import FAINT, ONE_LINE, cell, mark, minus, row, small, spread, table
 from app.dashboard.scene.canvas import METRES_PER_ACCELERATION, METRES_PER_NEWTON
@@ -23,8 +22,7 @@ from app.dashboard.verdict import COLOURS, State
 from app.robot.bases.kind import BaseKind
 from app.strict import Array
 
-QUANTITIES = ("determinant", "reachability", "score")
-"""What the border can be coloured by."""
+QUANTITIES = ("determinant", "reachability", "score")  # what the border can be coloured by
 
 
 class BaseMeasure(NamedTuple):
@@ -82,7 +80,7 @@ class Legend(NamedTuple):
         values: Array,
         drawn: int,
         top: float | None,
-    ) -> Legend:
+    ) -> Self:
         """Of a border whose points all have these values (N,), N ≥ 1, of one of `QUANTITIES`.
 
         `base` is whose measure stands in the score.

@@ -32,8 +32,7 @@ from app.strict import Array
 
 BODY_OPACITY = 0.28  # [-]
 GHOST_OPACITY = 0.30  # [-]
-SURROUNDINGS = "city"
-"""What viser mirrors in the meshes unless it is told otherwise."""
+SURROUNDINGS = "city"  # what viser mirrors in the meshes unless it is told otherwise
 _TRACK_LIFT = 0.004  # [m] of the base's track above the floor
 _TRAILS = {"base": TRAIL_BASE, "hand": TRAIL_HAND}
 

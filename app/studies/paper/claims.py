@@ -106,8 +106,7 @@ def held(
     return Finding(f"{text} {number} (asked: {asked})", bool(holds), {key: float(value)}, limits)
 
 
-Findings = Iterable[Finding]
-"""All that is found has to hold."""
+Findings = Iterable[Finding]  # all that is found has to hold
 
 
 class Claim(NamedTuple):
@@ -138,8 +137,7 @@ class Claim(NamedTuple):
         }
 
 
-CLAIMS: list[Claim] = []
-"""In the order of the paper."""
+CLAIMS: list[Claim] = []  # in the order of the paper
 
 
 def claims_of(figures: Iterable[str]) -> list[Claim]:
