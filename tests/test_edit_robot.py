@@ -100,6 +100,7 @@ def test_a_robot_of_ones_own_is_saved_in_its_place_and_no_other_one_is(tmp_path:
     save_by_hand(own, own, CHANGES._replace(shapes={}, unwatched={}, ready=None))
     again = load_description(own / "robot.toml")
     assert (again.name, again.unwatched) == ("mine", {})
+    assert "unwatched" not in (own / "robot.toml").read_text()
     wrong = CHANGES._replace(unwatched={"l1-nobody": BY_HAND})
     with pytest.raises(DescriptionError, match="there is no pair l1-nobody"):
         save_by_hand(own, own, wrong)

@@ -18,7 +18,7 @@ from app.onboarding import new_robot
 from app.onboarding.new_robot import finish, parse
 from app.onboarding.read.tree import make_tree
 from app.onboarding.request import Request
-from app.onboarding.warn import wheels_carried
+from app.onboarding.warn import held_still, wheels_carried
 from app.onboarding.write import rebased_urdf
 from app.robot.model import RobotModel
 from app.simulation.plants.collision_shapes import collision_shapes
@@ -129,6 +129,20 @@ def test_wheels_on_suspensions_are_the_same_drive(tmp_path: Path) -> None:
     assert {"left_slide", "right_slide"} < set(slides.arm.rigid_links)
     given = request(tmp_path, suspended(travel=0.01), wheels=("left_axle", "right_axle"))
     assert parse(given).wheels[:4] == plain.wheels[:4]
+
+
+def test_what_stands_still_is_warned_of_and_no_slide_that_the_base_itself_is_on(
+    tmp_path: Path,
+) -> None:
+    slide = joint("slide", "prismatic", "world", "base", limit='lower="-1e6" upper="1e6"')
+    floating = robot([*cart(), *arm(), link("world"), slide])
+    legged = robot([*cart(), *arm(), link("leg"), joint("knee", "revolute", "base", "leg")])
+    texts = (suspended(travel=0.01), floating, legged)
+    told = [list(held_still(parse(request(tmp_path, text)))) for text in texts]
+    assert told[0][0].endswith("0.01 m of travel count as rigid: left_spring, right_spring")
+    assert len(told[0]) == 1
+    assert told[1] == []
+    assert [each.rpartition(": ")[2] for each in told[2]] == ["knee"]
 
 
 def test_a_slide_as_long_as_a_wheel_is_no_suspension(tmp_path: Path) -> None:
@@ -367,6 +381,24 @@ def test_a_package_that_a_xacro_names_and_nobody_finds_is_asked_for_with_its_pla
     with pytest.raises(RobotFileError, match=f"--package no_such_arm={tmp_path}, which holds"):
         parse(asked)
     assert parse(replace(asked, package=(f"no_such_arm={tmp_path}",))).arm.tip == "hand"
+
+
+def test_a_xacro_finds_a_package_of_python_as_meshes_do(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As `$(find pybullet_data)`: it was said not to be installed."""
+    pytest.importorskip("xacrodoc")
+    package = tmp_path / "site" / "toy_arm_data"
+    package.mkdir(parents=True)
+    write(package, robot([*cart(), *arm()]))
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    (tmp_path / "a" / "b").mkdir(parents=True)
+    text = (
+        '<robot name="toy" xmlns:xacro="http://www.ros.org/wiki/xacro">'
+        '<xacro:include filename="$(find toy_arm_data)/toy.urdf"/></robot>'
+    )
+    path = write(tmp_path / "a" / "b", text, "toy.urdf.xacro")
+    assert parse(Request(str(path), "base", "hand", tmp_path / "made")).arm.tip == "hand"
 
 
 def test_an_arm_of_its_own_file_is_put_on_the_base(tmp_path: Path) -> None:

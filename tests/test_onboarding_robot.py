@@ -110,6 +110,8 @@ def test_a_whole_folder_is_written_and_nothing_beside_it(made: NewRobot) -> None
     assert "max_effort = [60.0, 60.0, 60.0, 60.0, 60.0, 60.0] # from the URDF" in text
     assert "traction_limit_n" in text
     assert "# assumed" in text
+    assert not made.content["unwatched"]
+    assert "[unwatched]" not in text  # nor any other table without a word
 
 
 def test_a_robot_from_a_zip_takes_its_meshes_along_and_may_be_moved(
@@ -321,14 +323,21 @@ def test_a_line_that_stays_outside_of_the_buffer_shows_nothing(
 
 
 @pytest.mark.parametrize(
-    ("lost", "near", "outcome"),
-    [(0.0, 0.1, "failed"), (1.0, 0.1, "warned"), (1.0, 0.02, "failed")],
-    ids=["holds", "cannot hold its hand", "cannot hold its hand and comes near"],
+    ("lost", "bare", "near", "outcome"),
+    [
+        (0.0, 0.02, 0.1, "failed"),
+        (0.0, 0.07, 0.1, "failed"),
+        (0.0, 0.08, 0.1, "nothing to show"),
+        (1.0, 0.02, 0.1, "warned"),
+        (1.0, 0.02, 0.02, "failed"),
+    ],
+    ids=["holds", "in the inner half", "in the outer", "cannot hold", "cannot hold and comes near"],
 )
 def test_a_base_that_does_not_give_way_fails_unless_it_would_take_the_hand_along(
     finished: tuple[NewRobot, BorderData],
     monkeypatch: pytest.MonkeyPatch,
     lost: float,
+    bare: float,
     near: float,
     outcome: str,
 ) -> None:
@@ -339,7 +348,7 @@ def test_a_base_that_does_not_give_way_fails_unless_it_would_take_the_hand_along
 
     def figures(*_: object, controller: str = "dbb", **__: object) -> SimpleNamespace:
         counts = ("contacts", "arm_contacts", "floor_contacts", "solver_failures")
-        least = 0.02 if controller == "none" else near
+        least = bare if controller == "none" else near
         told = dict.fromkeys(counts, 0)
         return SimpleNamespace(
             figures=told | {"min_clearance_m": least, "base_displacement_m": 0.01}
@@ -348,7 +357,7 @@ def test_a_base_that_does_not_give_way_fails_unless_it_would_take_the_hand_along
     monkeypatch.setattr(run, "run_scenario", figures)
     row = run_row(written(finished[0]), finished[1], "guiding-front")
     assert row.outcome == outcome
-    assert ("gives way by less than" in row.text) is (near > 0.05)
+    assert ("gives way by less than" in row.text) is (bare < 0.075 and near > 0.05)
 
 
 def test_what_a_library_raises_in_a_check_is_that_rows_failure(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
+import trimesh
 
 from app.onboarding.fit import collision_sampling
 from app.onboarding.fit.bodies import ArmFitter
@@ -17,7 +18,10 @@ from app.onboarding.fit.collision_sampling import (
     Unit,
     group_distances,
     neighbours,
+    units_of_links,
 )
+from app.onboarding.fit.convex import directions
+from app.onboarding.read.links import LinkGeometry, LinkShape
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from tests.robots import husky_panda
 
@@ -64,11 +68,31 @@ def test_a_spot_that_was_met_is_no_body(met: int) -> None:
     empty = np.zeros((0, 3))
     reached = {(2, 0): np.arange(len(corners)) < met}
     poses = Poses(empty, empty, np.zeros(0, dtype=bool))
-    meetings = Meetings(units, (), frozenset(), poses, poses, reached)
+    meetings = Meetings(units, (), frozenset(), frozenset(), poses, poses, reached)
     body = ArmFitter(chain([TURN(), TURN()]), meetings).bodies([[1], [2]])[1]
     assert body.links == ("link2",)
     assert body.fits[0].volume == pytest.approx(0.2**3, rel=0.02)
     assert np.isfinite(body.fits[0].over_cover)
+
+
+def test_a_fingertip_of_a_hand_of_many_points_is_among_those_looked_at() -> None:
+    """A body holds the points that others come to: what none of them shows would stick out."""
+    palm, finger = trimesh.creation.icosphere(5, 0.05), trimesh.creation.box((0.01, 0.01, 0.1))
+    finger.apply_translation((0.0, 0.0, 0.15))
+    shapes = tuple(
+        LinkShape(mesh, mesh, np.asarray(mesh.vertices), "mesh", None) for mesh in (palm, finger)
+    )
+    model = husky_panda()
+    covers = {
+        link: LinkGeometry((), False) for each in model.description.bodies for link in each.covers
+    }
+    found = units_of_links(model, covers | {"panda_hand": LinkGeometry(shapes, False)})["lEE"]
+    hand = found[-1]
+    assert len(hand.surface) < 1000 < len(palm.vertices)
+    D = directions(2)
+    corners = np.vstack([part.corners for part in hand.parts])
+    beyond = (corners @ D.T).max(axis=0) - (hand.surface @ D.T).max(axis=0)
+    assert beyond.max() < 1e-9
 
 
 def test_groups_are_as_near_as_the_library_says_up_to_half_a_metre(

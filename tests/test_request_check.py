@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from app.errors import ConfigError, UnknownNameError
-from app.onboarding.request import BOUNDS, OF_KIND, Request, check_request
+from app.onboarding.request import BOUNDS, Request, check_request
 
 
 def asked(**fields: object) -> Request:
@@ -16,7 +16,7 @@ def asked(**fields: object) -> Request:
 
 @pytest.mark.parametrize("field", BOUNDS)
 def test_a_number_is_taken_within_its_bounds_and_by_its_kind_alone(field: str) -> None:
-    bounds, kind = BOUNDS[field], OF_KIND.get(field, "differential")
+    bounds, kind = BOUNDS[field], BOUNDS[field].kind or "differential"
     others = {"half_track": 0.3} if field == "wheel_radius" else {}
     for value in (bounds.low, bounds.high):
         check_request(asked(kind=kind, **others, **{field: value}))
@@ -24,7 +24,7 @@ def test_a_number_is_taken_within_its_bounds_and_by_its_kind_alone(field: str) -
     for value in (bounds.low * 0.99, bounds.high * 1.01, float("nan"), 0.0):
         with pytest.raises(ConfigError, match=f"{option}: .* is not within"):
             check_request(asked(kind=kind, **others, **{field: value}))
-    if field in OF_KIND:
+    if bounds.kind:
         with pytest.raises(ConfigError, match=f"{option}: a holonomic base has none.*{kind}"):
             check_request(asked(kind="holonomic", **{field: bounds.high}))
 

@@ -25,6 +25,7 @@ _METAVARS = {
     "heights": "Z …",
     "package": "NAME=FOLDER …",
     "speeds": "V …",
+    "xacro": "NAME=VALUE …",
 }
 
 

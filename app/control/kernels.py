@@ -134,6 +134,28 @@ def limit_rows(
     return C, l, u
 
 
+@compiled("f8[::1](f8[:], f8[:,:], f8[:], f8[:], f8[:], f8)")
+def observed(r: Array, M: Array, h: Array, qdd: Array, u_a: Array, share: float) -> Array:
+    """(n_m,) r + share (M_a q̈ + h_a - u_a - r), of `app.control.limits.PushObserver`."""
+    n_b, found = len(qdd) - len(r), r.copy()
+    for i in range(len(r)):
+        missing = h[n_b + i] - u_a[i] - r[i]
+        for j in range(len(qdd)):
+            missing += M[n_b + i, j] * qdd[j]
+        found[i] += share * missing
+    return found
+
+
+@compiled("UniTuple(f8[::1], 2)(f8[:], f8[:], f8)")
+def torque_range(last: Array, most: Array, change: float) -> tuple[Array, Array]:
+    """(n_m,) the smallest and (n_m,) the largest torque, `change` from the last one at most."""
+    low, high = np.empty(len(last)), np.empty(len(last))
+    for i in range(len(last)):
+        at = min(max(last[i], -most[i]), most[i])
+        low[i], high[i] = max(at - change, -most[i]), min(at + change, most[i])
+    return low, high
+
+
 @compiled("f8[::1](f8[:], f8[:], f8[:], f8[:,:], f8, f8, f8)")
 def towards_posture(
     q: Array, qd: Array, posture: Array, limits: Array, pull: float, drag: float, centring: float

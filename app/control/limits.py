@@ -162,10 +162,8 @@ class PushObserver:
         `u_a` (n_m,) [N m or N] are the torques given within it.
         """
         if self._qd is not None:
-            n_b = state.model.n_b
-            momentum = state.M[n_b:] @ (state.qd - self._qd)
-            missing = momentum / dt + state.h[n_b:] - u_a - self.r
-            self.r = self.r - math.expm1(-rate * dt) * missing
+            change, share = (state.qd - self._qd) / dt, -math.expm1(-rate * dt)
+            self.r = kernels.observed(self.r, state.M, state.h, change, u_a, share)
         self._qd = state.qd
 
 

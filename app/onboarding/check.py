@@ -46,7 +46,6 @@ _LAYER = 0.05  # [m]
 _NEAR_POSES = 1000
 _MANY = 500  # [-] points nearer than the border by which a layer counts as reached
 _FEW = 10  # [-] points of the border in a layer that is not empty
-_NEARLY = 0.05  # [m] to the base without avoidance, from which on the base has to move
 _STILL = f"; the base gives way by less than {GIVES_WAY:g} m"
 _HELD = (
     ", as the arm cannot hold its hand where it is (`hand held`) and keeps away by itself; a "
@@ -55,19 +54,14 @@ _HELD = (
 
 
 class Row(NamedTuple):
-    """One check.
-
-    Attributes:
-        name: What was checked.
-        outcome: passed, warned or failed, or that nothing was there to show it.
-        text: One sentence.
-        numbers: What was measured; keys end in their unit.
-    """
+    """One check."""
 
     name: str
     outcome: Outcome
+    """passed, warned or failed, or that nothing was there to show it."""
     text: str
     numbers: dict[str, float]
+    """What was measured; keys end in their unit."""
 
 
 def check_robot(
@@ -82,12 +76,7 @@ def check_robot(
 
     A check that cannot be done fails with the reason; those that need it are left out.
 
-    Args:
-        description: The robot.
-        runs: Whether to guide the hand too, which takes longest.
-        tell: Called with what is being done.
-        processes: How many to sample the border with; all cores if not given.
-        sampling: Of the border; by default as every command samples it.
+    `runs` that guide the hand take longest; the border is sampled by all cores, or `processes`.
     """
     tell("compiling")
     try:
@@ -374,12 +363,11 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
             f"least distance to the base {near:.3f} m ({without:.3f} m without avoidance), base "
             f"moved by {moved:.3f} m, {text}"
         )
-    still = without is not None and without < _NEARLY and moved < GIVES_WAY
+    shown = without is not None and without < config.border.d_b / 2
     if touched or failures or (near is not None and near < CLEARANCE):
         return Row(name, "failed", text, numbers)
-    if still:
+    if shown and moved < GIVES_WAY:
         held = bool(holding_warning(carried_hand(model)))
         text += _STILL + (_HELD if held else "")
         return Row(name, "warned" if held else "failed", text, numbers)
-    shown = without is not None and without < config.border.d_b / 2
     return Row(name, "passed" if shown else "nothing to show", text, numbers)

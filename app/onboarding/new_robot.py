@@ -91,32 +91,29 @@ class Parsed:
 
 @dataclass(frozen=True)
 class NewRobot:
-    """A robot that was made, before anything is written.
-
-    Attributes:
-        urdf: Text of the new URDF.
-        content: The description, as `RobotDescription` takes it, its URDF by name.
-        verdict: Of the grouping.
-        reach: By the name of the body.
-        places: By the name of the scenario.
-        held: A warning where the arm cannot hold its hand, or nothing.
-        warnings: One sentence each.
-    """
+    """A robot that was made, before anything is written."""
 
     request: Request
     parsed: Parsed
     urdf: str
+    """Text of the new URDF."""
     content: dict[str, Any]
+    """The description, as `RobotDescription` takes it, its URDF by name."""
     model: RobotModel
     meetings: Meetings
     bodies: list[FittedBody]
     verdict: Verdict
+    """Of the grouping."""
     unseen: Unseen
     ready: Ready
     reach: dict[str, Reach]
+    """By the name of the body."""
     places: dict[str, Place]
+    """By the name of the scenario."""
     held: str
+    """A warning where the arm cannot hold its hand, or nothing."""
     warnings: list[str]
+    """One sentence each."""
 
 
 def finish(
@@ -129,13 +126,8 @@ def finish(
 ) -> tuple[NewRobot, BorderData]:
     """Make a robot and its border, and only then put its folder in its place.
 
-    Args:
-        request: What is asked.
-        tell: Called with what is being done.
-        processes: How many to sample with; all cores if not given.
-        sampling: Of the border; by default as every command samples it.
-        on_progress: Called with the share of a long step that is done, 0 to 1: of the border,
-            then of the places that are searched.
+    The border is sampled by all cores, or `processes`. `tell` is called with what is being done,
+    `on_progress` with the share of a long step that is, 0 to 1: of the border, then of the places.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library cannot take it.

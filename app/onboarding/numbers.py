@@ -197,15 +197,7 @@ def base_numbers(
     half_track: float | None,
     steering: Steering | None = None,
 ) -> Sourced:
-    """Numbers of the description's base.
-
-    Args:
-        model: The robot with its inertias.
-        wheels: Its drive.
-        q_m: (n_m,) the ready pose.
-        half_track: [m] as given, or None for the measured one.
-        steering: Of a car-like base.
-    """
+    """Numbers of the description's base in the ready pose q_m (n_m,); `half_track` [m] if given."""
     kind = model.description.base.kind
     M = pin.crba(model.pin, model.pin.createData(), model.configuration((0.0, 0.0, 0.0), q_m))
     mass, yaw = float(M[0, 0]), float(M[2, 2])
@@ -278,20 +270,14 @@ _LEAST_WIDTH = 0.1  # [m]
 
 
 class Reach(NamedTuple):
-    """A, B, C of (9) for one body.
-
-    Attributes:
-        A, B, C: [1/m²], [m], [-].
-        source: In words.
-        counted: The map, or None where the coefficients are assumed.
-        fit: How well (9) fits it, or None.
-    """
+    """A [1/m²], B [m] and C [-] of (9) for one body."""
 
     A: float
     B: float
     C: float
     source: str
     counted: ReachMap | None
+    """The map, or None where the coefficients are assumed."""
     fit: ReachFit | None
 
     def content(self) -> dict[str, Any]:

@@ -101,36 +101,24 @@ class Request:
 
 
 class Bounds(NamedTuple):
-    """Of a number that may be given.
-
-    Attributes:
-        low, high: The least and the largest.
-        unit: Of them.
-    """
+    """Of a number that may be given, in its unit, and the one kind of base that has it, if any."""
 
     low: float
     high: float
     unit: str = ""
+    kind: str = ""
 
 
 BOUNDS = {
-    "half_track": Bounds(0.02, 3.0, "m"),
-    "wheel_radius": Bounds(0.01, 1.0, "m"),
-    "wheelbase": Bounds(0.05, 10.0, "m"),
-    "steering_limit": Bounds(0.02, 1.5, "rad"),
-    "steering_rate": Bounds(0.01, 20.0, "rad/s"),
+    "half_track": Bounds(0.02, 3.0, "m", "differential"),
+    "wheel_radius": Bounds(0.01, 1.0, "m", "differential"),
+    "wheelbase": Bounds(0.05, 10.0, "m", "car-like"),
+    "steering_limit": Bounds(0.02, 1.5, "rad", "car-like"),
+    "steering_rate": Bounds(0.01, 20.0, "rad/s", "car-like"),
     "bodies": Bounds(1, 8),
 }
 """By the field of `Request`."""
 _FARTHEST = 10.0  # [m] or [rad] of a place or a turn; more is a slip of the keys
-OF_KIND = {
-    "half_track": "differential",
-    "wheel_radius": "differential",
-    "wheelbase": "car-like",
-    "steering_limit": "car-like",
-    "steering_rate": "car-like",
-}
-"""Kind of base that a number belongs to."""
 
 
 def option(field: str) -> str:
@@ -167,11 +155,11 @@ def check_request(request: Request) -> None:
         value = getattr(request, field)
         if value is None:
             continue
-        check_range(option(field), value, *bounds)
-        if OF_KIND.get(field, kind) != kind:
+        check_range(option(field), value, *bounds[:3])
+        if bounds.kind not in ("", kind):
             raise ConfigError(
                 f"{option(field)}: a {kind} base has none; leave it out, or give "
-                f"--kind {OF_KIND[field]}"
+                f"--kind {bounds.kind}"
             )
     package_folders(request.package)
     named("--xacro", request.xacro, "VALUE")

@@ -18,6 +18,7 @@ from app.onboarding.fit.grouping import MOST_UNSEEN
 from app.onboarding.fit.postures import GIVES_WAY, INNER
 from app.onboarding.numbers import read_limits
 from app.onboarding.read.tree import ARM_ON_BASE
+from app.onboarding.read.wheels import turns_round
 from app.robot.bases.kind import Axis
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from app.robot.model import RobotModel
@@ -51,7 +52,7 @@ def warnings_of(robot: NewRobot) -> list[str]:
         *_reaches(robot),
         *_joints(robot),
         *_inertias(robot),
-        *_held(robot),
+        *held_still(robot.parsed),
         *_base(robot),
     ]
 
@@ -191,20 +192,27 @@ def _inertias(robot: NewRobot) -> Iterator[str]:
             yield f"nothing that {joint.name} alone moves has a mass: its inertia is zero"
 
 
-def _held(robot: NewRobot) -> Iterator[str]:
-    """Suspensions that count as rigid, and what moves beside the arm: another arm, a head."""
-    tree, arm = robot.parsed.tree, robot.parsed.arm
-    rigid = [
-        j for j in tree.joints.values() if j.kind == "prismatic" and j.child in arm.rigid_links
-    ]
-    if rigid:
+def held_still(parsed: Parsed) -> Iterator[str]:
+    """Suspensions that count as rigid, and what moves beside the arm: another arm, a head, legs.
+
+    Wheels and casters turn without end: they roll.
+    """
+    tree, arm = parsed.tree, parsed.arm
+    above = [tree.joint_of[link] for link in arm.rigid_links if link != arm.base]
+    if rigid := [joint for joint in above if joint.kind == "prismatic"]:
         travel = max((j.upper or 0.0) - (j.lower or 0.0) for j in rigid)
         names = ", ".join(j.name for j in rigid)
         yield f"wheels' suspensions of up to {travel:g} m of travel count as rigid: {names}"
-    own = {joint.name for joint in arm.joints}
-    carried = [link for links in arm.segments for link in links]
-    beside = [j.name for link in carried for j in tree.children(link) if j.moves]
-    if held := [name for name in beside if name not in own]:
+    own = {joint.name for joint in (*arm.joints, *rigid)}
+    own.update(parsed.steering.joints if parsed.steering else ())
+    carried = {link for links in arm.segments for link in links}
+    held = [
+        joint.name
+        for link in tree.below(arm.base)
+        for joint in tree.children(link)
+        if joint.moves and joint.name not in own and (link in carried or not turns_round(joint))
+    ]
+    if held:
         names = ", ".join(held)
         yield f"not of the arm to --tip, so held still at zero or the nearest limit: {names}"
 
@@ -252,19 +260,16 @@ def _base(robot: NewRobot) -> Iterator[str]:
 
 
 class Carried(NamedTuple):
-    """How often the base takes the hand along with it.
-
-    Attributes:
-        axis: Of the base's motion.
-        speed: [m/s or rad/s] at which it was asked.
-        place: [-] share of the poses in which the arm cannot keep its hand's place.
-        pose: [-] share in which it cannot keep place and orientation.
-    """
+    """How often the base takes the hand along with it."""
 
     axis: Axis
+    """Of the base's motion."""
     speed: float
+    """[m/s or rad/s] at which it was asked."""
     place: float
+    """[-] share of the poses in which the arm cannot keep its hand's place."""
     pose: float
+    """[-] share in which it cannot keep place and orientation."""
 
     @property
     def text(self) -> str:

@@ -102,17 +102,14 @@ def _sources_text(robot: NewRobot) -> str:
 
 
 class HandMade(NamedTuple):
-    """What a person has changed of a robot.
-
-    Attributes:
-        shapes: By the name of the body and the shape's place in it.
-        unwatched: Why a pair is not watched, by its name; of all that are not.
-        ready: (n_m,) [rad or m] the ready pose, or None where it stays.
-    """
+    """What a person has changed of a robot."""
 
     shapes: dict[tuple[str, int], Shape]
+    """By the name of the body and the shape's place in it."""
     unwatched: dict[str, str]
+    """Why a pair is not watched, by its name; of all that are not."""
     ready: tuple[float, ...] | None
+    """(n_m,) [rad or m] the ready pose, or None where it stays."""
 
 
 BY_HAND = "set by hand"
@@ -134,7 +131,9 @@ def save_by_hand(source: Path, out: Path, changes: HandMade) -> None:
         body = next(each for each in document["bodies"] if each["name"] == name)
         body["source"] = BY_HAND
         body["shapes"][i] = tomlkit.item(shape_content(shape))
-    if changes.unwatched != document.get("unwatched", {}):
+    if not changes.unwatched:
+        document.pop("unwatched", None)
+    elif changes.unwatched != document.get("unwatched"):
         document["unwatched"] = changes.unwatched
     if changes.ready is not None:
         document["arm"]["ready_position"] = list(changes.ready)
@@ -164,12 +163,16 @@ _HEADER = (
 
 
 def description_text(content: Mapping[str, Any], title: str) -> str:
-    """The text of `robot.toml`: a title, and each number's kind of source, as comments."""
+    """The text of `robot.toml`: a title, and each number's kind of source, as comments.
+
+    What is empty, as of a robot without lines, is left out.
+    """
     document = tomlkit.document()
     for line in (title, *_HEADER):
         document.add(tomlkit.comment(line))
     document.add(tomlkit.nl())
-    for key, value in sorted(content.items(), key=lambda each: isinstance(each[1], Mapping | list)):
+    filled = [each for each in content.items() if each[1]]
+    for key, value in sorted(filled, key=lambda each: isinstance(each[1], Mapping | list)):
         item = tomlkit.item(value)
         if isinstance(value, Mapping):
             _comment(item, value)
@@ -195,11 +198,7 @@ def rebased_urdf(parsed: Parsed, *, name: str, header: str, home: Path | None = 
     that is only seen can be touched too. Endless joints become revolute with wide limits, joints
     that follow others stand still: pinocchio and pybullet then read the same robot.
 
-    Args:
-        parsed: What the old one says.
-        name: Of the robot.
-        header: A comment at the top.
-        home: Folder of the new URDF, for meshes that lie below it.
+    Meshes below `home`, the folder of the new URDF, are named by the path in it.
     """
     tree, base = parsed.tree, parsed.arm.base
     robot = Element("robot", name=name, version="1.2")
@@ -327,12 +326,8 @@ def description(
 ) -> dict[str, Any]:
     """A description, its URDF by name; without numbers and bodies, for kinematics and dynamics.
 
-    Args:
-        request: What was asked.
-        parsed: What the URDF says.
-        bodies: Of the robot; dots stand for them.
-        moving: Of the base and the arm; ones stand for them, and the middle of the joints.
-        unwatched: Why a pair of bodies is not watched, by its name.
+    Dots stand for the bodies, ones for what is `moving`, base and arm, and the joints' middle.
+    `unwatched` says why a pair of bodies is not watched, by its name.
     """
     arm, limits = parsed.arm, parsed.limits
     wheels = wheel_fields(request.kind, parsed.wheels, parsed.steering)

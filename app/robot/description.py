@@ -123,7 +123,7 @@ class RobotDescription(Strict):
     """Of one of `KINDS`."""
     arm: ArmDescription
     bodies: tuple[BodyDescription, ...] = Field(min_length=2)
-    reachability: dict[str, ReachabilityDescription]
+    reachability: dict[str, ReachabilityDescription] = Field(default_factory=dict)
     """By the name of the body; every body that may come near l_m needs one."""
     lines: dict[str, LinePlace] = Field(default_factory=dict)
     """By the name of the scenario; one that leads to the base's sides is not run without its own,

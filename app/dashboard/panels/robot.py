@@ -13,7 +13,7 @@ from app.dashboard.robots import Package, RobotBuild, RobotEntry
 from app.dashboard.viser_compat import taken_upload
 from app.errors import AssetError, ConfigError
 from app.onboarding.read.package import LARGEST_ARCHIVE, LARGEST_CONTENT, MOST_FILES
-from app.onboarding.request import BOUNDS, NAME, OF_KIND, Request, check_request, option
+from app.onboarding.request import BOUNDS, NAME, Request, check_request, option
 from app.robot.assets import robot_folder, user_robots
 from app.robot.description import KINDS
 
@@ -219,7 +219,7 @@ class NewRobotPanel(Panel):
             return kind != "holonomic"
         if name == "file":
             return self._package is not None and len(self._package.urdfs) > 1
-        return OF_KIND.get(name, kind) == kind
+        return name not in BOUNDS or BOUNDS[name].kind in ("", kind)
 
     def _ask(self, package: Package) -> None:
         self._shown_urdf = ""  # one of the same path may have other links

@@ -26,31 +26,23 @@ _MERGE = 1.15  # [-] two shapes become one if that adds less than this to their 
 
 
 class FittedBody(NamedTuple):
-    """A body of the description.
-
-    Attributes:
-        name: As in `lm`.
-        frame: Link in whose frame the shapes are.
-        links: The links it stands for.
-        units: Their units' indices.
-        fits: Its shapes, with what they over-cover.
-        points: (N, 3) [m] what they had to hold, in the frame.
-    """
+    """A body of the description."""
 
     name: str
+    """As in `lm`."""
     frame: str
+    """Link in whose frame the shapes are."""
     links: tuple[str, ...]
     units: tuple[int, ...]
+    """Their units' indices."""
     fits: tuple[Fit, ...]
+    """Its shapes, with what they over-cover."""
     points: Array
+    """(N, 3) [m] what they had to hold, in the frame."""
 
 
 def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBody:
     """l_m around the whole base: one shape, or several where one would be mostly empty.
-
-    Args:
-        units: Of the robot, by their index.
-        mobile: Indices of those of l_m.
 
     Raises:
         RobotFileError: The base has no shapes.

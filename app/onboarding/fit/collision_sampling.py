@@ -28,7 +28,7 @@ ALWAYS = 0.6
 MARGIN = 0.015
 """[m] within which a point counts as met."""
 _ALONG = 0.999  # [-] cosine between two lines that count as parallel
-_THIN_OUT = 500  # [-] points on a unit's surface that are looked at
+_THIN_OUT = 500  # [-] points on a unit's surface that are looked at, beside the outermost
 _BUILT_IN = 0.5  # [-] close hulls that touch in more of the poses are nested, as a telescope is
 _FEWEST = 50  # [-] poses without a collision that say what is near
 _MOST_LOOKS = 200  # [-] poses per pair of units in which the points are looked at
@@ -42,37 +42,28 @@ _SPREADS = (0.1, 0.05, 0.05, 0.02)  # [-] of a joint's range by which they are v
 
 
 class Part(NamedTuple):
-    """One hull of a unit.
-
-    Attributes:
-        link: The link it belongs to.
-        corners: (N, 3) [m] of its hull, in the joint's frame.
-        reach: (K,) [m] its support along `directions(2)`.
-    """
+    """One hull of a unit."""
 
     link: str
     corners: Array
+    """(N, 3) [m] of its hull, in the joint's frame."""
     reach: Array
+    """(K,) [m] its support along `directions(2)`."""
 
 
 class Unit(NamedTuple):
-    """Links that move as one.
-
-    Attributes:
-        index: 0 the base, 1 what is fixed to it below the arm, k + 1 what the arm's joint k moves.
-        frame: The link whose frame is the joint's; the floor point for the first two.
-        links: All of them.
-        joint: pinocchio's joint that moves them.
-        parts: Their hulls.
-        surface: (N, 3) [m] points on the hulls, in the joint's frame.
-    """
+    """Links that move as one."""
 
     index: int
+    """0 the base, 1 what is fixed to it below the arm, k + 1 what the arm's joint k moves."""
     frame: str
+    """The link whose frame is the joint's; the floor point for the first two."""
     links: tuple[str, ...]
     joint: int
+    """pinocchio's."""
     parts: tuple[Part, ...]
     surface: Array
+    """(N, 3) [m] points on the hulls, in the joint's frame."""
 
 
 def make_units(
@@ -125,8 +116,9 @@ def _unit(
             parts.append(Part(link, corners, (corners @ D.T).max(axis=0)))
         surface.append(moved(geometry[link].surface, T))
     points = np.vstack(surface)
-    if len(points) > _THIN_OUT:
-        points = points[np.random.default_rng(0).permutation(len(points))[:_THIN_OUT]]
+    if len(points) > _THIN_OUT:  # the outermost ones stay: a body has to hold fingertips too
+        some = np.random.default_rng(0).permutation(len(points))[:_THIN_OUT]
+        points = points[np.union1d(some, (points @ D.T).argmax(axis=0))]
     return Unit(index, frame, links, joint, tuple(parts), points)
 
 
@@ -181,12 +173,8 @@ def group_distances(
     With many shapes, of those above 0.5 m only that is certain: the spheres around them are so far
     apart.
 
-    Args:
-        model: The robot, its base at the origin.
-        geometry: The shapes, without collision pairs; those of the groups are added.
-        groups: Indices of the shapes of each group.
-        pairs: Of groups.
-        q_m: (N, n_m) [rad or m] the arm's joints.
+    Groups are indices of shapes, pairs those of groups, q_m (N, n_m) [rad or m] the arm's joints,
+    the base at the origin. The geometry has no collision pairs yet: those of the groups are added.
     """
     starts, shapes = [], []
     for a, b in pairs:
@@ -270,43 +258,35 @@ def _spheres(geometry: pin.GeometryModel) -> tuple[Array, Array, Array]:
 
 
 class Poses(NamedTuple):
-    """Poses of the arm.
-
-    Attributes:
-        q_m: (N, n_m) [rad or m]
-        distances: (N, pairs) [m] signed, of hulls.
-        possible: (N,) whether no close pair touches, but for those built into each other, which
-            always do: joint limits have to prevent the others.
-    """
+    """Poses of the arm."""
 
     q_m: Array
+    """(N, n_m) [rad or m]"""
     distances: Array
+    """(N, pairs) [m] signed, of hulls."""
     possible: Array
+    """(N,) whether no close pair touches, but for those built into each other, which always do:
+    joint limits have to prevent the others."""
 
 
 @dataclass(frozen=True)
 class Meetings:
-    """What random poses brought together.
-
-    Attributes:
-        units: The links that move as one.
-        pairs: Pairs of units, by their indices, that are no neighbours.
-        close: Pairs that are within the buffer in most poses without a collision, as they are
-            built: no buffer can watch them.
-        apart: Those of the base and a link that moves on it which meet deeper than what is built
-            side by side: limits of joints have to keep them apart.
-        random: The random poses.
-        rare: Poses around those in which pairs that hardly meet are nearest, where they do.
-        met: By the pair (u, v): (points of u,) whether v came to that point of u's surface.
-    """
+    """What random poses brought together."""
 
     units: tuple[Unit, ...]
     pairs: tuple[tuple[int, int], ...]
+    """Pairs of units, by their indices, that are no neighbours."""
     close: frozenset[tuple[int, int]]
+    """Pairs that are within the buffer in most poses without a collision, as they are built: no
+    buffer can watch them."""
     apart: frozenset[tuple[int, int]]
+    """Those of the base and a link that moves on it which meet deeper than what is built side by
+    side: limits of joints have to keep them apart."""
     random: Poses
     rare: Poses
+    """Poses around those in which pairs that hardly meet are nearest, where they do."""
     met: dict[tuple[int, int], Array] = field(repr=False, default_factory=dict)
+    """By the pair (u, v): (points of u,) whether v came to that point of u's surface."""
 
     @property
     def collides(self) -> Array:
@@ -336,14 +316,8 @@ def sample_meetings(
 ) -> Meetings:
     """Distances between the hulls of all units that are no neighbours, in random poses.
 
-    Args:
-        model: The robot.
-        units: Its links that move as one, by their index.
-        samples: Poses.
-        seed: Of the poses.
-        d_b: [m] buffer distance.
-        points: Whether to look at the points that met, too.
-        stopped: Whether the limits have to keep apart what they can: no such pair is close then.
+    With `points`, those that met are looked at, too. `stopped` means that the limits have to keep
+    apart what they can: no such pair is close then. d_b [m] is the buffer distance.
     """
     q_m = sample_joints(model, samples, np.random.default_rng(seed))
     pairs = tuple(

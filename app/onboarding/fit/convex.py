@@ -21,28 +21,20 @@ _THINNEST = 0.002  # [m] of a box's side
 
 
 class Fit(NamedTuple):
-    """A convex shape around points.
-
-    Attributes:
-        shape: The shape, in the points' frame.
-        volume: [m³]
-        over_cover: [-] its volume over that of the points' hull.
-        protrusion: [m] how far it stands out of the points' hull at most.
-    """
+    """A convex shape around points."""
 
     shape: Shape
+    """The shape, in the points' frame."""
     volume: float
+    """[m³]"""
     over_cover: float
+    """[-] its volume over that of the points' hull."""
     protrusion: float
+    """[m] how far it stands out of the points' hull at most."""
 
 
 def fit_best(points: Array, weights: dict[str, float]) -> Fit:
-    """The shape of the least weighted volume around points.
-
-    Args:
-        points: (N, 3) [m].
-        weights: [-] by which a kind's volume counts: `capsule`, `box`, `hull`.
-    """
+    """The shape of the least volume around points (N, 3) [m], by the weights [-] of its kinds."""
     corners, volume = _hull(points)
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
     fits = {kind: _judged(kinds[kind](corners), corners, volume) for kind in weights}

@@ -49,26 +49,22 @@ _UNWATCHED_COST = 0.05  # [-] of one that is so as built
 
 
 class Verdict(NamedTuple):
-    """How good a grouping is.
-
-    Attributes:
-        missed: [-] share of the poses in which links collide in which no pair of bodies does.
-        false: [-] share of the poses without any in which one does.
-        spurious: Pairs of bodies that meet though their links never do.
-        always: Pairs that are inside their buffer nearly always.
-        unwatched: Those that would be, by links that are close as built: they are no pair.
-        near: [-] share of the poses without a collision of links inside the buffer, by the pair's
-            name.
-        cost: The sum that the best grouping has least of.
-    """
+    """How good a grouping is."""
 
     missed: float
+    """[-] share of the poses in which links collide in which no pair of bodies does."""
     false: float
+    """[-] share of the poses without any in which one does."""
     spurious: tuple[str, ...]
+    """Pairs of bodies that meet though their links never do."""
     always: tuple[str, ...]
+    """Pairs that are inside their buffer nearly always."""
     unwatched: tuple[str, ...]
+    """Those that would be, by links that are close as built: they are no pair."""
     near: dict[str, float]
+    """[-] share of the poses without a collision of links inside the buffer, by the pair's name."""
     cost: float
+    """The sum that the best grouping has least of."""
 
 
 class Grouping(NamedTuple):
@@ -86,12 +82,8 @@ def find_grouping(
     What is fixed to the base below the arm belongs to l_1 as the paper's link 0 does; where it can
     meet a link without any pair of bodies that sees it, as around a mast, it belongs to l_m.
 
-    Args:
-        model: The robot.
-        meetings: Of its links.
-        d_b: [m] buffer distance.
-        count: How many bodies; by default four as the paper has, or two to five where four do not
-            do: a pair always near, one that only the bodies make, too many collisions missed.
+    Without a count these are four bodies as the paper has, or two to five where four do not do: a
+    pair always near, one that only the bodies make, too many collisions missed. d_b is in m.
 
     Raises:
         RobotFileError: The arm has fewer parts than `count`, or none of a shape.
@@ -193,25 +185,23 @@ class Unseen(NamedTuple):
     """Collisions of links in poses that no step of the fit has seen.
 
     A pose is seen if the bodies of any pair meet: who keeps all pairs apart never comes there.
-
-    Attributes:
-        poses: How many have a collision of links, by their hulls.
-        unseen: In how many of those no pair of bodies meets, but the links' own meshes do.
-        watched: Collisions of links whose bodies are a pair, one a pose and pair.
-        missed: How many of those in which these bodies do not meet.
-        deepest: [m] the largest distance of bodies in one of those.
-        blind: Pairs of bodies that see less than half of their links' collisions, also of those
-            that random poses hardly ever bring about.
-        worst: The links that meet most often in the unseen poses.
     """
 
     poses: int
+    """How many have a collision of links, by their hulls."""
     unseen: int
+    """In how many of those no pair of bodies meets, but the links' own meshes do."""
     watched: int
+    """Collisions of links whose bodies are a pair, one a pose and pair."""
     missed: int
+    """How many of those in which these bodies do not meet."""
     deepest: float
+    """[m] the largest distance of bodies in one of those."""
     blind: tuple[str, ...]
+    """Pairs of bodies that see less than half of their links' collisions, also of those that random
+    poses hardly ever bring about."""
     worst: str
+    """The links that meet most often in the unseen poses."""
 
     @property
     def share(self) -> float:

@@ -37,19 +37,16 @@ _BAD = 1e3  # [-] makes the worth of the worst pose more than zero: a pose is al
 
 
 class Ready(NamedTuple):
-    """A pose and what is near in it.
-
-    Attributes:
-        q_m: (n_m,) [rad or m]
-        clearance: [m] least distance of a pair beyond the buffer; negative inside of it.
-        nearest: Name of that pair.
-        manipulability: √det(J Jᵀ) of the hand.
-    """
+    """A pose and what is near in it."""
 
     q_m: Array
+    """(n_m,) [rad or m]"""
     clearance: float
+    """[m] least distance of a pair beyond the buffer; negative inside of it."""
     nearest: str
+    """Name of that pair."""
     manipulability: float
+    """√det(J Jᵀ) of the hand."""
 
 
 def find_ready(model: RobotModel, pairs: LinkPairs, *, d_b: float, seed: int) -> Ready:
@@ -136,18 +133,14 @@ _SINGULAR = 1e-9  # [m/(N s)] of a hand that is nearly held in some direction
 
 
 class Place(NamedTuple):
-    """A line of guiding [m], as the scenario has it, and where it comes from in words.
-
-    Attributes:
-        start, move: As of `LineScenario`.
-        nearest: [m] least distance of the arm to a base that stands still while its hand is pulled.
-        source: In words.
-    """
+    """A line of guiding [m], as the scenario has it, and where it comes from in words."""
 
     start: Point
     move: Point
     nearest: float
+    """[m] least distance of the arm to a base that stands still while its hand is pulled."""
     source: str
+    """In words."""
 
     def content(self) -> dict[str, Any]:
         """As a description has it."""
@@ -171,13 +164,8 @@ def find_places(
     which the arm can start. Without avoidance the arm would come to the base itself there, or well
     into the inner half of the buffer. A side on which the arm does not reach so far has none.
 
-    Args:
-        model: The robot.
-        pairs: Those that avoidance watches.
-        d_b: [m] buffer distance.
-        shows: Whether a line, by the scenario's name, shows what it should; see `gives_way`.
-        anyway: Whether one is taken where none does.
-        on_progress: Called with the share of the places that was looked at, 0 to 1.
+    A line is one on which `shows` is true of its scenario's name and itself, as `gives_way`; where
+    none is, one is taken `anyway` or not. For the pairs that avoidance watches and d_b [m].
     """
     if not pairs.mobile:
         return {}
@@ -213,14 +201,8 @@ def chosen(
 ) -> Place | None:
     """The first line on which the bodies would meet that shows it, else the deepest that does.
 
-    Args:
-        lines: In the order of preference; none is asked for after the last one that is tried.
-        d_b: [m] buffer distance.
-        shows: Asked of a few lines.
-        anyway: Whether the first of them is taken if none shows it.
-
-    Returns:
-        None if there is no such line in the inner part of the buffer.
+    None is asked for after the last one that is tried, which are a few; where none of those shows
+    it, the first is taken `anyway` or not. Only lines into the inner part of d_b [m] count.
     """
     deep: dict[Point, Place] = {}
     tried: list[Place] = []

@@ -36,13 +36,7 @@ def with_stops(
 
     Of the joints between the two, that is narrowed which keeps most of its range. Where none would
     keep any, as the two touch wherever each of them is, the limits stay: the check counts it.
-
-    Args:
-        limits: What the URDF states.
-        model: The robot with these.
-        arm: Its joints.
-        meetings: Of its links.
-        ready: (n_m,) [rad or m] a pose that has to stay within the limits.
+    The pose `ready` (n_m,) [rad or m] has to stay within them.
 
     Raises:
         RobotFileError: In that pose they touch.

@@ -30,21 +30,18 @@ _TINY = 1e-9  # [kg] or [kg m²] of nothing
 
 
 class LinkShape(NamedTuple):
-    """One shape of a link.
-
-    Attributes:
-        mesh: As it is, in the link's frame [m].
-        hull: Its convex hull, in the link's frame [m].
-        surface: (N, 3) [m] points spread over the hull, its corners included.
-        kind: box, cylinder, sphere or mesh.
-        radius: [m] of a cylinder or sphere, else None.
-    """
+    """One shape of a link."""
 
     mesh: trimesh.Trimesh
+    """As it is, in the link's frame [m]."""
     hull: trimesh.Trimesh
+    """Its convex hull, in the link's frame [m]."""
     surface: Array
+    """(N, 3) [m] points spread over the hull, its corners included."""
     kind: str
+    """box, cylinder, sphere or mesh."""
     radius: float | None
+    """[m] of a cylinder or sphere, else None."""
 
 
 class LinkGeometry(NamedTuple):

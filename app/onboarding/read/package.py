@@ -167,10 +167,8 @@ def _copy(source: IO[bytes], sink: IO[bytes], most: int, where: str) -> int:
 def open_package(archive: Path, folder: Path, file: str | None = None) -> Path:
     """Unpack a zip; gives its URDF, whose meshes are then named by paths that stay inside.
 
-    Args:
-        archive: The zip.
-        folder: The robot's own; the package goes below it.
-        file: The URDF's path in the zip; may be left out where there is one only.
+    It is put below the robot's own folder. The `file`, its path in the zip, may be left out where
+    there is one URDF only.
 
     Raises:
         RobotFileError: The zip cannot be trusted (`unpack`), has no such URDF, or it refers to
@@ -256,7 +254,7 @@ def _inside(reference: str, folder: Path, root: Path) -> Path:
     found = next((place for place in kept if isfile(place)), None)
     if found is None:
         raise RobotFileError(
-            f"mesh {reference}: there is no such file in the zip (STL, COLLADA, OBJ or PLY)"
+            f"mesh {reference}: there is no such file in the zip; {', '.join(MESHES)} are read"
         )
     return found
 
@@ -274,19 +272,16 @@ _MOST_NAMES = 500  # [-] links or joints in a list
 
 
 class Contents(NamedTuple):
-    """Names in a URDF.
-
-    Attributes:
-        links: All, in the order of the file.
-        endless: Joints that turn without end.
-        root: The first link that no joint moves: perhaps the base.
-        last: The link that is farthest from the root by joints: perhaps the tip.
-    """
+    """Names in a URDF."""
 
     links: tuple[str, ...]
+    """All, in the order of the file."""
     endless: tuple[str, ...]
+    """Joints that turn without end."""
     root: str
+    """The first link that no joint moves: perhaps the base."""
     last: str
+    """The link that is farthest from the root by joints: perhaps the tip."""
 
 
 def look_into(archive: Path) -> dict[str, Contents]:

@@ -49,12 +49,9 @@ def read_robot(
 def read_source(
     path: Path, packages: Mapping[str, Path] | None = None, /, **arguments: str
 ) -> Element:
-    """The `<robot>` of a URDF or xacro file.
+    """The `<robot>` of a URDF, or of a xacro with its arguments by name.
 
-    Args:
-        path: The file.
-        packages: Folders of ROS packages, by name, that come before all others.
-        arguments: Of a xacro, by name.
+    Folders of ROS packages that are given by name come before all others.
 
     Raises:
         RobotFileError: It is not well-formed XML, declares entities, is not a robot, or its macros
@@ -201,6 +198,8 @@ def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
     except Exception as error:  # xacro has no common base of its errors
         why = " ".join(str(error).split())
         if missing := re.search(r"Package not found: (\S+)", why):
+            if missing[1] not in packages and (roots := package_roots(missing[1])):
+                return _expanded(path, {**packages, missing[1]: roots[0]}, arguments)
             named = rf"\$\(find {re.escape(missing[1])}\)/([^\"']+)"
             inner = re.search(named, path.read_text(encoding="utf-8"))
             where = _nowhere(missing[1], inner[1] if inner else "", path.parent)

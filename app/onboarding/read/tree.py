@@ -24,12 +24,7 @@ _FARTHEST = 20.0  # [m] between neighbouring links; a robot in millimetres has h
 
 
 class Joint(NamedTuple):
-    """One joint of a URDF, its pose at zero, its limits None where the URDF states none.
-
-    Attributes:
-        axis: (3,) unit vector in the child's frame.
-        mimic: Whether it follows another joint.
-    """
+    """One joint of a URDF, its pose at zero, its limits None where the URDF states none."""
 
     name: str
     kind: str
@@ -37,11 +32,13 @@ class Joint(NamedTuple):
     child: str
     T_parent_child: pin.SE3
     axis: Array
+    """(3,) unit vector in the child's frame."""
     lower: float | None
     upper: float | None
     effort: float | None
     velocity: float | None
     mimic: bool
+    """Whether it follows another joint."""
 
     @property
     def moves(self) -> bool:
@@ -254,26 +251,21 @@ def numbers(element: Element | None, key: str, default: tuple[float, ...], where
 
 
 class Arm(NamedTuple):
-    """The arm's chain.
-
-    Attributes:
-        base: The base's link.
-        tip: The link that carries the end-effector.
-        mount: Link at whose origin the arm stands.
-        joints: The joints that move it, from the base outwards.
-        base_links: All that is fixed to the base or hangs on it, but not the arm; wheels too.
-        rigid_links: Those of them that do not move against the base.
-        segments: (n_m + 1) links that move as one: what is fixed below the first joint, then what
-            each joint carries, joints beside the chain (fingers) held at zero.
-    """
+    """The arm's chain: `tip` carries the end-effector."""
 
     base: str
     tip: str
     mount: str
+    """Link at whose origin the arm stands."""
     joints: tuple[Joint, ...]
+    """The joints that move it, from the base outwards."""
     base_links: tuple[str, ...]
+    """All that is fixed to the base or hangs on it, but not the arm; wheels too."""
     rigid_links: tuple[str, ...]
+    """Those of them that do not move against the base."""
     segments: tuple[tuple[str, ...], ...]
+    """(n_m + 1) links that move as one: what is fixed below the first joint, then what each joint
+    carries, joints beside the chain (fingers) held at zero."""
 
 
 def find_arm(tree: Tree, base: str, tip: str, mount: str | None = None) -> Arm:

@@ -27,44 +27,36 @@ _TRAVEL = 0.5  # [-] of a wheel's radius that its suspension may travel
 
 
 class Wheels(NamedTuple):
-    """The drive, seen from the base's link.
-
-    Attributes:
-        left, right: Joints of each side.
-        r: [m] their radius.
-        b: [m] half of the distance between the sides.
-        T_base_floor: The point on the floor below the middle between the wheels, x forward.
-        joint_velocity: [rad/s] limit of the wheels, or None where the URDF states none.
-        how: Where the radius comes from.
-    """
+    """The drive, seen from the base's link: joints of each side, their radius r [m]."""
 
     left: tuple[str, ...]
     right: tuple[str, ...]
     r: float
     b: float
+    """[m] half of the distance between the sides."""
     T_base_floor: pin.SE3
+    """The point on the floor below the middle between the wheels, x forward."""
     joint_velocity: float | None
+    """[rad/s] limit of the wheels, or None where the URDF states none."""
     how: str
+    """Where the radius comes from."""
 
 
 class Steering(NamedTuple):
-    """The steered front wheels of a car-like base.
-
-    Attributes:
-        wheelbase: [m] from the rear axle to theirs.
-        limit: [rad] how far they turn to either side.
-        rate: [rad/s] how fast.
-        rolling: Joints of the wheels on them.
-        joints: Joints that turn with the steering.
-        sources: Of the first three.
-    """
+    """The steered front wheels of a car-like base."""
 
     wheelbase: float
+    """[m] from the rear axle to theirs."""
     limit: float
+    """[rad] how far they turn to either side."""
     rate: float
+    """[rad/s] how fast."""
     rolling: tuple[str, ...]
+    """Joints of the wheels on them."""
     joints: tuple[str, ...]
+    """Joints that turn with the steering."""
     sources: tuple[str, str, str]
+    """Of the first three."""
 
 
 class _Wheel(NamedTuple):
@@ -164,7 +156,7 @@ def _find_wheels(
     reasons: dict[str, str] = {}
     taken = {joint.name for joint in arm.joints}
     for joint in tree.joints.values():
-        if joint.parent in arm.rigid_links and joint.name not in taken and _turns_round(joint):
+        if joint.parent in arm.rigid_links and joint.name not in taken and turns_round(joint):
             try:
                 found[joint.name] = _wheel(tree, arm, geometry, joint)
             except RobotFileError as error:
@@ -249,15 +241,16 @@ def _named(
         why = f"there is no joint or link {name!r}"
     elif joint.child not in arm.base_links:
         why = f"{name!r} is not on the base"
-    elif not _turns_round(joint):
+    elif not turns_round(joint):
         why = f"{joint.name} is no wheel: it is {joint.kind}"
     else:
         why = reasons.get(joint.name, f"{joint.name} is a caster's wheel: its fork turns too")
-    turning = ", ".join(j.name for j in tree.joints.values() if _turns_round(j))
+    turning = ", ".join(j.name for j in tree.joints.values() if turns_round(j))
     raise RobotFileError(f"--wheels: {why}; joints that turn without end: {turning or '(none)'}")
 
 
-def _turns_round(joint: Joint) -> bool:
+def turns_round(joint: Joint) -> bool:
+    """Whether it turns without end, or by more than two turns."""
     span = (joint.upper or 0.0) - (joint.lower or 0.0)
     return joint.kind == "continuous" or (joint.kind == "revolute" and span > 4 * np.pi)
 
@@ -265,7 +258,7 @@ def _turns_round(joint: Joint) -> bool:
 def _rolls(tree: Tree, arm: Arm, joint: Joint) -> bool:
     """Whether it turns without end about a level axis."""
     level = np.linalg.norm((tree.pose(joint.child, arm.base).rotation @ joint.axis)[:2]) >= _LEVEL
-    return _turns_round(joint) and bool(level)
+    return turns_round(joint) and bool(level)
 
 
 def _wheel(tree: Tree, arm: Arm, geometry: Mapping[str, LinkGeometry], joint: Joint) -> _Wheel:
