@@ -110,6 +110,8 @@ class NewRobot:
     """By the name of the body."""
     places: dict[str, Place]
     """By the name of the scenario."""
+    lacking: dict[str, str]
+    """Why a scenario has no place."""
     held: str
     """A warning where the arm cannot hold its hand, or nothing."""
     warnings: list[str]
@@ -231,7 +233,7 @@ def make_robot(
     tell("looking for places to guide the hand")
     model = compiled(content, path)
     held = holding_warning(carried_hand(model))
-    places = find_places(
+    found = find_places(
         model,
         pairs,
         d_b,
@@ -239,10 +241,12 @@ def make_robot(
         anyway=bool(held),  # the arm then avoids by itself
         on_progress=on_progress,
     )
+    places = {name: each for name, each in found.items() if isinstance(each, Place)}
+    lacking = {name: each for name, each in found.items() if isinstance(each, str)}
     content["lines"] = {name: place.content() for name, place in places.items()}
     model = compiled(content, path)
-    fitted = meetings, bodies, verdict, unseen
-    robot = NewRobot(request, parsed, urdf, content, model, *fitted, ready, reach, places, held, [])
+    fitted = meetings, bodies, verdict, unseen, ready, reach
+    robot = NewRobot(request, parsed, urdf, content, model, *fitted, places, lacking, held, [])
     return replace(robot, warnings=warnings_of(robot)), data
 
 

@@ -15,7 +15,6 @@ from app.config import AdmittanceConfig
 from app.control.admittance import largest_command
 from app.onboarding.fit.collision_sampling import ALWAYS, moved
 from app.onboarding.fit.grouping import MOST_UNSEEN
-from app.onboarding.fit.postures import GIVES_WAY, INNER
 from app.onboarding.numbers import read_limits
 from app.onboarding.read.tree import ARM_ON_BASE
 from app.onboarding.read.wheels import turns_round
@@ -89,16 +88,11 @@ def _poses(robot: NewRobot) -> Iterator[str]:
             f"poses (more than {ALWAYS:.0%}): its task hardly ever switches off; try a smaller "
             "--buffer-distance, and border.d_b in a file for --config, or other --bodies"
         )
-    if missing := sorted({"guiding-lateral", "guiding-front"} - robot.places.keys()):
-        short = "the arm is too short for that, stands too far from that side (--mount-xyz), meets "
-        short += "itself first, or cannot hold its hand"
+    for why in dict.fromkeys(robot.lacking.values()):
+        names = ", ".join(name for name, each in robot.lacking.items() if each == why)
         near_for_good = ", ".join(robot.verdict.always)
-        why = f"{near_for_good} hardly ever leaves its buffer" if near_for_good else short
-        yield (
-            f"{', '.join(missing)}: no line is written: none was found that leads the arm from "
-            f"outside of its buffers to within {INNER * d_b:g} m of the base and on which the base "
-            f"gives way by {GIVES_WAY:g} m; {why}"
-        )
+        why = f"{near_for_good} hardly ever leaves its buffer" if near_for_good else why
+        yield f"{names}: no line is written: {why}"
 
 
 def _bodies(robot: NewRobot) -> Iterator[str]:

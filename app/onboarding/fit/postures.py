@@ -156,8 +156,8 @@ def find_places(
     shows: Callable[[str, Place], bool] = lambda _, __: True,
     anyway: bool = False,
     on_progress: Callable[[float], None] = lambda _: None,
-) -> dict[str, Place]:
-    """Lines towards the base from its side and its front, by the scenario's name.
+) -> dict[str, Place | str]:
+    """Lines towards the base from its side and its front, or why there is none, by the scenario.
 
     From 0.43 m beside what there is of l_m at the line's height (0.25 m where the arm is short) to
     0.125 m, as with the paper's robot, or nearer, at the height nearest to 0.8 of a part of l_m at
@@ -175,15 +175,13 @@ def find_places(
     heights = [round(h, 3) for h in _heights(tops)]
     last = [round(top + _JUST_OVER, 3) for top in tops]
     ways = {"guiding-lateral": _lateral(body, mount), "guiding-front": _front(body, mount)}
-    found: dict[str, Place] = {}
+    found: dict[str, Place | str] = {}
     for k, (name, starts) in enumerate(ways.items()):
         starts = list(starts)
         tried = [*product(starts, heights), *product(starts, last)]
         shares = np.linspace(k, k + 1, len(tried), endpoint=False) / len(ways)
         lines = guide.lines(tried, shares, on_progress)
-        place = chosen(lines, d_b, partial(shows, name), anyway=anyway)
-        if place is not None:
-            found[name] = place
+        found[name] = chosen(lines, d_b, partial(shows, name), anyway=anyway)
     return found
 
 
@@ -198,15 +196,19 @@ def chosen(
     shows: Callable[[Place], bool] = lambda _: True,
     *,
     anyway: bool = False,
-) -> Place | None:
+) -> Place | str:
     """The first line on which the bodies would meet that shows it, else the deepest that does.
+
+    Where there is none, why.
 
     None is asked for after the last one that is tried, which are a few; where none of those shows
     it, the first is taken `anyway` or not. Only lines into the inner part of d_b [m] count.
     """
     deep: dict[Point, Place] = {}
+    nearest = np.inf
     tried: list[Place] = []
     for line in lines:
+        nearest = min(nearest, line.nearest)
         if line.nearest > 0.0:
             if line.nearest < INNER * d_b:
                 deep[line.start] = line
@@ -220,7 +222,20 @@ def chosen(
         if shows(line):
             return line
         tried.append(line)
-    return tried[0] if tried and anyway else None
+    if tried and anyway:
+        return tried[0]
+    if tried:
+        return (
+            f"on the lines that were tried the base gives way by less than {GIVES_WAY:g} m, or the "
+            f"arm comes nearer than {CLEARANCE:g} m: other parts of it meet first, or it cannot "
+            "hold its hand"
+        )
+    if nearest < np.inf:
+        return f"the arm comes no nearer than {nearest:.3f} m to the base: it meets itself first"
+    return (
+        f"the arm cannot start there clear of its buffers of {d_b:g} m: it is too short, or stands "
+        "too far from that side (--mount-xyz)"
+    )
 
 
 def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> bool:
