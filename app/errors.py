@@ -15,16 +15,11 @@ class DbbError(Exception):
 
 
 class UnknownNameError(DbbError):
-    """A name (robot, scenario, controller, pair, …) that does not exist.
-
-    Attributes:
-        kind: What was asked for, as in "robot".
-        name: The name that was given.
-        choices: The names that exist.
-    """
+    """A name (robot, scenario, controller, pair, …) that does not exist."""
 
     def __init__(self, kind: str, name: str, choices: Iterable[str]) -> None:
         self.kind, self.name, self.choices = kind, name, sorted(choices)
+        """What was asked for, as in "robot", the name that was given, and those that exist."""
         super().__init__(
             f"unknown {kind} {name!r}{did_you_mean(name, self.choices)}; "
             f"choose from: {', '.join(self.choices) or '(none)'}"

@@ -43,7 +43,6 @@ class Parameter(_Tuned):
 
     @property
     def title(self) -> str:
-        """See `_Tuned.title`."""
         return self.label if self.unit == "-" else f"{self.label} [{self.unit}]"
 
     @property

@@ -32,7 +32,7 @@ from app.simulation.scenarios import scenario_by_name
 from app.simulation.scenarios.start import find_start
 from app.simulation.session import DT
 from benchmarks.client import FAR, NEAR, SWEEP, SWEEPS
-from benchmarks.timed_session import TimedSession
+from benchmarks.timed_session import TimedSession, read_times
 
 LOOPS = {"process": ProcessLoop, "thread": SimulationLoop}
 SETTLE = 2.0  # [s] between the client's connection and the measurement
@@ -67,7 +67,7 @@ class Realtime:
 def main(args: Realtime) -> None:
     """Measure and print."""
     with tempfile.TemporaryDirectory() as folder:
-        result = measure(args, Path(folder) / "times.npy")
+        result = measure(args, Path(folder) / "times")
     if args.json:
         print(json_module.dumps(result, indent=2))
         return
@@ -94,7 +94,7 @@ def measure(args: Realtime, record: Path) -> dict[str, Any]:
         loop.stop()
     if loop.error is not None:
         raise loop.error
-    found = figures(np.load(record), seen.begin, seen.end)
+    found = figures(read_times(record), seen.begin, seen.end)
     if args.drag and found["activation_max"] == 0.0:
         raise RuntimeError("the drag has not brought the hand into the buffer: no hard case")
     return {

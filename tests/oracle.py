@@ -26,7 +26,7 @@ from app.control import controller as controller_module
 from app.control.controller import Controller
 from app.control.limits import ArmNow, BarrierRow
 from app.control.qp import Limits, Objective, TaskQP
-from app.control.tasks import EqualityTask
+from app.control.tasks import EndEffectorError, EqualityTask
 from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 
@@ -236,6 +236,21 @@ def plain_tracking(posture: Objective, task: EqualityTask, weight: float) -> Obj
     return Objective(H, posture.c - weight * (b @ J - give * posture.H @ drag))
 
 
+def plain_ee_task(state: RobotState, error: EndEffectorError, config: TaskConfig) -> EqualityTask:
+    """k_v ė + k_p e beside ẍ_d - J̇ q̇, each half of k_p e no longer than is allowed."""
+    k_p, k_v = config.ee_stiffness, config.ee_damping
+    halves = np.split(k_p * error.pose, 2)
+    most = k_v * config.ee_speed
+    pull = np.concatenate([h / max(1.0, np.linalg.norm(h) / most) for h in halves])
+    b = error.acceleration + k_v * error.velocity + pull
+    return EqualityTask(state.J_ee, b, float(np.sum((pull / k_p) ** 2)), k_v * state.qd)
+
+
+def plain_torque_range(last: Array, most: Array, change: float) -> tuple[Array, Array]:
+    at = np.clip(last, -most, most)
+    return np.maximum(at - change, -most), np.minimum(at + change, most)
+
+
 def plain_carried(state: RobotState, speed: float) -> Array:
     J = state.J_ee[:3, 2:] @ np.diag(state.model.qd_max)
     follows = J @ J.T / speed**2
@@ -268,6 +283,8 @@ def use_plain_parts(monkeypatch: pytest.MonkeyPatch) -> None:
         ("insert_rows", plain_rows),
         ("robot_limits", plain_limits),
         ("posture_objective", plain_posture),
+        ("end_effector_task", plain_ee_task),
+        ("torque_range", plain_torque_range),
         ("tracking_objective", plain_tracking),
         ("carried", plain_carried),
     ):

@@ -600,7 +600,7 @@ def test_a_hidden_border_has_no_legend(scene, borders):
 
 @pytest.mark.parametrize("z", [0.1, 0.3, 0.45])
 def test_a_slice_lies_at_its_height_on_the_border(borders, z):
-    pieces = borders.curves("lm-lEE", BorderConfig(), z)  # open where the arm never is
+    pieces = borders.surface("lm-lEE", BorderConfig()).curves(z)  # open where the arm never is
     assert 1 <= len(pieces) <= 4
     contour = np.concatenate(pieces)
     np.testing.assert_allclose(contour[:, 2], z)

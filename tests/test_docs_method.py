@@ -79,7 +79,7 @@ def public_functions() -> Iterator[tuple[str, object]]:
         for name, thing in vars(module).items():
             if name.startswith("_") or getattr(thing, "__module__", None) != info.name:
                 continue
-            if inspect.isfunction(thing) or inspect.isclass(thing):
+            if inspect.isfunction(getattr(thing, "py_func", thing)) or inspect.isclass(thing):
                 yield f"{info.name}.{name}", thing
             if inspect.isclass(thing):
                 for method, body in vars(thing).items():

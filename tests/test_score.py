@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.border.score import ScoreField, uphill
+from app.avoidance.mobile_acceleration import uphill
+from app.border.score import ScoreField
 from app.errors import DescriptionError
 from app.robot.bases.differential import (
     control_point_jacobian,

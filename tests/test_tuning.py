@@ -161,7 +161,7 @@ def test_moves_of_one_slider_within_the_burst_are_one_step():
     seen = []
     for _ in range(4):
         tuning.undo()
-        seen.append((tuning.value(D_B), tuning.value("force.f_max")))
+        seen.append((tuning.config.value(D_B), tuning.config.value("force.f_max")))
     assert seen == [(0.19, 200.0), (0.19, 300.0), (0.18, 300.0), (0.15, 300.0)]
     with pytest.raises(ConfigError, match="nothing to undo"):
         tuning.undo()
@@ -226,7 +226,7 @@ def test_a_change_after_an_undo_ends_what_could_be_redone():
     tuning.set(D_B, 0.25)
     with pytest.raises(ConfigError, match="nothing to do again"):
         tuning.redo()
-    assert tuning.value(D_B) == 0.25
+    assert tuning.config.value(D_B) == 0.25
 
 
 def test_the_history_is_bounded():
@@ -237,7 +237,7 @@ def test_the_history_is_bounded():
         tuning.set("force.f_max", float(i))
     for _ in range(MOST_STEPS):
         tuning.undo()
-    assert tuning.value("force.f_max") == 49.0
+    assert tuning.config.value("force.f_max") == 49.0
     with pytest.raises(ConfigError):
         tuning.undo()
 
@@ -336,19 +336,19 @@ def test_a_logarithmic_slider_and_its_exact_box_go_together(desk):
     box, slider = desk.panels[0].widgets["task.base_weight"].handles
     assert (slider.min, slider.max, slider.value) == (0.0, 6.0, 3.0)
     put(slider, 2.5, Person())
-    assert desk.tuning.value("task.base_weight") == box.value == 316.0
+    assert desk.tuning.config.value("task.base_weight") == box.value == 316.0
     put(box, 1234.5, Person())
-    assert desk.tuning.value("task.base_weight") == 1234.5
+    assert desk.tuning.config.value("task.base_weight") == 1234.5
     assert 10**slider.value == pytest.approx(1234.5)
     assert desk.handle("task.base_weight", 1, 1).value == 3.0
     desk.update()
     assert 10 ** desk.handle("task.base_weight", 1, 1).value == pytest.approx(1234.5)
-    assert desk.tuning.value("task.base_weight") == 1234.5
+    assert desk.tuning.config.value("task.base_weight") == 1234.5
     for path in (path for path in NUMBERS if parameter(path).log):
         _, slider = desk.panels[0].widgets[path].handles
         for end, value in ((slider.min, parameter(path).low), (slider.max, parameter(path).high)):
             put(slider, end, Person())
-            assert desk.tuning.value(path) == value
+            assert desk.tuning.config.value(path) == value
 
 
 @pytest.mark.parametrize("value", [7.0, -7.0, 400.0, -400.0, math.nan, math.inf, -math.inf])
@@ -385,11 +385,11 @@ def test_buttons_undo_redo_and_say_when_there_is_nothing(desk):
     gui = desk.panels[0]._gui
     put(desk.handle(D_B), 0.2, Person())
     press(gui, "Changes", "Undo")
-    assert desk.tuning.value(D_B) == 0.15
+    assert desk.tuning.config.value(D_B) == 0.15
     press(gui, "Changes", "Redo")
-    assert desk.tuning.value(D_B) == 0.2
+    assert desk.tuning.config.value(D_B) == 0.2
     assert "nothing to do again" in press(gui, "Changes", "Redo").notes[0]
-    assert desk.tuning.value(D_B) == 0.2
+    assert desk.tuning.config.value(D_B) == 0.2
 
 
 def test_defaults_of_a_folder_leave_the_others(servers):
@@ -401,7 +401,7 @@ def test_defaults_of_a_folder_leave_the_others(servers):
     press(servers[0].gui, "Defaults")
     assert desk.tuning.config == Config().replace("border.eps", 0.015)
     desk.tuning.undo()
-    assert desk.tuning.value(D_B) == 0.2
+    assert desk.tuning.config.value(D_B) == 0.2
 
 
 def test_advanced_parameters_are_shown_when_asked_for_or_changed(desk):

@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from app.border.contours import NearestBorder
-from app.border.score import ScoreField, uphill
+from app.border.score import ScoreField
+from app.compiled import compiled
 from app.config import ForceConfig
 from app.robot.bases.kind import BaseForce, BaseKind
 from app.strict import Array
@@ -45,13 +46,24 @@ def step_size(d: float, score: float, force: ForceConfig) -> float:
     return min(max(proportional, force.alpha_min), force.alpha_max)
 
 
+@compiled("f8[::1](f8[:])")
+def uphill(gradient: Array) -> Array:
+    """(3,) ∇S/‖∇S‖ from ∇S (3,); where ∇S = 0, on the wheels' axis, its limit e_x."""
+    norm = math.sqrt((gradient**2).sum())
+    direction = np.array([1.0, 0.0, 0.0])
+    if norm > 0.0:
+        direction[:] = gradient / norm
+    return direction
+
+
+@compiled("f8[::1](f8[:], f8[:], f8)")
 def tangential_step(gradient: Array, t: Array, alpha: float) -> Array:
     """α (∇S·t / ‖∇S‖) t, (3,) [m].
 
     Paper: Eq. (12). On the wheel axis ∇S = 0 and the quotient is 0/0; its limit from both sides is
     the direction +e_x.
     """
-    return alpha * float(uphill(gradient) @ t) * t
+    return alpha * (uphill(gradient) * t).sum() * t
 
 
 class ActingPointFinder:

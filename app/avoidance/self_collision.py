@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from app.avoidance import task
 from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
 from app.avoidance.mobile_acceleration import (
     ActingPoint,
@@ -14,13 +15,7 @@ from app.avoidance.mobile_acceleration import (
     avoidance_force,
     generate_mob_acc,
 )
-from app.avoidance.task import (
-    TaskRows,
-    activation,
-    generate_rep_acc,
-    mobile_activation,
-    mobile_rows,
-)
+from app.avoidance.task import TaskRows
 from app.border.dbb import Cloud, construct_dbb
 from app.border.offset import offset_contours
 from app.border.score import ScoreField
@@ -129,19 +124,19 @@ class SelfCollisionAvoidance:
         base = self._state.model.description.base
         forces = [PairForce(p.f, p.acting.p_act) for p in mobile if p.acting is not None]
         xdd_m = generate_mob_acc(forces, base)
-        beta_m = mobile_activation([p.beta for p in mobile])
+        beta_m = task.mobile_activation([p.beta for p in mobile])
         rows_m = None
         if beta_m > 0.0:
-            rows_m = mobile_rows(self._state.model.J_m, self._state.model.n, xdd_m, beta_m)
+            rows_m = task.mobile_rows(self._state.model.J_m, self._state.model.n, xdd_m, beta_m)
         links = tuple(
-            generate_rep_acc(self._state, pair.closest, self._config.repulsion, pair.beta)
+            task.generate_rep_acc(self._state, pair.closest, self._config.repulsion, pair.beta)
             for pair in others
             if pair.beta > 0.0
         )
         return Avoidance((*mobile, *others), n_mobile, xdd_m, beta_m, rows_m, links)
 
     def _beta(self, d: float) -> float:
-        return activation(d, self.d_b, self._config.activation.d_full)
+        return task.activation(d, self.d_b, self._config.activation.d_full)
 
     def _mobile_pair(self, closest: ClosestPoints) -> PairState:
         """Lines 4 to 6 for one pair of L_m."""

@@ -1,11 +1,10 @@
 """The rows of T_sca, each with its activation (§3.2, §3.3)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from typing_extensions import Self
 
 from app.avoidance.closest_points import ClosestPoints
 from app.config import RepulsionConfig
@@ -89,7 +88,7 @@ class TaskRows(NamedTuple):
         """(k,) right-hand side of J q̈ = ẍ - J̇ q̇."""
         return self.xdd - self.Jdqd
 
-    def of_arm(self, qdd_b: Array) -> TaskRows:
+    def of_arm(self, qdd_b: Array) -> Self:
         """The same over q̈_m, the base's part (n_b,) given."""
         n_b = len(qdd_b)
         return self._replace(J=self.J[:, n_b:], Jdqd=self.Jdqd + self.J[:, :n_b] @ qdd_b)

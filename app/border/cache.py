@@ -36,8 +36,7 @@ from app.system import write_whole
 Arrays = dict[str, Array]
 Read = TypeVar("Read")
 
-FORMAT = 2
-"""Number of the file's layout and of the way of sampling; a new one outdates all files."""
+FORMAT = 2  # number of the file's layout and of the way of sampling; a new one outdates all files
 _BLOCK = np.array([80, 80, 50])  # [0.1 mm] points are told by their block and their place in it
 _PARTS = ("blocks", "places", "distances")
 

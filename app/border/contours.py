@@ -69,11 +69,6 @@ class Contours:
         self.table = table
         self._closed = table._replace(reached=np.ones_like(table.shown))
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether there is no ring at any height."""
-        return not len(self.table.heights)
-
     def within(self, z: float) -> float:
         """[m] the height nearest to z that there is."""
         return level(self.table.firsts, self.table.heights, z)
@@ -112,7 +107,7 @@ class Contours:
 
     def curves(self, z: float) -> list[Array]:
         """(K, 3) [m] each, the contours at a height or at the nearest one there is, drawn at z."""
-        if self.is_empty:
+        if not len(self.table.heights):
             return []
         return [np.column_stack([c, np.full(len(c), z)]) for c in self.contours(self.within(z))]
 

@@ -101,18 +101,6 @@ class ScoreField:
         return found.reshape(*p.shape[:-1], 5)
 
 
-@compiled("f8[::1](f8[:])")
-def uphill(gradient: Array) -> Array:
-    """(3,) ∇S/‖∇S‖ from ∇S (3,); where ∇S = 0, on the wheels' axis, its limit e_x."""
-    norm = math.sqrt(gradient[0] ** 2 + gradient[1] ** 2 + gradient[2] ** 2)
-    direction = np.zeros(3)
-    if norm > 0.0:
-        direction[:] = gradient / norm
-    else:
-        direction[0] = 1.0
-    return direction
-
-
 @compiled("f8[:,::1](f8[:,:], f8[:,:], f8[:], f8, f8, f8)")
 def _fields(points: Array, measures: Array, p_base: Array, A: float, B: float, C: float) -> Array:
     """(N, 5) R, S and ∇S at points (N, 3), from the base's measures and their derivatives (N, 3).

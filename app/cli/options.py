@@ -18,8 +18,7 @@ from app.simulation.plants import chosen_plant, default_plant
 from app.strict import MOST_SEEDS, check_range
 from app.system import is_no_file
 
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
-"""Given or not."""
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]  # given or not
 Json = Annotated[
     Flag,
     tyro.conf.arg(name="json", help="Print one JSON object, nothing else.", help_behavior_hint=""),

@@ -13,8 +13,7 @@ import tyro
 from pydantic import BaseModel
 from typing_extensions import Required, TypedDict
 
-Given = dict[str, Any]
-"""What was given of a record's fields, by their names."""
+Given = dict[str, Any]  # what was given of a record's fields, by their names
 
 _METAVARS = {
     "base": "X Y YAW",

@@ -11,7 +11,7 @@ from app.border.score import ScoreField
 from app.config import Config, slowed
 from app.control import CONTROLLERS
 from app.control.admittance import response
-from app.control.kernels import minimum
+from app.control.kernels import minimum, torque_range
 from app.control.limits import ArmNow, PushObserver, base_limits, robot_limits
 from app.control.methods import METHODS, Inserted
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
@@ -197,7 +197,8 @@ class Controller:
             self._observer.update(self.state, last, self._config.limit.push_rate, self._dt)
         else:
             self._observer.pause()
-        torque, workings = self._torque_range(last), None
+        slew = self._config.limit.torque_rate * self._dt
+        torque, workings = torque_range(last, self._model.tau_max, slew), None
         avoidance = self._avoidance.update(self._dt)
         inserted = self._method(self.state, avoidance, self._config)
         try:
@@ -333,12 +334,6 @@ class Controller:
         posture = posture_objective(self.state, self.q_posture, task)
         T_ee = end_effector_task(self.state, error, task)
         return Stack(tracking_objective(posture, T_ee, task.ee_weight), posture, T_ee)
-
-    def _torque_range(self, last: Array) -> tuple[Array, Array]:
-        """(n_m,) the smallest and (n_m,) the largest torque [N m or N] after the last one."""
-        most, slew = self._model.tau_max, self._config.limit.torque_rate * self._dt
-        last = _clipped(last, most)
-        return np.maximum(last - slew, -most), np.minimum(last + slew, most)
 
 
 def _clipped(values: Array, largest: Array) -> Array:

@@ -17,8 +17,7 @@ from app.robot.bases.kind import Axis, BaseKind
 from app.strict import Array
 
 Planar = tuple[float, float]
-ByAxis = tuple[float, ...]
-"""[m/s² or rad/s²] along the base's axes."""
+ByAxis = tuple[float, ...]  # [m/s² or rad/s²] along the base's axes
 
 Controlled = Literal["guiding", "tracking"]
 LevelName = Literal["base", "arm", "links", "hand", "posture", "free"]

@@ -108,29 +108,17 @@ def in_reach(
     "(f8[:,:], f8[:], f8[:], f8[:], f8[:,:], f8[:], f8[:], f8[:,:], f8[:])"
 )
 def limit_rows(
-    M: Array,
-    h: Array,
-    low: Array,
-    high: Array,
-    bounds: Array,
-    unit: Array,
-    others: Array,
-    J: Array,
-    least: Array,
+    M: Array,  # (n, n) of (26)
+    h: Array,  # (n,) of (26)
+    low: Array,  # (n_m,) the least torques
+    high: Array,  # (n_m,) the largest ones
+    bounds: Array,  # (2, n_m) on q̈_m
+    unit: Array,  # (n_m,) in which they are counted
+    others: Array,  # (n_m,) what q̈_m has besides, by those who push
+    J: Array,  # (k, n) of the distances
+    least: Array,  # (k,) of J q̈
 ) -> tuple[Array, Array, Array]:
-    """C (m, n), l (m,) and u (m,) of torques, joints and distances.
-
-    Args:
-        M: (n, n) of (26).
-        h: (n,) of (26).
-        low: (n_m,) the least torques.
-        high: (n_m,) the largest ones.
-        bounds: (2, n_m) on q̈_m.
-        unit: (n_m,) in which they are counted.
-        others: (n_m,) what q̈_m has besides, by those who push.
-        J: (k, n) of the distances.
-        least: (k,) of J q̈.
-    """
+    """C (m, n), l (m,) and u (m,) of torques, joints and distances."""
     n, n_m, k = len(M), len(low), len(least)
     n_b, m = n - n_m, 2 * n_m + k
     C, l, u = np.zeros((m, n)), np.empty(m), np.full(m, np.inf)
@@ -144,6 +132,28 @@ def limit_rows(
         C[2 * n_m + i] = J[i]
         l[2 * n_m + i] = least[i] - (J[i, n_b:] * others).sum()
     return C, l, u
+
+
+@compiled("f8[::1](f8[:], f8[:,:], f8[:], f8[:], f8[:], f8)")
+def observed(r: Array, M: Array, h: Array, qdd: Array, u_a: Array, share: float) -> Array:
+    """(n_m,) r + share (M_a q̈ + h_a - u_a - r), of `app.control.limits.PushObserver`."""
+    n_b, found = len(qdd) - len(r), r.copy()
+    for i in range(len(r)):
+        missing = h[n_b + i] - u_a[i] - r[i]
+        for j in range(len(qdd)):
+            missing += M[n_b + i, j] * qdd[j]
+        found[i] += share * missing
+    return found
+
+
+@compiled("UniTuple(f8[::1], 2)(f8[:], f8[:], f8)")
+def torque_range(last: Array, most: Array, change: float) -> tuple[Array, Array]:
+    """(n_m,) the smallest and (n_m,) the largest torque, `change` from the last one at most."""
+    low, high = np.empty(len(last)), np.empty(len(last))
+    for i in range(len(last)):
+        at = min(max(last[i], -most[i]), most[i])
+        low[i], high[i] = max(at - change, -most[i]), min(at + change, most[i])
+    return low, high
 
 
 @compiled("f8[::1](f8[:], f8[:], f8[:], f8[:,:], f8, f8, f8)")

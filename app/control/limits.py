@@ -92,10 +92,12 @@ def bounds_in_reach(state: RobotState, config: LimitConfig, arm: ArmNow) -> tupl
 
 def robot_limits(
     state: RobotState,
-    config: LimitConfig,
-    barriers: Iterable[BarrierRow] = (),
+    config: LimitConfig,  # how fast limits may be approached
+    barriers: Iterable[BarrierRow] = (),  # distances that are kept
     *,
-    softness: float,
+    softness: float,  # [-] ε
+    # for the arm's part; else any torque up to the joints' own may act in this step, and nobody
+    # pushes
     arm: ArmNow | None = None,
 ) -> Limits:
     """Limits on q̈ of base and arm: torques, then joints, then barriers.
@@ -103,14 +105,6 @@ def robot_limits(
     With ε of a row of T_sca each kind gives way to the next: tasks to rows, rows (ε) to joints'
     limits and distances (ε²), and these to torques. Where torques do not suffice for both, joints
     and distances share what is missed: neither is bought by throwing the other away.
-
-    Args:
-        state: The robot's state.
-        config: How fast limits may be approached.
-        barriers: Distances that are kept.
-        softness: [-] ε.
-        arm: For the arm's part; else any torque up to the joints' own may act in this step, and
-            nobody pushes.
     """
     model, rows = state.model, tuple(barriers)
     if arm is None:
@@ -168,10 +162,8 @@ class PushObserver:
         `u_a` (n_m,) [N m or N] are the torques given within it.
         """
         if self._qd is not None:
-            n_b = state.model.n_b
-            momentum = state.M[n_b:] @ (state.qd - self._qd)
-            missing = momentum / dt + state.h[n_b:] - u_a - self.r
-            self.r = self.r - math.expm1(-rate * dt) * missing
+            change, share = (state.qd - self._qd) / dt, -math.expm1(-rate * dt)
+            self.r = kernels.observed(self.r, state.M, state.h, change, u_a, share)
         self._qd = state.qd
 
 

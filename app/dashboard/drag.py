@@ -15,8 +15,7 @@ from app.simulation.loop.loop import LoopHandle
 from app.simulation.trace.snapshot import Snapshot
 from app.strict import Array
 
-GIZMO = "/hand"
-"""Scene node of the gizmo."""
+GIZMO = "/hand"  # scene node of the gizmo
 SCALE = 0.26  # [m] length of the gizmo's arrows
 
 

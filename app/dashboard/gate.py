@@ -109,8 +109,7 @@ _NARROWER: dict[type, dict[str, Any]] = {
     }
 }
 """Where viser's annotations allow what its handlers do not bear: what this program's page sends."""
-_VERSION = f"viser-v{__version__}"
-"""The protocol that a page names."""
+_VERSION = f"viser-v{__version__}"  # the protocol that a page names
 
 
 class RefusedError(ValueError):

@@ -84,25 +84,15 @@ class Page:
         self.channel = Channel(client, notifier)
         self.channel.on("escape", self._escape)
         self.grip = Grip(shared.loop, notifier, client.client_id)
-        self.viewer = Viewer(
-            client,
-            notifier,
-            shared,
-            self.channel,
-            self.view,
-            self.timeline,
-            self.grip,
-            before.viewer.camera if before else Camera(client),
-            before.viewer.files if before else Job(),
-            page_picture,
-        )
-        self._camera = self.viewer.camera
+        self._camera = before.viewer.camera if before else Camera(client)
         self._camera.fit(shared.parts.extent)
+        own = self.channel, self.view, self.timeline, self.grip, self._camera
+        files = before.viewer.files if before else Job()
+        self.viewer = Viewer(client, notifier, shared, *own, files, page_picture)
         self.channel.on("scene", self._camera.cover)
         self.closed = False
-        refusal = shared.loop.latest().refusal
-        self._refusals = 0 if refusal is None else refusal.number  # of before this viewer came
-        self._newest = shared.loop.latest().t
+        newest = shared.loop.latest()
+        self._refusal, self._newest = newest.refusal, newest.t  # of before this viewer came
         self._dark, self._light = self.view.dark, self.view.light
         set_theme(client.gui, dark=self.view.dark)
         client.gui.set_panel_label(shared.parts.title)
@@ -313,10 +303,9 @@ class Page:
 
     def _show_refusal(self, newest: Snapshot) -> None:
         """What was found out to be impossible only when it was tried."""
-        number = 0 if newest.refusal is None else newest.refusal.number
-        if newest.refusal is not None and number > self._refusals:
+        if newest.refusal is not None and newest.refusal != self._refusal:
             self._notifier.warn(self._client, newest.refusal.message)
-        self._refusals = number
+        self._refusal = newest.refusal
 
 
 class Demonstration:

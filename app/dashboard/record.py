@@ -167,32 +167,29 @@ class Event(NamedTuple):
 
 
 class Strip:
-    """What happened when: the least distance and β of each `BIN`, events, and a thinned past.
-
-    Attributes:
-        runs: How often time has begun anew.
-        rows: Time [s] at which a bin begins, least distance [m] and largest β in it.
-        closed: How many rows there have been, also those that are kept no longer.
-        events: By their number, in order.
-        past: Snapshots, that of the least distance of each two bins.
-        nearest, hardest: Snapshots of the least distance and of the hardest pull so far.
-    """
+    """What happened when: the least distance and β of each `BIN`, events, and a thinned past."""
 
     def __init__(self, chain: Sequence[str]) -> None:
         """Nothing yet; `chain` names the robot's bodies, the mobile one first."""
         self._chain, self.runs = chain, -1
+        """How often time has begun anew."""
         self.begin()
 
     def begin(self) -> None:
         """Forget all but how often that was done."""
         self.runs += 1
         self.rows: deque[tuple[float, float, float]] = deque(maxlen=round(KEPT / BIN))
+        """Time [s] at which a bin begins, least distance [m] and largest β in it."""
         self.closed = self._numbered = 0
+        """How many rows, and events, there have been, also those that are kept no longer."""
         self.events: dict[int, Event] = {}
+        """By their number, in order."""
         self._seen: dict[tuple[str, str], tuple[int, float]] = {}
         self.past: deque[Snapshot] = deque(maxlen=round(KEPT / BIN / 2))
+        """Snapshots, that of the least distance of each two bins."""
         self.nearest: Snapshot | None = None
         self.hardest: Snapshot | None = None
+        """Snapshots of the least distance and of the hardest pull so far."""
         self._bin: list[Snapshot] = []
         self._before: Snapshot | None = None
 

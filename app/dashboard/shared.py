@@ -50,10 +50,6 @@ class Tuning:
         with self._lock:
             return self._steps[self._at]
 
-    def value(self, path: str) -> float | str:
-        """The value of a parameter now."""
-        return self.config.value(path)
-
     def set(self, path: str, value: float | str) -> None:
         """Change one parameter; moves of the same one in a burst are one step.
 
@@ -128,18 +124,7 @@ class Tuning:
 
 
 class SharedState(SceneData):
-    """One for all pages; the drawing thread calls `update` before it draws them.
-
-    Attributes:
-        case: A scenario that begins where the loop does, for a button that plays it, or None.
-        sweeps: Folder of the maps of sweeps.
-        tuning: The parameters, one set for all viewers.
-        plans, record: The plots, and their values in the last minute.
-        course: The scenario that was begun last.
-        strip: What happened when, in the last ten minutes.
-        sweep_job, challenge: What viewers may begin beside the simulation.
-        robot_switch, robot_build, robot_check: The same for other robots, and the check of one.
-    """
+    """One for all pages; the drawing thread calls `update` before it draws them."""
 
     def __init__(
         self,
@@ -160,14 +145,19 @@ class SharedState(SceneData):
         """
         super().__init__(loop, model, clouds, parts)
         self.case, self.sweeps = case, sweeps
+        """A scenario that begins where the loop does, for a button that plays it, or None; the
+        folder of the maps of sweeps."""
         self.tuning = before.tuning if before else Tuning(loop, loop.latest().config)
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)
         self.robot_build = before.robot_build if before else RobotBuild(self.robot_switch)
         self.robot_check = before.robot_check if before else RobotCheck()
         self.plans = plot_plans(model, self.pairs, self.of_door)
         self.record = Record(curve for plan in self.plans for curve in plan.curves)
+        """The plots' values in the last minutes."""
         self.course = Course()
+        """The scenario that was begun last."""
         self.strip = Strip(model.body_names)
+        """What happened when, in the last ten minutes."""
         self.keepers += [self.record, self.course, self.strip]
         self.sweep_job = Job()
         self.challenge = Challenge()

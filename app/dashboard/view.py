@@ -19,10 +19,8 @@ from app.simulation.trace.snapshot import Snapshot
 if TYPE_CHECKING:
     from app.dashboard.scene.scene import SceneData
 
-HIDDEN = "hidden"
-"""Instead of a quantity: the border is not drawn."""
-CHOICES = (*reversed(QUANTITIES), HIDDEN)
-"""What a border may be coloured by."""
+HIDDEN = "hidden"  # instead of a quantity: the border is not drawn
+CHOICES = (*reversed(QUANTITIES), HIDDEN)  # what a border may be coloured by
 BORDER, LAYERS, PAGE = "Border coloured by", "Layers", "Camera and page"
 """Folders of the tab "View"."""
 

@@ -114,26 +114,15 @@ class Outcome(NamedTuple):
         return self.result
 
 
-class _Activity(NamedTuple):
-    text: str
-    share: float
-
-
 def run_in_process(
     work: Callable[..., Any],
-    *args: Any,
-    report: Report,
+    *args: Any,  # its arguments after `report`
+    report: Report,  # called here with what `work` reports there
+    # ends the process, and all that it has started, as soon as it is set
     cancelled: threading.Event,
-    niceness: int = 10,
+    niceness: int = 10,  # [-] of the process, 0 to 19
 ) -> Any:
     """Run `work(report, *args)` in a `Child` of low priority, and give what it returns.
-
-    Args:
-        work: What is done.
-        args: Its arguments after `report`.
-        report: Called here with what `work` reports there.
-        cancelled: Ends the process, and all that it has started, as soon as it is set.
-        niceness: [-] of the process, 0 to 19.
 
     Raises:
         Cancelled: `cancelled` was set.
@@ -193,7 +182,7 @@ def _receive(receiver: Connection, report: Report, cancelled: threading.Event) -
             return None
         if isinstance(received, Outcome):
             return received
-        report(received.text, received.share)
+        report(*received)
     raise Cancelled("cancelled")
 
 
@@ -208,7 +197,7 @@ def _run(
 ) -> None:
     signal.signal(signal.SIGTERM, _leave)
     step_back(niceness)
-    sender.send(Outcome.of(work, lambda text, share: sender.send(_Activity(text, share)), *args))
+    sender.send(Outcome.of(work, lambda text, share: sender.send((text, share)), *args))
     sender.close()
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # nothing is left that a `finally` would do
 

@@ -109,7 +109,7 @@ class PairDistances:
 
     def distance(self, i: int) -> float:
         """[m] signed distance of the i-th pair."""
-        return min(result.min_distance for result in self._results[i])
+        return self.nearest_result(i).min_distance
 
     def distances(self) -> tuple[float, ...]:
         """[m] signed distances of all pairs."""

@@ -1,13 +1,12 @@
 """A run to be done, and a case: all that it takes to do it again exactly, as a file."""
 
-from __future__ import annotations
-
 import json
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from pydantic import Field, ValidationError
+from typing_extensions import Self
 
 from app.config import Config, tunables
 from app.control import CONTROLLERS
@@ -21,8 +20,7 @@ from app.strict import MOST_SEEDS, Finite, Strict, explain, parsed
 
 _PLAYED: dict[str, Scenario] = SCENARIOS | {each.name: each for each in (CHALLENGE, RANDOM_PULL)}
 _MOST = 1000  # [-] options, parameters or figures of a case; there are about a hundred
-FORMAT = "dbb_case"
-"""The key that only such a file has."""
+FORMAT = "dbb_case"  # the key that only such a file has
 
 
 class Planned(NamedTuple):
@@ -59,7 +57,7 @@ class RunCase(Strict):
     """What came of it, by the names of `dbb run`'s figures."""
 
     @classmethod
-    def of(cls, run: Planned) -> RunCase:
+    def of(cls, run: Planned) -> Self:
         """The case of a run."""
         return cls(
             robot=run.robot,
@@ -119,7 +117,7 @@ class RunCase(Strict):
         return json.dumps(self.model_dump(mode="json"), indent=1) + "\n"
 
     @classmethod
-    def read(cls, text: str, where: object) -> RunCase:
+    def read(cls, text: str, where: object) -> Self:
         """The case of a file's text.
 
         Raises:

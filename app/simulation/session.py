@@ -29,8 +29,7 @@ from app.strict import Array
 DT = 0.001  # [s] control step, the paper's 1 kHz
 _BANDWIDTH = 250.0  # [rad/s] of the loop that makes velocities of noisy positions; about 40 Hz
 _ROUNDING = 1e-6  # [rad or m] by which a joint at its limit may seem beyond
-LEAD = -1
-"""Number of the person whose pull a scenario gives."""
+LEAD = -1  # number of the person whose pull a scenario gives
 
 
 class Step(NamedTuple):
@@ -73,21 +72,7 @@ class Step(NamedTuple):
 
 
 class Session:
-    """A robot with its controller in a plant.
-
-    Attributes:
-        t: [s] simulated time since the last reset.
-        model: The robot as the controller knows it.
-        data: Its pairs and clouds.
-        config: Parameters.
-        kind: Kind of plant.
-        seed: Of everything random.
-        door: The door that the hand holds, and how far it is open at the start, or None.
-        loop: All of the control, as a robot's own loop calls it.
-        physics: The plant.
-        state: The robot as it was at the last step.
-        wheel_angles: (n_w,) [rad] of the base's `wheels`, for drawing.
-    """
+    """A robot with its controller in a plant."""
 
     def __init__(
         self,
@@ -113,7 +98,10 @@ class Session:
         """
         self.model, self.data, self.config = model, data, config
         self.kind, self.seed, self.door = chosen_plant(physics), seed, door
+        """Kind of plant; of everything random; the door that the hand holds, and how far it is open
+        at the start, or None."""
         self.loop = ControlLoop(model, data, config, name=controller, dt=DT)
+        """All of the control, as a robot's own loop calls it."""
         self.physics: Physics = make_physics(self.kind, plant or model, dt=DT, door=door)
         self._base = model.description.base
         self._disturbances = Disturbances(config.disturbance, DT, seed)
@@ -134,13 +122,16 @@ class Session:
         """
         _check_within_limits(self.model, q_m)
         self.t = 0.0
+        """[s] simulated time since the last reset."""
         self.physics.reset(np.zeros(3) if base_pose is None else base_pose, q_m)
         self.loop.reset()
         self._disturbances.reset()
         self._people = People(self.model, self.config.hand, DT)
         self.wheel_angles = np.zeros(len(self._base.wheels))
+        """(n_w,) [rad] of the base's `wheels`, for drawing."""
         self.controller.state.update(self.physics.measure())
         self.state = self.controller.state
+        """The robot as it was at the last step."""
         self._watch.reset()
 
     def configure(self, config: Config) -> None:
@@ -163,23 +154,16 @@ class Session:
 
     def step(
         self,
-        reference: Reference | None = None,
-        pull: Array | None = None,
-        door: DoorReading | None = None,
-        holds: Sequence[Hold] = (),
+        reference: Reference | None = None,  # what the arm tracks, or None while it is guided
+        pull: Array | None = None,  # (3,) [m] where a person pulls the end-effector, or None
+        door: DoorReading | None = None,  # how the opening of a door goes, for the record only
+        holds: Sequence[Hold] = (),  # others who hold the robot, here or elsewhere
         *,
+        # what acts on the robot instead of those people's own springs; the error is still towards
+        # where they pull
         forces: PersonForces | None = None,
     ) -> Step:
-        """Advance by one control step.
-
-        Args:
-            reference: What the arm tracks, or None while it is guided.
-            pull: (3,) [m] where a person pulls the end-effector, or None.
-            door: How the opening of a door goes, for the record only.
-            holds: Others who hold the robot, here or elsewhere.
-            forces: What acts on the robot instead of those people's own springs; the error is still
-                towards where they pull.
-        """
+        """Advance by one control step."""
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
         begin = perf_counter()

@@ -4,14 +4,13 @@ The renderer gives the bodies alone. What a figure draws over them, such as line
 places with `Picture.pixels`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 import trimesh
+from typing_extensions import Self
 
 from app.robot.assets import PLANAR_JOINTS, planar_urdf
 from app.robot.model import RobotModel
@@ -51,7 +50,7 @@ class Camera(NamedTuple):
         towards = [flat * math.cos(self.yaw), flat * math.sin(self.yaw), math.sin(self.pitch)]
         return np.asarray(self.target) + self.distance * np.array(towards)
 
-    def framing(self, points: Array, margin: float = 0.06) -> Camera:
+    def framing(self, points: Array, margin: float = 0.06) -> Self:
         """The same camera moved so that points (N, 3) [m] of the world just fill the picture.
 
         The margin [-] of the picture stays free on each side.

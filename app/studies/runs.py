@@ -12,8 +12,7 @@ from app.system import write_whole
 if TYPE_CHECKING:
     from app.simulation.run import RunResult
 
-Row = dict[str, Any]
-"""Numbers, texts, truths and None, by columns that end in their unit; no NaN."""
+Row = dict[str, Any]  # numbers, texts, truths and None, by columns that end in their unit; no NaN
 
 DIGITS = 9  # [-] after the point, of metres, radians, newtons and seconds
 _LOG_EVERY = 10  # control steps between two rows of a trace that is thinned

@@ -43,8 +43,7 @@ PATH = "#0072B2"
 """Where the base has been."""
 HAND = "#009E73"
 """Where the hand has been."""
-SCORE_MAP = "viridis"
-"""Low blue, high yellow, as in the paper."""
+SCORE_MAP = "viridis"  # low blue, high yellow, as in the paper
 
 WIDTH = 11.0  # [in] of every figure; with DPI, pixels of a slide
 DPI = 150

@@ -17,8 +17,7 @@ from app.errors import BrowserError
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, BrowserContext, Playwright
 
-VARIABLE = "DBB_BROWSER"
-"""Environment variable that names the browser to use."""
+VARIABLE = "DBB_BROWSER"  # environment variable that names the browser to use
 
 _NAMES = (
     "chromium",

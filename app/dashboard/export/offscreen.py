@@ -41,8 +41,7 @@ if TYPE_CHECKING:
     import playwright.sync_api as web
 
 HOST = "127.0.0.1"
-BARRIER = "/sent"
-"""Scene node whose place tells the page how much has been sent."""
+BARRIER = "/sent"  # scene node whose place tells the page how much has been sent
 ONLY_SCENE = "body * { visibility: hidden !important; } canvas { visibility: visible !important; }"
 TIMEOUT = 60.0  # [s] for a page to open or a picture to arrive
 RATE = 25.0  # [Hz] pictures of a second of a replay
@@ -63,8 +62,7 @@ CODECS = {
     ".gif": {"gif": ["gif", "-loop", "0", "-filter_complex", _PALETTE]},
 }
 """By the ending of a file: its codecs, the usual one first, each with what ffmpeg needs."""
-_EVEN = "crop=trunc(iw/2)*2:trunc(ih/2)*2"
-"""Both have two chroma samples a pixel row and column."""
+_EVEN = "crop=trunc(iw/2)*2:trunc(ih/2)*2"  # both have two chroma samples a pixel row and column
 
 
 class RecordedLoop:
@@ -282,20 +280,14 @@ def captioned(picture: Image.Image, snapshot: Snapshot, *, dark: bool) -> Image.
 
 
 def write_film(
-    path: Path,
-    pictures: Iterable[Image.Image],
-    rate: float,
-    codec: str,
+    path: Path,  # its ending is a key of `CODECS`
+    pictures: Iterable[Image.Image],  # of one size, at least one
+    rate: float,  # [1/s] of them
+    codec: str,  # one of the ending's
+    # called with how many are written before each one
     on_progress: Callable[[int], None] = lambda _: None,
 ) -> int:
     """Encode pictures as they come; the file is written whole or not at all.
-
-    Args:
-        path: Its ending is a key of `CODECS`.
-        pictures: Of one size, at least one.
-        rate: [1/s] of them.
-        codec: One of the ending's.
-        on_progress: Called with how many are written before each one.
 
     Returns:
         How many there were.

@@ -12,21 +12,9 @@ import viser
 from PIL import Image, ImageDraw
 
 from app.border.dbb import Cloud
-from app.dashboard.export import Look
+from app.dashboard.export import Look, offscreen
 from app.dashboard.export.browser import chromium
-from app.dashboard.export.offscreen import (
-    BARRIER,
-    INK,
-    ONLY_SCENE,
-    TIMEOUT,
-    OffscreenScene,
-    RecordedLoop,
-    choose_layer,
-    label,
-    open_page,
-    own_page,
-    send_barrier,
-)
+from app.dashboard.export.offscreen import OffscreenScene, RecordedLoop
 from app.dashboard.notifications import Notifier
 from app.dashboard.page import Page
 from app.dashboard.panels.help import SEEN
@@ -65,7 +53,7 @@ def take_pictures(
         AssetError: A mesh of the robot is not there.
     """
     loop = RecordedLoop(snapshots)
-    with own_page(browser, look) as (server, page):
+    with offscreen.own_page(browser, look) as (server, page):
         if look.page:
             shared = SharedState(loop, model, clouds, sweeps=SWEEPS)
             try:
@@ -75,8 +63,8 @@ def take_pictures(
         scene = OffscreenScene(server, loop, model, clouds, look)
         scene.look([loop.go_to(t) for t in times])
         scene.draw(times[0])
-        open_page(page, server)
-        page.add_style_tag(content=ONLY_SCENE)
+        offscreen.open_page(page, server)
+        page.add_style_tag(content=offscreen.ONLY_SCENE)
         pictures = []
         for t in times:
             scene.draw(t)
@@ -108,9 +96,11 @@ def strip(pictures: Sequence[Image.Image], times: Sequence[float], *, dark: bool
     width, height = pictures[0].size
     whole = Image.new("RGB", (width * len(pictures), height))
     for k, (picture, t) in enumerate(zip(pictures, times, strict=True)):
-        whole.paste(label(picture.copy(), [f"t = {t:g} s"], dark=dark), (k * width, 0))
+        whole.paste(offscreen.label(picture.copy(), [f"t = {t:g} s"], dark=dark), (k * width, 0))
         if k:
-            ImageDraw.Draw(whole).line([(k * width, 0), (k * width, height)], fill=INK[dark])
+            ImageDraw.Draw(whole).line(
+                [(k * width, 0), (k * width, height)], fill=offscreen.INK[dark]
+            )
     return whole
 
 
@@ -123,12 +113,12 @@ def _of_page(
     look: Look,
     viewpoint: Viewpoint | None,
 ) -> list[Image.Image]:
-    open_page(page, server)
+    offscreen.open_page(page, server)
     client = _client_of(server)
     page.evaluate(f"localStorage.setItem('{SEEN}', 'yes')")  # no tour for who takes a picture
     shown = Page(client, shared, Notifier(server))
     shown.view.dark = look.dark
-    choose_layer(shown.view, look.layer)
+    offscreen.choose_layer(shown.view, look.layer)
     if viewpoint is not None:
         shown.view.take_over(viewpoint.view)
     pictures = []
@@ -151,7 +141,7 @@ def _of_page(
 
 def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
     """The one viewer of a server."""
-    deadline = time.monotonic() + TIMEOUT
+    deadline = time.monotonic() + offscreen.TIMEOUT
     while not (clients := server.get_clients()):
         if time.monotonic() > deadline:
             raise BrowserError("the browser's page does not connect")
@@ -162,9 +152,11 @@ def _client_of(server: viser.ViserServer) -> viser.ClientHandle:
 def _settled(page: web.Page, server: viser.ViserServer) -> Image.Image:
     """The picture when all that was sent is drawn, and nothing changes any more."""
     n = next(_numbers)
-    send_barrier(server, n)
+    offscreen.send_barrier(server, n)
     page.wait_for_function(
-        "([name, n]) => dbbPage.arrived(name) === n", arg=[BARRIER, n], timeout=1000 * TIMEOUT
+        "([name, n]) => dbbPage.arrived(name) === n",
+        arg=[offscreen.BARRIER, n],
+        timeout=1000 * offscreen.TIMEOUT,
     )
     page.evaluate("() => document.fonts.ready.then(() => 0)")
     page.evaluate("() => dbbPage.hold(false)")

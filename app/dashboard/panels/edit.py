@@ -21,22 +21,12 @@ from app.dashboard.scene.scene import node_of
 from app.errors import ConfigError
 from app.onboarding.request import NAME
 from app.onboarding.write import HandMade, save_by_hand
+from app.robot import shapes
 from app.robot.assets import robot_folder, robot_names, user_robots
-from app.robot.shapes import (
-    Box,
-    Capsule,
-    ConvexMesh,
-    Cylinder,
-    Hull,
-    Shape,
-    Sphere,
-    Superquadric,
-    shape_mesh,
-)
+from app.robot.shapes import Shape, shape_mesh
 from app.strict import Array
 
-MOVE, SIZE = "move", "size"
-"""Scene nodes of a body's gizmos, below that of its frame."""
+MOVE, SIZE = "move", "size"  # scene nodes of a body's gizmos, below that of its frame
 _NONE = "(none)"
 _OPACITY = 0.45  # [-]
 _LEAST, _FARTHEST = 0.002, 5.0  # [m] of half a body, and of its place in its frame
@@ -92,7 +82,6 @@ class EditPanel(Panel):
         self._drop()
 
     def update(self, moment: Moment) -> None:
-        """Draw what has changed, and say it."""
         self._q_m = moment.shown.q_m
         self._draw()
         self._text.content = small(changes_html(self.changes))
@@ -217,7 +206,7 @@ def half_extents(shape: Shape) -> Array:
 
 def placed(shape: Shape, T: pin.SE3) -> Shape:
     """The shape with its middle at T in its body's frame."""
-    if isinstance(shape, Capsule):
+    if isinstance(shape, shapes.Capsule):
         along = np.array([0.0, 0.0, shape.length_m / 2])
         ends = {"start_m": _three(T.act(-along)), "end_m": _three(T.act(along))}
         return shape.model_copy(update=ends)
@@ -234,20 +223,20 @@ def resized(shape: Shape, half: Array) -> Shape:
     most = int(np.argmax(np.abs(np.log(factor[:2]))))
     radius = round(float(half[most]), _DIGITS)
     match shape:
-        case Box():
+        case shapes.Box():
             changed: dict[str, Any] = {"size_m": _three(2 * half)}
-        case Superquadric():
+        case shapes.Superquadric():
             changed = {"semi_axes_m": _three(factor * shape.semi_axes_m)}
-        case Hull():
+        case shapes.Hull():
             changed = {"vertices_m": tuple(_three(factor * v) for v in shape.vertices_m)}
-        case ConvexMesh():
+        case shapes.ConvexMesh():
             changed = {"scale": _three(factor * shape.scale)}
-        case Sphere():
+        case shapes.Sphere():
             longest = int(np.argmax(np.abs(np.log(factor))))
             changed = {"radius_m": round(float(half[longest]), _DIGITS)}
-        case Cylinder():
+        case shapes.Cylinder():
             changed = {"radius_m": radius, "length_m": round(float(2 * half[2]), _DIGITS)}
-        case Capsule():
+        case shapes.Capsule():
             T, along = shape.placement(), np.array([0.0, 0.0, max(float(half[2]) - radius, 0.0)])
             ends = {"start_m": _three(T.act(-along)), "end_m": _three(T.act(along))}
             changed = {"radius_m": radius, **ends}

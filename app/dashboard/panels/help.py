@@ -132,7 +132,6 @@ class Tour(Panel):
         self._wanted = -1
 
     def update(self, moment: Moment) -> None:
-        """Show the step that it has come to."""
         if self._step != self._wanted:
             self._show(self._wanted)
         elif self._step >= 0 and self._next_at == math.inf and self._acts[self._step].done():

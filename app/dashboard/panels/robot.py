@@ -17,8 +17,7 @@ from app.onboarding.request import BOUNDS, NAME, Request, check_request, option
 from app.robot.assets import robot_folder, user_robots
 from app.robot.description import KINDS
 
-FIND = "(find them)"
-"""Choice of no wheels: they are looked for."""
+FIND = "(find them)"  # choice of no wheels: they are looked for
 _WHEEL = "Joint of a driven wheel; of a car-like base, of a rear one"
 _QUESTIONS = {
     "file": ("URDF", "Which of the zip's URDFs"),
@@ -75,7 +74,6 @@ class RobotPanel(Panel):
         self.own = NewRobotPanel(viewer)
 
     def update(self, moment: Moment) -> None:
-        """Renew list and texts."""
         if self._switch.entries is not self._entries:
             self._renew_list()
         chosen, progress = self._chosen(), self._switch.progress
@@ -156,7 +154,6 @@ class NewRobotPanel(Panel):
             )
 
     def update(self, moment: Moment) -> None:
-        """Renew questions, texts and progress."""
         package, progress = self._build.package, self._build.progress
         if package is not self._package:
             self._package = package

@@ -35,14 +35,12 @@ from app.simulation.scenarios import SCENARIOS, scenario_of
 from app.simulation.scenarios.pulled import CHALLENGE
 from app.simulation.trace.snapshot import PairReading, Score, Snapshot
 
-FREE = "free: drag the hand"
-"""Choice of no scenario."""
+FREE = "free: drag the hand"  # choice of no scenario
 TITLES = {name: f"{name}: {scenario.about}" for name, scenario in SCENARIOS.items()}
 """What is in the list of scenarios, by their names."""
 _NAMES = {title: name for name, title in TITLES.items()}
 _ABOUT = {each.name: each.about for each in (*SCENARIOS.values(), CHALLENGE)}
-NOBODY = "nobody"
-"""Choice of no further robot."""
+NOBODY = "nobody"  # choice of no further robot
 INPUTS = {"the hand's path": "path", "the person's force": "force"}
 """What the robots may have in common, as `Compare` names it."""
 BAR_RANGE = 0.5  # [m] distance that fills a bar of the table

@@ -38,8 +38,7 @@ from app.studies.sweep.sweep import newest_map, read_map
 SIZES = {"width": (64, 3840, 1280), "height": (64, 2160, 720)}
 """[px] least, most and first size of a picture."""
 STEP = 15.0  # [deg] between two directions of a map that is made here
-SWEEPS = Path("out/sweep")
-"""Where `dbb sweep` writes by default."""
+SWEEPS = Path("out/sweep")  # where `dbb sweep` writes by default
 _LOOK_EVERY = 20  # updates between two looks into the folder of maps
 _CANCEL_EVERY = 0.1  # [s] between two looks at the wish to cancel
 _PATIENCE = 30.0  # [s] for a browser to draw a picture
@@ -57,7 +56,6 @@ class FilePanel(Panel):
         self._status = JobStatus(viewer, viewer.files)
 
     def update(self, moment: Moment) -> None:
-        """Show how far the work is."""
         self._status.show("")
 
     def file(
@@ -209,7 +207,6 @@ class SweepPanel(Panel):
         self._image: viser.GuiImageHandle | None = None
 
     def update(self, moment: Moment) -> None:
-        """Renew text and map."""
         self.status.show(problem(self._job.problem) if self._job.problem else "")
         self._button.disabled = self._job.progress is not None
         if self._updates % _LOOK_EVERY == 0:

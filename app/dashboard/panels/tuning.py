@@ -22,8 +22,7 @@ from app.parameters import Choice, Parameter
 from app.robot.description import RobotDescription
 
 DECIMALS = 6  # [-] that a number box takes
-MARK = "\N{NO-BREAK SPACE}•"
-"""Behind the label of what is not at its default."""
+MARK = "\N{NO-BREAK SPACE}•"  # behind the label of what is not at its default
 FIRST_NAME = "tuning"
 MAIN = (
     "border.d_b",
@@ -61,7 +60,6 @@ class TuningPanel(Panel):
         self._show_advanced()
 
     def update(self, moment: Moment) -> None:
-        """Show what has changed, whoever changed it."""
         for each in self.widgets.values():
             each.update(moment)
         for folder in self._folders:
@@ -180,7 +178,7 @@ class ParameterWidgets(Panel):
         self.about, self.is_marked = tunable(path), False
         """The parameter, and whether it was not at its default at the last update."""
         self._tuning = viewer.shared.tuning
-        self._shown = self._tuning.value(path)
+        self._shown = self._tuning.config.value(path)
         self._faces = _faces(self._gui, self.about, self._shown)
         for face in self._faces:
             self.on_update(face.handle, partial(self._set, face))
@@ -196,7 +194,7 @@ class ParameterWidgets(Panel):
         Called by one thread only, not by the one that brings what people set. Should both write a
         widget at once, the next update mends it.
         """
-        value = self._tuning.value(self.about.path)
+        value = self._tuning.config.value(self.about.path)
         if value != self._shown:
             self._put(value)
         self.is_marked = value != self.about.default
@@ -208,7 +206,7 @@ class ParameterWidgets(Panel):
             value = face.read(event.target.value)
             self._tuning.set(self.about.path, value)
         except ConfigError:
-            self._put(self._tuning.value(self.about.path))
+            self._put(self._tuning.config.value(self.about.path))
             raise
         self._put(value, but=face)
 

@@ -12,14 +12,12 @@ from app.dashboard.verdict import Verdict, base_cannot_help
 from app.robot.bases.kind import Axis, acceleration_symbol, planar
 from app.simulation.trace.snapshot import Snapshot
 
-LONGEST = 280
-"""Characters of the longest answer of `sentence`."""
+LONGEST = 280  # characters of the longest answer of `sentence`
 
 UNDISTURBED = (0.05, 0.2)
 """[m/s²], [rad/s²] of slack below which the hand's own task is met: 0.06 mm at its gain."""
 
-BOUNDS_SHOWN = 3
-"""Lines for limits that were met; of more than that the number is shown."""
+BOUNDS_SHOWN = 3  # lines for limits that were met; of more than that the number is shown
 
 _NONE = '<span style="opacity:.45">–</span>'
 _LEVELS: tuple[tuple[str, str, tuple[LevelName, ...]], ...] = (

@@ -35,8 +35,7 @@ from app.strict import Array
 
 MAX_POINTS = 20_000
 """Points drawn; more of them only hide what lies behind and slow the browser down."""
-LIGHT_POINTS = 4000
-"""The same where a page draws in software."""
+LIGHT_POINTS = 4000  # the same where a page draws in software
 _KEPT = 32  # clouds and surfaces that are kept for other viewers
 POINT_SIZE = 0.0035  # [m] small enough to see the acting points behind it
 LIGHT_SIZE = 0.006  # [m] of one of few points
@@ -86,10 +85,6 @@ class Borders:
             (pair, quantity, border.d_b, border.eps, whole),
             lambda: self._colour(pair, quantity, border, whole=whole),
         )
-
-    def curves(self, pair: str, border: BorderConfig, z: float) -> list[Array]:
-        """(K, 3) [m] each, the border's slice at a height z [m], in the base's frame."""
-        return self.surface(pair, border).curves(z)
 
     def surface(self, pair: str, border: BorderConfig) -> BorderSurface:
         """The border as contours."""
@@ -299,7 +294,7 @@ class BorderSlice:
         z = float(nearest.p_b[2])
         key = (nearest.name, round(z / _GRAIN), border.d_b, border.eps)
         if key != self._key:
-            curves = self._borders.curves(nearest.name, border, z)
+            curves = self._borders.surface(nearest.name, border).curves(z)
             self._key = key
             self._curves = [np.concatenate([curve[:-1:_EVERY], curve[-1:]]) for curve in curves]
         if self._curves:

@@ -62,8 +62,7 @@ class Window(NamedTuple):
         return 2.0 * self.covered - 1.0, 1.0 - 2.0 * self.above
 
 
-ANY_WINDOW = Window()
-"""One that nothing is known of yet."""
+ANY_WINDOW = Window()  # one that nothing is known of yet
 
 
 class Preset(NamedTuple):

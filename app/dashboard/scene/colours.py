@@ -32,28 +32,17 @@ _VIRIDIS = np.array(
 SERIES: tuple[str, ...] = ("#e4572e", "#f2a541", "#3b8ea5", "#7b6cd9", "#4caf7d", "#b56576")
 """One colour a link pair, in the order of the snapshot; distinct on white and on black."""
 
-CLEAR: Rgb = (128, 138, 150)
-"""A pair outside of its buffer."""
-NEAR: Rgb = (235, 205, 70)
-"""A pair inside of its buffer, on which nothing acts."""
-YIELDS: Rgb = (240, 150, 40)
-"""A pair for which the base gives way."""
-RESISTS: Rgb = (224, 84, 36)
-"""A pair whose distance the arm itself keeps."""
-CONTACT: Rgb = (226, 16, 56)
-"""What touches, or a pair of which one is inside the other."""
-PERSON: Rgb = (32, 150, 230)
-"""What the person does."""
-ACTING: Rgb = (222, 49, 140)
-"""The acting point and its force."""
-ACCELERATION: Rgb = (60, 190, 90)
-"""What is asked of the base."""
-TRAIL_BASE: Rgb = (240, 140, 40)
-"""Where the base has been."""
-TRAIL_HAND: Rgb = PERSON
-"""Where the hand has been."""
-GHOSTS: tuple[Rgb, Rgb] = ((150, 110, 230), (40, 180, 170))
-"""Robots of other controllers."""
+CLEAR: Rgb = (128, 138, 150)  # a pair outside of its buffer
+NEAR: Rgb = (235, 205, 70)  # a pair inside of its buffer, on which nothing acts
+YIELDS: Rgb = (240, 150, 40)  # a pair for which the base gives way
+RESISTS: Rgb = (224, 84, 36)  # a pair whose distance the arm itself keeps
+CONTACT: Rgb = (226, 16, 56)  # what touches, or a pair of which one is inside the other
+PERSON: Rgb = (32, 150, 230)  # what the person does
+ACTING: Rgb = (222, 49, 140)  # the acting point and its force
+ACCELERATION: Rgb = (60, 190, 90)  # what is asked of the base
+TRAIL_BASE: Rgb = (240, 140, 40)  # where the base has been
+TRAIL_HAND: Rgb = PERSON  # where the hand has been
+GHOSTS: tuple[Rgb, Rgb] = ((150, 110, 230), (40, 180, 170))  # robots of other controllers
 
 
 def viridis(u: Array) -> Array:

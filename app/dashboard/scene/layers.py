@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from app.dashboard.panels import phrases as words
+from app.dashboard.scene import colours
 from app.dashboard.scene.canvas import (
     HEAD_LENGTH,
     METRES_PER_ACCELERATION,
@@ -12,15 +13,7 @@ from app.dashboard.scene.canvas import (
     ROOT,
     Canvas,
 )
-from app.dashboard.scene.colours import (
-    ACCELERATION,
-    ACTING,
-    NEAR,
-    PERSON,
-    YIELDS,
-    Rgb,
-    linear,
-)
+from app.dashboard.scene.colours import Rgb, linear
 from app.dashboard.verdict import COLOURS, Verdict
 from app.dashboard.view import View
 from app.robot.bases.kind import Axis, planar
@@ -62,11 +55,11 @@ def draw_distances(
     Words for the pairs are `spoken`, by their names.
     """
     d_b, pairs = snapshot.config.border.d_b, snapshot.pairs
-    colours = linear(np.array([COLOURS[state] for state in verdict.pairs]))
+    shades = linear(np.array([COLOURS[state] for state in verdict.pairs]))
     for kind, inside, pixels in (("outside", False, 1.5), ("inside", True, 4.0)):
         ends = segments(pairs, d_b, inside=inside)
         canvas.segments(
-            f"/distances/{kind}", ends, np.repeat(colours[:, None, :], 2, axis=1), pixels
+            f"/distances/{kind}", ends, np.repeat(shades[:, None, :], 2, axis=1), pixels
         )
     nearest = min(pairs, key=lambda pair: pair.d)
     for pair in pairs:
@@ -78,8 +71,8 @@ def draw_distances(
             canvas.label(f"/distances/label_{pair.name}", place, text)
         if view.names and pair.d < d_b:
             node = f"/distances/{pair.name}"
-            canvas.point(f"{node}/p_a", pair.p_a, NEAR, 0.009)
-            canvas.point(f"{node}/p_b", pair.p_b, NEAR, 0.009)
+            canvas.point(f"{node}/p_a", pair.p_a, colours.NEAR, 0.009)
+            canvas.point(f"{node}/p_b", pair.p_b, colours.NEAR, 0.009)
             if pair is nearest:  # those of all pairs would lie over one another
                 canvas.label(f"{node}/p_a_label", pair.p_a, "p_a")
                 canvas.label(f"{node}/p_b_label", pair.p_b, "p_b")
@@ -102,7 +95,7 @@ def draw_acting_points(canvas: Canvas, snapshot: Snapshot, view: View, top: floa
         node = f"/acting/{reading.name}"
         canvas.point(f"{node}/p_n", reading.p_n, _P_N, 0.011)
         canvas.point(f"{node}/p_t", reading.p_t, _P_T, 0.011)
-        canvas.point(f"{node}/p_act", reading.p_act, ACTING, 0.011)
+        canvas.point(f"{node}/p_act", reading.p_act, colours.ACTING, 0.011)
         if view.names:
             canvas.label(f"{node}/p_n_label", reading.p_n, "p_n")
             canvas.label(f"{node}/p_t_label", reading.p_t, "p_t")
@@ -122,8 +115,8 @@ def _draw_force(canvas: Canvas, node: str, reading: ActingReading, top: float) -
         return p_act
     end = np.array([p_act[0], p_act[1], max(float(p_act[2]), top + _FORCE_LIFT)])
     start = end - METRES_PER_NEWTON * reading.f
-    canvas.arrow(f"{node}/force", start, end, ACTING)
-    canvas.lines(f"{node}/stem", [np.array([p_act, end])], ACTING, 2.0)
+    canvas.arrow(f"{node}/force", start, end, colours.ACTING)
+    canvas.lines(f"{node}/stem", [np.array([p_act, end])], colours.ACTING, 2.0)
     return start
 
 
@@ -132,7 +125,7 @@ def draw_motion(canvas: Canvas, snapshot: Snapshot, axes: Sequence[Axis], top: f
     force = snapshot.hand_force
     if snapshot.hand_target is not None and np.linalg.norm(force) >= _LEAST_FORCE:
         tip = snapshot.p_ee + METRES_PER_NEWTON * force
-        canvas.arrow("/person", snapshot.p_ee, tip, PERSON)
+        canvas.arrow("/person", snapshot.p_ee, tip, colours.PERSON)
     draw_acceleration(canvas, ROOT, snapshot.base_acceleration, axes, top)
 
 
@@ -144,13 +137,13 @@ def draw_acceleration(
     over = np.array([0.0, 0.0, top + _MOTION_LIFT])
     if np.hypot(forward, left) > _LEAST_ACCELERATION:
         along = METRES_PER_ACCELERATION * np.array([forward, left, 0.0])
-        canvas.arrow(f"{node}/v", over, over + along, ACCELERATION)
+        canvas.arrow(f"{node}/v", over, over + along, colours.ACCELERATION)
     if abs(w) > _LEAST_ACCELERATION:
         points = over + arc(w)
-        canvas.lines(f"{node}/w_arc", [points], ACCELERATION, 4.0)
+        canvas.lines(f"{node}/w_arc", [points], colours.ACCELERATION, 4.0)
         ahead = points[-1] - points[-2]  # the arrow is no longer than its head
         tip = points[-1] + HEAD_LENGTH / max(float(np.linalg.norm(ahead)), 1e-9) * ahead
-        canvas.arrow(f"{node}/w_head", points[-1], tip, ACCELERATION)
+        canvas.arrow(f"{node}/w_head", points[-1], tip, colours.ACCELERATION)
 
 
 def arc(w: float) -> Array:
@@ -165,7 +158,7 @@ def draw_pulls(canvas: Canvas, snapshot: Snapshot) -> None:
     for i, pull in enumerate(snapshot.pulls):
         ends = np.array([pull.point, pull.target])
         if np.linalg.norm(ends[1] - ends[0]) > LEAST_STRETCH:
-            canvas.lines(f"/pull/{i}", [ends], PERSON, 3.0)
+            canvas.lines(f"/pull/{i}", [ends], colours.PERSON, 3.0)
             text = f"{np.linalg.norm(pull.force):.0f} N{words.borne(snapshot.force_bound)}"
             canvas.label(f"/pull/label_{i}", ends.mean(axis=0), text)
 
@@ -187,9 +180,9 @@ def draw_door(canvas: Canvas, view: DoorView) -> None:
     # Over the door: its hinge, how far it is open, and the angle to which it is opened.
     top = np.array([0.0, 0.0, door.bottom + door.height + _DOOR_LIFT])
     hinge, closed = door.pose(0.0).translation, door.pose(0.0)
-    canvas.lines("/door/hinge", [np.array([hinge, hinge + top])], ACTING, 4.0)
+    canvas.lines("/door/hinge", [np.array([hinge, hinge + top])], colours.ACTING, 4.0)
     radius = np.array([0.0, -door.side * _DOOR_ARC, 0.0])
-    for name, angle, colour in (("goal", OPENED, _HANDLE), ("open", view.angle, YIELDS)):
+    for name, angle, colour in (("goal", OPENED, _HANDLE), ("open", view.angle, colours.YIELDS)):
         arc_points = [hinge + top, closed.act(top + radius)]
         arc_points += [door.pose(a).act(top + radius) for a in np.linspace(0, angle, _ARC_POINTS)]
         canvas.lines(f"/door/{name}", [np.array([*arc_points, hinge + top])], colour, 3.0)

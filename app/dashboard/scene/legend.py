@@ -1,30 +1,20 @@
 """Legend: colour bars of the borders, in their units, and the key to all other signs."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
 import numpy as np
+from typing_extensions import Self
 
 from app.dashboard.markup import FAINT, ONE_LINE, cell, mark, minus, row, small, spread, table
+from app.dashboard.scene import colours
 from app.dashboard.scene.canvas import METRES_PER_ACCELERATION, METRES_PER_NEWTON
-from app.dashboard.scene.colours import (
-    ACCELERATION,
-    ACTING,
-    PERSON,
-    TRAIL_BASE,
-    TRAIL_HAND,
-    Rgb,
-    css,
-    viridis_css,
-)
+from app.dashboard.scene.colours import Rgb, css, viridis_css
 from app.dashboard.verdict import COLOURS, State
 from app.robot.bases.kind import BaseKind
 from app.strict import Array
 
-QUANTITIES = ("determinant", "reachability", "score")
-"""What the border can be coloured by."""
+QUANTITIES = ("determinant", "reachability", "score")  # what the border can be coloured by
 
 
 class BaseMeasure(NamedTuple):
@@ -82,7 +72,7 @@ class Legend(NamedTuple):
         values: Array,
         drawn: int,
         top: float | None,
-    ) -> Legend:
+    ) -> Self:
         """Of a border whose points all have these values (N,), N ≥ 1, of one of `QUANTITIES`.
 
         `base` is whose measure stands in the score.
@@ -119,13 +109,16 @@ def key_html(d_b: float) -> str:
         "resisting": "the arm keeps the distance itself",
         "contact": "contact: one is inside the other",
     }
-    acting = _signs("●", ACTING) + _signs("→", ACTING)
+    acting = _signs("●", colours.ACTING) + _signs("→", colours.ACTING)
     rows = [
         *((_signs("―", COLOURS[state]), text) for state, text in states.items()),
         (acting, f"acting point and its force: 0.1 m is {force:.0f} N"),
-        (_signs("→", PERSON), f"person's force: 0.1 m is {force:.0f} N"),
-        (_signs("→", ACCELERATION), f"asked of the base: v̇, 0.2 m is {push:.0f} m/s²; ω̇ as an arc"),
-        (_signs("―", TRAIL_BASE, TRAIL_HAND), "ways of base and hand"),
+        (_signs("→", colours.PERSON), f"person's force: 0.1 m is {force:.0f} N"),
+        (
+            _signs("→", colours.ACCELERATION),
+            f"asked of the base: v̇, 0.2 m is {push:.0f} m/s²; ω̇ as an arc",
+        ),
+        (_signs("―", colours.TRAIL_BASE, colours.TRAIL_HAND), "ways of base and hand"),
         ("<b>―</b>", "border at the hand's height"),
     ]
     signs = "width:2.6em;text-align:center"
@@ -139,18 +132,18 @@ def _bar_html(legend: Legend) -> str:
     share = "all" if legend.drawn == legend.total else f"{legend.drawn:,} of the"
     part = "" if legend.top is None else f" up to z = {legend.top:.2f} m"
     unit = f" [{factor}{legend.unit}]" if factor or legend.unit else ""
-    colours = f"background:linear-gradient(to right,{viridis_css()})"
+    gradient = f"background:linear-gradient(to right,{viridis_css()})"
     return small(
         spread(f"<b>{legend.title}{unit}</b>", legend.pair)
-        + f'<div style="height:.9em;border-radius:3px;margin:.2em 0;{colours}"></div>'
+        + f'<div style="height:.9em;border-radius:3px;margin:.2em 0;{gradient}"></div>'
         f'{spread(*texts)}<div style="{FAINT}">'
         f"d<sub>b</sub> = {legend.d_b:.3f} m, {share} {legend.total:,} points{part}. "
         "Where there are none, the arm cannot be at that distance.</div>"
     )
 
 
-def _signs(sign: str, *colours: Rgb) -> str:
-    return "".join(mark(sign, css(colour)) for colour in colours)
+def _signs(sign: str, *each: Rgb) -> str:
+    return "".join(mark(sign, css(colour)) for colour in each)
 
 
 def tick_texts(low: float, high: float) -> tuple[list[str], str]:

@@ -21,8 +21,7 @@ from app.robot.shapes import shape_mesh
 from app.strict import Array
 
 logger = logging.getLogger(__name__)
-MAX_FACES = 2500
-"""Faces a mesh may have on the page; the Panda's links come with 12,000 to 22,000."""
+MAX_FACES = 2500  # faces a mesh may have on the page; the Panda's links come with 12,000 to 22,000
 MOST_FACES = 4 * MAX_FACES
 """Faces that are borne where fewer would show; what cannot be decimated at all keeps more."""
 AGGRESSIONS = (3, 5, 7)
@@ -31,9 +30,9 @@ many parts, such as UR5's tubes; with less such meshes stay too heavy."""
 LIGHT_FACES = 400
 """Faces of all meshes of one colour that one joint moves, where a page draws in software."""
 CREASE = np.deg2rad(35.0)  # [rad] sharper edges are drawn as edges, not shaded over
-GREY: Rgb = (150, 150, 155)
-"""Colour of a visual for which the URDF states none."""
+GREY: Rgb = (150, 150, 155)  # colour of a visual for which the URDF states none
 BODY: Rgb = (64, 156, 224)
+_MeshFile = tuple[str, tuple[float, ...]]  # where it is, and its scale along three axes
 _AROUND = np.array([0.15, 0.15, 0.0])  # [m] of a border around the base
 
 
@@ -82,23 +81,18 @@ class LinkPoses:
 
 
 class RobotParts:
-    """Kinematics, visual meshes and convex bodies of a robot: read once, drawn for many viewers.
-
-    Attributes:
-        kinematics: Poses of what moves; used by the one thread that draws.
-        visuals: What the robot looks like; its convex bodies where a mesh is not installed.
-        bodies: The convex bodies that distances are measured to.
-        title: What people read over the robot; it says so if its meshes are not here.
-        extent: (N, 3) [m] corners of all that a camera has to show, in the base's frame: the links
-            in the ready pose, and the borders' place around the base.
-    """
+    """Kinematics, visual meshes and convex bodies of a robot: read once, drawn for many viewers."""
 
     def __init__(self, robot: RobotModel) -> None:
         self.kinematics = LinkPoses(robot)
+        """Poses of what moves; used by the one thread that draws."""
         self.bodies = _bodies(robot, self.kinematics.model)
+        """The convex bodies that distances are measured to."""
         self.title = robot.description.title
+        """What people read over the robot; it says so if its meshes are not here."""
         try:
             self.visuals = _visuals(robot)
+            """What the robot looks like; its convex bodies where a mesh is not installed."""
         except AssetError as error:
             logger.warning("%s is drawn by its convex bodies: %s", robot.description.name, error)
             self.visuals = [
@@ -107,6 +101,8 @@ class RobotParts:
             ]
             self.title += " (its meshes are not installed: convex bodies)"
         self.extent = self._extent(robot.description)
+        """(N, 3) [m] corners of all that a camera has to show, in the base's frame: the links in
+        the ready pose, and the borders' place around the base."""
 
     @cached_property
     def light_visuals(self) -> list[Visual]:
@@ -170,17 +166,13 @@ def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual
             mesh = for_display(mesh_of(item.geometry))
         else:
             if file not in ready:
-                ready[file] = for_display(read_mesh(file.path).apply_scale(file.scale))
+                path, scale = file
+                ready[file] = for_display(read_mesh(path).apply_scale(scale))
             mesh = ready[file]
         # A copy: the placement inside the item dies with `geometry`.
         placement = item.placement.copy()
         visuals.append(Visual(item.name, item.parentJoint, placement, mesh, _colour(item)))
     return visuals
-
-
-class _MeshFile(NamedTuple):
-    path: str
-    scale: tuple[float, ...]
 
 
 def _without_files(urdf: str) -> tuple[str, dict[str, _MeshFile]]:
@@ -211,7 +203,7 @@ def _mesh_file(link: str, mesh: ElementTree.Element) -> _MeshFile:
         raise DescriptionError(f"link {link!r}: scale={scale!r} of a mesh is not three numbers")
     if not path:
         raise DescriptionError(f"link {link!r}: a mesh has no filename")
-    return _MeshFile(path, tuple(values))
+    return path, tuple(values)
 
 
 def read_mesh(path: str) -> trimesh.Trimesh:

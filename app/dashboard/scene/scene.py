@@ -9,17 +9,10 @@ import viser
 from app.border.dbb import Cloud
 from app.dashboard.panels import phrases as words
 from app.dashboard.record import Course, Rows, Strip, Track
+from app.dashboard.scene import layers
 from app.dashboard.scene.borders import Borders, BorderSlice, DrawnBorders
 from app.dashboard.scene.canvas import ROOT, Canvas, Lens, from_viser, to_viser
 from app.dashboard.scene.colours import GHOSTS, TRAIL_BASE, TRAIL_HAND, Rgb
-from app.dashboard.scene.layers import (
-    draw_acting_points,
-    draw_distances,
-    draw_door,
-    draw_motion,
-    draw_names,
-    draw_pulls,
-)
 from app.dashboard.scene.legend import Legend
 from app.dashboard.scene.robot import RobotParts, Visual
 from app.dashboard.verdict import judge
@@ -32,8 +25,7 @@ from app.strict import Array
 
 BODY_OPACITY = 0.28  # [-]
 GHOST_OPACITY = 0.30  # [-]
-SURROUNDINGS = "city"
-"""What viser mirrors in the meshes unless it is told otherwise."""
+SURROUNDINGS = "city"  # what viser mirrors in the meshes unless it is told otherwise
 _TRACK_LIFT = 0.004  # [m] of the base's track above the floor
 _TRAILS = {"base": TRAIL_BASE, "hand": TRAIL_HAND}
 
@@ -244,15 +236,15 @@ class Scene:
             self._slice.draw(canvas, snapshot, dark=view.dark)
         self._border.draw_probe(canvas, snapshot, top)
         if view.distances:
-            draw_distances(canvas, snapshot, judge(snapshot), view, self._data.spoken)
+            layers.draw_distances(canvas, snapshot, judge(snapshot), view, self._data.spoken)
         if view.acting:
-            draw_acting_points(canvas, snapshot, view, top)
+            layers.draw_acting_points(canvas, snapshot, view, top)
         if view.motion:
-            draw_motion(canvas, snapshot, self._data.model.description.base.axes, top)
-        draw_pulls(canvas, snapshot)
-        draw_names(canvas, snapshot)
+            layers.draw_motion(canvas, snapshot, self._data.model.description.base.axes, top)
+        layers.draw_pulls(canvas, snapshot)
+        layers.draw_names(canvas, snapshot)
         if snapshot.door is not None:
-            draw_door(canvas, snapshot.door)
+            layers.draw_door(canvas, snapshot.door)
         for name, points in self._trails.items():
             if view.trails and len(points) > 1:
                 canvas.lines(f"/trails/{name}", [points], _TRAILS[name], 2.5)

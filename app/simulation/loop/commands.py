@@ -23,8 +23,7 @@ SPEEDS = 0.1, 4.0  # [-] slowest and fastest, in times of real time
 STEPS = 0.001, 1.0  # [s] shortest and longest single step
 SAMES = ("path", "force")
 """What robots that are compared have in common: where people pull to, or how strongly."""
-MOST_GHOSTS = 2
-"""Robots that run beside the one that is led."""
+MOST_GHOSTS = 2  # robots that run beside the one that is led
 MOST = 64
 """Commands that may wait at once; as those of a kind replace one another, far more than there are
 kinds."""

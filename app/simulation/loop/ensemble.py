@@ -23,8 +23,7 @@ from app.simulation.trace.trace import Recorder, Trace
 from app.strict import Array
 
 _SAID = 1.0  # [s] for which a case is said
-MOST_PULLS = 8
-"""People who can hold the robot at once."""
+MOST_PULLS = 8  # people who can hold the robot at once
 _NEEDED = ("t", "pairs", "ee_error", "in_contact", "u_a", "base_pose", "base_acceleration")
 _TOGETHER = 100  # control steps that are looked at together, which is far quicker
 
@@ -310,16 +309,12 @@ class Ensemble:
 
 
 class Runner:
-    """A robot with what leads it and its score, in a plant of its own; its memory is bounded.
-
-    Attributes:
-        session: Its own.
-        scored: Whether it is compared, and its steps count.
-    """
+    """A robot with what leads it and its score, in a plant of its own; its memory is bounded."""
 
     def __init__(self, session: Session, leader: Leader | None) -> None:
         """Stand at the beginning of a session, led by a reader of its own sensors or by nothing."""
         self.session, self._leader, self.scored = session, leader, False
+        """`scored` says whether it is compared, and its steps count."""
         self._recorder = Recorder(quantities=_NEEDED)
         self._score = Score("", math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
         self._rows, self._complete = 0, False

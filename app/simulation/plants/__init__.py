@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from app.simulation.plants.door import OpenDoor
     from app.simulation.plants.interface import Physics
 
-PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")
-"""Names that `make_physics` knows."""
+PLANTS = ("planar", "kinematic", "mujoco", "mujoco-contact")  # names that `make_physics` knows
 
 _FORMERLY = {"contact": "mujoco-contact"}
 _DOORS = "planar, mujoco or mujoco-contact"
@@ -36,19 +35,13 @@ def chosen_plant(name: str | None) -> str:
 
 
 def make_physics(
-    kind: str | None,
+    kind: str | None,  # as `chosen_plant` takes it
     model: RobotModel,
     *,
-    dt: float = 0.001,
-    door: OpenDoor | None = None,
+    dt: float = 0.001,  # [s] one step
+    door: OpenDoor | None = None,  # a door that the hand holds from each reset on, or None
 ) -> Physics:
     """The plant of that name, at rest in the robot's ready position.
-
-    Args:
-        kind: As `chosen_plant` takes it.
-        model: The robot.
-        dt: [s] one step.
-        door: A door that the hand holds from each reset on, or None.
 
     Raises:
         UnknownNameError: No such plant.

@@ -85,15 +85,7 @@ class Client:
 
 
 class BulletWorld:
-    """A robot in a client of its own; all indices below are pybullet's.
-
-    Attributes:
-        client: The client.
-        robot: The robot's body.
-        floor: The floor's body, the plane z = 0.
-        links: Index of each link by its name; the root's is -1.
-        joints: Index of each joint by its name.
-    """
+    """A robot in a client of its own; all indices below are pybullet's."""
 
     def __init__(self, urdf: str, dt: float) -> None:
         """Load a robot from its URDF, meshes by absolute path; `dt` [s] is one step.
@@ -112,7 +104,9 @@ class BulletWorld:
         client = self.client
         plane = client.createCollisionShape(pybullet.GEOM_PLANE)
         self.floor = client.createMultiBody(0, plane)
+        """The plane z = 0."""
         self.links, self.joints = {client.getBodyInfo(self.robot)[0].decode(): -1}, {}
+        """Index of each by its name; the root link's is -1."""
         for i in range(client.getNumJoints(self.robot)):
             info = client.getJointInfo(self.robot, i)
             self.joints[info[1].decode()] = self.links[info[12].decode()] = i

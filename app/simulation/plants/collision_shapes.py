@@ -19,8 +19,7 @@ from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import convex_hull
 from app.strict import Array
 
-FLOOR = "/floor"
-"""The floor among the parts, by a name that no link and no body has."""
+FLOOR = "/floor"  # the floor among the parts, by a name that no link and no body has
 
 ContactPairs = dict[tuple[str, str], str]
 """The field of `Contacts` that reports two parts, by their names: those of bodies or of links.

@@ -1,10 +1,10 @@
 """The interface behind which every plant stands, real physics or stand-in."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
+
+from typing_extensions import Self
 
 from app.robot.state import Measurement
 from app.strict import Array
@@ -23,7 +23,7 @@ class Contacts(NamedTuple):
     """A door that the hand holds, and the base."""
 
     @classmethod
-    def of(cls, groups: Iterable[str]) -> Contacts:
+    def of(cls, groups: Iterable[str]) -> Self:
         """Those of some fields, by their names."""
         return cls(**dict.fromkeys(groups, True))
 

@@ -21,8 +21,7 @@ from app.strict import Array
 
 GRAVITY = 9.81  # [m/s²]
 FIRM = (0.004, 1.0)  # [s] time constant and [-] damping ratio of contacts and of joint limits
-IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]
-"""Of both, as MuJoCo has it."""
+IMPEDANCE = [0.95, 0.99, 0.001, 0.5, 2.0]  # of both, as MuJoCo has it
 
 _FLAT = 1e-6  # [-] of a mesh's thickness over its length
 _SHEET = 0.0002  # [m] that a flat one is made thick
@@ -40,17 +39,7 @@ _PRIMITIVES = {
 
 
 class RobotSpec:
-    """A robot's specification.
-
-    Attributes:
-        spec: MuJoCo's.
-        model: The robot.
-        root: The root link's body.
-        shapes: The robot's shapes.
-        mobile: Names of l_m's links; of the body itself where bodies stand for links.
-        pairs: The field of `Contacts` that reports two geoms, or None, by their names.
-        motors: Names of the joints that have a motor.
-    """
+    """A robot's specification."""
 
     def __init__(
         self, model: RobotModel, dt: float, *, free_root: pin.Inertia | None = None
@@ -63,10 +52,14 @@ class RobotSpec:
         self.model, self._dt = model, dt
         self.spec = _empty_spec(dt)
         self.pairs: dict[frozenset[str], str | None] = {}
+        """The field of `Contacts` that reports two geoms, or None, by their names."""
         self.motors: list[str] = []
+        """Names of the joints that have a motor."""
         self._inertias: dict[str, tuple[float, Array]] = {}
         self.add_geom(self.spec.worldbody, FLOOR, _GEOM.mjGEOM_PLANE, (0, 0, 1))
         self.shapes, pairs, self.mobile = collision_shapes(model)
+        """The robot's shapes; names of l_m's links, or of the body itself where bodies stand for
+        links."""
         bodies = self._add_joints(free_root)
         self.root = bodies[1]
         self._geoms = {FLOOR: [FLOOR]}
@@ -143,24 +136,16 @@ class RobotSpec:
 
     def allow(
         self,
-        group: str | None,
-        some: Iterable[str],
-        others: Iterable[str],
+        group: str | None,  # the field of `Contacts` that reports it; None for none
+        some: Iterable[str],  # names of geoms
+        others: Iterable[str],  # names of geoms
         *,
-        friction: float = _FRICTION,
+        friction: float = _FRICTION,  # [-] of the two
+        # [s] time constant and [-] damping ratio of their contact
         firmness: Sequence[float] = FIRM,
-        **contact: Any,
+        **contact: Any,  # what else MuJoCo takes for it
     ) -> None:
-        """Let each geom of some touch each of others.
-
-        Args:
-            group: The field of `Contacts` that reports it; None for none.
-            some: Names of geoms.
-            others: Names of geoms.
-            friction: [-] of the two.
-            firmness: [s] time constant and [-] damping ratio of their contact.
-            contact: What else MuJoCo takes for it.
-        """
+        """Let each geom of some touch each of others."""
         contact = {"solref": list(firmness), "solimp": IMPEDANCE} | contact
         for a, b in product(some, others):
             self.pairs[frozenset((a, b))] = group

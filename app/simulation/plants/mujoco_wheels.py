@@ -48,16 +48,7 @@ _TURN_RATE = 0.4  # [rad/s]
 
 
 class Wheels:
-    """The driven wheels in the frame of the root, which stands on the floor.
-
-    Attributes:
-        radius: [m] of each.
-        centres: (n, 3) [m]
-        right: (n,) whether they are on the right side.
-        inertias: Of each, in a frame at its centre; the root's contains them.
-        links: Names of the links that turn with them.
-        spans: Whether the base stands on them; else it needs casters.
-    """
+    """The driven wheels in the frame of the root, which stands on the floor."""
 
     def __init__(self, model: RobotModel) -> None:
         """Read them from the URDF; without wheels there, two at the half track."""
@@ -72,16 +63,21 @@ class Wheels:
             for frame in full.frames
             if frame.parentJoint in ids and frame.type == pin.FrameType.BODY
         }
+        """Names of the links that turn with them."""
         places = [data.oMi[i] for i in ids] or [
             pin.SE3(np.eye(3), np.array([0.0, y, r]))
             for y in (-base.half_track_m, base.half_track_m)
         ]
         self.centres = np.array([[*place.translation[:2], r] for place in places])
+        """(n, 3) [m]"""
         self.right = self.centres[:, 1] < 0.0
+        """(n,) whether they are on the right side."""
         own = [pin.SE3(data.oMi[i].rotation, np.zeros(3)).act(full.inertias[i]) for i in ids]
         least = pin.Inertia.FromSphere(_LEAST_MASS * model.pin.inertias[1].mass, r)
         self.inertias = [I if I.mass > 0.0 else least for I in own] or [least] * len(places)
+        """Of each, in a frame at its centre; the root's contains them."""
         self.spans = bool(np.ptp(self.centres[:, 0]) > r)
+        """Whether the base stands on them; else it needs casters."""
 
     def root_without(self, whole: pin.Inertia) -> pin.Inertia:
         """The root's inertia that is left of the whole without the wheels."""

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.optimize import least_squares
 
-from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
+from app.avoidance.closest_points import DistanceMonitor
 from app.robot.link_pairs import LinkPairs, geometry_data
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
@@ -54,7 +54,7 @@ class PostureSearch:
         self.span = model.q_upper - model.q_lower
         self.middle = (model.q_upper + model.q_lower) / 2
         """(n_m,) [rad or m] of each joint's range."""
-        self._monitor = DistanceMonitor(self.state, pairs.all)
+        self.monitor = DistanceMonitor(self.state, pairs.all)
         self._floor = FloorDistance(self.state)
         self._base_pose = np.zeros(3)
         self._placed: Array | None = None
@@ -76,20 +76,14 @@ class PostureSearch:
 
     def best(
         self,
+        # (n_m,) each, where a search begins; the postures themselves without a target
         guesses: Iterable[Array],
-        judge: Judge,
+        judge: Judge,  # what a posture is worth; it is placed there already
         *,
-        target: Target | pin.SE3 | None = None,
-        enough: float = np.inf,
+        target: Target | pin.SE3 | None = None,  # where the hand, or its whole pose, has to be
+        enough: float = np.inf,  # [-] a quality with which nothing better is looked for
     ) -> Found:
-        """The posture of the highest quality among those that guesses lead to.
-
-        Args:
-            guesses: (n_m,) each, where a search begins; the postures themselves without a target.
-            judge: What a posture is worth; it is placed there already.
-            target: Where the hand, or its whole pose, has to be.
-            enough: [-] a quality with which nothing better is looked for.
-        """
+        """The posture of the highest quality among those that guesses lead to."""
         best = Found(None, 0.0, Counter())
         for guess in guesses:
             q_m = guess if target is None else self.reach(target, guess)
@@ -145,13 +139,9 @@ class PostureSearch:
         """(6, n_m) Jacobian of the hand by the arm's joints, in the world."""
         return self.state.J_ee[:, self.model.n_b :]
 
-    def closest(self) -> list[ClosestPoints]:
-        """The closest points of every pair."""
-        return self._monitor.find_closest_points()
-
     def distances(self) -> tuple[float, ...]:
         """[m] of every pair."""
-        return self._monitor.distances()
+        return self.monitor.distances()
 
     def above_floor(self) -> float:
         """[m] between the arm and the floor."""

@@ -21,8 +21,7 @@ if TYPE_CHECKING:
 
 Point = tuple[float, float, float]
 
-BEGIN = "guiding-front"
-"""At whose line's start the hand stands at the free start."""
+BEGIN = "guiding-front"  # at whose line's start the hand stands at the free start
 
 
 class Pulled(NamedTuple):

@@ -57,11 +57,13 @@ class StartSolver:
 
     def solve(
         self,
-        p_ee: tuple[float, float, float],
+        p_ee: tuple[float, float, float],  # where the hand shall be
         *,
-        seed: int = 0,
+        seed: int = 0,  # of the starting points of the search
+        # [rad] by how much the hand points to the left of straight away from the mount
         turn: float = 0.0,
-        tries: int = _SEEDS,
+        tries: int = _SEEDS,  # starting points of the search per pitch of the hand
+        # (3,) [m] each, places that the hand comes to afterwards, in their order
         along: Sequence[Array] = (),
     ) -> Array:
         """(n_m,) arm configuration with the end-effector at `p_ee` [m] in the world.
@@ -69,13 +71,6 @@ class StartSolver:
         With a way to go the posture is one that has room for it, too: its joints keep away from
         their limits while the hand passes the places, pointing as it does at the start, over a base
         that stands. The base's own motion adds to that.
-
-        Args:
-            p_ee: Where the hand shall be.
-            seed: Of the starting points of the search.
-            turn: [rad] by how much the hand points to the left of straight away from the mount.
-            tries: Starting points of the search per pitch of the hand.
-            along: (3,) [m] each, places that the hand comes to afterwards, in their order.
 
         Raises:
             UnreachableError: There is none; says what stands in the way.
@@ -163,7 +158,7 @@ class StartSolver:
         if search.above_floor() < _FLOOR_MARGIN:
             return "the arm would touch the floor"
         clearance = np.inf
-        for closest in search.closest():
+        for closest in search.monitor.find_closest_points():
             if closest.d < search.d_b + _BUFFER_MARGIN:
                 return f"{closest.pair.name} would be inside its buffer"
             clearance = min(clearance, closest.d - search.d_b)

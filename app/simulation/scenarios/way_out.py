@@ -97,7 +97,7 @@ class TroubledStarts:
 
         An arm that is nearer to the floor than a margin is no such start.
         """
-        closest = self._search.closest()
+        closest = self._search.monitor.find_closest_points()
         pair = closest[i]
         if not depth[0] <= pair.d <= depth[1] or pair.d > min(c.d for c in closest):
             return 0.0

@@ -1,7 +1,5 @@
 """Quantities as columns: what they are named from, and values as cells and back."""
 
-from __future__ import annotations
-
 import json
 from collections import ChainMap
 from collections.abc import Callable, Mapping, Sequence
@@ -79,9 +77,7 @@ class TraceMeta(Strict):
         return self
 
     @classmethod
-    def of(
-        cls, model: RobotModel, pairs: Mapping[str, bool], config: Config, **about: Any
-    ) -> TraceMeta:
+    def of(cls, model: RobotModel, pairs: Mapping[str, bool], config: Config, **about: Any) -> Self:
         """The meta data of a run; all its link pairs, and whether each is of L_m."""
         arm, base = model.description.arm, model.description.base
         velocities, accelerations = zip(*map(_rate_columns, base.axes), strict=True)
@@ -217,8 +213,7 @@ def numbers(template: str, take: Take, *, often: bool = True, optional: bool = F
     return Quantity(columns, cells, value, take)
 
 
-drawn = partial(number, often=False)
-"""A number or text that is kept where a snapshot is taken."""
+drawn = partial(number, often=False)  # a number or text that is kept where a snapshot is taken
 drawn_numbers = partial(numbers, often=False)
 """An array (k,) that is kept where a snapshot is taken."""
 

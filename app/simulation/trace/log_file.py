@@ -1,7 +1,5 @@
 """The file of a trace: CSV with a leading comment, or Parquet with schema metadata."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,6 +10,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 from pydantic import Field, ValidationError
+from typing_extensions import Self
 
 from app.errors import DbbError, LogError, did_you_mean
 from app.simulation.trace.columns import NAN, Column, TraceMeta
@@ -20,8 +19,7 @@ from app.simulation.trace.trace import Layout, Trace, cells_of, columns_of
 from app.strict import Strict, explain
 from app.system import write_whole
 
-SUFFIXES = ".csv", ".parquet"
-"""The ending of a file's name says which of the two it is."""
+SUFFIXES = ".csv", ".parquet"  # the ending of a file's name says which of the two it is
 
 _KEY = b"dbb_log"
 _COMMENT = "# "
@@ -36,7 +34,7 @@ class LogHeader(Strict):
     rows: int = Field(ge=1, strict=True)
 
     @classmethod
-    def read(cls, text: str) -> LogHeader:
+    def read(cls, text: str) -> Self:
         """A header from its JSON.
 
         Raises:

@@ -31,8 +31,7 @@ from app.system import whole_file
 
 Json = dict[str, Any]
 
-WORLD = "world"
-"""The frame in which base and links are."""
+WORLD = "world"  # the frame in which base and links are
 _METRES_PER_NEWTON = 1 / 400  # [m/N] of a force: 0.1 m is 40 N
 _BODY, _FREE, _INSIDE, _CONTACT = (
     {"r": r, "g": g, "b": b, "a": a}

@@ -42,8 +42,7 @@ from app.simulation.trace.columns import (
 )
 from app.strict import Array
 
-EVERY = 20
-"""Control steps between two snapshots: 50 Hz, in the live loop as in a log."""
+EVERY = 20  # control steps between two snapshots: 50 Hz, in the live loop as in a log
 
 _DOOR = TypeAdapter(Door)
 
@@ -426,25 +425,16 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def make_snapshot(
-    session: Session,
-    step: Step,
+    session: Session,  # after the step
+    step: Step,  # the last one
+    # says how real time goes; a run that keeps to no clock has none, and is then the same each time
     pacer: Pacer | None,
     *,
-    paused: bool,
-    explained: bool = True,
-    **course: Any,
+    paused: bool,  # whether time stands still
+    explained: bool = True,  # whether it says why the robot moved so, which no file keeps
+    **course: Any,  # what else is known, by the fields of `Snapshot`
 ) -> Snapshot:
-    """The whole simulation at a control step; shares no memory with it, and is read-only.
-
-    Args:
-        session: After the step.
-        step: The last one.
-        pacer: Says how real time goes; a run that keeps to no clock has none, and is then the same
-            each time.
-        paused: Whether time stands still.
-        explained: Whether it says why the robot moved so, which no file keeps.
-        course: What else is known, by the fields of `Snapshot`.
-    """
+    """The whole simulation at a control step; shares no memory with it, and is read-only."""
     values = {name: q.take(session, step) for name, q in QUANTITIES.items() if q.take is not None}
     fields = {k: frozen(v) if isinstance(v, np.ndarray) else v for k, v in values.items()}
     why = (session.controller, step.output, session.config, step.base_command)

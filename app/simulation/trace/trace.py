@@ -25,8 +25,7 @@ from app.strict import Array
 
 Reason = Literal["still moving", "joint limits", "border against hand", "full stretch", "unknown"]
 
-SNAPSHOTS_KEPT = 3000
-"""60 s at 50 Hz."""
+SNAPSHOTS_KEPT = 3000  # 60 s at 50 Hz
 SHORT = 1e-3  # [m] from its target at which a hand counts as stuck
 _RESTING = 1e-6  # [m/s, m/s²] below which a reference rests
 _MOVING = 1e-3  # [m/s] towards the target at which the hand is still on its way
@@ -169,20 +168,14 @@ class Recorder:
 
     def __init__(
         self,
-        scenario: Scenario | None = None,
+        scenario: Scenario | None = None,  # which leads the hand from the first step to the last
         *,
-        quantities: Iterable[str] = QUANTITIES,
+        quantities: Iterable[str] = QUANTITIES,  # what is recorded, by the fields of `Snapshot`
+        # whether a snapshot of each twentieth step is kept too, the first among them
         drawn: bool = False,
-        also: Iterable[int] = (),
+        also: Iterable[int] = (),  # numbers of further control steps of which a snapshot is wanted
     ) -> None:
-        """Nothing is recorded.
-
-        Args:
-            scenario: Which leads the hand from the first step to the last.
-            quantities: What is recorded, by the fields of `Snapshot`.
-            drawn: Whether a snapshot of each twentieth step is kept too, the first among them.
-            also: Numbers of further control steps of which a snapshot is wanted.
-        """
+        """Nothing is recorded."""
         self._scenario, self._drawn, self._also = scenario, drawn, frozenset(also)
         self._names = list(quantities)
         self._rows: list[Take] = []

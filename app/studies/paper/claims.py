@@ -7,21 +7,8 @@ import numpy as np
 
 from app.simulation.run import RunResult
 from app.studies.paper import density
-from app.studies.paper.experiments import (
-    COMPARED,
-    DOOR,
-    DOOR_NONE,
-    FRONT,
-    GUIDING,
-    LATERAL,
-    TRACKING,
-    TRACKING_NONE,
-    TRACKING_REPULSIVE,
-    WHEEL_AXIS,
-    WHEEL_AXIS_RIGHT,
-    Experiment,
-    Sources,
-)
+from app.studies.paper import experiments as paper
+from app.studies.paper.experiments import Experiment, Sources
 from app.studies.style import words_of
 
 
@@ -106,8 +93,7 @@ def held(
     return Finding(f"{text} {number} (asked: {asked})", bool(holds), {key: float(value)}, limits)
 
 
-Findings = Iterable[Finding]
-"""All that is found has to hold."""
+Findings = Iterable[Finding]  # all that is found has to hold
 
 
 class Claim(NamedTuple):
@@ -138,8 +124,7 @@ class Claim(NamedTuple):
         }
 
 
-CLAIMS: list[Claim] = []
-"""In the order of the paper."""
+CLAIMS: list[Claim] = []  # in the order of the paper
 
 
 def claims_of(figures: Iterable[str]) -> list[Claim]:
@@ -202,65 +187,67 @@ def _smooth(s: Sources, directions: dict[str, Experiment]) -> Findings:
 
 
 DIRECTIONS = {
-    "wheel axis, left": WHEEL_AXIS,
-    "wheel axis, right": WHEEL_AXIS_RIGHT,
-    "side": TRACKING,
-    "front": FRONT,
+    "wheel axis, left": paper.WHEEL_AXIS,
+    "wheel axis, right": paper.WHEEL_AXIS_RIGHT,
+    "side": paper.TRACKING,
+    "front": paper.FRONT,
 }
 """From where the hand comes; where it tracks it has to arrive, too."""
 
 
-@claim("4.2.1", "fig12", TRACKING)
+@claim("4.2.1", "fig12", paper.TRACKING)
 def reached(s: Sources) -> Findings:
     """With the proposed method the hand reaches its target, without an error of its position, and a
     collision is avoided.
     """
-    run = s.runs[TRACKING]
+    run = s.runs[paper.TRACKING]
     return _error(run, most=REACHED), _clear(run)
 
 
-@claim("4.2.1", "fig11", TRACKING)
+@claim("4.2.1", "fig11", paper.TRACKING)
 def moved_back(s: Sources) -> Findings:
     """A force moves the base back as the hand approaches."""
-    yield _back(s.runs[TRACKING])
+    yield _back(s.runs[paper.TRACKING])
 
 
-@claim("4.2.1", "fig12", TRACKING_REPULSIVE)
+@claim("4.2.1", "fig12", paper.TRACKING_REPULSIVE)
 def not_reached(s: Sources) -> Findings:
     """The repulsive method avoids the collision, but the hand cannot reach its target."""
-    run = s.runs[TRACKING_REPULSIVE]
+    run = s.runs[paper.TRACKING_REPULSIVE]
     return _clear(run, AVOIDED), _error(run, least=MISSED)
 
 
-@claim("4.2.1", "fig12", TRACKING, TRACKING_NONE)
+@claim("4.2.1", "fig12", paper.TRACKING, paper.TRACKING_NONE)
 def needed(s: Sources) -> Findings:
     """The avoidance is needed: the motion approaches the base."""
-    with_it, without = (s.runs[e].figures["min_clearance_m"] for e in (TRACKING, TRACKING_NONE))
+    with_it, without = (
+        s.runs[e].figures["min_clearance_m"] for e in (paper.TRACKING, paper.TRACKING_NONE)
+    )
     yield held("without avoidance nearer by", "nearer_m", with_it - without, least=NEARER)
 
 
-@claim("4.2.2", "fig13", LATERAL)
+@claim("4.2.2", "fig13", paper.LATERAL)
 def guided_laterally(s: Sources) -> Findings:
     """Guided from the lateral direction, the robot avoids the collision by a force on its base."""
-    return _clear(s.runs[LATERAL]), _moved(s.runs[LATERAL])
+    return _clear(s.runs[paper.LATERAL]), _moved(s.runs[paper.LATERAL])
 
 
-@claim("4.2.2", "fig13", FRONT)
+@claim("4.2.2", "fig13", paper.FRONT)
 def guided_from_the_front(s: Sources) -> Findings:
     """Guided from the front, it avoids the collision."""
-    return _clear(s.runs[FRONT]), _moved(s.runs[FRONT])
+    return _clear(s.runs[paper.FRONT]), _moved(s.runs[paper.FRONT])
 
 
-@claim("4.2.2", "fig13", FRONT)
+@claim("4.2.2", "fig13", paper.FRONT)
 def guided_back(s: Sources) -> Findings:
     """Guided from the front, the base moves back."""
-    yield _back(s.runs[FRONT])
+    yield _back(s.runs[paper.FRONT])
 
 
-@claim("4.2.2", "fig14", LATERAL, FRONT)
+@claim("4.2.2", "fig14", paper.LATERAL, paper.FRONT)
 def continuous(s: Sources) -> Findings:
     """The activation rises as the distance falls, and the task is inserted continuously."""
-    for name, e in GUIDING["dbb"].items():
+    for name, e in paper.GUIDING["dbb"].items():
         text, key = f"{name}: largest change", f"{name}_beta_step"
         yield held(text, key, beta_step(s.runs[e]), most=BETA_STEP)
 
@@ -278,34 +265,34 @@ def from_any_direction(s: Sources) -> Findings:
             yield _error(run, of, most=REACHED)
 
 
-@claim("4.2.3", "fig18", DOOR_NONE)
+@claim("4.2.3", "fig18", paper.DOOR_NONE)
 def door_met(s: Sources) -> Findings:
     """Without avoidance the door collides with the base at 30 s."""
-    met = s.runs[DOOR_NONE].figures["door_met_base_s"]
+    met = s.runs[paper.DOOR_NONE].figures["door_met_base_s"]
     yield held("door meets the base at", "door_met_base_s", met, least=MET_FROM, most=MET_TO)
 
 
-@claim("4.2.3", "fig18", DOOR)
+@claim("4.2.3", "fig18", paper.DOOR)
 def door_avoided(s: Sources) -> Findings:
     """With it the door never collides."""
-    figures = s.runs[DOOR].figures
+    figures = s.runs[paper.DOOR].figures
     met, least = figures["door_met_base_s"], figures["door_min_distance_m"]
     touched = "never" if met is None else f"at {met:.3g} s"
     yield Finding(f"door meets the base: {touched}", met is None, {})
     yield held("least distance", "door_min_distance_m", least, least=AVOIDED)
 
 
-@claim("4.2.3", "fig17", DOOR)
+@claim("4.2.3", "fig17", paper.DOOR)
 def door_opened(s: Sources) -> Findings:
     """The door is opened completely at 40 s."""
-    opened = s.runs[DOOR].figures["door_opened_80deg_at_s"]
+    opened = s.runs[paper.DOOR].figures["door_opened_80deg_at_s"]
     yield held("80° open at", "door_opened_80deg_at_s", opened, most=OPENED_BY)
 
 
-@claim("4.2.3", "fig17", DOOR)
+@claim("4.2.3", "fig17", paper.DOOR)
 def base_backs_off(s: Sources) -> Findings:
     """The base moves back and turns clockwise, beginning at 20 s."""
-    run = s.runs[DOOR]
+    run = s.runs[paper.DOOR]
     begins, yaw = run.figures["base_back_off_s"], run.trace.of("base_pose")[:, 2]
     text, key = "base backs off from", "base_back_off_s"
     yield held(text, key, begins, least=BACKS_FROM, most=BACKS_TO)
@@ -313,39 +300,39 @@ def base_backs_off(s: Sources) -> Findings:
     yield held("turns clockwise by", "clockwise_rad", yaw[0] - yaw.min(), least=TURNED)
 
 
-@claim("4.2.3", "fig17", DOOR)
+@claim("4.2.3", "fig17", paper.DOOR)
 def incomplete_knowledge(s: Sources) -> Findings:
     """The adaptive controller opens the door with incomplete knowledge, by estimating its radial
     direction.
     """
-    figures = s.runs[DOOR].figures
+    figures = s.runs[paper.DOOR].figures
     error, force = figures["radial_error_at_5s_rad"], figures["hand_force_max_n"]
     text, size = "error of the radial direction after 5 s", None if error is None else abs(error)
     yield held(text, "radial_error_rad", size, most=RADIAL_ERROR)
     yield held("largest force of the hand", "hand_force_max_n", force, most=HAND_FORCE)
 
 
-@claim("4.3", "fig15", *GUIDING["points"].values())
+@claim("4.3", "fig15", *paper.GUIDING["points"].values())
 def smooth_on_points(s: Sources) -> Findings:
     """The desired accelerations of the base are smooth (the method as printed, its border a cloud
     of points).
     """
-    return _smooth(s, GUIDING["points"])
+    return _smooth(s, paper.GUIDING["points"])
 
 
-@claim("4.3", "fig15", LATERAL, FRONT)
+@claim("4.3", "fig15", paper.LATERAL, paper.FRONT)
 def smooth_on_the_surface(s: Sources) -> Findings:
     """The same with the border as a continuous surface, which is not the paper's but is used
     here.
     """
-    return _smooth(s, GUIDING["dbb"])
+    return _smooth(s, paper.GUIDING["dbb"])
 
 
-@claim("4.3", "fig15", *COMPARED)
+@claim("4.3", "fig15", *paper.COMPARED)
 def smoother_than_repulsive(s: Sources) -> Findings:
     """Command values are free from chattering, unlike the repulsive method's."""
     own, repulsive = (
-        max(s.runs[e].figures["torque_rate_sign_changes"] for e in GUIDING[method].values())
+        max(s.runs[e].figures["torque_rate_sign_changes"] for e in paper.GUIDING[method].values())
         for method in ("dbb", "repulsive")
     )
     key, text = "torque_rate_sign_changes", "sign changes of a torque's rate"
@@ -353,7 +340,7 @@ def smoother_than_repulsive(s: Sources) -> Findings:
     yield Finding(f"repulsive {repulsive}", own < repulsive, {f"repulsive_{key}": repulsive})
 
 
-@claim("4.3", "density", LATERAL)
+@claim("4.3", "density", paper.LATERAL)
 def trade_off(s: Sources) -> Findings:
     """The denser the border, the more continuous the acting point and the higher the cost."""
     table = density.trade_off(s)

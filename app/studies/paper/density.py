@@ -30,8 +30,7 @@ _NAMES = {"points": f"border of {PAPERS_COUNT:,} points", "surface": "border as 
 _LEAST = 1e-9  # [m] where the logarithmic axis ends; smaller steps are drawn there
 _ZOOM = 0.03  # [m] around what is drawn in plan
 
-_SHAPES = {"points": BorderPoints, "surface": BorderSurface}
-"""How a border is searched."""
+_SHAPES = {"points": BorderPoints, "surface": BorderSurface}  # how a border is searched
 _MEASURED = ("jump_max_m", "jump_p99_m", "find_p50_us")
 
 

@@ -27,8 +27,7 @@ from app.simulation.scenarios.line import LineScenario, Point
 from app.strict import Array
 from app.studies.runs import thinned
 
-ROBOT = "husky_panda"
-"""The paper's robot."""
+ROBOT = "husky_panda"  # the paper's robot
 
 
 class Experiment(Planned):

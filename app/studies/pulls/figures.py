@@ -132,5 +132,4 @@ def _strips(axes: Axes, rows: Sequence[Row], column: str) -> None:
     axes.grid(visible=False, axis="y")
 
 
-PICTURES = pictures_in(globals())
-"""Each is drawn of the cases and the envelope that they give."""
+PICTURES = pictures_in(globals())  # each is drawn of the cases and the envelope that they give

@@ -12,8 +12,7 @@ from app.errors import ConfigError
 from app.simulation.plants import default_plant
 from app.strict import Strict, check_range
 
-Interval = tuple[float, float]
-"""Least and largest value; equal ones leave nothing to chance."""
+Interval = tuple[float, float]  # least and largest value; equal ones leave nothing to chance
 
 PARAMETERS = {
     "base_delay": "disturbance.base_delay",
