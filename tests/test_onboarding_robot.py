@@ -610,6 +610,21 @@ def test_a_robot_without_a_line_says_which_it_has() -> None:
     assert scenario_of(bare, "guiding-front", start=start) == given
 
 
+def test_each_side_without_a_line_has_its_reason_and_one_that_both_share_is_said_once(
+    made: NewRobot,
+) -> None:
+    lacking = {"guiding-lateral": "too short", "guiding-front": "it stands still"}
+    near = made.verdict._replace(always=("lm-lEE",), near=made.verdict.near | {"lm-lEE": 0.9})
+    found = {
+        each.partition(": no line is written: ")[::2]
+        for verdict in (made.verdict, near)
+        for each in warnings_of(replace(made, lacking=lacking, verdict=verdict))
+        if "no line" in each
+    }
+    both = ", ".join(lacking), "lm-lEE hardly ever leaves its buffer"
+    assert found == {*lacking.items(), both}
+
+
 def test_an_arm_that_stands_in_the_floor_or_in_the_base_is_warned_of(made: NewRobot) -> None:
     def told(made: NewRobot) -> list[str]:
         places = ("below the floor", "wholly inside of the base")

@@ -110,12 +110,9 @@ def check_robot(
         tell(name)
         rows.append(_done(name, lambda check=check: check(model, data)))
         yield rows[-1]
-    if runs and data.pairs.mobile and not _shown(rows[len(checks) :]):
+    shown = any(r.numbers and r.outcome != "nothing to show" for r in rows[len(checks) :])
+    if runs and data.pairs.mobile and not shown:
         yield Row("guiding", "failed", "no guiding run could be done in which the base counts", {})
-
-
-def _shown(rows: list[Row]) -> bool:
-    return any(row.numbers and row.outcome != "nothing to show" for row in rows)
 
 
 def _done(name: str, check: Callable[[], Row]) -> Row:

@@ -88,10 +88,11 @@ def _poses(robot: NewRobot) -> Iterator[str]:
             f"poses (more than {ALWAYS:.0%}): its task hardly ever switches off; try a smaller "
             "--buffer-distance, and border.d_b in a file for --config, or other --bodies"
         )
-    for why in dict.fromkeys(robot.lacking.values()):
-        names = ", ".join(name for name, each in robot.lacking.items() if each == why)
-        near_for_good = ", ".join(robot.verdict.always)
-        why = f"{near_for_good} hardly ever leaves its buffer" if near_for_good else why
+    near_for_good = ", ".join(robot.verdict.always)
+    always = f"{near_for_good} hardly ever leaves its buffer" if near_for_good else ""
+    whys = {name: always or why for name, why in robot.lacking.items()}
+    for why in dict.fromkeys(whys.values()):
+        names = ", ".join(name for name, each in whys.items() if each == why)
         yield f"{names}: no line is written: {why}"
 
 

@@ -75,7 +75,7 @@ def fit_capsule(points: Array) -> Capsule:
             "xatol": 2e-4,
             "fatol": 1e-7,
             "adaptive": True,
-            "initial_simplex": _simplex(start),
+            "initial_simplex": np.vstack([start, start + 0.03 * np.eye(6)]),
         },
     )
     found = _capsule(points, np.round(best.x.reshape(2, 3), 4))
@@ -197,12 +197,8 @@ def _distinct(corners: Array) -> Array:
 
 def _capsule(points: Array, ends: Array) -> Capsule:
     """The capsule with given ends (2, 3) around points."""
-    radius = _up(_radius(points, *ends))
+    radius = round(float(np.ceil(_radius(points, *ends) / _UNIT + 1e-6) * _UNIT), 4)
     return Capsule(type="capsule", start_m=_three(ends[0]), end_m=_three(ends[1]), radius_m=radius)
-
-
-def _simplex(start: Array) -> Array:
-    return np.vstack([start, start + 0.03 * np.eye(6)])
 
 
 def _radius(points: Array, a: Array, b: Array) -> float:
@@ -228,10 +224,6 @@ def _box(points: Array, rpy: Array) -> Box:
 def _outermost(points: Array) -> Array:
     """The farthest point in each of many directions: enough to find a shape, not to size it."""
     return points[np.unique((points @ directions(1).T).argmax(axis=0))]
-
-
-def _up(length: float) -> float:
-    return round(float(np.ceil(length / _UNIT + 1e-6) * _UNIT), 4)
 
 
 def _three(v: Array) -> tuple[float, float, float]:
