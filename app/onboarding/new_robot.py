@@ -233,14 +233,9 @@ def make_robot(
     tell("looking for places to guide the hand")
     model = compiled(content, path)
     held = holding_warning(carried_hand(model))
-    found = find_places(
-        model,
-        pairs,
-        d_b,
-        shows=partial(gives_way, model, data),
-        anyway=bool(held),  # the arm then avoids by itself
-        on_progress=on_progress,
-    )
+    # An arm that cannot hold its hand avoids by itself: there any line shows it.
+    shows, anyway = partial(gives_way, model, data), bool(held)
+    found = find_places(model, pairs, d_b, shows=shows, anyway=anyway, on_progress=on_progress)
     places = {name: each for name, each in found.items() if isinstance(each, Place)}
     lacking = {name: each for name, each in found.items() if isinstance(each, str)}
     content["lines"] = {name: place.content() for name, place in places.items()}
