@@ -56,17 +56,29 @@ def _gain(v: float, a: float, T: float) -> float:
 
 @compiled("f8[::1](f8[:], f8[:,:], f8, f8, f8, f8, f8, f8, f8)")
 def _least_distance(
-    d_b: Array,  # (k,) [m]
-    channels: Array,  # (c, 6) J · n, J · t, m_k [kg], a_k and w_k at most, along n, and T_k [s]
-    v: float,  # [m/s] of the approach
-    late: float,  # [s] t_0
-    kept: float,  # [-] of a speed that does not slip
-    flat: float,  # [-] horizontal part of n
-    f_max: float,  # [N]
-    alpha_min: float,  # [m]
-    d_full: float,  # [m] distance of full activation
+    d_b: Array,
+    channels: Array,
+    v: float,
+    late: float,
+    kept: float,
+    flat: float,
+    f_max: float,
+    alpha_min: float,
+    d_full: float,
 ) -> Array:
-    """[m] the largest d_* - x(d_*) of the module for each d_b (k,); minus infinity without any."""
+    """[m] the largest d_* - x(d_*) of the module for each d_b (k,); minus infinity without any.
+
+    Args:
+        d_b: (k,) [m]
+        channels: (c, 6) J · n, J · t, m_k [kg], a_k and w_k at most, along n, and T_k [s].
+        v: [m/s] of the approach.
+        late: [s] t_0.
+        kept: [-] of a speed that does not slip.
+        flat: [-] horizontal part of n.
+        f_max: [N]
+        alpha_min: [m]
+        d_full: [m] distance of full activation.
+    """
     count = len(channels)
     found = np.full(len(d_b), -np.inf)
     a, w, a_worse, w_worse = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count)

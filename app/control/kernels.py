@@ -108,17 +108,29 @@ def in_reach(
     "(f8[:,:], f8[:], f8[:], f8[:], f8[:,:], f8[:], f8[:], f8[:,:], f8[:])"
 )
 def limit_rows(
-    M: Array,  # (n, n) of (26)
-    h: Array,  # (n,) of (26)
-    low: Array,  # (n_m,) the least torques
-    high: Array,  # (n_m,) the largest ones
-    bounds: Array,  # (2, n_m) on q̈_m
-    unit: Array,  # (n_m,) in which they are counted
-    others: Array,  # (n_m,) what q̈_m has besides, by those who push
-    J: Array,  # (k, n) of the distances
-    least: Array,  # (k,) of J q̈
+    M: Array,
+    h: Array,
+    low: Array,
+    high: Array,
+    bounds: Array,
+    unit: Array,
+    others: Array,
+    J: Array,
+    least: Array,
 ) -> tuple[Array, Array, Array]:
-    """C (m, n), l (m,) and u (m,) of torques, joints and distances."""
+    """C (m, n), l (m,) and u (m,) of torques, joints and distances.
+
+    Args:
+        M: (n, n) of (26).
+        h: (n,) of (26).
+        low: (n_m,) the least torques.
+        high: (n_m,) the largest ones.
+        bounds: (2, n_m) on q̈_m.
+        unit: (n_m,) in which they are counted.
+        others: (n_m,) what q̈_m has besides, by those who push.
+        J: (k, n) of the distances.
+        least: (k,) of J q̈.
+    """
     n, n_m, k = len(M), len(low), len(least)
     n_b, m = n - n_m, 2 * n_m + k
     C, l, u = np.zeros((m, n)), np.empty(m), np.full(m, np.inf)

@@ -92,12 +92,10 @@ def bounds_in_reach(state: RobotState, config: LimitConfig, arm: ArmNow) -> tupl
 
 def robot_limits(
     state: RobotState,
-    config: LimitConfig,  # how fast limits may be approached
-    barriers: Iterable[BarrierRow] = (),  # distances that are kept
+    config: LimitConfig,
+    barriers: Iterable[BarrierRow] = (),
     *,
-    softness: float,  # [-] ε
-    # for the arm's part; else any torque up to the joints' own may act in this step, and nobody
-    # pushes
+    softness: float,
     arm: ArmNow | None = None,
 ) -> Limits:
     """Limits on q̈ of base and arm: torques, then joints, then barriers.
@@ -105,6 +103,14 @@ def robot_limits(
     With ε of a row of T_sca each kind gives way to the next: tasks to rows, rows (ε) to joints'
     limits and distances (ε²), and these to torques. Where torques do not suffice for both, joints
     and distances share what is missed: neither is bought by throwing the other away.
+
+    Args:
+        state: The robot's state.
+        config: How fast limits may be approached.
+        barriers: Distances that are kept.
+        softness: [-] ε.
+        arm: For the arm's part; else any torque up to the joints' own may act in this step, and
+            nobody pushes.
     """
     model, rows = state.model, tuple(barriers)
     if arm is None:

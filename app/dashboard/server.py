@@ -205,22 +205,30 @@ class DashboardServer:
 
 
 def serve_dashboard(
-    loop: LoopHandle,  # a started simulation loop
+    loop: LoopHandle,
     model: RobotModel,
-    clouds: Mapping[str, Cloud],  # P_i of every pair of L_m, by the pair's name
+    clouds: Mapping[str, Cloud],
     *,
-    # address to listen at. viser has neither password nor encryption: only on a trusted network
-    # should it be more than this machine.
     host: str = "127.0.0.1",
-    port: int = 8080,  # port to listen at; 0 takes a free one
-    # a scenario that begins where the loop does, for a button that plays it
+    port: int = 8080,
     case: Scenario | None = None,
-    sweeps: Path = SWEEPS,  # folder of the maps of sweeps, where new ones are written too
-    parts: RobotParts | None = None,  # the robot's meshes if they have been read already
-    # begins the simulation of another robot; without, it cannot be changed
+    sweeps: Path = SWEEPS,
+    parts: RobotParts | None = None,
     start_loop: StartLoop | None = None,
 ) -> DashboardServer:
     """Open the page; it is drawn from the moment this returns.
+
+    Args:
+        loop: A started simulation loop.
+        model: The robot that it simulates.
+        clouds: P_i of every pair of L_m, by the pair's name.
+        host: Address to listen at. viser has neither password nor encryption: only on a trusted
+            network should it be more than this machine.
+        port: Port to listen at; 0 takes a free one.
+        case: A scenario that begins where the loop does, for a button that plays it.
+        sweeps: Folder of the maps of sweeps, where new ones are written too.
+        parts: The robot's meshes if they have been read already.
+        start_loop: Begins the simulation of another robot; without, it cannot be changed.
 
     Raises:
         ServerError: The address cannot be bound.

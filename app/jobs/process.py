@@ -116,13 +116,19 @@ class Outcome(NamedTuple):
 
 def run_in_process(
     work: Callable[..., Any],
-    *args: Any,  # its arguments after `report`
-    report: Report,  # called here with what `work` reports there
-    # ends the process, and all that it has started, as soon as it is set
+    *args: Any,
+    report: Report,
     cancelled: threading.Event,
-    niceness: int = 10,  # [-] of the process, 0 to 19
+    niceness: int = 10,
 ) -> Any:
     """Run `work(report, *args)` in a `Child` of low priority, and give what it returns.
+
+    Args:
+        work: What is done.
+        args: Its arguments after `report`.
+        report: Called here with what `work` reports there.
+        cancelled: Ends the process, and all that it has started, as soon as it is set.
+        niceness: [-] of the process, 0 to 19.
 
     Raises:
         Cancelled: `cancelled` was set.

@@ -233,15 +233,15 @@ def make_robot(
     tell("looking for places to guide the hand")
     model = compiled(content, path)
     held = holding_warning(carried_hand(model))
-    shows = partial(gives_way, model, data)
-    anyway = bool(held)  # the arm then avoids by itself
-    lines = find_places(model, pairs, d_b, shows=shows, anyway=anyway, on_progress=on_progress)
-    places = {name: each for name, each in lines.items() if isinstance(each, Place)}
-    lacking = {name: each for name, each in lines.items() if isinstance(each, str)}
+    # An arm that cannot hold its hand avoids by itself: there any line shows it.
+    shows, anyway = partial(gives_way, model, data), bool(held)
+    found = find_places(model, pairs, d_b, shows=shows, anyway=anyway, on_progress=on_progress)
+    places = {name: each for name, each in found.items() if isinstance(each, Place)}
+    lacking = {name: each for name, each in found.items() if isinstance(each, str)}
     content["lines"] = {name: place.content() for name, place in places.items()}
     model = compiled(content, path)
-    found = meetings, bodies, verdict, unseen, ready, reach, places, lacking, held
-    robot = NewRobot(request, parsed, urdf, content, model, *found, [])
+    fitted = meetings, bodies, verdict, unseen, ready, reach
+    robot = NewRobot(request, parsed, urdf, content, model, *fitted, places, lacking, held, [])
     return replace(robot, warnings=warnings_of(robot)), data
 
 

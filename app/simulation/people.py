@@ -214,16 +214,26 @@ def _shortened(vector: Array, longest: float) -> Array:
 
 @compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8)")
 def _pull(
-    hand: Array,  # (2, 3) p [m] and ṗ [m/s]
-    target: Array,  # (3,) [m]
-    p_ee: Array,  # (3,) [m]
-    v_ee: Array,  # (3,) [m/s]
-    stiffness: float,  # [N/m]
-    damping: float,  # [N s/m]
-    f_max: float,  # [N]
-    dt: float,  # [s]
+    hand: Array,
+    target: Array,
+    p_ee: Array,
+    v_ee: Array,
+    stiffness: float,
+    damping: float,
+    f_max: float,
+    dt: float,
 ) -> tuple[Array, Array]:
     """Move the person's hand for one period: p̈ = ω² (target - p) - 2 ω ṗ, with limited speed.
+
+    Args:
+        hand: (2, 3) p [m] and ṗ [m/s].
+        target: (3,) [m]
+        p_ee: (3,) [m]
+        v_ee: (3,) [m/s]
+        stiffness: [N/m]
+        damping: [N s/m]
+        f_max: [N]
+        dt: [s]
 
     Returns:
         The hand a period later, and (3,) [N] what the person does then.
@@ -236,15 +246,15 @@ def _pull(
 
 @compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8, f8, f8, f8, f8)")
 def _push_mass(
-    held: Array,  # (2, 3) x [m] and ẋ [m/s]
-    p: Array,  # (3,) [m] to where the spring pulls
-    p_ee: Array,  # (3,) [m]
-    v_ee: Array,  # (3,) [m/s]
-    stiffness: float,  # [N/m] K
-    damping: float,  # [N s/m] D
-    f_max: float,  # [N]
-    mass: float,  # [kg]
-    dt: float,  # [s]
+    held: Array,
+    p: Array,
+    p_ee: Array,
+    v_ee: Array,
+    stiffness: float,
+    damping: float,
+    f_max: float,
+    mass: float,
+    dt: float,
 ) -> tuple[Array, Array]:
     """Move the mass in the hand for one period; m ẍ = F - G, by the implicit Euler rule.
 
@@ -252,6 +262,17 @@ def _push_mass(
     c (ẋ - v_ee) moves the robot, all at the period's end, to which the end-effector is taken to
     go on as it does. K' and the grip in a row are as stiff as K. The rule is stable for every mass,
     spring and damper; where F is stronger than f_max, it is f_max that way.
+
+    Args:
+        held: (2, 3) x [m] and ẋ [m/s].
+        p: (3,) [m] to where the spring pulls.
+        p_ee: (3,) [m]
+        v_ee: (3,) [m/s]
+        stiffness: [N/m] K
+        damping: [N s/m] D
+        f_max: [N]
+        mass: [kg]
+        dt: [s]
 
     Returns:
         The mass a period later, and (3,) [N] G.

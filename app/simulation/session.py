@@ -154,16 +154,23 @@ class Session:
 
     def step(
         self,
-        reference: Reference | None = None,  # what the arm tracks, or None while it is guided
-        pull: Array | None = None,  # (3,) [m] where a person pulls the end-effector, or None
-        door: DoorReading | None = None,  # how the opening of a door goes, for the record only
-        holds: Sequence[Hold] = (),  # others who hold the robot, here or elsewhere
+        reference: Reference | None = None,
+        pull: Array | None = None,
+        door: DoorReading | None = None,
+        holds: Sequence[Hold] = (),
         *,
-        # what acts on the robot instead of those people's own springs; the error is still towards
-        # where they pull
         forces: PersonForces | None = None,
     ) -> Step:
-        """Advance by one control step."""
+        """Advance by one control step.
+
+        Args:
+            reference: What the arm tracks, or None while it is guided.
+            pull: (3,) [m] where a person pulls the end-effector, or None.
+            door: How the opening of a door goes, for the record only.
+            holds: Others who hold the robot, here or elsewhere.
+            forces: What acts on the robot instead of those people's own springs; the error is still
+                towards where they pull.
+        """
         truth = self.physics.measure()
         measurement = self._disturbances.sensed(truth)
         begin = perf_counter()

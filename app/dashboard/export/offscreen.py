@@ -280,14 +280,20 @@ def captioned(picture: Image.Image, snapshot: Snapshot, *, dark: bool) -> Image.
 
 
 def write_film(
-    path: Path,  # its ending is a key of `CODECS`
-    pictures: Iterable[Image.Image],  # of one size, at least one
-    rate: float,  # [1/s] of them
-    codec: str,  # one of the ending's
-    # called with how many are written before each one
+    path: Path,
+    pictures: Iterable[Image.Image],
+    rate: float,
+    codec: str,
     on_progress: Callable[[int], None] = lambda _: None,
 ) -> int:
     """Encode pictures as they come; the file is written whole or not at all.
+
+    Args:
+        path: Its ending is a key of `CODECS`.
+        pictures: Of one size, at least one.
+        rate: [1/s] of them.
+        codec: One of the ending's.
+        on_progress: Called with how many are written before each one.
 
     Returns:
         How many there were.

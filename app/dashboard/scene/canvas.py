@@ -59,13 +59,17 @@ class Spot(NamedTuple):
 
 
 def set_apart(
-    labels: Mapping[str, tuple[float, float, str]],  # [px] to the right and up, and text, by names
-    # where they stood; a label stays where it is free until a nearer spot has room
+    labels: Mapping[str, tuple[float, float, str]],
     before: Mapping[str, Spot],
-    # [px] left, low, right and high edge of where they can be read
     free: tuple[float, float, float, float],
 ) -> dict[str, Spot]:
-    """Where labels stand so that none lies over another one; the first is at its place."""
+    """Where labels stand so that none lies over another one; the first is at its place.
+
+    Args:
+        labels: [px] to the right and up, and text, by names.
+        before: Where they stood; a label stays where it is free until a nearer spot has room.
+        free: [px] left, low, right and high edge of where they can be read.
+    """
     lines = sorted(range(-_FARTHEST, _FARTHEST + 1), key=abs)
     spots = [Spot(anchor, LINE * k) for k in lines for anchor in ANCHORS]
     found: dict[str, Spot] = {}

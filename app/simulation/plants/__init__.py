@@ -35,13 +35,19 @@ def chosen_plant(name: str | None) -> str:
 
 
 def make_physics(
-    kind: str | None,  # as `chosen_plant` takes it
+    kind: str | None,
     model: RobotModel,
     *,
-    dt: float = 0.001,  # [s] one step
-    door: OpenDoor | None = None,  # a door that the hand holds from each reset on, or None
+    dt: float = 0.001,
+    door: OpenDoor | None = None,
 ) -> Physics:
     """The plant of that name, at rest in the robot's ready position.
+
+    Args:
+        kind: As `chosen_plant` takes it.
+        model: The robot.
+        dt: [s] one step.
+        door: A door that the hand holds from each reset on, or None.
 
     Raises:
         UnknownNameError: No such plant.

@@ -136,16 +136,24 @@ class RobotSpec:
 
     def allow(
         self,
-        group: str | None,  # the field of `Contacts` that reports it; None for none
-        some: Iterable[str],  # names of geoms
-        others: Iterable[str],  # names of geoms
+        group: str | None,
+        some: Iterable[str],
+        others: Iterable[str],
         *,
-        friction: float = _FRICTION,  # [-] of the two
-        # [s] time constant and [-] damping ratio of their contact
+        friction: float = _FRICTION,
         firmness: Sequence[float] = FIRM,
-        **contact: Any,  # what else MuJoCo takes for it
+        **contact: Any,
     ) -> None:
-        """Let each geom of some touch each of others."""
+        """Let each geom of some touch each of others.
+
+        Args:
+            group: The field of `Contacts` that reports it; None for none.
+            some: Names of geoms.
+            others: Names of geoms.
+            friction: [-] of the two.
+            firmness: [s] time constant and [-] damping ratio of their contact.
+            contact: What else MuJoCo takes for it.
+        """
         contact = {"solref": list(firmness), "solimp": IMPEDANCE} | contact
         for a, b in product(some, others):
             self.pairs[frozenset((a, b))] = group

@@ -76,14 +76,20 @@ class PostureSearch:
 
     def best(
         self,
-        # (n_m,) each, where a search begins; the postures themselves without a target
         guesses: Iterable[Array],
-        judge: Judge,  # what a posture is worth; it is placed there already
+        judge: Judge,
         *,
-        target: Target | pin.SE3 | None = None,  # where the hand, or its whole pose, has to be
-        enough: float = np.inf,  # [-] a quality with which nothing better is looked for
+        target: Target | pin.SE3 | None = None,
+        enough: float = np.inf,
     ) -> Found:
-        """The posture of the highest quality among those that guesses lead to."""
+        """The posture of the highest quality among those that guesses lead to.
+
+        Args:
+            guesses: (n_m,) each, where a search begins; the postures themselves without a target.
+            judge: What a posture is worth; it is placed there already.
+            target: Where the hand, or its whole pose, has to be.
+            enough: [-] a quality with which nothing better is looked for.
+        """
         best = Found(None, 0.0, Counter())
         for guess in guesses:
             q_m = guess if target is None else self.reach(target, guess)

@@ -57,13 +57,11 @@ class StartSolver:
 
     def solve(
         self,
-        p_ee: tuple[float, float, float],  # where the hand shall be
+        p_ee: tuple[float, float, float],
         *,
-        seed: int = 0,  # of the starting points of the search
-        # [rad] by how much the hand points to the left of straight away from the mount
+        seed: int = 0,
         turn: float = 0.0,
-        tries: int = _SEEDS,  # starting points of the search per pitch of the hand
-        # (3,) [m] each, places that the hand comes to afterwards, in their order
+        tries: int = _SEEDS,
         along: Sequence[Array] = (),
     ) -> Array:
         """(n_m,) arm configuration with the end-effector at `p_ee` [m] in the world.
@@ -71,6 +69,13 @@ class StartSolver:
         With a way to go the posture is one that has room for it, too: its joints keep away from
         their limits while the hand passes the places, pointing as it does at the start, over a base
         that stands. The base's own motion adds to that.
+
+        Args:
+            p_ee: Where the hand shall be.
+            seed: Of the starting points of the search.
+            turn: [rad] by how much the hand points to the left of straight away from the mount.
+            tries: Starting points of the search per pitch of the hand.
+            along: (3,) [m] each, places that the hand comes to afterwards, in their order.
 
         Raises:
             UnreachableError: There is none; says what stands in the way.

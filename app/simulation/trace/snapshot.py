@@ -425,16 +425,25 @@ QUANTITIES: dict[str, Quantity] = {
 
 
 def make_snapshot(
-    session: Session,  # after the step
-    step: Step,  # the last one
-    # says how real time goes; a run that keeps to no clock has none, and is then the same each time
+    session: Session,
+    step: Step,
     pacer: Pacer | None,
     *,
-    paused: bool,  # whether time stands still
-    explained: bool = True,  # whether it says why the robot moved so, which no file keeps
-    **course: Any,  # what else is known, by the fields of `Snapshot`
+    paused: bool,
+    explained: bool = True,
+    **course: Any,
 ) -> Snapshot:
-    """The whole simulation at a control step; shares no memory with it, and is read-only."""
+    """The whole simulation at a control step; shares no memory with it, and is read-only.
+
+    Args:
+        session: After the step.
+        step: The last one.
+        pacer: Says how real time goes; a run that keeps to no clock has none, and is then the same
+            each time.
+        paused: Whether time stands still.
+        explained: Whether it says why the robot moved so, which no file keeps.
+        course: What else is known, by the fields of `Snapshot`.
+    """
     values = {name: q.take(session, step) for name, q in QUANTITIES.items() if q.take is not None}
     fields = {k: frozen(v) if isinstance(v, np.ndarray) else v for k, v in values.items()}
     why = (session.controller, step.output, session.config, step.base_command)

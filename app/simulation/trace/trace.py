@@ -168,14 +168,20 @@ class Recorder:
 
     def __init__(
         self,
-        scenario: Scenario | None = None,  # which leads the hand from the first step to the last
+        scenario: Scenario | None = None,
         *,
-        quantities: Iterable[str] = QUANTITIES,  # what is recorded, by the fields of `Snapshot`
-        # whether a snapshot of each twentieth step is kept too, the first among them
+        quantities: Iterable[str] = QUANTITIES,
         drawn: bool = False,
-        also: Iterable[int] = (),  # numbers of further control steps of which a snapshot is wanted
+        also: Iterable[int] = (),
     ) -> None:
-        """Nothing is recorded."""
+        """Nothing is recorded.
+
+        Args:
+            scenario: Which leads the hand from the first step to the last.
+            quantities: What is recorded, by the fields of `Snapshot`.
+            drawn: Whether a snapshot of each twentieth step is kept too, the first among them.
+            also: Numbers of further control steps of which a snapshot is wanted.
+        """
         self._scenario, self._drawn, self._also = scenario, drawn, frozenset(also)
         self._names = list(quantities)
         self._rows: list[Take] = []

@@ -39,16 +39,23 @@ _WORKERS_PATIENCE = 30.0  # [s] for one of its workers to be there
 
 
 def study(
-    parameters: StudyParameters,  # what the cases follow from
-    cases: int,  # how many, from number 0 on; a folder with fewer is gone on with
-    out: Path,  # an existing folder
+    parameters: StudyParameters,
+    cases: int,
+    out: Path,
     *,
-    # address of a dask scheduler, or None for processes on this machine
     scheduler: str | None = None,
-    processes: int = 1,  # how many of those
-    on_progress: Callable[[float], None] = lambda _: None,  # called with how many cases are done
+    processes: int = 1,
+    on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Any]:
     """Do the cases of a study that its folder does not hold yet, and write what it says.
+
+    Args:
+        parameters: What the cases follow from.
+        cases: How many, from number 0 on; a folder with fewer is gone on with.
+        out: An existing folder.
+        scheduler: Address of a dask scheduler, or None for processes on this machine.
+        processes: How many of those.
+        on_progress: Called with how many cases are done.
 
     Returns:
         What `study.json` holds.
