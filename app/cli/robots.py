@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from app.cli import options
 from app.cli.common import print_json, print_table, rounded_text, say
 from app.cli.options import Flag, Json
 from app.cli.records import Given, from_record
+from app.config import Config
 from app.errors import DbbError
 from app.jobs.progress import progress_bar
 from app.onboarding.request import Request, check_request
@@ -23,6 +25,7 @@ if TYPE_CHECKING:
     from app.onboarding.new_robot import NewRobot
 
 _NAMES = {"d_b": "buffer_distance"}
+_OF_CHECK = {"buffer_distance": "border.d_b"}
 _GEOMETRY = ("wheel_radius_m", "half_track_m", "wheelbase_m", "steering_limit_rad")
 _MARKS = {"passed": "✓", "warned": "!", "failed": "✗", "nothing to show": "-"}
 
@@ -64,6 +67,7 @@ def robots(json: Json = False) -> None:
 
 def check_robot(
     name: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")],
+    parameters: Annotated[Given, options.parameter_options(_OF_CHECK)],
     *,
     runs: Annotated[bool, tyro.conf.arg(name="runs")] = True,
     quick: Flag = False,
@@ -82,12 +86,12 @@ def check_robot(
     from app.border.config import QUICK
     from app.robot.description import load_robot
 
-    description = load_robot(name)
+    config, description = options.configured(None, parameters, _OF_CHECK), load_robot(name)
     # Imported here: it needs scipy, trimesh and the engines.
     from app.onboarding import check
 
     coarse: dict[str, Any] = {"sampling": QUICK, "processes": 1} if quick else {}
-    rows = list(check.check_robot(description, runs=runs, tell=say, **coarse))
+    rows = list(check.check_robot(description, config, runs=runs, tell=say, **coarse))
     failed = any(row.outcome == "failed" for row in rows)
     if json:
         told = [row._asdict() for row in rows]
@@ -169,12 +173,14 @@ def _print_made(made: dict[str, Any]) -> None:
         print(f"  {title:13} {text}")
     for warning in made["warnings"]:
         print(f"  warning: {warning}")
+    d_b = made["buffer_distance_m"]
+    such = "" if d_b == Config().border.d_b else f" --buffer-distance {d_b:g}"
     print("next:")
     if robot_folder(name).resolve() != Path(folder).resolve():
         print(f"  export DBB_ROBOTS={Path(folder).resolve().parent}   so that dbb finds it")
     print(f"  open {folder}/report.html, and look whether the bodies hold the links")
-    print(f"  dbb check-robot {name}")
-    print(f"  dbb serve --robot {name}")
+    print(f"  dbb check-robot {name}{such}")
+    print(f"  dbb serve --robot {name}{such}")
 
 
 def _figures(robot: NewRobot, data: BorderData) -> dict[str, Any]:
@@ -182,6 +188,7 @@ def _figures(robot: NewRobot, data: BorderData) -> dict[str, Any]:
     return {
         "robot": robot.request.name,
         "folder": str(robot.request.out),
+        "buffer_distance_m": robot.request.d_b,
         "arm_joints": len(robot.parsed.arm.joints),
         "base": base["kind"],
         **{key: base[key] for key in _GEOMETRY if key in base},

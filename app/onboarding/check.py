@@ -66,6 +66,7 @@ class Row(NamedTuple):
 
 def check_robot(
     description: RobotDescription,
+    config: Config | None = None,
     *,
     runs: bool = True,
     tell: Callable[[str], None] = lambda _: None,
@@ -76,8 +77,10 @@ def check_robot(
 
     A check that cannot be done fails with the reason; those that need it are left out.
 
-    `runs` that guide the hand take longest; the border is sampled by all cores, or `processes`.
+    They are made with the default parameters or those of `config`, such as another d_b. `runs` that
+    guide the hand take longest; the border is sampled by all cores, or `processes`.
     """
+    config = config or Config()
     tell("compiling")
     try:
         model = RobotModel(description)
@@ -92,7 +95,7 @@ def check_robot(
         "engines": engines_row,
         "limits": limits_row,
         "base's body": base_row,
-        "arm's bodies": arm_row,
+        "arm's bodies": partial(arm_row, config=config),
         "hand held": holding_row,
     }.items():
         tell(name)
@@ -108,7 +111,7 @@ def check_robot(
     rows: list[Row] = []
     for name, check in (checks | {name: partial(run_row, name=name) for name in guided}).items():
         tell(name)
-        rows.append(_done(name, lambda check=check: check(model, data)))
+        rows.append(_done(name, lambda check=check: check(model, data, config)))
         yield rows[-1]
     shown = any(r.numbers and r.outcome != "nothing to show" for r in rows[len(checks) :])
     if runs and data.pairs.mobile and not shown:
@@ -211,9 +214,9 @@ def base_row(model: RobotModel) -> Row:
     return Row("base's body", "passed" if good else "failed", text, {"sticks_out_m": out})
 
 
-def arm_row(model: RobotModel) -> Row:
+def arm_row(model: RobotModel, config: Config) -> Row:
     """Where the hulls of links collide, bodies of a pair meet; and those that hold the links do."""
-    found = unseen_collisions(model, _geometry(model), Config().border.d_b)
+    found = unseen_collisions(model, _geometry(model), config.border.d_b)
     numbers = {
         "colliding_poses": float(found.poses),
         "unseen_poses": float(found.unseen),
@@ -260,9 +263,9 @@ def holding_row(model: RobotModel) -> Row:
     return Row("hand held", "warned" if warning else "passed", warning or text, numbers)
 
 
-def pairs_row(model: RobotModel, data: BorderData) -> Row:
+def pairs_row(model: RobotModel, data: BorderData, config: Config) -> Row:
     """There are pairs, each body of L_m has a reachability, and none is near for good."""
-    pairs, d_b = data.pairs, Config().border.d_b
+    pairs, d_b = data.pairs, config.border.d_b
     if not pairs.mobile:
         return Row("pairs", "warned", "no part of the arm can meet the base", {})
     missing = [p.b for p in pairs.mobile if p.b not in model.description.reachability]
@@ -283,14 +286,14 @@ def pairs_row(model: RobotModel, data: BorderData) -> Row:
     return Row("pairs", "passed", text, numbers)
 
 
-def ready_row(model: RobotModel, data: BorderData) -> Row:
+def ready_row(model: RobotModel, data: BorderData, config: Config) -> Row:
     """The ready pose: away from the limits and outside of every buffer."""
     if not data.pairs.all:
         return Row("ready pose", "passed", "no bodies can meet", {})
     q_m = np.array(model.description.arm.ready_position)
     span = model.q_upper - model.q_lower
     left = float((np.minimum(q_m - model.q_lower, model.q_upper - q_m) / span).min())
-    ready = judge_ready(model, data.pairs, q_m, d_b=Config().border.d_b)
+    ready = judge_ready(model, data.pairs, q_m, d_b=config.border.d_b)
     numbers = {"beyond_buffer_m": ready.clearance, "least_joint_margin": left}
     text = f"{ready.nearest} is {ready.clearance:+.3f} m from its buffer, joints {left:.0%} of "
     text += "their range from a limit at least"
@@ -298,7 +301,7 @@ def ready_row(model: RobotModel, data: BorderData) -> Row:
     return Row("ready pose", "passed" if good else "warned", text, numbers)
 
 
-def border_row(model: RobotModel, data: BorderData) -> Row:
+def border_row(model: RobotModel, data: BorderData, config: Config) -> Row:
     """Each pair of L_m has a border, without a gap between the heights that it has.
 
     At the lowest and highest heights that the arm reaches it may not get as far out as the border:
@@ -306,7 +309,7 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
     """
     if not data.clouds:
         return Row("border", "warned", "no part of the arm can meet the base: there is none", {})
-    border, top = Config().border, float(MobileBody(model).upper[2])
+    border, top = config.border, float(MobileBody(model).upper[2])
     empty, ends, numbers = [], [], {}
     for name, cloud in data.clouds.items():
         made = construct_dbb(cloud, border.d_b, border.eps)
@@ -329,8 +332,8 @@ def border_row(model: RobotModel, data: BorderData) -> Row:
     return Row("border", "passed", text, numbers)
 
 
-def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
-    """A guiding run with the default parameters, beside the same one without avoidance.
+def run_row(model: RobotModel, data: BorderData, config: Config, name: str) -> Row:
+    """A guiding run, beside the same one without avoidance.
 
     A robot that has lines of its own is led on no other's. Where the arm cannot start there is
     nothing to judge, which is warned of; where the hand does not come into the inner half of the
@@ -339,7 +342,6 @@ def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     from app.simulation.run import run_scenario
     from app.simulation.scenarios import scenario_of
 
-    config = Config()
     try:
         run = partial(run_scenario, model, data, scenario_of(model.description, name), config)
         figures, bare = run().figures, run(controller="none", physics="kinematic").figures
