@@ -16,17 +16,13 @@ from app.avoidance.mobile_acceleration import (
     generate_mob_acc,
 )
 from app.avoidance.task import TaskRows
-from app.border.dbb import Cloud, construct_dbb
-from app.border.offset import offset_contours
+from app.border.dbb import Cloud
 from app.border.score import ScoreField
-from app.border.surface import BorderPoints, BorderSurface
+from app.border.surface import border_of
 from app.config import Config
 from app.robot.link_pairs import LinkPairs
 from app.robot.state import RobotState
 from app.strict import Array
-
-BORDERS = {"surface": BorderSurface, "points": BorderPoints}
-"""Kinds of border, by the name in the configuration."""
 
 
 class PairState(NamedTuple):
@@ -160,11 +156,10 @@ class SelfCollisionAvoidance:
 
     def _make_finders(self, config: Config) -> dict[str, ActingPointFinder]:
         model = self._state.model
-        offset = offset_contours(model, config.border.d_b)
-        as_shape = BORDERS[config.border.kind]
-        finders = {}
-        for pair in self._pairs.mobile:
-            border = construct_dbb(self._clouds[pair.name], config.border.d_b, config.border.eps)
-            shape = as_shape(border, offset)
-            finders[pair.name] = ActingPointFinder(shape, ScoreField.of(model, pair.b))
-        return finders
+        return {
+            pair.name: ActingPointFinder(
+                border_of(model, self._clouds[pair.name], config.border),
+                ScoreField.of(model, pair.b),
+            )
+            for pair in self._pairs.mobile
+        }

@@ -11,7 +11,7 @@ DISTANCE_UNIT = 1e-5  # [m] resolution of the kept distances
 POINT_RANGE = 3.2  # [m] largest coordinate that can be kept
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Cloud:
     """P_i of one pair of L_m, sorted by height."""
 

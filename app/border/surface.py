@@ -13,9 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from app.border.contours import Contours, Foot
-from app.border.dbb import Border
-from app.border.offset import RAYS, OffsetContours, ray_from
+from app.border.contours import Contours, Foot, NearestBorder
+from app.border.dbb import Border, Cloud, construct_dbb
+from app.border.offset import RAYS, OffsetContours, offset_contours, ray_from
+from app.config import BorderConfig
+from app.robot.model import RobotModel, kept_per_model
 from app.strict import Array
 
 _NEAR_HEIGHT = 0.015  # [m] points that far above and below tell where a contour is reached
@@ -66,6 +68,17 @@ class BorderPoints:
             return Foot(p_n, np.array([(p[1] - y) / length, (x - p[0]) / length, 0.0]))
         exact = exact or self._offset.nearest(p_n)
         return Foot(p_n, np.array([0.0, 1.0, 0.0]) if exact is None else exact.t)
+
+
+BORDERS = {"surface": BorderSurface, "points": BorderPoints}
+"""Kinds of border, by the name in the configuration."""
+
+
+@kept_per_model(8)
+def border_of(model: RobotModel, cloud: Cloud, config: BorderConfig) -> NearestBorder:
+    """The border of a cloud's pair, of the configured kind; made once: each controller asks."""
+    border = construct_dbb(cloud, config.d_b, config.eps)
+    return BORDERS[config.kind](border, offset_contours(model, config.d_b))
 
 
 class Gap(NamedTuple):
