@@ -69,12 +69,12 @@ def test_acting_point_lies_on_the_border_at_the_hands_height_towards_a_better_sc
 
 
 @pytest.mark.parametrize("x", [-1e-3, -1e-9, 0.0, 1e-9, 1e-3])
-def test_on_the_wheel_axis_the_step_goes_forward_by_the_upper_bound(
+def test_on_the_wheel_axis_the_step_goes_forward_by_the_distance(
     finder: ActingPointFinder, x: float
 ) -> None:
     acting = finder.find_acting_point(on_side(x, 1.0, 0.08), 0.08, FORCE)
     assert acting is not None
-    assert acting.p_act[0] - acting.p_n[0] == pytest.approx(FORCE.alpha_max, abs=0.01)
+    assert acting.p_act[0] - acting.p_n[0] == pytest.approx(0.08, abs=0.01)
 
 
 def test_left_and_right_are_mirror_images(finder: ActingPointFinder) -> None:
@@ -129,13 +129,23 @@ def test_the_tangent_is_a_horizontal_unit_vector_square_to_the_line_to_the_hand(
 
 
 def test_step_size_is_proportional_to_d_over_score_within_its_bounds() -> None:
-    force = ForceConfig(alpha_gain=0.001)
-    assert step_size(0.1, 0.002, force) == pytest.approx(0.05)
-    assert step_size(0.1, -0.002, force) == pytest.approx(0.05)
-    assert step_size(0.05, 0.002, force) == pytest.approx(0.025)
-    assert step_size(0.1, 0.0, force) == force.alpha_max
-    assert step_size(0.1, 1e9, force) == force.alpha_min
-    assert step_size(-0.1, 0.002, force) == force.alpha_min
+    force = ForceConfig(alpha_gain=0.001, alpha_min=0.0)
+    assert step_size(0.1, 1.0, force) == pytest.approx(0.0001, rel=0.002)
+    assert step_size(0.1, -1.0, force) == step_size(0.1, 1.0, force)
+    assert step_size(0.05, 1.0, force) == pytest.approx(step_size(0.1, 1.0, force) / 2)
+    assert step_size(0.1, 2.0, force) == pytest.approx(step_size(0.1, 1.0, force) / 2, rel=0.002)
+    assert step_size(1.0, 0.0, force) == force.alpha_max
+    for d, score in ((0.1, 1e9), (-0.1, 0.002)):
+        assert step_size(d, score, FORCE) == FORCE.alpha_min
+
+
+def test_step_size_never_changes_faster_than_the_distance() -> None:
+    """On the wheel axis d / |S| is 0/0: it would race from bound to bound."""
+    d = np.linspace(-0.01, D_B, 161)
+    for score in (0.0, 1e-6, 1e-4, 1e-3, 1e-2):
+        alpha = [step_size(each, score, FORCE) for each in d]
+        assert np.abs(np.diff(alpha)).max() <= (d[1] - d[0]) * (1 + 1e-9)
+    assert step_size(0.1, 0.0, ForceConfig(alpha_gain=0.0)) == FORCE.alpha_min
 
 
 def test_the_step_is_the_gradients_share_along_the_tangent() -> None:

@@ -55,7 +55,7 @@ class Path(NamedTuple):
         options: Robot, controller and seed.
         number: Of the motion; below zero it is the audit's state, one joint moving.
         mode: With a reference, `tracking`, or without, `guided`.
-        limits: The `robot`'s, or `wide` ones that no motion meets, but for those of speed.
+        limits: The `robot`'s, or `wide` ones that no motion meets.
         duration: [s]
         speed: [m/s] of the hand at most.
     """
@@ -240,9 +240,10 @@ def _controller(robot: str, name: str, limits: str, h: float) -> Controller:
 
 @cache
 def _wide(robot: str) -> RobotModel:
-    """The robot with limits of torque, position and base that no motion meets."""
+    """The robot with limits that no motion meets; `qd_max`, how its arm follows, stays."""
     model = RobotModel(load(robot).model.description)
     model.tau_max = 100.0 * model.tau_max
+    model.qd_limits = 100.0 * model.qd_limits
     model.base_acceleration_max = 100.0 * model.base_acceleration_max
     reach = 10.0 * (model.q_upper - model.q_lower)
     model.q_lower, model.q_upper = model.q_lower - reach, model.q_upper + reach

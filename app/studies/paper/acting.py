@@ -17,8 +17,8 @@ from app.studies import style
 from app.studies.paper import drawing
 from app.studies.paper.experiments import LATERAL, WHEEL_AXIS, Experiment, Sources
 
-TOO_LARGE = ForceConfig(alpha_gain=0.1, alpha_max=0.4)
-"""A step size that almost always stands at its upper bound, as large as the bound can be."""
+TOO_LARGE = ForceConfig().model_copy(update={"alpha_min": 0.4, "alpha_max": 0.4})
+"""A step [m] that is always as large as its upper bound can be."""
 
 _NORMAL, _TANGENT = "#56B4E9", "#E69F00"
 _EVERY = 20  # rows of a log between two looks at the force
