@@ -362,7 +362,7 @@ def _nearest_within(
     bound = np.where(y > 0.0, below, above)
     z += (a[hard].T * _within(K, hard, bound[hard] - (a[hard] * z).sum(axis=1))).sum(axis=1)
     found_x = x + _backward(L, z)
-    return found_x, found and np.isfinite(found_x).all()
+    return found_x, bool(found and np.isfinite(found_x).all())
 
 
 @compiled("Tuple((f8[::1], b1))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8[:], f8[:])")

@@ -113,7 +113,8 @@ class TaskQP:
 
 
 def _without_limits(objective: Objective, limits: Limits, given: Array) -> Array:
-    return least_within(*objective, *(each[:0] for each in limits), given)[0]
+    none = Limits(*(each[:0] for each in limits))
+    return least_within(*objective, *none, given)[0]
 
 
 def _by_proxqp(objective: Objective, limits: Limits, given: Array) -> Array:
