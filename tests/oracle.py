@@ -32,6 +32,7 @@ from app.robot.state import Measurement, RobotState
 
 Array = np.ndarray
 AXES = pin.LOCAL_WORLD_ALIGNED
+NONE = np.zeros(0)
 
 
 class PlainState(RobotState):
@@ -147,8 +148,15 @@ class PlainQP(TaskQP):
 
     limited = 0
 
-    def solve(self, objective: Objective, limits: Limits) -> Array:
-        (H, c), (C, l, u, softness) = objective, limits
+    def solve(self, objective: Objective, limits: Limits, given: Array = NONE) -> Array:
+        k, (C, l, u, softness) = len(given), limits
+        if k:  # the same over the others
+            H, c = objective
+            rest = Objective(H[k:, k:], c[k:] + H[k:, :k] @ given)
+            there = C[:, :k] @ given
+            limits = Limits(C[:, k:], l - there, u - there, softness)
+            return np.concatenate([given, self.solve(rest, limits)])
+        H, c = objective
         free = np.linalg.solve(H, -c)
         if ((C @ free >= l) & (C @ free <= u)).all():
             return free
@@ -166,11 +174,21 @@ class PlainQP(TaskQP):
         z = -h.max() * r[:-1] / r[-1]
         return free + np.linalg.solve(L.T, z[: len(free)])
 
+    def change(self, objective: Objective, limits: Limits, given: Array) -> Array:
+        """The change of what is given, from the least with it and without limits."""
+        (H, c), (C, l, u, softness), k = objective, limits, len(given)
+        free = np.concatenate([given, np.linalg.solve(H[k:, k:], -c[k:] - H[k:, :k] @ given)])
+        beyond = Limits(C, l - C @ free, u - C @ free, softness)
+        return self.solve(Objective(H, np.zeros(len(c))), beyond)[:k]
 
-def plain_rows(objective: Objective, rows: Sequence[TaskRows], softness: float) -> Objective:
-    """Springs with compliances (1 - β + ε)/β times J_i H⁻¹ J_iᵀ."""
+
+def plain_rows(
+    objective: Objective, rows: Sequence[TaskRows], softness: float, given: int = 0
+) -> Objective:
+    """Springs with compliances (1 - β + ε)/β times J_i H⁻¹ J_iᵀ, over what is not given."""
     H, c = objective
-    inverse, H, c = np.linalg.inv(H), H.copy(), c.copy()
+    inverse, H, c = np.zeros_like(H), H.copy(), c.copy()
+    inverse[given:, given:] = np.linalg.inv(H[given:, given:])
     for row in rows:
         for J, b in zip(row.J, row.xdd - row.Jdqd, strict=True):
             if row.beta > 0.0:
@@ -190,7 +208,7 @@ def plain_limits(
 ) -> Limits:
     """Rows of torques, of joints, of barriers, as `robot_limits` says."""
     M, h_a, m, model = state.M, state.h[2:], state.measurement, state.model
-    low, high = (-model.tau_max, model.tau_max) if arm is None else arm.torque
+    low, high = model.tau_limits if arm is None else arm.torque
     rate = config.position_rate
     position = rate**2 * (model.q_limits - m.q_m) - 2 * rate * m.qd_m
     velocity = config.velocity_rate * (model.qd_limits - m.qd_m)
@@ -246,9 +264,9 @@ def plain_ee_task(state: RobotState, error: EndEffectorError, config: TaskConfig
     return EqualityTask(state.J_ee, b, float(np.sum((pull / k_p) ** 2)), k_v * state.qd)
 
 
-def plain_torque_range(last: Array, most: Array, change: float) -> tuple[Array, Array]:
+def plain_torque_range(last: Array, most: Array, change: float) -> Array:
     at = np.clip(last, -most, most)
-    return np.maximum(at - change, -most), np.minimum(at + change, most)
+    return np.array([np.maximum(at - change, -most), np.minimum(at + change, most)])
 
 
 def plain_carried(state: RobotState, speed: float) -> Array:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.avoidance.closest_points import ClosestPoints, DistanceMonitor
+from app.avoidance.closest_points import ClosestPoints, DistanceMonitor, SmoothPoint
 from app.avoidance.self_collision import SelfCollisionAvoidance
 from app.border.cache import BorderData
 from app.config import Config
+from app.robot.link_pairs import Pair
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 
@@ -108,3 +109,20 @@ def test_the_points_are_on_the_normal_behind_each_other(
         np.testing.assert_allclose(c.p_b - c.p_a, gap * c.n, atol=1e-9)
         assert c.d - 1e-6 <= gap < c.d + 3 * BLEND
         assert (c.core - c.p_b) @ c.n > 0.0
+
+
+@pytest.mark.parametrize("pair", [("lm", "lEE"), ("lEE", "lm"), ("l1", "l3")])
+def test_the_kernel_has_the_librarys_distances(robot: RobotModel, pair: tuple[str, str]) -> None:
+    """Of boxes against capsules, and turned round, where a face may be nearest anywhere."""
+    state, rng, found = RobotState(robot), np.random.default_rng(3), 0
+    smooth, plain = SmoothPoint(state, Pair(*pair)), SmoothPoint(state, Pair(*pair))
+    for part in (*plain._parts, *plain._faces):
+        part.placed = None
+    while found < 60:
+        pose = rng.uniform(-1.0, 1.0, 3)
+        state.update(at_rest(robot, rng.uniform(robot.q_lower, robot.q_upper), pose))
+        points = smooth.find(BLEND)
+        if (points[1] - points[0]) @ points[3] < 0.01:
+            continue
+        found += 1
+        np.testing.assert_allclose(points, plain.by_library(BLEND), atol=2e-5)

@@ -233,7 +233,7 @@ def test_rows_that_contradict_each_other_give_up_half_of_their_difference_each(r
     whole = insert_rows(objective, above, 1e-6)
     qdd = TaskQP().solve(whole, limits)
     rest, stack = np.zeros(2), Stack(objective, objective, None)
-    workings = Workings(rest, rest, above[1:], stack, limits, (REST, REST), qdd)
+    workings = Workings(rest, rest, above[1:], stack, limits, np.array([REST, REST]), qdd)
     inserted = output.inserted._replace(rows_m=None, rows_arm=(), rows_links=tuple(rows))
     output = output._replace(inserted=inserted)
     links, free = level_readings(robot.description.base, output, workings)

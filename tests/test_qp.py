@@ -97,10 +97,20 @@ def test_where_active_sets_do_not_settle_proxqp_finds_the_same_optimum(
     rng = np.random.default_rng(seed)
     objective, limits = random_objective(rng), random_limits(rng, (0.1, 1.0, 3.0)[seed % 3], hard)
     expected = TaskQP().solve(objective, limits)
-    calls = []
-    monkeypatch.setattr(qp, "nearest_within", lambda x, *_: calls.append(x) or (x, False))
+    some = expected[:2] + 0.01  # given, and to be given up
+    rest, moved = TaskQP().solve(objective, limits, some), TaskQP().change(objective, limits, some)
+    kernel, calls = qp.least_within, []
+
+    def unsettled(*args: Array) -> tuple[Array, bool]:
+        calls.append(len(args[3]))  # limits
+        return kernel(*args)[0], False
+
+    monkeypatch.setattr(qp, "least_within", unsettled)
+    monkeypatch.setattr(qp, "change_within", lambda *args: (args[-1], False))
     np.testing.assert_allclose(TaskQP().solve(objective, limits), expected, atol=3e-6)
-    assert len(calls) == 1
+    assert calls == [M, 0]
+    np.testing.assert_allclose(TaskQP().solve(objective, limits, some), rest, atol=3e-6)
+    np.testing.assert_allclose(TaskQP().change(objective, limits, some), moved, atol=3e-6)
     for spoiled in (limits._replace(l=limits.l * np.nan), limits._replace(C=limits.C * np.inf)):
         with pytest.raises(NoSolutionError):
             TaskQP().solve(objective, spoiled)

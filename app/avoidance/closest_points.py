@@ -13,8 +13,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from app.border.mobile import ConvexPart
-from app.compiled import compiled
+from app.border.mobile import ConvexPart, mean_nearest
 from app.robot.link_pairs import ClosestPoints, Pair, PairDistances
 from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, Cylinder, Shape, Sphere
@@ -32,7 +31,7 @@ class DistanceMonitor:
         """Prepare the pairs, in the order of the results; `state` is read at each call."""
         self._state = state
         self._distances = PairDistances(state.model, pairs)
-        self._smooth = [SmoothPoint(state.model, pair) for pair in pairs]
+        self._smooth = [SmoothPoint(state, pair) for pair in pairs]
 
     def find_closest_points(
         self, *, within: float = -math.inf, blend: float = math.nan
@@ -51,7 +50,7 @@ class DistanceMonitor:
         for i, (pair, smooth) in enumerate(zip(self._distances.pairs, self._smooth, strict=True)):
             d = self._distances.distance(i)
             if d < within:
-                p_a, p_b, core, n = smooth.find(self._state.data, blend)
+                p_a, p_b, core, n = smooth.find(blend)
                 found.append(ClosestPoints(pair, d, p_a, p_b, n, core))
             else:
                 found.append(self._distances.closest(i))
@@ -73,9 +72,10 @@ class SmoothPoint:
     A flat face may be nearest anywhere: there the points nearest to the corners of `a` are nodes.
     """
 
-    def __init__(self, model: RobotModel, pair: Pair) -> None:
-        """Prepare for the body `b` of a pair against its body `a`."""
-        self._joint_a, self._joint_b = model.body_joints[pair.a], model.body_joints[pair.b]
+    def __init__(self, state: RobotState, pair: Pair) -> None:
+        """Prepare for the body `b` of a pair against its body `a`; `state` is read each time."""
+        model, oMi = state.model, state.data.oMi
+        self._at_a, self._at_b = oMi[model.body_joints[pair.a]], oMi[model.body_joints[pair.b]]
         a, b = _shapes(model, pair.a), _shapes(model, pair.b)
         self._parts = [ConvexPart(each.geometry, each.placement) for _, each in a]
         self._corners = np.vstack([_core(*shape)[0] for shape in a])
@@ -85,33 +85,52 @@ class SmoothPoint:
             if not isinstance(shape, Capsule | Sphere)
         ]
         cores = [_core(*shape) for shape in b]
-        self._nodes = np.vstack([nodes for nodes, _ in cores])
-        radii = [np.full(len(nodes), radius) for nodes, radius in cores]
-        self._radii = np.concatenate([*radii, np.zeros(len(self._faces) * len(self._corners))])
+        self._nodes = np.vstack(
+            [np.column_stack([nodes, np.full(len(nodes), radius)]) for nodes, radius in cores]
+        )
+        placed = [part.placed for part in (*self._parts, *self._faces)]
+        known = [each for each in placed if each is not None]
+        self._shapes = np.vstack(known) if len(known) == len(placed) else None
 
-    def find(self, data: pin.Data, blend: float) -> tuple[Array, Array, Array, Array]:
+    def find(self, blend: float) -> tuple[Array, Array, Array, Array]:
         """The closest points of the pair.
 
         Args:
-            data: pinocchio's, with the joints' placements.
             blend: [m] τ.
 
         Returns:
             (3,) [m] each, in the world: on `a`, on `b`, and of the core of `b`; and (3,) the unit
             normal from `a` to `b`.
         """
-        placed = data.oMi[self._joint_a]
-        relative = placed.actInv(data.oMi[self._joint_b])
-        nodes = self._nodes
+        if self._shapes is None:
+            return self.by_library(blend)
+        a, b, split = self._at_a, self._at_b, len(self._parts)
+        return mean_nearest(
+            self._shapes[:split],
+            self._corners,
+            self._nodes,
+            self._shapes[split:],
+            a.rotation,
+            a.translation,
+            b.rotation,
+            b.translation,
+            blend,
+        )
+
+    def by_library(self, blend: float) -> tuple[Array, Array, Array, Array]:
+        """The same of shapes that the kernel does not know, slower."""
+        placed = self._at_a
+        relative = placed.actInv(self._at_b)
+        nodes, radii = self._nodes[:, :3], self._nodes[:, 3]
         if self._faces:
             corners = (self._corners - relative.translation) @ relative.rotation
             faced = [face.nearest(corner) for face in self._faces for corner in corners]
-            nodes = np.vstack([nodes, *faced])
+            nodes, radii = np.vstack([nodes, *faced]), np.append(radii, np.zeros(len(faced)))
         nodes = nodes @ relative.rotation.T + relative.translation
-        d = self._parts[0].distances(nodes)
-        for part in self._parts[1:]:
-            d = np.minimum(d, part.distances(nodes))
-        core, radius = _mean(nodes, self._radii, d, blend)
+        d = np.min([part.distances(nodes) for part in self._parts], axis=0) - radii
+        weights = np.exp((d.min() - d) / blend)
+        weights /= weights.sum()
+        core, radius = weights @ nodes, weights @ radii
         d_core, n = min((part.distance_and_normal(core) for part in self._parts), key=itemgetter(0))
         n = placed.rotation @ n
         core = placed.act(core)
@@ -122,19 +141,6 @@ def _shapes(model: RobotModel, body: str) -> list[tuple[Shape, pin.GeometryObjec
     objects = model.geometry.geometryObjects
     placed = (objects[i] for i in model.shape_ids[body])
     return list(zip(model.description.body(body).shapes, placed, strict=True))
-
-
-@compiled("Tuple((f8[::1], f8))(f8[:,:], f8[:], f8[:], f8)")
-def _mean(nodes: Array, radii: Array, d: Array, blend: float) -> tuple[Array, float]:
-    """The weighted mean (3,) of nodes and that of their radii, by the distances d - r."""
-    least = (d - radii).min()
-    weights = np.exp((least - d + radii) / blend)
-    weights /= weights.sum()
-    core = np.zeros(3)
-    for k in range(len(d)):
-        for i in range(3):
-            core[i] += weights[k] * nodes[k, i]
-    return core, float((weights * radii).sum())
 
 
 def _core(shape: Shape, placed: pin.GeometryObject) -> tuple[Array, float]:

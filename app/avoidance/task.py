@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from typing_extensions import Self
 
 from app.avoidance.closest_points import ClosestPoints
 from app.config import RepulsionConfig
@@ -87,11 +86,6 @@ class TaskRows(NamedTuple):
     def b(self) -> Array:
         """(k,) right-hand side of J q̈ = ẍ - J̇ q̇."""
         return self.xdd - self.Jdqd
-
-    def of_arm(self, qdd_b: Array) -> Self:
-        """The same over q̈_m, the base's part (n_b,) given."""
-        n_b = len(qdd_b)
-        return self._replace(J=self.J[:, n_b:], Jdqd=self.Jdqd + self.J[:, :n_b] @ qdd_b)
 
 
 def mobile_rows(J_m: Array, n: int, xdd_m: Array, beta_m: float) -> TaskRows:

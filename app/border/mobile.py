@@ -24,7 +24,8 @@ class ConvexPart:
     def __init__(self, geometry: coal.CollisionGeometry, placement: pin.SE3) -> None:
         self.lower, self.upper = bounds(geometry, placement)
         """(3,) [m] corners of a box around it, along the base's axes."""
-        self._placement, self._measures = placement, _measures(geometry)
+        self.placed = _placed(geometry, placement)
+        """(1, 16) of `distances_and_normals`; None for a shape that only the library knows."""
         self._T_shape = coal.Transform3s(placement.rotation, placement.translation)
         self._T_point = coal.Transform3s()
         self._request, self._result = coal.DistanceRequest(), coal.DistanceResult()
@@ -68,7 +69,7 @@ class ConvexPart:
         Returns:
             (K,) [m], minus infinity where a ray misses the offset.
         """
-        tolerance = 1e-6 if self._measures is None else 1e-9  # [m] of the distance at a ray's end
+        tolerance = 1e-6 if self.placed is None else 1e-9  # [m] of the distance at a ray's end
         s, ends, left = start.copy(), np.full(len(rays), -np.inf), np.arange(len(rays))
         for _ in range(_MAX_NEWTON):
             found = self._distances_and_normals(origin + s[left, None] * rays[left])
@@ -86,9 +87,8 @@ class ConvexPart:
 
     def _distances_and_normals(self, points: Array) -> Array:
         """(N, 4) signed distances [m] of points (N, 3) [m], and unit vectors to them."""
-        if self._measures is not None:
-            at = self._placement
-            return distances_and_normals(*self._measures, at.rotation, at.translation, points)
+        if self.placed is not None:
+            return distances_and_normals(self.placed, points)
         found = np.empty((len(points), 4))
         for row, point in zip(found, points, strict=True):
             row[0], row[1:] = self.distance(point), self._result.normal
@@ -121,20 +121,21 @@ def bounds(geometry: coal.CollisionGeometry, placement: pin.SE3) -> tuple[Array,
     return centre - half, centre + half
 
 
-def _measures(geometry: coal.CollisionGeometry) -> tuple[int, Array] | None:
-    """Kind of a shape of coal's, and its (3,) [m] half sides, or radius and half length.
+def _placed(geometry: coal.CollisionGeometry, placement: pin.SE3) -> Array | None:
+    """Kind of a shape of coal's, half sides or radius and half length (3,) [m], axes, origin [m].
 
-    None for a shape that the kernel does not know; a sphere is a capsule without length.
+    None for a shape that the kernels do not know; a sphere is a capsule without length.
     """
     if isinstance(geometry, coal.Box):
-        return _BOX, np.array(geometry.halfSide, dtype=float)
-    if isinstance(geometry, coal.Sphere):
-        return _CAPSULE, np.array([geometry.radius, 0.0, 0.0])
-    if isinstance(geometry, coal.Capsule):
-        return _CAPSULE, np.array([geometry.radius, geometry.halfLength, 0.0])
-    if isinstance(geometry, coal.Cylinder):
-        return _CYLINDER, np.array([geometry.radius, geometry.halfLength, 0.0])
-    return None
+        kind, size = _BOX, geometry.halfSide
+    elif isinstance(geometry, coal.Sphere):
+        kind, size = _CAPSULE, (geometry.radius, 0.0, 0.0)
+    elif isinstance(geometry, coal.Capsule | coal.Cylinder):
+        kind = _CAPSULE if isinstance(geometry, coal.Capsule) else _CYLINDER
+        size = (geometry.radius, geometry.halfLength, 0.0)
+    else:
+        return None
+    return np.concatenate([[kind], size, placement.rotation.ravel(), placement.translation])[None]
 
 
 @compiled()
@@ -168,20 +169,98 @@ def _signed_distance(
     return far, s_x * a / far, s_y * b / far, s_z * c / far
 
 
-@compiled("f8[:,::1](i8, f8[:], f8[:,:], f8[:], f8[:,:])")
-def distances_and_normals(kind: int, size: Array, R: Array, p: Array, points: Array) -> Array:
-    """(N, 4) signed distances [m] and their gradients, of points (N, 3) [m] to a shape.
+@compiled()
+def _nearest_of(shapes: Array, x: float, y: float, z: float) -> tuple[float, float, float, float]:
+    """Signed distance [m] of a point to the nearest of some shapes, and its gradient there."""
+    best = (np.inf, 0.0, 0.0, 0.0)
+    for k in range(len(shapes)):
+        R, a, b, c = shapes[k, 4:13], x - shapes[k, 13], y - shapes[k, 14], z - shapes[k, 15]
+        d, n_x, n_y, n_z = _signed_distance(
+            int(shapes[k, 0]),
+            shapes[k, 1:4],
+            R[0] * a + R[3] * b + R[6] * c,
+            R[1] * a + R[4] * b + R[7] * c,
+            R[2] * a + R[5] * b + R[8] * c,
+        )
+        if d < best[0]:
+            best = (
+                d,
+                R[0] * n_x + R[1] * n_y + R[2] * n_z,
+                R[3] * n_x + R[4] * n_y + R[5] * n_z,
+                R[6] * n_x + R[7] * n_y + R[8] * n_z,
+            )
+    return best
 
-    Its kind and size are those of `_measures`, its axes are R (3, 3), its origin is p (3,) [m].
+
+@compiled("f8[:,::1](f8[:,:], f8[:,:])")
+def distances_and_normals(shapes: Array, points: Array) -> Array:
+    """(N, 4) signed distances [m] of points (N, 3) [m] to the nearest of shapes, and gradients.
+
+    A shape's row of (P, 16) has its kind, its size, its axes as R (3, 3), and its origin [m].
     """
     found = np.empty((len(points), 4))
-    at = np.empty(3)  # in the shape's frame
     for k in range(len(points)):
-        for i in range(3):
-            at[i] = 0.0
-            for j in range(3):
-                at[i] += R[j, i] * (points[k, j] - p[j])
-        found[k, 0], n_x, n_y, n_z = _signed_distance(kind, size, at[0], at[1], at[2])
-        for j in range(3):
-            found[k, 1 + j] = R[j, 0] * n_x + R[j, 1] * n_y + R[j, 2] * n_z
+        found[k] = _nearest_of(shapes, points[k, 0], points[k, 1], points[k, 2])
     return found
+
+
+@compiled()
+def _act(R: Array, p: Array, x: Array) -> Array:
+    """R x + p."""
+    found = p.copy()
+    for i in range(3):
+        found[i] += R[i, 0] * x[0] + R[i, 1] * x[1] + R[i, 2] * x[2]
+    return found
+
+
+@compiled(
+    "UniTuple(f8[::1], 4)(f8[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:], f8[:,:], f8[:], f8)"
+)
+def mean_nearest(
+    shapes: Array,
+    corners: Array,
+    nodes: Array,
+    faces: Array,
+    R_a: Array,
+    p_a: Array,
+    R_b: Array,
+    p_b: Array,
+    blend: float,
+) -> tuple[Array, Array, Array, Array]:
+    """Points of two bodies, of the second one's core, and the normal, of `SmoothPoint`.
+
+    Args:
+        shapes: (P, 16) of body `a`, as of `distances_and_normals`.
+        corners: (C, 3) [m] of body `a`.
+        nodes: (K, 4) [m] of body `b` and their radii.
+        faces: (F, 16) shapes of body `b` that are nearest to a corner of `a` anywhere.
+        R_a: (3, 3) axes of `a`.
+        p_a: (3,) [m] origin of `a`.
+        R_b: (3, 3) axes of `b`.
+        p_b: (3,) [m] origin of `b`.
+        blend: [m] τ.
+    """
+    count, size = len(nodes), len(nodes) + len(faces) * len(corners)
+    at, d, R, p = np.empty((size, 3)), np.empty(size), np.empty((3, 3)), np.empty(3)
+    radii, none = np.zeros(size), np.zeros(3)
+    for i in range(3):  # of b, as a sees it
+        R[i] = _act(R_b.T, none, R_a[:, i])
+        p[i] = (R_a[:, i] * (p_b - p_a)).sum()
+    for k in range(size):
+        if k < count:
+            at[k], radii[k] = _act(R, p, nodes[k, :3]), nodes[k, 3]
+        else:
+            f, c = divmod(k - count, len(corners))
+            corner = _act(R.T, none, corners[c] - p)
+            d_c, x, y, z = _nearest_of(faces[f : f + 1], corner[0], corner[1], corner[2])
+            at[k] = _act(R, p, corner - d_c * np.array([x, y, z]))
+        d[k] = _nearest_of(shapes, at[k, 0], at[k, 1], at[k, 2])[0] - radii[k]
+    weights = np.exp((d.min() - d) / blend)
+    weights /= weights.sum()
+    core, radius = np.zeros(3), 0.0
+    for k in range(size):
+        core += weights[k] * at[k]
+        radius += weights[k] * radii[k]
+    d_core, x, y, z = _nearest_of(shapes, core[0], core[1], core[2])
+    core, n = _act(R_a, p_a, core), _act(R_a, none, np.array([x, y, z]))
+    return core - d_core * n, core - radius * n, core, n

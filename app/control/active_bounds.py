@@ -51,7 +51,7 @@ def active_bounds(
     for i in np.flatnonzero(low | high).tolist():
         upper = bool(high[i])
         if i < n_m:
-            at = workings.torque[upper][i]
+            at = workings.torque[int(upper), i]
             most = abs(at) >= state.model.tau_max[i] - TOLERANCE
             bounds.append(Bound(joints[i], "torque" if most else "torque rate", upper))
         elif i < 2 * n_m:

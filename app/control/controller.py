@@ -11,7 +11,7 @@ from app.border.score import ScoreField
 from app.config import Config, slowed
 from app.control import CONTROLLERS
 from app.control.admittance import response
-from app.control.kernels import minimum, torque_range
+from app.control.kernels import torque_range
 from app.control.limits import ArmNow, PushObserver, base_limits, robot_limits
 from app.control.methods import METHODS, Inserted
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
@@ -59,9 +59,9 @@ class Workings(NamedTuple):
     stack: Stack
     limits: Limits
     """On q̈, the hard torques first, then joints, then barriers."""
-    torque: tuple[Array, Array]
-    """(n_m,) the smallest and (n_m,) the largest torque [N m or N] that the step allowed, by the
-    limits of the torques and of their change."""
+    torque: Array
+    """(2, n_m) the smallest and the largest torque [N m or N] that the step allowed, by the limits
+    of the torques and of their change."""
     qdd: Array
     """(n,) q̈ of base and arm."""
 
@@ -252,7 +252,8 @@ class Controller:
             objective = tracking_objective(lowest, T_ee._replace(give=0.0), slow.task.ee_weight)
         try:
             whole = insert_rows(objective, links, softness)
-            free = self._of_base(whole, limits.and_also(self._base_limits))
+            qdd = self._solver.solve(whole, limits.and_also(self._base_limits))
+            free = self._model.J_m @ qdd[: self._model.n_b]
             wanted, asked = self._by_rows(free, inserted.rows_m)
             if T_ee is None:
                 return wanted, asked
@@ -287,13 +288,8 @@ class Controller:
         tasks = tracking_objective(posture, T_ee, task.base_weight * task.ee_weight)
         tasks = insert_rows(tasks, [] if rows_m is None else [rows_m], task.softness)
         qdd_b = self._model.J_m_inv @ (gain * (asked - lost))
-        free = np.concatenate([qdd_b, minimum(*tasks.of_arm(qdd_b))[0]])
-        limits = robot_limits(self.state, self._slow.limit, softness=task.softness).beyond(free)
-        return self._of_base(Objective(tasks.H, np.zeros(len(free))), limits) / gain
-
-    def _of_base(self, objective: Objective, limits: Limits) -> Array:
-        """(n_b,) [m/s² or rad/s²] of the base in the least of an objective over base and arm."""
-        return self._model.J_m @ self._solver.solve(objective, limits)[: self._model.n_b]
+        limits = robot_limits(self.state, self._slow.limit, softness=task.softness)
+        return self._model.J_m @ self._solver.change(tasks, limits, qdd_b) / gain
 
     def _answer(self) -> tuple[Array, Array]:
         """The admittance law makes gain (a - lost) of an acceleration a; both (n_b,)."""
@@ -306,7 +302,7 @@ class Controller:
         given: Array,
         inserted: Inserted,
         stack: Stack,
-        torque: tuple[Array, Array],
+        torque: Array,
     ) -> Workings:
         """The arm's part of (29) for the acceleration that the base really has.
 
@@ -319,10 +315,8 @@ class Controller:
         qdd_b = self._model.J_m_inv @ given
         now = ArmNow(qdd_b, torque, self._observer.r)
         limits = robot_limits(state, config.limit, barriers, softness=softness, arm=now)
-        whole = insert_rows(
-            stack.objective.of_arm(qdd_b), [row.of_arm(qdd_b) for row in rows], softness
-        )
-        qdd = np.concatenate([qdd_b, self._solver.solve(whole, limits.of_arm(qdd_b))])
+        whole = insert_rows(stack.objective, rows, softness, given=len(qdd_b))
+        qdd = self._solver.solve(whole, limits, qdd_b)
         return Workings(wanted, given, rows, stack, limits, torque, qdd)
 
     def _stack(self, inserted: Inserted, error: EndEffectorError | None) -> Stack:

@@ -8,6 +8,7 @@ from app.compiled import compiled
 from app.strict import Array
 
 _EPS = 1e-12  # of a bound, by which it may be missed
+_MISSED = 1e-10  # by which limits may be
 
 
 @compiled()
@@ -45,11 +46,20 @@ def _backward(L: Array, b: Array) -> Array:
     return x
 
 
-@compiled("Tuple((f8[::1], f8[:,::1]))(f8[:,:], f8[:])")
-def minimum(H: Array, c: Array) -> tuple[Array, Array]:
-    """-H⁻¹ c (n,), and L (n, n) with H = L Lᵀ; not a number if H is not positive definite."""
-    L = _cholesky(H)
-    return _backward(L, _forward(L, -c)), L
+@compiled()
+def _minimum(L: Array, c: Array) -> Array:
+    """-H⁻¹ c (n,) with H = L Lᵀ."""
+    return _backward(L, _forward(L, -c))
+
+
+@compiled()
+def _times(A: Array, x: Array) -> Array:
+    """A x, its sums in a fixed order: those of BLAS depend on where the memory lies."""
+    found = np.zeros(len(A))
+    for i in range(len(A)):
+        for j in range(len(x)):
+            found[i] += A[i, j] * x[j]
+    return found
 
 
 @compiled("f8[:,::1](f8[:], f8[:], f8[:,:], f8)")
@@ -79,42 +89,40 @@ def joint_bounds(
     return found
 
 
-@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:], f8[:], f8[:], f8[:], f8[:,:])")
-def in_reach(
-    M: Array, h: Array, qdd_b: Array, low: Array, high: Array, pushed: Array, bounds: Array
-) -> tuple[Array, Array]:
-    """(2, n_m) bounds on q̈_m in reach of each joint's own torque, and (n_m,) M_aa⁻¹ r.
+@compiled()
+def _in_reach(
+    M: Array, h: Array, torque: Array, bounds: Array, qdd_b: Array, pushed: Array
+) -> Array:
+    """M_aa⁻¹ r (n_m,); the bounds (2, n_m) on q̈_m are brought in reach of each joint's own torque.
 
-    The arguments are those of `app.control.limits.bounds_in_reach`.
+    No joint asks for more than its own torque gives in this step while the others' are in the
+    middle of what they may be. If it asked for all at once, the torques of all others would swing
+    from end to end for it, each too late, and throw an arm that is overpowered about.
     """
-    n_b, n_m = len(qdd_b), len(low)
-    acting = 0.5 * (low + high) + pushed - h[n_b:]
-    for i in range(n_m):
-        for j in range(n_b):
-            acting[i] -= M[n_b + i, j] * qdd_b[j]
-    L, found = _cholesky(M[n_b:, n_b:]), np.empty((2, n_m))
-    qdd = _backward(L, _forward(L, acting))
+    n_b, n_m, (low, high) = len(qdd_b), len(pushed), (torque[0], torque[1])
+    L, acting = _cholesky(M[n_b:, n_b:]), 0.5 * (low + high) + pushed - h[n_b:]
+    qdd = _backward(L, _forward(L, acting - _times(M[n_b:, :n_b], qdd_b)))
     for i in range(n_m):
         unit = np.zeros(n_m)
         unit[i] = 1.0
         own = 0.5 * (_forward(L, unit) ** 2).sum() * (high[i] - low[i])
-        found[0, i] = min(bounds[0, i], qdd[i] + own)
-        found[1, i] = max(bounds[1, i], qdd[i] - own)
-    return found, _backward(L, _forward(L, pushed))
+        bounds[0, i] = min(bounds[0, i], qdd[i] + own)
+        bounds[1, i] = max(bounds[1, i], qdd[i] - own)
+    return _backward(L, _forward(L, pushed))
 
 
 @compiled(
     "Tuple((f8[:,::1], f8[::1], f8[::1]))"
-    "(f8[:,:], f8[:], f8[:], f8[:], f8[:,:], f8[:], f8[:], f8[:,:], f8[:])"
+    "(f8[:,:], f8[:], f8[:,:], f8[:,:], f8[:], f8[:], f8[:], f8[:,:], f8[:])"
 )
 def limit_rows(
     M: Array,
     h: Array,
-    low: Array,
-    high: Array,
+    torque: Array,
     bounds: Array,
     unit: Array,
-    others: Array,
+    qdd_b: Array,
+    pushed: Array,
     J: Array,
     least: Array,
 ) -> tuple[Array, Array, Array]:
@@ -123,21 +131,23 @@ def limit_rows(
     Args:
         M: (n, n) of (26).
         h: (n,) of (26).
-        low: (n_m,) the least torques.
-        high: (n_m,) the largest ones.
+        torque: (2, n_m) the least and the largest ones.
         bounds: (2, n_m) on q̈_m.
         unit: (n_m,) in which they are counted.
-        others: (n_m,) what q̈_m has besides, by those who push.
+        qdd_b: (n_b,) of the base, or (0,) where it is open.
+        pushed: (n_m,) torques of those who push, where the base's q̈ is given.
         J: (k, n) of the distances.
         least: (k,) of J q̈.
     """
-    n, n_m, k = len(M), len(low), len(least)
-    n_b, m = n - n_m, 2 * n_m + k
+    n, n_m, k = len(M), len(unit), len(least)
+    n_b, m, bounds, others = n - n_m, 2 * n_m + k, bounds.copy(), np.zeros(n_m)
+    if len(qdd_b) > 0:
+        others = _in_reach(M, h, torque, bounds, qdd_b, pushed)
     C, l, u = np.zeros((m, n)), np.empty(m), np.full(m, np.inf)
     for i in range(n_m):
         joint, row = n_b + i, n_m + i
         C[i] = M[joint]
-        l[i], u[i] = low[i] - h[joint], high[i] - h[joint]
+        l[i], u[i] = torque[0, i] - h[joint], torque[1, i] - h[joint]
         C[row, joint] = 1.0 / unit[i]
         l[row], u[row] = (bounds[0, i] - others[i]) / unit[i], (bounds[1, i] - others[i]) / unit[i]
     for i in range(k):
@@ -158,14 +168,14 @@ def observed(r: Array, M: Array, h: Array, qdd: Array, u_a: Array, share: float)
     return found
 
 
-@compiled("UniTuple(f8[::1], 2)(f8[:], f8[:], f8)")
-def torque_range(last: Array, most: Array, change: float) -> tuple[Array, Array]:
-    """(n_m,) the smallest and (n_m,) the largest torque, `change` from the last one at most."""
-    low, high = np.empty(len(last)), np.empty(len(last))
+@compiled("f8[:,::1](f8[:], f8[:], f8)")
+def torque_range(last: Array, most: Array, change: float) -> Array:
+    """(2, n_m) the smallest and the largest torque, `change` from the last one at most."""
+    found = np.empty((2, len(last)))
     for i in range(len(last)):
         at = min(max(last[i], -most[i]), most[i])
-        low[i], high[i] = max(at - change, -most[i]), min(at + change, most[i])
-    return low, high
+        found[0, i], found[1, i] = max(at - change, -most[i]), min(at + change, most[i])
+    return found
 
 
 @compiled("f8[::1](f8[:], f8[:], f8[:], f8[:,:], f8, f8, f8)")
@@ -220,16 +230,11 @@ def with_task(
     return H_all, c_all
 
 
-@compiled("b1(f8[:,:], f8[:], f8[:], f8[:], f8)")
-def holds(C: Array, l: Array, u: Array, x: Array, tolerance: float) -> bool:
+@compiled()
+def _holds(C: Array, l: Array, u: Array, x: Array, tolerance: float) -> bool:
     """Whether l ≤ C x ≤ u within a tolerance; never for what is not a number."""
-    for i in range(len(l)):
-        reached = 0.0
-        for j in range(len(x)):
-            reached += C[i, j] * x[j]
-        if not l[i] - tolerance <= reached <= u[i] + tolerance:
-            return False
-    return True
+    reached = _times(C, x)
+    return bool((np.maximum(l - reached, reached - u) <= tolerance).all())
 
 
 @compiled()
@@ -300,16 +305,17 @@ def compliances(softness: Array, length: Array) -> Array:
     return found
 
 
-@compiled("Tuple((f8[::1], b1))(f8[:], f8[:,:], f8[:,:], f8[:], f8[:], f8[:])")
-def nearest_within(
+@compiled()
+def _nearest_within(
     x: Array, L: Array, C: Array, l: Array, u: Array, softness: Array
 ) -> tuple[Array, bool]:
     """The least within limits, by the dual active-set method of Goldfarb and Idnani (1983).
 
-    With a_i = L⁻¹ C_iᵀ, each of length one, and z = Lᵀ (q̈ - x), the answer is z = Σ y_i a_i. Its
-    multipliers y solve l ≤ K y ≤ u with K = a aᵀ + diag(ε), y_i ≥ 0 at a lower bound, ≤ 0 at an
-    upper one and 0 between. One row after the other, the most missed first, is brought to its
-    bound, while those that are there stay, until one of their multipliers is 0 and it is let go.
+    It is x itself where that keeps them. With a_i = L⁻¹ C_iᵀ, each of length one, and
+    z = Lᵀ (q̈ - x), the answer is z = Σ y_i a_i. Its multipliers y solve l ≤ K y ≤ u with
+    K = a aᵀ + diag(ε), y_i ≥ 0 at a lower bound, ≤ 0 at an upper one and 0 between. One row after
+    the other, the most missed first, is brought to its bound, while those that are there stay,
+    until one of their multipliers is 0 and it is let go.
 
     Args:
         x: (n,) the free optimum.
@@ -322,6 +328,8 @@ def nearest_within(
     Returns:
         (n,) the least, and whether there is one.
     """
+    if _holds(C, l, u, x, _MISSED):
+        return x, True
     n, m = len(x), len(l)
     a, below, above, length = np.empty((m, n)), np.empty(m), np.empty(m), np.empty(m)
     for i in range(m):
@@ -330,7 +338,6 @@ def nearest_within(
         a[i] /= length[i]
         reached = (C[i] * x).sum()
         below[i], above[i] = (l[i] - reached) / length[i], (u[i] - reached) / length[i]
-    # Sums in a fixed order: those of BLAS depend on where the memory lies.
     K = np.diag(compliances(softness, length))
     for i in range(m):
         for j in range(m):
@@ -354,14 +361,47 @@ def nearest_within(
     hard = kept[:size][softness[kept[:size]] == 0.0]
     bound = np.where(y > 0.0, below, above)
     z += (a[hard].T * _within(K, hard, bound[hard] - (a[hard] * z).sum(axis=1))).sum(axis=1)
-    return x + _backward(L, z), found
+    found_x = x + _backward(L, z)
+    return found_x, bool(found and np.isfinite(found_x).all())
 
 
-@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8)")
+@compiled("Tuple((f8[::1], b1))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8[:], f8[:])")
+def least_within(
+    H: Array, c: Array, C: Array, l: Array, u: Array, softness: Array, given: Array
+) -> tuple[Array, bool]:
+    """The x (n,) of least ½ xᵀ H x + cᵀ x within limits, and whether there is one.
+
+    Its first entries are given, (k,) or none; `softness` is (m,) [-] ε.
+    """
+    k = len(given)
+    L, there = _cholesky(H[k:, k:]), _times(C[:, :k], given)
+    free = _minimum(L, c[k:] + _times(H[k:, :k], given))
+    rest, found = _nearest_within(free, L, C[:, k:], l - there, u - there, softness)
+    return np.concatenate((given, rest)), found
+
+
+@compiled("Tuple((f8[::1], b1))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8[:], f8[:])")
+def change_within(
+    H: Array, c: Array, C: Array, l: Array, u: Array, softness: Array, given: Array
+) -> tuple[Array, bool]:
+    """The change (k,) of what is given with which all x come nearest to the least with it.
+
+    The nearest, in H, that is within limits; and whether there is one.
+    """
+    k = len(given)
+    rest = _minimum(_cholesky(H[k:, k:]), c[k:] + _times(H[k:, :k], given))
+    x = np.concatenate((given, rest))
+    found, there = _nearest_within(x, _cholesky(H), C, l, u, softness)
+    return found[:k] - given, there
+
+
+@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8, i8)")
 def with_rows(
-    H: Array, c: Array, J: Array, b: Array, beta: Array, least: float
+    H: Array, c: Array, J: Array, b: Array, beta: Array, least: float, given: int
 ) -> tuple[Array, Array]:
     """H + Σ w_i J_iᵀ J_i and c - Σ w_i b_i J_iᵀ with w_i = β_i / ((1 - β_i + least) J_i H⁻¹ J_iᵀ).
+
+    What is given has no part in J_i H⁻¹ J_iᵀ.
 
     Args:
         H: (n, n)
@@ -370,10 +410,11 @@ def with_rows(
         b: (k,) what they ask of J q̈.
         beta: (k,) [-] their activations.
         least: [-] what is left of a row's compliance in full force.
+        given: How many entries of x are, from the first on.
     """
-    L, H, c = _cholesky(H), H.copy(), c.copy()
+    L, H, c = _cholesky(H[given:, given:]), H.copy(), c.copy()
     for i in range(len(b)):
-        a = _forward(L, J[i])
+        a = _forward(L, J[i, given:])
         compliance = 1e-12
         for j in range(len(a)):
             compliance += a[j] ** 2

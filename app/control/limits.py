@@ -6,7 +6,7 @@ acceleration that the arm will have.
 """
 
 import math
-from collections.abc import Iterable
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -73,27 +73,16 @@ class ArmNow(NamedTuple):
 
     qdd_b: Array
     """(n_b,) q̈ of the base."""
-    torque: tuple[Array, Array]
-    """(n_m,) the smallest and (n_m,) the largest torque [N m or N] of this step."""
+    torque: Array
+    """(2, n_m) the smallest and the largest torque [N m or N] of this step."""
     pushed: Array
     """(n_m,) [N m or N] r, torques that others exert on the arm: they add (0, M_aa⁻¹ r) to q̈."""
-
-
-def bounds_in_reach(state: RobotState, config: LimitConfig, arm: ArmNow) -> tuple[Array, Array]:
-    """(2, n_m) bounds on q̈_m in reach of each joint's own torque; and (n_m,) what others add to it.
-
-    No joint asks for more than its own torque gives in this step while the others' are in the
-    middle of what they may be. If it asked for all at once, the torques of all others would swing
-    from end to end for it, each too late, and throw an arm that is overpowered about.
-    """
-    bounds = joint_bounds(state, config)
-    return kernels.in_reach(state.M, state.h, arm.qdd_b, *arm.torque, arm.pushed, bounds)
 
 
 def robot_limits(
     state: RobotState,
     config: LimitConfig,
-    barriers: Iterable[BarrierRow] = (),
+    barriers: Sequence[BarrierRow] = (),
     *,
     softness: float,
     arm: ArmNow | None = None,
@@ -102,7 +91,8 @@ def robot_limits(
 
     With ε of a row of T_sca each kind gives way to the next: tasks to rows, rows (ε) to joints'
     limits and distances (ε²), and these to torques. Where torques do not suffice for both, joints
-    and distances share what is missed: neither is bought by throwing the other away.
+    and distances share what is missed: neither is bought by throwing the other away. The arm's part
+    asks of no joint what its own torque does not give.
 
     Args:
         state: The robot's state.
@@ -112,16 +102,17 @@ def robot_limits(
         arm: For the arm's part; else any torque up to the joints' own may act in this step, and
             nobody pushes.
     """
-    model, rows = state.model, tuple(barriers)
-    if arm is None:
-        torque, bounds = (-model.tau_max, model.tau_max), joint_bounds(state, config)
-        others = np.zeros(model.n_m)
-    else:
-        torque, (bounds, others) = arm.torque, bounds_in_reach(state, config, arm)
-    J = np.array([row.J for row in rows]).reshape(len(rows), model.n)
-    least = np.array([row.l for row in rows], dtype=float)
-    found = kernels.limit_rows(state.M, state.h, *torque, bounds, model.qd_max, others, J, least)
-    return Limits(*found, _softness(model.n_m, len(least), softness))
+    model, J, least = state.model, np.zeros((0, state.model.n)), np.zeros(0)
+    if barriers:
+        J, least = np.array([row.J for row in barriers]), np.array([row.l for row in barriers])
+    qdd_b, torque, pushed = arm or (np.zeros(0), model.tau_limits, np.zeros(model.n_m))
+    bounds = joint_bounds(state, config)
+    return Limits(
+        *kernels.limit_rows(
+            state.M, state.h, torque, bounds, model.qd_max, qdd_b, pushed, J, least
+        ),
+        _softness(model.n_m, len(least), softness),
+    )
 
 
 @lru_cache(maxsize=32)

@@ -13,11 +13,12 @@ import numpy as np
 from proxsuite import proxqp
 
 from app.avoidance.task import TaskRows, generate_avoidance_task
-from app.control.kernels import compliances, holds, minimum, nearest_within, with_rows
+from app.control.kernels import change_within, compliances, least_within, with_rows
 from app.strict import Array
 
-_EPS = 1e-10  # by which limits may be missed
+_EPS = 1e-10  # by which ProxQP may miss limits
 _ENOUGH = 1e-6  # accuracy of ProxQP
+_NONE = np.zeros(0)  # of q̈ is given
 
 
 class Objective(NamedTuple):
@@ -27,11 +28,6 @@ class Objective(NamedTuple):
     """(n, n) symmetric positive definite."""
     c: Array
     """(n,)."""
-
-    def of_arm(self, qdd_b: Array) -> Objective:
-        """The same over q̈_m, the base's part (n_b,) given."""
-        n_b = len(qdd_b)
-        return Objective(self.H[n_b:, n_b:], self.c[n_b:] + self.H[n_b:, :n_b] @ qdd_b)
 
 
 class Limits(NamedTuple):
@@ -47,17 +43,6 @@ class Limits(NamedTuple):
     """(m,) [-] ε of each row; one of 0 holds whatever the others ask, and all others are in one
     unit."""
 
-    def of_arm(self, qdd_b: Array) -> Limits:
-        """The same over q̈_m, the base's part (n_b,) given."""
-        n_b = len(qdd_b)
-        there = self.C[:, :n_b] @ qdd_b
-        return Limits(self.C[:, n_b:], self.l - there, self.u - there, self.softness)
-
-    def beyond(self, qdd: Array) -> Limits:
-        """The same over the change from some q̈ (n,)."""
-        there = self.C @ qdd
-        return self._replace(l=self.l - there, u=self.u - there)
-
     def and_also(self, others: Limits) -> Limits:
         """These and others."""
         return Limits(*map(np.concatenate, zip(self, others, strict=True)))
@@ -67,7 +52,9 @@ class NoSolutionError(Exception):
     """The QP has no solution: what it is given is not finite, or its solver failed."""
 
 
-def insert_rows(objective: Objective, rows: Sequence[TaskRows], softness: float) -> Objective:
+def insert_rows(
+    objective: Objective, rows: Sequence[TaskRows], softness: float, given: int = 0
+) -> Objective:
     """The tasks below with the rows of T_sca above them, each as far as its own activation says.
 
     Row i joins as a spring between J_i q̈ and b_i = ẍ_i - J̇_i q̇ whose compliance is (1 - β_i)/β_i
@@ -78,7 +65,8 @@ def insert_rows(objective: Objective, rows: Sequence[TaskRows], softness: float)
     the blend of (29). With others, at β_i = 0 it is not there, whatever the others do, and at
     β_i = 1 it holds but for the softness [-], the least share of a row's compliance: the printed
     blend of all rows with the one solution without any of them jumps where a row enters beside
-    another one. A row costs the same whether it is the first or the tenth.
+    another one. A row costs the same whether it is the first or the tenth. The first entries of q̈
+    may be given, so many: J_i H⁻¹ J_iᵀ is of the others.
 
     Paper: Eq. (29).
     """
@@ -86,7 +74,7 @@ def insert_rows(objective: Objective, rows: Sequence[TaskRows], softness: float)
     if not active:
         return objective
     b, J, beta = generate_avoidance_task(active)
-    return Objective(*with_rows(*objective, J, b, beta, softness))
+    return Objective(*with_rows(*objective, J, b, beta, softness, given))
 
 
 class TaskQP:
@@ -100,23 +88,42 @@ class TaskQP:
     not settle on it, ProxQP finds it.
     """
 
-    def solve(self, objective: Objective, limits: Limits) -> Array:
-        """The q̈ (n,) of the least objective within limits.
+    def solve(self, objective: Objective, limits: Limits, given: Array = _NONE) -> Array:
+        """The q̈ (n,) of the least objective within limits, its first entries (k,) given.
 
         Raises:
             NoSolutionError: The data are not finite, or the hard limits contradict each other.
         """
-        x, L = minimum(*objective)
-        if holds(*limits[:3], x, _EPS):
-            return x
-        if not np.isfinite(x).all():
-            raise NoSolutionError("the tasks are not finite")
-        qdd, found = nearest_within(x, L, *limits)
-        return qdd if found and np.isfinite(qdd).all() else _by_proxqp(x, L, limits)
+        qdd, found = least_within(*objective, *limits, given)
+        return qdd if found else _by_proxqp(objective, limits, given)
+
+    def change(self, objective: Objective, limits: Limits, given: Array) -> Array:
+        """The change (k,) of what is given of q̈ that costs least with all within limits.
+
+        It is counted from the least objective with what is given and without limits.
+
+        Raises:
+            NoSolutionError: As `solve`.
+        """
+        change, found = change_within(*objective, *limits, given)
+        if found:
+            return change
+        H, free = objective.H, _without_limits(objective, limits, given)
+        return self.solve(Objective(H, -H @ free), limits)[: len(given)] - given
 
 
-def _by_proxqp(x: Array, L: Array, limits: Limits) -> Array:
+def _without_limits(objective: Objective, limits: Limits, given: Array) -> Array:
+    none = Limits(*(each[:0] for each in limits))
+    return least_within(*objective, *none, given)[0]
+
+
+def _by_proxqp(objective: Objective, limits: Limits, given: Array) -> Array:
     """The same by ProxQP, for where the active sets do not settle; its v is z and slacks."""
+    x, k = _without_limits(objective, limits, given)[len(given) :], len(given)
+    if not np.isfinite(x).all():
+        raise NoSolutionError("the tasks are not finite")
+    L, there = np.linalg.cholesky(objective.H[k:, k:]), limits.C[:, :k] @ given
+    limits = Limits(limits.C[:, k:], limits.l - there, limits.u - there, limits.softness)
     C, l, u, softness = limits
     if not (np.isfinite(C).all() and (l < np.inf).all() and (u > -np.inf).all()):
         raise NoSolutionError("the limits are not finite")
@@ -136,4 +143,4 @@ def _by_proxqp(x: Array, L: Array, limits: Limits) -> Array:
     info = qp.results.info
     if info.status != proxqp.PROXQP_SOLVED and not max(info.pri_res, info.dua_res) < _ENOUGH:
         raise NoSolutionError(f"ProxQP ended with {info.status.name}")
-    return x + np.linalg.solve(L.T, far * qp.results.x[: len(x)])
+    return np.concatenate([given, x + np.linalg.solve(L.T, far * qp.results.x[: len(x)])])

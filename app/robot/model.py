@@ -45,7 +45,7 @@ class RobotModel:
         base_inertia: (n_b,) [kg or kg m²] mass or inertia along each of them.
         joint_damping: (n_m,) [N m s/rad or N s/m] of the arm.
         q_lower, q_upper: (n_m,) [rad or m] joint limits of the arm.
-        q_limits, qd_limits: (2, n_m) the lower and the upper ones of position and velocity.
+        q_limits, qd_limits, tau_limits: (2, n_m) the lower and the upper ones.
         qd_max, tau_max: (n_m,) joint velocity and torque limits of the arm.
     """
 
@@ -111,6 +111,7 @@ class RobotModel:
         self.tau_max = _chosen(arm.max_effort, model.effortLimit[3:])
         self.q_limits = np.array([self.q_lower, self.q_upper])
         self.qd_limits = np.array([-self.qd_max, self.qd_max])
+        self.tau_limits = np.array([-self.tau_max, self.tau_max])
         ready = np.array(arm.ready_position)
         for name, lower, at, upper in zip(
             arm.joints, self.q_lower, ready, self.q_upper, strict=True
