@@ -295,6 +295,25 @@ def test_where_time_begins_anew_nobody_holds_the_robot(dashboard, loop):
     assert dashboard.error is None
 
 
+def test_after_a_hold_up_drawing_goes_on_at_once(dashboard, monkeypatch):
+    """As after SIGSTOP and SIGCONT: the time was not spent on drawing, so no rest is due for it."""
+    held_up = 4.0  # [s]
+    with RawClient(dashboard.address):
+        page = page_of(dashboard)
+        draw, held = page.draw, threading.Event()
+
+        def draw_late(**how):
+            draw(**how)
+            if not held.is_set():
+                time.sleep(held_up)
+                held.set()
+
+        monkeypatch.setattr(page, "draw", draw_late)
+        assert held.wait(20.0)
+        before = dashboard.pictures
+        wait_for(lambda: dashboard.pictures > before + 3, held_up / 2)
+
+
 @pytest.mark.slow
 def test_garbage_ends_the_connection_of_its_sender_only(dashboard):
     with RawClient(dashboard.address):
