@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import itertools
+import json
 import re
 import socket
 import threading
@@ -56,7 +57,7 @@ from app.dashboard.scene.robot import (
     read_mesh,
 )
 from app.dashboard.scene.scene import SceneData
-from app.dashboard.server import check_address, serve_dashboard
+from app.dashboard.server import TEXTS_EVERY, check_address, serve_dashboard
 from app.dashboard.verdict import COLOURS, judge
 from app.dashboard.view import View
 from app.errors import AssetError, ConfigError, DescriptionError, ServerError
@@ -716,6 +717,25 @@ def test_the_tour_goes_back_in_time_for_who_asks_it_to(dashboard, loop):
         act.show()
         assert act.done()
         assert page.timeline.shown().t == pytest.approx(1.0, abs=0.05)
+
+
+def test_what_happens_before_a_visitor_touches_the_page_is_no_step_of_his_tour(dashboard, loop):
+    with RawClient(dashboard.address) as client:
+        page = page_of(dashboard)
+
+        def say(*words):
+            client.set_widget(page.channel._box, json.dumps(["1", *words]))
+
+        say("seen", "untouched")
+        say("tour")
+        wait_for(lambda: page.tour._step == 0)
+        loop.send(Pull((0.4, 0.0, 0.8)))
+        drawn = dashboard.pictures
+        wait_for(lambda: dashboard.pictures > drawn + 2 * TEXTS_EVERY)
+        assert loop.latest().pulls
+        assert page.tour._said.content == ""
+        say("seen", "")
+        wait_for(lambda: page.tour._said.content)
 
 
 # Plots and readings
