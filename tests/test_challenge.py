@@ -127,6 +127,9 @@ def test_a_visitor_tries_and_gets_the_proof(
             tab.click("Card (PNG)")
         download.value.save_as(tmp_path / "card.png")
         tab.picture(tmp_path / "page.png")
+        tab.page.reload()  # who comes back finds it open
+        tab.wait_for_scene()
+        tab.page.get_by_text("Pulled to the same places, each controller").wait_for()
         assert tab.errors == []
     again = run_planned(case.planned(), robot, border_data)
     assert case.figures

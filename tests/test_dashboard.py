@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import itertools
+import json
 import re
 import socket
 import threading
@@ -56,7 +57,7 @@ from app.dashboard.scene.robot import (
     read_mesh,
 )
 from app.dashboard.scene.scene import SceneData
-from app.dashboard.server import check_address, serve_dashboard
+from app.dashboard.server import TEXTS_EVERY, check_address, serve_dashboard
 from app.dashboard.verdict import COLOURS, judge
 from app.dashboard.view import View
 from app.errors import AssetError, ConfigError, DescriptionError, ServerError
@@ -293,6 +294,25 @@ def test_where_time_begins_anew_nobody_holds_the_robot(dashboard, loop):
         loop.send(Reset())
         wait_for(lambda: not grip.holds_anything)
     assert dashboard.error is None
+
+
+def test_after_a_hold_up_drawing_goes_on_at_once(dashboard, monkeypatch):
+    """As after SIGSTOP and SIGCONT: the time was not spent on drawing, so no rest is due for it."""
+    held_up = 4.0  # [s]
+    with RawClient(dashboard.address):
+        page = page_of(dashboard)
+        draw, held = page.draw, threading.Event()
+
+        def draw_late(**how):
+            draw(**how)
+            if not held.is_set():
+                time.sleep(held_up)
+                held.set()
+
+        monkeypatch.setattr(page, "draw", draw_late)
+        assert held.wait(20.0)
+        before = dashboard.pictures
+        wait_for(lambda: dashboard.pictures > before + 3, held_up / 2)
 
 
 @pytest.mark.slow
@@ -697,6 +717,25 @@ def test_the_tour_goes_back_in_time_for_who_asks_it_to(dashboard, loop):
         act.show()
         assert act.done()
         assert page.timeline.shown().t == pytest.approx(1.0, abs=0.05)
+
+
+def test_what_happens_before_a_visitor_touches_the_page_is_no_step_of_his_tour(dashboard, loop):
+    with RawClient(dashboard.address) as client:
+        page = page_of(dashboard)
+
+        def say(*words):
+            client.set_widget(page.channel._box, json.dumps(["1", *words]))
+
+        say("seen", "untouched")
+        say("tour")
+        wait_for(lambda: page.tour._step == 0)
+        loop.send(Pull((0.4, 0.0, 0.8)))
+        drawn = dashboard.pictures
+        wait_for(lambda: dashboard.pictures > drawn + 2 * TEXTS_EVERY)
+        assert loop.latest().pulls
+        assert page.tour._said.content == ""
+        say("seen", "")
+        wait_for(lambda: page.tour._said.content)
 
 
 # Plots and readings

@@ -118,12 +118,13 @@ class DashboardServer:
     def _draw_frames(self) -> None:
         due = time.monotonic()
         while not self._stopping.wait(max(0.0, due - time.monotonic())):
-            begin = time.monotonic()
+            begin = time.thread_time()
             self._draw_picture()
             # Many viewers are drawn less often rather than let drawing fill all the time. After a
-            # hold-up go on from now: a burst of late pictures would only delay more.
-            now = time.monotonic()
-            due = max(due + FRAME, now, begin + (now - begin) / LARGEST_SHARE)
+            # hold-up, which is no work, go on from now: a burst of late pictures would only delay
+            # more.
+            rest = (time.thread_time() - begin) * (1.0 / LARGEST_SHARE - 1.0)
+            due = max(due + FRAME, time.monotonic() + rest)
 
     def _draw_picture(self) -> None:
         """One of each page; a name of this frame would keep the robot before from collection."""

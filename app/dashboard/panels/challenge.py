@@ -29,7 +29,9 @@ class ChallengePanel(FilePanel):
     def __init__(self, viewer: Viewer) -> None:
         super().__init__(viewer)
         self._shared, name = viewer.shared, CHALLENGE.name
-        with self._gui.add_folder("Make it collide", expand_by_default=False):
+        # Who comes, or reloads the page, meanwhile or afterwards sees how it goes, or went.
+        begun = viewer.shared.course.name == name
+        with self._gui.add_folder("Make it collide", expand_by_default=begun):
             self._text = self._gui.add_html("")
             loop = viewer.shared.loop
             self._begin = self.button(

@@ -108,7 +108,7 @@ class Tour(Panel):
     """Opens by itself at a first visit, and whenever `begin` is called.
 
     Each step stands in the panel that it speaks of, and waits until it is done: by the visitor, or
-    for him.
+    for him. What happens before he has touched the page, as in a demonstration, is no step of his.
     """
 
     def __init__(self, viewer: Viewer) -> None:
@@ -134,9 +134,10 @@ class Tour(Panel):
     def update(self, moment: Moment) -> None:
         if self._step != self._wanted:
             self._show(self._wanted)
-        elif self._step >= 0 and self._next_at == math.inf and self._acts[self._step].done():
-            self._next_at = monotonic() + _PAUSE
-            self._said.content = "**Done.**"
+        elif self._step >= 0 and self._next_at == math.inf:
+            if "untouched" not in self._channel.seen and self._acts[self._step].done():
+                self._next_at = monotonic() + _PAUSE
+                self._said.content = "**Done.**"
         elif monotonic() > self._next_at:
             self._go_on()
 
