@@ -2,7 +2,8 @@
 
 Each is pulled by its hand from the side and from the front, and tracks a path of 0.2 m at its side
 and one along its wheel axis, p_b at x = 0, without avoidance and with it. The starts are searched,
-0.02 m outside of the buffer; a robot whose hand cannot come there has a row that says so.
+0.02 m outside of the buffer, of paths that lead into its inner half without avoidance; a robot
+that has none has a row that says so.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ COMPARED = ("none", "dbb")
 """Without avoidance and with it."""
 GUIDED_LIMIT = 0.02
 """[m] farthest that a guided hand may be from the person's at the end."""
+_MOST_PATHS = 4  # [-] that are played without avoidance in search of one that shows something
 _TOUCHED = ("contacts", "arm_contacts", "floor_contacts")
 _HEIGHTS = (0.8, 0.65, 0.5, 0.9, 1.0)  # [-] of l_m's top, best first
 _LEFT_RIGHT = (90.0, 270.0)  # [deg]
@@ -94,7 +96,8 @@ def robot_table(
     """Lead each robot's hand towards its base from the side, the front and along the wheel axis.
 
     The start of each path is searched: the first height and direction from which the arm can begin
-    clear of its buffers. A robot that cannot, or cannot be loaded, has a row that says why.
+    clear of its buffers and, without avoidance, comes into their inner half. A robot that has none,
+    or cannot be loaded, has a row that says why.
 
     `on_progress` is called now and then with the share of the work that is done, 0 to 1.
 
@@ -126,23 +129,38 @@ def _compared(_: object, job: tuple[SweepPlan, Case]) -> list[Row]:
     try:
         finder = load(plan.robot, plan.config.border.d_b)
         told["title"] = finder.model.description.title
-        start = _first_start(finder, plan, case)
-        if start.reason:
-            return [told | {"reason": f"no start clear of the buffers: {start.reason}"}]
-        return [told | _of_robot(finder, plan, case, start, name) for name in COMPARED]
+        rows = _shown(finder, plan, case)
     except DbbError as error:
-        return [told | {"reason": str(error)}]
+        rows = [{"reason": str(error)}]
+    return [told | row for row in rows]
 
 
-def _first_start(finder: StartFinder, plan: SweepPlan, case: Case) -> Start:
-    """The first path that can begin, or the last one tried with why it cannot."""
-    start: Start | None = None
+def _shown(finder: StartFinder, plan: SweepPlan, case: Case) -> list[Row]:
+    """A row for each controller on the first path that shows something, or why none does.
+
+    It does where the arm, without avoidance, comes into the inner half of the buffer.
+    """
+    half, gaps, start = plan.config.border.d_b / 2, [], None
     for approach in case.approaches(finder.model):
         start = finder.find(approach, plan.distance, seed=plan.seed)
-        if not start.reason:
+        if start.reason:
+            continue
+        bare, *others = COMPARED
+        row = _of_robot(finder, plan, case, start, bare)
+        if row["clearance_m"] < half:
+            return [row, *(_of_robot(finder, plan, case, start, name) for name in others)]
+        gaps.append(row["clearance_m"])
+        if len(gaps) == _MOST_PATHS:
             break
     assert start is not None, "a case has directions"
-    return start
+    if not gaps:
+        return [{"reason": f"no start clear of the buffers: {start.reason}"}]
+    return [
+        {
+            "reason": f"nothing to show: without avoidance the arm comes no nearer than "
+            f"{min(gaps):.3f} m on {len(gaps)} paths"
+        }
+    ]
 
 
 def _of_robot(

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.spatial import ConvexHull
 
 from app.onboarding.fit.bodies import swept
 from app.onboarding.fit.convex import (
@@ -17,7 +20,7 @@ from app.onboarding.fit.convex import (
     support,
     volume_of,
 )
-from app.robot.shapes import shape_mesh
+from app.robot.shapes import hull_mesh, shape_mesh
 from tests.robots import husky_panda
 
 FITS = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
@@ -110,3 +113,15 @@ def test_what_is_swept_holds_the_links_in_every_position_of_the_joints_between()
             T = data.oMi[7].actInv(data.oMi[joint])
             seen = own @ T.rotation.T + T.translation
             assert (seen @ planes[:, :3].T + planes[:, 3]).max() < 1e-6
+
+
+def test_a_hull_has_its_volume_inside_and_a_plate_needs_no_other_library(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By trimesh, triangles of no area have a winding only with networkx."""
+    monkeypatch.setitem(sys.modules, "networkx", None)
+    points = np.random.default_rng(0).normal(size=(60, 3))
+    assert hull_mesh(points).volume == pytest.approx(ConvexHull(points).volume)
+    plate = hull_mesh(np.array([[x, y, 0.0] for x in (0.0, 0.05) for y in (0.0, 0.05)]))
+    assert plate.volume == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_allclose(plate.extents, (0.05, 0.05, 0.0), atol=1e-9)

@@ -22,9 +22,9 @@ D_B = 0.15  # [m]
 INNER = 0.4 * D_B  # [m]
 
 
-def places(nearest: list[float]) -> list[Place]:
+def places(nearest: list[float], apart: float = 0.2) -> list[Place]:
     """Lines by how near [m] each of them leads the arm to the base, each from another place."""
-    return [Place((0.0, 0.0, 0.1 * k), (1.0, 0.0, 0.0), d, "") for k, d in enumerate(nearest)]
+    return [Place((0.0, 0.0, apart * k), (1.0, 0.0, 0.0), d, "") for k, d in enumerate(nearest)]
 
 
 @pytest.mark.parametrize(
@@ -70,6 +70,13 @@ def test_only_a_few_lines_are_tried_by_a_run() -> None:
         tried.clear()
         chosen(places([nearest] * 20), D_B, shows=lambda line: bool(tried.append(line)))
         assert 1 < len(tried) < 6
+
+
+def test_a_line_beside_one_that_shows_nothing_is_not_run() -> None:
+    tried: list[Place] = []
+    lines = places([-0.01] * 10, apart=0.04)
+    chosen(lines, D_B, shows=lambda line: bool(tried.append(line)))
+    assert tried == [lines[0], lines[3], lines[6]]
 
 
 def test_an_arm_that_can_meet_no_base_has_no_lines() -> None:

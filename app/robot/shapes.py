@@ -128,7 +128,7 @@ class ConvexMesh(_Placed):
 
         loaded = trimesh.load(resolve_package_uri(self.file), force="mesh")
         assert isinstance(loaded, trimesh.Trimesh)
-        return loaded.apply_scale(self.scale).convex_hull
+        return hull_mesh(loaded.apply_scale(self.scale).vertices)
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return convex_hull(self.hull().vertices)
@@ -167,6 +167,20 @@ class Superquadric(_Placed):
 
     def coal_geometry(self) -> coal.CollisionGeometry:
         return convex_hull(self.vertices())
+
+
+def hull_mesh(points: Array) -> trimesh.Trimesh:
+    """The convex hull of points (N, 3) [m], its triangles facing outwards.
+
+    trimesh would repair the winding of slivers with networkx, which need not be installed.
+    """
+    import trimesh  # see ConvexMesh.hull
+
+    hull = trimesh.convex.convex_hull(points, repair=False)
+    out = hull.triangles_center - hull.vertices.mean(axis=0)
+    inwards = np.vecdot(hull.face_normals, out) < 0.0
+    hull.faces = np.where(inwards[:, None], hull.faces[:, ::-1], hull.faces)
+    return hull
 
 
 _THIN = 1e-4  # [m] the least thickness of a hull

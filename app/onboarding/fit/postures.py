@@ -118,6 +118,7 @@ GIVES_WAY = 0.05
 CLEARANCE = 0.03
 """[m] least distance to the base that the arm should keep."""
 _MOST_RUNS = 3  # [-] of lines that are tried
+_OTHER = 0.1  # [m] from where a line starts to where another one does
 _OUT = (0.425, 0.375, 0.35, 0.325, 0.30, 0.275, 0.25)  # [m] from the base's side, farthest first
 _LEFT_OVER = (0.125, 0.075, 0.025)  # [m] to the base's side at the end, if the base stood still
 _STEP = 0.0125  # [m] along the line
@@ -205,23 +206,28 @@ def chosen(
     it, the first is taken `anyway` or not. Only lines into the inner part of d_b [m] count.
     """
     deep: dict[Point, Place] = {}
-    nearest = np.inf
+    nearest = lowest = np.inf
     tried: list[Place] = []
+
+    def shown(line: Place) -> bool:
+        """Whether a line shows it; one beside a line that does not is no other, and is not run."""
+        if len(tried) == _MOST_RUNS or any(_apart(line, each) < _OTHER for each in tried):
+            return False
+        tried.append(line)
+        return shows(line)
+
     for line in lines:
-        nearest = min(nearest, line.nearest)
+        nearest, lowest = min(nearest, line.nearest), min(lowest, line.start[2])
         if line.nearest > 0.0:
             if line.nearest < INNER * d_b:
                 deep[line.start] = line
-            continue
-        if shows(line):
+        elif shown(line):
             return line
-        tried.append(line)
         if len(tried) == _MOST_RUNS:
             break
-    for line in sorted(deep.values(), key=lambda each: each.nearest)[: _MOST_RUNS - len(tried)]:
-        if shows(line):
+    for line in sorted(deep.values(), key=lambda each: each.nearest):
+        if shown(line):
             return line
-        tried.append(line)
     if tried and anyway:
         return tried[0]
     if tried:
@@ -231,7 +237,10 @@ def chosen(
             "hold its hand"
         )
     if nearest < np.inf:
-        return f"the arm comes no nearer than {nearest:.3f} m to the base: it meets itself first"
+        return (
+            f"the arm comes no nearer than {nearest:.3f} m to the base on the lines where it can "
+            f"start clear of its buffers, the lowest at z = {lowest:g} m"
+        )
     return (
         f"the arm cannot start there clear of its buffers of {d_b:g} m: it is too short, or stands "
         "too far from that side (--mount-xyz)"
@@ -256,6 +265,11 @@ def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> b
     except UnreachableError:
         return False
     return moved >= GIVES_WAY
+
+
+def _apart(a: Place, b: Place) -> float:
+    """[m] between where two lines start."""
+    return float(np.linalg.norm(np.subtract(a.start, b.start)))
 
 
 class _Guide:
@@ -379,11 +393,16 @@ def _gap(body: MobileBody, p: Array, inwards: Array) -> float:
 
 
 def _lateral(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:
-    """Starts x, y and how far out they are [m], and the way inwards, left before right."""
-    x = float(np.clip(mount[0], body.lower[0] + 0.05, body.upper[0] - 0.05))
-    for out in _OUT:
-        for side, edge in ((1.0, body.upper[1]), (-1.0, body.lower[1])):
-            yield np.array([x, edge + side * out, out]), np.array([0.0, -side, 0.0])
+    """Starts x, y and how far out they are [m], and the way inwards, left before right.
+
+    Beside the mount or near either end: where its axle is a base without sideways motion gives way
+    least.
+    """
+    low, high = float(body.lower[0]) + 0.05, float(body.upper[0]) - 0.05
+    for x in dict.fromkeys((float(np.clip(mount[0], low, high)), high, low)):
+        for out in _OUT:
+            for side, edge in ((1.0, body.upper[1]), (-1.0, body.lower[1])):
+                yield np.array([x, edge + side * out, out]), np.array([0.0, -side, 0.0])
 
 
 def _front(body: MobileBody, mount: Array) -> Iterator[tuple[Array, Array]]:

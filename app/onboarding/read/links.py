@@ -11,10 +11,12 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 import trimesh
+from scipy.spatial import QhullError
 
 from app.errors import RobotFileError
 from app.onboarding.read.source import mesh_path
 from app.onboarding.read.tree import Arm, Tree, numbers, origin
+from app.robot.shapes import hull_mesh
 
 Array = np.ndarray
 
@@ -96,8 +98,8 @@ def _shape(element: Element, where: str) -> LinkShape:
     shape = holder[0]
     mesh, radius = _mesh_of(shape, where)
     try:
-        hull = mesh.convex_hull.copy()
-    except Exception as error:  # qhull's own errors, for what is flat
+        hull = hull_mesh(mesh.vertices)
+    except QhullError as error:
         raise RobotFileError(f"{where}: a shape of it is flat: {str(error)[:80]}") from None
     hull.apply_transform(T)
     size = float(hull.extents.max())
@@ -219,7 +221,7 @@ def _chosen(stated: pin.Inertia | None, geometry: LinkGeometry, density: float) 
 def _of_volume(geometry: LinkGeometry, density: float) -> pin.Inertia:
     """Of hulls filled evenly; where they overlap, of the hull around all of them if it is less."""
     hulls = [shape.hull for shape in geometry.shapes if abs(shape.hull.volume) > _FLAT]
-    around = trimesh.convex.convex_hull(geometry.corners)
+    around = hull_mesh(geometry.corners)
     if around.volume < sum(hull.volume for hull in hulls):
         hulls = [around]
     total = pin.Inertia.Zero()
