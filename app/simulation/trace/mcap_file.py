@@ -81,10 +81,10 @@ class _Topics:
         step = _object("dbb.Step", **{_plain(c.name): {"type": "number"} for c in trace.columns})
         step["required"] = ["t_s"]  # what is not known at a time is left out
         schemas = {
-            "/tf": _object("foxglove.FrameTransforms", transforms=_list(_TRANSFORM)),
-            "/joint_states": _object("foxglove.JointStates", timestamp=_TIME, joints=_list(_JOINT)),
-            "/bodies": _SCENE,
-            "/markers": _SCENE,
+            "/tf": _schema("FrameTransforms"),
+            "/joint_states": _schema("JointStates"),
+            "/bodies": _schema("SceneUpdate"),
+            "/markers": _schema("SceneUpdate"),
             "/step": step,
             "/parameters": _object("dbb.Config", **{s.name: _section(s) for s in sections()}),
         }
@@ -285,69 +285,51 @@ def _section(section: Section) -> Json:
     return _object(f"dbb.{section.name}", **found)
 
 
-def _list(items: Json) -> Json:
-    return {"type": "array", "items": items}
-
-
-_NUMBER, _TEXT, _TRUTH = {"type": "number"}, {"type": "string"}, {"type": "boolean"}
-_COUNT = {"type": "integer", "minimum": 0}
-_NONE = {"type": "array", "items": {"type": "object", "properties": {}}, "maxItems": 0}
-_TIME = _object("time", sec=_COUNT, nsec=_COUNT | {"maximum": 999_999_999})
-_DURATION = _TIME | {"title": "duration"}
-_VECTOR = _object("foxglove.Vector3", **dict.fromkeys("xyz", _NUMBER))
-_POINT = _VECTOR | {"title": "foxglove.Point3"}
-_TURN = _object("foxglove.Quaternion", **dict.fromkeys("xyzw", _NUMBER))
-_COLOUR = _object("foxglove.Color", **dict.fromkeys("rgba", _NUMBER))
-_POSE = _object("foxglove.Pose", position=_VECTOR, orientation=_TURN)
-_TRANSFORM = _object(
-    "foxglove.FrameTransform",
-    timestamp=_TIME,
-    parent_frame_id=_TEXT,
-    child_frame_id=_TEXT,
-    translation=_VECTOR,
-    rotation=_TURN,
-)
-_JOINT = _object(
-    "foxglove.JointState", name=_TEXT, position=_NUMBER, velocity=_NUMBER, effort=_NUMBER
-) | {"required": ["name"]}
-_COLOURED = {
-    "points": _list(_POINT),
-    "color": _COLOUR,
-    "colors": _list(_COLOUR),
-    "indices": _list(_COUNT),
+_PLAIN: dict[str, Json] = {
+    "number": {"type": "number"},
+    "text": {"type": "string"},
+    "truth": {"type": "boolean"},
+    "count": {"type": "integer", "minimum": 0},
+    "nanoseconds": {"type": "integer", "minimum": 0, "maximum": 999_999_999},
+    "line-list": {"oneOf": [{"title": "LINE_LIST", "const": _LINE_LIST}]},
+    "nothing": {"type": "object", "properties": {}},
 }
-_LINE = _object(
-    "foxglove.LinePrimitive",
-    type={"oneOf": [{"title": "LINE_LIST", "const": _LINE_LIST}]},
-    pose=_POSE,
-    thickness=_NUMBER,
-    scale_invariant=_TRUTH,
-    **_COLOURED,
-)
-_TRIANGLES = _object("foxglove.TriangleListPrimitive", pose=_POSE, **_COLOURED)
-_ARROW = _object(
-    "foxglove.ArrowPrimitive",
-    pose=_POSE,
-    shaft_length=_NUMBER,
-    shaft_diameter=_NUMBER,
-    head_length=_NUMBER,
-    head_diameter=_NUMBER,
-    color=_COLOUR,
-)
-_SPHERE = _object("foxglove.SpherePrimitive", pose=_POSE, size=_VECTOR, color=_COLOUR)
-_DRAWN = {"arrows": _ARROW, "spheres": _SPHERE, "lines": _LINE, "triangles": _TRIANGLES}
-_ENTITY = _object(
-    "foxglove.SceneEntity",
-    timestamp=_TIME,
-    frame_id=_TEXT,
-    id=_TEXT,
-    lifetime=_DURATION,
-    frame_locked=_TRUTH,
-    metadata=_NONE,
-    **{kind: _list(_DRAWN[kind]) if kind in _DRAWN else _NONE for kind in _PRIMITIVES},
-)
-_SCENE = _object(
-    "foxglove.SceneUpdate",
-    deletions=_NONE,
-    entities=_list(_ENTITY),
-)
+_RECORDS = {
+    "time": "sec:count nsec:nanoseconds",
+    "duration": "sec:count nsec:nanoseconds",
+    "Vector3": "x y z",
+    "Point3": "x y z",
+    "Quaternion": "x y z w",
+    "Color": "r g b a",
+    "Pose": "position:Vector3 orientation:Quaternion",
+    "FrameTransforms": "transforms:FrameTransform[]",
+    "FrameTransform": "timestamp:time parent_frame_id:text child_frame_id:text "
+    "translation:Vector3 rotation:Quaternion",
+    "JointStates": "timestamp:time joints:JointState[]",
+    "JointState": "name:text position? velocity? effort?",
+    "LinePrimitive": "type:line-list pose:Pose thickness scale_invariant:truth points:Point3[] "
+    "color:Color colors:Color[] indices:count[]",
+    "TriangleListPrimitive": "pose:Pose points:Point3[] color:Color colors:Color[] indices:count[]",
+    "ArrowPrimitive": "pose:Pose shaft_length shaft_diameter head_length head_diameter color:Color",
+    "SpherePrimitive": "pose:Pose size:Vector3 color:Color",
+    "SceneUpdate": "deletions:nothing[] entities:SceneEntity[]",
+    "SceneEntity": "timestamp:time frame_id:text id:text lifetime:duration frame_locked:truth "
+    "metadata:nothing[] arrows:ArrowPrimitive[] cubes:nothing[] spheres:SpherePrimitive[] "
+    "cylinders:nothing[] lines:LinePrimitive[] triangles:TriangleListPrimitive[] texts:nothing[] "
+    "models:nothing[]",
+}
+"""Fields of Foxglove's records, as far as they are used here: `name:kind`, a number without a kind,
+`[]` a list, `?` not always there."""
+
+
+def _schema(kind: str) -> Json:
+    """The schema of a kind of `_PLAIN` or `_RECORDS`, or of a list of it."""
+    if kind.endswith("[]"):
+        few = {"maxItems": 0} if kind == "nothing[]" else {}
+        return {"type": "array", "items": _schema(kind[:-2]), **few}
+    if kind in _PLAIN:
+        return _PLAIN[kind]
+    fields = [field.partition(":")[::2] for field in _RECORDS[kind].split()]
+    title = kind if kind in ("time", "duration") else f"foxglove.{kind}"
+    found = _object(title, **{n.rstrip("?"): _schema(each or "number") for n, each in fields})
+    return found | {"required": [name for name, _ in fields if not name.endswith("?")]}
