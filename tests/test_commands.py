@@ -77,7 +77,7 @@ def test_what_can_never_be_obeyed_is_refused_with_an_error_of_the_project(make, 
 
 @pytest.mark.parametrize(
     "command",
-    [Pull((0.5, 0.0, 0.4), "panda_link4"), Pull(None), Choose("none"), Speed(4), StepOnce()],
+    [Pull((0.5, 0.0, 0.4), "panda_link4"), Choose("none"), Speed(4), StepOnce()],
 )
 def test_what_can_be_obeyed_passes(command):
     Mailbox().put(command, ("panda_link4",))

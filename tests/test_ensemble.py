@@ -184,10 +184,8 @@ def test_a_pull_elsewhere_disturbs_a_scenario_and_does_not_end_it(make):
     disturbed = steps(ensemble, 0.4)
     assert ensemble.leading == "tracking"
     assert np.abs(disturbed - alone).max() > 1e-3
-    ensemble.pull(Pull(None, who=5))
+    ensemble.release(5)
     assert (ensemble.leading, ensemble.step().pulls) == ("tracking", ())
-    ensemble.pull(Pull(None))  # of the end-effector, as nobody holds anything else
-    assert ensemble.leading == ""
 
 
 def test_each_lets_go_for_himself_and_only_so_many_can_hold(make):
@@ -198,7 +196,7 @@ def test_each_lets_go_for_himself_and_only_so_many_can_hold(make):
         ensemble.pull(Pull((0.5, 0.0, 0.8), who=99))
     ensemble.pull(Pull((0.6, 0.0, 0.8), "panda_link5", who=2))  # who holds may take another point
     ensemble.release(0)
-    ensemble.pull(Pull(None, who=5))
+    ensemble.release(5)
     ensemble.release(77)
     assert {reading.who for reading in ensemble.step().pulls} == {1, 2, 3, 4, 6, 7}
     ensemble.reset()

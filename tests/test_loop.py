@@ -97,7 +97,7 @@ def test_a_pull_moves_the_hand_into_the_buffer_and_letting_go_ends_the_force(loo
     assert np.linalg.norm(pulled.hand_force) > 0.1
     assert pulled.p_ee[1] < START[1] - 0.02
     assert [reading.name for reading in pulled.acting]
-    loop.send(Pull(None))
+    loop.send(Release(0))
     free = until(loop, lambda s: s.hand_target is None)
     np.testing.assert_array_equal(free.hand_force, 0.0)
     assert free.ee_error == 0.0

@@ -67,7 +67,7 @@ def test_it_is_empty_once_it_was_fetched_and_keeps_order():
 def test_a_pull_after_a_beginning_holds_and_one_before_it_is_forgotten_by_it():
     assert after(pull(0.4), LATERAL, pull(0.5)) == [LATERAL, pull(0.5)]
     assert after(pull(0.4), LATERAL) == [pull(0.4), LATERAL]
-    assert after(pull(0.4), pull(0.5), Pull(None)) == [Pull(None)]
+    assert after(pull(0.4), pull(0.5), Release(0)) == [Release(0)]
 
 
 def test_a_beginning_has_the_newest_parameters():

@@ -11,7 +11,7 @@ import pytest
 
 from app.config import Config
 from app.errors import LoopError, TargetError
-from app.simulation.loop.commands import Configure, Pause, Play, Pull, Reset
+from app.simulation.loop.commands import Configure, Pause, Play, Pull, Release, Reset
 from app.simulation.loop.process_loop import ProcessLoop, loop_child
 from app.simulation.scenarios import SCENARIOS
 from app.simulation.session import Session
@@ -77,7 +77,7 @@ def test_commands_go_out_and_snapshots_and_refusals_come_back(make_loop):
         loop.send(Pull((x, y, -0.1)))
     loop.send(Pull((x, y, z + 0.05)))
     wait_for(lambda: np.linalg.norm(loop.latest().hand_force) > 1.0)
-    loop.send(Pull(None))
+    loop.send(Release(0))
     wait_for(lambda: not loop.latest().hand_force.any())
     loop.send(Configure(Config().replace("border.d_b", 0.2)))
     wait_for(lambda: loop.latest().config.border.d_b == 0.2)

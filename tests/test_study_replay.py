@@ -165,7 +165,7 @@ def test_the_loop_plays_the_same_run_and_lets_go_at_its_end(sources, drawn, case
     assert loop.latest().hand_target is None
 
 
-@pytest.mark.parametrize("command", [Pull(None), Pull((0.9, 0.0, 0.5)), Reset()])
+@pytest.mark.parametrize("command", [Pull((0.9, 0.0, 0.5)), Reset()])
 def test_whoever_takes_the_hand_or_begins_anew_ends_the_play(case, loop, command):
     loop.send(Play(case.scenario()))
     begun(loop)

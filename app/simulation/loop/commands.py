@@ -43,13 +43,12 @@ class Beginning(Command):
 
 @dataclass(frozen=True)
 class Pull(Command):
-    """A person takes the robot and pulls it to `target`; None lets go.
+    """A person takes the robot and pulls it to `target`.
 
-    Taking or letting go of the end-effector ends a scenario that leads it; a pull elsewhere
-    disturbs it.
+    Taking the end-effector ends a scenario that leads it; a pull elsewhere disturbs it.
     """
 
-    target: Point | None
+    target: Point
     """[m] where to, in the world."""
     link: str | None = None
     """One of the loop's `links`; None is the end-effector."""
@@ -59,8 +58,7 @@ class Pull(Command):
     """Number of the person; each has one hand, and their forces add up."""
 
     def __post_init__(self) -> None:
-        if self.target is not None:
-            checked_target(self.target)
+        checked_target(self.target)
         if self.point is not None:
             if self.link is None:
                 raise TargetError("a point is held in the frame of a link; name the link")

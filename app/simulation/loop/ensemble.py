@@ -157,21 +157,15 @@ class Ensemble:
             raise
 
     def pull(self, pull: Pull) -> None:
-        """Somebody takes the robot or lets go; at the end-effector a scenario leads no longer.
+        """Somebody takes the robot; at the end-effector a scenario leads no longer.
 
         Raises:
             TargetError: As many as can hold it do so.
         """
-        if pull.target is None:
-            held = self._holds.get(pull.who)
-            self.release(pull.who)
-            if held is None or held.link is None:
-                self._taken()
-            return
         if pull.who not in self._holds and len(self._holds) >= MOST_PULLS:
             raise TargetError(f"{MOST_PULLS} people hold the robot already")
-        if pull.link is None:
-            self._taken()
+        if pull.link is None and self._pulled is None:
+            self._let_go()
         x, y, z = map(float, (0.0, 0.0, 0.0) if pull.point is None else pull.point)
         self._holds[pull.who] = Hold(
             pull.who, np.array(pull.target, dtype=float), pull.link, (x, y, z)
@@ -209,11 +203,6 @@ class Ensemble:
         self._free.close()
         if self.main is not self._free:
             self.main.close()
-
-    def _taken(self) -> None:
-        """Somebody takes or leaves the end-effector, which ends what leads it."""
-        if self._pulled is None:
-            self._let_go()
 
     def _record(self, who: int) -> None:
         """What a person does from the next control step on."""
