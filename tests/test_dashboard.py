@@ -13,6 +13,7 @@ import time
 import urllib.request
 import weakref
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -54,13 +55,13 @@ from app.dashboard.scene.robot import (
     LinkPoses,
     for_display,
     load_visuals,
-    read_mesh,
 )
 from app.dashboard.scene.scene import SceneData
 from app.dashboard.server import TEXTS_EVERY, check_address, serve_dashboard
 from app.dashboard.verdict import COLOURS, judge
 from app.dashboard.view import View
-from app.errors import AssetError, ConfigError, DescriptionError, ServerError
+from app.errors import ConfigError, RobotFileError, ServerError
+from app.onboarding.read.links import read_mesh
 from app.robot.assets import package_roots, resolve_package_uri, resolved_urdf
 from app.simulation.loop.commands import Pause, Pull, Release, Reset
 from app.simulation.people import PullReading
@@ -429,10 +430,12 @@ def test_decimated_meshes_keep_their_extent():
         model, resolved_urdf(husky_panda().description), pin.GeometryType.VISUAL
     )
     assert len(visuals) == geometry.ngeoms
-    for visual, item in zip(visuals, geometry.geometryObjects, strict=True):
+    items = {item.name: item for item in geometry.geometryObjects}
+    for visual in visuals:
+        item = items[visual.name]
         assert len(visual.mesh.faces) <= MAX_FACES + 2
         if item.meshPath.endswith((".stl", ".obj")):
-            original = read_mesh(item.meshPath).apply_scale(item.meshScale)
+            original = read_mesh(Path(item.meshPath), item.name).apply_scale(item.meshScale)
             np.testing.assert_allclose(visual.mesh.bounds, original.bounds, atol=0.003)
             assert visual.mesh.area == pytest.approx(original.area, rel=0.1)  # no corners are off
 
@@ -475,7 +478,7 @@ def test_visuals_are_where_pinocchio_has_them_in_its_colours_and_sizes(tmp_path,
 
 @pytest.mark.parametrize(
     ("wrong", "words"),
-    [('scale="0.5,1,2"', "scale='0.5,1,2'"), ('scale="2"', "three numbers"), ("", "no filename")],
+    [('scale="0.5,1,2"', "scale='0.5,1,2'"), ('scale="2"', "3 numbers"), ("", "no filename")],
 )
 def test_a_mesh_that_says_nothing_sensible_is_named_by_its_link(wrong, words, monkeypatch):
     file = 'filename="/a.stl"' if wrong else ""
@@ -484,8 +487,8 @@ def test_a_mesh_that_says_nothing_sensible_is_named_by_its_link(wrong, words, mo
         "</geometry></visual></link></robot>"
     )
     monkeypatch.setattr("app.dashboard.scene.robot.resolved_urdf", lambda _: urdf)
-    with pytest.raises(DescriptionError, match="lonely") as refusal:
-        load_visuals(husky_panda().description, husky_panda().pin)
+    with pytest.raises(RobotFileError, match="lonely") as refusal:
+        load_visuals(husky_panda().description, pin.buildModelFromXML(urdf))
     assert words in str(refusal.value)
 
 
@@ -495,7 +498,7 @@ def test_decimation_takes_no_corners_off_meshes_of_many_parts():
         pytest.skip("the optional robots are not installed")
     for part in ("upperarm", "forearm", "wrist2"):
         uri = f"package://example-robot-data/robots/ur_description/meshes/ur5/visual/{part}.dae"
-        whole = read_mesh(str(resolve_package_uri(uri)))
+        whole = read_mesh(resolve_package_uri(uri), part)
         light = for_display(whole)
         assert len(light.faces) <= MOST_FACES
         assert light.area == pytest.approx(whole.area, rel=0.05)  # 0.74 to 0.9 when it is hasty
@@ -549,8 +552,8 @@ def test_a_door_that_comes_near_is_named_though_it_was_not_there_at_first(scene,
 def test_an_unreadable_mesh_is_named(tmp_path):
     path = tmp_path / "bad.xyzzy"
     path.write_text("no mesh")
-    with pytest.raises(AssetError, match=r"bad\.xyzzy"):
-        read_mesh(str(path))
+    with pytest.raises(RobotFileError, match=r"bad\.xyzzy"):
+        read_mesh(path, "link 'a'")
 
 
 # Border

@@ -1,20 +1,21 @@
 """Robot: what it looks like, read once for many viewers, and where its links are."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
+from xml.etree.ElementTree import Element
 
-import coal
 import numpy as np
 import pinocchio as pin
 import trimesh
 
 from app.dashboard.scene.colours import Rgb
-from app.errors import AssetError, DescriptionError
-from app.robot.assets import bare_urdf, floats, resolved_urdf
+from app.errors import AssetError, RobotFileError
+from app.onboarding.read.links import read_mesh, urdf_mesh
+from app.onboarding.read.tree import numbers, origin
+from app.robot.assets import bare_urdf, resolved_urdf
 from app.robot.description import RobotDescription
 from app.robot.model import RobotModel, kept_per_model
 from app.robot.shapes import shape_mesh
@@ -32,7 +33,6 @@ LIGHT_FACES = 400
 CREASE = np.deg2rad(35.0)  # [rad] sharper edges are drawn as edges, not shaded over
 GREY: Rgb = (150, 150, 155)  # colour of a visual for which the URDF states none
 BODY: Rgb = (64, 156, 224)
-_MeshFile = tuple[str, tuple[float, ...]]  # where it is, and its scale along three axes
 _AROUND = np.array([0.15, 0.15, 0.0])  # [m] of a border around the base
 
 
@@ -93,7 +93,7 @@ class RobotParts:
         try:
             self.visuals = _visuals(robot)
             """What the robot looks like; its convex bodies where a mesh is not installed."""
-        except AssetError as error:
+        except (AssetError, RobotFileError) as error:
             logger.warning("%s is drawn by its convex bodies: %s", robot.description.name, error)
             self.visuals = [
                 body._replace(name=f"look_{body.name}", mesh=for_display(body.mesh), colour=GREY)
@@ -154,91 +154,38 @@ def load_visuals(description: RobotDescription, model: pin.Model) -> list[Visual
 
     Raises:
         AssetError: The URDF or a mesh is not there.
-        DescriptionError: A mesh of the URDF has no file, or a scale that is not three numbers.
+        RobotFileError: A shape of the URDF says nothing sensible, or a mesh cannot be read.
     """
-    urdf, files = _without_files(resolved_urdf(description))
-    geometry = pin.buildGeomFromUrdfString(model, urdf, pin.GeometryType.VISUAL)
-    ready: dict[_MeshFile, trimesh.Trimesh] = {}  # four wheels share one file
+    tree = ElementTree.fromstring(resolved_urdf(description))
+    materials = {each.get("name"): each for each in tree.iterfind("material")}
+    ready: dict[bytes, trimesh.Trimesh] = {}  # four wheels share one file
     visuals = []
-    for item in geometry.geometryObjects:
-        file = files.get(item.name)
-        if file is None:
-            mesh = for_display(mesh_of(item.geometry))
-        else:
-            if file not in ready:
-                path, scale = file
-                ready[file] = for_display(read_mesh(path).apply_scale(scale))
-            mesh = ready[file]
-        # A copy: the placement inside the item dies with `geometry`.
-        placement = item.placement.copy()
-        visuals.append(Visual(item.name, item.parentJoint, placement, mesh, _colour(item)))
+    for link in tree.iterfind("link"):
+        name = link.get("name", "")
+        where, frame = f"link {name!r}", model.frames[model.getFrameId(name, pin.BODY)]
+        for i, visual in enumerate(link.iterfind("visual")):
+            if (shape := visual.find("geometry/*")) is None:
+                continue
+            key = ElementTree.tostring(shape)
+            if key not in ready:
+                mesh, _ = urdf_mesh(shape, where, read_mesh)
+                # Of positions only: textures would be copied with every part of it.
+                ready[key] = for_display(trimesh.Trimesh(mesh.vertices, mesh.faces))
+            placement = frame.placement * origin(visual, where)
+            colour = _colour(visual.find("material"), materials, where)
+            visuals.append(Visual(f"{name}_{i}", frame.parentJoint, placement, ready[key], colour))
     return visuals
 
 
-def _without_files(urdf: str) -> tuple[str, dict[str, _MeshFile]]:
-    """A URDF with a sphere in place of each visual's mesh, and the meshes by pinocchio's names.
-
-    pinocchio tells where they are; it would read each file too, which takes as long as all else.
-
-    Raises:
-        DescriptionError: A mesh has no file, or a scale that is not three numbers.
-    """
-    tree = ElementTree.fromstring(urdf)
-    files = {}
-    for link in tree.iterfind("link"):
-        name = link.get("name", "")
-        for i, visual in enumerate(link.iterfind("visual")):
-            geometry = visual.find("geometry")
-            if geometry is None or not len(geometry) or geometry[0].tag != "mesh":
-                continue
-            files[f"{name}_{i}"] = _mesh_file(name, geometry[0])
-            geometry[0] = ElementTree.Element("sphere", radius="1")
-    return ElementTree.tostring(tree, encoding="unicode"), files
-
-
-def _mesh_file(link: str, mesh: ElementTree.Element) -> _MeshFile:
-    path, scale = mesh.get("filename", ""), mesh.get("scale", "1 1 1")
-    values = floats(scale, 3)
-    if values is None:
-        raise DescriptionError(f"link {link!r}: scale={scale!r} of a mesh is not three numbers")
-    if not path:
-        raise DescriptionError(f"link {link!r}: a mesh has no filename")
-    return path, tuple(values)
-
-
-def read_mesh(path: str) -> trimesh.Trimesh:
-    """The triangles of a mesh file, parts joined, equal vertices merged, textures left behind.
-
-    Raises:
-        AssetError: The file cannot be read, or its format needs a package that is not installed.
-    """
-    try:
-        with open(path, "rb") as file:  # a file, not a path: then no texture beside it is read
-            kind = Path(path).suffix[1:].lower()
-            mesh = trimesh.load(file, file_type=kind, force="mesh", skip_materials=True)
-    except (ImportError, NotImplementedError, ValueError, OSError) as error:
-        raise AssetError(f"{path}: trimesh cannot read it: {error}") from None
-    assert isinstance(mesh, trimesh.Trimesh)
-    # A new mesh of positions only: textures would be copied with every part of it.
-    return trimesh.Trimesh(mesh.vertices, mesh.faces, process=True)
-
-
-def mesh_of(geometry: coal.CollisionGeometry) -> trimesh.Trimesh:
-    """The triangles of a primitive shape.
-
-    Raises:
-        TypeError: A shape that a URDF cannot hold.
-    """
-    if isinstance(geometry, coal.Box):
-        return trimesh.creation.box(extents=2.0 * np.asarray(geometry.halfSide))
-    if isinstance(geometry, coal.Cylinder):
-        return trimesh.creation.cylinder(geometry.radius, 2.0 * geometry.halfLength, sections=48)
-    if isinstance(geometry, coal.Sphere):
-        return trimesh.creation.icosphere(subdivisions=3, radius=geometry.radius)
-    if isinstance(geometry, coal.Capsule):
-        mesh = trimesh.creation.capsule(2.0 * geometry.halfLength, geometry.radius, count=[24, 24])
-        return mesh.apply_translation(-mesh.bounds.mean(axis=0))
-    raise TypeError(f"no mesh for {type(geometry).__name__}")
+def _colour(material: Element | None, materials: Mapping[str | None, Element], where: str) -> Rgb:
+    """Of a visual's material, which may only name one of the robot's `materials`."""
+    if material is None:
+        return GREY
+    for each in (material, materials.get(material.get("name"), material)):
+        if (colour := each.find("color")) is not None:
+            r, g, b, _ = (255 * numbers(colour, "rgba", (0.0,) * 4, where)).round().astype(int)
+            return int(r), int(g), int(b)
+    return GREY
 
 
 def for_display(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -266,10 +213,3 @@ def _light(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
     if len(mesh.faces) > LIGHT_FACES:
         mesh = mesh.simplify_quadric_decimation(face_count=LIGHT_FACES, aggression=AGGRESSIONS[-1])
     return trimesh.graph.smooth_shade(mesh, angle=CREASE)
-
-
-def _colour(item: pin.GeometryObject) -> Rgb:
-    if not item.overrideMaterial:
-        return GREY
-    r, g, b = (round(255 * channel) for channel in item.meshColor[:3])
-    return r, g, b

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -96,7 +96,7 @@ def _shape(element: Element, where: str) -> LinkShape:
     if holder is None or not len(holder):
         raise RobotFileError(f"{where}: a {element.tag} has no geometry")
     shape = holder[0]
-    mesh, radius = _mesh_of(shape, where)
+    mesh, radius = urdf_mesh(shape, where, _load)
     try:
         hull = hull_mesh(mesh.vertices)
     except QhullError as error:
@@ -111,8 +111,14 @@ def _shape(element: Element, where: str) -> LinkShape:
     return LinkShape(mesh.apply_transform(T), hull, _surface(hull), shape.tag, radius)
 
 
-def _mesh_of(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]:
-    """A shape's triangles, and the radius of a round one."""
+def urdf_mesh(
+    shape: Element, where: str, load: Callable[[Path, str], trimesh.Trimesh]
+) -> tuple[trimesh.Trimesh, float | None]:
+    """A shape's triangles [m], and the radius of a round one; `load` reads those of a file.
+
+    Raises:
+        RobotFileError: It is none of a URDF's shapes, or says nothing sensible.
+    """
 
     def sizes(key: str, count: int = 1) -> Array:
         found = numbers(shape, key, (0.0,) * count, where)
@@ -123,12 +129,12 @@ def _mesh_of(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]
     if shape.tag == "box":
         return trimesh.creation.box(extents=sizes("size", 3)), None
     if shape.tag == "mesh":
-        mesh = _load(mesh_path(str(shape.get("filename"))), where).copy()
+        if not (address := shape.get("filename")):
+            raise RobotFileError(f"{where}: a mesh has no filename")
         scale = numbers(shape, "scale", (1.0, 1.0, 1.0), where)
         if not scale.all():
             raise RobotFileError(f"{where}: a scale of its mesh is zero")
-        mesh.apply_scale(scale)
-        return mesh, None
+        return load(mesh_path(address), where).copy().apply_scale(scale), None
     if shape.tag not in ("sphere", "cylinder", "capsule"):
         raise RobotFileError(f"{where}: a <{shape.tag}> is no shape of a URDF")
     radius = float(sizes("radius")[0])
@@ -140,8 +146,12 @@ def _mesh_of(shape: Element, where: str) -> tuple[trimesh.Trimesh, float | None]
     return mesh, radius
 
 
-@lru_cache(maxsize=64)
-def _load(path: Path, where: str) -> trimesh.Trimesh:
+def read_mesh(path: Path, where: str) -> trimesh.Trimesh:
+    """The triangles of a mesh file, parts joined, of the link that is called `where`.
+
+    Raises:
+        RobotFileError: It cannot be read, or has none.
+    """
     try:
         with path.open("rb") as file:  # a file, not a path: then no texture beside it is read
             mesh = trimesh.load(
@@ -152,6 +162,9 @@ def _load(path: Path, where: str) -> trimesh.Trimesh:
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.vertices):
         raise RobotFileError(f"{where}: mesh {path}: it has no triangles")
     return mesh
+
+
+_load = lru_cache(maxsize=64)(read_mesh)
 
 
 def _surface(hull: trimesh.Trimesh) -> Array:
