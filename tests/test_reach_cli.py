@@ -9,8 +9,8 @@ import logging
 import numpy as np
 import pytest
 
-from app.border.reach import map as reach_map
-from app.border.reach.map import FINE_SPACING, ReachMap, sample_reach_map
+from app.border import reach as reach_map
+from app.border.reach import FINE_SPACING, ReachMap, sample_reach_map
 from app.border.score import fit_reachability
 from app.cli.main import main
 from app.robot.model import RobotModel

@@ -9,8 +9,16 @@ import pinocchio as pin
 import pytest
 from scipy.optimize import root
 
-from app.border.reach.chain import Chain, free_joints, reach_bodies
-from app.border.reach.map import FINE_SAMPLES, FINE_SPACING, ReachMap, lattice, sample_reach_map
+from app.border.reach import (
+    FINE_SAMPLES,
+    FINE_SPACING,
+    Chain,
+    ReachMap,
+    free_joints,
+    lattice,
+    reach_bodies,
+    sample_reach_map,
+)
 from app.border.score import fit_reachability, radial_profile
 from app.errors import ConfigError
 from app.robot import assets

@@ -19,7 +19,7 @@ from app.robot.model import RobotModel
 from app.strict import Array
 
 if TYPE_CHECKING:
-    from app.border.reach.map import ReachMap
+    from app.border.reach import ReachMap
 
 FLOOR = 0.05  # [-] share of C below which the reachability of (9) is bent to stay positive
 SHELL = 0.05  # [m] thickness of a shell

@@ -18,7 +18,7 @@ from app.system import write_whole
 if TYPE_CHECKING:
     from app.border.cache import BorderData
     from app.border.dbb import Border
-    from app.border.reach.map import ReachMap
+    from app.border.reach import ReachMap
     from app.border.score import ReachFit
     from app.robot.model import RobotModel
 
@@ -156,8 +156,7 @@ def reach(
         seed: Seed of the joint positions; another one is another map.
         out: Folder for two CSV per body: the map, and its means over shells with the fit.
     """
-    from app.border.reach.chain import reach_bodies
-    from app.border.reach.map import FINE_SAMPLES, FINE_SPACING, sample_reach_map
+    from app.border.reach import FINE_SAMPLES, FINE_SPACING, reach_bodies, sample_reach_map
     from app.border.score import fit_reachability
 
     options.check_seed(seed)

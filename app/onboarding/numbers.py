@@ -12,8 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from app.border.reach.chain import reach_bodies
-from app.border.reach.map import PEAK, ReachMap, sample_reach_map
+from app.border.reach import PEAK, ReachMap, reach_bodies, sample_reach_map
 from app.border.score import ReachFit, fit_reachability
 from app.errors import DescriptionError, RobotFileError
 from app.onboarding.read.tree import Arm, Joint

@@ -158,13 +158,12 @@ def _mutate_picture(path: Path, right: bytes, rng: np.random.Generator) -> None:
 
 
 def _mutate_border(path: Path, right: bytes, rng: np.random.Generator) -> None:
-    """Its bytes, or its arrays under a checksum that holds."""
+    """Its bytes, or its arrays under checksums that hold."""
     if rng.random() < 0.3:
         _mutate_bytes(path, right, rng)
         return
     with np.load(io.BytesIO(right)) as file:
         arrays = {name: file[name] for name in file.files}
-    del arrays["checksum"]
     header = json.loads(arrays.pop("header").tobytes())
     if rng.random() < 0.5:
         header = mutated(header, rng)

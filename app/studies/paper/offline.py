@@ -7,7 +7,7 @@ from matplotlib.collections import PathCollection
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from scipy import ndimage
 
-from app.border.reach.map import (
+from app.border.reach import (
     FINE_SAMPLES,
     FINE_SPACING,
     PEAK,

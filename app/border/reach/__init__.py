@@ -1,1 +1,0 @@
-"""Reachability maps (§2.3.2): the density of inverse kinematics solutions, by the area formula."""
