@@ -183,6 +183,9 @@ def test_a_reset_begins_anew_also_while_paused(loop, q_start):
     np.testing.assert_array_equal(anew.base_pose, 0.0)
     assert anew.hand_target is None
     assert [s.t for s in loop.history(-1.0)] == [0.0]
+    loop.send(Reset())
+    again = until(loop, lambda s: s.run > anew.run)  # which its time does not say
+    assert (again.t, again.follows(anew)) == (0.0, False)
     loop.send(Pause(False))
     assert until(loop, lambda s: s.t > 0.1).hand_target is None  # the person has let go
 

@@ -72,6 +72,32 @@ def test_it_is_bounded_in_memory_and_keeps_the_newest(snapshot):
     assert np.ptp(table[0]) == pytest.approx(KEPT, abs=2 * PERIOD)
 
 
+@pytest.mark.parametrize(("before", "after"), [(0.0, 0.0), (0.0, 0.02), (0.3, 0.5)])
+def test_a_run_that_is_as_old_as_the_one_before_when_it_is_seen_begins_anew(
+    snapshot, before, after
+):
+    """As a scenario with a door that is followed, while it is prepared, by one without."""
+    strip = Strip(husky_panda().body_names)
+    past = Past(snapshot, strip)
+    door = snapshot.pairs[0]._replace(name="lm-door")
+    past.extend([replace(snapshot, t=before, run=1, pairs=(*snapshot.pairs, door))])
+    past.extend([replace(snapshot, t=after, run=2)])
+    assert strip.runs == 2
+    assert past.last == after
+
+
+def test_what_begins_anew_while_it_is_read_is_taken_by_the_next_look(snapshot):
+    strip = Strip(husky_panda().body_names)
+    past = Past(snapshot, strip)
+    old, new = replace(snapshot, t=1.0, run=1), replace(snapshot, t=1.5, run=2)
+    past.extend([old])
+    past.history = lambda after: [new]
+    past.extend([old])
+    assert past.last == 1.0
+    past.extend([new])
+    assert (strip.runs, past.last) == (2, 1.5)
+
+
 def test_snapshots_told_twice_are_taken_once(snapshot):
     record = Record(CURVES)
     past = Past(snapshot, record)

@@ -92,7 +92,7 @@ class Page:
         self.channel.on("scene", self._camera.cover)
         self.closed = False
         newest = shared.loop.latest()
-        self._refusal, self._newest = newest.refusal, newest.t  # of before this viewer came
+        self._refusal, self._newest = newest.refusal, newest  # of before this viewer came
         self._dark, self._light = self.view.dark, self.view.light
         set_theme(client.gui, dark=self.view.dark)
         client.gui.set_panel_label(shared.parts.title)
@@ -119,9 +119,9 @@ class Page:
     def draw(self, *, texts: bool) -> None:
         """Draw the instant at which the viewer is; panels, plots and labels only if `texts`."""
         newest, shown = self._shared.loop.latest(), self.timeline.shown()
-        if newest.t < self._newest:
+        if not newest.follows(self._newest):
             self.grip.release()  # time has begun anew, and the simulation has forgotten all pulls
-        self._newest = newest.t
+        self._newest = newest
         if self.grip.holds_anything and not self.timeline.live:
             self.timeline.go_live()  # nobody pulls in the past
         shown = self.explorer_panel.shown(newest, shown)

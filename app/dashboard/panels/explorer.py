@@ -118,7 +118,7 @@ class ExplorerPanel(Panel):
         self.posture: Posture | None = None
         self._wanted: Array | None = None  # (3,) [m] where the hand is to be
         self._off = 0.0  # [m] from where it was to be last
-        self._stopped, self._since = False, 0.0  # [s] when it was begun
+        self._stopped, self._since = False, viewer.shared.loop.latest()  # when it was begun
         model = viewer.shared.model
         kinds = [joint.shortname() for joint in model.pin.joints[2:]]  # after the planar joint
         self._scale = np.array([1.0 if "JointModelP" in kind else _DEGREES for kind in kinds])
@@ -149,7 +149,7 @@ class ExplorerPanel(Panel):
         if posture is None:
             return shown
         self._stopped = self._stopped or newest.paused
-        anew = newest.t < self._since
+        anew = not newest.follows(self._since)
         if anew or (self._stopped and not newest.paused):  # the robot itself counts again
             self._end()
             return shown
@@ -185,7 +185,7 @@ class ExplorerPanel(Panel):
         if newest.door is not None:
             raise TargetError("the hand holds a door here: choose another scenario first")
         self._shared.loop.send(Pause(True))
-        self._stopped, self._since = False, newest.t  # as long as that is on its way
+        self._stopped, self._since = False, newest  # as long as that is on its way
         self._off, posture = 0.0, Posture(np.array(newest.base_pose), np.array(newest.q_m))
         self._set(posture)
         self.posture, self._grip.reach = posture, self._move_hand

@@ -23,7 +23,7 @@ class Timeline:
         """Begin with now; the loop has every snapshot of the last 60 s, the strip older ones."""
         self._loop, self._strip = loop, strip
         self._shown: Snapshot | None = None
-        self._newest = -1.0
+        self._newest = loop.latest()
         self._marked: list[Snapshot] = []
         self._lock = threading.RLock()
         self.begin: float | None = None
@@ -40,13 +40,13 @@ class Timeline:
 
         An interval whose end is marked outlives the restart, until another one is marked.
         """
-        newest = self._loop.latest()
         with self._lock:
-            if newest.t < self._newest:
+            newest = self._loop.latest()
+            if not newest.follows(self._newest):
                 self.go_live()
                 if self.end is None:
                     self.unmark()
-            self._newest = newest.t
+            self._newest = newest
             if self.begin is not None and self.end is None:
                 self._hold()
             return self._shown or newest

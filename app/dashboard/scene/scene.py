@@ -62,14 +62,18 @@ class SceneData:
         """All that keep something of the snapshots, in order of time."""
         self.last = -1.0
         """[s] time of the newest snapshot that they were told, -1 if there is none."""
+        self._newest = first
 
     def update(self) -> None:
-        """Tell each new snapshot once to all keepers; if time went back, all begin anew."""
-        if self.loop.latest().t < self.last:
+        """Tell each new snapshot once to all keepers; if time has begun anew, so do all."""
+        before, self._newest = self._newest, self.loop.latest()
+        if not self._newest.follows(before):
             self.last = -1.0
             for keeper in self.keepers:
                 keeper.begin()
         for snapshot in self.loop.history(self.last):
+            if snapshot.run != self._newest.run:
+                return  # time has begun anew meanwhile, which the next picture sees
             self.last = snapshot.t
             for keeper in self.keepers:
                 keeper.add(snapshot)

@@ -116,6 +116,7 @@ class SimulationLoop(LiveLoop):
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="simulation", daemon=True)
         self._paused, self._watched, self._speed = False, True, 1.0
+        self._runs = 0
         self._until = 0.0  # [s] to which no step waits for real time
         self._refusal: Refusal | None = None
 
@@ -159,6 +160,7 @@ class SimulationLoop(LiveLoop):
 
     def _publish_first(self, ensemble: Ensemble) -> None:
         self._pacer = Pacer(DT, self._speed)
+        self._runs += 1
         self._publish(ensemble, ensemble.step())
 
     def _advance(self, ensemble: Ensemble) -> None:
@@ -181,6 +183,7 @@ class SimulationLoop(LiveLoop):
     def _course(self, ensemble: Ensemble) -> dict[str, Any]:
         """What a snapshot says beyond the session."""
         return {
+            "run": self._runs,
             "paused": self._paused,
             "scenario": ensemble.leading,
             "scenario_ends": ensemble.ends,

@@ -399,6 +399,8 @@ class Snapshot:
     """[µs] real time that the controller took in this step."""
     force_bound: Annotated[float, _force_bound()] = NAN
     """[N] of a person that the arm's torques can bear, where somebody holds it inside a buffer."""
+    run: int = 0
+    """How often time has begun anew before it."""
     busy: str = ""
     """What is being prepared while time stands still, or empty."""
     changing: str = ""
@@ -409,6 +411,10 @@ class Snapshot:
     """What it takes to play again what has just begun, or of people's pulls, has just ended."""
     explanation: Explanation | None = None
     """Why the robot moved as it did in the control step of `t`; None where nobody asked."""
+
+    def follows(self, before: "Snapshot") -> bool:
+        """Whether time has not begun anew since one that was published before, and goes on."""
+        return self.run == before.run and self.t >= before.t
 
     @property
     def held(self) -> PullReading | None:

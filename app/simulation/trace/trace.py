@@ -256,7 +256,7 @@ class Recorder:
 
 
 class History:
-    """A bounded record in order of time; when time goes back, it begins anew."""
+    """A bounded record in order of time; when time begins anew, it does."""
 
     def __init__(self, kept: int = SNAPSHOTS_KEPT) -> None:
         """Empty; the newest snapshots stay, so many of them."""
@@ -272,7 +272,7 @@ class History:
     def add(self, snapshot: Snapshot) -> None:
         """Append a snapshot; one of the same time as the newest takes its place."""
         newest = self._latest
-        if newest is not None and snapshot.t < newest.t:
+        if newest is not None and not snapshot.follows(newest):
             self._kept.clear()
         elif newest is not None and snapshot.t == newest.t:
             self._kept.pop()
