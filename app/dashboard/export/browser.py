@@ -8,7 +8,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -93,12 +93,13 @@ def chromium() -> Iterator[Browser]:
     from playwright.sync_api import Error, sync_playwright
 
     try:
-        with (  # Ctrl-C from a terminal reaches the browser, too, which leaves its files then
-            tempfile.TemporaryDirectory(prefix="dbb-", ignore_cleanup_errors=True) as folder,
-            sync_playwright() as playwright,
-        ):
+        with ExitStack() as stack:
+            # What ends this command reaches browser and driver, too, which leave their files then.
+            folder = tempfile.TemporaryDirectory(prefix="dbb-", ignore_cleanup_errors=True)
+            with _temporary_folder(stack.enter_context(folder)):
+                playwright = stack.enter_context(sync_playwright())
             path = browser_path(playwright.chromium.executable_path)
-            browser = _launch(playwright, path, folder)
+            browser = _launch(playwright, path, folder.name)
             try:
                 yield browser
             except Error as error:
@@ -126,6 +127,19 @@ def new_context(
         context.add_init_script("self.dbbHonest = true;")
     context.add_init_script(_HELPERS)
     return context
+
+
+@contextmanager
+def _temporary_folder(folder: str) -> Iterator[None]:
+    """Programs that are started meanwhile put their temporary files there."""
+    before = os.environ.get("TMPDIR")
+    os.environ["TMPDIR"] = folder
+    try:
+        yield
+    finally:
+        del os.environ["TMPDIR"]
+        if before is not None:
+            os.environ["TMPDIR"] = before
 
 
 def _launch(playwright: Playwright, path: str | None, folder: str) -> Browser:
