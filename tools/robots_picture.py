@@ -26,7 +26,7 @@ from app.robot.model import RobotModel
 from app.studies.style import SOFT, new_figure, png_of, styled
 
 D_B = 0.15  # [m]
-ALONG, ACROSS, UP = (-0.7, 1.1), (-0.85, 0.65), (-0.05, 1.6)  # [m] what is seen
+ALONG, ACROSS, UP = (-0.7, 1.25), (-0.85, 0.65), (-0.05, 2.0)  # [m] what is seen
 HEIGHTS = 9  # [-] contours from the floor up
 IN_A_ROW = 6  # [-] robots
 
