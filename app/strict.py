@@ -31,6 +31,7 @@ Array = np.ndarray
 
 MOST_SEEDS = 2**32 - 1  # [-] the largest seed that every generator takes
 
+_LONGEST = 10_000_000  # [-] characters of a file of TOML or JSON; longer ones are read for minutes
 _MOST_PROBLEMS = 8  # [-] of a file that are told; a longer line nobody reads
 
 
@@ -169,8 +170,11 @@ def parsed(loads: Callable[[str], Any], text: str) -> Any:
     """What a text holds, by a reader of TOML or JSON, whoever wrote it.
 
     Raises:
-        ValueError: It is none, or nests too deeply, or an integer in it has thousands of digits.
+        ValueError: It is none, or very long, or nests too deeply, or an integer in it has thousands
+            of digits.
     """
+    if len(text) > _LONGEST:
+        raise ValueError(f"{len(text)} characters, more than the {_LONGEST} of any such file")
     try:
         return loads(text)
     except RecursionError:

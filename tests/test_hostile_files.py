@@ -34,6 +34,7 @@ from app.robot.assets import ASSETS, refuse_entities
 from app.robot.description import load_description
 from app.simulation.case import read_case
 from app.simulation.trace.log_file import read_trace, write_trace
+from app.strict import parsed
 from app.studies.run_report import key_numbers
 from app.system import write_whole
 from tests.logs import random_snapshots, trace_of
@@ -60,6 +61,11 @@ def test_a_description_a_case_and_a_configuration_of_hostile_values_are_one_line
         read_case(path)
     with pytest.raises(ConfigError):
         decode_config(f"[border]\nd_b = {value}"[:60_000].encode())
+
+
+def test_a_text_far_longer_than_any_is_refused_before_it_is_read():
+    with pytest.raises(ValueError, match="more than"):
+        parsed(pytest.fail, " " * 10_000_001)
 
 
 def test_a_plain_array_is_no_file_of_a_border(tmp_path):
