@@ -8,7 +8,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from PIL import Image
 
 from app.config import Config
 from app.dashboard.export import Look
-from app.dashboard.export.browser import VARIABLE, browser_path, chromium
+from app.dashboard.export.browser import VARIABLE, browser_path
 from app.dashboard.export.offscreen import RecordedLoop
 from app.dashboard.export.screenshot import strip, take_pictures
 from app.errors import BrowserError
@@ -194,15 +193,32 @@ def _line(process: psutil.Process) -> list[str]:
         return []
 
 
-def test_what_a_browser_has_put_beside_goes_with_it_even_if_it_was_killed(monkeypatch):
-    found = []
+_KILLED = """
+import os, tempfile
+from contextlib import suppress
+from pathlib import Path
+import psutil
+from app.dashboard.export.browser import chromium
+with suppress(Exception), chromium():  # playwright's, of any kind: its browser has gone
+    print(*Path(tempfile.gettempdir()).glob("dbb-*/playwright_chromium*"))
+    for process in psutil.Process().children(recursive=True):
+        with suppress(psutil.Error):
+            if "--headless" in " ".join(process.cmdline()):
+                process.kill()
+"""
+
+
+@pytest.mark.browser
+def test_what_a_browser_has_put_beside_goes_with_it_even_if_it_was_killed():
+    """In a process of its own: the tests' browsers in this one are to live on."""
     with tempfile.TemporaryDirectory() as short:  # the path of a browser's socket has a limit
-        monkeypatch.setattr(tempfile, "tempdir", short)
-        monkeypatch.setenv("TMPDIR", short)
-        with suppress(Exception), chromium():  # playwright's, of any kind: its browser has gone
-            found = list(Path(short).glob("dbb-*/playwright_chromium*"))
-            for process in psutil.Process().children(recursive=True):
-                if "--headless" in " ".join(_line(process)):
-                    process.kill()
-        assert len(found) == 1
+        found = subprocess.run(
+            [sys.executable, "-c", _KILLED],
+            cwd=PROJECT,
+            env={**os.environ, "TMPDIR": short},
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
+        assert len(found.stdout.split()) == 1, found.stderr
         assert list(Path(short).iterdir()) == []
