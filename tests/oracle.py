@@ -24,7 +24,7 @@ from app.border.surface import BorderSurface
 from app.config import Config, LimitConfig, TaskConfig
 from app.control import controller as controller_module
 from app.control.controller import Controller
-from app.control.limits import ArmNow, BarrierRow
+from app.control.limits import ArmNow, Barriers
 from app.control.qp import Limits, Objective, TaskQP
 from app.control.tasks import EndEffectorError, EqualityTask
 from app.robot.model import RobotModel
@@ -201,7 +201,7 @@ def plain_rows(
 def plain_limits(
     state: RobotState,
     config: LimitConfig,
-    barriers: Sequence[BarrierRow] = (),
+    barriers: Barriers | None = None,
     *,
     softness: float,
     arm: ArmNow | None = None,
@@ -221,8 +221,8 @@ def plain_limits(
         lower, upper = np.minimum(lower, there + own), np.maximum(upper, there - own)
     n = model.n_m
     most = model.qd_max  # joints' rows are in shares of it
-    C = np.vstack([M[2:], np.eye(n + 2)[2:] / most[:, None], *(row.J for row in barriers)])
-    least = [row.l - row.J[2:] @ extra for row in barriers]
+    J, least = barriers or (np.zeros((0, n + 2)), NONE)
+    C, least = np.vstack([M[2:], np.eye(n + 2)[2:] / most[:, None], J]), least - J[:, 2:] @ extra
     return Limits(
         C,
         np.concatenate([low - h_a, (lower - extra) / most, least]),

@@ -115,7 +115,7 @@ def test_the_desired_acceleration_jumps_twenty_times_less_than_with_the_points(
             acting = finder.find_acting_point(p_b, d, FORCE)
             assert acting is not None
             n = np.array([0.0, np.sign(p_b[1]), 0.0])
-            f = avoidance_force(p_b, acting.p_act, d, n, f_max=FORCE.f_max, d_b=D_B)
+            f = avoidance_force(p_b, acting.p_act, d, n, FORCE.f_max, D_B)
             forces = [PairForce(f, acting.p_act)]
             accelerations.append(generate_mob_acc(forces, base))
         largest[shape] = largest_step(np.array(accelerations))

@@ -5,11 +5,10 @@ import pinocchio as pin
 import pytest
 
 from app.avoidance.closest_points import DistanceMonitor
-from app.avoidance.task import distance_jacobian
 from app.border.cache import BorderData
 from app.config import BarrierConfig, Config
 from app.control.controller import CONTROLLERS, Controller, ControlOutput
-from app.control.limits import barrier_row
+from app.control.limits import barriers_of
 from app.control.tasks import Reference, base_rest_acceleration
 from app.robot.link_pairs import PairDistances, candidate_pairs
 from app.robot.model import RobotModel
@@ -109,8 +108,8 @@ def test_the_barriers_rows_hold_for_what_the_robot_does(
     output = controller.step(m, here(controller, towards))
     assert output.solved
     qdd = realised(controller, output)
-    for row in output.inserted.barriers:
-        assert row.J @ qdd >= row.l - 2 * Config().task.softness * (20.0 + abs(row.l))
+    for J, least in zip(*output.inserted.barriers, strict=True):
+        assert J @ qdd >= least - 2 * Config().task.softness * (20.0 + abs(least))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -124,7 +123,7 @@ def test_a_barrier_is_the_second_order_form_of_its_distance(robot: RobotModel, s
     pairs = PairDistances(robot, candidate_pairs(robot))
     index = [p.name for p in pairs.pairs].index("lm-lEE")
     (closest,) = DistanceMonitor(state, [pairs.pairs[index]]).find_closest_points()
-    row = barrier_row(closest.d, distance_jacobian(state, closest), config)
+    (J,), (least,) = barriers_of(state, [closest], config)
 
     def distance(t: float) -> float:
         v = robot.S @ (state.qd * t + 0.5 * qdd * t * t)
@@ -135,11 +134,11 @@ def test_a_barrier_is_the_second_order_form_of_its_distance(robot: RobotModel, s
     h = 1e-3
     ddot = (distance(h) - distance(-h)) / (2 * h)
     asked = -2 * config.rate * ddot - config.rate**2 * (distance(0.0) - config.d_min)
-    np.testing.assert_allclose(row.J @ state.qd, ddot, atol=1e-4)
+    np.testing.assert_allclose(J @ state.qd, ddot, atol=1e-4)
     J_dot_qd = (
-        -row.l - 2 * config.rate * (row.J @ state.qd) - config.rate**2 * (closest.d - config.d_min)
+        -least - 2 * config.rate * (J @ state.qd) - config.rate**2 * (closest.d - config.d_min)
     )
-    np.testing.assert_allclose(row.l, asked - J_dot_qd, atol=1e-2)
+    np.testing.assert_allclose(least, asked - J_dot_qd, atol=1e-2)
 
 
 def test_every_method_answers_far_away_as_none_does(

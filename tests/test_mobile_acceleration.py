@@ -17,7 +17,7 @@ SIDE = np.array([0.0, 1.0, 0.0])
 
 
 def force(p_b, p_act, d, n=SIDE, f_max=300.0, d_b=0.15):
-    return avoidance_force(np.array(p_b), np.array(p_act), d, np.array(n), f_max=f_max, d_b=d_b)
+    return avoidance_force(np.array(p_b), np.array(p_act), d, np.array(n), f_max, d_b)
 
 
 @pytest.mark.parametrize(("d", "share"), [(0.15, 0.0), (0.075, 0.5), (0.0, 1.0)])
@@ -65,9 +65,9 @@ def test_the_accelerations_do_the_same_work_as_the_forces() -> None:
 
 
 def test_the_resultant_is_the_sum() -> None:
-    forces = [PairForce(np.array([1.0, 2.0, 0.0]), np.zeros(3))] * 3
-    np.testing.assert_allclose(resultant_force(forces), [3.0, 6.0, 0.0])
-    np.testing.assert_array_equal(resultant_force([]), np.zeros(3))
+    forces = [PairForce(np.array([1.0, 2.0, 0.0]), np.array([0.5, -1.0, 0.3]))] * 3
+    np.testing.assert_allclose(resultant_force(forces), [3.0, 6.0, 6.0])
+    assert resultant_force([]) == BaseForce(0.0, 0.0, 0.0)
     np.testing.assert_array_equal(generate_mob_acc([], husky_panda().description.base), np.zeros(2))
 
 

@@ -92,15 +92,15 @@ class SmoothPoint:
         known = [each for each in placed if each is not None]
         self._shapes = np.vstack(known) if len(known) == len(placed) else None
 
-    def find(self, blend: float) -> tuple[Array, Array, Array, Array]:
+    def find(self, blend: float) -> Array:
         """The closest points of the pair.
 
         Args:
             blend: [m] τ.
 
         Returns:
-            (3,) [m] each, in the world: on `a`, on `b`, and of the core of `b`; and (3,) the unit
-            normal from `a` to `b`.
+            (4, 3) [m], in the world: the points on `a`, on `b`, and of the core of `b`; and the
+            unit normal from `a` to `b`.
         """
         if self._shapes is None:
             return self.by_library(blend)
@@ -117,7 +117,7 @@ class SmoothPoint:
             blend,
         )
 
-    def by_library(self, blend: float) -> tuple[Array, Array, Array, Array]:
+    def by_library(self, blend: float) -> Array:
         """The same of shapes that the kernel does not know, slower."""
         placed = self._at_a
         relative = placed.actInv(self._at_b)
@@ -134,7 +134,7 @@ class SmoothPoint:
         d_core, n = min((part.distance_and_normal(core) for part in self._parts), key=itemgetter(0))
         n = placed.rotation @ n
         core = placed.act(core)
-        return core - d_core * n, core - radius * n, core, n
+        return np.array([core - d_core * n, core - radius * n, core, n])
 
 
 def _shapes(model: RobotModel, body: str) -> list[tuple[Shape, pin.GeometryObject]]:

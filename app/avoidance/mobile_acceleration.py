@@ -109,8 +109,9 @@ class PairForce(NamedTuple):
     """(3,) [m] where it acts."""
 
 
+@compiled("f8[::1](f8[:], f8[:], f8, f8[:], f8, f8)")
 def avoidance_force(
-    p_b: Array, p_act: Array, d: float, n: Array, *, f_max: float, d_b: float
+    p_b: Array, p_act: Array, d: float, n: Array, f_max: float, d_b: float
 ) -> Array:
     """f_m,i: from the acting point towards the closest point, stronger the nearer they are.
 
@@ -132,21 +133,25 @@ def avoidance_force(
     Returns:
         (3,) [N], horizontal.
     """
-    magnitude = f_max * min(max(1.0 - d / d_b, 0.0), 1.0) * max(1.0 - float(n[2]) ** 2, 0.0)
+    magnitude = f_max * min(max(1.0 - d / d_b, 0.0), 1.0) * max(1.0 - n[2] ** 2, 0.0)
     direction = p_b - p_act
-    length = math.sqrt(direction @ direction)
+    length = math.sqrt((direction**2).sum())
     if length < 1e-6:  # [m]
         direction = np.array([-n[0], -n[1], 0.0])
-        length = math.sqrt(direction @ direction)
+        length = math.sqrt((direction**2).sum())
     return magnitude / length * direction if length > 0.0 else np.zeros(3)
 
 
-def resultant_force(forces: Iterable[PairForce]) -> Array:
-    """f_m, the sum over the pairs of L_m, (3,) [N].
+def resultant_force(forces: Iterable[PairForce]) -> BaseForce:
+    """f_m, the sum over the pairs of L_m, with its torque about the base's centre.
 
     Paper: Eq. (15).
     """
-    return sum((force.f for force in forces), np.zeros(3))
+    along = across = torque = 0.0
+    for f, p_act in forces:
+        (f_x, f_y, _), (x, y, _) = f.tolist(), p_act.tolist()
+        along, across, torque = along + f_x, across + f_y, torque + x * f_y - y * f_x
+    return BaseForce(along, across, torque)
 
 
 def generate_mob_acc(forces: Iterable[PairForce], base: BaseKind) -> Array:
@@ -161,11 +166,4 @@ def generate_mob_acc(forces: Iterable[PairForce], base: BaseKind) -> Array:
     Returns:
         (n_b,) [m/s² or rad/s²] along the base's axes.
     """
-    forces = tuple(forces)
-    if not forces:
-        return np.zeros(base.n_b)
-    f_m, torque = resultant_force(forces), 0.0
-    for f, p_act in forces:
-        (f_x, f_y, _), (x, y, _) = f.tolist(), p_act.tolist()
-        torque += x * f_y - y * f_x
-    return base.acceleration(BaseForce(float(f_m[0]), float(f_m[1]), torque))
+    return base.acceleration(resultant_force(forces))

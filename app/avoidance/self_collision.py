@@ -60,6 +60,8 @@ class Avoidance(NamedTuple):
         return self.pairs[: self.n_mobile]
 
 
+_NO_FORCE = np.zeros(3)
+_NO_FORCE.setflags(write=False)
 BUFFER_RATE = 0.1  # [m/s] at which the buffer takes on another d_b
 
 
@@ -115,43 +117,33 @@ class SelfCollisionAvoidance:
         closest = self._monitor.find_closest_points(
             within=self.d_b, blend=self._config.activation.blend
         )
-        mobile = [self._mobile_pair(c) for c in closest[:n_mobile]]
-        others = [PairState(c, self._beta(c.d), None, np.zeros(3)) for c in closest[n_mobile:]]
-        base = self._state.model.description.base
+        pairs = tuple([self._pair(each) for each in closest])
+        mobile, model = pairs[:n_mobile], self._state.model
         forces = [PairForce(p.f, p.acting.p_act) for p in mobile if p.acting is not None]
-        xdd_m = generate_mob_acc(forces, base)
+        xdd_m = generate_mob_acc(forces, model.description.base)
         beta_m = task.mobile_activation([p.beta for p in mobile])
         rows_m = None
         if beta_m > 0.0:
-            rows_m = task.mobile_rows(self._state.model.J_m, self._state.model.n, xdd_m, beta_m)
-        links = tuple(
+            rows_m = task.mobile_rows(model.J_m, model.n, xdd_m, beta_m)
+        links = [
             task.generate_rep_acc(self._state, pair.closest, self._config.repulsion, pair.beta)
-            for pair in others
+            for pair in pairs[n_mobile:]
             if pair.beta > 0.0
-        )
-        return Avoidance((*mobile, *others), n_mobile, xdd_m, beta_m, rows_m, links)
+        ]
+        return Avoidance(pairs, n_mobile, xdd_m, beta_m, rows_m, tuple(links))
 
-    def _beta(self, d: float) -> float:
-        return task.activation(d, self.d_b, self._config.activation.d_full)
-
-    def _mobile_pair(self, closest: ClosestPoints) -> PairState:
-        """Lines 4 to 6 for one pair of L_m."""
-        beta = self._beta(closest.d)
-        if beta == 0.0:
-            return PairState(closest, 0.0, None, np.zeros(3))
+    def _pair(self, closest: ClosestPoints) -> PairState:
+        """Lines 4 to 6 for one pair; only those of L_m have a force."""
+        beta = task.activation(closest.d, self.d_b, self._config.activation.d_full)
+        finder = self._finders.get(closest.pair.name) if beta > 0.0 else None
+        if finder is None:
+            return PairState(closest, beta, None, _NO_FORCE)
         p_b = self._state.to_base(closest.p_b)
-        finder = self._finders[closest.pair.name]
         acting = finder.find_acting_point(p_b, closest.d, self._config.force)
         if acting is None:
-            return PairState(closest, beta, None, np.zeros(3))
-        f = avoidance_force(
-            p_b,
-            acting.p_act,
-            closest.d,
-            self._state.R_world_base.T @ closest.n,
-            f_max=self._config.force.f_max,
-            d_b=self.d_b,
-        )
+            return PairState(closest, beta, None, _NO_FORCE)
+        n, f_max = self._state.R_world_base.T @ closest.n, self._config.force.f_max
+        f = avoidance_force(p_b, acting.p_act, closest.d, n, f_max, self.d_b)
         return PairState(closest, beta, acting, f)
 
     def _make_finders(self, config: Config) -> dict[str, ActingPointFinder]:

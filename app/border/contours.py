@@ -83,10 +83,10 @@ class Contours:
         """
         if not len(self.table.heights):
             return None
-        d, x, y, t_x, t_y = nearest_point(*self.table, p)
+        d, foot = nearest_point(*self.table, p)
         if d == math.inf:
-            _, x, y, t_x, t_y = nearest_point(*self._closed, p)
-        return Foot(np.array([x, y, p[2]]), np.array([t_x, t_y, 0.0]))
+            _, foot = nearest_point(*self._closed, p)
+        return Foot(foot[0], foot[1])
 
     def contours(self, z: float) -> list[Array]:
         """(K, 2) [m] each, the polygons at a height z [m], or the open pieces of each ring.
@@ -274,7 +274,7 @@ def _square(p: complex, foot: complex, along: complex) -> complex:
 
 
 @compiled(
-    "UniTuple(f8, 5)(i8[:], f8[:], c16[:,:], c16[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:])",
+    "Tuple((f8, f8[:,::1]))(i8[:], f8[:], c16[:,:], c16[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:])",
 )
 def nearest_point(
     firsts: Array,
@@ -285,14 +285,14 @@ def nearest_point(
     reached: Array,
     spans: Array,
     at: Array,
-) -> tuple[float, float, float, float, float]:
+) -> tuple[float, Array]:
     """The point of a `Table` that is nearest to a point, at the height nearest to its own.
 
     Blocks of edges are searched from near to far, until the next one is farther than what was
     found: so the cost hardly grows with the number of shapes.
 
     Returns:
-        Distance [m], infinite if nothing was found; x, y and the unit tangent there.
+        Distance [m], infinite if nothing was found; and (2, 3) of a `Foot`.
     """
     z, p = level(firsts, heights, at[2]), complex(at[0], at[1])
     shapes, blocks = len(firsts) - 1, spans.shape[1]
@@ -324,4 +324,5 @@ def nearest_point(
             corners,
         )
     d, point, tangent = _search_corners(p, best, corners)
-    return d, point.real, point.imag, tangent.real, tangent.imag
+    foot = np.array([[point.real, point.imag, at[2]], [tangent.real, tangent.imag, 0.0]])
+    return d, foot

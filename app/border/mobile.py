@@ -205,17 +205,16 @@ def distances_and_normals(shapes: Array, points: Array) -> Array:
 
 
 @compiled()
-def _act(R: Array, p: Array, x: Array) -> Array:
-    """R x + p."""
-    found = p.copy()
-    for i in range(3):
-        found[i] += R[i, 0] * x[0] + R[i, 1] * x[1] + R[i, 2] * x[2]
-    return found
+def _act(R: Array, p: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """R (x, y, z) + p."""
+    return (
+        p[0] + R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
+        p[1] + R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
+        p[2] + R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
+    )
 
 
-@compiled(
-    "UniTuple(f8[::1], 4)(f8[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:], f8[:,:], f8[:], f8)"
-)
+@compiled("f8[:,::1](f8[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:,:], f8[:], f8[:,:], f8[:], f8)")
 def mean_nearest(
     shapes: Array,
     corners: Array,
@@ -226,8 +225,8 @@ def mean_nearest(
     R_b: Array,
     p_b: Array,
     blend: float,
-) -> tuple[Array, Array, Array, Array]:
-    """Points of two bodies, of the second one's core, and the normal, of `SmoothPoint`.
+) -> Array:
+    """(4, 3) points of two bodies, of the second one's core, and the normal, of `SmoothPoint`.
 
     Args:
         shapes: (P, 16) of body `a`, as of `distances_and_normals`.
@@ -241,26 +240,29 @@ def mean_nearest(
         blend: [m] τ.
     """
     count, size = len(nodes), len(nodes) + len(faces) * len(corners)
-    at, d, R, p = np.empty((size, 3)), np.empty(size), np.empty((3, 3)), np.empty(3)
-    radii, none = np.zeros(size), np.zeros(3)
+    at, d, R, none = np.empty((size, 3)), np.empty(size), np.empty((3, 3)), np.zeros(3)
     for i in range(3):  # of b, as a sees it
-        R[i] = _act(R_b.T, none, R_a[:, i])
-        p[i] = (R_a[:, i] * (p_b - p_a)).sum()
+        R[:, i] = _act(R_a.T, none, R_b[0, i], R_b[1, i], R_b[2, i])
+    p = np.array(_act(R_a.T, none, p_b[0] - p_a[0], p_b[1] - p_a[1], p_b[2] - p_a[2]))
     for k in range(size):
+        radius = 0.0
         if k < count:
-            at[k], radii[k] = _act(R, p, nodes[k, :3]), nodes[k, 3]
+            at[k], radius = _act(R, p, nodes[k, 0], nodes[k, 1], nodes[k, 2]), nodes[k, 3]
         else:
             f, c = divmod(k - count, len(corners))
-            corner = _act(R.T, none, corners[c] - p)
-            d_c, x, y, z = _nearest_of(faces[f : f + 1], corner[0], corner[1], corner[2])
-            at[k] = _act(R, p, corner - d_c * np.array([x, y, z]))
-        d[k] = _nearest_of(shapes, at[k, 0], at[k, 1], at[k, 2])[0] - radii[k]
+            x, y, z = corners[c, 0] - p[0], corners[c, 1] - p[1], corners[c, 2] - p[2]
+            x, y, z = _act(R.T, none, x, y, z)
+            d_c, n_x, n_y, n_z = _nearest_of(faces[f : f + 1], x, y, z)
+            at[k] = _act(R, p, x - d_c * n_x, y - d_c * n_y, z - d_c * n_z)
+        d[k] = _nearest_of(shapes, at[k, 0], at[k, 1], at[k, 2])[0] - radius
     weights = np.exp((d.min() - d) / blend)
     weights /= weights.sum()
     core, radius = np.zeros(3), 0.0
     for k in range(size):
         core += weights[k] * at[k]
-        radius += weights[k] * radii[k]
+        radius += weights[k] * (nodes[k, 3] if k < count else 0.0)
     d_core, x, y, z = _nearest_of(shapes, core[0], core[1], core[2])
-    core, n = _act(R_a, p_a, core), _act(R_a, none, np.array([x, y, z]))
-    return core - d_core * n, core - radius * n, core, n
+    found = np.empty((4, 3))
+    found[2], found[3] = _act(R_a, p_a, core[0], core[1], core[2]), _act(R_a, none, x, y, z)
+    found[0], found[1] = found[2] - d_core * found[3], found[2] - radius * found[3]
+    return found

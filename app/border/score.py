@@ -88,9 +88,7 @@ class ScoreField:
 
     def at_point(self, p: Array) -> tuple[float, Array]:
         """S and ∇S (3,) at one point (3,): `score` and `gradient` together, at little cost."""
-        measure = np.array([self.base.singularity_at(p)])
-        field = _fields(p[None], measure, self.p_base, self.A, self.B, self.C)[0]
-        return field[1], field[2:]
+        return _field_at(p, self.base.singularity_at(p), self.p_base, self.A, self.B, self.C)
 
     def _fields(self, p: Array) -> Array:
         """(…, 5) R, S and ∇S."""
@@ -101,26 +99,43 @@ class ScoreField:
         return found.reshape(*p.shape[:-1], 5)
 
 
+Measure = tuple[float, float, float]
+"""The base's measure of (7) at a point, with its sign, and its derivatives by x and y."""
+
+
+@compiled()
+def _field(
+    p: Array, measure: Measure, p_base: Array, A: float, B: float, C: float
+) -> tuple[float, float, float, float, float]:
+    """R, S and ∇S at a point; at the mount itself the distance has no direction: R adds nothing."""
+    x, y, z = p[0] - p_base[0], p[1] - p_base[1], p[2] - p_base[2]
+    rho, R_1 = math.sqrt(x * x + y * y + z * z), FLOOR * C
+    R, slope = C - A * (rho - B) ** 2, -2 * A * (rho - B)
+    if R < R_1:
+        low = R_1 / (2 * R_1 - R)
+        R, slope = R_1 * low, slope * low**2
+    signed, by_x, by_y = measure
+    by_way = signed * (slope / rho if rho > 0.0 else 0.0)
+    return R, signed * R, x * by_way + by_x * R, y * by_way + by_y * R, z * by_way
+
+
 @compiled("f8[:,::1](f8[:,:], f8[:,:], f8[:], f8, f8, f8)")
 def _fields(points: Array, measures: Array, p_base: Array, A: float, B: float, C: float) -> Array:
-    """(N, 5) R, S and ∇S at points (N, 3), from the base's measures and their derivatives (N, 3).
-
-    At the mount itself the distance has no direction: there R adds nothing to the gradient.
-    """
-    found, R_1 = np.empty((len(points), 5)), FLOOR * C
+    """(N, 5) R, S and ∇S at points (N, 3), from measures (N, 3) there."""
+    found = np.empty((len(points), 5))
     for k in range(len(points)):
-        way = points[k] - p_base
-        rho = math.sqrt(way[0] ** 2 + way[1] ** 2 + way[2] ** 2)
-        R, slope = C - A * (rho - B) ** 2, -2 * A * (rho - B)
-        if R < R_1:
-            low = R_1 / (2 * R_1 - R)
-            R, slope = R_1 * low, slope * low**2
-        signed, by_x, by_y = measures[k]
-        found[k, 0], found[k, 1] = R, signed * R
-        found[k, 2:] = way * (signed * (slope / rho if rho > 0.0 else 0.0))
-        found[k, 2] += by_x * R
-        found[k, 3] += by_y * R
+        measure = (measures[k, 0], measures[k, 1], measures[k, 2])
+        found[k] = _field(points[k], measure, p_base, A, B, C)
     return found
+
+
+@compiled("Tuple((f8, f8[::1]))(f8[:], UniTuple(f8, 3), f8[:], f8, f8, f8)")
+def _field_at(
+    p: Array, measure: Measure, p_base: Array, A: float, B: float, C: float
+) -> tuple[float, Array]:
+    """S and ∇S (3,) at one point (3,)."""
+    _, score, x, y, z = _field(p, measure, p_base, A, B, C)
+    return score, np.array([x, y, z])
 
 
 @dataclass(frozen=True)

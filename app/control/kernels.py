@@ -443,7 +443,10 @@ def carried(J_ee: Array, qd_max: Array, J_m_inv: Array, speed: float) -> Array:
         for j in range(n_b):
             for k in range(n_b):
                 moved[i, j] += J_ee[i, k] * J_m_inv[k, j]
-    return np.ascontiguousarray(np.linalg.solve(left, moved))
+    L, found = _cholesky(left), np.empty_like(moved)
+    for j in range(n_b):
+        found[:, j] = _backward(L, _forward(L, moved[:, j]))
+    return found
 
 
 @compiled("f8[::1](f8[:], f8[:], f8[:], f8, f8[:,:])")
@@ -456,4 +459,5 @@ def with_hand(wanted: Array, held: Array, inertia: Array, mass: float, taken: Ar
         for j in range(n_b):
             for k in range(len(taken)):
                 hung[i, j] += mass * taken[k, i] * taken[k, j]
-    return held + np.linalg.solve(hung, right)
+    L = _cholesky(hung)
+    return held + _backward(L, _forward(L, right))

@@ -6,14 +6,14 @@ acceleration that the arm will have.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from app.avoidance.closest_points import ClosestPoints
-from app.avoidance.task import DistanceJacobian, distance_jacobian
+from app.avoidance.task import distance_jacobian
 from app.config import BarrierConfig, LimitConfig
 from app.control import kernels
 from app.control.qp import Limits
@@ -22,25 +22,32 @@ from app.robot.state import RobotState
 from app.strict import Array
 
 
-class BarrierRow(NamedTuple):
-    """J q̈ ≥ l."""
+class Barriers(NamedTuple):
+    """J q̈ ≥ l, a row a pair."""
 
     J: Array
-    """(n,) Jacobian of the distance."""
-    l: float
-    """[m/s²] lower bound."""
+    """(k, n) Jacobians of the distances."""
+    l: Array
+    """(k,) [m/s²] lower bounds."""
 
 
-def barrier_row(d: float, row: DistanceJacobian, config: BarrierConfig) -> BarrierRow:
-    """The row that keeps a pair's distance d [m] above d_min, for the base's columns as the arm's.
+def barriers_of(
+    state: RobotState, pairs: Iterable[ClosestPoints], config: BarrierConfig
+) -> Barriers:
+    """The rows that keep pairs' distances d above d_min, for the base's columns as the arm's.
 
     With h = d - d_min it asks for ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that begins with ḣ + λ h ≥ 0 never
     comes nearer than d_min, and one that begins nearer, in penetration too, leaves at the rate λ,
     at `barrier.leaving` at most: h counts down to that speed over λ. It is the second-order form of
     the barriers ḣ + λ h ≥ 0 that libraries for velocities use.
     """
-    h = max(d - config.d_min, -config.leaving / config.rate)
-    return BarrierRow(row.J, -2 * config.rate * row.speed - config.rate**2 * h - row.Jdqd)
+    rate, deepest = config.rate, -config.leaving / config.rate
+    J, l = [], []
+    for pair in pairs:
+        row, h = distance_jacobian(state, pair), max(pair.d - config.d_min, deepest)
+        J.append(row.J)
+        l.append(-2 * rate * row.speed - rate**2 * h - row.Jdqd)
+    return Barriers(np.array(J).reshape(-1, state.model.n), np.array(l))
 
 
 def position_bounds(state: RobotState, config: LimitConfig) -> Array:
@@ -82,7 +89,7 @@ class ArmNow(NamedTuple):
 def robot_limits(
     state: RobotState,
     config: LimitConfig,
-    barriers: Sequence[BarrierRow] = (),
+    barriers: Barriers | None = None,
     *,
     softness: float,
     arm: ArmNow | None = None,
@@ -102,9 +109,8 @@ def robot_limits(
         arm: For the arm's part; else any torque up to the joints' own may act in this step, and
             nobody pushes.
     """
-    model, J, least = state.model, np.zeros((0, state.model.n)), np.zeros(0)
-    if barriers:
-        J, least = np.array([row.J for row in barriers]), np.array([row.l for row in barriers])
+    model = state.model
+    J, least = barriers or (np.zeros((0, model.n)), np.zeros(0))
     qdd_b, torque, pushed = arm or (np.zeros(0), model.tau_limits, np.zeros(model.n_m))
     bounds = joint_bounds(state, config)
     return Limits(

@@ -7,10 +7,10 @@ import numpy as np
 
 from app.avoidance.closest_points import ClosestPoints
 from app.avoidance.self_collision import Avoidance, PairState
-from app.avoidance.task import DistanceJacobian, TaskRows, distance_jacobian
+from app.avoidance.task import TaskRows
 from app.config import Config, RepulsionConfig
 from app.control import CONTROLLERS
-from app.control.limits import BarrierRow, barrier_row
+from app.control.limits import Barriers, barriers_of
 from app.robot.state import RobotState
 from app.strict import Array
 
@@ -24,7 +24,7 @@ class Inserted(NamedTuple):
     """The arm's rows against the base."""
     rows_links: tuple[TaskRows, ...] = ()
     """Rows between the arm's links."""
-    barriers: tuple[BarrierRow, ...] = ()
+    barriers: Barriers | None = None
     """Distances that the arm keeps while the other tasks give in."""
     base_too: bool = False
     """Whether the base takes part in keeping them."""
@@ -63,13 +63,13 @@ def dbb(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
     Paper: Algorithm 2, line 14 (UpdateSoT).
     """
     pairs, n_b = avoidance.mobile, state.model.n_b
-    jacobians = [distance_jacobian(state, pair.closest) for pair in pairs]
+    barriers = barriers_of(state, [pair.closest for pair in pairs], config.barrier)
     return Inserted(
         avoidance.rows_m,
         rows_links=avoidance.rows_links,
-        barriers=_barriers(pairs, jacobians, config),
+        barriers=barriers,
         n_b=n_b,
-        u_a=_reaction(pairs, jacobians, config, n_b),
+        u_a=_reaction(pairs, barriers.J[:, n_b:], config),
     )
 
 
@@ -113,8 +113,7 @@ def barrier(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted
 
     The base takes part in all of it.
     """
-    jacobians = [distance_jacobian(state, pair.closest) for pair in avoidance.pairs]
-    barriers = _barriers(avoidance.pairs, jacobians, config)
+    barriers = barriers_of(state, [pair.closest for pair in avoidance.pairs], config.barrier)
     return Inserted(barriers=barriers, base_too=True, n_b=state.model.n_b)
 
 
@@ -124,20 +123,11 @@ def none(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
     return Inserted(n_b=state.model.n_b)
 
 
-def _barriers(
-    pairs: Sequence[PairState], jacobians: Sequence[DistanceJacobian], config: Config
-) -> tuple[BarrierRow, ...]:
-    both = zip(pairs, jacobians, strict=True)
-    return tuple(barrier_row(pair.closest.d, J, config.barrier) for pair, J in both)
-
-
-def _reaction(
-    pairs: Sequence[PairState], jacobians: Sequence[DistanceJacobian], config: Config, n_b: int
-) -> Array | float:
-    """(n_m,) [N m or N] J_mᵀ f_arm (1 - d/d_b) of the pairs in the buffer, 0 without any."""
-    depths = [min(1.0 - pair.closest.d / config.border.d_b, 1.0) for pair in pairs]
-    both = zip(depths, jacobians, strict=True)
-    return sum((config.force.f_arm * s * row.J[n_b:] for s, row in both if s > 0.0), 0.0)
+def _reaction(pairs: Sequence[PairState], J_m: Array, config: Config) -> Array:
+    """(n_m,) [N m or N] J_mᵀ f_arm (1 - d/d_b) of the pairs in the buffer."""
+    f_arm, d_b = config.force.f_arm, config.border.d_b
+    f = [f_arm * min(max(1.0 - pair.closest.d / d_b, 0.0), 1.0) for pair in pairs]
+    return np.array(f) @ J_m
 
 
 METHODS: dict[str, Method] = dict(zip(CONTROLLERS, (dbb, repulsive, barrier, none), strict=True))

@@ -50,13 +50,10 @@ class EndEffectorError(NamedTuple):
 
 def end_effector_error(state: RobotState, reference: Reference) -> EndEffectorError:
     """The end-effector's, with rotations as rotation vectors in axes of the world."""
-    at, R = state.T_world_ee, state.T_world_ee.rotation
-    pose = np.empty(6)
-    pose[:3] = reference.pose.translation - at.translation
-    pose[3:] = R @ pin.log3(R.T @ reference.pose.rotation)
-    return EndEffectorError(
-        pose, reference.velocity - state.v_ee, reference.acceleration - state.Jdqd_ee
-    )
+    at, (wanted, velocity, acceleration) = state.T_world_ee, reference
+    turn = pin.log3(wanted.rotation @ at.rotation.T)
+    pose = np.concatenate((wanted.translation - at.translation, turn))
+    return EndEffectorError(pose, velocity - state.v_ee, acceleration - state.Jdqd_ee)
 
 
 def end_effector_task(

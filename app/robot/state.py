@@ -159,6 +159,13 @@ def _chain_motion(J: Array, v: Array) -> tuple[Array, Array]:
     return twists, biases
 
 
+@compiled("f8[::1](f8[:,:], f8[:], f8[:])")
+def _seen_from(R: Array, p: Array, at: Array) -> Array:
+    """Rᵀ (at - p), (3,)."""
+    x, y, z = at[0] - p[0], at[1] - p[1], at[2] - p[2]
+    return R[0] * x + R[1] * y + R[2] * z
+
+
 @compiled("UniTuple(f8, 3)(f8[:], f8[:])")
 def _point_velocity(twist: Array, p: Array) -> tuple[float, float, float]:
     """Velocity [m/s] of a body's point at p (3,), from the body's twist (6,)."""
@@ -321,7 +328,7 @@ class RobotState:
 
     def to_base(self, p_world: Array) -> Array:
         """(3,) a point of the world in the base's frame."""
-        return self.R_world_base.T @ (p_world - self.p_o)
+        return _seen_from(self.R_world_base, self.p_o, p_world)
 
     def to_world(self, p_base: Array) -> Array:
         """(3,) a point of the base's frame in the world."""

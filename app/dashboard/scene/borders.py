@@ -376,7 +376,7 @@ def probe_at(borders: Borders, pair: str, snapshot: Snapshot, p: Array, n: Array
     finder = ActingPointFinder(borders.surface(pair, config.border), field)
     found = finder.find_acting_point(p_b, d, config.force)
     assert found is not None, "a border that is drawn has contours"
-    f = avoidance_force(p_b, found.p_act, d, n, f_max=config.force.f_max, d_b=d_b)
+    f = avoidance_force(p_b, found.p_act, d, n, config.force.f_max, d_b)
     acceleration = generate_mob_acc([PairForce(f, found.p_act)], field.base)
     det, reach = field.singularity(p), field.reachability(p)
     return Probe(p, float(det), float(reach), float(field.score(p)), found.p_act, acceleration)

@@ -148,7 +148,7 @@ class Sources:
         acting = finder.find_acting_point(p_b, d, force)
         assert acting is not None  # the paper's robot has a border at every height in the buffer
         d_b = self.config.border.d_b
-        return acting, avoidance_force(p_b, acting.p_act, d, closest.n, f_max=force.f_max, d_b=d_b)
+        return acting, avoidance_force(p_b, acting.p_act, d, closest.n, force.f_max, d_b)
 
     def closest_points(self, q_m: Iterable[Array]) -> list[ClosestPoints]:
         """The closest points of base and hand in the base's frame, at each posture (n_m,)."""
