@@ -96,7 +96,7 @@ def mobile_rows(J_m: Array, n: int, xdd_m: Array, beta_m: float) -> TaskRows:
     n_b = len(J_m)
     J = np.zeros((n_b, n))
     J[:, :n_b] = J_m
-    return TaskRows(J, np.zeros(n_b), np.asarray(xdd_m, dtype=float), beta_m)
+    return TaskRows(J, np.zeros(n_b), xdd_m, beta_m)
 
 
 def generate_rep_acc(

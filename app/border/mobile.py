@@ -257,12 +257,12 @@ def mean_nearest(
         d[k] = _nearest_of(shapes, at[k, 0], at[k, 1], at[k, 2])[0] - radius
     weights = np.exp((d.min() - d) / blend)
     weights /= weights.sum()
-    core, radius = np.zeros(3), 0.0
+    x = y = z = radius = 0.0
     for k in range(size):
-        core += weights[k] * at[k]
+        x, y, z = x + weights[k] * at[k, 0], y + weights[k] * at[k, 1], z + weights[k] * at[k, 2]
         radius += weights[k] * (nodes[k, 3] if k < count else 0.0)
-    d_core, x, y, z = _nearest_of(shapes, core[0], core[1], core[2])
+    d_core, n_x, n_y, n_z = _nearest_of(shapes, x, y, z)
     found = np.empty((4, 3))
-    found[2], found[3] = _act(R_a, p_a, core[0], core[1], core[2]), _act(R_a, none, x, y, z)
+    found[2], found[3] = _act(R_a, p_a, x, y, z), _act(R_a, none, n_x, n_y, n_z)
     found[0], found[1] = found[2] - d_core * found[3], found[2] - radius * found[3]
     return found

@@ -20,6 +20,7 @@ from app.errors import MeasurementError
 from app.robot.model import RobotModel
 
 Array = np.ndarray
+_FLOAT = np.dtype(float)
 
 
 class Measurement(NamedTuple):
@@ -46,10 +47,10 @@ def checked(measurement: Measurement, model: RobotModel) -> Measurement:
     """
     n_d = model.n_d if np.size(measurement.drive) else 0
     sizes = (3, model.n_b, model.n_m, model.n_m, n_d)
-    if all(
-        isinstance(each, np.ndarray) and each.dtype == np.float64 and each.shape == (size,)
-        for each, size in zip(measurement, sizes, strict=True)
-    ):
+    for each, size in zip(measurement, sizes, strict=True):
+        if not (isinstance(each, np.ndarray) and each.dtype == _FLOAT and each.shape == (size,)):
+            break
+    else:
         return measurement
     found: dict[str, Array] = {}
     for name, each, size in zip(Measurement._fields, measurement, sizes, strict=True):
