@@ -88,15 +88,12 @@ class TaskRows(NamedTuple):
         return self.xdd - self.Jdqd
 
 
-def mobile_rows(J_m: Array, n: int, xdd_m: Array, beta_m: float) -> TaskRows:
+def mobile_rows(J_base: Array, xdd_m: Array, beta_m: float) -> TaskRows:
     """The rows of the base, one an axis, [J_m O] q̈ = ẍ_m; J̇_m = 0.
 
     Paper: Eq. (16), (19).
     """
-    n_b = len(J_m)
-    J = np.zeros((n_b, n))
-    J[:, :n_b] = J_m
-    return TaskRows(J, np.zeros(n_b), xdd_m, beta_m)
+    return TaskRows(J_base, np.zeros(len(J_base)), xdd_m, beta_m)
 
 
 def generate_rep_acc(

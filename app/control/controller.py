@@ -2,8 +2,6 @@
 
 from typing import NamedTuple
 
-import numpy as np
-
 from app.avoidance.self_collision import Avoidance, SelfCollisionAvoidance
 from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
@@ -11,7 +9,7 @@ from app.border.score import ScoreField
 from app.config import Config, slowed
 from app.control import CONTROLLERS
 from app.control.admittance import response
-from app.control.kernels import torque_range
+from app.control.kernels import clipped, torque_range
 from app.control.limits import ArmNow, PushObserver, base_limits, robot_limits
 from app.control.methods import METHODS, Inserted
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
@@ -207,7 +205,7 @@ class Controller:
             error = None if reference is None else end_effector_error(self.state, reference)
             stack = self._stack(inserted, error)
             wanted, asked = self._base_part(inserted, error, stack)
-            asked = _clipped(asked, self._model.base_acceleration_max)
+            asked = self._possible(asked)
             given = asked if base_acceleration is None else base_acceleration
             workings = self._arm_part(wanted, given, inserted, stack, torque)
             n_b = self._model.n_b
@@ -216,7 +214,7 @@ class Controller:
             self.failures += 1
             u_a = free_arm_torque(self.state)
             asked = base_rest_acceleration(self.state, self._config.task)
-        u_a = np.minimum(np.maximum(u_a, torque[0]), torque[1])
+        u_a = clipped(u_a, *torque)
         if self.q_posture is not None:  # else the torques are those of no pose that was measured
             self._u_a = u_a
         solved, tracking = workings is not None, reference is not None
@@ -267,12 +265,14 @@ class Controller:
         if rows_m is None:
             return free, free
         gain, lost = self._answer()
-        holding, most = self._config.holding, self._model.base_acceleration_max
+        holding, held = self._config.holding, free / gain + lost
         taken, weight = carried(self.state, holding.speed) * gain, rows_m.beta * holding.weight
         wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
-        return wanted, base_with_hand(
-            self.state, _clipped(wanted, most), free / gain + lost, weight, taken
-        )
+        return wanted, base_with_hand(self.state, self._possible(wanted), held, weight, taken)
+
+    def _possible(self, acceleration: Array) -> Array:
+        """The base's, (n_b,), within its limits."""
+        return clipped(acceleration, *self._base_limits[1:3])
 
     def _relief(
         self,
@@ -332,8 +332,3 @@ class Controller:
         posture = posture_objective(self.state, self.q_posture, task)
         T_ee = end_effector_task(self.state, error, task)
         return Stack(tracking_objective(posture, T_ee, task.ee_weight), posture, T_ee)
-
-
-def _clipped(values: Array, largest: Array) -> Array:
-    """Values within ±largest; `np.clip` costs thrice as much on so few."""
-    return np.minimum(np.maximum(values, -largest), largest)

@@ -130,9 +130,7 @@ def _softness(n_m: int, barriers: int, softness: float) -> Array:
 def base_limits(model: RobotModel) -> Limits:
     """Limits on q̈ of the base's accelerations, hard."""
     most = model.base_acceleration_max
-    C = np.zeros((len(most), model.n))
-    C[:, : model.n_b] = model.J_m
-    return Limits(C, -most, most, np.zeros(len(most)))
+    return Limits(model.J_base, -most, most, np.zeros(model.n_b))
 
 
 class PushObserver:
@@ -165,8 +163,8 @@ class PushObserver:
         `u_a` (n_m,) [N m or N] are the torques given within it.
         """
         if self._qd is not None:
-            change, share = (state.qd - self._qd) / dt, -math.expm1(-rate * dt)
-            self.r = kernels.observed(self.r, state.M, state.h, change, u_a, share)
+            share, then = -math.expm1(-rate * dt), self._qd
+            self.r = kernels.observed(self.r, state.M, state.h, then, state.qd, dt, u_a, share)
         self._qd = state.qd
 
 
