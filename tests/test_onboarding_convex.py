@@ -102,9 +102,10 @@ def test_what_is_swept_holds_the_links_in_every_position_of_the_joints_between()
     model = husky_panda()
     rng = np.random.default_rng(1)
     points = {j: rng.uniform(-0.08, 0.08, (40, 3)) for j in (6, 7, 8)}  # joints 5, 6, 7
-    corners = swept(model, points, 7)
+    corners, volume = swept(model, points)[7]
     from scipy.spatial import ConvexHull
 
+    assert volume == pytest.approx(ConvexHull(corners).volume)
     planes = ConvexHull(corners).equations
     data = model.pin.createData()
     for q_m in rng.uniform(model.q_lower, model.q_upper, (50, model.n_m)):

@@ -114,16 +114,16 @@ def _arm_grouping(
     base, fitter = fit_base(meetings.units, mobile), ArmFitter(model, meetings, mobile)
     units = [u.index for u in meetings.units if u.index not in mobile and (u.index > 1 or u.links)]
 
-    def best(*counts: int) -> Grouping | None:
-        """That of the least cost of those that are expected to have it."""
-        found: Grouping | None = None
-        judged: set[tuple[int, ...]] = set()
+    judged: set[tuple[int, ...]] = set()
+
+    def best(found: Grouping | None, *counts: int) -> Grouping | None:
+        """The one found, or that of less cost of those that are expected to have it."""
         for at_least, grouping in _ranked(units, counts, meetings, mobile)[:_MOST_JUDGED]:
             if found is not None and at_least >= found.verdict.cost:
                 continue
             bodies = [base, *fitter.bodies(grouping)]
             shapes = tuple(id(body.fits[0]) for body in bodies)
-            if shapes in judged:  # it differs only in links that meet nobody
+            if shapes in judged:  # it differs only in links that meet nobody, or was tried before
                 continue
             judged.add(shapes)
             tried = Grouping(bodies, judge(model, bodies, meetings, d_b))
@@ -131,9 +131,9 @@ def _arm_grouping(
                 found = tried
         return found
 
-    chosen = best(min(_PAPER, len(units)) if count is None else count)
+    chosen = best(None, min(_PAPER, len(units)) if count is None else count)
     if count is None and (chosen is None or not _good(chosen.verdict)):
-        chosen = best(*(k for k in range(2, _MOST + 1) if k <= len(units))) or chosen
+        chosen = best(chosen, *(k for k in range(2, _MOST + 1) if k <= len(units)))
     if chosen is None:
         raise RobotFileError(f"--bodies: the arm has {len(units)} parts; choose up to that many")
     return chosen
