@@ -648,7 +648,10 @@ def test_an_arm_that_stands_in_the_floor_or_in_the_base_is_warned_of(made: NewRo
     assert told(made) == []
     down = np.array([0.0, 2.5, 0.5, 0.0, 0.0, 0.0])  # beside the base, past the floor
     [hand] = told(replace(made, ready=made.ready._replace(q_m=down)))[-1:]
-    assert re.match(r"hand is 0\.\d+ m below the floor in the ready pose: look at --mount", hand)
+    assert re.match(r"hand is 0\.\d+ m below the floor in the ready pose: look at --ready$", hand)
+    arm = replace(made.request, arm_urdf="arm.urdf")
+    [hand] = told(replace(made, request=arm, ready=made.ready._replace(q_m=down)))[-1:]
+    assert hand.endswith("look at --mount-xyz, --mount-rpy and --ready")
     bodies = [body.model_dump() for body in made.model.description.bodies]
     size = bodies[0]["shapes"][0]["size_m"]
     bodies[0]["shapes"][0]["size_m"] = (size[0], size[1], 1.2)  # up to above the column

@@ -135,7 +135,8 @@ def _arm_grouping(
     if count is None and (chosen is None or not _good(chosen.verdict)):
         chosen = best(chosen, *(k for k in range(2, _MOST + 1) if k <= len(units)))
     if chosen is None:
-        raise RobotFileError(f"--bodies: the arm has {len(units)} parts; choose up to that many")
+        parts = sum(bool(meetings.units[unit].parts) for unit in units)
+        raise RobotFileError(f"--bodies: the arm has {parts} parts; choose up to that many")
     return chosen
 
 
@@ -279,16 +280,20 @@ def _body_distances(
 def _ranked(
     units: Sequence[int], counts: Sequence[int], meetings: Meetings, mobile: Sequence[int]
 ) -> list[tuple[float, list[list[int]]]]:
-    """All cuts of the chain, the one of the least cost first if bodies meet where links do.
+    """All cuts of the chain into groups with shapes, the one of the least cost first if bodies meet
+    where links do.
 
     With each comes the least cost that it can have.
     """
+    shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]
     hits = hits[hits.any(axis=1)]
     ranked = []
     for count in counts:
         for cuts in combinations(range(1, len(units)), count - 1):
             groups = [list(units[a:b]) for a, b in pairwise([0, *cuts, len(units)])]
+            if any(shaped.isdisjoint(group) for group in groups):
+                continue
             owner = {unit: k + 1 for k, group in enumerate(groups) for unit in group}
             owner |= dict.fromkeys(mobile, 0)
             watched = [abs(owner[u] - owner[v]) > 1 for u, v in meetings.pairs]
