@@ -452,7 +452,10 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     bare = compiled(description(request, parsed), path)
     units = make_units(bare, parsed.arm, parsed.geometry)
     meetings = sample_meetings(bare, units, samples=4000, seed=1, d_b=0.15)
-    found = find_grouping(bare, meetings, d_b=0.15)
+    shares: list[float] = []
+    found = find_grouping(bare, meetings, d_b=0.15, on_progress=shares.append)
+    assert shares[0] == 0.0  # a fit of many parts took minutes without a word
+    assert 0.0 < max(shares) < 1.0
     assert not found.verdict.unwatched
     return compiled(description(request, parsed, found.bodies), path)
 

@@ -8,7 +8,7 @@ is not watched, as neighbours are not.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations, compress, pairwise
 from typing import NamedTuple
 
@@ -75,7 +75,12 @@ class Grouping(NamedTuple):
 
 
 def find_grouping(
-    model: RobotModel, meetings: Meetings, *, d_b: float, count: int | None = None
+    model: RobotModel,
+    meetings: Meetings,
+    *,
+    d_b: float,
+    count: int | None = None,
+    on_progress: Callable[[float], None] = lambda _: None,
 ) -> Grouping:
     """The best grouping of the robot's units into bodies.
 
@@ -84,14 +89,15 @@ def find_grouping(
 
     Without a count these are four bodies as the paper has, or two to five where four do not do: a
     pair always near, one that only the bodies make, too many collisions missed. d_b is in m.
+    `on_progress` is called with the share of the groupings under way that were looked at.
 
     Raises:
         RobotFileError: The arm has fewer parts than `count`, or none of a shape.
     """
     fixed = meetings.units[1]
-    found = _arm_grouping(model, meetings, (0,), d_b, count)
+    found = _arm_grouping(model, meetings, (0,), d_b, count, on_progress)
     if fixed.links and not _sees(model, found, meetings, fixed.index):
-        found = _arm_grouping(model, meetings, (0, fixed.index), d_b, count)
+        found = _arm_grouping(model, meetings, (0, fixed.index), d_b, count, on_progress)
     return found
 
 
@@ -108,7 +114,12 @@ def _sees(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: int) 
 
 
 def _arm_grouping(
-    model: RobotModel, meetings: Meetings, mobile: tuple[int, ...], d_b: float, count: int | None
+    model: RobotModel,
+    meetings: Meetings,
+    mobile: tuple[int, ...],
+    d_b: float,
+    count: int | None,
+    on_progress: Callable[[float], None],
 ) -> Grouping:
     """The best grouping around an l_m of given units."""
     base, fitter = fit_base(meetings.units, mobile), ArmFitter(model, meetings, mobile)
@@ -118,7 +129,9 @@ def _arm_grouping(
 
     def best(found: Grouping | None, *counts: int) -> Grouping | None:
         """The one found, or that of less cost of those that are expected to have it."""
-        for at_least, grouping in _ranked(units, counts, meetings, mobile)[:_MOST_JUDGED]:
+        ranked = _ranked(units, counts, meetings, mobile)[:_MOST_JUDGED]
+        for k, (at_least, grouping) in enumerate(ranked):
+            on_progress(k / len(ranked))
             if found is not None and at_least >= found.verdict.cost:
                 continue
             bodies = [base, *fitter.bodies(grouping)]
