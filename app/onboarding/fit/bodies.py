@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -67,23 +68,23 @@ def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBod
 
 def _merged(corners: Sequence[Array]) -> list[Fit]:
     """One shape a link, then neighbours together as long as that costs little volume."""
-    groups = [(c, fit_best(c, BASE_WEIGHTS)) for c in corners]
+    groups = {k: (c, fit_best(c, BASE_WEIGHTS)) for k, c in enumerate(corners)}
+    known: dict[tuple[int, int], tuple[float, Array, Fit]] = {}  # a pair stays the same
+    new = len(groups)
     while len(groups) > 1:
-        best: tuple[float, int, int, Array, Fit] | None = None
-        for i in range(len(groups)):
-            for j in range(i + 1, len(groups)):
+        for i, j in combinations(groups, 2):
+            if (i, j) not in known:
                 points = hull_corners(np.vstack([groups[i][0], groups[j][0]]))
                 fit = fit_best(points, {"box": 1.0})
-                cost = fit.volume / (groups[i][1].volume + groups[j][1].volume)
-                if best is None or cost < best[0]:
-                    best = (cost, i, j, points, fit)
-        assert best is not None
-        cost, i, j, points, fit = best
+                known[i, j] = fit.volume / (groups[i][1].volume + groups[j][1].volume), points, fit
+        i, j = min(combinations(groups, 2), key=lambda pair: known[pair][0])
+        cost, points, fit = known[i, j]
         if cost > _MERGE and len(groups) <= 4:
             break
-        groups = [g for k, g in enumerate(groups) if k not in (i, j)]
-        groups.append((points, fit_best(points, BASE_WEIGHTS) if cost <= _MERGE else fit))
-    return [fit for _, fit in groups]
+        del groups[i], groups[j]
+        groups[new] = points, fit_best(points, BASE_WEIGHTS) if cost <= _MERGE else fit
+        new += 1
+    return [fit for _, fit in groups.values()]
 
 
 class ArmFitter:
