@@ -131,7 +131,7 @@ def test_two_parts_of_a_base_are_fitted_together_once(monkeypatch: pytest.Monkey
     rng = np.random.default_rng(0)
     parts = [rng.uniform(-0.1, 0.1, (20, 3)) + rng.uniform(-1.0, 1.0, 3) for _ in range(7)]
     assert len(bodies._merged(parts)) == 4
-    assert len(seen) == len(set(seen)) == 21 + 5 + 4
+    assert len(seen) == len(set(seen)) == 21 + 5 + 4 + 3
 
 
 def test_a_hull_has_its_volume_inside_and_a_plate_needs_no_other_library(
