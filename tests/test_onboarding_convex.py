@@ -9,8 +9,10 @@ import pinocchio as pin
 import pytest
 from scipy.spatial import ConvexHull
 
+from app.onboarding.fit import bodies
 from app.onboarding.fit.bodies import swept
 from app.onboarding.fit.convex import (
+    Fit,
     fit_best,
     fit_box,
     fit_capsule,
@@ -102,9 +104,10 @@ def test_what_is_swept_holds_the_links_in_every_position_of_the_joints_between()
     model = husky_panda()
     rng = np.random.default_rng(1)
     points = {j: rng.uniform(-0.08, 0.08, (40, 3)) for j in (6, 7, 8)}  # joints 5, 6, 7
-    corners = swept(model, points, 7)
+    corners, volume = swept(model, points)[7]
     from scipy.spatial import ConvexHull
 
+    assert volume == pytest.approx(ConvexHull(corners).volume)
     planes = ConvexHull(corners).equations
     data = model.pin.createData()
     for q_m in rng.uniform(model.q_lower, model.q_upper, (50, model.n_m)):
@@ -113,6 +116,22 @@ def test_what_is_swept_holds_the_links_in_every_position_of_the_joints_between()
             T = data.oMi[7].actInv(data.oMi[joint])
             seen = own @ T.rotation.T + T.translation
             assert (seen @ planes[:, :3].T + planes[:, 3]).max() < 1e-6
+
+
+def test_two_parts_of_a_base_are_fitted_together_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each merge fitted all pairs anew: Centauro's 25 parts took more than a minute."""
+    seen: list[bytes] = []
+
+    def counted(points: np.ndarray, weights: dict[str, float]) -> Fit:
+        if len(weights) == 1:
+            seen.append(points.tobytes())
+        return fit_best(points, weights)
+
+    monkeypatch.setattr(bodies, "fit_best", counted)
+    rng = np.random.default_rng(0)
+    parts = [rng.uniform(-0.1, 0.1, (20, 3)) + rng.uniform(-1.0, 1.0, 3) for _ in range(7)]
+    assert len(bodies._merged(parts)) == 4
+    assert len(seen) == len(set(seen)) == 21 + 5 + 4 + 3
 
 
 def test_a_hull_has_its_volume_inside_and_a_plate_needs_no_other_library(

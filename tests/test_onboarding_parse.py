@@ -146,7 +146,9 @@ def test_what_stands_still_is_warned_of_and_no_slide_that_the_base_itself_is_on(
 
 
 def test_a_slide_as_long_as_a_wheel_is_no_suspension(tmp_path: Path) -> None:
-    assert "no pair of wheels" in refused(tmp_path, suspended(travel=0.06))
+    told = refused(tmp_path, suspended(travel=0.06))
+    assert "no pair of wheels" in told
+    assert "--kind holonomic" in told  # which helps where each wheel has a fork of its own
 
 
 def test_wheels_that_are_given_must_be_wheels(tmp_path: Path) -> None:
@@ -364,6 +366,22 @@ def test_a_xacro_is_expanded(tmp_path: Path) -> None:
     assert parsed.wheels.r == pytest.approx(0.1)
 
 
+@pytest.mark.parametrize(
+    ("radius", "helps"),
+    [("$(arg r)", "give it by --xacro NAME=VALUE"), ("${r}", "mend it until xacro FILE takes it")],
+)
+def test_an_argument_is_asked_for_only_where_one_is_missing(
+    radius: str, helps: str, tmp_path: Path
+) -> None:
+    pytest.importorskip("xacrodoc")
+    text = TOY.replace('radius="0.1"', f'radius="{radius}"')
+    text = text.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
+    path = write(tmp_path, text, "toy.urdf.xacro")
+    asked = Request(urdf=str(path), base="base", tip="hand", out=tmp_path / "made")
+    with pytest.raises(RobotFileError, match=f"; {helps}$"):
+        parse(asked)
+
+
 def test_a_package_that_a_xacro_names_and_nobody_finds_is_asked_for_with_its_place(
     tmp_path: Path,
 ) -> None:
@@ -552,6 +570,15 @@ def test_a_package_is_found_upwards_by_ros_and_by_option_in_that_order(
     assert meshes(meshed) == [str(upwards)]
     given = mesh_in(tmp_path / "given")
     assert meshes(meshed, package=(f"hand_support={tmp_path / 'given'}",)) == [str(given)]
+
+
+def test_a_mesh_of_a_package_is_suggested_where_its_name_is_nearly_right(
+    meshed: Path, tmp_path: Path
+) -> None:
+    mesh = mesh_in(tmp_path / "hand_support")
+    mesh.rename(mesh.with_name("hands.stl"))
+    with pytest.raises(RobotFileError, match=r"did you mean 'hands\.stl'"):
+        meshes(meshed)
 
 
 def test_a_package_that_is_nowhere_names_what_would_help_and_no_wheel(meshed: Path) -> None:

@@ -452,7 +452,10 @@ def husky(tmp_path_factory: pytest.TempPathFactory) -> RobotModel:
     bare = compiled(description(request, parsed), path)
     units = make_units(bare, parsed.arm, parsed.geometry)
     meetings = sample_meetings(bare, units, samples=4000, seed=1, d_b=0.15)
-    found = find_grouping(bare, meetings, d_b=0.15)
+    shares: list[float] = []
+    found = find_grouping(bare, meetings, d_b=0.15, on_progress=shares.append)
+    assert shares[0] == 0.0  # a fit of many parts took minutes without a word
+    assert 0.0 < max(shares) < 1.0
     assert not found.verdict.unwatched
     return compiled(description(request, parsed, found.bodies), path)
 
@@ -648,7 +651,10 @@ def test_an_arm_that_stands_in_the_floor_or_in_the_base_is_warned_of(made: NewRo
     assert told(made) == []
     down = np.array([0.0, 2.5, 0.5, 0.0, 0.0, 0.0])  # beside the base, past the floor
     [hand] = told(replace(made, ready=made.ready._replace(q_m=down)))[-1:]
-    assert re.match(r"hand is 0\.\d+ m below the floor in the ready pose: look at --mount", hand)
+    assert re.match(r"hand is 0\.\d+ m below the floor in the ready pose: look at --ready$", hand)
+    arm = replace(made.request, arm_urdf="arm.urdf")
+    [hand] = told(replace(made, request=arm, ready=made.ready._replace(q_m=down)))[-1:]
+    assert hand.endswith("look at --mount-xyz, --mount-rpy and --ready")
     bodies = [body.model_dump() for body in made.model.description.bodies]
     size = bodies[0]["shapes"][0]["size_m"]
     bodies[0]["shapes"][0]["size_m"] = (size[0], size[1], 1.2)  # up to above the column

@@ -14,6 +14,7 @@ from app.onboarding.fit import collision_sampling
 from app.onboarding.fit.bodies import ArmFitter
 from app.onboarding.fit.collision_sampling import (
     Meetings,
+    Part,
     Poses,
     Unit,
     group_distances,
@@ -21,6 +22,7 @@ from app.onboarding.fit.collision_sampling import (
     units_of_links,
 )
 from app.onboarding.fit.convex import directions
+from app.onboarding.fit.grouping import _ranked
 from app.onboarding.read.links import LinkGeometry, LinkShape
 from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
 from tests.robots import husky_panda
@@ -58,6 +60,17 @@ def test_next_parts_and_those_of_a_telescope_are_neighbours(
     joints: list[Any], a: int, b: int, expected: bool
 ) -> None:
     assert neighbours(chain(joints), unit(a), unit(b)) is expected
+
+
+def test_links_without_shapes_are_no_body_of_their_own() -> None:
+    """As Baxter's bare mount, below which its arm begins."""
+    part = Part("link", np.zeros((0, 3)), np.zeros(0))
+    units = tuple(unit(k)._replace(parts=() if k == 1 else (part,)) for k in range(5))
+    poses = Poses(np.zeros((3, 4)), np.zeros((3, 0)), np.ones(3, dtype=bool))
+    meetings = Meetings(units, (), frozenset(), frozenset(), poses, poses)
+    cuts = [groups for _, groups in _ranked((1, 2, 3, 4), (2, 3), meetings, (0,))]
+    assert cuts
+    assert all([1] not in groups for groups in cuts)
 
 
 @pytest.mark.parametrize("met", [0, 3, 8])

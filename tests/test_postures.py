@@ -92,25 +92,42 @@ def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
     monkeypatch.setattr(postures, "_heights", lambda tops: [0.8 * tops[0]])
     monkeypatch.setattr(postures, "_front", lambda body, mount: iter(()))
     shares: list[float] = []
+    buffers: list[float] = []
+
+    def shown(d_b: float, *_: object) -> bool:
+        buffers.append(d_b)
+        return True
+
     pairs = find_link_pairs(husky_panda(), samples=2000)
-    found = find_places(husky_panda(), pairs, D_B, on_progress=shares.append)
+    found = find_places(husky_panda(), pairs, 0.14, shows=shown, on_progress=shares.append)
+    assert buffers == [0.14]  # it was the default whatever the robot was made for
     np.testing.assert_allclose(found["guiding-lateral"].move, (0.0, -0.325, 0.0), atol=1e-9)
     assert "cannot start there" in found["guiding-front"]
     assert shares == [0.0]
 
 
-@pytest.mark.parametrize(("move", "least"), [(-0.25, 0.03), (-0.02, 0.03), (-0.25, 0.1)])
+@pytest.mark.parametrize(
+    ("move", "least", "d_b"),
+    [
+        (-0.25, 0.03, D_B),
+        (-0.02, 0.03, D_B),
+        (-0.25, 0.1, D_B),
+        (-0.1, 0.03, D_B),
+        (-0.1, 0.03, 0.06),
+    ],
+)
 def test_a_base_gives_way_where_it_moves_and_the_arm_keeps_away(
-    move: float, least: float, border_data: BorderData, monkeypatch: pytest.MonkeyPatch
+    move: float, least: float, d_b: float, border_data: BorderData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The paper's line, one that ends outside of the buffer, and more distance than is kept."""
+    """The paper's line, one that ends outside of a buffer, and more distance than is kept."""
     monkeypatch.setattr(postures, "CLEARANCE", least)
     place = Place((0.3, 0.72, 0.3), (0.0, move, 0.0), 0.0, "")
     line = LINES["guiding-lateral"].changed(start=place.start, move=place.move)
-    run = run_scenario(husky_panda(), border_data, line, Config(), physics="kinematic").figures
+    config = Config().replace("border.d_b", d_b)
+    run = run_scenario(husky_panda(), border_data, line, config, physics="kinematic").figures
     good = run["base_displacement_m"] >= 0.05 and run["min_clearance_m"] >= least
-    assert gives_way(husky_panda(), border_data, "guiding-lateral", place) == good
-    assert good == ((move, least) == (-0.25, 0.03))
+    assert gives_way(husky_panda(), border_data, d_b, "guiding-lateral", place) == good
+    assert good == (move < -0.02 and least == 0.03 and d_b == D_B)
 
 
 def test_where_no_other_height_has_a_line_one_just_over_the_base_is_tried(

@@ -52,6 +52,20 @@ def test_a_hull_with_a_volume_keeps_its_corners() -> None:
     assert {tuple(p) for p in corners.round(9)} == {tuple(p) for p in cube.round(9)}
 
 
+def test_a_disc_and_a_cone_of_more_corners_than_coal_takes_are_hulls_all_the_same() -> None:
+    """A corner may have 255 neighbours: a base and an arm with finely drawn covers were refused."""
+    t = np.linspace(0.0, 2 * np.pi, 1000, endpoint=False)
+    rim = 0.1 * np.column_stack([np.cos(t), np.sin(t), np.zeros_like(t)])
+    for points, volume in (
+        (np.vstack([rim, rim + np.array([0.0, 0.0, 0.02])]), 0.02 * np.pi * 0.1**2),
+        (np.vstack([rim, [(0.0, 0.0, 0.1)]]), 0.1 / 3 * np.pi * 0.1**2),
+    ):
+        hull = convex_hull(points)
+        assert hull.computeVolume() == pytest.approx(volume, rel=0.01)
+        corners = np.array([hull.point(k) for k in range(hull.num_points)])
+        assert np.abs(corners).max() <= 0.101  # [m]
+
+
 def test_a_description_may_have_a_flat_hull() -> None:
     vertices = tuple((float(x), float(y), float(z)) for x, y, z in SQUARE)
     geometry = Hull(type="hull", vertices_m=vertices).coal_geometry()

@@ -129,7 +129,7 @@ def finish(
     """Make a robot and its border, and only then put its folder in its place.
 
     The border is sampled by all cores, or `processes`. `tell` is called with what is being done,
-    `on_progress` with the share of a long step that is, 0 to 1: of the border, then of the places.
+    `on_progress` with the share of a long step that is, 0 to 1: of bodies, border and places.
 
     Raises:
         RobotFileError: The URDF cannot become a robot, or a library cannot take it.
@@ -206,7 +206,7 @@ def make_robot(
     write_whole(path, urdf)
     bare = compiled(description(request, parsed), path)
     parsed = replace(parsed, limits=completed(parsed.limits, parsed.arm, bare))
-    meetings, (bodies, verdict) = _fitted(request, parsed, bare, tell)
+    meetings, (bodies, verdict) = _fitted(request, parsed, bare, tell, on_progress)
     limits = with_stops(parsed.limits, bare, parsed.arm, meetings, request.ready)
     parsed = replace(parsed, limits=limits)
     d_b, unwatched = request.d_b, dict.fromkeys(verdict.unwatched, _UNWATCHED)
@@ -246,7 +246,11 @@ def make_robot(
 
 
 def _fitted(
-    request: Request, parsed: Parsed, bare: RobotModel, tell: Callable[[str], None]
+    request: Request,
+    parsed: Parsed,
+    bare: RobotModel,
+    tell: Callable[[str], None],
+    on_progress: Callable[[float], None],
 ) -> tuple[Meetings, Grouping]:
     """Which links meet, and the bodies around groups of them."""
     d_b = request.d_b
@@ -254,7 +258,8 @@ def _fitted(
     units = make_units(bare, parsed.arm, parsed.geometry)
     meetings = sample_meetings(bare, units, samples=MEETING_SAMPLES, seed=request.seed, d_b=d_b)
     tell("fitting bodies")
-    return meetings, find_grouping(bare, meetings, d_b=d_b, count=request.bodies)
+    count = request.bodies
+    return meetings, find_grouping(bare, meetings, d_b=d_b, count=count, on_progress=on_progress)
 
 
 def _moving(

@@ -56,12 +56,11 @@ def warnings_of(robot: NewRobot) -> list[str]:
     ]
 
 
-_LOOK_AT = "look at --mount-xyz, --mount-rpy and --ready"
-
-
 def _places(robot: NewRobot) -> Iterator[str]:
     """Parts of the arm that stand where none can, in the ready pose: in the floor, in the base."""
     base, state = MobileBody(robot.model), RobotState(robot.model)
+    own = robot.request.arm_urdf is None
+    look = f"look at {'' if own else '--mount-xyz, --mount-rpy and '}--ready"
     state.update_kinematics(at_rest(robot.model, robot.ready.q_m))
     for unit in robot.meetings.units:
         if unit.index in robot.bodies[0].units or not unit.parts:
@@ -70,9 +69,9 @@ def _places(robot: NewRobot) -> Iterator[str]:
         corners = np.vstack([moved(part.corners, T) for part in unit.parts])
         names = ", ".join(dict.fromkeys(part.link for part in unit.parts))
         if (deep := -float(corners[:, 2].min())) > _IN_FLOOR:
-            yield f"{names} is {deep:.3g} m below the floor in the ready pose: {_LOOK_AT}"
+            yield f"{names} is {deep:.3g} m below the floor in the ready pose: {look}"
         elif (base.distance(corners) <= 0.0).all():
-            yield f"{names} is wholly inside of the base's body in the ready pose: {_LOOK_AT}"
+            yield f"{names} is wholly inside of the base's body in the ready pose: {look}"
 
 
 def _poses(robot: NewRobot) -> Iterator[str]:

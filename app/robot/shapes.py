@@ -186,8 +186,12 @@ def hull_mesh(points: Array) -> trimesh.Trimesh:
 _THIN = 1e-4  # [m] the least thickness of a hull
 
 
-def convex_hull(points: Array) -> coal.CollisionGeometry:
-    """The convex hull of points (N, 3) [m]; 0.1 mm thick where they lie in a plane or on a line."""
+def convex_hull(points: Array, grid: float = _THIN) -> coal.CollisionGeometry:
+    """The convex hull of points (N, 3) [m]; 0.1 mm thick where they lie in a plane or on a line.
+
+    coal takes no corner of more than 255 neighbours, such as one of a finely drawn disc: then the
+    points go onto the finest grid [m] on which none has more.
+    """
     points = np.asarray(points, dtype=float)
     around = points - points.mean(axis=0)
     for axis in np.linalg.eigh(around.T @ around)[1].T:
@@ -196,7 +200,12 @@ def convex_hull(points: Array) -> coal.CollisionGeometry:
     vertices = coal.StdVec_Vec3s()
     for vertex in points:
         vertices.append(vertex)
-    return coal.Convex.convexHull(vertices, True, "Qt")
+    try:
+        return coal.Convex.convexHull(vertices, True, "Qt")
+    except RuntimeError as error:
+        if "Too many neighbors" not in str(error):
+            raise
+    return convex_hull(np.unique(np.round(points / grid), axis=0) * grid, 2.0 * grid)
 
 
 Shape = Annotated[

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ import pinocchio as pin
 
 from app.errors import RobotFileError
 from app.onboarding.fit.collision_sampling import Meetings, Unit, moved
-from app.onboarding.fit.convex import Fit, fit_best, hull_corners, hull_volume
+from app.onboarding.fit.convex import Fit, fit_best, hull, hull_corners, hull_volume
 from app.robot.model import RobotModel
 
 Array = np.ndarray
@@ -67,23 +68,23 @@ def fit_base(units: Sequence[Unit], mobile: tuple[int, ...] = (0,)) -> FittedBod
 
 def _merged(corners: Sequence[Array]) -> list[Fit]:
     """One shape a link, then neighbours together as long as that costs little volume."""
-    groups = [(c, fit_best(c, BASE_WEIGHTS)) for c in corners]
+    groups = {k: (c, fit_best(c, BASE_WEIGHTS)) for k, c in enumerate(corners)}
+    known: dict[tuple[int, int], tuple[float, Array, Fit]] = {}  # a pair stays the same
+    new = len(groups)
     while len(groups) > 1:
-        best: tuple[float, int, int, Array, Fit] | None = None
-        for i in range(len(groups)):
-            for j in range(i + 1, len(groups)):
+        for i, j in combinations(groups, 2):
+            if (i, j) not in known:
                 points = hull_corners(np.vstack([groups[i][0], groups[j][0]]))
                 fit = fit_best(points, {"box": 1.0})
-                cost = fit.volume / (groups[i][1].volume + groups[j][1].volume)
-                if best is None or cost < best[0]:
-                    best = (cost, i, j, points, fit)
-        assert best is not None
-        cost, i, j, points, fit = best
+                known[i, j] = fit.volume / (groups[i][1].volume + groups[j][1].volume), points, fit
+        i, j = min(combinations(groups, 2), key=lambda pair: known[pair][0])
+        cost, points, fit = known[i, j]
         if cost > _MERGE and len(groups) <= 4:
             break
-        groups = [g for k, g in enumerate(groups) if k not in (i, j)]
-        groups.append((points, fit_best(points, BASE_WEIGHTS) if cost <= _MERGE else fit))
-    return [fit for _, fit in groups]
+        del groups[i], groups[j]
+        groups[new] = points, fit_best(points, BASE_WEIGHTS) if cost <= _MERGE else fit
+        new += 1
+    return [fit for _, fit in groups.values()]
 
 
 class ArmFitter:
@@ -138,14 +139,11 @@ class ArmFitter:
         return self._known[key]
 
     def _fitted(self, needed: Mapping[int, Array]) -> tuple[Fit, int, Array] | None:
-        tried = []
-        for joint in needed:
-            points = swept(self._model, needed, joint)
-            tried.append((hull_volume(points), joint, points))
+        tried = [(v, joint, c) for joint, (c, v) in swept(self._model, needed).items()]
         tried.sort(key=lambda each: each[0])
         if not tried or tried[0][0] < _SPOT:
             return None
-        fits = [(fit_best(points, ARM_WEIGHTS), joint, points) for _, joint, points in tried[:2]]
+        fits = [(fit_best(c, ARM_WEIGHTS, volume=v), joint, c) for v, joint, c in tried[:2]]
         return min(fits, key=lambda each: each[0].volume)
 
 
@@ -153,22 +151,25 @@ _STEP = np.radians(10.0)  # [rad] between the turns looked at
 _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] by which a chord lies inside of its circle
 
 
-def swept(model: RobotModel, points: Mapping[int, Array], frame: int) -> Array:
-    """(N, 3) [m] corners of the hull of what points fill, seen from one joint's frame.
+def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Array, float]]:
+    """(N, 3) [m] corners and [m³] volume of the hull of what points fill, in each joint's frame.
+
+    What lies beyond a joint looks alike from all frames on this side of it, so each is passed once
+    either way.
 
     Args:
         model: The robot.
         points: (N, 3) [m] of neighbouring joints, in each joint's own frame, by its number.
-        frame: Number of the joint in whose frame the answer is.
     """
-    first, last = min(points), max(points)
-    outer = np.zeros((0, 3))
-    for joint in range(last, frame, -1):
-        outer = _through(model, np.vstack([points[joint], outer]), joint, outwards=True)
-    inner = np.zeros((0, 3))
-    for joint in range(first, frame):
-        inner = _through(model, np.vstack([points[joint], inner]), joint + 1, outwards=False)
-    return hull_corners(np.vstack([points[frame], outer, inner]))
+    first, last = min(points, default=0), max(points, default=0)
+    outer, inner = {last: np.zeros((0, 3))}, {first: np.zeros((0, 3))}
+    for joint in range(last, first, -1):
+        beyond = np.vstack([points[joint], outer[joint]])
+        outer[joint - 1] = _through(model, beyond, joint, outwards=True)
+    for joint in range(first, last):
+        before = np.vstack([points[joint], inner[joint]])
+        inner[joint + 1] = _through(model, before, joint + 1, outwards=False)
+    return {k: hull(np.vstack([own, outer[k], inner[k]])) for k, own in points.items()}
 
 
 def _through(model: RobotModel, points: Array, joint: int, *, outwards: bool) -> Array:

@@ -33,9 +33,12 @@ class Fit(NamedTuple):
     """[m] how far it stands out of the points' hull at most."""
 
 
-def fit_best(points: Array, weights: dict[str, float]) -> Fit:
-    """The shape of the least volume around points (N, 3) [m], by the weights [-] of its kinds."""
-    corners, volume = _hull(points)
+def fit_best(points: Array, weights: dict[str, float], *, volume: float | None = None) -> Fit:
+    """The shape of the least volume around points (N, 3) [m], by the weights [-] of its kinds.
+
+    With the volume [m³] of their hull they are taken for its corners.
+    """
+    corners, volume = hull(points) if volume is None else (points, volume)
     kinds = {"capsule": fit_capsule, "box": fit_box, "hull": fit_hull}
     fits = {kind: _judged(kinds[kind](corners), corners, volume) for kind in weights}
     return min(fits.items(), key=lambda item: weights[item[0]] * item[1].volume)[1]
@@ -43,7 +46,7 @@ def fit_best(points: Array, weights: dict[str, float]) -> Fit:
 
 def hull_corners(points: Array) -> Array:
     """(M, 3) corners of the convex hull; the points themselves where they are flat."""
-    return _hull(points)[0]
+    return hull(points)[0]
 
 
 def fit_capsule(points: Array) -> Capsule:
@@ -146,18 +149,19 @@ def volume_of(shape: Shape) -> float:
 
 def hull_volume(points: Array) -> float:
     """[m³] of the points' convex hull; 0 where they are flat."""
-    return _hull(points)[1]
+    return hull(points)[1]
 
 
-def _hull(points: Array) -> tuple[Array, float]:
+def hull(points: Array) -> tuple[Array, float]:
+    """(M, 3) corners of the convex hull and its volume [m³]; flat points as they are, and 0."""
     points = np.asarray(points, dtype=float)
     if len(points) < 5:
         return points, 0.0
     try:
-        hull = ConvexHull(points)
+        found = ConvexHull(points)
     except QhullError:
         return np.unique(np.round(points, 6), axis=0), 0.0
-    return points[hull.vertices], float(hull.volume)
+    return points[found.vertices], float(found.volume)
 
 
 @cache

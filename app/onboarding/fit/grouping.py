@@ -8,7 +8,7 @@ is not watched, as neighbours are not.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations, compress, pairwise
 from typing import NamedTuple
 
@@ -75,7 +75,12 @@ class Grouping(NamedTuple):
 
 
 def find_grouping(
-    model: RobotModel, meetings: Meetings, *, d_b: float, count: int | None = None
+    model: RobotModel,
+    meetings: Meetings,
+    *,
+    d_b: float,
+    count: int | None = None,
+    on_progress: Callable[[float], None] = lambda _: None,
 ) -> Grouping:
     """The best grouping of the robot's units into bodies.
 
@@ -84,14 +89,15 @@ def find_grouping(
 
     Without a count these are four bodies as the paper has, or two to five where four do not do: a
     pair always near, one that only the bodies make, too many collisions missed. d_b is in m.
+    `on_progress` is called with the share of the groupings under way that were looked at.
 
     Raises:
         RobotFileError: The arm has fewer parts than `count`, or none of a shape.
     """
     fixed = meetings.units[1]
-    found = _arm_grouping(model, meetings, (0,), d_b, count)
+    found = _arm_grouping(model, meetings, (0,), d_b, count, on_progress)
     if fixed.links and not _sees(model, found, meetings, fixed.index):
-        found = _arm_grouping(model, meetings, (0, fixed.index), d_b, count)
+        found = _arm_grouping(model, meetings, (0, fixed.index), d_b, count, on_progress)
     return found
 
 
@@ -108,22 +114,29 @@ def _sees(model: RobotModel, grouping: Grouping, meetings: Meetings, unit: int) 
 
 
 def _arm_grouping(
-    model: RobotModel, meetings: Meetings, mobile: tuple[int, ...], d_b: float, count: int | None
+    model: RobotModel,
+    meetings: Meetings,
+    mobile: tuple[int, ...],
+    d_b: float,
+    count: int | None,
+    on_progress: Callable[[float], None],
 ) -> Grouping:
     """The best grouping around an l_m of given units."""
     base, fitter = fit_base(meetings.units, mobile), ArmFitter(model, meetings, mobile)
     units = [u.index for u in meetings.units if u.index not in mobile and (u.index > 1 or u.links)]
 
-    def best(*counts: int) -> Grouping | None:
-        """That of the least cost of those that are expected to have it."""
-        found: Grouping | None = None
-        judged: set[tuple[int, ...]] = set()
-        for at_least, grouping in _ranked(units, counts, meetings, mobile)[:_MOST_JUDGED]:
+    judged: set[tuple[int, ...]] = set()
+
+    def best(found: Grouping | None, *counts: int) -> Grouping | None:
+        """The one found, or that of less cost of those that are expected to have it."""
+        ranked = _ranked(units, counts, meetings, mobile)[:_MOST_JUDGED]
+        for k, (at_least, grouping) in enumerate(ranked):
+            on_progress(k / len(ranked))
             if found is not None and at_least >= found.verdict.cost:
                 continue
             bodies = [base, *fitter.bodies(grouping)]
             shapes = tuple(id(body.fits[0]) for body in bodies)
-            if shapes in judged:  # it differs only in links that meet nobody
+            if shapes in judged:  # it differs only in links that meet nobody, or was tried before
                 continue
             judged.add(shapes)
             tried = Grouping(bodies, judge(model, bodies, meetings, d_b))
@@ -131,11 +144,12 @@ def _arm_grouping(
                 found = tried
         return found
 
-    chosen = best(min(_PAPER, len(units)) if count is None else count)
+    chosen = best(None, min(_PAPER, len(units)) if count is None else count)
     if count is None and (chosen is None or not _good(chosen.verdict)):
-        chosen = best(*(k for k in range(2, _MOST + 1) if k <= len(units))) or chosen
+        chosen = best(chosen, *(k for k in range(2, _MOST + 1) if k <= len(units)))
     if chosen is None:
-        raise RobotFileError(f"--bodies: the arm has {len(units)} parts; choose up to that many")
+        parts = sum(bool(meetings.units[unit].parts) for unit in units)
+        raise RobotFileError(f"--bodies: the arm has {parts} parts; choose up to that many")
     return chosen
 
 
@@ -279,16 +293,20 @@ def _body_distances(
 def _ranked(
     units: Sequence[int], counts: Sequence[int], meetings: Meetings, mobile: Sequence[int]
 ) -> list[tuple[float, list[list[int]]]]:
-    """All cuts of the chain, the one of the least cost first if bodies meet where links do.
+    """All cuts of the chain into groups with shapes, the one of the least cost first if bodies meet
+    where links do.
 
     With each comes the least cost that it can have.
     """
+    shaped = {unit.index for unit in meetings.units if unit.parts}
     hits = meetings.collides[meetings.random.possible]
     hits = hits[hits.any(axis=1)]
     ranked = []
     for count in counts:
         for cuts in combinations(range(1, len(units)), count - 1):
             groups = [list(units[a:b]) for a, b in pairwise([0, *cuts, len(units)])]
+            if any(shaped.isdisjoint(group) for group in groups):
+                continue
             owner = {unit: k + 1 for k, group in enumerate(groups) for unit in group}
             owner |= dict.fromkeys(mobile, 0)
             watched = [abs(owner[u] - owner[v]) > 1 for u, v in meetings.pairs]

@@ -154,7 +154,7 @@ def find_places(
     pairs: LinkPairs,
     d_b: float,
     *,
-    shows: Callable[[str, Place], bool] = lambda _, __: True,
+    shows: Callable[[float, str, Place], bool] = lambda *_: True,
     anyway: bool = False,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Place | str]:
@@ -165,8 +165,8 @@ def find_places(
     which the arm can start. Without avoidance the arm would come to the base itself there, or well
     into the inner half of the buffer. A side on which the arm does not reach so far has none.
 
-    A line is one on which `shows` is true of its scenario's name and itself, as `gives_way`; where
-    none is, one is taken `anyway` or not. For the pairs that avoidance watches and d_b [m].
+    A line is one on which `shows` is true of d_b [m], its scenario's name and itself, as
+    `gives_way`; where none is, one is taken `anyway` or not. For the pairs that avoidance watches.
     """
     if not pairs.mobile:
         return {}
@@ -182,7 +182,7 @@ def find_places(
         tried = [*product(starts, heights), *product(starts, last)]
         shares = np.linspace(k, k + 1, len(tried), endpoint=False) / len(ways)
         lines = guide.lines(tried, shares, on_progress)
-        found[name] = chosen(lines, d_b, partial(shows, name), anyway=anyway)
+        found[name] = chosen(lines, d_b, partial(shows, d_b, name), anyway=anyway)
     return found
 
 
@@ -242,19 +242,20 @@ def chosen(
             f"start clear of its buffers, the lowest at z = {lowest:g} m"
         )
     return (
-        f"the arm cannot start there clear of its buffers of {d_b:g} m: it is too short, or stands "
-        "too far from that side (--mount-xyz)"
+        f"the arm cannot start there clear of its buffers of {d_b:g} m: it is too short for them "
+        "(--buffer-distance), or stands too far from that side (--mount-xyz of an --arm-urdf)"
     )
 
 
-def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> bool:
-    """Whether the base gives way, and the arm keeps away, when the hand is guided along a line.
+def gives_way(model: RobotModel, data: BorderData, d_b: float, name: str, place: Place) -> bool:
+    """Whether the base gives way within d_b [m], the arm keeping away, when the hand is guided.
 
     The base does not where other parts of the arm meet first, which holds the hand, or where it
     would take the hand along.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
-    run = Planned(model.description.name, line, Config(), physics="kinematic")
+    config = Config().replace("border.d_b", d_b)
+    run = Planned(model.description.name, line, config, physics="kinematic")
     moved = 0.0
     try:
         with closing(steps_of(run, model, data)) as steps:

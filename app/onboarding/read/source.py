@@ -140,8 +140,12 @@ def _in_package(
         if isfile(root / inner):
             return root / inner
     if roots:
-        places = ", ".join(map(str, roots))
-        raise RobotFileError(f"mesh {reference}: no such file in the package {package!r}: {places}")
+        places, name = ", ".join(map(str, roots)), Path(inner).name
+        near = [each.name for root in roots for each in (root / inner).parent.glob("*")]
+        raise RobotFileError(
+            f"mesh {reference}: no such file in the package {package!r}: {places}"
+            f"{did_you_mean(name, near)}"
+        )
     raise RobotFileError(f"mesh {reference}: {_nowhere(package, inner, folder)}")
 
 
@@ -204,9 +208,9 @@ def _expanded(path: Path, packages: Mapping[str, Path], arguments: Mapping[str, 
             inner = re.search(named, path.read_text(encoding="utf-8"))
             where = _nowhere(missing[1], inner[1] if inner else "", path.parent)
             raise RobotFileError(f"{path}: {where}") from None
-        raise RobotFileError(
-            f"{path}: xacro cannot expand it: {why}; give arguments of it by --xacro NAME=VALUE"
-        ) from None
+        lacking = "substitution arg" in why  # a property, or old syntax, no option can mend
+        helps = "give it by --xacro NAME=VALUE" if lacking else "mend it until xacro FILE takes it"
+        raise RobotFileError(f"{path}: xacro cannot expand it: {why}; {helps}") from None
     return document.to_urdf_string()
 
 

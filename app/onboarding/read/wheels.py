@@ -182,8 +182,8 @@ def _driven(pairs: list[tuple[_Wheel, _Wheel]], where: str) -> tuple[_Wheel, _Wh
     if not pairs:
         raise RobotFileError(
             f"--wheels: no pair of wheels found under {where}; "
-            "give --wheels LEFT RIGHT, their joints; or --wheel-radius and --half-track if the "
-            "URDF has no wheels"
+            "give --wheels LEFT RIGHT, their joints; --wheel-radius and --half-track if the URDF "
+            "has no wheels; or --kind holonomic if the base drives sideways too"
         )
     lowest = min(left.centre[2] - left.r for left, _ in pairs)
     pairs = [p for p in pairs if p[0].centre[2] - p[0].r < lowest + _SAME_PLACE]
