@@ -483,7 +483,7 @@ SETS: dict[str, ResultSet] = {
             "release": law("release"),
             "pulls": law("pulls"),
             "wander": law("wander"),
-            "continuity": law("continuity", "--count", "100"),
+            "continuity": law("continuity"),
         },
         keep_law,
         law_table,
