@@ -242,7 +242,7 @@ class Controller:
         k_p, k_v, softness = slow.repulsion.k_p, slow.repulsion.k_v, slow.task.softness
         links = [row._replace(xdd=k_p - k_v * (row.J @ state.qd)) for row in inserted.rows_links]
         barriers = inserted.barriers if inserted.base_too else None
-        limits = robot_limits(state, slow.limit, barriers, softness=softness)
+        limits = robot_limits(state, self._config.limit, barriers, softness=softness)
         if error is None:
             T_ee, objective = None, with_base_at_rest(state, lowest, slow.task)
         else:  # an error that is left damps nothing here: the base drives there
@@ -255,7 +255,7 @@ class Controller:
             wanted, asked = self._by_rows(free, inserted.rows_m)
             if T_ee is None:
                 return wanted, asked
-            return wanted, asked + self._relief(asked, T_ee, lowest, inserted.rows_m, limits)
+            return wanted, asked + self._relief(asked, T_ee, lowest, inserted.rows_m)
         except NoSolutionError:
             self.given_up += 1
             return rest, rest
@@ -275,12 +275,7 @@ class Controller:
         return clipped(acceleration, *self._base_limits[1:3])
 
     def _relief(
-        self,
-        asked: Array,
-        T_ee: EqualityTask,
-        lowest: Objective,
-        rows_m: TaskRows | None,
-        limits: Limits,
+        self, asked: Array, T_ee: EqualityTask, posture: Objective, rows_m: TaskRows | None
     ) -> Array:
         """The least change of what the base is asked, (n_b,), with which the arm holds T_ee.
 
@@ -290,9 +285,10 @@ class Controller:
         the base makes room turns the base in time.
         """
         task, (gain, lost) = self._slow.task, self._answer()
-        tasks = tracking_objective(lowest, T_ee, task.base_weight * task.ee_weight)
+        tasks = tracking_objective(posture, T_ee, task.base_weight * task.ee_weight)
         tasks = insert_rows(tasks, [] if rows_m is None else [rows_m], task.softness)
         qdd_b = self._model.J_m_inv @ (gain * (asked - lost))
+        limits = robot_limits(self.state, self._slow.limit, softness=task.softness)
         return self._model.J_m @ self._solver.change(tasks, limits, qdd_b) / gain
 
     def _answer(self) -> tuple[Array, Array]:
