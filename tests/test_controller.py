@@ -161,7 +161,7 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     np.testing.assert_allclose(robot.J_m @ whole[:2], asked, atol=2e-2, rtol=2e-2)
 
 
-@pytest.mark.parametrize("seed", [6, 10, 13, 20, 24])
+@pytest.mark.parametrize("seed", [6, 10, 13, 20, 28])
 def test_a_tracking_base_turns_in_time_where_joints_come_to_their_limits(
     robot: RobotModel, controller: Controller, seed: int
 ) -> None:

@@ -124,7 +124,7 @@ class SelfCollisionAvoidance:
         beta_m = task.mobile_activation([p.beta for p in mobile])
         rows_m = None
         if beta_m > 0.0:
-            rows_m = task.mobile_rows(model.J_base, xdd_m, beta_m)
+            rows_m = task.mobile_rows(model.base_rows, xdd_m, beta_m)
         links = [
             task.generate_rep_acc(self._state, pair.closest, self._config.repulsion, pair.beta)
             for pair in pairs[n_mobile:]

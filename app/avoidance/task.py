@@ -88,12 +88,12 @@ class TaskRows(NamedTuple):
         return self.xdd - self.Jdqd
 
 
-def mobile_rows(J_base: Array, xdd_m: Array, beta_m: float) -> TaskRows:
+def mobile_rows(base_rows: Array, xdd_m: Array, beta_m: float) -> TaskRows:
     """The rows of the base, one an axis, [J_m O] q̈ = ẍ_m; J̇_m = 0.
 
     Paper: Eq. (16), (19).
     """
-    return TaskRows(J_base, np.zeros(len(J_base)), xdd_m, beta_m)
+    return TaskRows(base_rows, np.zeros(len(base_rows)), xdd_m, beta_m)
 
 
 def generate_rep_acc(

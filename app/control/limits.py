@@ -130,7 +130,7 @@ def _softness(n_m: int, barriers: int, softness: float) -> Array:
 def base_limits(model: RobotModel) -> Limits:
     """Limits on q̈ of the base's accelerations, hard."""
     most = model.base_acceleration_max
-    return Limits(model.J_base, -most, most, np.zeros(model.n_b))
+    return Limits(model.base_rows, -most, most, np.zeros(model.n_b))
 
 
 class PushObserver:

@@ -40,7 +40,7 @@ class RobotModel:
         n_m: Degrees of freedom of the arm.
         J_m: (n_b, n_b) the base's Jacobian, (19) of a differential one.
         J_m_inv: (n_b, n_b) its inverse.
-        J_base: (n_b, n) [J_m O], what the base's rows are.
+        base_rows: (n_b, n) [J_m O], by which (16) and the limits of the base act on q̈.
         S: (3 + n_m, n) from the reduced velocity to pinocchio's.
         base_acceleration_max: (n_b,) [m/s² or rad/s²] of the base's axes.
         base_inertia: (n_b,) [kg or kg m²] mass or inertia along each of them.
@@ -66,7 +66,7 @@ class RobotModel:
         self.n = self.n_b + self.n_m
         self.J_m = base.J_m
         self.J_m_inv = np.linalg.inv(self.J_m)
-        self.J_base = np.hstack([self.J_m, np.zeros((self.n_b, self.n_m))])
+        self.base_rows = np.hstack([self.J_m, np.zeros((self.n_b, self.n_m))])
         self.S = np.zeros((3 + self.n_m, self.n))
         self.S[:3, : self.n_b] = base.T @ self.J_m
         self.S[3:, self.n_b :] = np.eye(self.n_m)
