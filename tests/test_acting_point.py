@@ -69,12 +69,12 @@ def test_acting_point_lies_on_the_border_at_the_hands_height_towards_a_better_sc
 
 
 @pytest.mark.parametrize("x", [-1e-3, -1e-9, 0.0, 1e-9, 1e-3])
-def test_on_the_wheel_axis_the_step_goes_forward_by_the_distance(
+def test_on_the_wheel_axis_the_step_goes_forward_by_twice_the_distance(
     finder: ActingPointFinder, x: float
 ) -> None:
-    acting = finder.find_acting_point(on_side(x, 1.0, 0.08), 0.08, FORCE)
+    acting = finder.find_acting_point(on_side(x, 1.0, 0.05), 0.05, FORCE)
     assert acting is not None
-    assert acting.p_act[0] - acting.p_n[0] == pytest.approx(0.08, abs=0.01)
+    assert acting.p_act[0] - acting.p_n[0] == pytest.approx(0.10, abs=0.01)
 
 
 def test_left_and_right_are_mirror_images(finder: ActingPointFinder) -> None:
@@ -139,12 +139,12 @@ def test_step_size_is_proportional_to_d_over_score_within_its_bounds() -> None:
         assert step_size(d, score, FORCE) == FORCE.alpha_min
 
 
-def test_step_size_never_changes_faster_than_the_distance() -> None:
+def test_step_size_never_changes_faster_than_twice_the_distance() -> None:
     """On the wheel axis d / |S| is 0/0: it would race from bound to bound."""
     d = np.linspace(-0.01, D_B, 161)
     for score in (0.0, 1e-6, 1e-4, 1e-3, 1e-2):
         alpha = [step_size(each, score, FORCE) for each in d]
-        assert np.abs(np.diff(alpha)).max() <= (d[1] - d[0]) * (1 + 1e-9)
+        assert np.abs(np.diff(alpha)).max() <= 2.0 * (d[1] - d[0]) * (1 + 1e-9)
     assert step_size(0.1, 0.0, ForceConfig(alpha_gain=0.0)) == FORCE.alpha_min
 
 

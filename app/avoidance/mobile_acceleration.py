@@ -35,16 +35,16 @@ class ActingPoint(NamedTuple):
 
 
 def step_size(d: float, score: float, force: ForceConfig) -> float:
-    """α = S_0 d / (|S(p_n)| + S_0), bounded below and above, in metres; S_0 is `alpha_gain`.
+    """α = S_0 d / (|S(p_n)| + S_0/2), bounded below and above, in metres; S_0 is `alpha_gain`.
 
     Where the base moves the point well it is in proportion to d / |S|. Near the wheel axis, where S
-    vanishes, that ratio would race from bound to bound within millimetres; this one is d there, and
-    changes no faster than d.
+    vanishes, that ratio would race from bound to bound within millimetres; this one is 2 d there,
+    enough for the force to turn the base, and changes no faster than that.
 
     Paper: Eq. (13). Bounds as Figure 8b asks: too large a step leaves no component of the force
     along the line between the hand and the border.
     """
-    proportional = force.alpha_gain * max(d, 0.0) / max(abs(score) + force.alpha_gain, 1e-12)
+    proportional = force.alpha_gain * max(d, 0.0) / max(abs(score) + force.alpha_gain / 2.0, 1e-12)
     return min(max(proportional, force.alpha_min), force.alpha_max)
 
 
