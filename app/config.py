@@ -38,7 +38,7 @@ class ForceConfig(Strict):
     alpha_gain: Annotated[float, Shown("α gain", advanced=True)] = Field(
         default=0.001, ge=0.0, le=0.1
     )
-    """[-] S_0 of (13): the step α is S_0 d / |S| far from the wheel axis, and 2 d on it, where S = 0."""
+    """[-] S_0 of (13): α is 2 d on the wheel axis, where S = 0, and far from it S_0 d / |S|."""
     alpha_min: Annotated[float, Shown("α_min")] = Field(default=0.02, ge=0.0, le=0.10)
     """[m] lower bound of the step α."""
     alpha_max: Annotated[float, Shown("α_max")] = Field(default=0.15, ge=0.10, le=0.40)

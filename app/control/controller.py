@@ -9,7 +9,7 @@ from app.border.score import ScoreField
 from app.config import Config, slowed
 from app.control import CONTROLLERS
 from app.control.admittance import response
-from app.control.kernels import clipped, torque_range
+from app.control.kernels import base_blend, clipped, torque_range
 from app.control.limits import ArmNow, PushObserver, base_limits, robot_limits
 from app.control.methods import METHODS, Inserted
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
@@ -264,11 +264,12 @@ class Controller:
         """The blend of (29) for the base, (n_b,), and what of it does not take the hand along."""
         if rows_m is None:
             return free, free
-        gain, lost = self._answer()
-        holding, held = self._config.holding, free / gain + lost
-        taken, weight = carried(self.state, holding.speed) * gain, rows_m.beta * holding.weight
-        wanted = rows_m.beta * rows_m.xdd + (1.0 - rows_m.beta) * free
-        return wanted, base_with_hand(self.state, self._possible(wanted), held, weight, taken)
+        (gain, drag), (_, low, high, _) = self._response, self._base_limits
+        velocity, beta = self.state.measurement.base_velocity, rows_m.beta
+        wanted, possible, held = base_blend(free, rows_m.xdd, beta, low, high, gain, drag, velocity)
+        holding = self._config.holding
+        taken, weight = carried(self.state, holding.speed) * gain, beta * holding.weight
+        return wanted, base_with_hand(self.state, possible, held, weight, taken)
 
     def _possible(self, acceleration: Array) -> Array:
         """The base's, (n_b,), within its limits."""
@@ -284,17 +285,13 @@ class Controller:
         answers, so that it looks ahead as far as it needs: a wrist that comes to its limit while
         the base makes room turns the base in time.
         """
-        task, (gain, lost) = self._slow.task, self._answer()
+        task, (gain, drag) = self._slow.task, self._response
+        lost = drag * self.state.measurement.base_velocity
         tasks = tracking_objective(posture, T_ee, task.base_weight * task.ee_weight)
         tasks = insert_rows(tasks, [] if rows_m is None else [rows_m], task.softness)
         qdd_b = self._model.J_m_inv @ (gain * (asked - lost))
         limits = robot_limits(self.state, self._slow.limit, softness=task.softness)
         return self._model.J_m @ self._solver.change(tasks, limits, qdd_b) / gain
-
-    def _answer(self) -> tuple[Array, Array]:
-        """The admittance law makes gain (a - lost) of an acceleration a; both (n_b,)."""
-        gain, drag = self._response
-        return gain, drag * self.state.measurement.base_velocity
 
     def _arm_part(
         self,

@@ -156,6 +156,17 @@ def limit_rows(
     return C, l, u
 
 
+@compiled("f8[::1](f8[:], f8[:,:], f8, f8)")
+def reaction(d: Array, J: Array, f: float, d_b: float) -> Array:
+    """Jᵀ f (1 - d/d_b) [N m or N] (n_m,) of the distances d (k,) within d_b; J (k, n_m)."""
+    u_a = np.zeros(J.shape[1])
+    for i in range(len(d)):
+        share = f * min(max(1.0 - d[i] / d_b, 0.0), 1.0)
+        for j in range(len(u_a)):
+            u_a[j] += share * J[i, j]
+    return u_a
+
+
 @compiled("f8[::1](f8[:], f8[:,:], f8[:], f8[:], f8[:], f8, f8[:], f8)")
 def observed(
     r: Array, M: Array, h: Array, then: Array, now: Array, dt: float, u_a: Array, share: float
@@ -438,6 +449,29 @@ def with_rows(
             for l in range(len(c)):
                 H[j, l] += w * J[i, j] * J[i, l]
     return H, c
+
+
+@compiled("UniTuple(f8[::1], 3)(f8[:], f8[:], f8, f8[:], f8[:], f8[:], f8[:], f8[:])")
+def base_blend(
+    free: Array,
+    xdd: Array,
+    beta: float,
+    low: Array,
+    high: Array,
+    gain: Array,
+    drag: Array,
+    velocity: Array,
+) -> tuple[Array, Array, Array]:
+    """β ẍ + (1 - β) ẍ_free of (29); the same within low and high; what is asked for ẍ_free.
+
+    All (n_b,). Of an acceleration a the admittance law makes gain (a - drag ν), so that a base that
+    is to have ẍ_free is asked ẍ_free / gain + drag ν.
+    """
+    wanted, asked = np.empty(len(free)), np.empty(len(free))
+    for i in range(len(free)):
+        wanted[i] = beta * xdd[i] + (1.0 - beta) * free[i]
+        asked[i] = free[i] / gain[i] + drag[i] * velocity[i]
+    return wanted, clipped(wanted, low, high), asked
 
 
 @compiled("f8[:,::1](f8[:,:], f8[:], f8[:,:], f8)")

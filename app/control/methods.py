@@ -1,15 +1,16 @@
 """The compared methods: what each of them puts above the stack of tasks, or among its limits."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from app.avoidance.closest_points import ClosestPoints
-from app.avoidance.self_collision import Avoidance, PairState
+from app.avoidance.self_collision import Avoidance
 from app.avoidance.task import TaskRows
 from app.config import Config, RepulsionConfig
 from app.control import CONTROLLERS
+from app.control.kernels import reaction
 from app.control.limits import Barriers, barriers_of
 from app.robot.state import RobotState
 from app.strict import Array
@@ -63,13 +64,15 @@ def dbb(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
     Paper: Algorithm 2, line 14 (UpdateSoT).
     """
     pairs, n_b = avoidance.mobile, state.model.n_b
-    barriers = barriers_of(state, [pair.closest for pair in pairs], config.barrier)
+    closest, f_arm = [pair.closest for pair in pairs], config.force.f_arm
+    barriers = barriers_of(state, closest, config.barrier)
+    d = np.array([each.d for each in closest])
     return Inserted(
         avoidance.rows_m,
         rows_links=avoidance.rows_links,
         barriers=barriers,
         n_b=n_b,
-        u_a=_reaction(pairs, barriers.J[:, n_b:], config),
+        u_a=reaction(d, barriers.J[:, n_b:], f_arm, config.border.d_b),
     )
 
 
@@ -121,13 +124,6 @@ def none(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
     """The same stack without avoidance."""
     del avoidance, config
     return Inserted(n_b=state.model.n_b)
-
-
-def _reaction(pairs: Sequence[PairState], J_m: Array, config: Config) -> Array:
-    """(n_m,) [N m or N] J_mᵀ f_arm (1 - d/d_b) of the pairs in the buffer."""
-    f_arm, d_b = config.force.f_arm, config.border.d_b
-    f = [f_arm * min(max(1.0 - pair.closest.d / d_b, 0.0), 1.0) for pair in pairs]
-    return np.array(f) @ J_m
 
 
 METHODS: dict[str, Method] = dict(zip(CONTROLLERS, (dbb, repulsive, barrier, none), strict=True))

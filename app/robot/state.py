@@ -274,6 +274,7 @@ class RobotState:
     def __init__(self, model: RobotModel) -> None:
         self.model = model
         self.data = model.pin.createData()
+        self._root = self.data.oMi[1]  # as pinocchio keeps it: asking for it anew costs more
         self._pin = model.pin
         self._B = np.ascontiguousarray(model.S[:3, : model.n_b])
         self.R_world_base = np.eye(3)
@@ -323,9 +324,7 @@ class RobotState:
         self.J_ee, self.v_ee, self.Jdqd_ee = _tip_motion(
             self._J, self._B, self._twists, self._biases, self.T_world_ee.translation
         )
-        root = data.oMi[1]
-        self.R_world_base = root.rotation
-        self.p_o = root.translation
+        self.R_world_base, self.p_o = self._root.rotation, self._root.translation
 
     def to_base(self, p_world: Array) -> Array:
         """(3,) a point of the world in the base's frame."""
