@@ -13,7 +13,7 @@ import numpy as np
 from proxsuite import proxqp
 
 from app.avoidance.task import TaskRows, generate_avoidance_task
-from app.control.kernels import change_within, compliances, least_within, with_rows
+from app.control.active_sets import change_within, compliances, least_within, with_rows
 from app.strict import Array
 
 _EPS = 1e-10  # by which ProxQP may miss limits

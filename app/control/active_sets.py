@@ -1,0 +1,261 @@
+"""The QP's kernels: a Cholesky factor, rows that join an objective, its least within limits.
+
+On matrices of ten rows LAPACK's calls cost more than the sums.
+"""
+
+import math
+
+import numpy as np
+
+from app.compiled import compiled
+from app.strict import Array
+
+_EPS = 1e-12  # of a bound, by which it may be missed
+_MISSED = 1e-10  # by which limits may be
+
+
+@compiled()
+def cholesky(H: Array) -> Array:
+    """L, lower triangular, with H = L Lᵀ; not a number if H is not positive definite."""
+    L = np.zeros(H.shape)
+    for j in range(len(H)):
+        for i in range(j, len(H)):
+            value = H[i, j]
+            for l in range(j):
+                value -= L[i, l] * L[j, l]
+            L[i, j] = math.sqrt(value) if i == j else value / L[j, j]
+    return L
+
+
+@compiled()
+def forward(L: Array, b: Array) -> Array:
+    """L⁻¹ b."""
+    x = b.copy()
+    for i in range(len(x)):
+        for l in range(i):
+            x[i] -= L[i, l] * x[l]
+        x[i] /= L[i, i]
+    return x
+
+
+@compiled()
+def backward(L: Array, b: Array) -> Array:
+    """L⁻ᵀ b."""
+    x = b.copy()
+    for i in range(len(x) - 1, -1, -1):
+        for l in range(i + 1, len(x)):
+            x[i] -= L[l, i] * x[l]
+        x[i] /= L[i, i]
+    return x
+
+
+@compiled()
+def _minimum(L: Array, c: Array) -> Array:
+    """-H⁻¹ c (n,) with H = L Lᵀ."""
+    return backward(L, forward(L, -c))
+
+
+@compiled()
+def times(A: Array, x: Array) -> Array:
+    """A x, its sums in a fixed order: those of BLAS depend on where the memory lies."""
+    found = np.zeros(len(A))
+    for i in range(len(A)):
+        for j in range(len(x)):
+            found[i] += A[i, j] * x[j]
+    return found
+
+
+@compiled()
+def _holds(C: Array, l: Array, u: Array, x: Array, tolerance: float) -> bool:
+    """Whether l ≤ C x ≤ u within a tolerance; never for what is not a number."""
+    reached = times(C, x)
+    return bool((np.maximum(l - reached, reached - u) <= tolerance).all())
+
+
+@compiled()
+def _within(K: Array, active: Array, r: Array) -> Array:
+    """The y of K y = r over some of its rows and columns."""
+    size = len(active)
+    W = np.empty((size, size))
+    for i in range(size):
+        for j in range(size):
+            W[i, j] = K[active[i], active[j]]
+    factor = cholesky(W)
+    return backward(factor, forward(factor, r))
+
+
+@compiled()
+def _bring(
+    p: int, side: float, miss: float, K: Array, y: Array, kept: Array, size: int
+) -> tuple[int, bool]:
+    """Bring row p to its bound, changing y and the rows that are kept there.
+
+    Returns:
+        How many rows are kept, and whether it came there; else the hard rows contradict each other.
+    """
+    m = len(y)
+    while True:
+        active, turn = kept[:size], np.zeros(m)
+        if size > 0:
+            turn[active] = -side * _within(K, active, K[active, p])
+        turn[p] = side
+        rise = side * (K[p] * turn).sum()  # towards the bound, for each unit of y_p
+        step = miss / rise if rise > _EPS * K[p, p] else np.inf
+        blocking = -1
+        for k in range(size):
+            i = active[k]
+            if y[i] * turn[i] < 0.0 and -y[i] / turn[i] < step:
+                step, blocking = -y[i] / turn[i], k
+        if not step < np.inf:
+            return size, False
+        y += step * turn
+        if blocking < 0:
+            kept[size] = p
+            return size + 1, True
+        miss -= step * rise
+        y[active[blocking]] = 0.0
+        kept[blocking : size - 1] = kept[blocking + 1 : size].copy()
+        size -= 1
+
+
+@compiled("f8[::1](f8[:], f8[:])")
+def compliances(softness: Array, length: Array) -> Array:
+    """(m,) those of rows of length one: of all that are soft, each as for the stiffest.
+
+    A slack s then costs s² times the same for all of them. If each cost what its own row weighs, a
+    light wrist would be thrown about to brake a heavy shoulder.
+
+    Args:
+        softness: (m,) [-] ε.
+        length: (m,) √(C_i H⁻¹ C_iᵀ).
+    """
+    least = np.inf
+    for i in range(len(softness)):
+        if softness[i] > 0.0:
+            least = min(least, length[i])
+    found = np.zeros(len(softness))
+    for i in range(len(softness)):
+        if softness[i] > 0.0:
+            found[i] = softness[i] * (least / length[i]) ** 2
+    return found
+
+
+@compiled()
+def _nearest_within(
+    x: Array, L: Array, C: Array, l: Array, u: Array, softness: Array
+) -> tuple[Array, bool]:
+    """The least within limits, by the dual active-set method of Goldfarb and Idnani (1983).
+
+    It is x itself where that keeps them. With a_i = L⁻¹ C_iᵀ, each of length one, and
+    z = Lᵀ (q̈ - x), the answer is z = Σ y_i a_i. Its multipliers y solve l ≤ K y ≤ u with
+    K = a aᵀ + diag(ε), y_i ≥ 0 at a lower bound, ≤ 0 at an upper one and 0 between. One row after
+    the other, the most missed first, is brought to its bound, while those that are there stay,
+    until one of their multipliers is 0 and it is let go.
+
+    Args:
+        x: (n,) the free optimum.
+        L: (n, n) of the objective.
+        C: (m, n) rows of the limits.
+        l: (m,)
+        u: (m,)
+        softness: (m,) [-] ε of `compliances`.
+
+    Returns:
+        (n,) the least, and whether there is one.
+    """
+    if _holds(C, l, u, x, _MISSED):
+        return x, True
+    n, m = len(x), len(l)
+    a, below, above, length = np.empty((m, n)), np.empty(m), np.empty(m), np.empty(m)
+    for i in range(m):
+        a[i] = forward(L, C[i])
+        length[i] = math.sqrt((a[i] ** 2).sum()) + 1e-12
+        a[i] /= length[i]
+        reached = (C[i] * x).sum()
+        below[i], above[i] = (l[i] - reached) / length[i], (u[i] - reached) / length[i]
+    K = np.diag(compliances(softness, length))
+    for i in range(m):
+        for j in range(m):
+            K[i, j] += (a[i] * a[j]).sum()
+    y, kept = np.zeros(m), np.empty(m, np.int64)
+    size, found = 0, False
+    for _ in range(10 * m):
+        s = (K * y).sum(axis=1)
+        miss = np.maximum(below - s, s - above)
+        miss[kept[:size]] = 0.0
+        p = int(miss.argmax())
+        if not miss[p] > _EPS * (1.0 + abs(s[p])):
+            found = math.isfinite(miss[p])
+            break
+        side = 1.0 if s[p] < below[p] else -1.0
+        size, reached_it = _bring(p, side, miss[p], K, y, kept, size)
+        if not reached_it:
+            break
+    z = (a.T * y).sum(axis=1)
+    # Beside a soft row's multiplier, as large as 1/ε, a hard one's is lost in rounding; z is not.
+    hard = kept[:size][softness[kept[:size]] == 0.0]
+    bound = np.where(y > 0.0, below, above)
+    z += (a[hard].T * _within(K, hard, bound[hard] - (a[hard] * z).sum(axis=1))).sum(axis=1)
+    found_x = x + backward(L, z)
+    return found_x, bool(found and np.isfinite(found_x).all())
+
+
+@compiled("Tuple((f8[::1], b1))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8[:], f8[:])")
+def least_within(
+    H: Array, c: Array, C: Array, l: Array, u: Array, softness: Array, given: Array
+) -> tuple[Array, bool]:
+    """The x (n,) of least ½ xᵀ H x + cᵀ x within limits, and whether there is one.
+
+    Its first entries are given, (k,) or none; `softness` is (m,) [-] ε.
+    """
+    k = len(given)
+    L, there = cholesky(H[k:, k:]), times(C[:, :k], given)
+    free = _minimum(L, c[k:] + times(H[k:, :k], given))
+    rest, found = _nearest_within(free, L, C[:, k:], l - there, u - there, softness)
+    return np.concatenate((given, rest)), found
+
+
+@compiled("Tuple((f8[::1], b1))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8[:], f8[:])")
+def change_within(
+    H: Array, c: Array, C: Array, l: Array, u: Array, softness: Array, given: Array
+) -> tuple[Array, bool]:
+    """The change (k,) of what is given with which all x come nearest to the least with it.
+
+    The nearest, in H, that is within limits; and whether there is one.
+    """
+    k = len(given)
+    rest = _minimum(cholesky(H[k:, k:]), c[k:] + times(H[k:, :k], given))
+    x = np.concatenate((given, rest))
+    found, there = _nearest_within(x, cholesky(H), C, l, u, softness)
+    return found[:k] - given, there
+
+
+@compiled("Tuple((f8[:,::1], f8[::1]))(f8[:,:], f8[:], f8[:,:], f8[:], f8[:], f8, i8)")
+def with_rows(
+    H: Array, c: Array, J: Array, b: Array, beta: Array, least: float, given: int
+) -> tuple[Array, Array]:
+    """H + Σ w_i J_iᵀ J_i and c - Σ w_i b_i J_iᵀ with w_i = β_i / ((1 - β_i + least) J_i H⁻¹ J_iᵀ).
+
+    What is given has no part in J_i H⁻¹ J_iᵀ.
+
+    Args:
+        H: (n, n)
+        c: (n,)
+        J: (k, n) rows.
+        b: (k,) what they ask of J q̈.
+        beta: (k,) [-] their activations.
+        least: [-] what is left of a row's compliance in full force.
+        given: How many entries of x are, from the first on.
+    """
+    L, H, c = cholesky(H[given:, given:]), H.copy(), c.copy()
+    for i in range(len(b)):
+        a = forward(L, J[i, given:])
+        compliance = 1e-12
+        for j in range(len(a)):
+            compliance += a[j] ** 2
+        w = beta[i] / ((1.0 - beta[i] + least) * compliance)
+        for j in range(len(c)):
+            c[j] -= w * b[i] * J[i, j]
+            for l in range(len(c)):
+                H[j, l] += w * J[i, j] * J[i, l]
+    return H, c
