@@ -235,7 +235,7 @@ def slowed(config: Config) -> Config:
 
     Stretching time by a factor divides stiffnesses by its square, damping and rates by itself.
     """
-    task, repulsion, limit = config.task, config.repulsion, config.limit
+    task, repulsion, limit, barrier = config.task, config.repulsion, config.limit, config.barrier
     s = task.base_slowness
     slow = {
         "task": {"ee_stiffness": task.ee_stiffness / s**2, "ee_damping": task.ee_damping / s},
@@ -244,6 +244,7 @@ def slowed(config: Config) -> Config:
             "position_rate": limit.position_rate / s,
             "velocity_rate": limit.velocity_rate / s,
         },
+        "barrier": {"rate": barrier.rate / s, "leaving": barrier.leaving / s},
     }
     return config.model_copy(
         update={

@@ -21,7 +21,7 @@ from app.border.dbb import construct_dbb
 from app.border.offset import OffsetContours
 from app.border.score import ScoreField
 from app.border.surface import BorderSurface
-from app.config import Config, LimitConfig, TaskConfig
+from app.config import Config, TaskConfig
 from app.control import controller as controller_module
 from app.control.controller import Controller
 from app.control.limits import ArmNow, Barriers
@@ -200,18 +200,18 @@ def plain_rows(
 
 def plain_limits(
     state: RobotState,
-    config: LimitConfig,
+    config: Config,
     barriers: Barriers | None = None,
     *,
-    softness: float,
     arm: ArmNow | None = None,
 ) -> Limits:
     """Rows of torques, of joints, of barriers, as `robot_limits` says."""
     M, h_a, m, model = state.M, state.h[2:], state.measurement, state.model
     low, high = model.tau_limits if arm is None else arm.torque
-    rate = config.position_rate
+    limit, softness = config.limit, config.task.softness
+    rate = limit.position_rate
     position = rate**2 * (model.q_limits - m.q_m) - 2 * rate * m.qd_m
-    velocity = config.velocity_rate * (model.qd_limits - m.qd_m)
+    velocity = limit.velocity_rate * (model.qd_limits - m.qd_m)
     both = np.maximum(position[0], velocity[0]), np.minimum(position[1], velocity[1])
     lower, upper = np.sort(both, axis=0)
     extra, inverse = np.zeros(model.n_m), np.linalg.inv(M[2:, 2:])
@@ -221,7 +221,11 @@ def plain_limits(
         lower, upper = np.minimum(lower, there + own), np.maximum(upper, there - own)
     n = model.n_m
     most = model.qd_max  # joints' rows are in shares of it
-    J, least = barriers or (np.zeros((0, n + 2)), NONE)
+    J, least = np.zeros((0, n + 2)), NONE
+    if barriers is not None:
+        J, keep = barriers.J, config.barrier
+        h = np.maximum(barriers.h, -keep.leaving / keep.rate)
+        least = -2 * keep.rate * barriers.speed - keep.rate**2 * h - barriers.Jdqd
     C, least = np.vstack([M[2:], np.eye(n + 2)[2:] / most[:, None], J]), least - J[:, 2:] @ extra
     return Limits(
         C,

@@ -155,10 +155,14 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     posture = posture_objective(state, m.q_m, config.task)
     objective = tracking_objective(posture, task, config.task.ee_weight)
     objective = insert_rows(objective, rows, softness)
-    limits = robot_limits(state, config.limit, softness=softness).and_also(base_limits(robot))
+    limits = robot_limits(state, config).and_also(base_limits(robot))
     whole = TaskQP().solve(objective, limits)
-    asked = output.base_acceleration
-    np.testing.assert_allclose(robot.J_m @ whole[:2], asked, atol=2e-2, rtol=2e-2)
+    by_whole, (_, low, high, _) = robot.J_m @ whole[:2], base_limits(robot)
+    assert output.workings is not None
+    wanted = np.clip(output.workings.base_wanted, low, high)
+    np.testing.assert_allclose(by_whole, wanted, atol=2e-2, rtol=2e-2)
+    if not avoidance.rows_links:  # else it also makes room for them
+        np.testing.assert_allclose(by_whole, output.base_acceleration, atol=2e-2, rtol=2e-2)
 
 
 @pytest.mark.parametrize("seed", [6, 10, 13, 20, 28])

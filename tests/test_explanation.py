@@ -373,7 +373,9 @@ def test_a_barrier_is_held_exactly_where_its_row_is_at_its_bound(robot, controll
     for seed in range(6):
         why, output = explained(controllers["barrier"], near(robot, "lm-lEE", seed, 0.01, 0.06))
         qdd = qdd_of(controllers["barrier"], output)
-        for J, least, pair in zip(*output.inserted.barriers, output.avoidance.pairs, strict=True):
+        barriers = output.inserted.barriers
+        bounds = barriers.least(AT_ONCE.barrier)
+        for J, least, pair in zip(barriers.J, bounds, output.avoidance.pairs, strict=True):
             at = J @ qdd < least + AT_ONCE.task.softness + TOLERANCE
             name = pair.closest.pair.name
             assert (Bound(name, "barrier", upper=False) in why.bounds) == at

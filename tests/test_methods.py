@@ -108,7 +108,9 @@ def test_the_barriers_rows_hold_for_what_the_robot_does(
     output = controller.step(m, here(controller, towards))
     assert output.solved
     qdd = realised(controller, output)
-    for J, least in zip(*output.inserted.barriers, strict=True):
+    barriers = output.inserted.barriers
+    assert barriers is not None
+    for J, least in zip(barriers.J, barriers.least(AT_ONCE.barrier), strict=True):
         assert J @ qdd >= least - 2 * Config().task.softness * (20.0 + abs(least))
 
 
@@ -123,7 +125,8 @@ def test_a_barrier_is_the_second_order_form_of_its_distance(robot: RobotModel, s
     pairs = PairDistances(robot, candidate_pairs(robot))
     index = [p.name for p in pairs.pairs].index("lm-lEE")
     (closest,) = DistanceMonitor(state, [pairs.pairs[index]]).find_closest_points()
-    (J,), (least,) = barriers_of(state, [closest], config)
+    barriers = barriers_of(state, [closest], config.d_min)
+    (J,), (least,) = barriers.J, barriers.least(config)
 
     def distance(t: float) -> float:
         v = robot.S @ (state.qd * t + 0.5 * qdd * t * t)

@@ -117,6 +117,22 @@ def test_on_the_wheel_axis_a_barrier_moves_a_cheap_base_only(
     assert (displacement > 0.008) == moves
 
 
+@pytest.mark.parametrize("direction_deg", [60.0, 270.0])
+def test_a_fast_target_close_above_the_deck_is_reached_in_time(
+    robot: RobotModel, border_data: BorderData, direction_deg: float
+) -> None:
+    """There links near their own buffers, or the arm the distance that it keeps from the base.
+
+    Both stand above the hand, which is left behind until the base makes room for them.
+    """
+    plan = replace(QUICK, length=0.2, hold=2.0)
+    start = StartFinder(robot, border_data, plan.config.border.d_b).find(
+        Approach("side", 0.45, direction_deg), plan.distance
+    )
+    found = run_planned(plan.planned(Trial(start, "dbb", 0.4)), robot, border_data).figures
+    assert found["ee_error_final_m"] < 1e-4
+
+
 def test_each_start_is_run_by_each_controller_at_each_speed_once() -> None:
     plan = replace(QUICK, speeds=(0.2, 0.4))
     starts = [Start(Approach("side", 0.3, d), reason="far" * (d == 180.0)) for d in (0.0, 180.0)]

@@ -10,7 +10,7 @@ from app.config import Config, slowed
 from app.control import CONTROLLERS
 from app.control.admittance import response
 from app.control.kernels import base_blend, clipped, torque_range
-from app.control.limits import ArmNow, PushObserver, base_limits, robot_limits
+from app.control.limits import ArmNow, PushObserver, barriers_of, base_limits, robot_limits
 from app.control.methods import METHODS, Inserted
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
 from app.control.tasks import (
@@ -242,7 +242,7 @@ class Controller:
         k_p, k_v, softness = slow.repulsion.k_p, slow.repulsion.k_v, slow.task.softness
         links = [row._replace(xdd=k_p - k_v * (row.J @ state.qd)) for row in inserted.rows_links]
         barriers = inserted.barriers if inserted.base_too else None
-        limits = robot_limits(state, self._config.limit, barriers, softness=softness)
+        limits = robot_limits(state, self._config, barriers)
         if error is None:
             T_ee, objective = None, with_base_at_rest(state, lowest, slow.task)
         else:  # an error that is left damps nothing here: the base drives there
@@ -255,7 +255,7 @@ class Controller:
             wanted, asked = self._by_rows(free, inserted.rows_m)
             if T_ee is None:
                 return wanted, asked
-            return wanted, asked + self._relief(asked, T_ee, lowest, inserted.rows_m)
+            return wanted, asked + self._relief(asked, T_ee, lowest, inserted)
         except NoSolutionError:
             self.given_up += 1
             return rest, rest
@@ -276,21 +276,26 @@ class Controller:
         return clipped(acceleration, *self._base_limits[1:3])
 
     def _relief(
-        self, asked: Array, T_ee: EqualityTask, posture: Objective, rows_m: TaskRows | None
+        self, asked: Array, T_ee: EqualityTask, posture: Objective, inserted: Inserted
     ) -> Array:
         """The least change of what the base is asked, (n_b,), with which the arm holds T_ee.
 
         That is, of what base and arm would do if the arm had no limits, T_ee being far costlier,
-        and the base's rows as far as they are active. Limits are approached as slowly as the base
-        answers, so that it looks ahead as far as it needs: a wrist that comes to its limit while
-        the base makes room turns the base in time.
+        and the base's rows as far as they are active. The limits are all that the arm puts above
+        T_ee: joints, distances, and the buffers of its own links. They are approached as slowly as
+        the base answers, so that it looks ahead as far as it needs: a wrist that comes to its limit
+        while the base makes room turns the base in time.
         """
         task, (gain, drag) = self._slow.task, self._response
         lost = drag * self.state.measurement.base_velocity
         tasks = tracking_objective(posture, T_ee, task.base_weight * task.ee_weight)
-        tasks = insert_rows(tasks, [] if rows_m is None else [rows_m], task.softness)
+        rows = [] if inserted.rows_m is None else [inserted.rows_m]
+        tasks = insert_rows(tasks, rows, task.softness)
         qdd_b = self._model.J_m_inv @ (gain * (asked - lost))
-        limits = robot_limits(self.state, self._slow.limit, softness=task.softness)
+        kept = barriers_of(self.state, inserted.clear, self.d_b)
+        if inserted.barriers is not None and not inserted.base_too:
+            kept = inserted.barriers.and_also(kept)
+        limits = robot_limits(self.state, self._slow, kept)
         return self._model.J_m @ self._solver.change(tasks, limits, qdd_b) / gain
 
     def _arm_part(
@@ -311,7 +316,7 @@ class Controller:
         state, barriers = self.state, inserted.barriers
         qdd_b = self._model.J_m_inv @ given
         now = ArmNow(qdd_b, torque, self._observer.r)
-        limits = robot_limits(state, config.limit, barriers, softness=softness, arm=now)
+        limits = robot_limits(state, config, barriers, arm=now)
         whole = insert_rows(stack.objective, rows, softness, given=len(qdd_b))
         qdd = self._solver.solve(whole, limits, qdd_b)
         return Workings(wanted, given, rows, stack, limits, torque, qdd)

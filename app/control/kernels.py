@@ -21,6 +21,12 @@ def velocity_bounds(qd: Array, limits: Array, rate: float) -> Array:
     return rate * (limits - qd)
 
 
+@compiled("f8[::1](f8[:], f8[:], f8[:], f8, f8)")
+def second_order(Jdqd: Array, speed: Array, h: Array, rate: float, leaving: float) -> Array:
+    """-2 λ ḣ - λ² max(h, -v/λ) - J̇ q̇, with v the fastest that what is too near leaves."""
+    return -2.0 * rate * speed - rate**2 * np.maximum(h, -leaving / rate) - Jdqd
+
+
 @compiled("f8[:,::1](f8[:], f8[:], f8[:,:], f8[:,:], f8, f8)")
 def joint_bounds(
     q: Array, qd: Array, q_limits: Array, qd_limits: Array, position_rate: float, speed_rate: float

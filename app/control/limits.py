@@ -5,6 +5,8 @@ contradict each other. What others exert on the arm moves it too, so the latter 
 acceleration that the arm will have.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterable
 from functools import lru_cache
@@ -14,7 +16,7 @@ import numpy as np
 
 from app.avoidance.closest_points import ClosestPoints
 from app.avoidance.task import distance_jacobian
-from app.config import BarrierConfig, LimitConfig
+from app.config import BarrierConfig, Config, LimitConfig
 from app.control import kernels
 from app.control.qp import Limits
 from app.robot.model import RobotModel
@@ -23,31 +25,41 @@ from app.strict import Array
 
 
 class Barriers(NamedTuple):
-    """J q̈ ≥ l, a row a pair."""
+    """Distances that are kept, a row a pair: with h of it left, ḣ = J q̇ and ḧ = J q̈ + J̇ q̇."""
 
     J: Array
     """(k, n) Jacobians of the distances."""
-    l: Array
-    """(k,) [m/s²] lower bounds."""
+    Jdqd: Array
+    """(k,) [m/s²] J̇ q̇."""
+    speed: Array
+    """(k,) [m/s] ḣ."""
+    h: Array
+    """(k,) [m] distances less the one that is kept."""
+
+    def least(self, config: BarrierConfig) -> Array:
+        """(k,) [m/s²] of J q̈, so that no h falls below 0.
+
+        It asks for ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that begins with ḣ + λ h ≥ 0 never comes nearer,
+        and one that begins nearer, in penetration too, leaves at the rate λ, at `barrier.leaving`
+        at most: h counts down to that speed over λ. It is the second-order form of the barriers
+        ḣ + λ h ≥ 0 that libraries for velocities use.
+        """
+        return kernels.second_order(*self[1:], config.rate, config.leaving)
+
+    def and_also(self, others: Barriers) -> Barriers:
+        """These and others."""
+        return Barriers(*map(np.concatenate, zip(self, others, strict=True)))
 
 
-def barriers_of(
-    state: RobotState, pairs: Iterable[ClosestPoints], config: BarrierConfig
-) -> Barriers:
-    """The rows that keep pairs' distances d above d_min, for the base's columns as the arm's.
-
-    With h = d - d_min it asks for ḧ + 2 λ ḣ + λ² h ≥ 0: a pair that begins with ḣ + λ h ≥ 0 never
-    comes nearer than d_min, and one that begins nearer, in penetration too, leaves at the rate λ,
-    at `barrier.leaving` at most: h counts down to that speed over λ. It is the second-order form of
-    the barriers ḣ + λ h ≥ 0 that libraries for velocities use.
-    """
-    rate, deepest = config.rate, -config.leaving / config.rate
-    J, l = [], []
-    for pair in pairs:
-        row, h = distance_jacobian(state, pair), max(pair.d - config.d_min, deepest)
-        J.append(row.J)
-        l.append(-2 * rate * row.speed - rate**2 * h - row.Jdqd)
-    return Barriers(np.array(J).reshape(-1, state.model.n), np.array(l))
+def barriers_of(state: RobotState, pairs: Iterable[ClosestPoints], kept: float) -> Barriers:
+    """Those of some pairs at a distance that is kept [m]; of base and arm."""
+    rows = [(pair.d - kept, distance_jacobian(state, pair)) for pair in pairs]
+    return Barriers(
+        np.array([row.J for _, row in rows]).reshape(-1, state.model.n),
+        np.array([row.Jdqd for _, row in rows]),
+        np.array([row.speed for _, row in rows]),
+        np.array([h for h, _ in rows]),
+    )
 
 
 def position_bounds(state: RobotState, config: LimitConfig) -> Array:
@@ -88,36 +100,36 @@ class ArmNow(NamedTuple):
 
 def robot_limits(
     state: RobotState,
-    config: LimitConfig,
+    config: Config,
     barriers: Barriers | None = None,
     *,
-    softness: float,
     arm: ArmNow | None = None,
 ) -> Limits:
     """Limits on q̈ of base and arm: torques, then joints, then barriers.
 
-    With ε of a row of T_sca each kind gives way to the next: tasks to rows, rows (ε) to joints'
-    limits and distances (ε²), and these to torques. Where torques do not suffice for both, joints
-    and distances share what is missed: neither is bought by throwing the other away. The arm's part
-    asks of no joint what its own torque does not give.
+    With ε = `task.softness` of a row of T_sca each kind gives way to the next: tasks to rows, rows
+    (ε) to joints' limits and distances (ε²), and these to torques. Where torques do not suffice for
+    both, joints and distances share what is missed: neither is bought by throwing the other away.
+    The arm's part asks of no joint what its own torque does not give.
 
     Args:
         state: The robot's state.
         config: How fast limits may be approached.
         barriers: Distances that are kept.
-        softness: [-] ε.
         arm: For the arm's part; else any torque up to the joints' own may act in this step, and
             nobody pushes.
     """
     model = state.model
-    J, least = barriers or (np.zeros((0, model.n)), np.zeros(0))
+    J, least = np.zeros((0, model.n)), np.zeros(0)
+    if barriers is not None:
+        J, least = barriers.J, barriers.least(config.barrier)
     qdd_b, torque, pushed = arm or (np.zeros(0), model.tau_limits, np.zeros(model.n_m))
-    bounds = joint_bounds(state, config)
+    bounds = joint_bounds(state, config.limit)
     return Limits(
         *kernels.limit_rows(
             state.M, state.h, torque, bounds, model.qd_max, qdd_b, pushed, J, least
         ),
-        _softness(model.n_m, len(least), softness),
+        _softness(model.n_m, len(least), config.task.softness),
     )
 
 

@@ -1,6 +1,6 @@
 """The compared methods: what each of them puts above the stack of tasks, or among its limits."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +27,8 @@ class Inserted(NamedTuple):
     """Rows between the arm's links."""
     barriers: Barriers | None = None
     """Distances that the arm keeps while the other tasks give in."""
+    clear: Sequence[ClosestPoints] = ()
+    """Pairs of links for which the base makes room, so that they stay outside of their buffers."""
     base_too: bool = False
     """Whether the base takes part in keeping them."""
     n_b: int = 2
@@ -64,15 +66,15 @@ def dbb(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
     Paper: Algorithm 2, line 14 (UpdateSoT).
     """
     pairs, n_b = avoidance.mobile, state.model.n_b
-    closest, f_arm = [pair.closest for pair in pairs], config.force.f_arm
-    barriers = barriers_of(state, closest, config.barrier)
-    d = np.array([each.d for each in closest])
+    force, d_min, d_b = config.force, config.barrier.d_min, config.border.d_b
+    barriers = barriers_of(state, [pair.closest for pair in pairs], d_min)
     return Inserted(
         avoidance.rows_m,
         rows_links=avoidance.rows_links,
         barriers=barriers,
+        clear=[pair.closest for pair in avoidance.pairs[len(pairs) :]],
         n_b=n_b,
-        u_a=reaction(d, barriers.J[:, n_b:], f_arm, config.border.d_b),
+        u_a=reaction(barriers.h + d_min, barriers.J[:, n_b:], force.f_arm, d_b),
     )
 
 
@@ -116,7 +118,7 @@ def barrier(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted
 
     The base takes part in all of it.
     """
-    barriers = barriers_of(state, [pair.closest for pair in avoidance.pairs], config.barrier)
+    barriers = barriers_of(state, [pair.closest for pair in avoidance.pairs], config.barrier.d_min)
     return Inserted(barriers=barriers, base_too=True, n_b=state.model.n_b)
 
 
