@@ -79,13 +79,13 @@ def _poses(robot: NewRobot) -> Iterator[str]:
     if ready.clearance < 0:
         yield (
             f"the pair {ready.nearest} is {-ready.clearance:.3f} m inside its buffer in the ready "
-            "pose; give another by --ready, or use a smaller d_b"
+            "pose; give another by --ready, or use a smaller --buffer-distance"
         )
     for name in robot.verdict.always:
         yield (
             f"the pair {name} is inside its buffer of {d_b:g} m in {near[name]:.0%} of random "
             f"poses (more than {ALWAYS:.0%}): its task hardly ever switches off; try a smaller "
-            "--buffer-distance, and border.d_b in a file for --config, or other --bodies"
+            "--buffer-distance, or other --bodies"
         )
     near_for_good = ", ".join(robot.verdict.always)
     always = f"{near_for_good} hardly ever leaves its buffer" if near_for_good else ""
