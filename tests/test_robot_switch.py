@@ -130,7 +130,7 @@ def test_every_viewer_gets_the_other_robot_with_the_parameters_and_layers_of_bef
         server.shared.tuning.undo()
         assert server.shared.tuning.config == OWN
         (loop,) = loops.alive()
-        wait_for(lambda: loop.latest().config == Config(), what="the undone step")
+        wait_for(lambda: loop.latest().config == OWN, what="the undone step")
 
 
 def test_four_changes_leave_nothing_behind() -> None:
