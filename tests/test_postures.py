@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from app.onboarding.fit.postures import Place, chosen, find_places, gives_way
 from app.robot.link_pairs import LinkPairs, find_link_pairs
 from app.robot.model import RobotModel
 from app.robot.shapes import Box
-from app.simulation.run import run_scenario
+from app.simulation.run import run_scenario, steps_of
 from app.simulation.scenarios import LINES
 from tests.robots import husky_panda, with_mobile_shapes
 
@@ -129,6 +130,23 @@ def test_a_base_gives_way_where_it_moves_and_the_arm_keeps_away(
     good = run["base_displacement_m"] >= 0.05 and run["min_clearance_m"] >= least
     assert gives_way(with_buffer(d_b), border_data, "guiding-lateral", place) == good
     assert good == (move < -0.02 and least == 0.03 and d_b == D_B)
+
+
+def test_a_run_ends_once_the_base_gave_way_and_the_hand_is_held(
+    border_data: BorderData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times: list[float] = []
+
+    def watched(*args: Any) -> Iterator[Any]:
+        for session, step in steps_of(*args):
+            times.append(step.t)
+            yield session, step
+
+    monkeypatch.setattr(postures, "steps_of", watched)
+    line = LINES["guiding-lateral"]
+    place = Place((0.3, 0.72, 0.3), (0.0, -0.25, 0.0), 0.0, "")
+    assert gives_way(husky_panda(), border_data, "guiding-lateral", place)
+    assert times[-1] == pytest.approx(line.duration * line.moving, abs=0.002)
 
 
 def test_where_no_other_height_has_a_line_one_just_over_the_base_is_tried(

@@ -261,6 +261,8 @@ def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> b
                 if min(step.distances[: len(data.pairs.mobile)]) < CLEARANCE:
                     return False  # the rest of the run cannot mend it
                 moved = float(np.hypot(*step.truth.base_pose[:2]))
+                if moved >= GIVES_WAY and step.t >= line.duration * line.moving:
+                    break  # the hand is held from now on: nothing comes nearer any more
     except UnreachableError:
         return False
     return moved >= GIVES_WAY
