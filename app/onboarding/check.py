@@ -23,7 +23,7 @@ from app.onboarding.numbers import gravity_load, largest_of_poses
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
-from app.onboarding.warn import carried_hand, holding_warning
+from app.onboarding.warn import borne_push, carried_hand, holding_warning, push_warning
 from app.robot.assets import urdf_path
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import PairDistances, sample_joints
@@ -103,7 +103,7 @@ def check_robot(
     except DbbError as error:
         yield Row("border", "failed", str(error), {})
         return
-    checks = {"pairs": pairs_row, "ready pose": ready_row, "border": border_row}
+    checks = {"pairs": pairs_row, "push": push_row, "ready pose": ready_row, "border": border_row}
     guided = ("guiding-lateral", "guiding-front") if runs else ()
     rows: list[Row] = []
     for name, check in (checks | {name: partial(run_row, name=name) for name in guided}).items():
@@ -258,6 +258,16 @@ def holding_row(model: RobotModel) -> Row:
     text = f"the arm holds its hand's place in {1 - worst:.0%} of poses, however the base moves"
     warning = holding_warning(carried)
     return Row("hand held", "warned" if warning else "passed", warning or text, numbers)
+
+
+def push_row(model: RobotModel, data: BorderData) -> Row:
+    """Warns where a person can push the arm against the base, whatever the controller does."""
+    borne = borne_push(model, data.pairs.mobile)
+    if not len(borne):
+        return Row("push", "passed", "no part of the arm can meet the base", {})
+    text = f"the joints' torques hold {borne.min():.0f} N towards the base in all poses near it"
+    warning, numbers = push_warning(borne), {"least_push_borne_n": float(borne.min())}
+    return Row("push", "warned" if warning else "passed", warning or text, numbers)
 
 
 def pairs_row(model: RobotModel, data: BorderData) -> Row:

@@ -53,7 +53,13 @@ from app.onboarding.read.wheels import (
 )
 from app.onboarding.report import report_html
 from app.onboarding.request import Request, named, package_folders
-from app.onboarding.warn import carried_hand, holding_warning, warnings_of
+from app.onboarding.warn import (
+    borne_push,
+    carried_hand,
+    holding_warning,
+    push_warning,
+    warnings_of,
+)
 from app.onboarding.write import (
     ROOT,
     compiled,
@@ -242,7 +248,8 @@ def make_robot(
     model = compiled(content, path)
     fitted = meetings, bodies, verdict, unseen, ready, reach
     robot = NewRobot(request, parsed, urdf, content, model, *fitted, places, lacking, held, [])
-    return replace(robot, warnings=warnings_of(robot)), data
+    weak = push_warning(borne_push(model, pairs.mobile))
+    return replace(robot, warnings=[*filter(None, [weak]), *warnings_of(robot)]), data
 
 
 def _fitted(
