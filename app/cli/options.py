@@ -85,10 +85,15 @@ def parameter_options(paths: Mapping[str, str]) -> Any:
     found = {}
     for name, path in paths.items():
         about = tunable(path)
-        if isinstance(about, Parameter):
-            found[name] = Field(float, about.default, f"[{about.unit}] {about.help}")
-        else:
-            found[name] = Field(str, about.default, f"{about.help.rstrip('.')}: {about.allowed}")
+        number = isinstance(about, Parameter)
+        own = f"{about.default:g}" if number else about.default
+        own += ", or the robot's own"
+        text = (
+            f"[{about.unit}] {about.help}"
+            if number
+            else f"{about.help.rstrip('.')}: {about.allowed}"
+        )
+        found[name] = Field(float if number else str, own, text)
     return from_fields(found)
 
 
