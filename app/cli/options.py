@@ -85,15 +85,12 @@ def parameter_options(paths: Mapping[str, str]) -> Any:
     found = {}
     for name, path in paths.items():
         about = tunable(path)
-        number = isinstance(about, Parameter)
-        own = f"{about.default:g}" if number else about.default
-        own += ", or the robot's own"
-        text = (
-            f"[{about.unit}] {about.help}"
-            if number
-            else f"{about.help.rstrip('.')}: {about.allowed}"
-        )
-        found[name] = Field(float if number else str, own, text)
+        if isinstance(about, Parameter):
+            kind, usual, text = float, f"{about.default:g}", f"[{about.unit}] {about.help}"
+        else:
+            kind, usual = str, about.default
+            text = f"{about.help.rstrip('.')}: {about.allowed}"
+        found[name] = Field(kind, f"{usual}, or the robot's own", text)
     return from_fields(found)
 
 
