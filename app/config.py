@@ -253,17 +253,21 @@ def slowed(config: Config) -> Config:
     )
 
 
-def make_config(data: dict[str, Any]) -> Config:
-    """A configuration from nested dictionaries, checked; what is not in them is at its default.
+def make_config(data: dict[str, Any], usual: Config | None = None) -> Config:
+    """A configuration from nested dictionaries, checked; what is not in them is as usual.
 
     Raises:
         ConfigError: Names each parameter that is unknown or out of its range, and the range.
     """
     try:
         # Strict: neither `true` nor "0.2" is a number.
-        return Config.model_validate(data, strict=True)
+        config = Config.model_validate(data, strict=True)
     except ValidationError as error:
-        raise ConfigError(explain(error, Config, _range_text)) from None
+        raise ConfigError(explain(error, Config, range_text)) from None
+    if usual is None:
+        return config
+    given = {f"{name}.{each}": v for name, part in data.items() for each, v in part.items()}
+    return usual.changed(given)
 
 
 @cache
@@ -312,7 +316,8 @@ def parameter(path: str) -> Parameter:
     return found
 
 
-def _range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
+def range_text(loc: tuple[int | str, ...], kind: str) -> str | None:
+    """What would be right at a place of a configuration, as `explain` wants it."""
     if len(loc) == 1 and kind == "model_type":
         return "must be a section of parameters"
     known = tunables().get(".".join(map(str, loc)))

@@ -35,7 +35,7 @@ def save_config(config: Config, name: str = "") -> str:
     """
     document = tomlkit.document()
     document.add(tomlkit.comment("Parameters for `dbb run`, `dbb serve` and others: --config FILE"))
-    document.add(tomlkit.comment("A line that is taken out is at its default."))
+    document.add(tomlkit.comment("A line that is taken out is at the robot's default."))
     if name := checked_name(name):
         document.add(_NAME, tomlkit.item(name))
     for section in sections():
@@ -48,8 +48,8 @@ def save_config(config: Config, name: str = "") -> str:
     return tomlkit.dumps(document)
 
 
-def decode_config(content: bytes) -> NamedConfig:
-    """The parameters of a file's bytes.
+def decode_config(content: bytes, usual: Config | None = None) -> NamedConfig:
+    """The parameters of a file's bytes; what is not in them is as usual, or at its default.
 
     Raises:
         ConfigError: It is too large or no TOML, or names a parameter that does not exist or is out
@@ -67,11 +67,11 @@ def decode_config(content: bytes) -> NamedConfig:
     name = data.pop(_NAME, "")
     if not isinstance(name, str):
         raise ConfigError(f"{_NAME}: must be a text")
-    return NamedConfig(checked_name(name), make_config(data))
+    return NamedConfig(checked_name(name), make_config(data, usual))
 
 
-def read_config(path: Path) -> NamedConfig:
-    """The parameters of a file.
+def read_config(path: Path, usual: Config | None = None) -> NamedConfig:
+    """The parameters of a file; what is not in it is as usual, or at its default.
 
     Raises:
         ConfigError: As `decode_config`, or it cannot be read; names the file.
@@ -82,7 +82,7 @@ def read_config(path: Path) -> NamedConfig:
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from None
     try:
-        return decode_config(content)
+        return decode_config(content, usual)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
 

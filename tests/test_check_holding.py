@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from app.onboarding.check import holding_row
-from app.onboarding.warn import carried_hand, holding_warning, lost_hand
+from app.border.cache import BorderData
+from app.onboarding.check import holding_row, push_row
+from app.onboarding.warn import borne_push, carried_hand, holding_warning, lost_hand
 from app.robot.assets import package_roots
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
@@ -36,6 +37,24 @@ def test_the_papers_robot_is_not() -> None:
     assert not holding_warning(carried_hand(husky_panda()))
     assert row.numbers["place_lost_v_share"] < 0.1
     assert row.numbers["place_lost_w_share"] < 0.1
+
+
+def test_an_arm_of_small_torques_is_warned_of_that_a_person_pushes_it_at_the_base(
+    border_data: BorderData,
+) -> None:
+    """A Panda with three tenths of its torques, and with all of them."""
+    strong, pairs = husky_panda(), border_data.pairs.mobile
+    row = push_row(strong, border_data)
+    assert row.outcome == "passed"
+    assert row.numbers["least_push_borne_n"] > 40.0
+    arm = strong.description.arm.model_copy(
+        update={"max_effort": tuple((0.3 * strong.tau_max).tolist())}
+    )
+    weak = RobotModel(strong.description.model_copy(update={"arm": arm}))
+    row = push_row(weak, border_data)
+    assert row.outcome == "warned"
+    assert "a person of 40 N can push the arm against the base" in row.text
+    assert (borne_push(weak, pairs) <= borne_push(strong, pairs)).all()
 
 
 def test_to_hold_place_and_orientation_is_never_easier_and_a_faster_arm_never_holds_less() -> None:

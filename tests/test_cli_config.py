@@ -12,6 +12,7 @@ from app.cli.main import main
 from app.cli.options import configured
 from app.config import Config, sections
 from app.config_file import decode_config, read_config, save_config
+from app.robot.description import load_robot
 from app.simulation.case import Planned, RunCase
 from app.simulation.scenarios import SCENARIOS
 
@@ -69,8 +70,8 @@ def refused(capsys, *args: str) -> str:
 
 @pytest.mark.slow
 def test_a_run_uses_the_parameters_of_its_file_and_options_come_before_it(handed_on, mine):
-    assert configured(None) == Config()
-    assert configured(mine) == CONFIG
+    assert configured("husky_panda", None) == Config()
+    assert configured("husky_panda", mine) == CONFIG
     file = ["--config", str(mine)]
     assert handed_on(*QUICK, *file) == CONFIG
     changed = handed_on(
@@ -80,6 +81,20 @@ def test_a_run_uses_the_parameters_of_its_file_and_options_come_before_it(handed
         "border.kind", "surface"
     ).replace("border.d_b", 0.1)
     assert handed_on(*QUICK) == Config()
+
+
+def test_a_robots_own_parameters_come_before_the_defaults(handed_on, mine, monkeypatch, capsys):
+    own = Config().changed({"border.d_b": 0.1, "border.eps": 0.005})
+    robot = load_robot("husky_panda").model_copy(update={"config": own})
+    monkeypatch.setattr("app.robot.description.load_robot", lambda _: robot)
+    assert configured("husky_panda", None) == own
+    assert configured("husky_panda", mine) == CONFIG.replace("border.eps", 0.005)
+    assert configured("husky_panda", None, {"buffer_distance": 0.2}) == own.replace(
+        "border.d_b", 0.2
+    )
+    assert handed_on(*QUICK) == handed_on("sweep", "--out", str(mine.parent / "out")) == own
+    main(["config"])
+    assert decode_config(capsys.readouterr().out.encode()).config == own
 
 
 def test_a_sweep_uses_the_parameters_of_its_file(handed_on, mine, tmp_path):

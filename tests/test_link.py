@@ -25,20 +25,21 @@ LINK = "scenario=guiding-front&controller=barrier&border.d_b=0.2&look=top&at=4.5
 def test_a_link_is_read_as_it_is_written():
     link = Link.read(LINK + "&border.kind=points&robot=husky_panda")
     assert Link.read(link.query()) == link
-    assert link.configured(Config()).border.d_b == 0.2
-    assert link.configured(Config()).border.kind == "points"
+    assert link.changes({})["border.d_b"] == 0.2
+    assert link.changes({})["border.kind"] == "points"
     assert (link.scenario, link.controller, link.at) == ("guiding-front", "barrier", 4.5)
 
 
 def test_a_scenario_has_the_links_parameters_alone_and_without_one_the_others_stay():
-    tuned = Config().replace("force.f_max", 100.0)
-    assert Link.read("scenario=tracking").configured(tuned) == Config()
-    assert Link.read("border.d_b=0.1").configured(tuned) == tuned.replace("border.d_b", 0.1)
+    tuned = {"force.f_max": 100.0}
+    assert Link.read("scenario=tracking").changes(tuned) == {}
+    assert Link.read("border.d_b=0.1").changes(tuned) == tuned | {"border.d_b": 0.1}
 
 
 def test_changed_parameters_make_the_configuration_again():
     config = Config().replace("border.d_b", 0.2).replace("border.kind", "points")
-    assert Link(parameters=tuple(config.changes(Config()).items())).configured(Config()) == config
+    link = Link(parameters=tuple(config.changes(Config()).items()))
+    assert Config().changed(link.changes({})) == config
 
 
 def test_a_camera_comes_back_to_the_centimetre():

@@ -99,6 +99,20 @@ def test_the_least_weighted_volume_wins_and_is_reported_against_the_hull() -> No
     assert heavy.shape.type == "capsule"
 
 
+def test_what_was_seen_through_a_joint_is_not_looked_at_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Groupings that share their outer links ask the same of them."""
+    rng, asked = np.random.default_rng(2), []
+    points = {j: rng.uniform(-0.08, 0.08, (40, 3)) for j in (6, 7, 8)}
+    swept(husky_panda(), points)
+    axis = bodies._axis
+    monkeypatch.setattr(bodies, "_axis", lambda model, j: (asked.append(j), axis(model, j))[1])
+    swept(husky_panda(), points | {5: points[6]})
+    assert asked.count(8) == 1  # from 8 outwards is known; from 5 and 6 on all is new
+    assert asked.count(7) == 1
+
+
 def test_what_is_swept_holds_the_links_in_every_position_of_the_joints_between() -> None:
     """Hand and flange of the Panda, seen from link 6, joint 7 anywhere; and link 5 from there."""
     model = husky_panda()

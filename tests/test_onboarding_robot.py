@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import tomlkit
 import trimesh
 from pydantic import ValidationError
 
@@ -21,7 +22,6 @@ from app.border import cache
 from app.border.cache import BorderData
 from app.border.config import QUICK, SamplingConfig
 from app.cli import serve
-from app.config import Config
 from app.dashboard import job
 from app.errors import AssetError, RobotFileError, UnreachableError
 from app.onboarding import check as checks
@@ -51,7 +51,7 @@ from app.onboarding.read.source import mesh_address
 from app.onboarding.report import report_html
 from app.onboarding.request import Request
 from app.onboarding.warn import Carried, warnings_of
-from app.onboarding.write import mesh_name
+from app.onboarding.write import description_text, mesh_name
 from app.robot import assets
 from app.robot.assets import ASSETS, package_roots, resolve_package_uri, resolved_urdf, robot_names
 from app.robot.bases.kind import FORWARD
@@ -190,7 +190,7 @@ def test_the_checks_of_bodies_and_dynamics_pass(made: NewRobot) -> None:
     for row in (*engines, limits_row(model), base_row(model)):
         without = row.name == "pybullet" and find_spec("pybullet") is None
         assert row.outcome == ("warned" if without else "passed"), row
-    row = arm_row(model, Config())  # of few samples the bodies may miss a few of those drawn anew
+    row = arm_row(model)  # of few samples the bodies may miss a few of those drawn anew
     assert row.numbers["missed"] <= 0.01 * row.numbers["collisions"], row
 
 
@@ -209,14 +209,14 @@ def test_a_hand_that_its_body_does_not_hold_fails(
     monkeypatch.setattr(grouping, "UNSEEN_POSES", 1500)
     bodies = [body.model_dump() for body in written(made).description.bodies]
     bodies[-1]["shapes"] = [{"type": "sphere", "radius_m": 0.01}]
-    row = arm_row(written(made, bodies=bodies), Config())
+    row = arm_row(written(made, bodies=bodies))
     assert row.outcome == "failed"
     assert row.numbers["missed"] > 0
     assert "does not hold the links with which it meets" in row.text
 
 
 def test_new_robot_and_check_robot_tell_one_figure_of_unseen_collisions(made: NewRobot) -> None:
-    row = arm_row(written(made), Config())
+    row = arm_row(written(made))
     assert row.numbers["colliding_poses"] > 100
     assert row.numbers["unseen_share"] == pytest.approx(made.unseen.share, abs=2e-3)
     assert row.numbers["colliding_poses"] == pytest.approx(made.unseen.poses, rel=5e-3)
@@ -230,7 +230,7 @@ def test_a_pose_in_collision_is_unseen_where_no_pair_of_bodies_meets(
     monkeypatch.setattr(grouping, "UNSEEN_POSES", 1000)
     pairs = [pair.name for pair in candidate_pairs(written(made))]
     rows = [
-        arm_row(written(made, unwatched=dict.fromkeys(names, "test")), Config())
+        arm_row(written(made, unwatched=dict.fromkeys(names, "test")))
         for names in ([], *([each] for each in pairs), pairs)
     ]
     none, *one, every = [row.numbers["unseen_share"] for row in rows]
@@ -266,7 +266,7 @@ def test_an_arm_that_meets_nothing_has_nothing_to_show(made: NewRobot) -> None:
     arm = written(made).description.arm
     ready = np.array(arm.ready_position)
     held = {"position_lower": tuple(ready - 1e-3), "position_upper": tuple(ready + 1e-3)}
-    row = arm_row(written(made, arm=arm.model_dump() | held), Config())
+    row = arm_row(written(made, arm=arm.model_dump() | held))
     assert row.outcome == "nothing to show"
 
 
@@ -317,7 +317,7 @@ def test_a_line_that_stays_outside_of_the_buffer_shows_nothing(
     lines = {n: place.model_dump() for n, place in written(made).description.lines.items()}
     line = lines["guiding-front"]
     line["move_m"] = tuple(share * x for x in line["move_m"])
-    row = run_row(written(made, lines=lines), data, Config(), "guiding-front")
+    row = run_row(written(made, lines=lines), data, "guiding-front")
     assert row.outcome == outcome, row
     inside = row.numbers["min_clearance_without_m"] < 0.075
     assert inside is (outcome == "passed")
@@ -356,7 +356,7 @@ def test_a_base_that_does_not_give_way_fails_unless_it_would_take_the_hand_along
         )
 
     monkeypatch.setattr(run, "run_scenario", figures)
-    row = run_row(written(finished[0]), finished[1], Config(), "guiding-front")
+    row = run_row(written(finished[0]), finished[1], "guiding-front")
     assert row.outcome == outcome
     assert ("gives way by less than" in row.text) is (bare < 0.075 and near > 0.05)
 
@@ -380,8 +380,10 @@ def test_a_robot_made_for_another_buffer_is_checked_with_that_one(
     monkeypatch.setattr(checks, "load_border_data", lambda *_, **__: data)
 
     def beyond(d_b: float) -> float:
-        config = Config().replace("border.d_b", d_b)
-        rows = checks.check_robot(written(made).description, config, runs=False)
+        asked = replace(made.request, d_b=d_b)
+        config = tomlkit.parse(description_text(description(asked, made.parsed), "a robot"))
+        model = written(made, config=config.get("config", {}))
+        rows = checks.check_robot(model.description, runs=False)
         return next(row for row in rows if row.name == "ready pose").numbers["beyond_buffer_m"]
 
     assert beyond(0.10) - beyond(0.15) == pytest.approx(0.05)
@@ -465,7 +467,7 @@ def test_from_its_urdf_alone_the_papers_robot_sees_its_collisions(husky: RobotMo
     pairs = find_link_pairs(husky, samples=10_000, seed=2)
     assert {pair.name for pair in pairs.mobile} == {"lm-lEE", "lm-l3"}
     assert {pair.name for pair in pairs.manipulator} == {"l1-lEE", "l1-l3"}
-    row = arm_row(husky, Config())
+    row = arm_row(husky)
     assert row.numbers["colliding_poses"] > 100
     assert row.numbers["unseen_share"] <= 0.01, row
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,13 +14,20 @@ from app.config import Config
 from app.onboarding.fit import postures
 from app.onboarding.fit.postures import Place, chosen, find_places, gives_way
 from app.robot.link_pairs import LinkPairs, find_link_pairs
+from app.robot.model import RobotModel
 from app.robot.shapes import Box
-from app.simulation.run import run_scenario
+from app.simulation.run import run_scenario, steps_of
 from app.simulation.scenarios import LINES
 from tests.robots import husky_panda, with_mobile_shapes
 
 D_B = 0.15  # [m]
 INNER = 0.4 * D_B  # [m]
+
+
+def with_buffer(d_b: float) -> RobotModel:
+    """The paper's robot with another d_b [m] of its own."""
+    config = Config().replace("border.d_b", d_b)
+    return RobotModel(husky_panda().description.model_copy(update={"config": config}))
 
 
 def places(nearest: list[float], apart: float = 0.2) -> list[Place]:
@@ -80,7 +88,7 @@ def test_a_line_beside_one_that_shows_nothing_is_not_run() -> None:
 
 
 def test_an_arm_that_can_meet_no_base_has_no_lines() -> None:
-    assert find_places(husky_panda(), LinkPairs((), (), (), {}, {}, 0, 0), D_B) == {}
+    assert find_places(husky_panda(), LinkPairs((), (), (), {}, {}, 0, 0)) == {}
 
 
 def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
@@ -92,15 +100,9 @@ def test_a_line_that_is_not_deep_gives_way_to_one_further_in(
     monkeypatch.setattr(postures, "_heights", lambda tops: [0.8 * tops[0]])
     monkeypatch.setattr(postures, "_front", lambda body, mount: iter(()))
     shares: list[float] = []
-    buffers: list[float] = []
-
-    def shown(d_b: float, *_: object) -> bool:
-        buffers.append(d_b)
-        return True
-
-    pairs = find_link_pairs(husky_panda(), samples=2000)
-    found = find_places(husky_panda(), pairs, 0.14, shows=shown, on_progress=shares.append)
-    assert buffers == [0.14]  # it was the default whatever the robot was made for
+    model = with_buffer(0.14)
+    pairs = find_link_pairs(model, samples=2000)
+    found = find_places(model, pairs, on_progress=shares.append)
     np.testing.assert_allclose(found["guiding-lateral"].move, (0.0, -0.325, 0.0), atol=1e-9)
     assert "cannot start there" in found["guiding-front"]
     assert shares == [0.0]
@@ -126,8 +128,25 @@ def test_a_base_gives_way_where_it_moves_and_the_arm_keeps_away(
     config = Config().replace("border.d_b", d_b)
     run = run_scenario(husky_panda(), border_data, line, config, physics="kinematic").figures
     good = run["base_displacement_m"] >= 0.05 and run["min_clearance_m"] >= least
-    assert gives_way(husky_panda(), border_data, d_b, "guiding-lateral", place) == good
+    assert gives_way(with_buffer(d_b), border_data, "guiding-lateral", place) == good
     assert good == (move < -0.02 and least == 0.03 and d_b == D_B)
+
+
+def test_a_run_ends_once_the_base_gave_way_and_the_hand_is_held(
+    border_data: BorderData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times: list[float] = []
+
+    def watched(*args: Any) -> Iterator[Any]:
+        for session, step in steps_of(*args):
+            times.append(step.t)
+            yield session, step
+
+    monkeypatch.setattr(postures, "steps_of", watched)
+    line = LINES["guiding-lateral"]
+    place = Place((0.3, 0.72, 0.3), (0.0, -0.25, 0.0), 0.0, "")
+    assert gives_way(husky_panda(), border_data, "guiding-lateral", place)
+    assert times[-1] == pytest.approx(line.duration * line.moving, abs=0.002)
 
 
 def test_where_no_other_height_has_a_line_one_just_over_the_base_is_tried(
@@ -135,7 +154,7 @@ def test_where_no_other_height_has_a_line_one_just_over_the_base_is_tried(
 ) -> None:
     """As of an arm whose hand cannot start as low as its small base."""
     monkeypatch.setattr(postures, "_heights", lambda tops: [3.0])  # out of reach
-    found = find_places(husky_panda(), find_link_pairs(husky_panda(), samples=2000), D_B)
+    found = find_places(husky_panda(), find_link_pairs(husky_panda(), samples=2000))
     top = float(MobileBody(husky_panda()).upper[2])
     assert found["guiding-lateral"].start[2] == pytest.approx(top + 0.025, abs=1e-3)
 
@@ -148,7 +167,7 @@ def test_a_line_leads_to_what_there_is_of_the_base_at_its_height(
     trunk = husky_panda().description.mobile_body.shapes[0]
     plate = Box(type="box", xyz_m=(0.0, 0.0, -0.1), size_m=(1.6, 1.2, 0.04))
     model = with_mobile_shapes((trunk, plate))
-    found = find_places(model, find_link_pairs(model, samples=2000), D_B)
+    found = find_places(model, find_link_pairs(model, samples=2000))
     place = found["guiding-lateral"]
     assert place.nearest < INNER
     assert abs(place.start[1]) < 0.6 + 0.25  # [m] nearer than a line to the plate could begin
@@ -157,7 +176,7 @@ def test_a_line_leads_to_what_there_is_of_the_base_at_its_height(
 def test_a_line_leads_as_near_as_a_run_without_avoidance(border_data: BorderData) -> None:
     """The paper's robot, pulled slowly from the side and the front."""
     model, config = husky_panda(), Config()
-    found = find_places(model, border_data.pairs, config.border.d_b)
+    found = find_places(model, border_data.pairs)
     assert found.keys() == {"guiding-lateral", "guiding-front"}
     without = {"controller": "none", "physics": "kinematic"}
     for name, place in found.items():

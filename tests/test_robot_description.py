@@ -102,6 +102,18 @@ REFUSED = {
         lambda d: d["bodies"][1]["shapes"][0].update(type="cone"),
         ["bodies[1].shapes[0]", "cone", "capsule"],
     ),
+    "parameter out of range": (
+        lambda d: d.update(config={"border": {"d_b": 0.5}}),
+        ["config.border.d_b: must be within 0.06 to 0.3 m (was 0.5)"],
+    ),
+    "no such parameter": (
+        lambda d: d.update(config={"border": {"d_bb": 0.1}}),
+        ["config.border.d_bb", "did you mean 'd_b'"],
+    ),
+    "no section of parameters": (
+        lambda d: d.update(config={"border": 0.1}),
+        ["config.border: must be a section of parameters (was 0.1)"],
+    ),
     "reachability of nobody": (
         lambda d: d["reachability"].update(hand=d["reachability"]["l3"]),
         ["reachability", "hand", "lEE"],

@@ -33,11 +33,14 @@ pytestmark = pytest.mark.slow
 
 OTHER = "other"
 """A second robot: the paper's by another name, so that nothing else has to be installed."""
+OWN = Config().replace("border.eps", 0.005)
+"""Its parameters by default."""
 
 
 def other() -> RobotModel:
     description = husky_panda().description
-    return RobotModel(description.model_copy(update={"title": "The other robot"}))
+    own = {"title": "The other robot", "config": OWN}
+    return RobotModel(description.model_copy(update=own))
 
 
 class Loops:
@@ -90,7 +93,7 @@ def two_robots(monkeypatch: pytest.MonkeyPatch) -> None:
 def choose(server: DashboardServer, name: str) -> None:
     """Begin a change as the panel does, and wait until it has ended in one way or the other."""
     shared = server.shared
-    shared.robot_switch.begin(name, shared.tuning.config, "dbb", shared.loop)
+    shared.robot_switch.begin(name, shared.tuning.changes, "dbb", shared.loop)
     wait_for(lambda: shared.robot_switch.progress is None, what="the end of the change")
 
 
@@ -125,9 +128,9 @@ def test_every_viewer_gets_the_other_robot_with_the_parameters_and_layers_of_bef
         assert isinstance(first, ScriptedLoop)
         wait_for(lambda: not first._thread.is_alive(), what="the end of the old simulation")
         server.shared.tuning.undo()
-        assert server.shared.tuning.config == Config()
+        assert server.shared.tuning.config == OWN
         (loop,) = loops.alive()
-        wait_for(lambda: loop.latest().config == Config(), what="the undone step")
+        wait_for(lambda: loop.latest().config == OWN, what="the undone step")
 
 
 def test_four_changes_leave_nothing_behind() -> None:
@@ -226,10 +229,10 @@ def test_parameters_that_do_not_suit_the_robot_fall_back_and_the_viewers_are_tol
     with served_dashboard(start_loop=loops) as (server, _), viewer(server):
         server._notifier.tell = lambda *said: told.append(said[-1])  # type: ignore[method-assign]
         server.shared.tuning.set("border.d_b", 0.3)
-        loops.refuses = server.shared.tuning.config
+        loops.refuses = OWN.replace("border.d_b", 0.3)
         choose(server, OTHER)
         assert title(server) == "The other robot"
-        assert server.shared.tuning.config == Config()
+        assert server.shared.tuning.config == server.shared.tuning.usual == OWN
         (note,) = told
         assert "all are at their defaults (the hand does not come there)" in note
         server.shared.tuning.undo()  # nothing is lost
@@ -244,7 +247,7 @@ def test_if_it_fails_the_old_robot_goes_on_and_the_page_says_why(
     with served_dashboard(start_loop=loops) as (server, _), viewer(server):
         first, change = server.shared.loop, server.shared.robot_switch
         if why == "refused":
-            loops.refuses = Config()
+            loops.refuses = OWN
         else:
 
             def fails(_: object) -> None:
@@ -317,7 +320,7 @@ def test_a_robot_that_is_not_there_or_not_whole_is_refused_at_once() -> None:
         change = server.shared.robot_switch
         for name, words in (("absent", "pip install x"), ("nobody", "no robot 'nobody'")):
             with pytest.raises(Exception, match=words):
-                change.begin(name, Config(), "dbb", server.shared.loop)
+                change.begin(name, {}, "dbb", server.shared.loop)
         assert change.progress is None
 
 

@@ -258,6 +258,17 @@ def test_loading_and_resetting_are_one_step_each():
     assert tuning.config == Config()
 
 
+def test_the_defaults_are_the_robots_own():
+    tuning = Tuning(Sink(), Config(), Config().replace(D_B, 0.1), clock=Clock())
+    assert tuning.changes == {D_B: 0.15}
+    tuning.reset([D_B])
+    assert tuning.config == tuning.usual
+    tuning.set("hand.f_max", 20.0)
+    assert tuning.changes == {"hand.f_max": 20.0}
+    tuning.reset()
+    assert tuning.config == tuning.usual
+
+
 # The widgets
 
 

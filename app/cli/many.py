@@ -90,7 +90,9 @@ def sweep(
         ]
     for name in OPTIONS.keys() & plan.keys():
         plan[name] = tuple(dict.fromkeys(plan[name]))
-    made = SweepPlan(**plan, config=options.configured(config, parameter, _OF_SWEEP))
+    robot = plan.get("robot", SweepPlan.robot)
+    tuned = options.configured(robot, config, parameter, _OF_SWEEP)
+    made = SweepPlan(**plan, config=tuned)
     options.check_seed(made.seed)
     side_by_side = options.check_processes(processes)
     # Imported here: matplotlib and scipy would make every other command start later.

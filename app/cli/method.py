@@ -73,7 +73,7 @@ def border(
         out: Folder for one CSV of the border's points per pair (base frame, metres).
         seed: Seed of the sampling; another one is another cloud.
     """
-    config = options.configured(None, parameters, _OF_BORDER).border
+    config = options.configured(robot, None, parameters, _OF_BORDER).border
     options.check_seed(seed)
     options.make_folder(out)
     # Imported here: it takes longer than to find a mistake in what was asked.
@@ -216,6 +216,7 @@ def _write_reach(out: Path, reach_map: ReachMap, fit: ReachFit) -> None:
 def config(
     config: options.ConfigOption = None,
     out: Annotated[Path | None, options.NO_DEFAULT] = None,
+    robot: str = "husky_panda",
     json: options.Json = False,
 ) -> None:
     """Print all parameters as a file that --config takes.
@@ -224,8 +225,9 @@ def config(
 
     Args:
         out: File to write instead of printing; one that exists is not written over.
+        robot: Whose defaults stand where no file says otherwise; `dbb robots` lists them.
     """
-    tuned = options.configured(config)
+    tuned = options.configured(robot, config)
     if out is not None:
         if out.exists():
             raise OutputError(f"--out: {out} exists; name another file or remove it")

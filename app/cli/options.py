@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -27,7 +28,7 @@ ConfigOption = Annotated[
     Path | None,
     tyro.conf.arg(
         help="File of parameters, TOML, as `dbb config` or the dashboard writes it; what is not in "
-        "it is at its default, and other options come before it.",
+        "it is at the robot's default, and other options come before it.",
         help_behavior_hint="",
     ),
 ]
@@ -85,9 +86,11 @@ def parameter_options(paths: Mapping[str, str]) -> Any:
     for name, path in paths.items():
         about = tunable(path)
         if isinstance(about, Parameter):
-            found[name] = Field(float, about.default, f"[{about.unit}] {about.help}")
+            kind, usual, text = float, f"{about.default:g}", f"[{about.unit}] {about.help}"
         else:
-            found[name] = Field(str, about.default, f"{about.help.rstrip('.')}: {about.allowed}")
+            kind, usual = str, about.default
+            text = f"{about.help.rstrip('.')}: {about.allowed}"
+        found[name] = Field(kind, f"{usual}, or the robot's own", text)
     return from_fields(found)
 
 
@@ -96,18 +99,31 @@ ParameterOptions = Annotated[Given, parameter_options(PARAMETERS)]
 
 
 def configured(
-    file: Path | None, given: Given | None = None, paths: Mapping[str, str] = PARAMETERS
+    robot: str,
+    file: Path | None,
+    given: Given | None = None,
+    paths: Mapping[str, str] = PARAMETERS,
 ) -> Config:
-    """The parameters of the file of `--config`, or the defaults; then those of the options.
+    """The robot's defaults, then the parameters of the file of `--config`, then of the options.
 
     Raises:
         ConfigError: It cannot be read, names what is no parameter, or something is out of range.
+        DbbError: There is no such robot, or its description does not hold.
     """
+    asked = partial(_configured, file, given or {}, paths)
+    asked(Config())
+    # Imported here: it takes longer than to find a mistake in what was asked.
+    from app.robot.description import load_robot
+
+    return asked(load_robot(robot).config)
+
+
+def _configured(file: Path | None, given: Given, paths: Mapping[str, str], usual: Config) -> Config:
     try:
-        config = Config() if file is None else read_config(file).config
+        config = usual if file is None else read_config(file, usual).config
     except ConfigError as error:
         raise ConfigError(f"--config: {error}") from None
-    return changed(config, given or {}, paths)
+    return changed(config, given, paths)
 
 
 def changed(config: Config, given: Given, paths: Mapping[str, str] = PARAMETERS) -> Config:

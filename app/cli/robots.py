@@ -15,7 +15,6 @@ from app.cli import options
 from app.cli.common import print_json, print_table, rounded_text, say
 from app.cli.options import Flag, Json
 from app.cli.records import Given, from_record
-from app.config import Config
 from app.errors import DbbError
 from app.jobs.progress import progress_bar
 from app.onboarding.request import Request, check_request
@@ -86,12 +85,13 @@ def check_robot(
     from app.border.config import QUICK
     from app.robot.description import load_robot
 
-    config, description = options.configured(None, parameters, _OF_CHECK), load_robot(name)
+    config = options.configured(name, None, parameters, _OF_CHECK)
+    description = load_robot(name).model_copy(update={"config": config})
     # Imported here: it needs scipy, trimesh and the engines.
     from app.onboarding import check
 
     coarse: dict[str, Any] = {"sampling": QUICK, "processes": 1} if quick else {}
-    rows = list(check.check_robot(description, config, runs=runs, tell=say, **coarse))
+    rows = list(check.check_robot(description, runs=runs, tell=say, **coarse))
     failed = any(row.outcome == "failed" for row in rows)
     if json:
         told = [row._asdict() for row in rows]
@@ -173,14 +173,12 @@ def _print_made(made: dict[str, Any]) -> None:
         print(f"  {title:13} {text}")
     for warning in made["warnings"]:
         print(f"  warning: {warning}")
-    d_b = made["buffer_distance_m"]
-    such = "" if d_b == Config().border.d_b else f" --buffer-distance {d_b:g}"
     print("next:")
     if robot_folder(name).resolve() != Path(folder).resolve():
         print(f"  export DBB_ROBOTS={Path(folder).resolve().parent}   so that dbb finds it")
     print(f"  open {folder}/report.html, and look whether the bodies hold the links")
-    print(f"  dbb check-robot {name}{such}")
-    print(f"  dbb serve --robot {name}{such}")
+    print(f"  dbb check-robot {name}")
+    print(f"  dbb serve --robot {name}")
 
 
 def _figures(robot: NewRobot, data: BorderData) -> dict[str, Any]:

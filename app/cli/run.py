@@ -110,7 +110,7 @@ def command_of(scenario: Scenario) -> Callable[..., None]:
         json: options.Json = False,
     ) -> None:
         chosen = options.Setup(**setup)
-        tuned = options.configured(config, parameters)
+        tuned = options.configured(chosen.robot, config, parameters)
         # Imported here: it takes longer than to find a mistake in what was asked.
         from app.robot.description import load_robot
 

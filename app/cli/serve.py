@@ -67,7 +67,7 @@ def serve(
     tuned = (
         options.changed(case.config(), parameters)
         if case
-        else options.configured(config, parameters)
+        else options.configured(chosen.robot, config, parameters)
     )
     # Imported here: it takes longer than to find a mistake in what was asked.
     from app.robot.assets import robot_names

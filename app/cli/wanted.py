@@ -37,7 +37,8 @@ def wanted(word: str, setup: Given, config: Path | None) -> Planned:
     from app.robot.description import load_robot
 
     if not is_case(word):
-        chosen, tuned = Setup(**setup), configured(config)
+        chosen = Setup(**setup)
+        tuned = configured(chosen.robot, config)
         return planned(chosen, scenario_of(load_robot(chosen.robot), word), tuned)
     own = {name: setup.get(name) for name in ("robot", "seed")}
     check_no_others({**own, "config": config}, word)

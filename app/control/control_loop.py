@@ -42,7 +42,7 @@ class ControlLoop:
         Args:
             model: The robot.
             data: Its link pairs and border; from the cache, or sampled now, if not given.
-            config: Parameters; the defaults if not given.
+            config: Parameters; the robot's defaults if not given.
             name: One of `app.control.CONTROLLERS`.
             dt: [s] between two steps.
 
@@ -50,7 +50,7 @@ class ControlLoop:
             UnknownNameError: No controller has that name.
             DescriptionError: The mobile robot is too large for its border to be kept.
         """
-        config, base = config or Config(), model.description.base
+        config, base = config or model.description.config, model.description.base
         self._dt = dt
         data = data or load_border_data(model)
         self.controller = Controller(model, data, config, name=name, dt=dt)

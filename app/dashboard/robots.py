@@ -78,6 +78,8 @@ class OwnLoop(LoopHandle, Protocol):
     def stop(self) -> None: ...  # may be called again
 
 
+Changes = Mapping[str, float | str]
+"""Parameters that are not at a robot's defaults, by path."""
 StartLoop = Callable[[RobotModel, BorderData, Config, str], OwnLoop]
 """Begins the simulation of a robot with parameters and a controller; `start` then waits for it."""
 
@@ -128,8 +130,10 @@ class RobotSwitch(Job):
         """Search again: there may be another robot now."""
         self._entries = None
 
-    def begin(self, name: str, config: Config, controller: str, running: LoopHandle) -> None:
+    def begin(self, name: str, changes: Changes, controller: str, running: LoopHandle) -> None:
         """Prepare a robot beside the running one, which ends once the other one is shown.
+
+        It gets its own defaults with `changes`.
 
         Raises:
             ConfigError: There is no such robot, it lacks something, or a switch is under way.
@@ -145,7 +149,7 @@ class RobotSwitch(Job):
             nonlocal replaced
             self._taken.clear()
             try:
-                self._replace(replaced, self._prepare(entry, config, controller))
+                self._replace(replaced, self._prepare(entry, changes, controller))
             finally:
                 replaced = None  # else it would be kept until after memory was given back
 
@@ -175,7 +179,7 @@ class RobotSwitch(Job):
         if isinstance(replaced, OwnLoop):
             replaced.stop()
 
-    def _prepare(self, entry: RobotEntry, config: Config, controller: str) -> RunningRobot:
+    def _prepare(self, entry: RobotEntry, changes: Changes, controller: str) -> RunningRobot:
         model = RobotModel(load_robot(entry.name))
         self.report("looking for its border")
         data = kept_border_data(model)
@@ -186,7 +190,7 @@ class RobotSwitch(Job):
         parts = RobotParts(model)
         self.check()
         self.report("starting its simulation")
-        loop, config, note = self._start_suited(model, data, config, controller)
+        loop, config, note = self._start_suited(model, data, changes, controller)
         try:
             self.check()
         except Cancelled:
@@ -195,16 +199,18 @@ class RobotSwitch(Job):
         return RunningRobot(loop, model, data.clouds, parts, config, note)
 
     def _start_suited(
-        self, model: RobotModel, data: BorderData, config: Config, controller: str
+        self, model: RobotModel, data: BorderData, changes: Changes, controller: str
     ) -> tuple[OwnLoop, Config, str]:
-        """With the parameters of now; with the defaults where this robot cannot begin with them."""
+        """With what is changed now; with the defaults where this robot cannot begin so."""
+        usual = model.description.config
+        config = usual.changed(changes)
         try:
             return self._started(model, data, config, controller), config, ""
         except DbbError as error:
-            if config == Config():
+            if config == usual:
                 raise
             note = f"the changed parameters do not suit it, so all are at their defaults ({error})"
-        return self._started(model, data, Config(), controller), Config(), note
+        return self._started(model, data, usual, controller), usual, note
 
     def _started(
         self, model: RobotModel, data: BorderData, config: Config, controller: str

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from app.border.dbb import Cloud
-from app.config import Config, tunable
+from app.config import Config
 from app.dashboard.job import Challenge, Job
 from app.dashboard.panels.explorer import Explorer
 from app.dashboard.panels.plots import plot_plans
@@ -34,10 +34,17 @@ class Tuning:
     """
 
     def __init__(
-        self, sink: LoopHandle, config: Config, *, clock: Callable[[], float] = time.monotonic
+        self,
+        sink: LoopHandle,
+        config: Config,
+        usual: Config | None = None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Begin without a history; `config` holds already where changes go, to `sink`."""
         self._sink, self._clock = sink, clock
+        self.usual = usual or Config()
+        """The robot's defaults."""
         self._steps, self._at = [config], 0
         """What held after each step, oldest first, and which of them holds."""
         self._burst: tuple[str, float] | None = None
@@ -49,6 +56,11 @@ class Tuning:
         """What holds now; the same object as long as nothing changes."""
         with self._lock:
             return self._steps[self._at]
+
+    @property
+    def changes(self) -> dict[str, float | str]:
+        """What is not at the robot's defaults, by path."""
+        return self.config.changes(self.usual)
 
     def set(self, path: str, value: float | str) -> None:
         """Change one parameter; moves of the same one in a burst are one step.
@@ -81,8 +93,8 @@ class Tuning:
     def reset(self, paths: Iterable[str] | None = None) -> None:
         """Set parameters, by default all, to their defaults, in one step."""
         with self._lock:
-            defaults = {path: tunable(path).default for path in paths or ()}
-            self.load(Config() if paths is None else self.config.changed(defaults))
+            defaults = {path: self.usual.value(path) for path in paths or ()}
+            self.load(self.usual if paths is None else self.config.changed(defaults))
 
     def undo(self) -> None:
         """Take the last step back.
@@ -100,13 +112,15 @@ class Tuning:
         """
         self._go(1, "nothing to do again")
 
-    def move_to(self, sink: LoopHandle, config: Config) -> None:
-        """Go on with another simulation, which has a configuration already.
+    def move_to(self, sink: LoopHandle, config: Config, usual: Config) -> None:
+        """Go on with another robot's simulation, which has a configuration already.
 
-        If that is another than here, it is one step.
+        The history is then of that robot: the same changes of its defaults. If its configuration is
+        another than here, that is one step.
         """
         with self._lock:
-            self._sink = sink
+            self._steps = [usual.changed(each.changes(self.usual)) for each in self._steps]
+            self._sink, self.usual = sink, usual
             if self.config != config:
                 self._add(config)
 
@@ -147,7 +161,8 @@ class SharedState(SceneData):
         self.case, self.sweeps = case, sweeps
         """A scenario that begins where the loop does, for a button that plays it, or None; the
         folder of the maps of sweeps."""
-        self.tuning = before.tuning if before else Tuning(loop, loop.latest().config)
+        usual = model.description.config
+        self.tuning = before.tuning if before else Tuning(loop, loop.latest().config, usual)
         self.robot_switch = before.robot_switch if before else robot_switch or RobotSwitch(None)
         self.robot_build = before.robot_build if before else RobotBuild(self.robot_switch)
         self.robot_check = before.robot_check if before else RobotCheck()
@@ -177,7 +192,7 @@ class SharedState(SceneData):
         after = SharedState(
             robot.loop, robot.model, robot.clouds, robot.parts, sweeps=self.sweeps, before=self
         )
-        self.tuning.move_to(robot.loop, robot.config)
+        self.tuning.move_to(robot.loop, robot.config, robot.model.description.config)
         return after
 
     def watch(self, watched: bool) -> None:

@@ -15,7 +15,6 @@ from app.border.cache import BorderData, load_border_data
 from app.border.config import SamplingConfig
 from app.border.dbb import construct_dbb
 from app.border.mobile import MobileBody
-from app.config import Config
 from app.errors import DbbError, UnreachableError
 from app.onboarding.fit.collision_sampling import ALWAYS, units_of_links
 from app.onboarding.fit.grouping import MOST_UNSEEN, UNSEEN_POSES, unseen_collisions
@@ -24,7 +23,7 @@ from app.onboarding.numbers import gravity_load, largest_of_poses
 from app.onboarding.read.links import LinkGeometry, read_geometry
 from app.onboarding.read.source import read_robot
 from app.onboarding.read.tree import make_tree
-from app.onboarding.warn import carried_hand, holding_warning
+from app.onboarding.warn import borne_push, carried_hand, holding_warning, push_warning
 from app.robot.assets import urdf_path
 from app.robot.description import RobotDescription
 from app.robot.link_pairs import PairDistances, sample_joints
@@ -66,7 +65,6 @@ class Row(NamedTuple):
 
 def check_robot(
     description: RobotDescription,
-    config: Config | None = None,
     *,
     runs: bool = True,
     tell: Callable[[str], None] = lambda _: None,
@@ -77,10 +75,9 @@ def check_robot(
 
     A check that cannot be done fails with the reason; those that need it are left out.
 
-    They are made with the default parameters or those of `config`, such as another d_b. `runs` that
-    guide the hand take longest; the border is sampled by all cores, or `processes`.
+    They are made with the robot's own parameters. `runs` that guide the hand take longest; the
+    border is sampled by all cores, or `processes`.
     """
-    config = config or Config()
     tell("compiling")
     try:
         model = RobotModel(description)
@@ -95,7 +92,7 @@ def check_robot(
         "engines": engines_row,
         "limits": limits_row,
         "base's body": base_row,
-        "arm's bodies": partial(arm_row, config=config),
+        "arm's bodies": arm_row,
         "hand held": holding_row,
     }.items():
         tell(name)
@@ -106,12 +103,12 @@ def check_robot(
     except DbbError as error:
         yield Row("border", "failed", str(error), {})
         return
-    checks = {"pairs": pairs_row, "ready pose": ready_row, "border": border_row}
+    checks = {"pairs": pairs_row, "push": push_row, "ready pose": ready_row, "border": border_row}
     guided = ("guiding-lateral", "guiding-front") if runs else ()
     rows: list[Row] = []
     for name, check in (checks | {name: partial(run_row, name=name) for name in guided}).items():
         tell(name)
-        rows.append(_done(name, lambda check=check: check(model, data, config)))
+        rows.append(_done(name, lambda check=check: check(model, data)))
         yield rows[-1]
     shown = any(r.numbers and r.outcome != "nothing to show" for r in rows[len(checks) :])
     if runs and data.pairs.mobile and not shown:
@@ -214,9 +211,9 @@ def base_row(model: RobotModel) -> Row:
     return Row("base's body", "passed" if good else "failed", text, {"sticks_out_m": out})
 
 
-def arm_row(model: RobotModel, config: Config) -> Row:
+def arm_row(model: RobotModel) -> Row:
     """Where the hulls of links collide, bodies of a pair meet; and those that hold the links do."""
-    found = unseen_collisions(model, _geometry(model), config.border.d_b)
+    found = unseen_collisions(model, _geometry(model), model.description.config.border.d_b)
     numbers = {
         "colliding_poses": float(found.poses),
         "unseen_poses": float(found.unseen),
@@ -263,9 +260,19 @@ def holding_row(model: RobotModel) -> Row:
     return Row("hand held", "warned" if warning else "passed", warning or text, numbers)
 
 
-def pairs_row(model: RobotModel, data: BorderData, config: Config) -> Row:
+def push_row(model: RobotModel, data: BorderData) -> Row:
+    """Warns where a person can push the arm against the base, whatever the controller does."""
+    borne = borne_push(model, data.pairs.mobile)
+    if not len(borne):
+        return Row("push", "passed", "no part of the arm can meet the base", {})
+    text = f"the joints' torques hold {borne.min():.0f} N towards the base in all poses near it"
+    warning, numbers = push_warning(borne), {"least_push_borne_n": float(borne.min())}
+    return Row("push", "warned" if warning else "passed", warning or text, numbers)
+
+
+def pairs_row(model: RobotModel, data: BorderData) -> Row:
     """There are pairs, each body of L_m has a reachability, and none is near for good."""
-    pairs, d_b = data.pairs, config.border.d_b
+    pairs, d_b = data.pairs, model.description.config.border.d_b
     if not pairs.mobile:
         return Row("pairs", "warned", "no part of the arm can meet the base", {})
     missing = [p.b for p in pairs.mobile if p.b not in model.description.reachability]
@@ -286,14 +293,14 @@ def pairs_row(model: RobotModel, data: BorderData, config: Config) -> Row:
     return Row("pairs", "passed", text, numbers)
 
 
-def ready_row(model: RobotModel, data: BorderData, config: Config) -> Row:
+def ready_row(model: RobotModel, data: BorderData) -> Row:
     """The ready pose: away from the limits and outside of every buffer."""
     if not data.pairs.all:
         return Row("ready pose", "passed", "no bodies can meet", {})
     q_m = np.array(model.description.arm.ready_position)
     span = model.q_upper - model.q_lower
     left = float((np.minimum(q_m - model.q_lower, model.q_upper - q_m) / span).min())
-    ready = judge_ready(model, data.pairs, q_m, d_b=config.border.d_b)
+    ready = judge_ready(model, data.pairs, q_m)
     numbers = {"beyond_buffer_m": ready.clearance, "least_joint_margin": left}
     text = f"{ready.nearest} is {ready.clearance:+.3f} m from its buffer, joints {left:.0%} of "
     text += "their range from a limit at least"
@@ -301,7 +308,7 @@ def ready_row(model: RobotModel, data: BorderData, config: Config) -> Row:
     return Row("ready pose", "passed" if good else "warned", text, numbers)
 
 
-def border_row(model: RobotModel, data: BorderData, config: Config) -> Row:
+def border_row(model: RobotModel, data: BorderData) -> Row:
     """Each pair of L_m has a border, without a gap between the heights that it has.
 
     At the lowest and highest heights that the arm reaches it may not get as far out as the border:
@@ -309,7 +316,7 @@ def border_row(model: RobotModel, data: BorderData, config: Config) -> Row:
     """
     if not data.clouds:
         return Row("border", "warned", "no part of the arm can meet the base: there is none", {})
-    border, top = config.border, float(MobileBody(model).upper[2])
+    border, top = model.description.config.border, float(MobileBody(model).upper[2])
     empty, ends, numbers = [], [], {}
     for name, cloud in data.clouds.items():
         made = construct_dbb(cloud, border.d_b, border.eps)
@@ -332,7 +339,7 @@ def border_row(model: RobotModel, data: BorderData, config: Config) -> Row:
     return Row("border", "passed", text, numbers)
 
 
-def run_row(model: RobotModel, data: BorderData, config: Config, name: str) -> Row:
+def run_row(model: RobotModel, data: BorderData, name: str) -> Row:
     """A guiding run, beside the same one without avoidance.
 
     A robot that has lines of its own is led on no other's. Where the arm cannot start there is
@@ -342,6 +349,7 @@ def run_row(model: RobotModel, data: BorderData, config: Config, name: str) -> R
     from app.simulation.run import run_scenario
     from app.simulation.scenarios import scenario_of
 
+    config = model.description.config
     try:
         run = partial(run_scenario, model, data, scenario_of(model.description, name), config)
         figures, bare = run().figures, run(controller="none", physics="kinematic").figures

@@ -53,7 +53,13 @@ from app.onboarding.read.wheels import (
 )
 from app.onboarding.report import report_html
 from app.onboarding.request import Request, named, package_folders
-from app.onboarding.warn import carried_hand, holding_warning, warnings_of
+from app.onboarding.warn import (
+    borne_push,
+    carried_hand,
+    holding_warning,
+    push_warning,
+    warnings_of,
+)
 from app.onboarding.write import (
     ROOT,
     compiled,
@@ -209,9 +215,9 @@ def make_robot(
     meetings, (bodies, verdict) = _fitted(request, parsed, bare, tell, on_progress)
     limits = with_stops(parsed.limits, bare, parsed.arm, meetings, request.ready)
     parsed = replace(parsed, limits=limits)
-    d_b, unwatched = request.d_b, dict.fromkeys(verdict.unwatched, _UNWATCHED)
+    unwatched = dict.fromkeys(verdict.unwatched, _UNWATCHED)
     model = compiled(description(request, parsed, bodies, unwatched=unwatched), path)
-    unseen = unseen_collisions(model, parsed.geometry, d_b)
+    unseen = unseen_collisions(model, parsed.geometry, request.d_b)
     if unseen.blind:
         raise RobotFileError(
             f"the bodies {', '.join(unseen.blind)} do not hold the links with which they meet; "
@@ -222,9 +228,9 @@ def make_robot(
     pairs = data.pairs
     tell("choosing the ready pose")
     if request.ready is None:
-        ready = find_ready(model, pairs, d_b=d_b, seed=request.seed)
+        ready = find_ready(model, pairs, seed=request.seed)
     else:
-        ready = judge_ready(model, pairs, np.array(request.ready), d_b=d_b)
+        ready = judge_ready(model, pairs, np.array(request.ready))
     moving = _moving(request, parsed, model, ready)
     content = description(request, parsed, bodies, moving, unwatched)
     tell("counting the reachability")
@@ -235,14 +241,15 @@ def make_robot(
     held = holding_warning(carried_hand(model))
     # An arm that cannot hold its hand avoids by itself: there any line shows it.
     shows, anyway = partial(gives_way, model, data), bool(held)
-    found = find_places(model, pairs, d_b, shows=shows, anyway=anyway, on_progress=on_progress)
+    found = find_places(model, pairs, shows=shows, anyway=anyway, on_progress=on_progress)
     places = {name: each for name, each in found.items() if isinstance(each, Place)}
     lacking = {name: each for name, each in found.items() if isinstance(each, str)}
     content["lines"] = {name: place.content() for name, place in places.items()}
     model = compiled(content, path)
     fitted = meetings, bodies, verdict, unseen, ready, reach
     robot = NewRobot(request, parsed, urdf, content, model, *fitted, places, lacking, held, [])
-    return replace(robot, warnings=warnings_of(robot)), data
+    weak = push_warning(borne_push(model, pairs.mobile))
+    return replace(robot, warnings=[*filter(None, [weak]), *warnings_of(robot)]), data
 
 
 def _fitted(

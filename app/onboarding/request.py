@@ -69,7 +69,7 @@ class Request:
     seed: int = 0
     """Of all random poses."""
     d_b: float = Config().border.d_b
-    """[m] d_b that the bodies and the ready pose have to suit."""
+    """[m] d_b of this robot, which its bodies and ready pose have to suit."""
     file: str | None = None
     """Path of the URDF in a zip that holds several."""
     source: str | None = None

@@ -5,21 +5,22 @@ One warning is of every robot: whether its arm can hold its hand while the base 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from app.border.mobile import MobileBody
-from app.config import AdmittanceConfig
+from app.config import AdmittanceConfig, HandConfig
 from app.control.admittance import largest_command
+from app.control.limits import force_bound
 from app.onboarding.fit.collision_sampling import ALWAYS, moved
 from app.onboarding.fit.grouping import MOST_UNSEEN
 from app.onboarding.numbers import read_limits
 from app.onboarding.read.tree import ARM_ON_BASE
 from app.onboarding.read.wheels import turns_round
 from app.robot.bases.kind import Axis
-from app.robot.link_pairs import PairDistances, candidate_pairs, sample_joints
+from app.robot.link_pairs import Pair, PairDistances, candidate_pairs, sample_joints
 from app.robot.model import RobotModel
 from app.robot.state import RobotState, at_rest
 
@@ -79,13 +80,13 @@ def _poses(robot: NewRobot) -> Iterator[str]:
     if ready.clearance < 0:
         yield (
             f"the pair {ready.nearest} is {-ready.clearance:.3f} m inside its buffer in the ready "
-            "pose; give another by --ready, or use a smaller d_b"
+            "pose; give another by --ready, or use a smaller --buffer-distance"
         )
     for name in robot.verdict.always:
         yield (
             f"the pair {name} is inside its buffer of {d_b:g} m in {near[name]:.0%} of random "
             f"poses (more than {ALWAYS:.0%}): its task hardly ever switches off; try a smaller "
-            "--buffer-distance, and border.d_b in a file for --config, or other --bodies"
+            "--buffer-distance, or other --bodies"
         )
     near_for_good = ", ".join(robot.verdict.always)
     always = f"{near_for_good} hardly ever leaves its buffer" if near_for_good else ""
@@ -339,6 +340,33 @@ def holding_warning(carried: tuple[Carried, ...]) -> str:
     return (
         f"the arm cannot hold its hand's place while the base {ways}: there the base gives way "
         "less, as far as the hand stays where it is"
+    )
+
+
+def borne_push(model: RobotModel, pairs: Sequence[Pair]) -> Array:
+    """(N,) [N] F* at random poses near the base: what the arm bears towards it, at rest.
+
+    See `force_bound`; of that pair of L_m which is nearest.
+    """
+    distances, state, found = PairDistances(model, pairs), RobotState(model), []
+    for q_m in _near_poses(model, np.random.default_rng(0)) if pairs else ():
+        state.update(at_rest(model, q_m))
+        distances.update_from(state.data)
+        d = distances.distances()
+        found.append(force_bound(state, distances.closest(int(np.argmin(d)))))
+    return np.array(found)
+
+
+def push_warning(borne: Array) -> str:
+    """A sentence on an arm that a person can push at its base, or nothing."""
+    person = HandConfig().f_max
+    weak = float((borne < person).mean()) if len(borne) else 0.0
+    if weak <= _OFTEN:
+        return ""
+    return (
+        f"a person of {person:g} N can push the arm against the base: in {weak:.0%} of poses near "
+        f"it the joints' torques hold less towards it, in {_OFTEN:.0%} at most "
+        f"{np.quantile(borne, _OFTEN):.0f} N"
     )
 
 

@@ -18,6 +18,7 @@ import pinocchio as pin
 import tomlkit
 from tomlkit.items import Item
 
+from app.config import Config
 from app.errors import OutputError
 from app.onboarding.numbers import Sourced, wheel_fields, with_source
 from app.onboarding.read.links import LinkGeometry, LinkInertia
@@ -364,6 +365,7 @@ def description(
         "arm": with_source(chain, {**hand, **limits.numbers, **moving[1]}),
         "bodies": [_body(body) for body in bodies] or [{"name": n, **dot} for n in ("lm", "l1")],
         "reachability": {},
+        "config": Config().replace("border.d_b", request.d_b).model_dump(exclude_defaults=True),
         "unwatched": dict(unwatched),
     }
 

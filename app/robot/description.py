@@ -9,6 +9,7 @@ from typing import Annotated, Union, get_args
 from pydantic import Field, SerializeAsAny, ValidationError, model_validator
 from typing_extensions import Self
 
+from app.config import Config, range_text
 from app.errors import DescriptionError, check_name
 from app.robot.assets import robot_folder, robot_names
 from app.robot.bases.car_like import CarLikeBase
@@ -130,6 +131,8 @@ class RobotDescription(Strict):
     or a start that is given."""
     unwatched: dict[str, str] = Field(default_factory=dict)
     """Why a pair of bodies is not watched, by its name such as `lm-l2`: as neighbours never are."""
+    config: Config = Config()
+    """Parameters that this robot has otherwise than others by default, such as its d_b."""
 
     @model_validator(mode="after")
     def _names_agree(self) -> Self:
@@ -217,7 +220,11 @@ def load_description(path: Path) -> RobotDescription:
     try:
         return RobotDescription.model_validate(data)
     except ValidationError as error:
-        raise DescriptionError(f"{path}: {explain(error, RobotDescription)}") from None
+        raise DescriptionError(f"{path}: {explain(error, RobotDescription, _wanted)}") from None
+
+
+def _wanted(loc: tuple[int | str, ...], kind: str) -> str | None:
+    return range_text(loc[1:], kind) if loc[:1] == ("config",) else None
 
 
 def load_robot(name: str) -> RobotDescription:

@@ -13,7 +13,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from app.config import Config
 from app.control.controller import Controller
 from app.control.tasks import Reference
 from app.robot.model import RobotModel
@@ -235,7 +234,7 @@ def _motion(path: Path) -> Motion:
 def _controller(robot: str, name: str, limits: str, h: float) -> Controller:
     found = load(robot)
     model = found.model if limits == "robot" else _wide(robot)
-    return Controller(model, found.data, Config(), name=name, dt=h)
+    return Controller(model, found.data, model.description.config, name=name, dt=h)
 
 
 @cache

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.config import Config
 from app.errors import StudyError
 from app.simulation.loop.pacing import settled
 from app.simulation.people import PersonForces
@@ -67,7 +66,7 @@ def _play(case: Restless) -> dict[str, Any]:
     q_m = posture(options.robot, start, tries=16)
     if q_m is None:
         raise StudyError(f"{case.place}: the arm of {options.robot} does not reach {start}")
-    session = Session(robot.model, robot.data, Config(), controller=options.controller)
+    session = Session(robot.model, robot.data, robot.config, controller=options.controller)
     work = lowest = damped = base_speed = 0.0
     nearest, inside, steps = np.inf, 0, round(case.seconds / DT)
     with settled(), closing(session):
@@ -83,7 +82,7 @@ def _play(case: Restless) -> dict[str, Any]:
             damped += float(robot.model.joint_damping @ qd**2) * DT
             base_speed = max(base_speed, abs(float(step.truth.base_velocity[0])))
             d = min(step.distances[: robot.n_mobile])
-            nearest, inside = min(nearest, d), inside + (d < Config().border.d_b)
+            nearest, inside = min(nearest, d), inside + (d < robot.config.border.d_b)
         failures = session.controller.failures
     return {
         "place": case.place,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from app.config import Config
 from app.robot.link_pairs import PairDistances
 from app.robot.state import RobotState, at_rest
 from app.simulation.scenarios.posture import FloorDistance
@@ -18,7 +17,7 @@ _MARGIN = 0.05  # [-] share of a joint's range kept from its limits
 
 def pose_in_buffer(robot: Robot, rng: np.random.Generator) -> Array:
     """(n_m,) the arm's joints with a pair of L_m inside its buffer, nothing touching anything."""
-    model, pairs, d_b = robot.model, robot.data.pairs, Config().border.d_b
+    model, pairs, d_b = robot.model, robot.data.pairs, robot.config.border.d_b
     reader, n = PairDistances(model, pairs.all), robot.n_mobile
     state = RobotState(model)
     floor = FloorDistance(state)

@@ -9,6 +9,7 @@ import numpy as np
 
 from app.border.cache import BorderData, load_border_data
 from app.border.mobile import MobileBody
+from app.config import Config
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
 
@@ -28,6 +29,11 @@ class Robot(NamedTuple):
     data: BorderData
     lower: Array
     upper: Array
+
+    @property
+    def config(self) -> Config:
+        """Its own parameters."""
+        return self.model.description.config
 
     @property
     def pair_names(self) -> list[str]:

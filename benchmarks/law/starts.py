@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.config import Config
 from app.errors import UnreachableError
 from app.simulation.scenarios import start as start_module
 from app.simulation.scenarios.start import StartSolver
@@ -124,7 +123,7 @@ def kept(robot: str, asked: list[Any], search: Callable[[], Any]) -> Any:
 @cache
 def _solver(robot: str) -> StartSolver:
     model, data, *_ = load(robot)
-    return StartSolver(model, data.pairs, Config().border.d_b)
+    return StartSolver(model, data.pairs, model.description.config.border.d_b)
 
 
 @cache

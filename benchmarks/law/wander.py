@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.config import Config
 from app.simulation.case import Planned
 from app.simulation.people import held_links
 from app.simulation.run import run_planned
@@ -63,7 +62,7 @@ def play(walk: Walk) -> dict[str, Any]:
         key=lambda pull: pull.step,
     )
     stiffness = float(rng.uniform(*_STIFFNESS))
-    config = Config().replace("hand.f_max", force).replace("hand.stiffness", stiffness)
+    config = robot.config.changed({"hand.f_max": force, "hand.stiffness": stiffness})
     scenario = PulledScenario("wander", _DURATION, "two people wander", pulls=tuple(pulls))
     run = Planned(options.robot, scenario, config, options.controller, None, options.seed)
     figures = run_planned(run, robot.model, robot.data).figures

@@ -120,7 +120,7 @@ class EditPanel(Panel):
         shared, switch = self._shared, self._shared.robot_switch
         switch.look_again()
         controller = shared.loop.latest().controller
-        switch.begin(name, shared.tuning.config, controller, shared.loop)
+        switch.begin(name, shared.tuning.changes, controller, shared.loop)
 
     def _draw(self) -> None:
         """Send the bodies that are chosen or changed, and the gizmos of the one that is chosen."""

@@ -92,7 +92,7 @@ class RobotPanel(Panel):
         shared, chosen = self._shared, self._chosen()
         self._switch.begin(
             chosen.name if chosen else "",
-            shared.tuning.config,
+            shared.tuning.changes,
             shared.loop.latest().controller,
             shared.loop,
         )

@@ -6,6 +6,7 @@ A link is a page's address that carries scenario, controller, robot, parameters,
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
 from urllib.parse import parse_qsl, urlencode
@@ -83,7 +84,7 @@ class Link(NamedTuple):
             given.get(name, "") for name in ("scenario", "controller", "robot", "look")
         )
         found = cls(scenario, controller, robot, tuple(parameters), look)
-        found.configured(Config())
+        Config().changed(found.changes({}))
         found.camera()
         if "at" in given:
             at = _number("at", given["at"])
@@ -93,13 +94,9 @@ class Link(NamedTuple):
             found = found._replace(at=at)
         return found
 
-    def configured(self, now: Config) -> Config:
-        """The parameters with it, from those of now.
-
-        Raises:
-            ConfigError: One does not exist, or is out of its range.
-        """
-        return (Config() if self.scenario else now).changed(dict(self.parameters))
+    def changes(self, now: Mapping[str, float | str]) -> dict[str, float | str]:
+        """What is not at the robot's defaults with it, by path, from what is not so now."""
+        return {**({} if self.scenario else now), **dict(self.parameters)}
 
     def camera(self) -> tuple[Array, Array] | None:
         """(3,) [m] the eye and the target, where it gives them.
@@ -201,7 +198,7 @@ class SharePanel(Panel):
             scenario,
             newest.controller,
             shared.model.description.name,
-            tuple(shared.tuning.config.changes(Config()).items()),
+            tuple(shared.tuning.changes.items()),
             self._viewer.camera.preset or camera_text(camera.position, camera.look_at),
             round(min(shown.t, course.until), 3) if scenario else None,
         )
@@ -212,9 +209,9 @@ class SharePanel(Panel):
         if link.robot in ("", shared.model.description.name):
             self._obey(link)
             return
-        config = link.configured(shared.tuning.config)
+        changes = link.changes(shared.tuning.changes)
         controller = link.controller or shared.loop.latest().controller
-        shared.robot_switch.begin(link.robot, config, controller, shared.loop)
+        shared.robot_switch.begin(link.robot, changes, controller, shared.loop)
         self.waiting = link
 
     def _obey(self, link: Link) -> None:
@@ -224,7 +221,8 @@ class SharePanel(Panel):
         if link.scenario:
             scenario = scenario_of(shared.model.description, link.scenario)
             commands.append(Play(scenario, link.at or 0.0))
-        shared.tuning.load(link.configured(shared.tuning.config))
+        tuning = shared.tuning
+        tuning.load(tuning.usual.changed(link.changes(tuning.changes)))
         for command in commands:
             shared.loop.send(command)
         self.waiting = link if link.scenario else Link()

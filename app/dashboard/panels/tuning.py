@@ -130,7 +130,7 @@ class TuningPanel(Panel):
     def _load(self, event: Any) -> None:
         file: viser.UploadedFile = event.target.value
         try:
-            loaded = decode_config(file.content)
+            loaded = decode_config(file.content, self._tuning.usual)
         except ConfigError as error:
             raise ConfigError(f"{file.name[:60]}: {error}") from None
         self._tuning.load(loaded.config)
@@ -197,7 +197,7 @@ class ParameterWidgets(Panel):
         value = self._tuning.config.value(self.about.path)
         if value != self._shown:
             self._put(value)
-        self.is_marked = value != self.about.default
+        self.is_marked = value != self._tuning.usual.value(self.about.path)
         for face in self._faces:
             face.handle.label = face.label + (MARK if self.is_marked else "")
 

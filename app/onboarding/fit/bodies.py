@@ -12,7 +12,7 @@ import pinocchio as pin
 from app.errors import RobotFileError
 from app.onboarding.fit.collision_sampling import Meetings, Unit, moved
 from app.onboarding.fit.convex import Fit, fit_best, hull, hull_corners, hull_volume
-from app.robot.model import RobotModel
+from app.robot.model import RobotModel, kept_per_model
 
 Array = np.ndarray
 
@@ -148,6 +148,7 @@ class ArmFitter:
 
 
 _STEP = np.radians(10.0)  # [rad] between the turns looked at
+_PASSED = 256  # [-] clouds that are kept as seen through a joint
 _SAGITTA = 1.0 / np.cos(_STEP / 2)  # [-] by which a chord lies inside of its circle
 
 
@@ -174,9 +175,13 @@ def swept(model: RobotModel, points: Mapping[int, Array]) -> dict[int, tuple[Arr
 
 def _through(model: RobotModel, points: Array, joint: int, *, outwards: bool) -> Array:
     """Points beyond a joint as all its positions show them on this side of it."""
-    if not len(points):
-        return points
-    placement = model.pin.jointPlacements[joint]
+    return _passed(model, points.tobytes(), joint, outwards) if len(points) else points
+
+
+@kept_per_model(_PASSED)
+def _passed(model: RobotModel, told: bytes, joint: int, outwards: bool) -> Array:
+    """The same of the bytes of some points: half of them are asked for by several groupings."""
+    points, placement = np.frombuffer(told).reshape(-1, 3), model.pin.jointPlacements[joint]
     corners = hull_corners(points if outwards else moved(points, placement.inverse()))
     axis, turns = _axis(model, joint)
     if turns:

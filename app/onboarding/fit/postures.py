@@ -12,7 +12,6 @@ import numpy as np
 
 from app.border.cache import BorderData
 from app.border.mobile import MobileBody
-from app.config import Config
 from app.errors import UnreachableError
 from app.robot.link_pairs import LinkPairs
 from app.robot.model import RobotModel
@@ -49,9 +48,9 @@ class Ready(NamedTuple):
     """√det(J Jᵀ) of the hand."""
 
 
-def find_ready(model: RobotModel, pairs: LinkPairs, *, d_b: float, seed: int) -> Ready:
+def find_ready(model: RobotModel, pairs: LinkPairs, *, seed: int) -> Ready:
     """The best of random poses by the rule, for the pairs that avoidance watches and d_b [m]."""
-    rng, judge = np.random.default_rng(seed), _Judge(model, pairs, d_b)
+    rng, judge = np.random.default_rng(seed), _Judge(model, pairs)
     search, middle = judge.search, judge.search.middle
     span = np.minimum(search.span, 2 * np.pi)  # nobody waits with a joint wound up
     poses = middle + (rng.random((_SAMPLES, model.n_m)) - 0.5) * (1 - 2 * _KEPT) * span
@@ -72,14 +71,14 @@ def find_ready(model: RobotModel, pairs: LinkPairs, *, d_b: float, seed: int) ->
     return judge.look(np.round(found, 2))
 
 
-def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array, *, d_b: float) -> Ready:
+def judge_ready(model: RobotModel, pairs: LinkPairs, q_m: Array) -> Ready:
     """What is near in a pose that was given."""
-    return _Judge(model, pairs, d_b).look(np.asarray(q_m, dtype=float))
+    return _Judge(model, pairs).look(np.asarray(q_m, dtype=float))
 
 
 class _Judge:
-    def __init__(self, model: RobotModel, pairs: LinkPairs, d_b: float) -> None:
-        self.search = PostureSearch(model, pairs, d_b)
+    def __init__(self, model: RobotModel, pairs: LinkPairs) -> None:
+        self.search = PostureSearch(model, pairs, model.description.config.border.d_b)
         self._names = [pair.name for pair in pairs.all]
         self._mount = model.p_base()
 
@@ -152,9 +151,8 @@ class Place(NamedTuple):
 def find_places(
     model: RobotModel,
     pairs: LinkPairs,
-    d_b: float,
     *,
-    shows: Callable[[float, str, Place], bool] = lambda *_: True,
+    shows: Callable[[str, Place], bool] = lambda *_: True,
     anyway: bool = False,
     on_progress: Callable[[float], None] = lambda _: None,
 ) -> dict[str, Place | str]:
@@ -165,11 +163,12 @@ def find_places(
     which the arm can start. Without avoidance the arm would come to the base itself there, or well
     into the inner half of the buffer. A side on which the arm does not reach so far has none.
 
-    A line is one on which `shows` is true of d_b [m], its scenario's name and itself, as
+    A line is one on which `shows` is true of its scenario's name and itself, as
     `gives_way`; where none is, one is taken `anyway` or not. For the pairs that avoidance watches.
     """
     if not pairs.mobile:
         return {}
+    d_b = model.description.config.border.d_b
     guide, mount = _Guide(model, pairs, d_b), model.p_base()
     body = guide.body
     tops = _tops(body, float(mount[2]) + _OVER_MOUNT)
@@ -182,7 +181,7 @@ def find_places(
         tried = [*product(starts, heights), *product(starts, last)]
         shares = np.linspace(k, k + 1, len(tried), endpoint=False) / len(ways)
         lines = guide.lines(tried, shares, on_progress)
-        found[name] = chosen(lines, d_b, partial(shows, d_b, name), anyway=anyway)
+        found[name] = chosen(lines, d_b, partial(shows, name), anyway=anyway)
     return found
 
 
@@ -247,15 +246,14 @@ def chosen(
     )
 
 
-def gives_way(model: RobotModel, data: BorderData, d_b: float, name: str, place: Place) -> bool:
-    """Whether the base gives way within d_b [m], the arm keeping away, when the hand is guided.
+def gives_way(model: RobotModel, data: BorderData, name: str, place: Place) -> bool:
+    """Whether the base gives way within d_b, the arm keeping away, when the hand is guided.
 
     The base does not where other parts of the arm meet first, which holds the hand, or where it
     would take the hand along.
     """
     line = LINES[name].changed(start=place.start, move=place.move)
-    config = Config().replace("border.d_b", d_b)
-    run = Planned(model.description.name, line, config, physics="kinematic")
+    run = Planned(model.description.name, line, model.description.config, physics="kinematic")
     moved = 0.0
     try:
         with closing(steps_of(run, model, data)) as steps:
@@ -263,6 +261,8 @@ def gives_way(model: RobotModel, data: BorderData, d_b: float, name: str, place:
                 if min(step.distances[: len(data.pairs.mobile)]) < CLEARANCE:
                     return False  # the rest of the run cannot mend it
                 moved = float(np.hypot(*step.truth.base_pose[:2]))
+                if moved >= GIVES_WAY and step.t >= line.duration * line.moving:
+                    break  # the hand is held from now on: nothing comes nearer any more
     except UnreachableError:
         return False
     return moved >= GIVES_WAY

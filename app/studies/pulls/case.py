@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from app.config import Config
 from app.errors import AssetError, DbbError
+from app.robot.description import load_robot
 from app.simulation.case import Planned
 from app.simulation.scenarios.line import RANDOM_PULL
 from app.studies.pulls.parameters import PARAMETERS, StudyParameters
@@ -50,7 +51,8 @@ def planned_of(row: Row, parameters: StudyParameters) -> Planned:
     Doing it raises a `CaseError` on a robot of another arm.
     """
     joints = sum(f"q{i}_rad" in row for i in range(1, len(row)))
-    config = Config().changed({path: row[COLUMNS[name]] for name, path in PARAMETERS.items()})
+    drawn = {path: row[COLUMNS[name]] for name, path in PARAMETERS.items()}
+    config = load_robot(parameters.robot).config.changed(drawn)
     scenario = RANDOM_PULL.changed(
         start=tuple(row[f"start_{axis}_m"] for axis in "xyz"),
         move=tuple(row[f"move_{axis}_m"] for axis in "xyz"),

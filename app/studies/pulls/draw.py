@@ -11,7 +11,6 @@ import numpy as np
 
 from app.border.cache import BorderData, load_border_data
 from app.border.mobile import MobileBody
-from app.config import Config
 from app.errors import StudyError, UnreachableError
 from app.robot.description import load_robot
 from app.robot.model import RobotModel
@@ -110,7 +109,8 @@ def draw_start(
     Raises:
         StudyError: The arm reaches none at these heights.
     """
-    solver = StartSolver(sources.model, sources.data.pairs, Config().border.d_b)
+    d_b = sources.model.description.config.border.d_b
+    solver = StartSolver(sources.model, sources.data.pairs, d_b)
     sector = ""
     for redraws in range(_TRIES):
         if redraws % _PATIENCE == 0:
