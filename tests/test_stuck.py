@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from app.avoidance.task import TaskRows
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.tasks import Reference
@@ -100,10 +101,21 @@ def test_a_border_that_pushes_the_base_away_from_the_hands_target_is_told(
 ):
     class Pushed:
         base_acceleration = np.array([push, 0.0])  # forwards, as the target lies
+        rows_links = ()
 
     output = short.output._replace(inserted=Pushed())
     stuck = find_stuck(session.model, short._replace(output=output))
     assert ("border against hand" in stuck.reasons) == told
+
+
+def test_links_within_their_buffer_and_joints_at_their_speeds_are_told(session, short: Step):
+    assert short.output.inserted.rows_links == ()
+    row = TaskRows(np.zeros((1, session.model.n)), np.zeros(1), np.zeros(1), 0.02)
+    inserted = short.output.inserted._replace(rows_links=(row,))
+    near = short._replace(output=short.output._replace(inserted=inserted))
+    assert find_stuck(session.model, near).reasons == ("links too near",)
+    fast = short._replace(truth=short.truth._replace(qd_m=-session.model.qd_max))
+    assert "joint speeds" in find_stuck(session.model, fast).reasons
 
 
 def test_a_hand_that_is_still_on_its_way_is_told_so(session, short: Step):

@@ -23,13 +23,22 @@ from app.simulation.trace.columns import Column, Take, TraceMeta
 from app.simulation.trace.snapshot import EVERY, QUANTITIES, Snapshot, make_snapshot
 from app.strict import Array
 
-Reason = Literal["still moving", "joint limits", "border against hand", "full stretch", "unknown"]
+Reason = Literal[
+    "still moving",
+    "joint limits",
+    "joint speeds",
+    "links too near",
+    "border against hand",
+    "full stretch",
+    "unknown",
+]
 
 SNAPSHOTS_KEPT = 3000  # 60 s at 50 Hz
 SHORT = 1e-3  # [m] from its target at which a hand counts as stuck
 _RESTING = 1e-6  # [m/s, m/s²] below which a reference rests
 _MOVING = 1e-3  # [m/s] towards the target at which the hand is still on its way
 _AT_LIMIT = 0.005  # [-] of a joint's range
+_AT_SPEED = 0.99  # [-] of a joint's largest speed
 _STRETCHED = 0.05  # [-] smallest singular value of the arm's Jacobian
 _PUSHED = 0.01  # [m/s²] of the hand away from its target, by the border's push on the base
 
@@ -330,9 +339,9 @@ def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     """Where the hand is in this step, and why it is off its target.
 
     The reasons are those of the true robot and of what the controller put on the base: joints at
-    their position limits; a push of the border on the base that takes the hand away from its
-    target; an arm at full stretch, whose smallest singular value of the hand's Jacobian is near
-    zero.
+    their position or velocity limits; links of the arm within their own buffer, whose rows stand
+    above the hand's; a push of the border on the base that takes the hand away from its target; an
+    arm at full stretch, whose smallest singular value of the hand's Jacobian is near zero.
     """
     state, n_b, q_m = RobotState(model), model.n_b, step.truth.q_m
     state.update(step.truth)
@@ -341,11 +350,14 @@ def _off_target(model: RobotModel, step: Step, reference: Reference) -> Stuck:
     margin = _AT_LIMIT * (model.q_upper - model.q_lower)
     at_limit = (q_m < model.q_lower + margin) | (q_m > model.q_upper - margin)
     joints = tuple(compress(model.description.arm.joints, at_limit.tolist()))
-    pushed = state.J_ee[:3, :n_b] @ (model.J_m_inv @ step.output.inserted.base_acceleration)
+    inserted, speeds = step.output.inserted, np.abs(step.truth.qd_m) / model.qd_max
+    pushed = state.J_ee[:3, :n_b] @ (model.J_m_inv @ inserted.base_acceleration)
     least_motion = np.linalg.svd(state.J_ee[:, n_b:], compute_uv=False)[-1]
     found: dict[Reason, bool] = {
         "still moving": bool(state.v_ee[:3] @ towards > _MOVING),
         "joint limits": bool(joints),
+        "joint speeds": bool((speeds > _AT_SPEED).any()),
+        "links too near": bool(inserted.rows_links),
         "border against hand": bool(pushed @ towards < -_PUSHED),
         "full stretch": bool(least_motion < _STRETCHED),
     }
