@@ -132,7 +132,7 @@ def test_the_method_prints_every_equation_once_and_in_order() -> None:
 def test_every_field_of_a_description_is_documented(heading: str, record: type) -> None:
     (row,) = re.findall(rf"^\| {re.escape(heading)} \| (.*) \|$", page("robot_toml"), re.M)
     words = set(re.findall(r"[A-Za-z_]\w*", " ".join(re.findall(r"`([^`]*)`", row))))
-    tables = {"base", "arm", "bodies", "reachability", "lines", "unwatched"}
+    tables = {"base", "arm", "bodies", "reachability", "lines", "unwatched", "config"}
     fields = set(record.model_fields) - (tables if record is RobotDescription else {"source"})
     if record is BodyDescription:
         shapes = (Box, Sphere, Cylinder, Capsule, ConvexMesh, Hull)
