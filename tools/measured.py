@@ -228,6 +228,10 @@ def law_table(found: Figures) -> str:
         jump = number(summary["jump_mps2"], "m/s²", 1)
         jump += f", {number(summary['jump_radps2'], 'rad/s²', 1)}"
         rows.append([f"{what}, {summary['paths']} motions", "continuity", jump])
+    if summary := found.get("paths", {}).get("summary"):
+        what = f"{summary['paths']} random tracked curves: how many leave their target by over 1 mm"
+        ends = f"{summary['ends_off']} of them at the end, contact in {summary['with_contact']}"
+        rows.append([what, "paths", f"{summary['leave']}, {ends}"])
     return grid(
         ["what", "command", "measured"],
         [[what, f"`python -m benchmarks.law {name}`", value] for what, name, value in rows],
@@ -484,6 +488,7 @@ SETS: dict[str, ResultSet] = {
             "pulls": law("pulls"),
             "wander": law("wander"),
             "continuity": law("continuity"),
+            "paths": law("paths"),
         },
         keep_law,
         law_table,
