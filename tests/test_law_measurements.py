@@ -13,7 +13,7 @@ from app.config import Config
 from app.robot.link_pairs import PairDistances
 from benchmarks.law import paths, release, wander
 from benchmarks.law.__main__ import MEASUREMENTS, main
-from benchmarks.law.continuity import jumps_of
+from benchmarks.law.continuity import continuity, jumps_of
 from benchmarks.law.curves import Curve
 from benchmarks.law.draws import named_pull, random_pull, side
 from benchmarks.law.motions import random_motion
@@ -170,3 +170,13 @@ def _posture() -> tuple[float, ...]:
 def _released(inside_s: float, after_s: float) -> release.Release:
     pull = named_pull(Options(), "lateral", (0.30, 0.72, 0.30), (0.0, -0.25, 0.0), 0.8, 300.0, 40.0)
     return release.Release(pull, inside_s, after_s)
+
+
+@pytest.mark.parametrize("motion", [13, 62])
+def test_what_a_tracking_base_is_asked_does_not_jump_where_links_come_into_their_buffer(
+    motion: int,
+) -> None:
+    """It makes room for them before, by closest points that leap unless they are blended there."""
+    summary = continuity(Options(), 1, first=motion, kinds=("tracking",)).summary
+    assert summary["jump_mps2"] < 1e-4  # 0.05 with the library's own points beyond the buffer
+    assert summary["jump_radps2"] < 1e-3

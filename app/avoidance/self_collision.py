@@ -107,15 +107,18 @@ class SelfCollisionAvoidance:
         """The score by which a pair of L_m chooses its acting points, by the pair's name."""
         return self._finders[pair].field
 
-    def update(self, dt: float = math.inf) -> Avoidance:
+    def update(self, dt: float = math.inf, *, ahead: bool = False) -> Avoidance:
         """The avoidance task at the state's configuration, `dt` [s] after the last one.
+
+        Within the buffer closest points move continuously; `ahead`, where the base makes room for
+        pairs before they are in it, everywhere.
 
         Paper: Algorithm 2, lines 3 to 13.
         """
         n_mobile, way = len(self._pairs.mobile), BUFFER_RATE * dt
         self._d_b = self.d_b + min(max(self._config.border.d_b - self.d_b, -way), way)
         closest = self._monitor.find_closest_points(
-            within=self.d_b, blend=self._config.activation.blend
+            within=math.inf if ahead else self.d_b, blend=self._config.activation.blend
         )
         pairs = tuple([self._pair(each) for each in closest])
         mobile, model = pairs[:n_mobile], self._state.model

@@ -197,7 +197,7 @@ class Controller:
             self._observer.pause()
         slew = self._config.limit.torque_rate * self._dt
         torque, workings = torque_range(last, self._model.tau_max, slew), None
-        avoidance = self._avoidance.update(self._dt)
+        avoidance = self._avoidance.update(self._dt, ahead=reference is not None)
         inserted = self._method(self.state, avoidance, self._config)
         try:
             if not good:
