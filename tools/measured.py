@@ -488,7 +488,7 @@ SETS: dict[str, ResultSet] = {
             "pulls": law("pulls"),
             "wander": law("wander"),
             "continuity": law("continuity"),
-            "paths": law("paths"),
+            "paths": law("paths", "--jobs", "2"),
         },
         keep_law,
         law_table,
