@@ -49,7 +49,7 @@ def test_a_pull_ends_when_its_viewer_sleeps_and_not_when_he_holds_still(served):
             wait_for(lambda: not page.grip.holds_anything, what="letting go")
             assert time.monotonic() - begin < 3.0
         # The page lets go first, and then tells the loop, in a thread of its own.
-        wait_for(lambda: isinstance(served.loop.commands[-1], Release), what="the loop's letting go")
+        wait_for(lambda: isinstance(served.loop.commands[-1], Release), what="its release")
         assert served.server.watchdog.closed == 0
         assert not page.closed
 
