@@ -32,6 +32,11 @@ class DistanceMonitor:
         self._state = state
         self._distances = PairDistances(state.model, pairs)
         self._smooth = [SmoothPoint(state, pair) for pair in pairs]
+        shapes = [range(len(state.model.shape_ids[pair.a])) for pair in pairs]
+        self._parts = [
+            [SmoothPoint(state, pair, k) for k in each] if len(each) > 1 else []
+            for pair, each in zip(pairs, shapes, strict=True)
+        ]
 
     def find_closest_points(
         self, *, within: float = -math.inf, blend: float = math.nan
@@ -46,14 +51,18 @@ class DistanceMonitor:
             blend: [m] of `SmoothPoint`.
         """
         self._distances.update_from(self._state.data)
-        found = []
-        for i, (pair, smooth) in enumerate(zip(self._distances.pairs, self._smooth, strict=True)):
-            d = self._distances.distance(i)
-            if d < within:
-                p_a, p_b, core, n = smooth.find(blend)
-                found.append(ClosestPoints(pair, d, p_a, p_b, n, core))
-            else:
-                found.append(self._distances.closest(i))
+        distances, found = self._distances, []
+        for i, (smooth, parts) in enumerate(zip(self._smooth, self._parts, strict=True)):
+            d = distances.distance(i)
+            near = smooth.closest(d, blend) if d < within else distances.closest(i)
+            if parts:
+                near = near._replace(
+                    parts=tuple(
+                        part.closest(own.d, blend) if own.d < within else own
+                        for part, own in zip(parts, distances.closest_of_parts(i), strict=True)
+                    )
+                )
+            found.append(near)
         return found
 
     def distances(self) -> tuple[float, ...]:
@@ -72,11 +81,16 @@ class SmoothPoint:
     A flat face may be nearest anywhere: there the points nearest to the corners of `a` are nodes.
     """
 
-    def __init__(self, state: RobotState, pair: Pair) -> None:
-        """Prepare for the body `b` of a pair against its body `a`; `state` is read each time."""
+    def __init__(self, state: RobotState, pair: Pair, part: int | None = None) -> None:
+        """Prepare for the body `b` of a pair against `a`, or one part of it.
+
+        `state` is read each time.
+        """
+        self._pair = pair
         model, oMi = state.model, state.data.oMi
         self._at_a, self._at_b = oMi[model.body_joints[pair.a]], oMi[model.body_joints[pair.b]]
         a, b = _shapes(model, pair.a), _shapes(model, pair.b)
+        a = a if part is None else [a[part]]
         self._parts = [ConvexPart(each.geometry, each.placement) for _, each in a]
         self._corners = np.vstack([_core(*shape)[0] for shape in a])
         self._faces = [
@@ -91,6 +105,11 @@ class SmoothPoint:
         placed = [part.placed for part in (*self._parts, *self._faces)]
         known = [each for each in placed if each is not None]
         self._shapes = np.vstack(known) if len(known) == len(placed) else None
+
+    def closest(self, d: float, blend: float) -> ClosestPoints:
+        """The closest points at the signed distance d [m], with τ = `blend` [m]."""
+        p_a, p_b, core, n = self.find(blend)
+        return ClosestPoints(self._pair, d, p_a, p_b, n, core)
 
     def find(self, blend: float) -> Array:
         """The closest points of the pair.

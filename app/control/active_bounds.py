@@ -9,6 +9,7 @@ from app.control.admittance import largest_command
 from app.control.controller import ControlOutput, Workings
 from app.control.limits import position_bounds, velocity_bounds
 from app.control.qp import Limits
+from app.robot.link_pairs import convex
 from app.robot.model import RobotModel
 from app.robot.state import RobotState
 from app.strict import Array
@@ -47,7 +48,7 @@ def active_bounds(
     n_m = state.model.n_m
     low, high = met(workings.limits, workings.qdd)
     joints = state.model.description.arm.joints
-    bounds = []
+    bounds, kept = [], convex(pair.closest for pair in output.avoidance.pairs)
     for i in np.flatnonzero(low | high).tolist():
         upper = bool(high[i])
         if i < n_m:
@@ -57,9 +58,8 @@ def active_bounds(
         elif i < 2 * n_m:
             bounds.append(Bound(joints[i - n_m], _joint_kind(state, config, i - n_m, upper), upper))
         else:
-            pair = output.avoidance.pairs[i - 2 * n_m].closest.pair
-            bounds.append(Bound(pair.name, "barrier", upper))
-    return [*bounds, *_base_bounds(state.model, output, workings)]
+            bounds.append(Bound(kept[i - 2 * n_m].pair.name, "barrier", upper))
+    return [*dict.fromkeys(bounds), *_base_bounds(state.model, output, workings)]
 
 
 def admittance_bounds(model: RobotModel, config: Config, command: Array) -> list[Bound]:

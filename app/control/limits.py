@@ -25,7 +25,7 @@ from app.strict import Array
 
 
 class Barriers(NamedTuple):
-    """Distances that are kept, a row a pair: with h of it left, ḣ = J q̇ and ḧ = J q̈ + J̇ q̇."""
+    """Distances that are kept, a row each: with h of it left, ḣ = J q̇ and ḧ = J q̈ + J̇ q̇."""
 
     J: Array
     """(k, n) Jacobians of the distances."""
@@ -52,7 +52,7 @@ class Barriers(NamedTuple):
 
 
 def barriers_of(state: RobotState, pairs: Iterable[ClosestPoints], kept: float) -> Barriers:
-    """Those of some pairs at a distance that is kept [m]; of base and arm."""
+    """Those of some pairs, or their parts, at a distance that is kept [m]; of base and arm."""
     rows = [(pair.d - kept, distance_jacobian(state, pair)) for pair in pairs]
     return Barriers(
         np.array([row.J for _, row in rows]).reshape(-1, state.model.n),

@@ -12,6 +12,7 @@ from app.config import Config, RepulsionConfig
 from app.control import CONTROLLERS
 from app.control.kernels import reaction
 from app.control.limits import Barriers, barriers_of
+from app.robot.link_pairs import convex
 from app.robot.state import RobotState
 from app.strict import Array
 
@@ -65,16 +66,16 @@ def dbb(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
 
     Paper: Algorithm 2, line 14 (UpdateSoT).
     """
-    pairs, n_b = avoidance.mobile, state.model.n_b
+    pairs, n_b = [pair.closest for pair in avoidance.mobile], state.model.n_b
     force, d_min, d_b = config.force, config.barrier.d_min, config.border.d_b
-    barriers = barriers_of(state, [pair.closest for pair in pairs], d_min)
+    near, parts = barriers_of(state, pairs, d_min), convex(pairs)
     return Inserted(
         avoidance.rows_m,
         rows_links=avoidance.rows_links,
-        barriers=barriers,
-        clear=[pair.closest for pair in avoidance.pairs[len(pairs) :]],
+        barriers=near if len(parts) == len(pairs) else barriers_of(state, parts, d_min),
+        clear=convex(pair.closest for pair in avoidance.pairs[len(pairs) :]),
         n_b=n_b,
-        u_a=reaction(barriers.h + d_min, barriers.J[:, n_b:], force.f_arm, d_b),
+        u_a=reaction(near.h + d_min, near.J[:, n_b:], force.f_arm, d_b),
     )
 
 
@@ -114,11 +115,12 @@ def generate_rep_force_acc(
 
 
 def barrier(state: RobotState, avoidance: Avoidance, config: Config) -> Inserted:
-    """What today's libraries do: each pair an inequality of control-barrier type.
+    """What today's libraries do: each distance an inequality of control-barrier type.
 
     The base takes part in all of it.
     """
-    barriers = barriers_of(state, [pair.closest for pair in avoidance.pairs], config.barrier.d_min)
+    parts = convex(pair.closest for pair in avoidance.pairs)
+    barriers = barriers_of(state, parts, config.barrier.d_min)
     return Inserted(barriers=barriers, base_too=True, n_b=state.model.n_b)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations
 from typing import NamedTuple
@@ -43,6 +43,16 @@ class ClosestPoints(NamedTuple):
     """(3,) unit normal from `a` to `b`: moving `b` along it increases d, in penetration too."""
     core: Array
     """(3,) [m] the point of the core of `b` behind p_b: its radius farther along n; or p_b."""
+    parts: tuple[ClosestPoints, ...] = ()
+    """Those of each convex part of `a` by itself, where it has several."""
+
+
+def convex(pairs: Iterable[ClosestPoints]) -> list[ClosestPoints]:
+    """Those from a convex body each, whose normals turn continuously: `a` itself or its parts.
+
+    In a concave corner of `a` the nearest of its faces changes, and the pair's own normal leaps.
+    """
+    return [part for pair in pairs for part in pair.parts or (pair,)]
 
 
 @dataclass(frozen=True)
@@ -125,16 +135,27 @@ class PairDistances:
 
     def closest(self, i: int) -> ClosestPoints:
         """The closest points of the i-th pair; copies, safe to keep."""
-        result = self.nearest_result(i)
-        p_b, n = result.getNearestPoint2(), result.normal.copy()  # unlike the points it is a view
-        return ClosestPoints(
-            self.pairs[i], result.min_distance, result.getNearestPoint1(), p_b, n, p_b
-        )
+        return _closest(self.pairs[i], self._results[i])
+
+    def closest_of_parts(self, i: int) -> list[ClosestPoints]:
+        """The same of each shape of its body `a` by itself."""
+        pair, results = self.pairs[i], self._results[i]
+        each = len(self._model.shape_ids[pair.b])
+        return [_closest(pair, results[k : k + each]) for k in range(0, len(results), each)]
 
     def nearest_result(self, i: int) -> pin.DistanceResult:
         """The library's own record of the i-th pair; overwritten by the next update."""
-        results = self._results[i]
-        return results[0] if len(results) == 1 else min(results, key=lambda r: r.min_distance)
+        return _nearest(self._results[i])
+
+
+def _nearest(results: list[pin.DistanceResult]) -> pin.DistanceResult:
+    return results[0] if len(results) == 1 else min(results, key=lambda r: r.min_distance)
+
+
+def _closest(pair: Pair, results: list[pin.DistanceResult]) -> ClosestPoints:
+    result = _nearest(results)
+    p_b, n = result.getNearestPoint2(), result.normal.copy()  # unlike the points it is a view
+    return ClosestPoints(pair, result.min_distance, result.getNearestPoint1(), p_b, n, p_b)
 
 
 def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
