@@ -1,0 +1,145 @@
+"""Laws of a mobile robot of several convex parts: the arm keeps its distance from each of them."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from app.avoidance.closest_points import DistanceMonitor
+from app.border.cache import BorderData
+from app.config import Config
+from app.control.controller import Controller, ControlOutput
+from app.control.explanation import explain
+from app.control.limits import Barriers
+from app.control.tasks import Reference
+from app.robot.link_pairs import PairDistances, candidate_pairs
+from app.robot.shapes import Box
+from app.robot.state import Measurement
+from tests.robots import husky_panda, with_mobile_shapes
+
+Array = np.ndarray
+Normals = tuple[tuple[float, float, float], tuple[float, float, float]]
+
+AT_ONCE = Config().replace("limit.torque_rate", 1e6)
+DECK = Box(type="box", size_m=(0.99, 0.69, 0.3803), xyz_m=(0.0, 0.0, 0.0579))
+WALL = Box(type="box", size_m=(0.99, 0.10, 0.50), xyz_m=(0.0, 0.30, 0.50))
+"""Stands on the deck's left edge: a concave corner beside the arm."""
+FRONT, REAR = (
+    Box(type="box", size_m=(0.495, 0.69, 0.3803), xyz_m=(x, 0.0, 0.0579)) for x in (0.2475, -0.2475)
+)
+"""The deck again, of two boxes that abut."""
+UP, BESIDE = (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)
+
+
+@cache
+def near_both(a: Box, b: Box, normals: Normals, seed: int) -> Measurement:
+    """A random slow state with the hand near two boxes that see it along these normals."""
+    rng, robot = np.random.default_rng(seed), husky_panda()
+    models = [with_mobile_shapes((shape,)) for shape in (a, b)]
+    readers = [PairDistances(model, candidate_pairs(model)) for model in models]
+    hand = [pair.name for pair in readers[0].pairs].index("lm-lEE")
+    while True:
+        q_m = rng.uniform(robot.q_lower + 0.3, robot.q_upper - 0.3)
+        for reader, normal in zip(readers, normals, strict=True):
+            reader.update(robot.configuration(np.zeros(3), q_m))
+            near = reader.closest(hand)
+            others = np.delete(reader.distances(), hand)
+            if not (0.03 < near.d < 0.05 and near.n @ normal > 0.99 and others.min() > 0.08):
+                break
+        else:
+            v = rng.normal(scale=0.02, size=robot.n)
+            return Measurement(np.zeros(3), v[:2], q_m, v[2:])
+
+
+def in_the_corner(seed: int) -> Measurement:
+    return near_both(DECK, WALL, (UP, BESIDE), seed)
+
+
+def controller_of(data: BorderData, name: str, *shapes: Box) -> Controller:
+    return Controller(with_mobile_shapes(shapes), data, AT_ONCE, name=name)
+
+
+def asked(controller: Controller, m: Measurement, acceleration: Array) -> ControlOutput:
+    """The answer where the hand is asked for an acceleration (3,) [m/s²]."""
+    controller.reset()
+    controller.step(m)
+    pose = pin.SE3(controller.state.T_world_ee)
+    return controller.step(m, Reference(pose, np.zeros(6), np.append(acceleration, np.zeros(3))))
+
+
+def missed(output: ControlOutput) -> Array:
+    """(k,) [m/s²] of what each barrier asks."""
+    barriers, workings = output.inserted.barriers, output.workings
+    assert barriers is not None
+    assert workings is not None
+    return barriers.least(AT_ONCE.barrier) - barriers.J @ workings.qdd
+
+
+@pytest.mark.parametrize("name", ["dbb", "barrier"])
+def test_a_base_of_two_parts_is_kept_from_as_two_bases_of_one_part_each(
+    border_data: BorderData, name: str
+) -> None:
+    def kept(*shapes: Box) -> Barriers:
+        barriers = (
+            controller_of(border_data, name, *shapes).step(in_the_corner(0)).inserted.barriers
+        )
+        assert barriers is not None
+        return barriers
+
+    n = len(border_data.pairs.mobile)
+    for both, deck, wall in zip(kept(DECK, WALL), kept(DECK), kept(WALL), strict=True):
+        parts = np.stack([deck[:n], wall[:n]], axis=1)
+        np.testing.assert_allclose(both[: 2 * n], parts.reshape(both[: 2 * n].shape), atol=1e-9)
+        np.testing.assert_allclose(both[2 * n :], deck[n:], atol=1e-9)  # between links
+
+
+@pytest.mark.parametrize("name", ["dbb", "barrier"])
+@pytest.mark.parametrize("seed", range(2))
+def test_in_a_corner_the_arm_is_held_back_by_both_faces(
+    border_data: BorderData, name: str, seed: int
+) -> None:
+    """The hand is asked into deck and wall at once; the pair that holds it is named once."""
+    controller = controller_of(border_data, name, DECK, WALL)
+    output = asked(controller, in_the_corner(seed), -20.0 * (np.array(UP) + BESIDE))
+    np.testing.assert_allclose(missed(output)[:2], 0.0, atol=0.1)  # soft, and both met
+    assert missed(output).max() < 0.1
+    bounds = explain(controller, output, AT_ONCE, np.zeros(2)).bounds
+    assert [bound.where for bound in bounds if bound.kind == "barrier"] == ["lm-lEE"]
+
+
+def test_where_the_nearest_face_changes_the_rows_move_on(border_data: BorderData) -> None:
+    """The pair's own normal leaps there; steps a tenth as long move its parts' a tenth as far."""
+    controller, m = controller_of(border_data, "dbb", DECK, WALL), in_the_corner(0)
+    monitor = DistanceMonitor(controller.state, border_data.pairs.mobile)
+
+    def largest_steps(steps: int) -> list[float]:
+        """Of the pair's own normal and core, and of those of its parts."""
+        own, parts = [], []
+        for s in np.linspace(-0.1, 0.1, steps + 1):
+            controller.state.update(m._replace(q_m=m.q_m + s * np.array([0, 1, 0, 1, 0, 0, 0])))
+            closest = monitor.find_closest_points(within=0.3, blend=0.005)[0]
+            own.append([closest.n, closest.core])
+            parts.append([value for each in closest.parts for value in (each.n, each.core)])
+        return [float(np.abs(np.diff(each, axis=0)).max()) for each in (own, parts)]
+
+    (_, coarse), (leap, fine) = largest_steps(200), largest_steps(2000)
+    assert leap > 0.5
+    assert fine < 0.2 * coarse
+
+
+def test_two_halves_of_a_base_are_as_the_whole(border_data: BorderData) -> None:
+    """A guided arm is pushed away once, and their rows in one plane are no trouble to the QP."""
+    whole = controller_of(border_data, "dbb", DECK)
+    halves = controller_of(border_data, "dbb", FRONT, REAR)
+    for seed in range(2):
+        m = near_both(FRONT, REAR, (UP, UP), seed)
+        guided = [controller.step(m).inserted.u_a for controller in (whole, halves)]
+        assert np.abs(guided[0]).max() > 0.1
+        np.testing.assert_allclose(guided[1], guided[0], atol=1e-9)
+        one, two = (asked(each, m, -20.0 * np.array(UP)) for each in (whole, halves))
+        assert -1.0 < missed(two)[:2].min() <= missed(two).max() < 0.1  # both nearly met
+        np.testing.assert_allclose(two.u_a, one.u_a, atol=0.02 * np.abs(one.u_a).max())
+        assert halves.failures == halves.given_up == 0
