@@ -50,18 +50,15 @@ class DistanceMonitor:
             within: [m] such as the buffer distance; by default all are the library's own.
             blend: [m] of `SmoothPoint`.
         """
-        self._distances.update_from(self._state.data)
         distances, found = self._distances, []
+        distances.update_from(self._state.data)
         for i, (smooth, parts) in enumerate(zip(self._smooth, self._parts, strict=True)):
             d = distances.distance(i)
             near = smooth.closest(d, blend) if d < within else distances.closest(i)
             if parts:
-                near = near._replace(
-                    parts=tuple(
-                        part.closest(own.d, blend) if own.d < within else own
-                        for part, own in zip(parts, distances.closest_of_parts(i), strict=True)
-                    )
-                )
+                each = zip(distances.closest_of_parts(i), parts, strict=True)
+                moving = [part.closest(c.d, blend) if c.d < within else c for c, part in each]
+                near = near._replace(parts=tuple(moving))
             found.append(near)
         return found
 
@@ -82,10 +79,7 @@ class SmoothPoint:
     """
 
     def __init__(self, state: RobotState, pair: Pair, part: int | None = None) -> None:
-        """Prepare for the body `b` of a pair against `a`, or one part of it.
-
-        `state` is read each time.
-        """
+        """Prepare for `b` of a pair against `a`, or a part of it; `state` is read each time."""
         self._pair = pair
         model, oMi = state.model, state.data.oMi
         self._at_a, self._at_b = oMi[model.body_joints[pair.a]], oMi[model.body_joints[pair.b]]

@@ -29,7 +29,7 @@ class Inserted(NamedTuple):
     barriers: Barriers | None = None
     """Distances that the arm keeps while the other tasks give in."""
     clear: Sequence[ClosestPoints] = ()
-    """Pairs of links for which the base makes room, so that they stay outside of their buffers."""
+    """Links for which the base makes room, so that they stay outside of their pairs' buffers."""
     base_too: bool = False
     """Whether the base takes part in keeping them."""
     n_b: int = 2
