@@ -34,7 +34,6 @@ FRONT, REAR = (
 UP, BESIDE = (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)
 
 
-@cache
 def near_both(a: Box, b: Box, normals: Normals, seed: int) -> Measurement:
     """A random slow state with the hand near two boxes that see it along these normals."""
     rng, robot = np.random.default_rng(seed), husky_panda()
@@ -54,6 +53,7 @@ def near_both(a: Box, b: Box, normals: Normals, seed: int) -> Measurement:
             return Measurement(np.zeros(3), v[:2], q_m, v[2:])
 
 
+@cache
 def in_the_corner(seed: int) -> Measurement:
     return near_both(DECK, WALL, (UP, BESIDE), seed)
 
