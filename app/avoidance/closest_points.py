@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from app.border.mobile import ConvexPart, mean_nearest
-from app.robot.link_pairs import ClosestPoints, Pair, PairDistances
+from app.robot.link_pairs import ClosestPoints, Pair, PairDistances, with_parts
 from app.robot.model import RobotModel
 from app.robot.shapes import Box, Capsule, Cylinder, Shape, Sphere
 from app.robot.state import RobotState
@@ -32,11 +32,6 @@ class DistanceMonitor:
         self._state = state
         self._distances = PairDistances(state.model, pairs)
         self._smooth = [SmoothPoint(state, pair) for pair in pairs]
-        shapes = [range(len(state.model.shape_ids[pair.a])) for pair in pairs]
-        self._parts = [
-            [SmoothPoint(state, pair, k) for k in each] if len(each) > 1 else []
-            for pair, each in zip(pairs, shapes, strict=True)
-        ]
 
     def find_closest_points(
         self, *, within: float = -math.inf, blend: float = math.nan
@@ -50,16 +45,12 @@ class DistanceMonitor:
             within: [m] such as the buffer distance; by default all are the library's own.
             blend: [m] of `SmoothPoint`.
         """
-        distances, found = self._distances, []
-        distances.update_from(self._state.data)
-        for i, (smooth, parts) in enumerate(zip(self._smooth, self._parts, strict=True)):
-            d = distances.distance(i)
-            near = smooth.closest(d, blend) if d < within else distances.closest(i)
-            if parts:
-                each = zip(distances.closest_of_parts(i), parts, strict=True)
-                moving = [part.closest(c.d, blend) if c.d < within else c for c, part in each]
-                near = near._replace(parts=tuple(moving))
-            found.append(near)
+        self._distances.update_from(self._state.data)
+        found = []
+        for i, smooth in enumerate(self._smooth):
+            d = self._distances.distance_by_part(i)
+            near = d[0] < within
+            found.append(smooth.closest(d, blend) if near else self._distances.closest(i))
         return found
 
     def distances(self) -> tuple[float, ...]:
@@ -78,14 +69,15 @@ class SmoothPoint:
     A flat face may be nearest anywhere: there the points nearest to the corners of `a` are nodes.
     """
 
-    def __init__(self, state: RobotState, pair: Pair, part: int | None = None) -> None:
-        """Prepare for `b` of a pair against `a`, or a part of it; `state` is read each time."""
+    def __init__(self, state: RobotState, pair: Pair) -> None:
+        """Prepare for the body `b` of a pair against its body `a`; `state` is read each time."""
         self._pair = pair
         model, oMi = state.model, state.data.oMi
         self._at_a, self._at_b = oMi[model.body_joints[pair.a]], oMi[model.body_joints[pair.b]]
         a, b = _shapes(model, pair.a), _shapes(model, pair.b)
-        a = a if part is None else [a[part]]
         self._parts = [ConvexPart(each.geometry, each.placement) for _, each in a]
+        alone = [slice(k, k + 1) for k in range(len(a))]
+        self._groups = [slice(len(a)), *(alone if len(a) > 1 else [])]
         self._corners = np.vstack([_core(*shape)[0] for shape in a])
         self._faces = [
             ConvexPart(each.geometry, each.placement)
@@ -100,37 +92,32 @@ class SmoothPoint:
         known = [each for each in placed if each is not None]
         self._shapes = np.vstack(known) if len(known) == len(placed) else None
 
-    def closest(self, d: float, blend: float) -> ClosestPoints:
-        """The closest points at the signed distance d [m], with τ = `blend` [m]."""
-        p_a, p_b, core, n = self.find(blend)
-        return ClosestPoints(self._pair, d, p_a, p_b, n, core)
+    def closest(self, d: Sequence[float], blend: float) -> ClosestPoints:
+        """The closest points at the signed distances d [m], of the pair and then of each part."""
+        found = zip(d, self.find(blend), strict=True)
+        return with_parts(*[ClosestPoints(self._pair, each, *points) for each, points in found])
 
-    def find(self, blend: float) -> Array:
-        """The closest points of the pair.
+    def find(self, blend: float) -> list[Array]:
+        """The closest points of the pair, then of each part of `a` by itself if it has several.
 
         Args:
             blend: [m] τ.
 
         Returns:
-            (4, 3) [m], in the world: the points on `a`, on `b`, and of the core of `b`; and the
-            unit normal from `a` to `b`.
+            (4, 3) [m] of each, in the world: the points on `a` and on `b`, the unit normal from `a`
+            to `b`, and the point of the core of `b`.
         """
         if self._shapes is None:
             return self.by_library(blend)
         a, b, split = self._at_a, self._at_b, len(self._parts)
-        return mean_nearest(
-            self._shapes[:split],
-            self._corners,
-            self._nodes,
-            self._shapes[split:],
-            a.rotation,
-            a.translation,
-            b.rotation,
-            b.translation,
-            blend,
-        )
+        placed = a.rotation, a.translation, b.rotation, b.translation
+        shapes, faces = self._shapes[:split], self._shapes[split:]
+        return [
+            mean_nearest(shapes[group], self._corners, self._nodes, faces, *placed, blend)
+            for group in self._groups
+        ]
 
-    def by_library(self, blend: float) -> Array:
+    def by_library(self, blend: float) -> list[Array]:
         """The same of shapes that the kernel does not know, slower."""
         placed = self._at_a
         relative = placed.actInv(self._at_b)
@@ -140,14 +127,18 @@ class SmoothPoint:
             faced = [face.nearest(corner) for face in self._faces for corner in corners]
             nodes, radii = np.vstack([nodes, *faced]), np.append(radii, np.zeros(len(faced)))
         nodes = nodes @ relative.rotation.T + relative.translation
-        d = np.min([part.distances(nodes) for part in self._parts], axis=0) - radii
-        weights = np.exp((d.min() - d) / blend)
-        weights /= weights.sum()
-        core, radius = weights @ nodes, weights @ radii
-        d_core, n = min((part.distance_and_normal(core) for part in self._parts), key=itemgetter(0))
-        n = placed.rotation @ n
-        core = placed.act(core)
-        return np.array([core - d_core * n, core - radius * n, core, n])
+        distances = np.array([part.distances(nodes) for part in self._parts]) - radii
+        found = []
+        for group in self._groups:
+            d = distances[group].min(axis=0)
+            weights = np.exp((d.min() - d) / blend)
+            weights /= weights.sum()
+            core, radius = weights @ nodes, weights @ radii
+            nearest = (part.distance_and_normal(core) for part in self._parts[group])
+            d_core, n = min(nearest, key=itemgetter(0))
+            n, core = placed.rotation @ n, placed.act(core)
+            found.append(np.array([core - d_core * n, core - radius * n, n, core]))
+        return found
 
 
 def _shapes(model: RobotModel, body: str) -> list[tuple[Shape, pin.GeometryObject]]:

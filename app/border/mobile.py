@@ -226,7 +226,7 @@ def mean_nearest(
     p_b: Array,
     blend: float,
 ) -> Array:
-    """(4, 3) points of two bodies, of the second one's core, and the normal, of `SmoothPoint`.
+    """(4, 3) points of two bodies, the normal, and the point of the second's core: `SmoothPoint`.
 
     Args:
         shapes: (P, 16) of body `a`, as of `distances_and_normals`.
@@ -263,6 +263,6 @@ def mean_nearest(
         radius += weights[k] * (nodes[k, 3] if k < count else 0.0)
     d_core, n_x, n_y, n_z = _nearest_of(shapes, x, y, z)
     found = np.empty((4, 3))
-    found[2], found[3] = _act(R_a, p_a, x, y, z), _act(R_a, none, n_x, n_y, n_z)
-    found[0], found[1] = found[2] - d_core * found[3], found[2] - radius * found[3]
+    found[2], found[3] = _act(R_a, none, n_x, n_y, n_z), _act(R_a, p_a, x, y, z)
+    found[0], found[1] = found[3] - d_core * found[2], found[3] - radius * found[2]
     return found

@@ -47,6 +47,11 @@ class ClosestPoints(NamedTuple):
     """Those of each convex part of `a` by itself, where it has several."""
 
 
+def with_parts(closest: ClosestPoints, *parts: ClosestPoints) -> ClosestPoints:
+    """A pair's closest points together with those of its parts."""
+    return closest._replace(parts=parts) if parts else closest
+
+
 def convex(pairs: Iterable[ClosestPoints]) -> list[ClosestPoints]:
     """Those from a convex body each, whose normals turn continuously: `a` itself or its parts.
 
@@ -93,19 +98,23 @@ class PairDistances:
     def __init__(self, model: RobotModel, pairs: Sequence[Pair]) -> None:
         self.pairs = tuple(pairs)
         self.data = model.pin.createData()
-        self._model, self._pin = model, model.pin
+        self._model, self._pin, shape_ids = model, model.pin, model.shape_ids
         self._geometry = model.geometry.copy()
         self._geometry.removeAllCollisionPairs()
-        groups: list[range] = []
+        groups: list[list[range]] = []
         for pair in self.pairs:
             first = len(self._geometry.collisionPairs)
-            for i in model.shape_ids[pair.a]:
-                for j in model.shape_ids[pair.b]:
+            for i in shape_ids[pair.a]:
+                for j in shape_ids[pair.b]:
                     self._geometry.addCollisionPair(pin.CollisionPair(i, j))
-            groups.append(range(first, len(self._geometry.collisionPairs)))
+            whole, each = range(first, len(self._geometry.collisionPairs)), len(shape_ids[pair.b])
+            parts = [range(k, k + each) for k in whole[::each]]
+            groups.append([whole, *parts] if len(parts) > 1 else [whole])
         self._placed = geometry_data(self._geometry)
         # References into pinocchio's own results: reading them anew would cost more than computing.
-        self._results = [[self._placed.distanceResults[k] for k in group] for group in groups]
+        results = self._placed.distanceResults
+        self._results = [[[results[k] for k in group] for group in each] for each in groups]
+        """Of each pair, and of each part of its body `a` by itself where that has several."""
 
     def update(self, q: Array) -> None:
         """Compute kinematics and all distances at pinocchio's configuration `q`."""
@@ -133,29 +142,28 @@ class PairDistances:
             row[:] = self.distances()
         return found
 
+    def distance_by_part(self, i: int) -> list[float]:
+        """[m] the same, and that of each part of its body `a` by itself, where it has several."""
+        return [_nearest(results).min_distance for results in self._results[i]]
+
     def closest(self, i: int) -> ClosestPoints:
         """The closest points of the i-th pair; copies, safe to keep."""
-        return _closest(self.pairs[i], self._results[i])
-
-    def closest_of_parts(self, i: int) -> list[ClosestPoints]:
-        """The same of each shape of its body `a` by itself."""
-        pair, results = self.pairs[i], self._results[i]
-        each = len(self._model.shape_ids[pair.b])
-        return [_closest(pair, results[k : k + each]) for k in range(0, len(results), each)]
+        found = []
+        for results in self._results[i]:
+            at = _nearest(results)
+            p_b, n = at.getNearestPoint2(), at.normal.copy()  # unlike the points it is a view
+            found.append(
+                ClosestPoints(self.pairs[i], at.min_distance, at.getNearestPoint1(), p_b, n, p_b)
+            )
+        return with_parts(*found)
 
     def nearest_result(self, i: int) -> pin.DistanceResult:
         """The library's own record of the i-th pair; overwritten by the next update."""
-        return _nearest(self._results[i])
+        return _nearest(self._results[i][0])
 
 
 def _nearest(results: list[pin.DistanceResult]) -> pin.DistanceResult:
     return results[0] if len(results) == 1 else min(results, key=lambda r: r.min_distance)
-
-
-def _closest(pair: Pair, results: list[pin.DistanceResult]) -> ClosestPoints:
-    result = _nearest(results)
-    p_b, n = result.getNearestPoint2(), result.normal.copy()  # unlike the points it is a view
-    return ClosestPoints(pair, result.min_distance, result.getNearestPoint1(), p_b, n, p_b)
 
 
 def geometry_data(geometry: pin.GeometryModel) -> pin.GeometryData:
