@@ -8,16 +8,16 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from app.avoidance.closest_points import DistanceMonitor
+from app.avoidance.closest_points import DistanceMonitor, SmoothPoint
 from app.border.cache import BorderData
 from app.config import Config
 from app.control.controller import Controller, ControlOutput
 from app.control.explanation import explain
 from app.control.limits import Barriers
 from app.control.tasks import Reference
-from app.robot.link_pairs import PairDistances, candidate_pairs
+from app.robot.link_pairs import Pair, PairDistances, candidate_pairs
 from app.robot.shapes import Box
-from app.robot.state import Measurement
+from app.robot.state import Measurement, RobotState
 from tests.robots import husky_panda, with_mobile_shapes
 
 Array = np.ndarray
@@ -128,6 +128,17 @@ def test_where_the_nearest_face_changes_the_rows_move_on(border_data: BorderData
     (_, coarse), (leap, fine) = largest_steps(200), largest_steps(2000)
     assert leap > 0.5
     assert fine < 0.2 * coarse
+
+
+def test_the_kernel_has_the_librarys_points_of_each_part() -> None:
+    state, blend = RobotState(with_mobile_shapes((DECK, WALL))), 0.005  # [m]
+    state.update(in_the_corner(0))
+    for pair in (Pair("lm", "lEE"), Pair("lm", "l3")):
+        found, smooth = SmoothPoint(state, pair).find(blend), SmoothPoint(state, pair)
+        for part in (*smooth._parts, *smooth._faces):
+            part.placed = None
+        assert len(found) == 3
+        np.testing.assert_allclose(found, smooth.by_library(blend), atol=2e-5)
 
 
 def test_two_halves_of_a_base_are_as_the_whole(border_data: BorderData) -> None:

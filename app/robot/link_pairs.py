@@ -113,7 +113,7 @@ class PairDistances:
         self._placed = geometry_data(self._geometry)
         # References into pinocchio's own results: reading them anew would cost more than computing.
         results = self._placed.distanceResults
-        self._results = [[[results[k] for k in group] for group in each] for each in groups]
+        self._results = [[[results[k] for k in one] for one in group] for group in groups]
         """Of each pair, and of each part of its body `a` by itself where that has several."""
 
     def update(self, q: Array) -> None:
