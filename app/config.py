@@ -119,12 +119,27 @@ class LimitConfig(Strict):
 
     position_rate: Annotated[float, Shown(advanced=True)] = Field(default=30.0, ge=1.0, le=100.0)
     """[1/s] how fast a joint may close in on its position limit, per distance left."""
-    velocity_rate: Annotated[float, Shown(advanced=True)] = Field(default=30.0, ge=1.0, le=200.0)
+    velocity_rate: Annotated[float, Shown(advanced=True)] = Field(default=150.0, ge=1.0, le=200.0)
     """[1/s] how fast a joint may close in on its velocity limit, per velocity left."""
     torque_rate: Annotated[float, Shown("torque")] = Field(default=1000.0, ge=50.0, le=1e6)
     """[N m/s] how fast a torque of the arm may change; a Panda takes 1000."""
-    push_rate: Annotated[float, Shown(advanced=True)] = Field(default=30.0, ge=0.0, le=300.0)
-    """[1/s] how fast what others exert on the arm is learnt, so that limits are kept."""
+
+
+class EstimateConfig(Strict):
+    """The filter of the arm's readings, which also tells who pushes."""
+
+    push_change: Annotated[float, Shown("push changes", advanced=True)] = Field(
+        default=3.0, ge=0.0, le=1e6
+    )
+    """[rad/s²] by how much others accelerate a joint otherwise a second later; or m/s²."""
+    least_noise: Annotated[float, Shown(advanced=True)] = Field(default=1e-6, ge=1e-9, le=0.005)
+    """[rad] noise of measured positions at least, or m; what there is more of it is learnt."""
+    velocity_noise: Annotated[float, Shown(advanced=True)] = Field(default=100.0, ge=1.0, le=1e4)
+    """[1/s] noise of measured velocities, per noise of positions."""
+    window: Annotated[float, Shown("noise over", advanced=True)] = Field(
+        default=0.2, ge=0.01, le=10.0
+    )
+    """[s] over which noise is learnt."""
 
 
 class AdmittanceConfig(Strict):
@@ -193,6 +208,8 @@ class Config(Strict):
     """Tasks"""
     limit: LimitConfig = LimitConfig()
     """Limits"""
+    estimate: EstimateConfig = EstimateConfig()
+    """Estimate"""
     admittance: AdmittanceConfig = AdmittanceConfig()
     """Admittance"""
     hand: HandConfig = HandConfig()

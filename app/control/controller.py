@@ -9,8 +9,9 @@ from app.border.score import ScoreField
 from app.config import Config, slowed
 from app.control import CONTROLLERS
 from app.control.admittance import response
+from app.control.estimate import ArmEstimate
 from app.control.kernels import base_blend, clipped, torque_range
-from app.control.limits import ArmNow, PushObserver, barriers_of, base_limits, robot_limits
+from app.control.limits import ArmNow, barriers_of, base_limits, robot_limits
 from app.control.methods import METHODS, Inserted
 from app.control.qp import Limits, NoSolutionError, Objective, TaskQP, insert_rows
 from app.control.tasks import (
@@ -125,7 +126,7 @@ class Controller:
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
         self.configure(config)
         self._solver = TaskQP()
-        self._observer = PushObserver(model.n_m)
+        self._estimate = ArmEstimate(model.n_m)
         self._dt = dt
         self.reset()
 
@@ -142,7 +143,7 @@ class Controller:
     def reset(self) -> None:
         """Forget the posture, the last torques, who pushes, and the counts of failures."""
         self._u_a: Array | None = None
-        self._observer.reset()
+        self._estimate.reset()
         self._avoidance.reset()
         self.q_posture: Array | None = None
         """(n_m,) the posture that the arm is drawn to, that of the first good measurement."""
@@ -187,14 +188,14 @@ class Controller:
         measurement = checked(measurement, self._model)
         good = is_finite(measurement)
         if good:
-            self.state.update(measurement)
+            u_a, filtering = self._u_a, self._config.estimate
+            here = self._estimate.update(measurement, self.state, u_a, filtering, self._dt)
+            self.state.update(here)
+        else:
+            self._estimate.begin_anew()
         if good and self.q_posture is None:
             self.q_posture = measurement.q_m.copy()
         last = free_arm_torque(self.state) if self._u_a is None else self._u_a
-        if good:
-            self._observer.update(self.state, last, self._config.limit.push_rate, self._dt)
-        else:
-            self._observer.pause()
         slew = self._config.limit.torque_rate * self._dt
         torque, workings = torque_range(last, self._model.tau_max, slew), None
         avoidance = self._avoidance.update(self._dt, ahead=reference is not None)
@@ -315,7 +316,7 @@ class Controller:
         rows = (*inserted.rows_arm, *inserted.rows_links)
         state, barriers = self.state, inserted.barriers
         qdd_b = self._model.J_m_inv @ given
-        now = ArmNow(qdd_b, torque, self._observer.r)
+        now = ArmNow(qdd_b, torque, self._estimate.pushed)
         limits = robot_limits(state, config, barriers, arm=now)
         whole = insert_rows(stack.objective, rows, softness, given=len(qdd_b))
         qdd = self._solver.solve(whole, limits, qdd_b)

@@ -43,25 +43,24 @@ def joint_bounds(
 
 
 @compiled()
-def _in_reach(
+def _bring_in_reach(
     M: Array, h: Array, torque: Array, bounds: Array, qdd_b: Array, pushed: Array
-) -> Array:
-    """M_aa⁻¹ r (n_m,); the bounds (2, n_m) on q̈_m are brought in reach of each joint's own torque.
+) -> None:
+    """The bounds (2, n_m) on q̈_m are brought in reach of each joint's own torque.
 
     No joint asks for more than its own torque gives in this step while the others' are in the
     middle of what they may be. If it asked for all at once, the torques of all others would swing
     from end to end for it, each too late, and throw an arm that is overpowered about.
     """
     n_b, n_m, (low, high) = len(qdd_b), len(pushed), (torque[0], torque[1])
-    L, acting = cholesky(M[n_b:, n_b:]), 0.5 * (low + high) + pushed - h[n_b:]
-    qdd = backward(L, forward(L, acting - times(M[n_b:, :n_b], qdd_b)))
+    L, acting = cholesky(M[n_b:, n_b:]), 0.5 * (low + high) - h[n_b:]
+    qdd = pushed + backward(L, forward(L, acting - times(M[n_b:, :n_b], qdd_b)))
     for i in range(n_m):
         unit = np.zeros(n_m)
         unit[i] = 1.0
         own = 0.5 * (forward(L, unit) ** 2).sum() * (high[i] - low[i])
         bounds[0, i] = min(bounds[0, i], qdd[i] + own)
         bounds[1, i] = max(bounds[1, i], qdd[i] - own)
-    return backward(L, forward(L, pushed))
 
 
 @compiled(
@@ -88,24 +87,24 @@ def limit_rows(
         bounds: (2, n_m) on q̈_m.
         unit: (n_m,) in which they are counted.
         qdd_b: (n_b,) of the base, or (0,) where it is open.
-        pushed: (n_m,) torques of those who push, where the base's q̈ is given.
+        pushed: (n_m,) of q̈_m, by those who push.
         J: (k, n) of the distances.
         least: (k,) of J q̈.
     """
     n, n_m, k = len(M), len(unit), len(least)
-    n_b, m, bounds, others = n - n_m, 2 * n_m + k, bounds.copy(), np.zeros(n_m)
+    n_b, m, bounds = n - n_m, 2 * n_m + k, bounds.copy()
     if len(qdd_b) > 0:
-        others = _in_reach(M, h, torque, bounds, qdd_b, pushed)
+        _bring_in_reach(M, h, torque, bounds, qdd_b, pushed)
     C, l, u = np.zeros((m, n)), np.empty(m), np.full(m, np.inf)
     for i in range(n_m):
         joint, row = n_b + i, n_m + i
         C[i] = M[joint]
         l[i], u[i] = torque[0, i] - h[joint], torque[1, i] - h[joint]
         C[row, joint] = 1.0 / unit[i]
-        l[row], u[row] = (bounds[0, i] - others[i]) / unit[i], (bounds[1, i] - others[i]) / unit[i]
+        l[row], u[row] = (bounds[0, i] - pushed[i]) / unit[i], (bounds[1, i] - pushed[i]) / unit[i]
     for i in range(k):
         C[2 * n_m + i] = J[i]
-        l[2 * n_m + i] = least[i] - (J[i, n_b:] * others).sum()
+        l[2 * n_m + i] = least[i] - (J[i, n_b:] * pushed).sum()
     return C, l, u
 
 
@@ -118,23 +117,6 @@ def reaction(d: Array, J: Array, f: float, d_b: float) -> Array:
         for j in range(len(u_a)):
             u_a[j] += share * J[i, j]
     return u_a
-
-
-@compiled("f8[::1](f8[:], f8[:,:], f8[:], f8[:], f8[:], f8, f8[:], f8)")
-def observed(
-    r: Array, M: Array, h: Array, then: Array, now: Array, dt: float, u_a: Array, share: float
-) -> Array:
-    """(n_m,) r + share (M_a q̈ + h_a - u_a - r), of `app.control.limits.PushObserver`.
-
-    With the q̈ that took the velocity `then` to `now`, (n,), within dt [s].
-    """
-    n_b, found = len(now) - len(r), r.copy()
-    for i in range(len(r)):
-        missing = h[n_b + i] - u_a[i] - r[i]
-        for j in range(len(now)):
-            missing += M[n_b + i, j] * (now[j] - then[j]) / dt
-        found[i] += share * missing
-    return found
 
 
 @compiled("f8[::1](f8[:], f8[:], f8[:])")

@@ -7,7 +7,6 @@ acceleration that the arm will have.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from functools import lru_cache
 from typing import NamedTuple
@@ -95,7 +94,7 @@ class ArmNow(NamedTuple):
     torque: Array
     """(2, n_m) the smallest and the largest torque [N m or N] of this step."""
     pushed: Array
-    """(n_m,) [N m or N] r, torques that others exert on the arm: they add (0, M_aa⁻¹ r) to q̈."""
+    """(n_m,) [rad/s² or m/s²] what others who push the arm add to q̈_m."""
 
 
 def robot_limits(
@@ -143,41 +142,6 @@ def base_limits(model: RobotModel) -> Limits:
     """Limits on q̈ of the base's accelerations, hard."""
     most = model.base_acceleration_max
     return Limits(model.base_rows, -most, most, np.zeros(model.n_b))
-
-
-class PushObserver:
-    """An observer of first order: ṙ = k (M_a q̈ + h_a - u_a - r), from velocities alone.
-
-    Each period takes (1 - e^{-k dt}) of what is missing, the exact answer however long it lasts.
-
-    It is the generalised-momentum observer of De Luca et al. (2006) with M taken as constant
-    within a step. Tasks never see r: a guided hand stays free. Barriers do, so that
-    a distance is kept while a person pulls.
-    """
-
-    def __init__(self, n_m: int) -> None:
-        self._n_m = n_m
-        self.reset()
-
-    def reset(self) -> None:
-        """Nobody touches the robot."""
-        self.r = np.zeros(self._n_m)
-        """(n_m,) [N m or N] torques that others exert on the arm's joints."""
-        self._qd: Array | None = None
-
-    def pause(self) -> None:
-        """Skip a period of which nothing is known."""
-        self._qd = None
-
-    def update(self, state: RobotState, u_a: Array, rate: float, dt: float) -> None:
-        """Learn with k = `rate` [1/s] from a period of dt [s] that has ended in this state.
-
-        `u_a` (n_m,) [N m or N] are the torques given within it.
-        """
-        if self._qd is not None:
-            share, then = -math.expm1(-rate * dt), self._qd
-            self.r = kernels.observed(self.r, state.M, state.h, then, state.qd, dt, u_a, share)
-        self._qd = state.qd
 
 
 def force_bound(state: RobotState, closest: ClosestPoints) -> float:
