@@ -216,7 +216,7 @@ def plain_limits(
     lower, upper = np.sort(both, axis=0)
     extra, inverse = np.zeros(model.n_m), np.linalg.inv(M[2:, 2:])
     if arm is not None:  # no joint asks for more than its own torque gives
-        extra, own = inverse @ arm.pushed, np.diag(inverse) * (high - low) / 2
+        extra, own = arm.pushed, np.diag(inverse) * (high - low) / 2
         there = inverse @ ((low + high) / 2 - M[2:, :2] @ arm.qdd_b - h_a) + extra
         lower, upper = np.minimum(lower, there + own), np.maximum(upper, there - own)
     n = model.n_m

@@ -67,6 +67,7 @@ def asked(controller: Controller, m: Measurement, acceleration: Array) -> Contro
     controller.reset()
     controller.step(m)
     pose = pin.SE3(controller.state.T_world_ee)
+    controller.reset()
     return controller.step(m, Reference(pose, np.zeros(6), np.append(acceleration, np.zeros(3))))
 
 

@@ -16,6 +16,7 @@ UNITS = {
     "rad",
     "m/s",
     "rad/s",
+    "rad/s²",
     "N",
     "-",
     "m/s²",
@@ -102,7 +103,7 @@ def test_slowed_gains_are_the_same_closed_loop_in_slower_time():
     assert repulsion.k_v * s == pytest.approx(config.repulsion.k_v)
     assert limit.position_rate * s == pytest.approx(config.limit.position_rate)
     assert limit.velocity_rate * s == pytest.approx(config.limit.velocity_rate)
-    assert limit.push_rate == config.limit.push_rate
+    assert slow.estimate == config.estimate
 
 
 def test_the_kind_of_border_is_one_of_two() -> None:

@@ -27,7 +27,8 @@ from app.robot.model import RobotModel
 from app.robot.state import Measurement, RobotState
 
 ZERO = np.zeros(3)
-AT_ONCE = Config().replace("limit.torque_rate", 1e6)
+AT_ONCE = Config().replace("limit.torque_rate", 1e6).replace("limit.velocity_rate", 30.0)
+"""Limits of joints count early, so that poses at which none does are far from them."""
 UNHELD = AT_ONCE.replace("holding.weight", 0.01)
 """The hand weighs nothing, so that the base does what (29) says."""
 
@@ -67,7 +68,8 @@ def in_buffer(robot: RobotModel, controller: Controller, seed: int, pair: str) -
 def unheld_step(
     controller: Controller, m: Measurement, reference: Reference | None = None
 ) -> ControlOutput:
-    """A step in which the hand weighs nothing."""
+    """A first step in which the hand weighs nothing."""
+    controller.reset()
     controller.configure(UNHELD)
     output = controller.step(m, reference)
     controller.configure(AT_ONCE)
@@ -145,6 +147,7 @@ def test_the_base_demand_is_that_of_the_whole_bodys_29(
     controller.reset()
     controller.step(m)
     reference = reference_here(controller, 0.05 * np.ones(6))
+    controller.reset()
     output = controller.step(m, reference)
     controller.configure(AT_ONCE)
     avoidance = output.avoidance
@@ -277,6 +280,7 @@ def test_tracking_reaches_the_asked_acceleration_of_the_hand_whatever_the_base_d
     wanted = rng.normal(scale=0.3, size=6)
     reference = Reference(pin.SE3(controller.state.T_world_ee), controller.state.v_ee, wanted)
     base = np.array([-0.4, 0.3])
+    controller.reset()
     output = controller.step(m, reference, base_acceleration=base)
     state = controller.state
     qdd = np.empty(robot.n)
@@ -381,7 +385,9 @@ def test_the_command_does_not_depend_on_where_the_world_frame_stands(
     robot: RobotModel, controller: Controller
 ) -> None:
     m = in_buffer(robot, controller, 1, "lm-lEE")
+    controller.reset()
     here = controller.step(m)
+    controller.reset()
     there = controller.step(m._replace(base_pose=np.array([3.0, -2.0, 1.1])))
     np.testing.assert_allclose(there.base_acceleration, here.base_acceleration, atol=1e-6)
     np.testing.assert_allclose(there.u_a, here.u_a, atol=1e-5)
@@ -424,6 +430,7 @@ def test_a_base_stays_where_an_arm_too_slow_to_hold_its_hand_would_go_along(
     """The same robot and pose, the joints with a fiftieth of their speed."""
     m = measured(robot, in_buffer(robot, controller, seed, "lm-lEE").q_m)
     slow = slower(robot, 0.02)
+    controller.reset()
     held, taken = (c.step(m) for c in (controller, Controller(slow, border_data, AT_ONCE)))
     assert held.avoidance.beta_m == taken.avoidance.beta_m > 0.05
     asked = np.linalg.norm(held.base_acceleration)

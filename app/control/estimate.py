@@ -65,7 +65,10 @@ class ArmEstimate:
             config: How noise and pushes are told apart.
             dt: [s] how long it lasted.
         """
-        q, qd, then = measured.q_m, measured.qd_m, self._base_velocity
+        q, qd = measured.q_m, measured.qd_m
+        if _elsewhere(self._x, q, state.model.qd_max, dt):
+            self.begin_anew()
+        then = self._base_velocity
         self._samples, self._base_velocity = self._samples + 1, measured.base_velocity
         if self._samples == 0:
             self._x[:] = q, qd, self.pushed
@@ -80,6 +83,18 @@ class ArmEstimate:
         _follow(self._x, self._P, known, q, qd, self._seen[3], least, ratio, change, dt)
         self.pushed = self._x[2].copy()
         return measured._replace(q_m=self._x[0].copy(), qd_m=self._x[1].copy())
+
+
+_FARTHEST = 10.0  # [-] of the way at a joint's top speed; else it was moved while nobody looked
+
+
+@compiled("b1(f8[:,:], f8[:], f8[:], f8)")
+def _elsewhere(x: Array, q: Array, qd_max: Array, dt: float) -> bool:
+    """Whether positions q (n_m,) are none that x (3, n_m), a period dt [s] ago, can have led to."""
+    for i in range(len(q)):
+        if abs(q[i] - x[0, i] - dt * x[1, i]) > _FARTHEST * dt * qd_max[i]:
+            return True
+    return False
 
 
 @compiled("f8[::1](f8[:,:], f8[:], f8[:], f8[:])")
@@ -113,9 +128,7 @@ def _learn(seen: Array, q: Array, known: Array, share: float, dt: float) -> None
         seen[3, i] += share * (sample - seen[3, i])
 
 
-@compiled(
-    "void(f8[:,::1], f8[:,:,::1], f8[:], f8[:], f8[:], f8[:], f8, f8, f8, f8)"
-)
+@compiled("void(f8[:,::1], f8[:,:,::1], f8[:], f8[:], f8[:], f8[:], f8, f8, f8, f8)")
 def _follow(
     x: Array,
     P: Array,
