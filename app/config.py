@@ -248,7 +248,8 @@ class Config(Strict):
 def slowed(config: Config) -> Config:
     """The gains of the same closed loops, `base_slowness` times slower.
 
-    Stretching time by a factor divides stiffnesses by its square, damping and rates by itself.
+    Stretching time by a factor divides stiffnesses by its square, damping and rates by itself. What
+    is left of a joint's speed is foreseen like what is left of its way: the arm alone is quicker.
     """
     task, repulsion, limit, barrier = config.task, config.repulsion, config.limit, config.barrier
     s = task.base_slowness
@@ -257,7 +258,7 @@ def slowed(config: Config) -> Config:
         "repulsion": {"k_p": repulsion.k_p / s**2, "k_v": repulsion.k_v / s},
         "limit": {
             "position_rate": limit.position_rate / s,
-            "velocity_rate": limit.velocity_rate / s,
+            "velocity_rate": limit.position_rate / s,
         },
         "barrier": {"rate": barrier.rate / s, "leaving": barrier.leaving / s},
     }

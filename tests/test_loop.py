@@ -104,7 +104,7 @@ def test_a_pull_moves_the_hand_into_the_buffer_and_letting_go_ends_the_force(loo
 
 
 def test_a_snapshot_holds_together(loop, robot):
-    """Hand, orientation, distances and force are those of its own joints and base pose."""
+    """Hand, orientation, distances and force are those of its joints, as estimated, and base."""
     loop.send(PULL)
     s = until(loop, lambda s: s.beta_m > 0.05)
     state = RobotState(robot)
@@ -446,6 +446,6 @@ def test_ghosts_are_of_the_snapshots_own_instant_whatever_is_changed_meanwhile(l
     for k in range(20):
         loop.send(Speed(1.0 + 0.01 * k))
         s = until(loop, lambda s, k=k: s.speed == 1.0 + 0.01 * k)
-        np.testing.assert_allclose(s.ghosts[0].q_m, s.q_m, atol=1e-6)
-        np.testing.assert_allclose(s.ghosts[0].base_pose, s.base_pose, atol=1e-6)
+        np.testing.assert_allclose(s.ghosts[0].q_m, s.q_m, atol=1e-3)
+        np.testing.assert_allclose(s.ghosts[0].base_pose, s.base_pose, atol=1e-4)
     assert s.t >= t
