@@ -31,17 +31,16 @@ class ArmEstimate:
         self.reset()
 
     def reset(self) -> None:
-        """Nobody touches the robot."""
+        """Nobody touches the robot, and its readings have no noise that is known."""
         self.pushed = np.zeros(self._n_m)
         """(n_m,) [rad/s² or m/s²] M_aa⁻¹ r, with r the torques that others exert on the joints."""
+        self._samples, self._seen = 0, np.zeros((4, self._n_m))
+        self._x, self._P = np.zeros((3, self._n_m)), np.zeros((self._n_m, 3, 3))
         self.begin_anew()
 
     def begin_anew(self) -> None:
-        """Take the next readings as they come, and learn their noise; who pushes stays."""
-        self._samples = -1
-        self._base_velocity = np.zeros(0)
-        self._seen = np.zeros((4, self._n_m))
-        self._x, self._P = np.zeros((3, self._n_m)), np.zeros((self._n_m, 3, 3))
+        """Take the next readings as they come; noise and who pushes stay."""
+        self._base_velocity: Array | None = None
 
     @property
     def noise(self) -> Array:
@@ -52,7 +51,7 @@ class ArmEstimate:
         self,
         measured: Measurement,
         state: RobotState,
-        u_a: Array,
+        u_a: Array | None,
         config: EstimateConfig,
         dt: float,
     ) -> Measurement:
@@ -61,22 +60,19 @@ class ArmEstimate:
         Args:
             measured: The readings at the end of a period.
             state: The robot's state at its begin, of which M and h are taken.
-            u_a: (n_m,) [N m or N] torques given within it.
+            u_a: (n_m,) [N m or N] torques given within it; None if there was no period yet.
             config: How noise and pushes are told apart.
             dt: [s] how long it lasted.
         """
         q, qd = measured.q_m, measured.qd_m
-        if _elsewhere(self._x, q, state.model.qd_max, dt):
-            self.begin_anew()
-        then = self._base_velocity
-        self._samples, self._base_velocity = self._samples + 1, measured.base_velocity
-        if self._samples == 0:
-            self._x[:] = q, qd, self.pushed
-            self._P[:, 2, 2] = config.push_change**2
-            self._seen[:2] = q - dt * qd, q
+        then, self._base_velocity = self._base_velocity, measured.base_velocity
+        if then is None or u_a is None or _elsewhere(self._x, q, state.model.qd_max, dt):
+            self._x[:], self._seen[:3] = (q, qd, self.pushed), (q - dt * qd, q, 0.0 * q)
+            self._P[:] = np.diag([0.0, 0.0, config.push_change**2])
             return measured
         qdd_b = state.model.J_m_inv @ ((measured.base_velocity - then) / dt)
         known = _known(state.M, state.h, u_a, qdd_b)
+        self._samples += 1
         share = max(1.0 / self._samples, -math.expm1(-dt / config.window))
         _learn(self._seen, q, known, share, dt)
         least, ratio, change = config.least_noise, config.velocity_noise, config.push_change
