@@ -211,6 +211,7 @@ def _changes(path: Path, times: Sequence[float] | Array, h: float) -> Array:
                 state.v_ee.copy(),
                 state.J_ee @ qdd_all + state.Jdqd_ee,
             )
+        controller.estimate.begin_anew()  # the motion is not that of the torques
         output = controller.step(measured, reference, base_acceleration=base_acceleration)
         asked.append(np.clip(output.base_acceleration, -most, most))
         touching.append(min(pair.closest.d for pair in output.avoidance.pairs) <= 0.0)
