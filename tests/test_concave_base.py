@@ -112,23 +112,22 @@ def test_in_a_corner_the_arm_is_held_back_by_both_faces(
 
 
 def test_where_the_nearest_face_changes_the_rows_move_on(border_data: BorderData) -> None:
-    """The pair's own normal leaps there; steps a tenth as long move its parts' a tenth as far."""
+    """And so do the pair's own normal and points: steps a tenth as long move them less far."""
     controller, m = controller_of(border_data, "dbb", DECK, WALL), in_the_corner(0)
     monitor = DistanceMonitor(controller.state, border_data.pairs.mobile)
 
-    def largest_steps(steps: int) -> list[float]:
-        """Of the pair's own normal and core, and of those of its parts."""
-        own, parts = [], []
+    def largest_step(steps: int) -> float:
+        found = []
         for s in np.linspace(-0.1, 0.1, steps + 1):
             controller.state.update(m._replace(q_m=m.q_m + s * np.array([0, 1, 0, 1, 0, 0, 0])))
             closest = monitor.find_closest_points(within=0.3, blend=0.005)[0]
-            own.append([closest.n, closest.core])
-            parts.append([value for each in closest.parts for value in (each.n, each.core)])
-        return [float(np.abs(np.diff(each, axis=0)).max()) for each in (own, parts)]
+            found.append([v for each in (closest, *closest.parts) for v in (each.n, each.core)])
+            nearest.add(min(range(2), key=lambda k: closest.parts[k].d))
+        return float(np.abs(np.diff(found, axis=0)).max())
 
-    (_, coarse), (leap, fine) = largest_steps(200), largest_steps(2000)
-    assert leap > 0.5
-    assert fine < 0.2 * coarse
+    nearest: set[int] = set()
+    assert largest_step(2000) < 0.2 * largest_step(200)
+    assert nearest == {0, 1}
 
 
 def test_the_kernel_has_the_librarys_points_of_each_part() -> None:
@@ -150,7 +149,7 @@ def test_two_halves_of_a_base_are_as_the_whole(border_data: BorderData) -> None:
         m = near_both(FRONT, REAR, (UP, UP), seed)
         guided = [controller.step(m).inserted.u_a for controller in (whole, halves)]
         assert np.abs(guided[0]).max() > 0.1
-        np.testing.assert_allclose(guided[1], guided[0], atol=1e-9)
+        np.testing.assert_allclose(guided[1], guided[0], atol=0.05 * np.abs(guided[0]).max())
         one, two = (asked(each, m, -20.0 * np.array(UP)) for each in (whole, halves))
         assert -1.0 < missed(two)[:2].min() <= missed(two).max() < 0.1  # both nearly met
         np.testing.assert_allclose(two.u_a, one.u_a, atol=0.02 * np.abs(one.u_a).max())

@@ -7,7 +7,6 @@ parallel to a face.
 import math
 from collections.abc import Sequence
 from itertools import product
-from operator import itemgetter
 
 import coal
 import numpy as np
@@ -66,6 +65,9 @@ class SmoothPoint:
     end to the other as it turns. Weights exp((min d - d_k)/τ) over some nodes of the core make a
     motion of that, for every d_k is continuous. Where one point is clearly nearest it is that one.
 
+    Where `a` has several convex parts the normal is the mean of theirs at that point, by the same
+    weights: the gradient of a smooth distance, which is shorter than 1 in a corner between two.
+
     A flat face may be nearest anywhere: there the points nearest to the corners of `a` are nodes.
     """
 
@@ -104,8 +106,8 @@ class SmoothPoint:
             blend: [m] τ.
 
         Returns:
-            (4, 3) [m] of each, in the world: the points on `a` and on `b`, the unit normal from `a`
-            to `b`, and the point of the core of `b`.
+            (4, 3) [m] of each, in the world: the points on `a` and on `b`, the normal from `a` to
+            `b`, and the point of the core of `b`.
         """
         if self._shapes is None:
             return self.by_library(blend)
@@ -130,15 +132,21 @@ class SmoothPoint:
         distances = np.array([part.distances(nodes) for part in self._parts]) - radii
         found = []
         for group in self._groups:
-            d = distances[group].min(axis=0)
-            weights = np.exp((d.min() - d) / blend)
-            weights /= weights.sum()
+            weights = _near(distances[group].min(axis=0), blend)
             core, radius = weights @ nodes, weights @ radii
-            nearest = (part.distance_and_normal(core) for part in self._parts[group])
-            d_core, n = min(nearest, key=itemgetter(0))
-            n, core = placed.rotation @ n, placed.act(core)
-            found.append(np.array([core - d_core * n, core - radius * n, n, core]))
+            sides = [part.distance_and_normal(core) for part in self._parts[group]]
+            d_core, normals = np.array([d for d, _ in sides]), np.array([n for _, n in sides])
+            weights = _near(d_core, blend)
+            foot, n = (placed.rotation @ (w @ normals) for w in (weights * d_core, weights))
+            core = placed.act(core)
+            found.append(np.array([core - foot, core - radius * n, n, core]))
         return found
+
+
+def _near(d: Array, blend: float) -> Array:
+    """(K,) [-] weights of distances d [m] whose sum is 1, by how little each is above the least."""
+    weights = np.exp((d.min() - d) / blend)
+    return weights / weights.sum()
 
 
 def _shapes(model: RobotModel, body: str) -> list[tuple[Shape, pin.GeometryObject]]:

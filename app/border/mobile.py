@@ -261,8 +261,14 @@ def mean_nearest(
     for k in range(size):
         x, y, z = x + weights[k] * at[k, 0], y + weights[k] * at[k, 1], z + weights[k] * at[k, 2]
         radius += weights[k] * (nodes[k, 3] if k < count else 0.0)
-    d_core, n_x, n_y, n_z = _nearest_of(shapes, x, y, z)
-    found = np.empty((4, 3))
-    found[2], found[3] = _act(R_a, none, n_x, n_y, n_z), _act(R_a, p_a, x, y, z)
-    found[0], found[1] = found[3] - d_core * found[2], found[3] - radius * found[2]
+    nearest, total, found = _nearest_of(shapes, x, y, z)[0], 0.0, np.zeros((4, 3))
+    for k in range(len(shapes)):
+        d_k, n_x, n_y, n_z = _nearest_of(shapes[k : k + 1], x, y, z)
+        weight, n = math.exp((nearest - d_k) / blend), np.array(_act(R_a, none, n_x, n_y, n_z))
+        total += weight
+        found[0] -= weight * d_k * n
+        found[2] += weight * n
+    found[3] = _act(R_a, p_a, x, y, z)
+    found[2] /= total
+    found[0], found[1] = found[3] + found[0] / total, found[3] - radius * found[2]
     return found

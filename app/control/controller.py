@@ -126,7 +126,8 @@ class Controller:
         self._avoidance = SelfCollisionAvoidance(self.state, data.pairs, data.clouds, config)
         self.configure(config)
         self._solver = TaskQP()
-        self._estimate = ArmEstimate(model.n_m)
+        self.estimate = ArmEstimate(model.n_m)
+        """Where the arm is, and who pushes it."""
         self._dt = dt
         self.reset()
 
@@ -143,7 +144,7 @@ class Controller:
     def reset(self) -> None:
         """Forget the posture, the last torques, who pushes, and the counts of failures."""
         self._u_a: Array | None = None
-        self._estimate.reset()
+        self.estimate.reset()
         self._avoidance.reset()
         self.q_posture: Array | None = None
         """(n_m,) the posture that the arm is drawn to, that of the first good measurement."""
@@ -189,10 +190,10 @@ class Controller:
         good = is_finite(measurement)
         if good:
             u_a, filtering = self._u_a, self._config.estimate
-            here = self._estimate.update(measurement, self.state, u_a, filtering, self._dt)
+            here = self.estimate.update(measurement, self.state, u_a, filtering, self._dt)
             self.state.update(here)
         else:
-            self._estimate.begin_anew()
+            self.estimate.begin_anew()
         if good and self.q_posture is None:
             self.q_posture = measurement.q_m.copy()
         last = free_arm_torque(self.state) if self._u_a is None else self._u_a
@@ -316,7 +317,7 @@ class Controller:
         rows = (*inserted.rows_arm, *inserted.rows_links)
         state, barriers = self.state, inserted.barriers
         qdd_b = self._model.J_m_inv @ given
-        now = ArmNow(qdd_b, torque, self._estimate.pushed)
+        now = ArmNow(qdd_b, torque, self.estimate.pushed)
         limits = robot_limits(state, config, barriers, arm=now)
         whole = insert_rows(stack.objective, rows, softness, given=len(qdd_b))
         qdd = self._solver.solve(whole, limits, qdd_b)

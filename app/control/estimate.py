@@ -67,7 +67,8 @@ class ArmEstimate:
         q, qd = measured.q_m, measured.qd_m
         then, self._base_velocity = self._base_velocity, measured.base_velocity
         if then is None or u_a is None or _elsewhere(self._x, q, state.model.qd_max, dt):
-            self._x[:], self._seen[:3] = (q, qd, self.pushed), (q - dt * qd, q, 0.0 * q)
+            self._x[:] = q, qd, self.pushed
+            self._seen[:3] = q - dt * qd, q, np.full_like(q, np.nan)
             self._P[:] = np.diag([0.0, 0.0, config.push_change**2])
             return measured
         qdd_b = state.model.J_m_inv @ ((measured.base_velocity - then) / dt)
@@ -110,8 +111,8 @@ def _learn(seen: Array, q: Array, known: Array, share: float, dt: float) -> None
     """Count one more reading q (n_m,) in.
 
     Args:
-        seen: (4, n_m) the last two positions, the last step that was not known, and the noise's
-            variance; is updated.
+        seen: (4, n_m) the last two positions, the last second difference less the known one, or
+            not a number, and the noise's variance; is updated.
         q: (n_m,) the position.
         known: (n_m,) the acceleration.
         share: [-] of the new sample of the variance.
@@ -121,7 +122,8 @@ def _learn(seen: Array, q: Array, known: Array, share: float, dt: float) -> None
         unknown = q[i] - 2.0 * seen[1, i] + seen[0, i] - dt**2 * known[i]
         sample = (unknown - seen[2, i]) ** 2 / 20.0
         seen[0, i], seen[1, i], seen[2, i] = seen[1, i], q[i], unknown
-        seen[3, i] += share * (sample - seen[3, i])
+        if not math.isnan(sample):
+            seen[3, i] += share * (sample - seen[3, i])
 
 
 @compiled("void(f8[:,::1], f8[:,:,::1], f8[:], f8[:], f8[:], f8[:], f8, f8, f8, f8)")

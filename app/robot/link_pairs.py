@@ -40,7 +40,8 @@ class ClosestPoints(NamedTuple):
     p_b: Array
     """(3,) [m] closest point on `b`."""
     n: Array
-    """(3,) unit normal from `a` to `b`: moving `b` along it increases d, in penetration too."""
+    """(3,) normal from `a` to `b`: moving `b` along it increases d, in penetration too. A unit
+    vector, or shorter where it is a mean between two convex parts of `a`."""
     core: Array
     """(3,) [m] the point of the core of `b` behind p_b: its radius farther along n; or p_b."""
     parts: tuple[ClosestPoints, ...] = ()
@@ -55,7 +56,7 @@ def with_parts(closest: ClosestPoints, *parts: ClosestPoints) -> ClosestPoints:
 def convex(pairs: Iterable[ClosestPoints]) -> list[ClosestPoints]:
     """Those from a convex body each, whose normals turn continuously: `a` itself or its parts.
 
-    In a concave corner of `a` the nearest of its faces changes, and the pair's own normal leaps.
+    In a concave corner of `a` two faces are near, and the pair's own normal is between theirs.
     """
     return [part for pair in pairs for part in pair.parts or (pair,)]
 
