@@ -13,6 +13,7 @@ from app.simulation.session import DT, Session
 from benchmarks.law.curves import Curve
 from benchmarks.law.options import Options
 from benchmarks.law.paths import follow
+from benchmarks.law.pulls import cases, play
 
 pytestmark = pytest.mark.slow
 
@@ -57,3 +58,26 @@ def test_a_wrist_that_comes_to_its_limit_while_the_base_makes_room_keeps_to_its_
     assert row["error_max_mm"] < 1.0  # 8.7 if the base looks at its rows alone
     assert row["least_distance_m"] > 0.05
     assert row["contact_steps"] == row["failures"] == 0
+
+
+@pytest.mark.parametrize("number", [0, 8, 17])
+def test_a_hard_pull_takes_no_joint_beyond_its_speed_where_torques_suffice(number: int) -> None:
+    """As `python -m benchmarks.law pulls` pulls; it took them to 1.5 of it."""
+    (case,) = cases(Options(), 1, 1.5, number)[-1:]
+    row = play(case)
+    assert row["torque_share"] < 0.99
+    assert 0.9 < row["joint_speed_share"] <= 1.01
+    assert row["least_distance_m"] > 0.02
+
+
+def test_noise_of_encoders_does_not_shake_an_arm_that_tracks(
+    robot: RobotModel, border_data: BorderData
+) -> None:
+    """Torques that follow each reading hit their rate limit, and joints swing at top speed."""
+    session = Session(robot, border_data, Config().replace("disturbance.encoder_noise", 1e-3))
+    session.reset(np.array(robot.description.arm.ready_position))
+    here = Reference(session.T_world_ee.copy(), np.zeros(6), np.zeros(6))
+    steps = [session.step(reference=here) for _ in range(2000)][500:]
+    session.close()
+    assert max((np.abs(s.truth.qd_m) / robot.qd_max).max() for s in steps) < 0.2  # it was 0.9
+    assert max(s.ee_error for s in steps) < 2e-3
