@@ -119,7 +119,7 @@ class LimitConfig(Strict):
 
     position_rate: Annotated[float, Shown(advanced=True)] = Field(default=30.0, ge=1.0, le=100.0)
     """[1/s] how fast a joint may close in on its position limit, per distance left."""
-    velocity_rate: Annotated[float, Shown(advanced=True)] = Field(default=150.0, ge=1.0, le=200.0)
+    velocity_rate: Annotated[float, Shown(advanced=True)] = Field(default=70.0, ge=1.0, le=200.0)
     """[1/s] how fast a joint may close in on its velocity limit, per velocity left."""
     torque_rate: Annotated[float, Shown("torque")] = Field(default=1000.0, ge=50.0, le=1e6)
     """[N m/s] how fast a torque of the arm may change; a Panda takes 1000."""
