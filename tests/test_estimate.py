@@ -107,13 +107,13 @@ def test_an_arm_that_was_moved_meanwhile_is_where_it_is_read(ready: Pushed) -> N
     """Positions that no motion leads to begin the estimate anew; small leaps are noise."""
     robot, there = ready.state.model, ready.measurement
     estimate, config = ArmEstimate(robot.n_m), Config().estimate
-    for _ in range(5):
+    for _ in range(20):
         estimate.update(there, ready.state, ready.state.h[2:], config, DT)
     moved = there._replace(q_m=there.q_m + 0.3)
     assert estimate.update(moved, ready.state, ready.state.h[2:], config, DT) is moved
     assert not estimate.noise.any()
     estimate.reset()
-    for _ in range(5):
+    for _ in range(20):
         estimate.update(there, ready.state, ready.state.h[2:], config, DT)
     noisy = there._replace(q_m=there.q_m + 0.003)
     assert estimate.update(noisy, ready.state, ready.state.h[2:], config, DT) is not noisy

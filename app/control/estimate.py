@@ -67,21 +67,30 @@ class ArmEstimate:
         q, qd = measured.q_m, measured.qd_m
         then, self._base_velocity = self._base_velocity, measured.base_velocity
         if then is None or u_a is None or _elsewhere(self._x, q, state.model.qd_max, dt):
-            self._x[:] = q, qd, self.pushed
             self._seen[:3] = q - dt * qd, q, np.full_like(q, np.nan)
-            self._P[:] = np.diag([0.0, 0.0, config.push_change**2])
-            return measured
+            return self._as_read(measured, config)
         qdd_b = state.model.J_m_inv @ ((measured.base_velocity - then) / dt)
         known = _known(state.M, state.h, u_a, qdd_b)
-        self._samples += 1
-        share = max(1.0 / self._samples, -math.expm1(-dt / config.window))
+        self._samples += not math.isnan(self._seen[2, 0])
+        share = max(1.0 / max(self._samples, 1), -math.expm1(-dt / config.window))
         _learn(self._seen, q, known, share, dt)
+        if self._samples < _FEWEST:
+            return self._as_read(measured, config)
         least, ratio, change = config.least_noise, config.velocity_noise, config.push_change
         _follow(self._x, self._P, known, q, qd, self._seen[3], least, ratio, change, dt)
         self.pushed = self._x[2].copy()
         return measured._replace(q_m=self._x[0].copy(), qd_m=self._x[1].copy())
 
+    def _as_read(self, measured: Measurement, config: EstimateConfig) -> Measurement:
+        """Begin the filter at readings, which are as good as their noise."""
+        variance = np.maximum(self._seen[3], config.least_noise**2)
+        self._x[:] = measured.q_m, measured.qd_m, self.pushed
+        self._P[:] = np.diag([0.0, 0.0, config.push_change**2])
+        self._P[:, 0, 0], self._P[:, 1, 1] = variance, config.velocity_noise**2 * variance
+        return measured
 
+
+_FEWEST = 8  # samples of the noise with which the filter begins
 _FARTHEST = 10.0  # [-] of the way at a joint's top speed; else it was moved while nobody looked
 
 
