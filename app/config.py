@@ -130,10 +130,8 @@ class EstimateConfig(Strict):
 
     push_change: Annotated[float, Shown("push drift")] = Field(default=3.0, ge=0.1, le=100.0)
     """[rad/s²] by how much others accelerate a joint otherwise a second later; or m/s²."""
-    least_noise: Annotated[float, Shown(advanced=True)] = Field(default=2e-7, ge=1e-9, le=0.005)
+    least_noise: Annotated[float, Shown(advanced=True)] = Field(default=2e-8, ge=1e-9, le=0.005)
     """[rad] noise of measured positions at least, or m; what there is more of it is learnt."""
-    velocity_noise: Annotated[float, Shown(advanced=True)] = Field(default=100.0, ge=1.0, le=1e4)
-    """[1/s] noise of measured velocities, per noise of positions."""
     window: Annotated[float, Shown("noise over", advanced=True)] = Field(
         default=0.2, ge=0.01, le=10.0
     )

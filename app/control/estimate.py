@@ -17,9 +17,11 @@ class ArmEstimate:
     """A Kalman filter of each joint: its position, its velocity, and how others accelerate it.
 
     Torques and the base's motion say what a joint does by itself; what it does besides is a random
-    walk. How far readings are trusted follows from the noise of positions, which is learnt: the
-    third differences of what is not known of a motion are noise, with 20 times its variance. So
-    readings without noise are followed at once, and noisy ones do not shake the arm.
+    walk. How far readings are trusted is learnt from them. The third differences of what is not
+    known of a motion are noise of the positions, with 20 times its variance; and a velocity is as
+    good as it agrees with the way since the last reading. So readings without noise are followed at
+    once, noisy ones do not shake the arm, and velocities that are late, wrongly scaled or none at
+    all are left to the positions.
 
     Tasks never see who pushes: a guided hand stays free. Limits do, so that a joint's speed and a
     distance are kept while a person pulls.
@@ -34,7 +36,8 @@ class ArmEstimate:
         """Nobody touches the robot, and its readings have no noise that is known."""
         self.pushed = np.zeros(self._n_m)
         """(n_m,) [rad/s² or m/s²] M_aa⁻¹ r, with r the torques that others exert on the joints."""
-        self._samples, self._seen = 0, np.zeros((4, self._n_m))
+        self._samples, self._variances = 0, np.zeros((2, self._n_m))
+        self._last = np.zeros((3, self._n_m))
         self._x, self._P = np.zeros((3, self._n_m)), np.zeros((self._n_m, 3, 3))
         self.begin_anew()
 
@@ -44,8 +47,9 @@ class ArmEstimate:
 
     @property
     def noise(self) -> Array:
-        """(n_m,) [rad or m] standard deviation of the positions' noise, as learnt so far."""
-        return np.sqrt(self._seen[3])
+        """(2, n_m) standard deviations as learnt so far: [rad or m] of the positions, and [rad/s or
+        m/s] of the velocities."""
+        return np.sqrt(self._variances)
 
     def update(
         self,
@@ -67,26 +71,26 @@ class ArmEstimate:
         q, qd = measured.q_m, measured.qd_m
         then, self._base_velocity = self._base_velocity, measured.base_velocity
         if then is None or u_a is None or _elsewhere(self._x, q, state.model.qd_max, dt):
-            self._seen[:3] = q - dt * qd, q, np.full_like(q, np.nan)
-            return self._as_read(measured, config)
+            self._last[:] = q - dt * qd, q, np.full_like(q, np.nan)
+            return self._as_read(measured, config, dt)
         qdd_b = state.model.J_m_inv @ ((measured.base_velocity - then) / dt)
         known = _known(state.M, state.h, u_a, qdd_b)
-        self._samples += not math.isnan(self._seen[2, 0])
+        self._samples += not math.isnan(self._last[2, 0])
         share = max(1.0 / max(self._samples, 1), -math.expm1(-dt / config.window))
-        _learn(self._seen, q, known, share, dt)
+        _learn(self._variances, self._last, known, q, qd, share, dt)
         if self._samples < _FEWEST:
-            return self._as_read(measured, config)
-        least, ratio, change = config.least_noise, config.velocity_noise, config.push_change
-        _follow(self._x, self._P, known, q, qd, self._seen[3], least, ratio, change, dt)
+            return self._as_read(measured, config, dt)
+        least, change = config.least_noise, config.push_change
+        _follow(self._x, self._P, known, q, qd, self._variances, least, change, dt)
         self.pushed = self._x[2].copy()
         return measured._replace(q_m=self._x[0].copy(), qd_m=self._x[1].copy())
 
-    def _as_read(self, measured: Measurement, config: EstimateConfig) -> Measurement:
+    def _as_read(self, measured: Measurement, config: EstimateConfig, dt: float) -> Measurement:
         """Begin the filter at readings, which are as good as their noise."""
-        variance = np.maximum(self._seen[3], config.least_noise**2)
+        least = config.least_noise * np.array([[1.0], [1.0 / dt]])
         self._x[:] = measured.q_m, measured.qd_m, self.pushed
         self._P[:] = np.diag([0.0, 0.0, config.push_change**2])
-        self._P[:, 0, 0], self._P[:, 1, 1] = variance, config.velocity_noise**2 * variance
+        self._P[:, 0, 0], self._P[:, 1, 1] = np.maximum(self._variances, least**2)
         return measured
 
 
@@ -115,40 +119,61 @@ def _known(M: Array, h: Array, u_a: Array, qdd_b: Array) -> Array:
     return backward(L, forward(L, acting))
 
 
-@compiled("void(f8[:,::1], f8[:], f8[:], f8, f8)")
-def _learn(seen: Array, q: Array, known: Array, share: float, dt: float) -> None:
-    """Count one more reading q (n_m,) in.
+@compiled("void(f8[:,::1], f8[:,::1], f8[:], f8[:], f8[:], f8, f8)")
+def _learn(
+    variances: Array, last: Array, known: Array, q: Array, qd: Array, share: float, dt: float
+) -> None:
+    """Count one more reading in.
 
     Args:
-        seen: (4, n_m) the last two positions, the last second difference less the known one, or
-            not a number, and the noise's variance; is updated.
-        q: (n_m,) the position.
-        known: (n_m,) the acceleration.
-        share: [-] of the new sample of the variance.
+        variances: (2, n_m) of the positions' and of the velocities' noise; are updated.
+        last: (3, n_m) the last two positions, and the last second difference less the known one, or
+            not a number; are updated.
+        known: (n_m,) accelerations.
+        q: (n_m,) positions.
+        qd: (n_m,) velocities.
+        share: [-] of the new samples of the variances.
         dt: [s]
     """
     for i in range(len(q)):
-        unknown = q[i] - 2.0 * seen[1, i] + seen[0, i] - dt**2 * known[i]
-        sample = (unknown - seen[2, i]) ** 2 / 20.0
-        seen[0, i], seen[1, i], seen[2, i] = seen[1, i], q[i], unknown
-        if not math.isnan(sample):
-            seen[3, i] += share * (sample - seen[3, i])
+        unknown = q[i] - 2.0 * last[1, i] + last[0, i] - dt**2 * known[i]
+        of_q, of_qd = (unknown - last[2, i]) ** 2 / 20.0, (qd[i] - (q[i] - last[1, i]) / dt) ** 2
+        last[0, i], last[1, i], last[2, i] = last[1, i], q[i], unknown
+        variances[1, i] += share * (of_qd - variances[1, i])
+        if not math.isnan(of_q):
+            variances[0, i] += share * (of_q - variances[0, i])
 
 
-@compiled("void(f8[:,::1], f8[:,:,::1], f8[:], f8[:], f8[:], f8[:], f8, f8, f8, f8)")
+@compiled()
+def _correct(x: Array, p: Array, k: int, reading: float, variance: float) -> None:
+    """Correct x (3,) and its covariance p (3, 3) by a reading of x[k]."""
+    share, error = 1.0 / (p[k, k] + variance), reading - x[k]
+    gain_0, gain_1, gain_2 = share * p[0, k], share * p[1, k], share * p[2, k]
+    for j in range(3):
+        of_k = p[k, j]
+        p[0, j] -= gain_0 * of_k
+        p[1, j] -= gain_1 * of_k
+        p[2, j] -= gain_2 * of_k
+    x[0] += gain_0 * error
+    x[1] += gain_1 * error
+    x[2] += gain_2 * error
+
+
+@compiled("void(f8[:,::1], f8[:,:,::1], f8[:], f8[:], f8[:], f8[:,:], f8, f8, f8)")
 def _follow(
     x: Array,
     P: Array,
     known: Array,
     q: Array,
     qd: Array,
-    variance: Array,
+    variances: Array,
     least: float,
-    ratio: float,
     change: float,
     dt: float,
 ) -> None:
     """Predict each joint over dt [s], and correct it by its position, then by its velocity.
+
+    The velocity is that of the way since the last position, as drives and simulators have it.
 
     Args:
         x: (3, n_m) position, velocity and acceleration by others; is updated.
@@ -156,24 +181,21 @@ def _follow(
         known: (n_m,) accelerations besides.
         q: (n_m,) positions.
         qd: (n_m,) velocities.
-        variance: (n_m,) of the positions' noise.
-        least: Standard deviation of that noise at least.
-        ratio: [1/s] of the velocities' noise to it.
+        variances: (2, n_m) of the positions' and of the velocities' noise.
+        least: Standard deviation of the positions' noise at least.
         change: Of the acceleration by others, in a second.
         dt: [s]
     """
-    F = np.array([[1.0, dt, 0.5 * dt**2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
     for i in range(len(q)):
-        acceleration = known[i] + x[2, i]
-        x[0, i] += dt * x[1, i] + 0.5 * dt**2 * acceleration
-        x[1, i] += dt * acceleration
-        p = F @ P[i] @ F.T
+        p = P[i]
+        x[1, i] += dt * (known[i] + x[2, i])
+        x[0, i] += dt * x[1, i]
+        for j in range(3):
+            p[1, j] += dt * p[2, j]
+            p[0, j] += dt * p[1, j]
+        for j in range(3):
+            p[j, 1] += dt * p[j, 2]
+            p[j, 0] += dt * p[j, 1]
         p[2, 2] += change**2 * dt
-        noise = max(variance[i], least**2)
-        for k in range(2):
-            reading, of_reading = (q[i], noise) if k == 0 else (qd[i], ratio**2 * noise)
-            gain, row, error = p[:, k] / (p[k, k] + of_reading), p[k].copy(), reading - x[k, i]
-            for j in range(3):
-                x[j, i] += gain[j] * error
-                p[j] -= gain[j] * row
-        P[i] = p
+        _correct(x[:, i], p, 0, q[i], max(variances[0, i], least**2))
+        _correct(x[:, i], p, 1, qd[i], max(variances[1, i], (least / dt) ** 2))
