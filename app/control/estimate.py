@@ -48,7 +48,8 @@ class ArmEstimate:
     @property
     def noise(self) -> Array:
         """(2, n_m) standard deviations as learnt so far: [rad or m] of the positions, and [rad/s or
-        m/s] of the velocities."""
+        m/s] of the velocities.
+        """
         return np.sqrt(self._variances)
 
     def update(
