@@ -74,8 +74,8 @@ class ArmEstimate:
         if then is None or u_a is None or _elsewhere(self._x, q, state.model.qd_max, dt):
             self._last[:] = q - dt * qd, q, np.full_like(q, np.nan)
             return self._as_read(measured, config, dt)
-        qdd_b = state.model.J_m_inv @ ((measured.base_velocity - then) / dt)
-        known = _known(state.M, state.h, u_a, qdd_b)
+        gained, J_m_inv = measured.base_velocity - then, state.model.J_m_inv
+        known = _known(state.M, state.h, u_a, J_m_inv, gained, dt)
         self._samples += not math.isnan(self._last[2, 0])
         share = max(1.0 / max(self._samples, 1), -math.expm1(-dt / config.window))
         _learn(self._variances, self._last, known, q, qd, share, dt)
@@ -108,14 +108,14 @@ def _elsewhere(x: Array, q: Array, qd_max: Array, dt: float) -> bool:
     return False
 
 
-@compiled("f8[::1](f8[:,:], f8[:], f8[:], f8[:])")
-def _known(M: Array, h: Array, u_a: Array, qdd_b: Array) -> Array:
-    """M_aa⁻¹ (u_a - h_a - M_ab q̈_b) (n_m,)."""
-    n_b, acting = len(qdd_b), u_a.copy()
+@compiled("f8[::1](f8[:,:], f8[:], f8[:], f8[:,:], f8[:], f8)")
+def _known(M: Array, h: Array, u_a: Array, J_m_inv: Array, gained: Array, dt: float) -> Array:
+    """M_aa⁻¹ (u_a - h_a - M_ab q̈_b) (n_m,), the base having gained a velocity (n_b,) in dt [s]."""
+    n_b, acting = len(gained), u_a - h[len(gained) :]
     for i in range(len(u_a)):
-        acting[i] -= h[n_b + i]
         for j in range(n_b):
-            acting[i] -= M[n_b + i, j] * qdd_b[j]
+            for k in range(n_b):
+                acting[i] -= M[n_b + i, j] * J_m_inv[j, k] * gained[k] / dt
     L = cholesky(M[n_b:, n_b:])
     return backward(L, forward(L, acting))
 
