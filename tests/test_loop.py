@@ -104,15 +104,15 @@ def test_a_pull_moves_the_hand_into_the_buffer_and_letting_go_ends_the_force(loo
 
 
 def test_a_snapshot_holds_together(loop, robot):
-    """Hand, orientation, distances and force are those of its joints, as estimated, and base."""
+    """Hand, orientation, distances and force are those of its own joints and base pose."""
     loop.send(PULL)
     s = until(loop, lambda s: s.beta_m > 0.05)
     state = RobotState(robot)
     state.update(Measurement(s.base_pose, s.base_velocity, s.q_m, np.zeros(7)))
-    np.testing.assert_allclose(state.T_world_ee.translation, s.p_ee, atol=1e-4)
+    np.testing.assert_allclose(state.T_world_ee.translation, s.p_ee, atol=1e-9)
     w, x, y, z = s.wxyz_ee
     R = pin.Quaternion(w, x, y, z).toRotationMatrix()
-    np.testing.assert_allclose(R, state.T_world_ee.rotation, atol=1e-4)
+    np.testing.assert_allclose(R, state.T_world_ee.rotation, atol=1e-9)
     for pair in s.pairs:
         apart = np.linalg.norm(pair.p_b - pair.p_a)  # in the buffer a mean over the link
         assert -1e-6 <= apart - abs(pair.d) < (0.01 if pair.beta > 0 else 1e-6)
@@ -446,6 +446,6 @@ def test_ghosts_are_of_the_snapshots_own_instant_whatever_is_changed_meanwhile(l
     for k in range(20):
         loop.send(Speed(1.0 + 0.01 * k))
         s = until(loop, lambda s, k=k: s.speed == 1.0 + 0.01 * k)
-        np.testing.assert_allclose(s.ghosts[0].q_m, s.q_m, atol=1e-3)
-        np.testing.assert_allclose(s.ghosts[0].base_pose, s.base_pose, atol=1e-4)
+        np.testing.assert_allclose(s.ghosts[0].q_m, s.q_m, atol=1e-6)
+        np.testing.assert_allclose(s.ghosts[0].base_pose, s.base_pose, atol=1e-6)
     assert s.t >= t

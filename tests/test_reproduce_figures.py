@@ -174,7 +174,7 @@ def test_too_large_a_step_loses_the_component_along_the_line(drawn):
 def test_the_moment_is_where_the_hand_is_nearest(drawn, sources: Sources):
     force = acting.force_at(sources, LATERAL, acting.deepest(sources))
     d = sources.runs[LATERAL].trace["d_lm-lEE_m"]
-    assert force.closest.d == pytest.approx(d.min(), abs=1e-4)  # of the estimated joints
+    assert force.closest.d == pytest.approx(d.min(), abs=1e-9)
     height = drawn["fig8"].tables[""]["z_m"]
     assert np.abs(height - force.closest.p_b[2]).max() <= 0.005 + 1e-9
 
@@ -210,13 +210,13 @@ def test_the_hands_path_is_the_robots_kinematics(sources: Sources):
             base_pose=run.trace.of("base_pose")[k], q_m=run.trace.of("q_m")[k]
         )
         state.update(m)
-        np.testing.assert_allclose(path[k], state.T_world_ee.translation, atol=1e-4)
+        np.testing.assert_allclose(path[k], state.T_world_ee.translation, atol=1e-12)
 
 
 def test_closest_points_do_not_depend_on_where_the_base_is(sources: Sources):
     run = sources.runs[LATERAL]
     found = sources.closest_points(run.trace.of("q_m")[::50])
-    np.testing.assert_allclose([c.d for c in found], run.trace["d_lm-lEE_m"][::50], atol=1e-4)
+    np.testing.assert_allclose([c.d for c in found], run.trace["d_lm-lEE_m"][::50], atol=1e-9)
 
 
 def test_a_thinned_border_is_a_part_of_it_still_sorted(sources: Sources):
