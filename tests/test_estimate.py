@@ -107,6 +107,23 @@ def test_noise_is_learnt_and_taken_out(ready: Pushed, noise: float) -> None:
     assert off[:, 1].std() < 25.0 * noise
 
 
+@pytest.mark.parametrize("noise", [1e-4, 1e-3])
+def test_velocities_made_of_the_same_noisy_positions_are_no_better(
+    ready: Pushed, noise: float
+) -> None:
+    """They agree with the way by construction; of their noise a tenth is left at most."""
+    rng, still = np.random.default_rng(2), ready.measurement
+    estimate, last = ArmEstimate(7), still.q_m
+    found = np.empty((600, 7))
+    for k in range(600):
+        q_m = still.q_m + noise * rng.standard_normal(7)
+        read = still._replace(q_m=q_m, qd_m=(q_m - last) / DT)
+        last = q_m
+        told = estimate.update(read, ready.state, ready.state.h[2:], Config().estimate, DT)
+        found[k] = told.qd_m
+    assert found[300:].std() < 0.1 * np.sqrt(2.0) * noise / DT
+
+
 def test_a_push_is_learnt_from_noisy_readings_too(ready: Pushed) -> None:
     qdd = np.array([5.0, -10.0, 5.0, 10.0, -5.0, 7.0, -5.0])
     estimate, _, _ = followed(ready, ready.state.M[2:, 2:] @ qdd, 200, 1e-3)

@@ -18,10 +18,11 @@ class ArmEstimate:
 
     Torques and the base's motion say what a joint does by itself; what it does besides is a random
     walk. How far readings are trusted is learnt from them. The third differences of what is not
-    known of a motion are noise of the positions, with 20 times its variance; and a velocity is as
-    good as it agrees with the way since the last reading. So readings without noise are followed at
-    once, noisy ones do not shake the arm, and velocities that are late, wrongly scaled or none at
-    all are left to the positions.
+    known of a motion are noise of the positions, with 20 times its variance. A velocity is as good
+    as it agrees with the way since the last reading, but never free of the positions' noise: drives
+    make it of the same ones. So readings without noise are followed at once, noisy ones do not
+    shake the arm, and velocities that are late, wrongly scaled or none at all are left to the
+    positions.
 
     Tasks never see who pushes: a guided hand stays free. Limits do, so that a joint's speed and a
     distance are kept while a person pulls.
@@ -96,6 +97,7 @@ class ArmEstimate:
 
 
 _FEWEST = 8  # samples of the noise with which the filter begins
+_OF_POSITIONS = 100.0  # [1/s] noise of velocities at least: drives make them of the same positions
 _FARTHEST = 10.0  # [-] of the way at a joint's top speed; else it was moved while nobody looked
 
 
@@ -199,4 +201,5 @@ def _follow(
             p[j, 0] += dt * p[j, 1]
         p[2, 2] += change**2 * dt
         _correct(x[:, i], p, 0, q[i], max(variances[0, i], least**2))
-        _correct(x[:, i], p, 1, qd[i], max(variances[1, i], (least / dt) ** 2))
+        at_least = max(_OF_POSITIONS**2 * variances[0, i], (least / dt) ** 2)
+        _correct(x[:, i], p, 1, qd[i], max(variances[1, i], at_least))
