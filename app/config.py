@@ -132,6 +132,8 @@ class EstimateConfig(Strict):
     """[rad/s²] by how much others accelerate a joint otherwise a second later; or m/s²."""
     least_noise: Annotated[float, Shown(advanced=True)] = Field(default=2e-8, ge=1e-9, le=0.005)
     """[rad] noise of measured positions at least, or m; what there is more of it is learnt."""
+    velocity_noise: Annotated[float, Shown(advanced=True)] = Field(default=100.0, ge=1.0, le=1e4)
+    """[1/s] noise of measured velocities at least, per noise of positions; more of it is learnt."""
     window: Annotated[float, Shown("noise over", advanced=True)] = Field(
         default=0.2, ge=0.01, le=10.0
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from app.compiled import compiled
 from app.config import EstimateConfig
-from app.control.active_sets import backward, cholesky, forward
+from app.control.active_sets import backward, cholesky, forward, times
 from app.robot.state import Measurement, RobotState
 from app.strict import Array
 
@@ -74,30 +74,34 @@ class ArmEstimate:
         then, self._base_velocity = self._base_velocity, measured.base_velocity
         if then is None or u_a is None or _elsewhere(self._x, q, state.model.qd_max, dt):
             self._last[:] = q - dt * qd, q, np.full_like(q, np.nan)
-            return self._as_read(measured, config, dt)
+            return self._as_read(measured, self._trusted(config, dt), config)
         gained, J_m_inv = measured.base_velocity - then, state.model.J_m_inv
         known = _known(state.M, state.h, u_a, J_m_inv, gained, dt)
         self._samples += not math.isnan(self._last[2, 0])
         share = max(1.0 / max(self._samples, 1), -math.expm1(-dt / config.window))
         _learn(self._variances, self._last, known, q, qd, share, dt)
+        variances = self._trusted(config, dt)
         if self._samples < _FEWEST:
-            return self._as_read(measured, config, dt)
-        least, change = config.least_noise, config.push_change
-        _follow(self._x, self._P, known, q, qd, self._variances, least, change, dt)
+            return self._as_read(measured, variances, config)
+        _follow(self._x, self._P, known, q, qd, variances, config.push_change, dt)
         self.pushed = self._x[2].copy()
         return measured._replace(q_m=self._x[0].copy(), qd_m=self._x[1].copy())
 
-    def _as_read(self, measured: Measurement, config: EstimateConfig, dt: float) -> Measurement:
+    def _trusted(self, config: EstimateConfig, dt: float) -> Array:
+        """(2, n_m) variances of positions and velocities, none below what is possible."""
+        return _at_least(self._variances, config.least_noise, config.velocity_noise, dt)
+
+    def _as_read(
+        self, measured: Measurement, variances: Array, config: EstimateConfig
+    ) -> Measurement:
         """Begin the filter at readings, which are as good as their noise."""
-        least = config.least_noise * np.array([[1.0], [1.0 / dt]])
         self._x[:] = measured.q_m, measured.qd_m, self.pushed
         self._P[:] = np.diag([0.0, 0.0, config.push_change**2])
-        self._P[:, 0, 0], self._P[:, 1, 1] = np.maximum(self._variances, least**2)
+        self._P[:, 0, 0], self._P[:, 1, 1] = variances
         return measured
 
 
 _FEWEST = 8  # samples of the noise with which the filter begins
-_OF_POSITIONS = 100.0  # [1/s] noise of velocities at least: drives make them of the same positions
 _FARTHEST = 10.0  # [-] of the way at a joint's top speed; else it was moved while nobody looked
 
 
@@ -113,11 +117,8 @@ def _elsewhere(x: Array, q: Array, qd_max: Array, dt: float) -> bool:
 @compiled("f8[::1](f8[:,:], f8[:], f8[:], f8[:,:], f8[:], f8)")
 def _known(M: Array, h: Array, u_a: Array, J_m_inv: Array, gained: Array, dt: float) -> Array:
     """M_aa⁻¹ (u_a - h_a - M_ab q̈_b) (n_m,), the base having gained a velocity (n_b,) in dt [s]."""
-    n_b, acting = len(gained), u_a - h[len(gained) :]
-    for i in range(len(u_a)):
-        for j in range(n_b):
-            for k in range(n_b):
-                acting[i] -= M[n_b + i, j] * J_m_inv[j, k] * gained[k] / dt
+    n_b = len(gained)
+    acting = u_a - h[n_b:] - times(M[n_b:, :n_b], times(J_m_inv, gained / dt))
     L = cholesky(M[n_b:, n_b:])
     return backward(L, forward(L, acting))
 
@@ -147,6 +148,24 @@ def _learn(
             variances[0, i] += share * (of_q - variances[0, i])
 
 
+@compiled("f8[:,::1](f8[:,:], f8, f8, f8)")
+def _at_least(variances: Array, least: float, ratio: float, dt: float) -> Array:
+    """(2, n_m) variances of positions and velocities, not below what agrees by construction.
+
+    Args:
+        variances: (2, n_m) as learnt.
+        least: Standard deviation of the positions' noise at least.
+        ratio: [1/s] of the velocities' noise to it at least: drives make them of the same ones.
+        dt: [s]
+    """
+    found = np.empty_like(variances)
+    for i in range(variances.shape[1]):
+        of_q, of_qd = variances[0, i], variances[1, i]
+        found[0, i] = max(of_q, least**2)
+        found[1, i] = max(of_qd, ratio**2 * of_q, (least / dt) ** 2)
+    return found
+
+
 @compiled()
 def _correct(x: Array, p: Array, k: int, reading: float, variance: float) -> None:
     """Correct x (3,) and its covariance p (3, 3) by a reading of x[k]."""
@@ -162,7 +181,7 @@ def _correct(x: Array, p: Array, k: int, reading: float, variance: float) -> Non
     x[2] += gain_2 * error
 
 
-@compiled("void(f8[:,::1], f8[:,:,::1], f8[:], f8[:], f8[:], f8[:,:], f8, f8, f8)")
+@compiled("void(f8[:,::1], f8[:,:,::1], f8[:], f8[:], f8[:], f8[:,:], f8, f8)")
 def _follow(
     x: Array,
     P: Array,
@@ -170,7 +189,6 @@ def _follow(
     q: Array,
     qd: Array,
     variances: Array,
-    least: float,
     change: float,
     dt: float,
 ) -> None:
@@ -185,7 +203,6 @@ def _follow(
         q: (n_m,) positions.
         qd: (n_m,) velocities.
         variances: (2, n_m) of the positions' and of the velocities' noise.
-        least: Standard deviation of the positions' noise at least.
         change: Of the acceleration by others, in a second.
         dt: [s]
     """
@@ -200,6 +217,5 @@ def _follow(
             p[j, 1] += dt * p[j, 2]
             p[j, 0] += dt * p[j, 1]
         p[2, 2] += change**2 * dt
-        _correct(x[:, i], p, 0, q[i], max(variances[0, i], least**2))
-        at_least = max(_OF_POSITIONS**2 * variances[0, i], (least / dt) ** 2)
-        _correct(x[:, i], p, 1, qd[i], max(variances[1, i], at_least))
+        _correct(x[:, i], p, 0, q[i], variances[0, i])
+        _correct(x[:, i], p, 1, qd[i], variances[1, i])
